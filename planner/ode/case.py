@@ -16,13 +16,16 @@ from linkplan.planner.ode.certificate import (
 from linkplan.planner.ode.formulation import formulate_ode, start_from
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.refinement.case import ErrorReport, Iterate, RefinementTarget
+from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
 from linkplan.planner.refinement.marking import Tightening, tightened_share
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of
 from linkplan.planner.transcription.formulation import Start, Units
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import scheme
+
+# The objective settles to this share where the user gives no tolerance and that is cheap.
+_OBJECTIVE_TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -33,25 +36,19 @@ class OdeCase:
     asked: OdeProblem
     units: Units
     tightenings: tuple[Tightening, ...] = ()
-    has_switch_times: bool = False  # whether the mesh has its switch times already, where the costates put them
-    bang_efforts: np.ndarray | None = None  # (n_segments, n_u) efforts held between those switch times
-
     target: RefinementTarget = field(init=False)
 
     def __post_init__(self) -> None:
         asked = self.asked
-        # Cut at its switches a bang-bang motion is exact as soon as its integration is. Others settle to 1e-6 where the user
-        # gives no tolerance and that is cheap.
-        default = None if self.has_switch_times else 1e-6
         target = RefinementTarget(
             effort_limit=asked.effort_limit,
-            # Wherever an effort has two limits to jump between.
-            switches=not self.has_switch_times and bool(np.any(np.all(np.isfinite(asked.effort_limit), axis=1))),
+            # Efforts can jump if both limits are finite.
+            switches=bool(np.any(np.all(np.isfinite(asked.effort_limit), axis=1))),
             bang_bang=False,  # a differential equation's efforts may take a singular arc anywhere
             continuous_efforts=False,  # nothing is known of its costs
             strictness=INTEGRATION_SHARE / asked.tolerance,
             tolerance_given=True,  # the mesh may grow beyond what is comfortable
-            objective_tolerance=asked.objective_tolerance or default,
+            objective_tolerance=asked.objective_tolerance or _OBJECTIVE_TOLERANCE,
             objective_tolerance_given=asked.objective_tolerance is not None,
         )
         object.__setattr__(self, "target", target)
@@ -68,8 +65,6 @@ class OdeCase:
         least_limit: bool = False,
     ) -> Transcribed:
         """Return the program from a start."""
-        if bang_efforts is None and self.bang_efforts is not None and mesh.n_segments == len(self.bang_efforts):
-            bang_efforts = self.bang_efforts
         formulation = formulate_ode(
             self.problem, self.units, state_rows=position_rows, least_limit=least_limit, tightenings=self.tightenings
         )
@@ -140,16 +135,3 @@ class OdeCase:
     def with_scheme(self, name: str) -> "OdeCase":
         """Return the case with another transcription."""
         return replace(self, problem=replace(self.problem, mesh=replace(self.problem.mesh, scheme=name)))
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class FirstSolution:
-    """A first solution, before it is refined; the case that it solves, and the number of its start.
-
-    `unbounded` has the words on a duration that has no best, where there is none.
-    """
-
-    case: OdeCase
-    found: Iterate[OdeTrajectory]
-    number: int = 0
-    unbounded: str | None = None

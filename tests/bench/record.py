@@ -109,7 +109,7 @@ def ode_answer(name: str, _: float = 0.0) -> dict:
 def ode_set() -> dict[str, Callable]:
     """Return the ODE set: what plans each problem, by name."""
     from linkplan.planner.ode.solve_ocp import plan_ode
-    from tests.planner.ode import test_arcs, test_arm, test_hard, test_promises, test_switches, test_textbook, test_unstable
+    from tests.planner.ode import test_arcs, test_arm, test_promises, test_textbook, test_unstable
     from tests.support.ode import INF, bryson_denham, robbins
 
     textbook = test_textbook
@@ -128,11 +128,9 @@ def ode_set() -> dict[str, Callable]:
         "oscillator to rest": lambda: test_arcs.oscillator_to_rest(1.0, 1.0, 2)[0],
         "cart": test_arcs.quickest_cart,
         "arm": test_arm.quickest_arm,
-        "bioreactor": lambda: plan_ode(test_hard.bioreactor()),
         "Robbins": lambda: plan_ode(robbins(1e-6)),
         "swing-up": lambda: plan_ode(test_promises.swing_up()),
         "weak swing-up": lambda: plan_ode(test_promises.swing_up(0.3)),
-        "settled oscillator": lambda: test_switches.settled_oscillator(3.0),
         "beside a pole": lambda: plan_ode(test_unstable.beside_a_pole(2.0)),
         "beside a pole, long": test_unstable.long,
     }

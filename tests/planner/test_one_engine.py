@@ -13,7 +13,7 @@ from linkplan.planner.closed_chain.guess import first_guess, perturbed_guesses
 from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.ode.formulation import straight_guess
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.search import perturbed
+from linkplan.planner.ode.solve_ocp import perturbed
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import Case

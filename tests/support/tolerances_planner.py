@@ -196,7 +196,6 @@ FIVE_DIGITS = 5e-6
 SIX_DIGITS = 5e-7
 # The bioreactor, whose singular arcs are flat: its plan says that its objective may be 8e-6 off. Measured, relative: 4.7e-7
 # and 5.2e-7 with two kernels of OpenBLAS.
-BIOREACTOR_OBJECTIVE = 1e-6
 # The Alp rider, which turns on a sphere for next to nothing: local optima lie 1e-6 apart, relative. Measured 7e-7 below.
 ALP_RIDER_PRINTED = 2e-6
 # The same as ODE_INTEGRATED where the effort chatters or bends between nodes.

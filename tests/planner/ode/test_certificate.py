@@ -5,7 +5,6 @@ import pytest
 
 from linkplan.planner.ode.certificate import certify_ode, running_cost, sizes_of
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.switches import has_arcs
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.transcription.schemes import scheme
 from tests.support.ode import FREE_EFFORT, NAN, squared_effort
@@ -207,13 +206,3 @@ def test_a_boundary_condition_that_is_missed_is_said_with_the_share_of_its_size(
     certificate = judged(**asked)
     assert certificate.boundary_error == pytest.approx(missed, rel=1e-12)
     assert any("are missed by" in failure for failure in certificate.failures)
-
-
-@pytest.mark.parametrize(
-    ("efforts", "arcs"), [([5, 5, 0, 0, 0, 0, -5], True), ([5, 5, 5, 0, 0, 0, -5], False), ([5] * 7, False)]
-)
-def test_more_than_three_intervals_within_the_limits_are_an_arc(efforts, arcs):
-    motion = OdeTrajectory(
-        breaks_s=np.arange(8.0), state=np.zeros((2, 7, 1)), effort=np.array(efforts, dtype=float)[None, :, None], n_x=1
-    )
-    assert has_arcs(motion, np.array([[-5.0, 5.0]])) is arcs

@@ -6,89 +6,11 @@ import pytest
 
 from linkplan.planner.ode.certificate import LIMIT_SLACK
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.search import integrated
-from tests.support.ode import FREE_EFFORT, INF, NAN, solved, squared_effort
-from tests.support.tolerances_planner import ALP_RIDER_PRINTED, BIOREACTOR_OBJECTIVE
+from tests.support.ode import FREE_EFFORT, INF, solved
+from tests.support.tolerances_planner import ALP_RIDER_PRINTED
 
-# The bioreactor with rates constant over 100 and over 400 equal cells, by Runge and Kutta's rule in steps of 1/40, multiple
-# shooting: 6.1515914 and 6.1516030, and what these tend to with the square of the cells' width.
-LEE_RAMIREZ = 6.1516037
 # The Alp rider by the book's and PROPT's programs.
 ALP_RIDER = 2030.85609
-
-
-def bioreactor() -> OdeProblem:
-    """Return Lee and Ramirez's fed-batch reactor with rates of nutrient and inducer within 0 and 1, inducer for nothing.
-
-    Volume, cells, nutrient, protein, inducer, shock and recovery; the parameters are Tholudur and Ramirez's (1997).
-    """
-
-    def rate(x, u, p, t):  # noqa: ARG001
-        volume, cells, nutrient, protein, inducer, shock, recovery = (x[i] for i in range(7))
-        dilution, uptake = (u[0] + u[1]) / volume, nutrient / (14.35 + nutrient + nutrient**2 / 111.5)
-        growth = uptake * (shock + recovery * 0.22 / (0.22 + inducer))
-        production = 0.233 * uptake * (0.0005 + inducer) / (0.022 + inducer)
-        response = 0.09 * inducer / (0.034 + inducer)
-        return [
-            u[0] + u[1],
-            growth * cells - dilution * cells,
-            100 * u[0] / volume - dilution * nutrient - growth * cells / 0.51,
-            production * cells - dilution * protein,
-            4 * u[1] / volume - dilution * inducer,
-            -response * shock,
-            response * (1 - recovery),
-        ]
-
-    return OdeProblem(
-        name="Lee-Ramirez",
-        rate=rate,
-        start=[1, 0.1, 40, 0, 0, 1, 0],
-        goal=[NAN] * 7,
-        effort_limit=[[0, 1], [0, 1]],
-        duration_s=10.0,
-        final_cost=lambda x0, xT, T, p: -xT[0] * xT[3],  # noqa: ARG005
-    )
-
-
-def test_where_the_end_is_free_constant_efforts_lead_to_motions_to_begin_from():
-    """x' = u over 2 s with u within -1 and 3 ends at twice what the effort is."""
-    problem = OdeProblem(
-        name="free end",
-        rate=lambda x, u, p, t: [u[0]],  # noqa: ARG005
-        start=[5],
-        goal=[NAN],
-        effort_limit=[[-1, 3]],
-        duration_s=2.0,
-        running_cost=squared_effort,
-    )
-    guesses = list(integrated(problem))
-    assert len(guesses) > 1
-    for guess in guesses:
-        effort = guess.effort[0, 0]
-        assert -1 < effort < 3
-        np.testing.assert_allclose(guess.state[:, 0], np.linspace(5, 5 + 2 * effort, len(guess.state)), rtol=1e-10)
-
-
-@pytest.mark.parametrize("goal", [[0.0], [[-1.0, 1.0]]])
-def test_where_an_end_is_asked_no_motion_of_constant_efforts_is_begun_from(goal):
-    problem = OdeProblem(
-        name="asked end",
-        rate=lambda x, u, p, t: [u[0]],  # noqa: ARG005
-        start=[[5.0, 5.0]] if np.ndim(goal) == 2 else [5.0],
-        goal=goal,
-        effort_limit=FREE_EFFORT,
-        duration_s=2.0,
-        running_cost=squared_effort,
-    )
-    assert not list(integrated(problem))
-
-
-@pytest.mark.long
-def test_a_bioreactor_is_fed_along_singular_arcs_and_limits_as_an_independent_program_has_it():
-    problem = bioreactor()
-    plan = solved(problem)
-    assert -plan.objective == pytest.approx(LEE_RAMIREZ, rel=BIOREACTOR_OBJECTIVE)
-    assert plan.certificate.integrated_objective == pytest.approx(plan.objective, rel=10 * problem.tolerance)
 
 
 def terrain(t, exp=np.exp):

@@ -8,11 +8,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.planner.ode.formulation import straight_guess
 from linkplan.planner.ode.plan import OdePlan, known_digits, plan_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
-from linkplan.planner.ode.search import first_solutions, refined_motion
-from linkplan.planner.ode.solve_ocp import plan_ode
+from linkplan.planner.ode.solve_ocp import _first_solutions, _refined, plan_ode
 from tests.support.ode import (
     FREE_EFFORT,
     FREE_STATE,
@@ -205,7 +203,7 @@ def test_the_straight_line_is_a_start_beside_guesses_that_lead_nowhere():
 
 def test_a_plan_whose_objective_is_known_on_one_mesh_only_says_that_its_error_is_not_known():
     problem = bryson_denham(0.1, None)
-    refined = refined_motion(problem, first_solutions(problem, [straight_guess(problem)])[0])
+    refined = _refined(problem, _first_solutions(problem)[0])
     plan = plan_of(problem, replace(refined, objective_error=INF))
     assert plan.status == "optimal"
     assert plan.objective_error is None
