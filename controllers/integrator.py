@@ -31,7 +31,7 @@ from linkplan.models.tree.passive import is_gas_spring, joint_passive
 _EXPLICIT = (int(mujoco.mjtIntegrator.mjINT_EULER), int(mujoco.mjtIntegrator.mjINT_RK4))
 
 
-def stay_servos(mechanism: Mechanism) -> bool:
+def simulates_servos(mechanism: Mechanism) -> bool:
     """Return True if a mechanism has servos and an integrator that uses the derivatives of their force."""
     return any(one.is_servo for one in mechanism.actuators) and int(mechanism.model.opt.integrator) not in _EXPLICIT
 
@@ -42,7 +42,7 @@ def shares_in_a_step(mechanism: Mechanism) -> np.ndarray:
     It is below 1 where the simulation keeps servos and an implicit integrator adds their damping to a step's inertia.
     """
     kind = int(mechanism.model.opt.integrator)
-    if not stay_servos(mechanism) or kind == int(mujoco.mjtIntegrator.mjINT_DISCRETE):
+    if not simulates_servos(mechanism) or kind == int(mujoco.mjtIntegrator.mjINT_DISCRETE):
         return np.ones(mechanism.dof)
     step_s = float(mechanism.model.opt.timestep)
     return np.diagonal(_implicit_factor(mechanism, mechanism.home[None], np.zeros((1, mechanism.dof)), step_s, kind)[0])

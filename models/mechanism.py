@@ -22,9 +22,9 @@ from linkplan.models.closure.initial_assembly import (
     idle_drives,
     locked_or_singular,
     nearby_poses,
-    needless_gaps,
     refuse_large_gaps,
     refuse_singular_assembly,
+    removable_gaps,
     shifts,
     with_closed_pose,
 )
@@ -290,7 +290,7 @@ def load_mechanism(
     loop = _loop(name, joints, tree, closures, extent)
     tolerance = closure_tolerance(closure_tolerance_m, extent)
     reference = tree.coordinates.q_of(reference_qpos)
-    still = needless_gaps(loop, reference)
+    still = removable_gaps(loop, reference)
     along_axes = max(tolerance, SHIFT_SHARE * extent)
     refuse_large_gaps(loop, still, along_axes)
     moved = shifts(model, closures, still, reference_qpos, along_axes)

@@ -1,9 +1,9 @@
 """From a planning problem to a certified plan: attempts, then the reason if none gives a motion; a plan's robustness.
 
-The three tables below are the whole strategy, in order. A rung is tried if its condition holds, within its budget. The first
-plan that passes ends the search, unless the phase plane knows a motion that may be better. Repairs are applied to a motion
-whose certificate fails, before the next rung. Diagnoses give the reason why there is no motion, and never return one. A new
-rung is one function, `(Search, Budget) -> Plan | None`, and one row.
+The three tables below are the whole strategy, in order. A method is tried if its condition holds, within its budget. The
+first plan that passes ends the search, unless the phase plane knows a motion that may be better. Repairs are applied to a
+motion whose certificate fails, before the next method. Diagnoses give the reason why there is no motion, and never return
+one. A new method is one function, `(Search, Budget) -> Plan | None`, and one row.
 """
 
 import contextlib
@@ -20,28 +20,28 @@ from linkplan.planner.refinement.history import Say, progress, recorded, recordi
 from linkplan.planner.refinement.state import REPORTED_CHANGE
 from linkplan.planner.search import attempts, continuations, resting, starts, waiting
 from linkplan.planner.search.finer_meshes import of_several
-from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Repair, Rung, Search, climb
+from linkplan.planner.search.ladder import FULL_BUDGET, SHORT_BUDGET, Budget, Repair, Search, SearchMethod, run_search
 from linkplan.planner.search.several_motors import from_several_starts
 from linkplan.planner.search.smooth_path import along_smooth_path, at_rest
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 
-__all__ = ["DIAGNOSES", "REPAIRS", "RUNGS", "Say", "plan_motion", "silent"]
-Climb = Callable[[Search, Budget], Plan | None]
+__all__ = ["DIAGNOSES", "REPAIRS", "SEARCH_METHODS", "Say", "plan_motion", "silent"]
+SearchFunction = Callable[[Search, Budget], Plan | None]
 # The key of the nominal plan's objective in a plan's details, in the objective's SI unit.
 _DETAIL = "objective_as_modelled"
 
 
-def _with_time_to_wait(start: Climb) -> Climb:
+def _with_time_to_wait(start: SearchFunction) -> SearchFunction:
     """Return an attempt that gets half of the time left where several driven freedoms may wait, else all of it.
 
     The first start of a swing-up may otherwise use up all the time in refinement.
     """
 
-    def climb(search: Search, budget: Budget) -> Plan | None:
+    def run_search(search: Search, budget: Budget) -> Plan | None:
         spare = search.problem.mechanism.dof > 1 and waiting.may_wait(search)
         return start(search, replace(budget, share_of_time=0.5) if spare else budget)
 
-    return climb
+    return run_search
 
 
 def _is_worth_a_start(search: Search) -> bool:
@@ -55,27 +55,27 @@ def _first_starts(search: Search, budget: Budget) -> Plan | None:
     return (starts.best_of_several if several else _with_time_to_wait(starts.from_first_starts))(search, budget)
 
 
-_FIRST: tuple[Rung, ...] = (
-    Rung(
+_FIRST: tuple[SearchMethod, ...] = (
+    SearchMethod(
         name="the guess given, then a smooth path; or the best of several starts (multistart)",
         tried=lambda search: search.problem.solver.starts > 1 or _is_worth_a_start(search),
-        climb=_first_starts,
-        budget=PATIENT,
+        run=_first_starts,
+        budget=FULL_BUDGET,
     ),
-    Rung(
+    SearchMethod(
         name="the phase plane: dynamic programming, then bang efforts",
         tried=starts.phase_plane_may_help,
-        climb=starts.from_the_phase_plane,
-        budget=HURRIED,
+        run=starts.from_the_phase_plane,
+        budget=SHORT_BUDGET,
     ),
 )
-_SWINGS = Rung(
+_SWINGS = SearchMethod(
     name="swings",
     tried=lambda search: starts.one_start_is_worth_it(search) and not starts.no_time(search),
-    climb=_with_time_to_wait(starts.from_swings),
-    budget=HURRIED,
+    run=_with_time_to_wait(starts.from_swings),
+    budget=SHORT_BUDGET,
 )
-_LONGER = Rung(
+_LONGER = SearchMethod(
     name="continuation in the duration",
     tried=lambda search: (
         not search.solved
@@ -85,49 +85,49 @@ _LONGER = Rung(
         and continuations.may_be_lengthened(search)
         and not waiting.far_beyond(search)
     ),
-    climb=continuations.from_continuation,
-    budget=PATIENT,
+    run=continuations.from_continuation,
+    budget=FULL_BUDGET,
 )
 
-RUNGS: tuple[Rung, ...] = (
-    Rung(
+SEARCH_METHODS: tuple[SearchMethod, ...] = (
+    SearchMethod(
         name="the phase plane along its limits",
         tried=starts.may_be_along_limits,
-        climb=starts.along_limits,
-        budget=HURRIED,
+        run=starts.along_limits,
+        budget=SHORT_BUDGET,
     ),
-    Rung(
+    SearchMethod(
         name="several motors: cheap first solves, the best refined",
         tried=lambda search: of_several(search.problem) and search.problem.solver.starts == 1,
-        climb=from_several_starts,
+        run=from_several_starts,
         budget=Budget(share_of_time=0.7),
     ),
     *_FIRST,
-    Rung(
+    SearchMethod(
         name="the cheapest legs of the phase plane, where meshes over time led to false motions",
         tried=lambda search: bool(search.plans) and resting.legs_may_help(search),
-        climb=resting.from_legs,
-        budget=HURRIED,
+        run=resting.from_legs,
+        budget=SHORT_BUDGET,
     ),
-    Rung(
+    SearchMethod(
         name="at a distance from singular poses",
         tried=starts.may_near_singular,
-        climb=lambda search, budget: starts.at_a_distance(search, budget, (*_FIRST, _SWINGS, _LONGER)),
-        budget=PATIENT,
+        run=lambda search, budget: starts.at_a_distance(search, budget, (*_FIRST, _SWINGS, _LONGER)),
+        budget=FULL_BUDGET,
     ),
     _SWINGS,
     _LONGER,
-    Rung(
+    SearchMethod(
         name="the least time, and waiting",
         tried=lambda search: not search.solved and waiting.may_wait(search),
-        climb=waiting.from_waiting,
-        budget=PATIENT,
+        run=waiting.from_waiting,
+        budget=FULL_BUDGET,
     ),
-    Rung(
+    SearchMethod(
         name="the cheapest legs of the phase plane",
         tried=resting.legs_may_help,
-        climb=resting.from_legs,
-        budget=HURRIED,
+        run=resting.from_legs,
+        budget=SHORT_BUDGET,
     ),
 )
 
@@ -163,14 +163,17 @@ DIAGNOSES: tuple[Diagnosis, ...] = (
 
 @one_thread_at_a_time
 def plan_motion(
-    problem: Problem, say: Say = silent, rungs: Sequence[Rung] = RUNGS, diagnoses: Sequence[Diagnosis] = DIAGNOSES
+    problem: Problem,
+    say: Say = silent,
+    methods: Sequence[SearchMethod] = SEARCH_METHODS,
+    diagnoses: Sequence[Diagnosis] = DIAGNOSES,
 ) -> Plan:
     """Return the plan of a problem; `message` gives the reason if it has no motion.
 
     Args:
         problem: the problem; `solver.max_time_s` limits the whole of planning.
         say: called with a line of progress from time to time.
-        rungs: the attempts, in order.
+        methods: the attempts, in order.
         diagnoses: the searches for the reason why there is no motion, in order; the last one has a reason for every problem.
 
     Raises:
@@ -179,15 +182,15 @@ def plan_motion(
     begun, plans = replace(problem, solver=problem.solver.begun()), []
     with recording(_with_the_best(say, plans)):
         try:
-            plan = _planned(begun, rungs, diagnoses, plans)
+            plan = _planned(begun, methods, diagnoses, plans)
         except OutOfTimeError:
             message = f"failed: {why_stopped(OUT_OF_TIME, problem.solver.max_time_s)}"
             plan = Plan(problem=problem, status="failed", message=message, history=recorded())
     return replace(plan, problem=problem)
 
 
-def _planned(problem: Problem, rungs: Sequence[Rung], diagnoses: Sequence[Diagnosis], plans: list[Plan]) -> Plan:
-    """Return the plan of a problem with a deadline; plans of the rungs are appended to `plans`.
+def _planned(problem: Problem, methods: Sequence[SearchMethod], diagnoses: Sequence[Diagnosis], plans: list[Plan]) -> Plan:
+    """Return the plan of a problem with a deadline; plans of the methods are appended to `plans`.
 
     Raises:
         OutOfTimeError: when the deadline passes before anything is known.
@@ -198,19 +201,19 @@ def _planned(problem: Problem, rungs: Sequence[Rung], diagnoses: Sequence[Diagno
     search = Search(problem=problem, start_pose=start_pose, repairs=REPAIRS, plans=plans)
     excluded = reasons.contradicted(search) or reasons.too_short(search)
     held = problem.motion.kind == "hold"
-    plan = excluded or (plan_hold(problem) if held else _climbed_or_smooth(search, rungs))
+    plan = excluded or (plan_hold(problem) if held else _found_or_smooth(search, methods))
     if plan is not None and plan.status == "failed" and reasons.less_than_least_time in diagnoses:
         with contextlib.suppress(OutOfTimeError):
             return reasons.less_than_least_time(search) or plan
     return plan or _diagnosed(search, diagnoses)
 
 
-def _climbed_or_smooth(search: Search, rungs: Sequence[Rung]) -> Plan | None:
-    """Return the plan that the rungs find or a rest that costs less; if none passes, the smooth path that does, or None."""
+def _found_or_smooth(search: Search, methods: Sequence[SearchMethod]) -> Plan | None:
+    """Return the plan of the methods or a rest that costs less; if none passes, the smooth path that does, or None."""
     rest = at_rest(search)
     if rest is not None and rest.status == "optimal":
         return rest
-    plan, most = _climbed(search, rungs), float("inf") if rest is None else (1 + REPORTED_CHANGE) * rest.objective
+    plan, most = _found_by(search, methods), float("inf") if rest is None else (1 + REPORTED_CHANGE) * rest.objective
     if plan is not None and plan.passed and plan.objective <= most:
         return plan
     if rest is not None:
@@ -220,9 +223,9 @@ def _climbed_or_smooth(search: Search, rungs: Sequence[Rung]) -> Plan | None:
     return plan
 
 
-def _climbed(search: Search, rungs: Sequence[Rung]) -> Plan | None:
-    """Return the plan of the rungs, or None; its message says "locally optimal" unless the phase plane proves more."""
-    plan = climb(search, rungs)
+def _found_by(search: Search, methods: Sequence[SearchMethod]) -> Plan | None:
+    """Return the plan of the methods, or None; its message says "locally optimal" unless the phase plane proves more."""
+    plan = run_search(search, methods)
     if plan is None or plan.status != "optimal" or not starts.judged_by_the_phase_plane(search)[0]:
         return plan
     return replace(plan, message=plan.message.removeprefix(LOCALLY))

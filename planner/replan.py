@@ -286,7 +286,7 @@ def structure(problem: Problem) -> tuple:
         problem.mechanism.fingerprint(payload_apart=True),
         payload is None or payload.body,
         motion.kind,
-        problem.adrift.tobytes(),
+        problem.free_at_end.tobytes(),
         terms,
         problem.reference is None,
     )

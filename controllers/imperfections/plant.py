@@ -12,7 +12,7 @@ import numpy as np
 
 from linkplan.controllers.imperfections.imperfections import Imperfections, Machine
 from linkplan.controllers.imperfections.servos import as_motors
-from linkplan.controllers.integrator import stay_servos
+from linkplan.controllers.integrator import simulates_servos
 from linkplan.controllers.reference import SampledReference, state_at
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.actuation.actuators import Actuator, constant_arms
@@ -125,7 +125,7 @@ def prepare(model: mujoco.MjModel, mechanism: Mechanism, timestep_s: float, effo
     model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_AUTORESET)
     for actuator, (low, high) in zip(mechanism.actuators, effort_limit, strict=True):
         admit(model, actuator, low, high)
-    if not stay_servos(mechanism):
+    if not simulates_servos(mechanism):
         as_motors(model, mechanism)
 
 

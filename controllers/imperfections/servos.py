@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from linkplan.controllers.integrator import stay_servos
+from linkplan.controllers.integrator import simulates_servos
 from linkplan.controllers.reference import SampledReference
 from linkplan.models.actuation.actuators import FIXED, NO_BIAS
 from linkplan.models.mechanism import Mechanism
@@ -64,7 +64,7 @@ def servo_inversion(mechanism: Mechanism) -> ServoInversion | None:
     servos = np.array([one.is_servo for one in mechanism.actuators])
     ranges = np.array([[one.control_lower, one.control_upper] for one in mechanism.actuators])
     ranges[~servos] = -np.inf, np.inf
-    stay = stay_servos(mechanism)
+    stay = simulates_servos(mechanism)
     if not (stay or np.isfinite(ranges).any()):
         return None
     return ServoInversion(
@@ -83,7 +83,7 @@ def speed_gains(mechanism: Mechanism, reference: SampledReference, substeps: int
     efforts are left as they are.
     """
     discrete = int(mechanism.model.opt.integrator) == int(mujoco.mjtIntegrator.mjINT_DISCRETE)
-    if discrete or not stay_servos(mechanism):
+    if discrete or not simulates_servos(mechanism):
         return None
     rates = joint_rates(mechanism, reference.pose_rad, reference.velocity_rad_s)
     speeds = np.einsum("nju,nj->nu", sampled(mechanism.dynamics.effort_matrix, reference.pose_rad), rates)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.controllers.integrator import stay_servos
+from linkplan.controllers.integrator import simulates_servos
 from linkplan.controllers.linearisation import discretise, linearise
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import sampling, simulated
@@ -81,7 +81,7 @@ def regulator(mechanism: Mechanism, reference: SampledReference, errors: Errors)
     n = repeated(reference)
     states = reference.pose_rad[:n], reference.velocity_rad_s[:n], reference.effort[:n]
     kept = np.flatnonzero(np.tile(mechanism.steered, 2))
-    if stay_servos(mechanism):
+    if simulates_servos(mechanism):
         A, B, _ = simulated(mechanism, *states, sampling(mechanism, reference.period_s))
         A, B = A[:, kept[:, None], kept], B[:, kept]
     else:

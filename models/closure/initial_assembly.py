@@ -64,7 +64,7 @@ class Shift:
         return f"anchor of closure {self.name} moved by {length:.3g} mm along its hinge's axis, where no joint can close it"
 
 
-def needless_gaps(loop: KinematicLoop, reference: np.ndarray) -> np.ndarray:
+def removable_gaps(loop: KinematicLoop, reference: np.ndarray) -> np.ndarray:
     """Return the part (n_rows,) [m] of the gaps at the reference pose that no joint can change; zero in rows of angles."""
     phi, _ = loop.residual(reference)
     rng = Random(0)  # numpy.random takes long to load
@@ -89,7 +89,7 @@ def shifts(
     Args:
         model: with the anchors.
         closures: of the model.
-        still: see `needless_gaps`.
+        still: see `removable_gaps`.
         qpos: MuJoCo's reference pose (nq,).
         limit_m: larger gaps are left.
     """

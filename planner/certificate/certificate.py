@@ -81,7 +81,9 @@ class Certificate:
     effort_overrun: np.ndarray  # (n_intervals,) needed effort beyond its limit, as a share of a proof's allowance
     worst_time_s: dict[str, float]
     failures: tuple[str, ...]
-    unmendable: tuple[str, ...] = ()  # failures that no other mesh can mend: a servo's range, contacts, a rounded loop's gap
+    unrepairable: tuple[
+        str, ...
+    ] = ()  # failures that no other mesh repairs: a servo's range, contacts, a rounded loop's gap
     contacts: tuple[Meeting, ...] = ()  # of geoms along the motion, see linkplan.planner.certificate.further_checks
 
     @property
@@ -95,9 +97,9 @@ class Certificate:
         return not self.failures
 
     @property
-    def mendable(self) -> bool:
+    def repairable(self) -> bool:
         """Whether another mesh may mend a failure."""
-        return any(failure not in self.unmendable for failure in self.failures)
+        return any(failure not in self.unrepairable for failure in self.failures)
 
 
 def integration_rtol(problem: Problem) -> float:
@@ -195,8 +197,8 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         failures.insert(0, f"its integration ran out of the plan's {problem.solver.max_time_s:g} s (solver.max_time_s)")
     failures += _integration_failures(in_deg, in_m)
     failures += _range_failures(mechanism, position_margin, speed_margin, worst)
-    unmendable = [*unknown, *_ctrl_failures(samples)]
-    failures += unmendable + [margin.sentence() for margin in others if not margin.kept]
+    unrepairable = [*unknown, *_ctrl_failures(samples)]
+    failures += unrepairable + [margin.sentence() for margin in others if not margin.kept]
     return Certificate(
         effort_excess=effort_excess,
         inverse_dynamics_excess=inverse_excess,
@@ -225,7 +227,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         effort_overrun=beyond.reshape(len(growth), -1).max(axis=1),
         worst_time_s=worst,
         failures=tuple(failures),
-        unmendable=(*unmendable, *((opened,) if rounded else ())),
+        unrepairable=(*unrepairable, *((opened,) if rounded else ())),
     )
 
 
@@ -310,7 +312,7 @@ def end_state_error(problem: Problem, trajectory: Trajectory, speed: float) -> f
         asked = np.stack([motion.start, motion.goal])
         wanted = np.stack([rest if x is None else x for x in (motion.start_speed, motion.goal_speed)])
         free = np.zeros_like(ends, dtype=bool)
-        free[1] = problem.adrift | motion.goal_is_free  # a free goal pose is checked by its sites
+        free[1] = problem.free_at_end | motion.goal_is_free  # a free goal pose is checked by its sites
     elif trajectory.periodic:
         gone = np.stack([-1.0 * np.ones(trajectory.n_s), np.ones(trajectory.n_s)]) * motion.advance
         asked, wanted, free = ends[::-1] + gone, speeds[::-1], np.tile(problem.free_spins, (2, 1))

@@ -159,8 +159,8 @@ def with_contacts(problem: Problem, trajectory: Trajectory, certificate: Certifi
         return replace(certificate, failures=(*certificate.failures, late))
     if problem.contacts == "refuse" and new_meetings(found):
         collision = (_failure(new_meetings(found)),)
-        failures, unmendable = certificate.failures + collision, certificate.unmendable + collision
-        return replace(certificate, contacts=found, failures=failures, unmendable=unmendable)
+        failures, unrepairable = certificate.failures + collision, certificate.unrepairable + collision
+        return replace(certificate, contacts=found, failures=failures, unrepairable=unrepairable)
     return replace(certificate, contacts=found)
 
 
@@ -185,7 +185,7 @@ def surely_collides(problem: Problem, trajectory: Trajectory) -> Certificate | N
     travel = mechanism.extent_m * np.radians(certificate.integration_error_deg) + certificate.integration_error_m
     if not max(meeting.depth_m for meeting in found) > 10 * travel:  # not if the integration failed
         return None
-    return replace(certificate, failures=(), unmendable=())
+    return replace(certificate, failures=(), unrepairable=())
 
 
 def unavoidable(problem: Problem, trajectory: Trajectory, certificate: Certificate) -> bool:

@@ -89,7 +89,7 @@ class MechanismCase:
         least = min(certificate.position_margin_rad.min(), certificate.speed_margin_rad_s.min())
         return ErrorReport(
             exact=is_exact(self.asked, certificate),
-            mendable=certificate.mendable,
+            repairable=certificate.repairable,
             leaves_positions=bool(np.any(certificate.position_margin_rad < 0)),
             overruns=bool(least < -RANGE_SLACK) or not all(margin.kept for margin in certificate.margins),
             overrun=np.vstack(over).max(axis=0),

@@ -104,8 +104,8 @@ def formulate(
     bounds = np.array([limit.bounds(problem, scales) for limit in asked.rows]).reshape(-1, 2)
     path = np.vstack([bounds, free_bounds(len(asked.passed)), positive])
     endpoint, places = site_endpoint(problem, scales.position, n_z)
-    adrift = tuple(np.flatnonzero(problem.free_spins).tolist())
-    returns = tuple(i for i in range(2 * n_s) if i not in adrift)
+    free_at_end = tuple(np.flatnonzero(problem.free_spins).tolist())
+    returns = tuple(i for i in range(2 * n_s) if i not in free_at_end)
     return Formulation(
         build_system=lambda: mechanism_system(mechanism, asked),
         n_s=n_s,
@@ -128,7 +128,7 @@ def formulate(
         own=own,
         boundaries=phase_boundaries_of(problem, scales),
         returns=returns if motion.kind == "periodic" else (),
-        adrift=adrift if motion.kind == "periodic" else (),
+        free_at_end=free_at_end if motion.kind == "periodic" else (),
         advance=_advance(problem, scales, returns),
         smooth=objective.is_smoothed or objective.efforts("smooth") or bool(rows.rate_columns),
         eta=np.concatenate(eta),
@@ -257,12 +257,12 @@ def phase_boundaries_of(problem: Problem, scales: Scales) -> tuple[PhaseBoundary
     motion, n_s = problem.motion, problem.mechanism.dof
     unit = np.concatenate([scales.position, scales.position / scales.time_s])
 
-    def boundary(s, v, time: tuple[float, float], share: float | None = None, adrift=False) -> PhaseBoundary:
+    def boundary(s, v, time: tuple[float, float], share: float | None = None, free_at_end=False) -> PhaseBoundary:
         state = np.full((2 * n_s, 2), [-np.inf, np.inf])
         for value, place in ((s, slice(0, n_s)), (v, slice(n_s, None))):
             if value is not None:
                 asked = np.asarray(value, dtype=float) / unit[place]
-                given = ~np.isnan(asked) & ~(problem.adrift & adrift)
+                given = ~np.isnan(asked) & ~(problem.free_at_end & free_at_end)
                 state[place][given] = asked[given, None]
         return PhaseBoundary(state=state, time=(time[0] / scales.time_s, time[1] / scales.time_s), share=share)
 
@@ -278,11 +278,11 @@ def phase_boundaries_of(problem: Problem, scales: Scales) -> tuple[PhaseBoundary
         rest = np.zeros(n_s)
         start = boundary(motion.start, rest if motion.start_speed is None else motion.start_speed, (0.0, 0.0))
         position, speed = (None if motion.goal_is_free else motion.goal), motion.goal_speed
-        goal = boundary(position, rest if speed is None else speed, last, adrift=True)
+        goal = boundary(position, rest if speed is None else speed, last, free_at_end=True)
         return (start, *via, goal)
     start, goal = boundary(_first_position(problem), None, (0.0, 0.0)), boundary(None, None, last)
     if motion.goal is not None and not via:
-        via = [boundary(motion.goal, None, (0.0, np.inf), share=0.5, adrift=True)]
+        via = [boundary(motion.goal, None, (0.0, np.inf), share=0.5, free_at_end=True)]
     return (start, *via, goal)
 
 

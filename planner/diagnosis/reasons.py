@@ -20,7 +20,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.extra import extras_not_finite
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, record, recorded, step_of
-from linkplan.planner.search.ladder import HURRIED, Search
+from linkplan.planner.search.ladder import SHORT_BUDGET, Search
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.search.solving import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, first_mesh, longest, may_swing, solve_from
@@ -185,7 +185,7 @@ def less_than_least_time(search: Search) -> Plan | None:
     """Return the plan that says that a duration is below the least time, to which the phase plane leads."""
     if not no_time(search):
         return None
-    known = least_time_plan(search, HURRIED)
+    known = least_time_plan(search, SHORT_BUDGET)
     if known is None or known.trajectory is None or not known.passed:
         return None
     asked, shortest = longest(search.problem), known.trajectory.duration_s
@@ -247,7 +247,7 @@ def efforts(search: Search) -> Plan | None:
 
 def efforts_without_other_limits(search: Search) -> Plan | None:
     """Return the plan that names the efforts that are missing even without the other limits."""
-    problem = search.within(HURRIED)
+    problem = search.within(SHORT_BUDGET)
     kinds, bare = relaxed_kinds(problem), problem
     if not kinds:
         return None
@@ -306,7 +306,7 @@ def _over(search: Search) -> LeastLimit | None:
 
 def _without(search: Search, kind: type[Limit]) -> Plan | None:
     """Return the plan that says by how much a motion planned without a limit violates it; None if it keeps the limit."""
-    problem, guess = search.within(HURRIED), search.smooth
+    problem, guess = search.within(SHORT_BUDGET), search.smooth
     mesh, durations = first_mesh(problem, guess)
     word = f"without limits on {kind.key}"
     found = solve_from(without(kind, problem), guess, mesh, durations, word)

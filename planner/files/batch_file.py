@@ -18,7 +18,7 @@ from linkplan.models.catalogue import nearest_source
 from linkplan.models.errors import ProblemError
 from linkplan.models.reading import read_toml
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
-from linkplan.planner.files.tables import inline, path_beside, refuse_saved_plan
+from linkplan.planner.files.tables import inline, refuse_saved_plan, resolve_path
 from linkplan.planner.keys.reading import read
 from linkplan.planner.keys.sections import BatchFile, CaseSection
 
@@ -45,7 +45,7 @@ def batch_from(tables: dict, folder: Path) -> BatchFile:
     asked = read(BatchFile, tables, "")
     problem = asked.problem
     if problem not in PROBLEMS and "\n" not in problem:
-        problem = str(path_beside(problem, folder))
+        problem = str(resolve_path(problem, folder))
     if ("case" in tables) == ("sweep" in tables):
         raise ProblemError("a batch has [[case]] tables or a [sweep] table, one of the two")
     if len(asked.case) > MAX_CASES:

@@ -153,7 +153,7 @@ def refuse_saved_plan(source: str, what: str, legal: str) -> None:
         raise ProblemError(f"{what} '{source}' is {is_what}; {legal}")
 
 
-def path_beside(path: str, folder: Path | None) -> Path:
+def resolve_path(path: str, folder: Path | None) -> Path:
     """Return a path in a problem file, relative to the file's folder if it exists there, else to the working folder."""
     try:
         there = folder is not None and (folder / path).exists()

@@ -108,7 +108,7 @@ class OdeCase:
             exact=certificate.integration_error <= self.asked.tolerance
             and certificate.objective_error <= OBJECTIVE_ERROR_FACTOR * self.asked.tolerance
             and certificate.overrun <= OVERRUN_SHARE,
-            mendable=not certificate.passed,
+            repairable=not certificate.passed,
             leaves_positions=certificate.leaves_states,
             overruns=bool(min(certificate.path_margin.min(initial=0.0), certificate.state_margin.min()) < -LIMIT_SLACK),
             overrun=over.reshape(len(certificate.growth)),

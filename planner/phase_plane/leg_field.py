@@ -186,7 +186,7 @@ class LegField:
         return bool(np.all((effort >= low - room) & (effort <= high + room)) and np.all(powers))
 
 
-def knows_pins(problem: Problem) -> bool:
+def supports_pin_limits(problem: Problem) -> bool:
     """True if there are limits on pin forces that legs can keep: with one freedom, one actuator and no dry friction."""
     mechanism = problem.mechanism
     if not problem.limits.limited_closures or (mechanism.dof, mechanism.n_u) != (1, 1):
@@ -233,7 +233,7 @@ def field_along(problem: Problem, part: Part, start_pose: np.ndarray) -> LegFiel
     values = np.column_stack([inertia, still - way * rub, square, linear, maps])
     along = slice(None, None, int(way))
     pins = None
-    if knows_pins(problem):
+    if supports_pin_limits(problem):
         still, fast, back = (
             sampled(dynamics.closure_force, q, v, a, none)[:, :, 0]
             for v, a in zip(speeds.values(), accelerations, strict=True)

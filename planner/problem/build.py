@@ -23,7 +23,7 @@ from linkplan.models.errors import ModelError, ProblemError, nearest
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.selection import Selection
 from linkplan.models.tree.dynamics import site_index
-from linkplan.planner.files.tables import Tables, path_beside, set_key, toml_text
+from linkplan.planner.files.tables import Tables, resolve_path, set_key, toml_text
 from linkplan.planner.keys.reading import KEYS, read, refuse_unknown_keys
 from linkplan.planner.keys.sections import MechanismSection, MotionSection, ProblemFile
 from linkplan.planner.problem.extra import Extra, ExtraCost, extras_text
@@ -145,7 +145,7 @@ def _model_asked(section: dict, folder: Path | None) -> tuple[MechanismSection, 
     # Errors in the model's place and pose are problem errors; all others are model errors.
     read(MechanismSection, {key: section[key] for key in ("model", "home_deg", "home_m") if key in section}, "mechanism")
     asked = read(MechanismSection, section, "mechanism", error=ModelError)
-    place = path_beside(asked.model, folder)
+    place = resolve_path(asked.model, folder)
     if asked.model not in MODELS and os.path.isfile(place):
         section["model"] = str(place.resolve())
     given = {field.name: value for field in fields(Selection) if (value := getattr(asked, field.name))}

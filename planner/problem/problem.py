@@ -293,7 +293,7 @@ class Problem:
         return self
 
     @property
-    def adrift(self) -> np.ndarray:
+    def free_at_end(self) -> np.ndarray:
         """A mask (n_s,) of coordinates with a free final state: passive and coasting ones that the goal does not name."""
         named = np.isin(np.arange(self.mechanism.dof), list(self.motion.goal_named))
         return ~self.mechanism.steered & ~named
@@ -301,7 +301,7 @@ class Problem:
     @property
     def free_spins(self) -> np.ndarray:
         """A mask (n_s,) of free coordinates that need not return in a periodic motion: spins that affect nothing else."""
-        return self.adrift & self.mechanism.cyclic
+        return self.free_at_end & self.mechanism.cyclic
 
     @property
     def extras(self) -> tuple[Extra, ...]:

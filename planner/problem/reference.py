@@ -12,7 +12,7 @@ import numpy as np
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.columns import read_trajectory
-from linkplan.planner.files.tables import path_beside
+from linkplan.planner.files.tables import resolve_path
 from linkplan.planner.keys.motion_and_limits import ReferenceSection
 from linkplan.planner.keys.sections import GuessSection
 from linkplan.planner.problem.settings import frozen, joint_values
@@ -99,7 +99,7 @@ def guess_place(section: GuessSection, folder: Path | None) -> Path | None:
         return None
     if section.path_deg or section.path_m:
         raise ProblemError("guess.plan and guess.path_deg are two guesses; keep one")
-    place = path_beside(section.plan, folder)
+    place = resolve_path(section.plan, folder)
     if not os.path.isdir(place):
         where = "the working folder" if folder is None else f"'{folder}', the problem file's, or the working folder"
         raise ProblemError(f"guess.plan '{section.plan}' is not a folder in {where}; it is where a plan was saved")

@@ -199,7 +199,7 @@ def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate
 
 
 @dataclass(frozen=True, eq=False, slots=True)
-class Restore:
+class ReduceEffortOverrun:
     """Halve the marked intervals (n,) of the best motion, and change it as little as the finer mesh asks for."""
 
     marked: np.ndarray

@@ -84,7 +84,7 @@ class ErrorReport:
 
     Attributes:
         exact: the integration error is within the tolerance.
-        mendable: a finer mesh can remove the reason why the certificate does not pass.
+        repairable: a finer mesh can remove the reason why the certificate does not pass.
         leaves_positions: a state leaves its range between the nodes.
         overruns: a state or another limit is overrun between the nodes.
         overrun: (n_intervals,) the largest overrun of any limit on each interval, as a share of the limit.
@@ -96,7 +96,7 @@ class ErrorReport:
     """
 
     exact: bool
-    mendable: bool
+    repairable: bool
     leaves_positions: bool
     overruns: bool
     overrun: np.ndarray

@@ -9,7 +9,7 @@
 | Tighten | only an overrun between the nodes is left, or halving did not remove it | constraint tightening |
 | ReleaseArcs | the multipliers on a held arc have the wrong sign | Pontryagin's principle; Betts 2010, 4.4 |
 | Loosen | the motion passes within tightened limits | the same, on the finer mesh |
-| Restore | the best motion needs more effort between the nodes than a proof allows | Nocedal and Wright 2006, 18.1 |
+| ReduceEffortOverrun | between nodes the best motion needs more effort than a proof allows | Nocedal and Wright 2006, 18.1 |
 
 The first row that holds counts; a mesh is halved before limits are tightened.
 """
@@ -24,8 +24,8 @@ from linkplan.planner.refinement.actions import (
     Loosen,
     RaiseDegree,
     ReadSwitches,
+    ReduceEffortOverrun,
     ReleaseArcs,
-    Restore,
     Tighten,
 )
 from linkplan.planner.refinement.case import Case, CertificateT, Iterate, MotionT, certify_iterate
@@ -81,7 +81,7 @@ def next_action(state: RefinementState) -> Action | None:
 def _towards_a_certificate(state: RefinementState) -> Action | None:
     """Return the next action on a motion that does not pass, or whose objective has not settled."""
     at, report = state.at, state.at.report
-    if state.ended or state.rounds >= MAX_ROUNDS or (report is not None and not at.passed and not report.mendable):
+    if state.ended or state.rounds >= MAX_ROUNDS or (report is not None and not at.passed and not report.repairable):
         return None
     if state.loose is not None:
         return Tighten() if not at.passed and at.overruns and state.tightenings < TIGHTENINGS_BETWEEN else None
@@ -113,7 +113,7 @@ def _towards_a_proof(state: RefinementState) -> Action | None:
         return None
     # A changed motion is brought well within the allowance: its largest effort may lie between the samples.
     beyond = best.certificate.effort_overrun > MARKED_SHARE if state.restored else beyond_efforts(best)
-    return Restore(beyond) if beyond.any() else None
+    return ReduceEffortOverrun(beyond) if beyond.any() else None
 
 
 def _finer(state: RefinementState, over: np.ndarray) -> Action | None:

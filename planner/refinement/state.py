@@ -81,7 +81,7 @@ class RefinementState(Generic[MotionT, CertificateT]):
     change. `falls` says that the last finer mesh erred by less than the one before. `releases` counts releases of arcs.
     `loose` is the last iterate with the limits as asked after one had passed within tightened limits, `tightenings`
     counts those since then, `idle` the loosenings since the best one improved. `ended` says that the last action led
-    nowhere. `restored` counts meshes on which the best motion was kept, see `Restore`.
+    nowhere. `restored` counts meshes on which the best motion was kept, see `ReduceEffortOverrun`.
     """
 
     asked: Case[MotionT, CertificateT]

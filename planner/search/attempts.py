@@ -180,7 +180,7 @@ def only_feasible(plan: Plan, why: str) -> Plan:
 
 def unsound(plan: Plan) -> bool:
     """True if a motion's certificate does not pass for reasons that another solve may remove."""
-    return plan.certificate is not None and plan.certificate.mendable
+    return plan.certificate is not None and plan.certificate.repairable
 
 
 def from_next_to_it(problem: Problem, found: Iterate) -> Plan | None:

@@ -122,7 +122,7 @@ def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined |
     if last is not None and last not in kept:
         kept.append(last)
     for one in reversed(kept):
-        at = _mended(one)
+        at = _repaired(one)
         if _is_sound(at):
             break
     if at.certificate is None:
@@ -178,7 +178,7 @@ def _rides_a_range(problem: Problem, at: CertifiedIterate) -> bool:
     return not bool(np.all(inside[:, 1:-1]))
 
 
-def _mended(kept: _Kept) -> CertifiedIterate:
+def _repaired(kept: _Kept) -> CertifiedIterate:
     """Return a motion that is changed as little as finer meshes ask for, until it is sound, or the last one that passes."""
     at, problem, margin = kept.at, kept.case.problem, kept.case.asked.limits.singular_margin
     solver = replace(problem.solver, deadline=problem.solver.certificate_deadline)

@@ -1,8 +1,8 @@
-"""The search for a motion: rungs, the continuation along a parameter, and the state that a mechanism's rungs share.
+"""The search for a motion: methods, the continuation along a parameter, and the state that a mechanism's methods share.
 
-A rung is one way to search for a motion: a start, or a continuation. Each rung has a condition, a budget and one function.
-It returns a plan, whether its certificate passes or not, or None if it found no motion. Mechanisms and differential
-equations share rungs and continuation; `planner.planning` lists the rungs and the repairs of mechanisms.
+A method is one way to search for a motion: a start, or a continuation. Each has a condition, a budget and one function. It
+returns a plan, whether its certificate passes or not, or None if it found no motion. Mechanisms and differential
+equations share methods and continuation; `planner.planning` lists the methods and the repairs of mechanisms.
 
 Continuation follows motions along a parameter, each the start of the next: motions of ever longer duration, of ever smaller
 margins to singular poses, and under ever lower limits. A step that is lost is tried again with the root of its factor
@@ -34,7 +34,7 @@ Stage = TypeVar("Stage")
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Budget:
-    """The budget of a rung: iterations of each solve (None: as many as hard problems take) and a share of the time left."""
+    """The budget of a method: iterations of a solve (None: as many as hard problems take) and a share of the time left."""
 
     iterations: int | None = None
     share_of_time: float = 1.0
@@ -49,44 +49,44 @@ class Budget:
 
 # Budgets: of a first start, and of what is tried after it. Feasible motions need tens of iterations: no random problem of
 # the tests that led to a plan took more than 150.
-PATIENT, HURRIED = Budget(), Budget(iterations=200)
+FULL_BUDGET, SHORT_BUDGET = Budget(), Budget(iterations=200)
 
 
-class Climbed(Protocol):
-    """The part of a search that the loop over the rungs knows."""
+class SearchState(Protocol):
+    """The part of a search that the loop over the methods knows."""
 
     @property
     def plans(self) -> list[Any]:
-        """The plans of the rungs so far, in order."""
+        """The plans of the methods so far, in order."""
         ...
 
     @property
     def ended(self) -> bool:
-        """True if no further rung is tried."""
+        """True if no further method is tried."""
         ...
 
 
-SearchT = TypeVar("SearchT", bound=Climbed)
+SearchT = TypeVar("SearchT", bound=SearchState)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Rung(Generic[SearchT]):
+class SearchMethod(Generic[SearchT]):
     """One way to search for a motion: its condition, its function and its budget."""
 
     name: str
-    climb: Callable[[SearchT, Budget], Any]
+    run: Callable[[SearchT, Budget], Any]
     budget: Budget
     tried: Callable[[SearchT], bool] = lambda _: True
 
 
-def try_in_turn(search: SearchT, rungs: Sequence[Rung[SearchT]]) -> None:
-    """Try the rungs in order until the search has ended, and append their plans to those of the search."""
-    for rung in rungs:
+def try_in_turn(search: SearchT, methods: Sequence[SearchMethod[SearchT]]) -> None:
+    """Try the methods in order until the search has ended, and append their plans to those of the search."""
+    for method in methods:
         check()
         if search.ended:
             break
         with contextlib.suppress(OutOfTimeError):
-            plan = rung.climb(search, rung.budget) if rung.tried(search) else None
+            plan = method.run(search, method.budget) if method.tried(search) else None
             if plan is not None:
                 search.plans.append(plan)
 
@@ -178,18 +178,18 @@ class KnownMotions:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Search:
-    """A search for a motion, as every rung sees it.
+    """A search for a motion, as every method sees it.
 
     `problem` is as it was asked, with the deadline of the search; `start_pose` (n_q,) is closed. `plans` are the
-    plans of the rungs so far, in order. The phase plane's motion, the smooth path and the least factor on the effort limits
-    are computed at their first use.
+    plans of the methods so far, in order. The phase plane's motion, the smooth path and the least factor on the effort
+    limits are computed at their first use.
     """
 
     problem: Problem
     start_pose: np.ndarray
     repairs: Sequence["Repair"] = ()
     plans: list[Plan] = field(default_factory=list)
-    verdicts: list[Plan] = field(default_factory=list)  # answers that no further rung can change
+    verdicts: list[Plan] = field(default_factory=list)  # answers that no further method can change
     known: KnownMotions = field(default_factory=KnownMotions)
 
     @cached_property
@@ -205,7 +205,7 @@ class Search:
     @cached_property
     def named_limit(self) -> LeastLimit | None:
         """The least factor on the effort limits; one above 1 on meshes fine enough for a message. None without a motion."""
-        problem = self.within(HURRIED)
+        problem = self.within(SHORT_BUDGET)
         found = least_limit_of_starts(problem, self.smooth)
         return found if found is None or found.factor <= 1.0 else settled_limit(problem, found)
 
@@ -217,7 +217,7 @@ class Search:
         yield "a smooth path", self.smooth
 
     def of_another(self, problem: Problem) -> "Search":
-        """Return a search for another problem's motion from the same start; it is climbed inside its own `recording`."""
+        """Return a search for another problem's motion from the same start; it runs inside its own `recording`."""
         return Search(problem=problem, start_pose=self.start_pose, repairs=self.repairs)
 
     def within(self, budget: Budget) -> Problem:
@@ -253,7 +253,7 @@ class Search:
 
     @property
     def ended(self) -> bool:
-        """Whether no further rung is tried."""
+        """Whether no further method is tried."""
         return bool(self.verdicts) or self.stopped is not None
 
     @property
@@ -282,9 +282,9 @@ class Repair:
     always: bool = True  # or only if every repair is to be tried
 
 
-def climb(search: Search, rungs: Sequence[Rung]) -> Plan | None:
-    """Return the best plan of the rungs, tried in order; None if no rung found a motion."""
-    try_in_turn(search, rungs)
+def run_search(search: Search, methods: Sequence[SearchMethod]) -> Plan | None:
+    """Return the best plan of the methods, tried in order; None if no method found a motion."""
+    try_in_turn(search, methods)
     best = search.best
     if best is None:
         return None

@@ -1,4 +1,4 @@
-"""One solve of a mechanism's problem from a guess, which every rung begins with: its mesh, and free durations.
+"""One solve of a mechanism's problem from a guess, which every method begins with: its mesh, and free durations.
 
 The first mesh is as fine as the problem asks for, and fine enough for the swings of a start. Motions whose free duration is
 bounded by their guess are solved again with longer ones, unbounded ones are reported.

@@ -1,8 +1,8 @@
-"""Rungs that begin anew: the user's guess, the smooth path, the phase plane, swings, perturbed paths, several at once.
+"""Methods that begin anew: the user's guess, the smooth path, the phase plane, swings, perturbed paths, several at once.
 
-The motion of least time is looked for once, and shared by rungs and diagnoses.
+The motion of least time is looked for once, and shared by methods and diagnoses.
 
-A rung keeps a distance from singular poses that was not asked for. A linkage may swing up to a dead centre, where its
+A method keeps a distance from singular poses that was not asked for. A linkage may swing up to a dead centre, where its
 actuator holds or turns it the more easily the nearer it comes. No motion is the best then: its cost falls with the margin,
 down to a motion that leaves the branch. A crank that turns fully may pass a pose that is nearly singular: a coarse mesh
 steps over it onto the other branch. In both cases solvers are lost, and within a margin they find the best motion.
@@ -20,13 +20,13 @@ from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess
 from linkplan.planner.phase_plane.cheapest_motion import cheapest_guess
-from linkplan.planner.phase_plane.leg_field import knows_lines, knows_pins, knows_speeds
+from linkplan.planner.phase_plane.leg_field import knows_lines, knows_speeds, supports_pin_limits
 from linkplan.planner.phase_plane.legs_motion import LEGS_SCHEME, legs_motion
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.search.attempts import certified, only_feasible, plan_from, without_solving
-from linkplan.planner.search.ladder import HURRIED, PATIENT, Budget, Rung, Search, climb
+from linkplan.planner.search.ladder import FULL_BUDGET, SHORT_BUDGET, Budget, Search, SearchMethod, run_search
 from linkplan.planner.search.presolve import only_way
 from linkplan.planner.search.resting import legs_plan
 from linkplan.planner.search.solving import (
@@ -75,7 +75,7 @@ def no_time(search: Search) -> bool:
     surely = GRID_ERROR_FACTOR if quickest.switch_times_s is not None else GRID_ERROR_FACTOR_AT_SPEED_LIMIT
     if quickest.swings <= 1 and asked * surely < quickest.duration_s:
         return True
-    known = least_time_plan(search, HURRIED)
+    known = least_time_plan(search, SHORT_BUDGET)
     if known is None or known.trajectory is None or not known.passed:
         return asked * surely < quickest.duration_s
     return asked < known.trajectory.duration_s * (1 - 5e-5)
@@ -137,7 +137,7 @@ def may_be_along_limits(search: Search) -> bool:
         and motion.duration_s is None
         and problem.guess is None
         and problem.mesh.effort == "polynomial"
-        and (limited or knows_pins(problem) or knows_speeds(problem))
+        and (limited or supports_pin_limits(problem) or knows_speeds(problem))
         and phase_plane_applies(problem)
     )
 
@@ -240,8 +240,8 @@ def least_time_plan(search: Search, budget: Budget) -> Plan | None:
         assert search.quickest is not None  # where the phase plane applies
         free = search.of_another(_in_least_time(search.within(budget)))
         with recording():
-            along = along_limits(free, HURRIED) if may_be_along_limits(free) else None
-            return along or plan_from(free, HURRIED, "the phase plane", search.quickest, mended=False)
+            along = along_limits(free, SHORT_BUDGET) if may_be_along_limits(free) else None
+            return along or plan_from(free, SHORT_BUDGET, "the phase plane", search.quickest, mended=False)
 
     return search.known.once(PHASE_PLANE_LEAST_TIME, look)
 
@@ -290,7 +290,7 @@ def _every_start(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
 def may_near_singular(search: Search) -> bool:
     """True if no plan passes, though the phase plane knows a motion and loops may come near a singular pose."""
     problem = search.problem
-    # Plans that failed do not exclude this rung: they may have left the branch at a nearly singular pose.
+    # Plans that failed do not exclude this method: they may have left the branch at a nearly singular pose.
     if search.solved or problem.solver.starts > 1 or problem.limits.singular_margin or problem.guess is not None:
         return False
     if search.quickest is None or other_limits(problem) or no_time(search):
@@ -298,8 +298,8 @@ def may_near_singular(search: Search) -> bool:
     return len(problem.mechanism.dependent) > 0
 
 
-def at_a_distance(search: Search, budget: Budget, rungs: Sequence[Rung[Search]]) -> Plan | None:
-    """Return the best plan that keeps a margin to singular poses; None if the rungs find none.
+def at_a_distance(search: Search, budget: Budget, methods: Sequence[SearchMethod[Search]]) -> Plan | None:
+    """Return the best plan that keeps a margin to singular poses; None if the methods find none.
 
     One that is optimal within the margin is "feasible" where it is next to it.
     """
@@ -311,7 +311,7 @@ def at_a_distance(search: Search, budget: Budget, rungs: Sequence[Rung[Search]])
     # start and goal keep half of what they have.
     margin = min(0.02, 0.5 * float(singularity_ratios(problem, way).min()))
     limits = replace(problem.limits, singular_margin=margin)
-    plan = climb(search.of_another(replace(problem, limits=limits)), rungs)
+    plan = run_search(search.of_another(replace(problem, limits=limits)), methods)
     if plan is None or not plan.passed:
         return None
     found = replace(plan, problem=search.problem)
@@ -323,17 +323,17 @@ def at_a_distance(search: Search, budget: Budget, rungs: Sequence[Rung[Search]])
 
 
 _FIRST = (
-    Rung(name="the phase plane along its limits", tried=may_be_along_limits, climb=along_limits, budget=HURRIED),
-    Rung(name="a smooth path", tried=lambda search: not search.solved, climb=from_first_starts, budget=PATIENT),
-    Rung(name="the phase plane", tried=phase_plane_may_help, climb=from_the_phase_plane, budget=HURRIED),
+    SearchMethod(name="the phase plane along its limits", tried=may_be_along_limits, run=along_limits, budget=SHORT_BUDGET),
+    SearchMethod(name="a smooth path", tried=lambda search: not search.solved, run=from_first_starts, budget=FULL_BUDGET),
+    SearchMethod(name="the phase plane", tried=phase_plane_may_help, run=from_the_phase_plane, budget=SHORT_BUDGET),
 )
-_RUNGS = (
+_METHODS = (
     *_FIRST,
-    Rung(
+    SearchMethod(
         name="at a distance from singular poses",
         tried=may_near_singular,
-        climb=lambda search, budget: at_a_distance(search, budget, _FIRST),
-        budget=PATIENT,
+        run=lambda search, budget: at_a_distance(search, budget, _FIRST),
+        budget=FULL_BUDGET,
     ),
 )
 
@@ -357,7 +357,7 @@ def _in_least_time(problem: Problem) -> Problem:
 
 def _by_the_ladder(search: Search) -> Plan | None:
     # The share of the remaining time for the motion of least time; the search that uses it needs the rest.
-    free = _in_least_time(search.within(replace(PATIENT, share_of_time=0.5)))
+    free = _in_least_time(search.within(replace(FULL_BUDGET, share_of_time=0.5)))
     progress("looking for the shortest feasible duration")
     with recording():
-        return climb(search.of_another(free), _RUNGS)
+        return run_search(search.of_another(free), _METHODS)

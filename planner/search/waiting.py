@@ -1,4 +1,4 @@
-"""The rung of waiting: the motion of least time, or a little more, with a rest before or after it.
+"""The method of waiting: the motion of least time, or a little more, with a rest before or after it.
 
 If the given duration is longer and start or goal can be held at rest, such a motion and a rest are a feasible motion.
 """

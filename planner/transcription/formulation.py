@@ -45,7 +45,7 @@ class Formulation:
 
     `build_system` makes the system when it is needed. Bounds are [low, high] rows: `state` (n_state, 2), `algebraic` (n_z,
     2), `effort` (n_u, 2) in its own units, `path` (n_path, 2), and `own` by kind of an interval's own rows. `returns` are
-    the periodic states; they end at their initial value plus `advance` (n_returns,). `adrift` are states that need not
+    the periodic states; they end at their initial value plus `advance` (n_returns,). `free_at_end` are states that need not
     return, because nothing depends on them. `smooth` forbids jumps of efforts. `eta` are an interval's own parameters.
     `theta` maps times (n, m) [s] to node parameters (n, m, n_theta). `tightening` maps breaks (n + 1,) [s] to amounts
     (n, n_path) by which path bounds are tightened on each interval, and `own_tightening` gives, by kind, amounts
@@ -76,15 +76,15 @@ class Formulation:
     position_path: tuple[int, ...] = ()
     passed: tuple[tuple[int, int, float], ...] = ()
     advance: np.ndarray | float = 0.0
-    adrift: tuple[int, ...] = ()
+    free_at_end: tuple[int, ...] = ()
     endpoint: Endpoint | None = None
     endpoint_bounds: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     endpoint_parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def periodic(self) -> bool:
-        """Whether every state returns except those adrift."""
-        return bool(self.returns) and len(self.returns) + len(self.adrift) == len(self.state)
+        """Whether every state returns except those free_at_end."""
+        return bool(self.returns) and len(self.returns) + len(self.free_at_end) == len(self.state)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -19,10 +19,10 @@ from linkplan.studies.frequency.feedback_loops import (
     FeedbackLoop,
     OperatingPoint,
     SampledLaw,
+    label_differences,
     operating_point,
     refuse_above_nyquist,
     sampled_law,
-    told_apart,
     with_lqr_errors,
 )
 from linkplan.studies.frequency.margins import Margins, margins
@@ -249,7 +249,7 @@ def _predicted(
 ) -> tuple[list[FeedbackLoop], list[FeedbackLoop]]:
     """Return the sampled and the continuous loops at positions (n, n_s)."""
     loops, ideal = [], []
-    for point in told_apart([operating_point(mechanism, position, law.effort_limit) for position in positions]):
+    for point in label_differences([operating_point(mechanism, position, law.effort_limit) for position in positions]):
         say(f"predicted at {point.name}")
         loops.append(law.loop(point))
         ideal.append(law.loop(point, CONTINUOUS))

@@ -30,7 +30,7 @@ def module_of(text: str) -> str:
     return entry_points(group=ENTRY_POINTS)[text].value.split(":", 1)[0]
 
 
-def look_here() -> None:
+def add_cwd_to_path() -> None:
     """Put the working folder first on Python's module search path."""
     here = os.getcwd()
     if sys.path[:1] not in ([here], [""]):
@@ -46,7 +46,7 @@ def source_files(module: str) -> dict[str, Path]:
     Raises:
         ProblemError: if Python does not find the module.
     """
-    look_here()
+    add_cwd_to_path()
     found: dict[str, Path] = {}
     first = _file_of(module)
     if first is None:

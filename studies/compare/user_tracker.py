@@ -18,7 +18,7 @@ from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.tracker import AnyTracker, Tracker, TrackerWithMemory
 from linkplan.models.errors import ProblemError, choose, one_line
 from linkplan.models.mechanism import Mechanism
-from linkplan.studies.compare.tracker_source import ENTRY_POINTS, look_here, module_of, source_files
+from linkplan.studies.compare.tracker_source import ENTRY_POINTS, add_cwd_to_path, module_of, source_files
 
 # A built-in name, a law, or a function from the reference to a law.
 TrackerLike = str | AnyTracker | Callable[[SampledReference], AnyTracker]
@@ -109,7 +109,7 @@ def _forget_older(text: str) -> None:
 
 
 def _object_of(module: str, name: str) -> Any:
-    look_here()
+    add_cwd_to_path()
     return functools.reduce(getattr, name.split("."), importlib.import_module(module))
 
 

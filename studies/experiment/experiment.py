@@ -106,7 +106,7 @@ class Settings:
 
 
 class AskedRecord(Struct, frozen=True, omit_defaults=True):
-    """All inputs of an experiment's results, made by `asked_record` and stored in `experiment.json`."""
+    """All inputs of an experiment's results, made by `request_record` and stored in `experiment.json`."""
 
     format: Literal[1]
     problem: dict[str, Any]
@@ -244,7 +244,7 @@ def defaults_note(plan: Plan) -> str | None:
     return None if table else "[imperfections] is empty: all machines are alike, and shares and intervals say nothing"
 
 
-def asked_record(source: Mapping, digest: str | None, settings: Settings, trackers: Mapping[str, str]) -> dict:
+def request_record(source: Mapping, digest: str | None, settings: Settings, trackers: Mapping[str, str]) -> dict:
     """Return all inputs of an experiment's results: the problem's tables, a saved plan's digest, settings and versions.
 
     `trackers` are the hashes of the source files of users' trackers.

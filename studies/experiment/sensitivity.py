@@ -32,7 +32,7 @@ class Varied:
     ends: tuple[float, float] | None = None
 
 
-LUCK = Varied(label="noise draw", unit="")
+CHANCE = Varied(label="noise draw", unit="")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -85,7 +85,7 @@ def sensitivity_of(
     }
     return Sensitivity(
         design=scheme.design,
-        factors=(*labelled, LUCK) if scheme.noisy else tuple(labelled),
+        factors=(*labelled, CHANCE) if scheme.noisy else tuple(labelled),
         influences=influences,
         metrics=known,
         groups=scheme.n_groups,

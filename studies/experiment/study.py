@@ -24,11 +24,11 @@ from linkplan.studies.experiment.experiment import (
     Experiment,
     ExperimentRecord,
     Settings,
-    asked_record,
     defaults_note,
     experiment_of,
     fall_note,
     imperfections_asked,
+    request_record,
 )
 from linkplan.studies.experiment.metrics import metrics_of
 from linkplan.studies.experiment.sensitivity import Sensitivity, sensitivity_of, sensitivity_record
@@ -100,7 +100,7 @@ def run_experiment(
     objects = own or {}
     sources = {name: source_hash(name) for name in settings.trackers if name not in TRACKERS and name not in objects}
     written = {name: object_hash(given) for name, given in objects.items()}
-    asked = asked_record(source, digest, settings, sources | written)
+    asked = request_record(source, digest, settings, sources | written)
     if target is not None:
         check_target(target, RECORD)
         if (target / RECORD).is_file():

@@ -98,7 +98,7 @@ class OperatingPoint:
         )
 
 
-def told_apart(points: Sequence[OperatingPoint]) -> list[OperatingPoint]:
+def label_differences(points: Sequence[OperatingPoint]) -> list[OperatingPoint]:
     """Return the points with names that have only the coordinates in which the points differ."""
     states = np.array([point.state for point in points])
     differ = tuple(k for k in points[0].mechanism.channels if not np.allclose(states[:, k], states[0, k]))

@@ -22,10 +22,10 @@ from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.further_checks import contact_notes
 from linkplan.planner.diagnosis.reasons import nothing_found, solver_stopped
 from linkplan.planner.plan import Plan
-from linkplan.planner.planning import DIAGNOSES, RUNGS, plan_motion
+from linkplan.planner.planning import DIAGNOSES, SEARCH_METHODS, plan_motion
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.search.ladder import HURRIED, Rung, Search
+from linkplan.planner.search.ladder import SHORT_BUDGET, Search, SearchMethod
 from linkplan.planner.search.smooth_path import along_smooth_path
 from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.solve import OF_TIME
@@ -59,14 +59,14 @@ _COARSE_MESH = {"intervals": 20, "tolerance_deg": 5e-3}
 # Processor time [s] for all motions, and the least time that a motion gets.
 _TIME_BUDGET_S, _MIN_SOLVE_S = 40.0, 1.0
 # A large robot's smooth path is mostly a motion itself, and most others are found at once from it.
-_SMOOTH: tuple[Rung[Search], ...] = (
-    Rung(
+_SMOOTH: tuple[SearchMethod[Search], ...] = (
+    SearchMethod(
         name="the smooth path itself",
         tried=lambda search: is_large(search.problem.mechanism),
-        climb=lambda search, _: along_smooth_path(search),
-        budget=HURRIED,
+        run=lambda search, _: along_smooth_path(search),
+        budget=SHORT_BUDGET,
     ),
-    Rung(name="a smooth path", tried=lambda search: not search.solved, climb=from_first_starts, budget=HURRIED),
+    SearchMethod(name="a smooth path", tried=lambda search: not search.solved, run=from_first_starts, budget=SHORT_BUDGET),
 )
 _IN_BRIEF = (solver_stopped, nothing_found)  # another motion is tried next: why one was not found does not matter yet
 _OTHER_HOME = (
@@ -137,18 +137,18 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
         found = replace(found, why=one_line(error))
     deadline, obstacles = Deadline().within(_TIME_BUDGET_S), Counter()
     tried: list[tuple[Mechanism, dict[str, dict]]] = []
-    for rungs in (_SMOOTH, RUNGS):
-        for moving, tables in tried if rungs is RUNGS else _of_all_homes(mechanism, say, obstacles):
+    for methods in (_SMOOTH, SEARCH_METHODS):
+        for moving, tables in tried if methods is SEARCH_METHODS else _of_all_homes(mechanism, say, obstacles):
             left = deadline.left_s
             if left < _MIN_SOLVE_S:
                 return found
-            if rungs is _SMOOTH:
+            if methods is _SMOOTH:
                 tried.append((moving, tables))
-            limit = max(_MIN_SOLVE_S, 0.5 * left if rungs is RUNGS else min(0.5 * left, _first_try_s(moving)))
+            limit = max(_MIN_SOLVE_S, 0.5 * left if methods is SEARCH_METHODS else min(0.5 * left, _first_try_s(moving)))
             hurried = tables | {"solver": {"max_time_s": limit}}
             try:
                 problem = Problem.from_tables(moving.name, hurried, mechanism=moving)
-                answer = plan_motion(problem, say, rungs, _IN_BRIEF if rungs is _SMOOTH else DIAGNOSES)
+                answer = plan_motion(problem, say, methods, _IN_BRIEF if methods is _SMOOTH else DIAGNOSES)
             except LinkplanError as error:
                 found = replace(found, mechanism=moving, tables=tables, plan=None, why=one_line(error))
                 continue
@@ -390,7 +390,7 @@ def moves_of(motion: Mapping) -> list[str]:
     ]
 
 
-def model_beside(model: str, place: Path | None) -> str:
+def relative_model_path(model: str, place: Path | None) -> str:
     """Return a model file's path relative to the folder of the problem file at `place`."""
     if place is None:
         return model

@@ -16,7 +16,7 @@ from linkplan.models.tree.joints import Joint, unit_steps
 from linkplan.planner.files.tables import inline, key_text
 from linkplan.planner.keys.key_table import Key, key_table
 from linkplan.planner.problem.sites import AXES
-from linkplan.studies.new.first_motion import FirstMotion, model_beside
+from linkplan.studies.new.first_motion import FirstMotion, relative_model_path
 
 # The largest width of lines, and the column of the comments after values.
 _LINE_WIDTH, _COMMENT_COLUMN = 100, 44
@@ -156,7 +156,7 @@ def file_tables(found: FirstMotion, model: str, target: Path | None) -> dict[str
     """Return the tables of a first motion's file at `target`."""
     tables = found.tables
     if model not in MODELS:
-        tables = tables | {"mechanism": tables["mechanism"] | {"model": model_beside(model, target)}}
+        tables = tables | {"mechanism": tables["mechanism"] | {"model": relative_model_path(model, target)}}
     return tables
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from linkplan.controllers.sampling import Sampling
 from linkplan.models.errors import LinkplanError
-from linkplan.studies.frequency.feedback_loops import OperatingPoint, SampledLaw, told_apart
+from linkplan.studies.frequency.feedback_loops import OperatingPoint, SampledLaw, label_differences
 from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.rest import LEAST_RESPONSE_AT_REST
 
@@ -100,7 +100,7 @@ class EvaluatedGains:
 def evaluated(points: Sequence[OperatingPoint], wanted: Wanted, law: SampledLaw) -> EvaluatedGains:
     """Return a law with the loops of all joints at all points, and the largest relative shortfall."""
     channels = points[0].mechanism.channels
-    loops = [_judged(point, channel, law) for channel in channels for point in told_apart(points)]
+    loops = [_judged(point, channel, law) for channel in channels for point in label_differences(points)]
     lacking = max(min(shortfall(loop.margins, wanted, law.timing), UNSTABLE_SHORTFALL) for loop in loops)
     return EvaluatedGains(law=law, loops=tuple(loops), shortfall=float(max(0.0, lacking)))
 

@@ -60,7 +60,7 @@ def iterate(
     overrun = np.broadcast_to(np.array(overrun, dtype=float), n)
     report = ErrorReport(
         exact=exact,
-        mendable=report.pop("mendable", True),
+        repairable=report.pop("repairable", True),
         leaves_positions=report.pop("leaves_positions", False),
         overruns=bool(overrun.any()),
         overrun=overrun,

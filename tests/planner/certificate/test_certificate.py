@@ -251,7 +251,7 @@ def test_a_loop_that_opens_at_an_instant_is_named_with_its_gap(rounded, monkeypa
     assert certificate.closure_gaps == pytest.approx({"m": turned * knee().rocker}, rel=1e-3)
     assert sentence(certificate, "a kinematic loop opens by 8.55e-08 m", f"at t = {poses.time[instant]:.4g} s")
     assert sentence(certificate, "closure_tolerance_m = 9.4e-08 accepts") == rounded
-    assert len(certificate.unmendable) == rounded, "no mesh closes a rounded loop"
+    assert len(certificate.unrepairable) == rounded, "no mesh closes a rounded loop"
 
 
 def test_a_motion_s_poses_close_the_loop():

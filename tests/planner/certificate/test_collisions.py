@@ -58,7 +58,7 @@ def test_a_collision_is_found_where_the_ball_reaches_the_wall_and_refused_unless
         (found,) = noted.contacts
         place = 0.5 * np.sin(plan.trajectory.position_at(np.array([found.since]))[0, 0])
         assert place == pytest.approx(GOAL_M + beyond, abs=1e-5)
-        assert refused.unmendable == refused.failures
+        assert refused.unrepairable == refused.failures
         assert f"collide at t = {found.since:.5g} s" in refused.failures[0]
 
 

@@ -15,11 +15,11 @@ from tests.support.tolerances_planner import HIGHEST_FREQUENCY, MINIMUM_TIME, NE
 
 SHORTEST = KNEE_TABLE["min_time_rest_to_rest"]["shank_s"]
 LOADED = knee().carrying("crank", SHANK)
-HURRIED = ("knee-reach", "motion.duration_s=0.10")
+SHORT_BUDGET = ("knee-reach", "motion.duration_s=0.10")
 
 # What is asked, and what the sentence says of it.
 INFEASIBLE = {
-    "too short a time": (HURRIED, ["act_O", "joint O", "N.m", "limit of 100", "0.12185 s"]),
+    "too short a time": (SHORT_BUDGET, ["act_O", "joint O", "N.m", "limit of 100", "0.12185 s"]),
     "a hair too short a time": (("knee-reach", "motion.duration_s=0.1218"), ["act_O", "0.12185 s"]),
     "too weak a motor": (("knee-reach", "limits.effort.act_O=[-20, 20]"), ["act_O", "limit of 20", "shortest feasible"]),
     "an exact reference": (("knee-sine-shank", "motion.kind=track"), ["act_O", "120.0 N.m", "0.1875 s", "limit of 100"]),
@@ -96,7 +96,7 @@ def test_requiring_an_infeasible_plan_raises_the_sentence_and_carries_the_plan(c
 @pytest.mark.slow
 def test_an_infeasible_plan_s_error_is_one_of_linkplan_s():
     with pytest.raises(LinkplanError):
-        planned(*HURRIED).require()
+        planned(*SHORT_BUDGET).require()
 
 
 def test_requiring_a_plan_that_is_optimal_returns_it():
@@ -106,22 +106,22 @@ def test_requiring_a_plan_that_is_optimal_returns_it():
 
 @pytest.mark.slow
 def test_the_details_hold_the_shortest_feasible_duration():
-    assert planned(*HURRIED).details["shortest_duration_s"] == pytest.approx(SHORTEST, rel=MINIMUM_TIME)
+    assert planned(*SHORT_BUDGET).details["shortest_duration_s"] == pytest.approx(SHORTEST, rel=MINIMUM_TIME)
 
 
 @pytest.mark.slow
 def test_the_details_hold_the_effort_with_which_the_time_would_do():
     """The least peak effort is bang-bang: the limit whose own least time is the one asked for."""
     enough = brentq(lambda limit: LOADED.minimum_time(START, GOAL, -limit, limit) - 0.10, 100.0, 300.0, xtol=1e-12)
-    details = planned(*HURRIED).details
+    details = planned(*SHORT_BUDGET).details
     assert details["needed_effort"] == pytest.approx(enough, rel=NEEDED_EFFORT)
     assert details["needed_limit_factor"] == pytest.approx(enough / LIMIT, rel=NEEDED_EFFORT)
 
 
 @pytest.mark.slow
 def test_the_effort_that_the_sentence_names_is_enough():
-    needed = 1.0001 * planned(*HURRIED).details["needed_effort"]
-    plan = planned(*HURRIED, f"limits.effort.act_O=[{-needed}, {needed}]")
+    needed = 1.0001 * planned(*SHORT_BUDGET).details["needed_effort"]
+    plan = planned(*SHORT_BUDGET, f"limits.effort.act_O=[{-needed}, {needed}]")
     assert plan.status == "optimal", plan.message
 
 
@@ -169,7 +169,7 @@ def test_a_reference_just_within_the_limits_is_followed():
 
 @pytest.mark.slow
 def test_an_infeasible_plan_keeps_the_history_of_what_was_tried():
-    history = planned(*HURRIED).history
+    history = planned(*SHORT_BUDGET).history
     assert [step.what for step in history] == ["first solve", *6 * ["least effort limit"]]
     assert [step.converged for step in history] == [False, *6 * [True]]
     assert history[0].solver_status != "Solve_Succeeded"

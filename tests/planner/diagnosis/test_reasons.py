@@ -13,7 +13,7 @@ def test_a_search_that_runs_out_of_time_names_the_effort_that_the_smooth_path_la
         raise deadline.OutOfTimeError("late")
 
     problem = load_problem("five-bar-reach", ["motion.duration_s=0.1", "solver.max_time_s=20"])
-    plan = plan_motion(problem, rungs=(), diagnoses=(late,))
+    plan = plan_motion(problem, methods=(), diagnoses=(late,))
     assert plan.status == "failed"
     assert "ran out of its 20 s" in plan.message
     assert "along the smooth path from start to goal act_O" in plan.message

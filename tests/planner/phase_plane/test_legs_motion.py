@@ -7,7 +7,7 @@ import pytest
 
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.phase_plane.legs_motion import _inside, legs_motion
-from linkplan.planner.planning import RUNGS, plan_motion
+from linkplan.planner.planning import SEARCH_METHODS, plan_motion
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search import starts
@@ -71,7 +71,7 @@ def test_limits_inside_are_nearer_to_zero_by_a_share_of_their_own_size():
 @pytest.mark.slow
 def test_a_least_time_is_that_of_the_legs():
     problem = within(10.0)
-    plan = plan_motion(problem, rungs=RUNGS[:1])
+    plan = plan_motion(problem, methods=SEARCH_METHODS[:1])
     assert plan.status == "optimal", plan.message
     assert plan.solved is None
     assert plan.scheme == f"radau-{len(plan.trajectory.effort)}"  # that of its polynomials, not the problem's
@@ -83,4 +83,4 @@ def test_a_limit_that_the_legs_do_not_know_forbids_them():
     for further, passes in (([], True), (["limits.effort_rate.act_O=1e6"], False)):
         problem = load_problem("knee-sprint", ["limits.power_w.act_O=100", *further])
         search = Search(problem=problem, start_pose=problem.start_pose())
-        assert (starts.along_limits(search, RUNGS[0].budget) is not None) == passes
+        assert (starts.along_limits(search, SEARCH_METHODS[0].budget) is not None) == passes

@@ -12,8 +12,8 @@ from linkplan.planner.refinement.actions import (
     Loosen,
     RaiseDegree,
     ReadSwitches,
+    ReduceEffortOverrun,
     ReleaseArcs,
-    Restore,
     Tighten,
 )
 from linkplan.planner.refinement.decision import next_action
@@ -39,16 +39,16 @@ def test_where_it_needs_more_effort_everywhere_the_degree_is_raised_and_on_a_lar
     one_of_many = np.eye(150)[3]
     crowded = state(iterate(effort_overrun=3.0 * one_of_many, n=150))
     action = next_action(crowded)
-    assert isinstance(action, Restore)
+    assert isinstance(action, ReduceEffortOverrun)
     np.testing.assert_array_equal(action.marked, one_of_many.astype(bool))
     assert next_action(replace(crowded, restored=1, ended=True)) is None
     nearly = state(iterate(effort_overrun=0.9 * one_of_many, n=150), restored=1)
-    assert isinstance(next_action(nearly), Restore)
+    assert isinstance(next_action(nearly), ReduceEffortOverrun)
     assert next_action(replace(crowded, restored=6)) is None
 
 
 def test_what_no_mesh_mends_is_the_end():
-    assert next_action(state(iterate(passed=False, exact=False, mendable=False))) is None
+    assert next_action(state(iterate(passed=False, exact=False, repairable=False))) is None
 
 
 def test_an_action_that_led_nowhere_is_the_end():
@@ -241,7 +241,7 @@ def test_switches_of_an_exact_motion_of_bang_arcs_are_read_at_most_three_times(r
 def test_a_changed_motion_is_halved_where_it_still_needs_half_of_what_a_proof_allows():
     at = iterate(effort_overrun=np.array([0.7, 0.3, *np.zeros(8)]))
     action = next_action(state(at, restored=1))
-    assert isinstance(action, Restore)
+    assert isinstance(action, ReduceEffortOverrun)
     assert np.flatnonzero(action.marked).tolist() == [0]
 
 

@@ -9,7 +9,7 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.proof.prove import prove
-from linkplan.planner.refinement.actions import Restore
+from linkplan.planner.refinement.actions import ReduceEffortOverrun
 from linkplan.planner.refinement.case import attempt, certify_iterate
 from linkplan.planner.refinement.decision import next_action
 from linkplan.planner.refinement.state import RefinementState
@@ -39,7 +39,7 @@ def test_a_motion_is_kept_on_finer_meshes_until_its_effort_is_proved(coarse):
     state, objective = coarse, coarse.best.found.solution.objective
     assert not effort_is_proved(state)
     while (action := next_action(state)) is not None:
-        assert isinstance(action, Restore)
+        assert isinstance(action, ReduceEffortOverrun)
         state = action.apply(state)
     assert state.best.n_intervals > coarse.best.n_intervals
     assert state.best.found.solution.status == FEASIBLE

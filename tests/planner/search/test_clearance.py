@@ -9,7 +9,7 @@ from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.attempts import plan_from
 from linkplan.planner.search.continuations import nears_singular
-from linkplan.planner.search.ladder import PATIENT, Search
+from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from tests.support.fourbar_problems import random_case
 from tests.support.tolerances_planner import PHASE_PLANE_TIME
 
@@ -40,7 +40,7 @@ def test_known_switches_are_planned_next_to_a_singular_pose():
     case, problem = random_case(SEED, THROUGH_THE_MESH), problem_of(THROUGH_THE_MESH)
     quickest = least_time_guess(problem, problem.start_pose())
     assert quickest is not None
-    plan = plan_from(search_for(problem), PATIENT, "the phase plane", quickest)
+    plan = plan_from(search_for(problem), FULL_BUDGET, "the phase plane", quickest)
     assert plan is not None
     assert plan.status == "optimal"
     assert abs(plan.objective / case.duration - 1) < PHASE_PLANE_TIME

@@ -1,7 +1,7 @@
 """A solution that collides far deeper than it is exact: no finer mesh frees it, and none is solved."""
 
 import linkplan
-from linkplan.planner.planning import RUNGS, plan_motion
+from linkplan.planner.planning import SEARCH_METHODS, plan_motion
 
 # A two-link arm that swings its hand through a post.
 ARM = """<mujoco><option gravity="0 0 0"/><default><geom type="capsule" size="0.02"/></default><worldbody>
@@ -21,7 +21,7 @@ def planned(reach):
         duration_s=1.0,
         mesh={"intervals": 20},
     )
-    return plan_motion(problem, rungs=RUNGS[1:2])
+    return plan_motion(problem, methods=SEARCH_METHODS[1:2])
 
 
 def test_a_motion_through_a_post_is_not_refined():

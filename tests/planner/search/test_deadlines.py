@@ -15,7 +15,7 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.replan import Replanner
-from linkplan.planner.search.ladder import PATIENT, Rung
+from linkplan.planner.search.ladder import FULL_BUDGET, SearchMethod
 from linkplan.planner.solvers.solve import OF_TIME
 
 TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
@@ -72,11 +72,11 @@ def test_a_certified_motion_is_kept_when_a_later_rung_runs_out_of_time():
     def late(*_):
         raise OutOfTimeError("late")
 
-    rungs = [
-        Rung(name="finds", climb=lambda *_: found, budget=PATIENT),
-        Rung(name="late", climb=late, budget=PATIENT),
+    methods = [
+        SearchMethod(name="finds", run=lambda *_: found, budget=FULL_BUDGET),
+        SearchMethod(name="late", run=late, budget=FULL_BUDGET),
     ]
-    plan = plan_motion(load_problem("knee-reach"), rungs=rungs)
+    plan = plan_motion(load_problem("knee-reach"), methods=methods)
     assert plan.status == "optimal"
     assert plan.trajectory is found.trajectory
 

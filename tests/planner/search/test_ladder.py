@@ -1,4 +1,4 @@
-"""The ladder of attempts: rungs in order, each where its condition holds and within its budget; and continuation."""
+"""The ladder of attempts: methods in order, each where its condition holds and within its budget; and continuation."""
 
 from dataclasses import replace
 
@@ -8,13 +8,13 @@ import pytest
 from linkplan.models.deadline import Deadline, processor_time_s
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.planning import DIAGNOSES, RUNGS, plan_motion
+from linkplan.planner.planning import DIAGNOSES, SEARCH_METHODS, plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import attempts
-from linkplan.planner.search.ladder import Budget, Rung, Search, Steps, climb, followed
+from linkplan.planner.search.ladder import Budget, Search, SearchMethod, Steps, followed, run_search
 from linkplan.planner.search.solving import first_mesh
 from linkplan.planner.search.starts import from_first_starts, no_time
 from linkplan.planner.solvers.solve import OUT_OF_TIME
@@ -29,34 +29,34 @@ def search_for(problem, seconds: float = 600.0, clock=processor_time_s) -> Searc
     return Search(problem=timed, start_pose=problem.start_pose())
 
 
-def noting(name: str, called: list[str], plan=None, **conditions) -> Rung:
+def noting(name: str, called: list[str], plan=None, **conditions) -> SearchMethod:
     def note(search, budget):
         called.append(name)
         return plan(search, budget) if callable(plan) else plan
 
-    return Rung(name=name, climb=note, budget=Budget(), **conditions)
+    return SearchMethod(name=name, run=note, budget=Budget(), **conditions)
 
 
 def test_a_rung_is_one_function_and_one_row():
     called = []
-    plan = plan_motion(load_problem("knee-reach"), rungs=(noting("mine", called, from_first_starts), *RUNGS))
+    plan = plan_motion(load_problem("knee-reach"), methods=(noting("mine", called, from_first_starts), *SEARCH_METHODS))
     assert called == ["mine"]
     assert plan.status == "optimal"
-    assert [step.what for step in plan.history] == ["first solve"]  # no other rung was climbed after it
+    assert [step.what for step in plan.history] == ["first solve"]  # no other method was climbed after it
 
 
 def test_progress_after_a_plan_that_passes_ends_in_its_objective():
     told = []
-    again = Rung(name="again", climb=from_first_starts, budget=Budget())
-    plan = plan_motion(load_problem("knee-reach"), told.append, rungs=(again, again))
+    again = SearchMethod(name="again", run=from_first_starts, budget=Budget())
+    plan = plan_motion(load_problem("knee-reach"), told.append, methods=(again, again))
     assert "best certified" not in told[0]
     assert float(told[1].rpartition("; best certified ")[2]) == pytest.approx(plan.objective, rel=1e-5)
 
 
 def test_rungs_are_tried_in_order_and_only_where_their_conditions_hold():
     called = []
-    rungs = [noting("first", called), noting("never", called, tried=lambda search: search.solved), noting("last", called)]
-    assert climb(search_for(load_problem("knee-reach")), rungs) is None
+    methods = [noting("first", called), noting("never", called, tried=lambda search: search.solved), noting("last", called)]
+    assert run_search(search_for(load_problem("knee-reach")), methods) is None
     assert called == ["first", "last"]
 
 
@@ -69,7 +69,7 @@ def test_a_verdict_ends_the_search():
         del budget
         search.verdicts.append(verdict)
 
-    plan = climb(search_for(problem), [noting("judge", called, judge), noting("after it", called)])
+    plan = run_search(search_for(problem), [noting("judge", called, judge), noting("after it", called)])
     assert called == ["judge"]
     assert plan.message == verdict.message
 
@@ -82,7 +82,7 @@ def test_the_time_is_that_of_the_whole_plan():
         del search, budget
         now[0] += 11.0
 
-    assert climb(search, [noting("slow", called, slow), noting("after it", called)]) is None
+    assert run_search(search, [noting("slow", called, slow), noting("after it", called)]) is None
     assert called == ["slow"]
     assert search.stopped == OUT_OF_TIME
 
@@ -103,7 +103,9 @@ def test_a_best_plan_that_the_time_cut_short_is_returned_and_says_so():
         now[0] += 11.0
         return found
 
-    plan = climb(search_for(problem, seconds=10.0, clock=lambda: now[0]), [noting("slow", [], slow), noting("after it", [])])
+    plan = run_search(
+        search_for(problem, seconds=10.0, clock=lambda: now[0]), [noting("slow", [], slow), noting("after it", [])]
+    )
     assert plan.status == "optimal"
     assert plan.message.endswith("; the best found within its 600 s (solver.max_time_s)")
 
@@ -144,7 +146,7 @@ def test_diagnoses_never_return_a_motion():
 
 
 def test_rungs_are_few_and_their_names_are_their_own():
-    assert len({rung.name for rung in RUNGS}) == len(RUNGS) <= 10
+    assert len({method.name for method in SEARCH_METHODS}) == len(SEARCH_METHODS) <= 10
 
 
 def test_continuation_goes_to_the_end_by_equal_factors():

@@ -8,7 +8,7 @@ import pytest
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.search.ladder import PATIENT, Rung, Search
+from linkplan.planner.search.ladder import FULL_BUDGET, Search, SearchMethod
 from linkplan.planner.search.least_limit import least_limit_of_starts
 from linkplan.planner.search.starts import at_a_distance, may_near_singular
 from tests.bench.contradictions import weak_case
@@ -69,7 +69,7 @@ def test_a_distance_is_kept_where_loops_may_come_near_a_singular_pose_and_no_mar
 
 
 def test_motions_that_miss_do_not_keep_a_search_from_a_distance():
-    """Both motions from the phase plane had left the branch. The rung was not tried, and the plan cost 21.6 and not 5.43."""
+    """Both motions from the phase plane had left the branch. The method was not tried; the plan cost 21.6, not 5.43."""
     search = search_of(weak_reach(18))
     missed = Plan(problem=search.problem, status="failed", message="left its branch")
     search.plans.extend([missed, missed])
@@ -83,12 +83,12 @@ def test_the_margin_is_kept_by_every_pose_between_start_and_goal():
     def noted(search: Search, _budget: object) -> None:
         seen.append(search.problem.limits.singular_margin)
 
-    rungs = (Rung(name="noted", climb=noted, budget=PATIENT),)
+    methods = (SearchMethod(name="noted", run=noted, budget=FULL_BUDGET),)
     far = search_of(weak_reach(18))
-    assert at_a_distance(far, PATIENT, rungs) is None
+    assert at_a_distance(far, FULL_BUDGET, methods) is None
     # The dead centre is at 2.99806 rad.
     motion = replace(far.problem.motion, goal=np.array([2.998]))
-    assert at_a_distance(search_of(replace(far.problem, motion=motion)), PATIENT, rungs) is None
+    assert at_a_distance(search_of(replace(far.problem, motion=motion)), FULL_BUDGET, methods) is None
     assert seen[0] == 0.02
     assert 0.0 < seen[1] < 0.02
 

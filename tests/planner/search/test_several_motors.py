@@ -18,7 +18,7 @@ from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import several_motors
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, at_a_distance, jumps_of, of_several
-from linkplan.planner.search.ladder import PATIENT, Search
+from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.search.several_motors import _margin_kept, from_several_starts
 from tests.support.data import DATA
 
@@ -90,7 +90,7 @@ def test_a_slower_motion_bounds_a_least_time_that_does_not_pass(in_least_time, m
 
     monkeypatch.setattr(several_motors, "certified", failing)
     with recording():
-        plan = from_several_starts(search_of(in_least_time), PATIENT)
+        plan = from_several_starts(search_of(in_least_time), FULL_BUDGET)
     assert plan.status == "feasible"
     assert plan.passed
     assert plan.objective == pytest.approx(1.05 * LEAST_TIME_S, rel=2e-3)

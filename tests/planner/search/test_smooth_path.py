@@ -11,7 +11,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search import smooth_path
-from linkplan.planner.search.ladder import HURRIED, Rung, Search
+from linkplan.planner.search.ladder import SHORT_BUDGET, Search, SearchMethod
 from linkplan.planner.search.smooth_path import _is_carried
 from tests.support.plans import optimal
 
@@ -19,8 +19,8 @@ STRONG = "limits.effort={ act_O1 = [-3.0, 3.0], act_O2 = [-3.0, 3.0] }"
 
 
 def unsolved(problem) -> Plan:
-    """Return the plan of a problem that no rung is tried on."""
-    return plan_motion(problem, rungs=(), diagnoses=(nothing_found,))
+    """Return the plan of a problem that no method is tried on."""
+    return plan_motion(problem, methods=(), diagnoses=(nothing_found,))
 
 
 @pytest.fixture(scope="module")
@@ -44,9 +44,9 @@ def test_it_answers_however_late_the_search_ends():
     def compiling(_search, _budget):
         deadline._CHILD_TIME.seconds += 1000.0
 
-    late = Rung(name="late", climb=compiling, budget=HURRIED)
+    late = SearchMethod(name="late", run=compiling, budget=SHORT_BUDGET)
     problem = load_problem("five-bar-reach", [STRONG, "solver.max_time_s=20"])
-    plan = plan_motion(problem, rungs=(late,), diagnoses=(nothing_found,))
+    plan = plan_motion(problem, methods=(late,), diagnoses=(nothing_found,))
     assert plan.status == "feasible", plan.message
 
 

@@ -1,4 +1,4 @@
-"""The rung of waiting: a rest, and beside it a motion that passes by itself, where no start leads to one long enough."""
+"""The method of waiting: a rest, and beside it a motion that passes by itself, where no start leads to one long enough."""
 
 from dataclasses import replace
 
@@ -11,7 +11,7 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.planner.planning import REPAIRS, plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import resting, waiting
-from linkplan.planner.search.ladder import PATIENT, Search
+from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import PENDULUM, body_problem
 
@@ -30,7 +30,7 @@ def search() -> Search:
 
 @pytest.fixture(scope="module")
 def plan(search):
-    return waiting.from_waiting(search, PATIENT)
+    return waiting.from_waiting(search, FULL_BUDGET)
 
 
 @pytest.mark.slow
@@ -70,7 +70,7 @@ def test_the_objective_of_a_rest_and_a_motion_is_the_integral_of_its_efforts_squ
 def test_what_adds_to_an_objective_beyond_effort_and_time_is_not_waited_through(search):
     tracked = replace(search.problem, objective={"effort": 1.0, "work": 1.0})
     other = replace(search, problem=tracked)
-    assert waiting.from_waiting(other, PATIENT) is None
+    assert waiting.from_waiting(other, FULL_BUDGET) is None
 
 
 @pytest.mark.parametrize(("share", "can_wait"), [(1 - 1.2e-9, False), (1 - 8e-10, True)])
@@ -99,7 +99,7 @@ def test_of_the_known_motions_the_one_that_costs_least_with_its_rest_is_taken():
     search = Search(problem=asked, start_pose=asked.start_pose())
     for plan in (quick, slow):
         search.known.add(plan.trajectory)
-    joined = waiting.from_waiting(search, PATIENT)
+    joined = waiting.from_waiting(search, FULL_BUDGET)
     assert joined.passed
     assert joined.trajectory.duration_s == pytest.approx(2.5, rel=1e-12)
     assert joined.objective == pytest.approx(slow.objective, rel=1e-9)
@@ -112,7 +112,7 @@ def test_the_way_to_a_rest_beside_the_quickest_motion_is_gone_only_if_there_is_t
     least = 2.0 * np.sqrt(1.0 / 3.0)
     quick = plan_motion(cart("time", "free"))
     asked = cart("effort", factor * quick.trajectory.duration_s)
-    plan = waiting.from_waiting(Search(problem=asked, start_pose=asked.start_pose()), PATIENT)
+    plan = waiting.from_waiting(Search(problem=asked, start_pose=asked.start_pose()), FULL_BUDGET)
     assert quick.trajectory.duration_s == pytest.approx(least, rel=1e-6)
     if factor == 1.0:
         assert plan is None

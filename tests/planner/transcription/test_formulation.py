@@ -28,9 +28,9 @@ def test_durations_are_stretched_between_prescribed_times_only(times, expected):
 
 
 @pytest.mark.parametrize(
-    ("returns", "adrift", "periodic"),
+    ("returns", "free_at_end", "periodic"),
     [((), (), False), ((0, 1), (), False), ((0, 1, 2), (), True), ((0, 1), (2,), True), ((0,), (2,), False)],
 )
-def test_a_problem_is_periodic_if_all_states_return_but_those_that_nothing_depends_on(returns, adrift, periodic):
-    problem = SimpleNamespace(returns=returns, adrift=adrift, state=np.zeros((3, 2)))
+def test_a_problem_is_periodic_if_all_states_return_but_those_that_nothing_depends_on(returns, free_at_end, periodic):
+    problem = SimpleNamespace(returns=returns, free_at_end=free_at_end, state=np.zeros((3, 2)))
     assert Formulation.periodic.fget(problem) == periodic
