@@ -135,12 +135,12 @@ REPAIRS: tuple[Repair, ...] = (
     Repair(
         name="limits on power and pin force kept at every instant",
         tried=attempts.may_be_enclosed,
-        mend=attempts.enclosed,
+        repair=attempts.enclosed,
     ),
     Repair(
         name="finer meshes begun next to the coarser one's answer",
         tried=lambda _problem, plan: attempts.unsound(plan),
-        mend=attempts.from_next_to_it,
+        repair=attempts.from_next_to_it,
         always=False,
     ),
 )

@@ -83,7 +83,7 @@ class Certificate:
     failures: tuple[str, ...]
     unrepairable: tuple[
         str, ...
-    ] = ()  # failures that no other mesh repairs: a servo's range, contacts, a rounded loop's gap
+    ] = ()  # failures that no other mesh removes: a servo's range, contacts, a rounded loop's gap
     contacts: tuple[Meeting, ...] = ()  # of geoms along the motion, see linkplan.planner.certificate.further_checks
 
     @property
@@ -98,7 +98,7 @@ class Certificate:
 
     @property
     def repairable(self) -> bool:
-        """Whether another mesh may mend a failure."""
+        """Whether another mesh may remove a failure."""
         return any(failure not in self.unrepairable for failure in self.failures)
 
 

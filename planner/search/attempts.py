@@ -1,4 +1,4 @@
-"""From one start to a plan: solved, refined until its certificate passes, mended where it does not.
+"""From one start to a plan: solved, refined until its certificate passes, repaired where it does not.
 
 A tracking motion is solved with a small weight on the squared effort rate first: the motion nearest in position alone
 chatters at the ends of its bang arcs (Fuller's phenomenon), and solvers lose it. Then the weight is removed in steps, down
@@ -51,7 +51,7 @@ def plan_from(
     *,
     worth: float = np.inf,
     least: float = 0.0,
-    mended: bool = True,
+    repaired: bool = True,
 ) -> Plan | None:
     """Return the plan from a start, whether its certificate passes or not; None if no motion is found.
 
@@ -62,7 +62,7 @@ def plan_from(
         guess: the start.
         worth: only solutions with an objective below this are refined.
         least: and of at least this: coarse meshes have false motions that cost far too little.
-        mended: whether every repair is tried on a motion that does not pass; it is not before the phase plane's least time.
+        repaired: whether every repair is tried on a motion that does not pass; not before the phase plane's least time.
     """
     problem = search.within(budget)
     missed = None
@@ -74,7 +74,7 @@ def plan_from(
             search.verdicts.append(Plan(problem=search.problem, status="failed", message=unbounded))
             return None
         # A motion that was found in few iterations is worth more of them where it is refined.
-        missed = refined(search, search.within(replace(budget, iterations=None)), found, mended=mended)
+        missed = refined(search, search.within(replace(budget, iterations=None)), found, repaired=repaired)
         if missed.passed:
             return missed
     if missed is None or missed.trajectory is None or missed.certificate is None:
@@ -106,12 +106,12 @@ def _solved(problem: Problem, guess: Guess, word: str, search: Search) -> Iterat
     )
 
 
-def refined(search: Search, problem: Problem, found: Iterate, *, mended: bool = True) -> Plan:
+def refined(search: Search, problem: Problem, found: Iterate, *, repaired: bool = True) -> Plan:
     """Return the plan of a first solution; if its certificate does not pass, the search's repairs are tried in turn."""
     plan = certified(problem, found)
-    for repair in search.repairs if mended else [repair for repair in search.repairs if repair.always]:
+    for repair in search.repairs if repaired else [repair for repair in search.repairs if repair.always]:
         if not plan.passed and repair.tried(problem, plan):
-            plan = repair.mend(problem, found) or plan
+            plan = repair.repair(problem, found) or plan
     return plan
 
 

@@ -1,8 +1,8 @@
 """The search for a motion: methods, the continuation along a parameter, and the state that a mechanism's methods share.
 
 A method is one way to search for a motion: a start, or a continuation. Each has a condition, a budget and one function. It
-returns a plan, whether its certificate passes or not, or None if it found no motion. Mechanisms and differential
-equations share methods and continuation; `planner.planning` lists the methods and the repairs of mechanisms.
+returns a plan, whether its certificate passes or not, or None if it found no motion. `planner.planning` lists the methods
+and the repairs.
 
 Continuation follows motions along a parameter, each the start of the next: motions of ever longer duration, of ever smaller
 margins to singular poses, and under ever lower limits. A step that is lost is tried again with the root of its factor
@@ -13,7 +13,7 @@ import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -52,34 +52,17 @@ class Budget:
 FULL_BUDGET, SHORT_BUDGET = Budget(), Budget(iterations=200)
 
 
-class SearchState(Protocol):
-    """The part of a search that the loop over the methods knows."""
-
-    @property
-    def plans(self) -> list[Any]:
-        """The plans of the methods so far, in order."""
-        ...
-
-    @property
-    def ended(self) -> bool:
-        """True if no further method is tried."""
-        ...
-
-
-SearchT = TypeVar("SearchT", bound=SearchState)
-
-
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class SearchMethod(Generic[SearchT]):
+class SearchMethod:
     """One way to search for a motion: its condition, its function and its budget."""
 
     name: str
-    run: Callable[[SearchT, Budget], Any]
+    run: "Callable[[Search, Budget], Plan | None]"
     budget: Budget
-    tried: Callable[[SearchT], bool] = lambda _: True
+    tried: "Callable[[Search], bool]" = lambda _: True
 
 
-def try_in_turn(search: SearchT, methods: Sequence[SearchMethod[SearchT]]) -> None:
+def _try_in_turn(search: "Search", methods: Sequence[SearchMethod]) -> None:
     """Try the methods in order until the search has ended, and append their plans to those of the search."""
     for method in methods:
         check()
@@ -272,19 +255,19 @@ class Search:
 class Repair:
     """One way to repair a motion whose certificate does not pass: its condition and its function.
 
-    Both take the problem within its budget. `tried` takes the plan so far. `mend` takes the first solution and returns
+    Both take the problem within its budget. `tried` takes the plan so far. `repair` takes the first solution and returns
     another plan, or None.
     """
 
     name: str
     tried: Callable[[Problem, Plan], bool]
-    mend: Callable[[Problem, Iterate], Plan | None]
+    repair: Callable[[Problem, Iterate], Plan | None]
     always: bool = True  # or only if every repair is to be tried
 
 
 def run_search(search: Search, methods: Sequence[SearchMethod]) -> Plan | None:
     """Return the best plan of the methods, tried in order; None if no method found a motion."""
-    try_in_turn(search, methods)
+    _try_in_turn(search, methods)
     best = search.best
     if best is None:
         return None

@@ -98,7 +98,7 @@ def _swings_may_be_better(search: Search) -> bool:
 
 def from_first_starts(search: Search, budget: Budget) -> Plan | None:
     """Return the plan that the user's guess leads to, or else the smoothest path."""
-    return _first_of(search, budget, search.first_starts(), mended=not search.only_time_counts)
+    return _first_of(search, budget, search.first_starts(), repaired=not search.only_time_counts)
 
 
 def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
@@ -173,7 +173,7 @@ def from_swings(search: Search, budget: Budget) -> Plan | None:
 
 
 def _first_of(
-    search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]], *, mended: bool = True, least: float = 0.0
+    search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]], *, repaired: bool = True, least: float = 0.0
 ) -> Plan | None:
     """Return the first plan that passes, or the last that was found; those before it are kept among the search's plans."""
     missed = None
@@ -182,7 +182,7 @@ def _first_of(
             search.plans.append(missed)
             if not search.starts_are_worth_it:
                 return None
-        missed = plan_from(search, budget, what, guess, mended=mended, least=least)
+        missed = plan_from(search, budget, what, guess, repaired=repaired, least=least)
         if search.verdicts or search.stopped or (missed is not None and missed.passed):
             break
     return missed
@@ -213,7 +213,9 @@ def _better_plan(search: Search, budget: Budget) -> Plan | None:
         guess = _cheapest(search) or phase_plane_guess(search.problem, search.quickest)
     known = search.best.objective
     # A motion on the first mesh is refined only if it is better than this share of the best known objective.
-    plan = None if guess is None else plan_from(search, budget, "the phase plane", guess, worth=0.999 * known, mended=False)
+    plan = (
+        None if guess is None else plan_from(search, budget, "the phase plane", guess, worth=0.999 * known, repaired=False)
+    )
     return plan if plan is not None and plan.passed and plan.objective < known else None
 
 
@@ -241,7 +243,7 @@ def least_time_plan(search: Search, budget: Budget) -> Plan | None:
         free = search.of_another(_in_least_time(search.within(budget)))
         with recording():
             along = along_limits(free, SHORT_BUDGET) if may_be_along_limits(free) else None
-            return along or plan_from(free, SHORT_BUDGET, "the phase plane", search.quickest, mended=False)
+            return along or plan_from(free, SHORT_BUDGET, "the phase plane", search.quickest, repaired=False)
 
     return search.known.once(PHASE_PLANE_LEAST_TIME, look)
 
@@ -298,7 +300,7 @@ def may_near_singular(search: Search) -> bool:
     return len(problem.mechanism.dependent) > 0
 
 
-def at_a_distance(search: Search, budget: Budget, methods: Sequence[SearchMethod[Search]]) -> Plan | None:
+def at_a_distance(search: Search, budget: Budget, methods: Sequence[SearchMethod]) -> Plan | None:
     """Return the best plan that keeps a margin to singular poses; None if the methods find none.
 
     One that is optimal within the margin is "feasible" where it is next to it.

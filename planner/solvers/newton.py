@@ -255,7 +255,7 @@ def nearest_feasible(transcribed: Transcribed, x: np.ndarray) -> Solution:
 def _least_step(
     jacobian: ca.DM, missing: np.ndarray, weight: np.ndarray, fixed: np.ndarray, binding: np.ndarray
 ) -> np.ndarray | None:
-    """Return the step (n,) of least weighted norm that mends the binding rows; None where these contradict each other."""
+    """Return the step (n,) of least weighted norm that satisfies the binding rows; None where these contradict."""
     import scipy.sparse.linalg
 
     free = np.flatnonzero(~fixed)

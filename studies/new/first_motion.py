@@ -25,7 +25,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.planning import DIAGNOSES, SEARCH_METHODS, plan_motion
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.search.ladder import SHORT_BUDGET, Search, SearchMethod
+from linkplan.planner.search.ladder import SHORT_BUDGET, SearchMethod
 from linkplan.planner.search.smooth_path import along_smooth_path
 from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.solve import OF_TIME
@@ -59,7 +59,7 @@ _COARSE_MESH = {"intervals": 20, "tolerance_deg": 5e-3}
 # Processor time [s] for all motions, and the least time that a motion gets.
 _TIME_BUDGET_S, _MIN_SOLVE_S = 40.0, 1.0
 # A large robot's smooth path is mostly a motion itself, and most others are found at once from it.
-_SMOOTH: tuple[SearchMethod[Search], ...] = (
+_SMOOTH: tuple[SearchMethod, ...] = (
     SearchMethod(
         name="the smooth path itself",
         tried=lambda search: is_large(search.problem.mechanism),
