@@ -267,27 +267,36 @@ def steps_to(
     mechanism: Mechanism, q: np.ndarray, target: np.ndarray, deadline: Deadline = NO_DEADLINE
 ) -> Iterator[np.ndarray]:
     """Yield the poses after regular steps from pose q on, up to that at `target` or to the last before the loop opens."""
-    step_size, independent, n_q = step_sizes(mechanism), mechanism.independent, mechanism.n_q
-    state, share = _states(mechanism, np.array(q, dtype=float)[None])[0], 1.0
-    longest = np.max(np.abs(target - state[independent]) / step_size[independent], initial=0.0)
+    independent, dependent = mechanism.independent, mechanism.dependent
+    step_size = step_sizes(mechanism)
+    q = np.array(q, dtype=float)
+    _, _, gamma, determinants = evaluated(mechanism.dynamics.closure_step, q)
+    share = 1.0
+    longest = np.max(np.abs(target - q[independent]) / step_size[independent], initial=0.0)
     if not longest < _MAX_PATH_STEPS:
         raise AssemblyError(
             f"mechanism '{mechanism.name}' does not close at {_where(mechanism, target)}: further away than any motion goes"
         )
     while True:
         deadline.require_time()
-        left = target - state[independent]
+        left = target - q[independent]
         longest = np.max(np.abs(left) / step_size[independent], initial=0.0)
         if longest == 0.0:
             return
         fraction = min(1.0, share / longest)
-        position = target if fraction == 1.0 else state[independent] + fraction * left
-        with np.errstate(over="ignore", invalid="ignore"):
-            after, phi, predicted = (x.T for x in evaluated(_stretch(mechanism, 1), state, position))
-            regular = bool(_are_regular(mechanism, state[None], after, phi, predicted, step_size)[0])
-        if regular and (not mechanism.projected or _on_branch(mechanism, np.array([state[:n_q], after[0, :n_q]]))):
-            state, share = after[0], min(1.0, 2 * share)
-            yield state[:n_q]
+        ds = left if fraction == 1.0 else fraction * left
+        trial = q + gamma @ ds
+        trial[independent] = target if fraction == 1.0 else q[independent] + ds
+        predicted = trial[dependent].copy()
+        trial, gamma_trial, dets_trial = _correct(mechanism, trial)
+        moved = np.max(np.abs(trial[dependent] - predicted) / step_size[dependent], initial=0.0)
+        change = np.max(np.abs(gamma_trial - gamma), initial=0.0) / (1 + np.max(np.abs(gamma), initial=0.0))
+        smooth = np.isfinite(moved) and moved < MAX_CORRECTION_SHARE and not change > MAX_GAMMA_CHANGE
+        regular = smooth and np.all(dets_trial * determinants > 0)
+        if regular and (not mechanism.projected or _on_branch(mechanism, np.array([q, trial]))):
+            q, gamma, determinants = trial, gamma_trial, dets_trial
+            share = min(1.0, 2 * share)
+            yield q
             continue
         share = 0.5 * min(share, longest)
         if share < _LEAST_STEP_SHARE:
@@ -329,3 +338,21 @@ def advance_all(
         lost = ~regular & (share[active] < _LEAST_STEP_SHARE) | ~(longest < _MAX_PATH_STEPS)
         active = active[~(regular & whole) & ~lost]
     return found
+
+
+def _correct(mechanism: Mechanism, q: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the pose closed by Newton in its dependent joints, Gamma and the determinants of J_z's blocks, or NaN."""
+    q = np.array(q)
+    dependent = mechanism.dependent
+    for iteration in range(12):
+        phi, step, gamma, determinants = evaluated(mechanism.dynamics.closure_step, q)
+        step = step.ravel()
+        size = np.abs(step).max(initial=0.0)
+        if not np.isfinite(size) or size > 10:
+            break
+        # One step past convergence leaves only rounding.
+        done = np.abs(phi).max(initial=0.0) <= CLOSED_M and (size < 1e-12 or iteration > 2)
+        q[dependent] += step
+        if done or step.size == 0:
+            return q, gamma, determinants
+    return np.full_like(q, np.nan), np.full((mechanism.n_q, mechanism.dof), np.nan), np.array(np.nan)
