@@ -12,14 +12,14 @@ demo: $(STAMP)
 	$(BIN)/linkplan demo -o linkplan-demo
 
 test: $(STAMP)
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 # The hardest published problems and largest mechanisms, too: five minutes of processor time more.
 long: $(STAMP)
-	$(BIN)/python -m pytest -n auto --long
+	$(BIN)/python -m pytest -n auto --dist loadfile --long
 
 quick: $(STAMP)
-	$(BIN)/python -m pytest -n auto -m "not slow"
+	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow"
 
 check: $(STAMP)
 	$(BIN)/ruff check .

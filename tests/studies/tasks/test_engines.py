@@ -10,16 +10,14 @@ import sys
 import pytest
 
 from linkplan.models.errors import LinkplanError, ProblemError
-from linkplan.planner.keys.sections import BatchFile, CaseSection
 from linkplan.planner.plan_folder import versions
 from linkplan.planner.planning import silent
-from linkplan.studies.batch import study
 from linkplan.studies.tasks import cluster as dask_cluster
 from linkplan.studies.tasks import streaming
 from linkplan.studies.tasks.cluster import cluster
 from linkplan.studies.tasks.engine import Pool, here, processes
 from linkplan.studies.tasks.site import Refused, at_site
-from linkplan.studies.tasks.streaming import Progress, streamed
+from linkplan.studies.tasks.streaming import Progress, complete, streamed
 
 
 def squared(task, threads):
@@ -155,11 +153,9 @@ def test_an_interrupt_while_workers_are_waited_for_reaches_the_command(tmp_path,
     def interrupted(*_):
         raise KeyboardInterrupt("first")
 
-    lost, batch = [], BatchFile(problem="x", case=[CaseSection(name="a")])
+    lost = []
     monkeypatch.setattr(sys, "unraisablehook", lost.append)
-    monkeypatch.setattr(study, "replace_file", interrupted)
-    monkeypatch.setattr(study, "_work", lambda *_: [])
     with pytest.raises(KeyboardInterrupt, match="again"):
-        study._conduct(tmp_path, batch, None, waiting, False, silent)
+        complete(tmp_path, [range(1), range(1, 2)], "cases", waiting, lambda *_: [], interrupted, silent)
     gc.collect()
     assert not lost
