@@ -11,6 +11,7 @@ import pytest
 from linkplan.planner.ode.plan import OdePlan, known_digits, plan_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.solve_ocp import _first_solutions, _refined, plan_ode
+from linkplan.planner.problem.settings import SolverSettings
 from tests.support.ode import (
     FREE_EFFORT,
     FREE_STATE,
@@ -178,8 +179,8 @@ def shuttle() -> OdeProblem:
 
 
 @pytest.mark.long
-def test_a_shuttle_needs_no_guess_to_come_down():
-    plan = solved(shuttle())
+def test_a_shuttle_comes_down_from_perturbed_guesses():
+    plan = solved(replace(shuttle(), solver=SolverSettings(starts=4)))
     assert plan.objective == pytest.approx(-34.1412, abs=5e-5)
     assert plan.objective_error < 1e-6 * abs(plan.objective)
 
