@@ -157,7 +157,8 @@ class RobustLimit(Limit):
     @classmethod
     def of(cls, problem: Problem, **_: bool) -> list[Self]:
         corners, n_u = problem.robust.corners, problem.mechanism.n_u
-        return [cls(item, corners, item // n_u, item % n_u) for item in range(len(corners) * n_u)]
+        limited = limited_rows(problem.limits.effort)
+        return [cls(n_u * k + j, corners, k, j) for k in range(len(corners)) for j in limited]
 
     @property
     def rows(self) -> Rows:

@@ -39,7 +39,7 @@ _GUESS_ROWS, _PERTURBED_ROWS = 101, 41
 _WILD_SHARE, _FIRST_NODE = 1e-3, 0.155
 # A free duration that ends at the bound of its guess is solved for again at most so often.
 _MOST_RESTARTS = 3
-# An objective below this share of what it was at the bound of the last guess has no end.
+# If the objective falls below this share of itself from one restart to the next, the duration is called unbounded.
 _VANISHING_SHARE = 0.01
 
 

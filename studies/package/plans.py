@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from linkplan.planner.proof.prove import Proof
     from linkplan.studies.output.document import Block, Report
 
-# A plan is proved without being asked if that takes at most this share of the plan's time, or this many seconds.
+# Without `prove`, a plan is proved if that takes at most this share of the plan's time, or this many seconds.
 _PROOF_SHARE, _PROOF_SECONDS = 0.25, 1.0
 PROVING = "proving the limits, then looking for the model's own motion for at most a minute"
 

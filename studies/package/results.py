@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -13,7 +14,7 @@ if TYPE_CHECKING:
     from linkplan.studies.output.document import Block, Report
 
 
-class Result:
+class Result(ABC):
     """The result of a study. Each kind has `passed`, `to_dict`, `blocks`, `document` and `draw`; the rest follows.
 
     A base class in place of a function for each member, so that every result is saved, drawn and shown in the same way.
@@ -28,20 +29,21 @@ class Result:
         """Whether the answer is yes: a command then ends with exit code 0."""
         return True
 
+    @abstractmethod
     def to_dict(self) -> dict:
         """Return all values by name, in JSON types."""
-        raise NotImplementedError
 
+    @abstractmethod
     def blocks(self) -> list[Block]:
         """Return the result as a document's blocks."""
-        raise NotImplementedError
 
+    @abstractmethod
     def document(self) -> Report:
         """Return the result's report."""
-        raise NotImplementedError
 
     def draw(self, place: Path) -> None:
-        """Write figures and tables into an existing folder."""
+        """Write figures and tables into an existing folder; by default there are none."""
+        del place
 
     def save(self, folder: str | Path, *, report: bool = False) -> Path:
         """Write the record, the figures and the document into a folder, whole or not at all, and return its path.

@@ -262,7 +262,7 @@ def numbers(values: object, key: str, *, positive: bool = False) -> list[float]:
 
 
 def _tables(key: str, value: object, mechanism: Mechanism) -> list[dict]:
-    """Return a list of tables; a single table counts as a list of one, a number as the only independent joint's."""
+    """Return a list of tables. A single table is a list of one; a number is the value of the only independent joint."""
     value = [value] if isinstance(value, Mapping) else value
     value = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
     if isinstance(value, list) and mechanism.dof == 1:

@@ -1,4 +1,4 @@
-"""The sizes of the project, for its reader: `make check` prints this table, and nothing fails for a number in it.
+"""The sizes of the project. `make check` prints this table; no number in it fails the check.
 
     python -m tests.bench.source_sizes
 

@@ -1,13 +1,15 @@
 """The table of kinds of limits: program, certificate and diagnosis loop over it. A kind that is not in it limits nothing."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+import numpy as np
 import pytest
 
-from linkplan.planner.limits.efforts import EffortLimit
+from linkplan.planner.limits.efforts import EffortLimit, RobustLimit
 from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
 from linkplan.planner.limits.kinds import KINDS, RELAXED
 from linkplan.planner.limits.limit import Limit
+from linkplan.planner.problem.instant import Robust
 from linkplan.planner.proof.claims import claims_of
 from linkplan.planner.proof.prove import prove
 from tests.support.plans import planned
@@ -52,6 +54,13 @@ def test_a_plan_with_a_limit_that_claims_nothing_is_not_proved(monkeypatch):
     proof = prove(plan.problem, plan.trajectory, existence=False)
     assert not proof.complete
     assert [one.reason for one in proof.of("undecided")] == ["not proved: the limit claims nothing"]
+
+
+def test_only_actuators_with_a_limit_have_one_at_the_corners():
+    problem = replace(planned("knee-reach").problem, robust=Robust(payload_factor=(0.8, 1.2)))
+    assert len(RobustLimit.of(problem)) == 2
+    free = replace(problem, limits=replace(problem.limits, effort=np.array([[-np.inf, np.inf]])))
+    assert RobustLimit.of(free) == []
 
 
 def test_every_limit_of_a_problem_has_a_claim():
