@@ -72,9 +72,9 @@ CodeT = TypeVar("CodeT", bound="DataclassInstance")
 # functions give exactly the interpreter's numbers, and a plan does not depend on the state of the cache.
 _FLAGS = ("-O1", "-ffp-contract=off", "-fPIC", "-shared")
 # Larger sources take seconds to minutes with optimisation and a fifth of that with -O0: an arm of seven motors 21 s and 5 s.
-# Code with -O0 is three times as fast as the interpreter, optimised code ten times; five sixths of a solve's time is that of
-# the linear systems.
-_LARGE_BYTES, _LARGE_FLAGS = 250_000, ("-O0", "-ffp-contract=off", "-fPIC", "-shared")
+# Code with -O0 is three times as fast as the interpreter, optimised code ten times, but two thirds of a solve's time is that
+# of the linear systems: plans of two to four motors take a quarter less from 90 than from 250 kB.
+_LARGE_BYTES, _LARGE_FLAGS = 90_000, ("-O0", "-ffp-contract=off", "-fPIC", "-shared")
 # Time after which a hanging compiler is ended; these functions compile in seconds.
 _COMPILER_TIMEOUT_S = 120.0
 # Functions with more instructions do not compile within that time: writing three million takes 27 s.

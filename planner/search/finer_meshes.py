@@ -98,7 +98,7 @@ def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined |
     at, gain, moved = certify_iterate(case, found), np.inf, 0.0
     kept: list[_Kept] = []  # the motions that pass, each better than the one before, and then the last one
     last: _Kept | None = None
-    way: _Way | None = _first_way(case, found)
+    way: _Way | None = _first_way(case, at)
     rows = False  # whether ranges are kept between the nodes too: at nodes alone, a motion along one flips between them
     for _ in range(_MAX_MESHES):
         check()
@@ -136,7 +136,8 @@ def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined |
 def _solved(way: _Way, coarse: Iterate[Trajectory], rows: bool) -> Iterate[Trajectory] | None:
     """Return the solution of the next solve from a motion; None without one.
 
-    Where the barrier that follows the iterates loses the motion, it falls from a small value in a second solve.
+    The barrier follows the iterates where the duration is free. With a given one it falls from a small value: it takes fewer
+    iterations, and none of the set's was lost. The other one is tried where the motion is lost.
     """
     start, settings = replace(motion_of(coarse.motion), share_of_effort=1.0), way.case.problem.solver
     another = coarse.solution.transcribed.scheme.name != way.case.problem.mesh.scheme
@@ -144,13 +145,13 @@ def _solved(way: _Way, coarse: Iterate[Trajectory], rows: bool) -> Iterate[Traje
     few = replace(settings, max_iterations=min(most, settings.max_iterations or most))
     case = replace(way.case, problem=replace(way.case.problem, solver=few))
     found: list[Iterate[Trajectory]] = []
-    for adaptive in (True, False):
+    for adaptive in (True, False) if case.asked.motion.duration_s is None else (False, True):
         finer = attempt(
             case, start, way.mesh, way.durations, way.what, close=True, adaptive=adaptive, position_rows=rows
         )  # fmt: skip
         if finer is not None:
             found.append(finer)
-            if finer.solution.objective <= (1 + _LOST_SHARE) * coarse.solution.objective:
+            if finer.solution.objective <= (1 + (20 if another else 1) * _LOST_SHARE) * coarse.solution.objective:
                 break
     return min(found, key=lambda finer: finer.solution.objective, default=None)
 
@@ -202,10 +203,10 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
     return at
 
 
-def _first_way(case: MechanismCase, found: Iterate[Trajectory]) -> _Way:
+def _first_way(case: MechanismCase, at: CertifiedIterate) -> _Way:
     """Return the solve in the finer transcription, with the jumps of efforts as ends of segments."""
-    asked, motion = case.asked, found.motion
-    case = replace(case, ties=TIE_WEIGHT)
+    asked, found, motion = case.asked, at.found, at.found.motion
+    case = replace(case if asked.motion.duration_s is None else _nearer(case, at), ties=TIE_WEIGHT)
     if asked.mesh.refine != "intervals":
         case = case.with_scheme(_FINER_SCHEME)
     n = max(8, round(_SHARE_OF_INTERVALS * asked.mesh.intervals))
@@ -222,8 +223,8 @@ def _next_way(case: MechanismCase, before: CertifiedIterate, at: CertifiedIterat
     pieces, mesh = _coarse(case, at), at.found.mesh
     boundaries, durations = at.found.motion.breaks_s[mesh.boundaries()], _durations(at)
     further = _apart(jumps_of(case, at.found.motion), np.concatenate([[0.0], np.cumsum(durations)]), at.found.motion)
-    nearer = _nearer(case, at) if at.passed else None
-    if nearer is not None:
+    nearer = _nearer(case, at)
+    if at.passed and nearer is not case:
         return _Way(nearer, mesh, durations, "nearer to singular poses")
     settled = gain <= _SETTLED_CHANGE
     if not settled and len(further) and mesh.n_segments + len(further) <= mesh.n_intervals // 3:
@@ -246,11 +247,11 @@ def _next_way(case: MechanismCase, before: CertifiedIterate, at: CertifiedIterat
     return _Way(case, divided(mesh, 1 + rough_of(at.found.motion)), durations, "finer mesh")
 
 
-def _nearer(case: MechanismCase, at: CertifiedIterate) -> MechanismCase | None:
-    """Return a case that comes nearer to singular poses, if the margin that nobody asked for binds; else None."""
+def _nearer(case: MechanismCase, at: CertifiedIterate) -> MechanismCase:
+    """Return a case that comes nearer to singular poses, if the margin that nobody asked for binds; else the same."""
     margin, asked = case.problem.limits.singular_margin, case.asked.limits.singular_margin
-    if margin <= max(asked, LAST_MARGIN) or at.certificate.singularity_ratio > 1.01 * margin:
-        return None
+    if at.certificate is None or margin <= max(asked, LAST_MARGIN) or at.certificate.singularity_ratio > 1.01 * margin:
+        return case
     limits = replace(case.problem.limits, singular_margin=max(asked, LAST_MARGIN))
     return replace(case, problem=replace(case.problem, limits=limits))
 

@@ -1,8 +1,8 @@
 """The search for fast motions of several motors: cheap first solves, the best few refined, every certified motion a bound.
 
 A first solve takes tens of iterations once three things hold: its iterates keep a distance from singular poses, a small
-weight on efforts breaks the ties of joints with time to spare, and the barrier of every other one follows the iterates.
-Several local optima exist, and no start leads to the best of them for certain. Starts are therefore tried until the best
+weight on efforts breaks the ties of joints with time to spare, and the barrier of every other one of a free duration follows
+the iterates. Several local optima exist, and no start leads to the best of them for certain. Starts are therefore tried until the best
 objective was found twice (Boender & Rinnooy Kan, Mathematical Programming 37, 1987, have such stopping rules).
 """
 
@@ -122,7 +122,8 @@ def _first_solutions(search: Search, problem: Problem) -> list[_First]:
         try:
             if not closes(problem, guess):
                 continue
-            one = attempt(_in_time(case, found), guess, mesh, durations, f"start from {what}", adaptive=number % 2 == 0)
+            adaptive = number % 2 == 0 and problem.motion.duration_s is None
+            one = attempt(_in_time(case, found), guess, mesh, durations, f"start from {what}", adaptive=adaptive)
         except OutOfTimeError:
             break
         if one is not None:
