@@ -175,9 +175,9 @@ def _in_brief(blocks: "Sequence[Block]") -> "list[Block]":
     from linkplan.studies.output.text import in_brief
 
     few = in_brief(blocks)
-    if all(short is whole for short, whole in zip(few, blocks, strict=True)):
+    if len(few) == len(blocks) and all(short is whole for short, whole in zip(few, blocks, strict=True)):
         return few
-    return [*few, Text(text="of many rows of a kind the worst is shown; --all prints every row", tone="note")]
+    return [*few, Text(text="this is a summary; --all prints every row", tone="note")]
 
 
 def quiet(arguments: argparse.Namespace) -> None:

@@ -44,7 +44,7 @@ class Facts(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, 
 class Table(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
     """Rows under columns (head, unit); a cell is a number, a word, True or False, or None. `title` may be empty.
 
-    `brief` has the rows of a summary, if they are fewer.
+    `brief` has the rows of a summary, if they are fewer; without any, a summary leaves the table out.
     """
 
     title: str

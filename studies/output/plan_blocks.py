@@ -6,6 +6,7 @@ Figures are printed with the digits that are known of them.
 from collections.abc import Iterable, Iterator, Sequence
 
 import numpy as np
+from msgspec.structs import replace
 
 from linkplan.planner.certificate.certificate import Certificate, integration_rtol
 from linkplan.planner.plan import Plan, not_honoured
@@ -21,6 +22,10 @@ _TITLES = {
     "undecided": "Undecided: these are neither proved nor refuted",
     "proved": "Proved at every instant, for the model and the polynomials of the plan",
 }
+
+
+# The tables of a proof that a summary of a plan has too.
+_OPEN_TITLES = (_TITLES["refuted"], _TITLES["undecided"])
 
 
 def known_digits(plan: Plan) -> int:
@@ -80,19 +85,29 @@ def plan_blocks(plan: Plan) -> list[Block]:
     notes = notes_of([*plan.problem.notes, *not_honoured(plan)], names)
     if plan.trajectory is None or certificate is None:
         return [*blocks, *notes]
-    blocks += [_facts(plan), *([solves(plan)] if len(plan.history) > 1 else [])]
+    blocks += [_facts(plan), *([replace(solves(plan), brief=[])] if len(plan.history) > 1 else [])]
     if certificate.integration_restarts:
         text = (
             "the motion is unstable: a small error grows more than ten thousandfold along it, so that only feedback can"
             f" follow it; the integration was restarted {certificate.integration_restarts} time(s)"
         )
         blocks.append(Text(text=text))
-    title = f"certificate: {'passed' if certificate.passed else 'NOT passed'}"
     rows = [*_error_rows(plan), *_margin_rows(plan, certificate)]
-    margins = [-value if label.startswith("largest ") else value for label, value, _ in rows]
-    brief = brief_rows(rows, margins, [unit for *_, unit in rows], names)
-    table = table_of(title, ["between the nodes", "worst", "unit"], rows, brief=brief)
-    return [*blocks, table, *proof_blocks(plan.proof, names), *notes]
+    table = table_of("Certificate", ["between the nodes", "worst", "unit"], rows, brief=[])
+    proof = [
+        replace(block, brief=[]) if isinstance(block, Table) and block.title not in _OPEN_TITLES else block
+        for block in proof_blocks(plan.proof, names)
+    ]
+    return [*blocks, _verdict(plan, certificate), table, *proof, *notes]
+
+
+def _verdict(plan: Plan, certificate: Certificate) -> Text:
+    """Return the certificate's verdict, with the excess of efforts and the errors of the integrated motion."""
+    errors = " and ".join(f"{value} {unit}" for _, value, unit in _integration_rows(plan))
+    excess = f"{figure(certificate.effort_excess, 2)} {_effort_units(plan)}"
+    verdict = "passed" if certificate.passed else "NOT passed"
+    text = f"certificate: {verdict}; efforts {excess} over their limits, end state {errors} off"
+    return Text(text=text, tone="plain" if certificate.passed else "bad")
 
 
 def names_in(plan: Plan) -> list[str]:
@@ -108,8 +123,8 @@ def _facts(plan: Plan) -> Facts:
     first, efforts = rows[:split], rows[split:]
     peaks = zip(plan.certificate.peak_effort, plan.problem.limits.effort, strict=True)
     margins = [(-peak / (max(-low, high) or np.inf), -peak) for peak, (low, high) in peaks]
-    brief = brief_rows(efforts, margins, [a.unit for a in actuators], names_in(plan))
-    return Facts(rows=rows, brief=None if brief is None else [*first, *(tuple(row) for row in brief)])
+    brief, least = brief_rows(efforts, margins, [a.unit for a in actuators], names_in(plan)), least_margin(plan)
+    return Facts(rows=[*rows, least], brief=None if brief is None else [*first, *(tuple(row) for row in brief), least])
 
 
 def facts(plan: Plan) -> list[tuple[str, str]]:
@@ -152,20 +167,25 @@ def solves(plan: Plan) -> Table:
 
 def _error_rows(plan: Plan) -> list[list]:
     """Return the rows of the certificate's excess of effort, residuals, gaps and integration errors."""
-    mechanism, certificate = plan.problem.mechanism, plan.certificate
-    units = " or ".join(dict.fromkeys(actuator.unit for actuator in mechanism.actuators))
-    kinds = {joint.kind for joint in mechanism.independent_joints}
-    errors = {"hinge": (certificate.integration_error_deg, "deg"), "slide": (certificate.integration_error_m, "m")}
+    certificate, units = plan.certificate, _effort_units(plan)
     return [
         ["effort beyond its limit, any instant", figure(certificate.effort_excess, 2), units],
         ["inverse dynamics minus planned effort", figure(certificate.dynamics_residual, 2), units],
         *(["closure gap", figure(gap, 2), unit] for unit, gap in (certificate.closure_gaps or {"m": 0.0}).items()),
-        *(
-            [f"state after integration at {integration_rtol(plan.problem):.0e}", figure(error, 2), unit]
-            for kind, (error, unit) in errors.items()
-            if kind in kinds
-        ),
+        *_integration_rows(plan),
     ]
+
+
+def _effort_units(plan: Plan) -> str:
+    return " or ".join(dict.fromkeys(actuator.unit for actuator in plan.problem.mechanism.actuators))
+
+
+def _integration_rows(plan: Plan) -> list[list]:
+    """Return the rows of the errors of the integrated motion: of hinges, and of slides."""
+    certificate, kinds = plan.certificate, {joint.kind for joint in plan.problem.mechanism.independent_joints}
+    errors = {"hinge": (certificate.integration_error_deg, "deg"), "slide": (certificate.integration_error_m, "m")}
+    what = f"state after integration at {integration_rtol(plan.problem):.0e}"
+    return [[what, figure(error, 2), unit] for kind, (error, unit) in errors.items() if kind in kinds]
 
 
 def joint_margins(plan: Plan) -> Iterator[tuple[str, str, int, tuple[float, float], float]]:
@@ -178,6 +198,25 @@ def joint_margins(plan: Plan) -> Iterator[tuple[str, str, int, tuple[float, floa
         for k, (joint, (low, high)) in enumerate(zip(plan.problem.mechanism.joints, bounds, strict=True)):
             if np.isfinite(margins[k]):
                 yield f"{what} of {joint.name}", per, k, (low, high), float(margins[k])
+
+
+def least_margin(plan: Plan) -> tuple[str, str]:
+    """Return the margin that is least as a share of its limit, efforts apart, with its place and instant."""
+    share, words, at = min(_margins(plan), default=(None, "no other limit", ""))
+    return "least margin besides efforts", words + ("" if share is None else f" ({100 * share:.3g} %)") + at
+
+
+def _margins(plan: Plan) -> Iterator[tuple[float, str, str]]:
+    """Yield every margin as a share of its limit or range, in words, and the words on its instant."""
+    joints, certificate = plan.problem.mechanism.joints, plan.certificate
+    for title, per, k, (low, high), margin in joint_margins(plan):
+        whole = high - low if np.isfinite(high - low) else max(abs(x) for x in (low, high) if np.isfinite(x))
+        when = certificate.worst_time_s.get(title)
+        words = f"{joints[k].shown(margin):.4g} {joints[k].unit}{per} to the {title}"
+        yield margin / (whole or 1.0), words, "" if when is None else f", at {when:.4g} s"
+    for one in certificate.margins:
+        words = f"{one.left:.4g} {one.unit}".rstrip() + f" to the limit on {one.title}"
+        yield one.left / (abs(one.limit) or abs(one.value) or 1.0), words, f", at {one.time_s:.4g} s"
 
 
 def _margin_rows(plan: Plan, certificate: Certificate) -> list[list]:

@@ -95,7 +95,7 @@ def in_brief(blocks: Iterable[Block]) -> list[Block]:
         if not isinstance(block, Text | Facts | Table) or block.brief is None:
             found.append(block)
         elif not isinstance(block, Text):
-            found.append(replace(block, rows=block.brief, brief=None))
+            found += [replace(block, rows=block.brief, brief=None)] if block.brief else []
         elif block.brief:
             found.append(replace(block, text=block.brief, brief=None))
     return found

@@ -90,3 +90,12 @@ def test_a_command_prints_the_worst_of_many_and_every_one_with_all(command, labe
     assert "--all" not in whole
     assert all(f"\n{label.format(k)}" in whole for k in range(CARTS))
     assert not any(f"\n{label.format(k)}" in brief.replace(of_m2, "") for k in range(CARTS))
+
+
+def test_a_plan_is_said_in_ten_lines_of_eighty_letters(capsys):
+    assert main(["plan", "knee-reach"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) < 10  # where it is saved is one more line
+    assert max(map(len, lines)) <= 80
+    said = ["knee-reach: optimal", "duration", "objective", "effort act_O", "least margin", "certificate: passed", "proof"]
+    assert all(any(line.startswith(words) for line in lines) for words in said)
