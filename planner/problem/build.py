@@ -9,8 +9,9 @@ The builders `Problem.reach`, `hold`, `periodic` and `track` first write their a
 
 import copy
 import functools
+import inspect
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
@@ -48,6 +49,8 @@ _SECTIONS = ("reference", "limits", "motors", "guess", "mesh", "solver", "tracki
 _MOTION = tuple(key for key in KEYS["motion"] if key != "kind")
 _MECHANISM = tuple(key for key in KEYS["mechanism"] if key != "model")
 _EXTRAS = ("extra_costs", "extra_limits")
+# The arguments of builders.
+ARGUMENTS = ("mechanism", *_MOTION, "minimize", *_SECTIONS, "reserve", *_EXTRAS, "name", *_MECHANISM)
 
 
 def problem_arguments(
@@ -214,12 +217,21 @@ def _tracking(section: dict, mechanism: Mechanism | None) -> Tracking:
     return found
 
 
-def refuse_unknown_arguments(said: Mapping[str, object]) -> None:
-    """Refuse names that are no arguments of `replace`."""
-    legal = ("mechanism", *_MECHANISM, *_MOTION, "minimize", *_SECTIONS, "reserve", *_EXTRAS, "name")
+def with_arguments(builder: Callable) -> Callable:
+    """Return a builder that help and editors show with every argument of a problem by name."""
+    own = [one for one in inspect.signature(builder).parameters.values() if one.kind is not one.VAR_KEYWORD]
+    named = [name for name in ARGUMENTS if name not in [one.name for one in own]]
+    every = [*own, *(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None) for name in named)]
+    builder.__signature__ = inspect.Signature(every, return_annotation="Problem")
+    return builder
+
+
+def refuse_unknown_arguments(said: Mapping[str, object], builder: str) -> None:
+    """Refuse names that are no arguments of a builder."""
     for key in said:
-        if key not in legal:
-            raise ProblemError(f"unknown argument '{key}' of replace{nearest(key, legal)}; arguments are {', '.join(legal)}")
+        if key not in ARGUMENTS:
+            hint = nearest(key, ARGUMENTS)
+            raise ProblemError(f"unknown argument '{key}' of {builder}{hint}; arguments are {', '.join(ARGUMENTS)}")
 
 
 def fill(tables: Tables, said: Mapping[str, object]) -> None:

@@ -268,6 +268,7 @@ def test_a_builder_refuses_in_the_words_in_which_a_file_is_refused(knee, kind, a
         (lambda: linkplan.load_mechanism("<mujoco><worldbody>"), ModelError, "does not parse"),
         (lambda: linkplan.Problem.reach("optimus-knee", **REACH, name=""), ProblemError, "name is a word"),
         (lambda: linkplan.Problem.reach(None, **REACH), ProblemError, "mechanism.model"),
+        (lambda: linkplan.Problem.hold("optimus-knee", goal=1), ProblemError, "unknown argument 'goal' of hold"),
         (lambda: linkplan.Problem.from_file("knee-reech"), ProblemError, "did you mean 'knee-reach'"),
         (lambda: linkplan.Problem.from_file("knee-reach", {"duration_s": 1}), ProblemError, "section.key=value"),
         (lambda: linkplan.Problem.from_file("knee-reach", {"motion.kind.of": 1}), ProblemError, "a value, not a table"),
