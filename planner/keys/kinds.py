@@ -4,7 +4,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args
 
-from msgspec import Meta, Struct
+from msgspec import Meta
 
 from linkplan.models.catalogue import PAYLOADS
 from linkplan.planner.transcription.scheme_names import EFFORTS, MAX_DEGREE, NAMES
@@ -230,8 +230,6 @@ Refine = Literal["both", "intervals", "degree"]
 Compile = Literal["auto", "always", "never"]
 Axis = Literal["x", "y", "z"]
 Term = Literal["effort", "time", "tracking", "work", "copper_loss", "effort_rate", "closure_force"]
-# The value of a key that is left out and has no single default. No type admits it, so no file can contain it.
-ABSENT: Any = None
 
 if TYPE_CHECKING:
     Scheme = PayloadName = EffortForm = str
@@ -314,26 +312,3 @@ Efforts = Annotated[dict[str, Interval], Meta(extra=_ACTUATORS | {"of": "actuato
 ActuatorLimits = Annotated[dict[str, Positive | Interval], Meta(extra=_ACTUATORS)]
 ClosureLimits = Annotated[dict[str, Positive], Meta(extra={"of": "closure = newtons", "noun": "closure"})]
 Places = Annotated[dict[str, Place], Meta(extra={"of": "site = [x, y, z] in metres", "noun": "site"})]
-
-
-def key(meaning: str, unit: str = "", default: str = "", example: str = "", needs: str = "") -> Meta:
-    """Return a key's description.
-
-    Args:
-        meaning: a phrase.
-        unit: of its value.
-        default: a phrase for its default, if that is no single value.
-        example: such a key's value as TOML, with placeholders in braces for a mechanism's names: {hinge}, {actuator}, ...
-        needs: what a mechanism must have for the key, in addition to the placeholders: "closure", "fully_driven".
-    """
-    sentence = f"{meaning[0].upper()}{meaning[1:]}" + (f" [{unit}]" if unit else "") + "."
-    shown = {"x-unit": unit} if unit else {}
-    return Meta(
-        description=f"{sentence} Default: {default}." if default else sentence,
-        extra={"meaning": meaning, "unit": unit, "default": default, "example": example, "needs": needs},
-        extra_json_schema=shown,
-    )
-
-
-class Section(Struct, frozen=True, forbid_unknown_fields=True):
-    """A table of known keys."""

@@ -28,9 +28,9 @@ from linkplan.planner.keys.kinds import (
     AtLeastZero,
     Number,
     Positive,
-    Section,
 )
 from linkplan.planner.keys.reading import checked, read
+from linkplan.planner.keys.section import Section
 from linkplan.planner.keys.sections import MeshSection, SolverSection, TrackingSection
 from linkplan.planner.transcription.schemes import scheme
 
