@@ -7,9 +7,9 @@ A key of hinges in degrees (`by_joint`) declares its twin of slides in metres, r
 
 import functools
 from dataclasses import dataclass, replace
-from typing import Annotated, Any
+from typing import Annotated, Any, Self
 
-from msgspec import NODEFAULT, Meta, Struct
+from msgspec import NODEFAULT, Meta, Struct, structs
 
 from linkplan.planner.keys import kinds
 
@@ -86,3 +86,7 @@ class _Declared(type(Struct)):
 
 class Section(Struct, metaclass=_Declared, frozen=True, forbid_unknown_fields=True):
     """A table of known keys."""
+
+    def replace(self, **changes: object) -> Self:
+        """Return the section with new values, checked as its first ones."""
+        return structs.replace(self, **changes)

@@ -210,7 +210,7 @@ def _tracking(section: dict, mechanism: Mechanism | None) -> Tracking:
     found = Tracking(**section)
     if mechanism is not None:
         if "period_s" not in section:
-            found = replace(found, period_s=max(DEFAULT_PERIOD_S, float(mechanism.model.opt.timestep)))
+            found = found.replace(period_s=max(DEFAULT_PERIOD_S, float(mechanism.model.opt.timestep)))
         # Both refuse joints without a value, and values of unknown joints.
         found.gains(mechanism.independent_joints)
         found.lqr_errors(mechanism.independent_joints)
