@@ -1,6 +1,7 @@
 """The sections [motion], [reference], [limits], [motors] and [robust] of a problem file, with the tables in them."""
 
-from typing import Annotated, Any
+import math
+from typing import Annotated, Any, Self
 
 from msgspec import Meta
 
@@ -155,7 +156,7 @@ class LimitsSection(Section, frozen=True):
     )
 
 
-class MotorSection(Section, frozen=True):
+class Motor(Section, frozen=True):
     """The motor behind an actuator, in the actuator's own effort and speed."""
 
     torque_constant: kinds.Positive = key(
@@ -167,9 +168,31 @@ class MotorSection(Section, frozen=True):
         "of an actuator that turns", "deg/s", "unknown", twin=(("that turns", "whose effort is a force"),)
     )
 
+    @property
+    def no_load_speed(self) -> float | None:
+        """The no-load speed [rad/s or m/s]."""
+        turning = self.no_load_speed_deg_s
+        return self.no_load_speed_m_s if turning is None else math.radians(turning)
+
+    @property
+    def line(self) -> tuple[float, float] | None:
+        """The stall effort and no-load speed of the line |u / stall + w / no_load| <= 1, w the actuator's speed."""
+        return None if self.stall_effort is None or self.no_load_speed is None else (self.stall_effort, self.no_load_speed)
+
+    @property
+    def loss(self) -> float:
+        """Copper loss per squared effort, R / k^2; 0 where unknown."""
+        k, R = self.torque_constant, self.resistance_ohm
+        return 0.0 if k is None or R is None else R / k**2
+
+    def with_line(self, factor: float) -> Self:
+        """Return the motor with its line multiplied by a factor; without one if that is infinite."""
+        given = {name: getattr(self, name) for name in ("stall_effort", "no_load_speed_deg_s", "no_load_speed_m_s")}
+        return self.replace(**{name: end and end * factor if math.isfinite(factor) else None for name, end in given.items()})
+
 
 _TOGETHER = {"torque_constant": ["resistance_ohm"], "resistance_ohm": ["torque_constant"]}
-MotorTable = Annotated[MotorSection, Meta(extra_json_schema={"dependentRequired": _TOGETHER})]
+MotorTable = Annotated[Motor, Meta(extra_json_schema={"dependentRequired": _TOGETHER})]
 
 
 class RobustSection(Section, frozen=True):
