@@ -46,11 +46,11 @@ from linkplan.planner.problem.settings import (
 
 # Arguments that are whole tables of a problem file, those that are keys of a table, and those that no file holds.
 _SECTIONS = ("reference", "limits", "motors", "guess", "mesh", "solver", "tracking", "robust", "imperfections")
-_MOTION = tuple(key for key in KEYS["motion"] if key != "kind")
+_TABLES = {key: "motion" for key in KEYS["motion"] if key != "kind"} | {"minimize": "objective", "reserve": "limits"}
 _MECHANISM = tuple(key for key in KEYS["mechanism"] if key != "model")
 _EXTRAS = ("extra_costs", "extra_limits")
 # The arguments of builders.
-ARGUMENTS = ("mechanism", *_MOTION, "minimize", *_SECTIONS, "reserve", *_EXTRAS, "name", *_MECHANISM)
+ARGUMENTS = ("mechanism", *_TABLES, *_SECTIONS, *_EXTRAS, "name", *_MECHANISM)
 
 
 def problem_arguments(
@@ -236,15 +236,12 @@ def refuse_unknown_arguments(said: Mapping[str, object], builder: str) -> None:
 
 def fill(tables: Tables, said: Mapping[str, object]) -> None:
     """Set arguments in a file's tables; None removes what was set before."""
-    tables["motion"] = _updated(tables["motion"], {key: value for key, value in said.items() if key in _MOTION})
-    if "minimize" in said:
-        tables["objective"] = _updated(tables.get("objective", {}), {"minimize": said["minimize"]})
-    sections = {key: value for key, value in said.items() if key in _SECTIONS}
-    kept = _updated(tables, sections)
-    if "reserve" in said:
-        kept["limits"] = _updated(kept.get("limits", {}), {"reserve": said["reserve"]})
-    tables.clear()
-    tables.update(kept)
+    for name in sorted(said, key=lambda name: name not in _SECTIONS):  # whole tables before keys in them
+        if name in _SECTIONS or name in _TABLES:
+            table = tables if name in _SECTIONS else tables.setdefault(_TABLES[name], {})
+            table.pop(name, None)
+            if said[name] is not None:
+                table[name] = plain(said[name])
 
 
 def apply_settings(tables: Tables, settings: object) -> None:
@@ -262,8 +259,9 @@ def asked_mechanism(said: Mapping[str, object], default: Mechanism | None = None
         found = default
     if not isinstance(found, Mechanism):
         found = mechanism_from_tables({"mechanism": {"model": plain(found)}})
-    asked = {key: value for key, value in said.items() if key in _MECHANISM}
-    return mechanism_from_tables({"mechanism": _updated(found.source, asked)}) if asked else found
+    asked = {key: plain(value) for key, value in said.items() if key in _MECHANISM}
+    table = {key: value for key, value in (found.source | asked).items() if value is not None}
+    return mechanism_from_tables({"mechanism": table}) if asked else found
 
 
 def given_extras(said: Mapping[str, object]) -> dict:
@@ -276,12 +274,6 @@ def checked_name(name: object) -> str:
     if not isinstance(name, str) or not name.strip() or not name.isprintable() or len(name) > 500:
         raise ProblemError(f"a problem's name is a word of at most 500 characters that can be shown, got {name!r}")
     return name
-
-
-def _updated(table: Mapping, said: Mapping[str, object]) -> dict:
-    """Return a table with new values, without the keys whose new value is None."""
-    found = {key: value for key, value in table.items() if key not in said}
-    return found | {key: plain(value) for key, value in said.items() if value is not None}
 
 
 def file_text(tables: Tables, extras: Sequence[Extra]) -> str:

@@ -10,9 +10,10 @@ independent.
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import PurePath
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
 from msgspec.structs import force_setattr
 
 from linkplan.models.deadline import NO_DEADLINE, Deadline
@@ -77,10 +78,8 @@ def whole(value: object, key: str, low: int, high: int) -> int:
     Raises:
         ProblemError: naming the key, when it is anything else.
     """
-    value = plain(value)
-    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise ProblemError(f"{key} is a whole number from {low} to {high}, got {value!r}")
-    return value
+    kind: Any = Annotated[int, Meta(ge=low, le=high)]
+    return read(kind, plain(value), key)
 
 
 def plain(value: Any) -> Any:
