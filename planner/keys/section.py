@@ -32,6 +32,7 @@ class _Key:
         needs: what a mechanism must have for the key, in addition to the placeholders: "closure", "fully_driven".
         default: its value if it is left out.
         twin: phrases that differ for slides, as pairs; None without a twin.
+        kind: of its values, if the section does not say; `twin_kind` likewise.
     """
 
     meaning: str
@@ -41,6 +42,8 @@ class _Key:
     needs: str = ""
     default: Any = ABSENT
     twin: tuple[tuple[str, str], ...] | None = None
+    kind: Any = None
+    twin_kind: Any = None
 
     def of(self, kind: Any) -> Any:
         """Return the kind of its values with the description."""
@@ -48,14 +51,14 @@ class _Key:
         described = f"{sentence} Default: {self.otherwise}." if self.otherwise else sentence
         words = {name: getattr(self, name) for name in ("meaning", "unit", "otherwise", "example", "needs")}
         shown = {"x-unit": self.unit} if self.unit else {}
-        return Annotated[kind, Meta(description=described, extra=words, extra_json_schema=shown)]
+        return Annotated[self.kind or kind, Meta(description=described, extra=words, extra_json_schema=shown)]
 
     def of_slides(self) -> "_Key":
         """Return its twin."""
-        words = {name: getattr(self, name) for name in ("meaning", "otherwise", "example")}
+        words = {name: getattr(self, name) for name in ("meaning", "otherwise", "example", "needs")}
         for hinges, slides in (*(self.twin or ()), *_WORDS):
             words = {name: text.replace(hinges, slides) for name, text in words.items()}
-        return replace(self, unit=self.unit.replace("deg", "m"), **words)
+        return replace(self, unit=self.unit.replace("deg", "m"), kind=self.twin_kind, **words)
 
 
 key: Any = _Key

@@ -4,13 +4,13 @@ The reader, the JSON Schema and the table of keys are derived from them. Angles 
 in metres with `_m`; all else is SI.
 """
 
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 from msgspec import Meta
 
 from linkplan.models.catalogue import MODELS
 from linkplan.planner.keys import kinds
-from linkplan.planner.keys.kinds import FORMS, QUANTITIES, WORDS, Quantity, spread_schema
+from linkplan.planner.keys.imperfections import ImperfectionsSection
 from linkplan.planner.keys.motion_and_limits import LimitsSection, MotionSection, MotorTable, ReferenceSection, RobustSection
 from linkplan.planner.keys.section import Section, by_joint, by_name, key, required
 
@@ -189,30 +189,6 @@ class TrackingSection(Section, frozen=True):
         "lqi: time in which a position error's integral gains the weight of the error", "s", default=0.05
     )
     horizon_s: kinds.Positive = key("mpc: the horizon over which efforts keep their limits", "s", default=0.1)
-
-
-def _spread(quantity: Quantity) -> Any:
-    forms = f"{FORMS}, or a table of these by name" if quantity.of else FORMS
-    return Annotated[Any, Meta(extra={"said": forms}, extra_json_schema=spread_schema(quantity))]
-
-
-# The need of a quantity, by the kind of object that it belongs to.
-_NEEDS = {"hinge": "free_hinge", "slide": "free_slide", "actuator": "actuator", "body": "body"}
-
-
-def _quantity_key(one: Quantity) -> Any:
-    unit = "" if one.unit == "1" else one.unit
-    return key(one.meaning, unit, one.otherwise, one.example, _NEEDS.get(one.of, ""))
-
-
-class ImperfectionsSection(Section, frozen=True):
-    """Imperfections of simulated machines, as a value or a distribution for each quantity."""
-
-    if not TYPE_CHECKING:  # its keys are defined with their ranges
-        _name = Annotated[str, Meta(min_length=1, extra={"said": "a name"})]
-        __annotations__ = {name: _spread(one) for name, one in QUANTITIES.items()} | dict.fromkeys(WORDS, _name)
-        locals().update({name: _quantity_key(one) for name, one in QUANTITIES.items()})
-        locals().update({name: key(meaning, "", "none", example) for name, (meaning, example) in WORDS.items()})
 
 
 class ProblemFile(Section, frozen=True, kw_only=True):

@@ -8,6 +8,7 @@ from msgspec import Meta
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.keys import kinds
+from linkplan.planner.keys.imperfections import QUANTITIES
 from linkplan.planner.keys.key_table import _choices, _range, key_table
 from linkplan.planner.keys.motion_and_limits import MotionSection
 from linkplan.planner.keys.reading import checked, read
@@ -109,7 +110,7 @@ def test_a_motion_has_at_most_a_thousand_waypoints():
 
 
 def test_quantities_of_slides_and_of_rates_are_within_a_billion_of_their_unit():
-    bounds = {name: (one.low, one.high) for name, one in kinds.QUANTITIES.items()}
+    bounds = {name: (one.low, one.high) for name, one in QUANTITIES.items()}
     assert bounds["encoder_offset_m"] == (-BILLION, BILLION)
     assert bounds["encoder_offset_deg"] == (-360.0, 360.0)
     assert bounds["encoder_resolution_m"] == (0.0, BILLION)
