@@ -3,7 +3,7 @@
 import math
 from typing import Annotated, Any, Self
 
-from msgspec import Meta
+from msgspec import Meta, field
 
 from linkplan.planner.keys import kinds
 from linkplan.planner.keys.section import Section, by_joint, by_name, key, required
@@ -195,14 +195,22 @@ _TOGETHER = {"torque_constant": ["resistance_ohm"], "resistance_ohm": ["torque_c
 MotorTable = Annotated[Motor, Meta(extra_json_schema={"dependentRequired": _TOGETHER})]
 
 
+_ONE = field(default_factory=lambda: [1.0, 1.0])
+
+
 class RobustSection(Section, frozen=True):
     """Ranges of machines, at every corner of which one motion keeps all effort limits."""
 
     payload_factor: kinds.Interval = key(
-        "[low, high] of the factor on the payload's mass and inertia", "", "[1, 1]", "[0.8, 1.2]", "fully_driven"
+        "[low, high] of the factor on the payload's mass and inertia", "", "[1, 1]", "[0.8, 1.2]", "fully_driven", _ONE
     )
     torque_constant_factor: kinds.Interval = key(
-        "[low, high] of the ratio of an actuator's actual to commanded effort", "", "[1, 1]", "[0.95, 1.05]", "fully_driven"
+        "[low, high] of the ratio of an actuator's actual to commanded effort",
+        "",
+        "[1, 1]",
+        "[0.95, 1.05]",
+        "fully_driven",
+        _ONE,
     )
     viscous_friction: kinds.Ranges = by_name(
         "[low, high] of a joint's damping, added to the model's",

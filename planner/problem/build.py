@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 
 from linkplan.models.audit import audit
 from linkplan.models.catalogue import MODELS
@@ -29,7 +30,8 @@ from linkplan.planner.keys.reading import KEYS, read, refuse_unknown_keys
 from linkplan.planner.keys.sections import MechanismSection, MotionSection, ProblemFile
 from linkplan.planner.problem.extra import Extra, ExtraCost, extras_text
 from linkplan.planner.problem.imperfections import imperfections_of
-from linkplan.planner.problem.limits import actuator_index, closure_index, limits_of, motors_of, robust_of
+from linkplan.planner.problem.instant import Robust
+from linkplan.planner.problem.limits import actuator_index, closure_index, limits_of, motors_of
 from linkplan.planner.problem.motion import motion_of
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.reference import Sine, guess_of, guess_place, sine_of
@@ -87,7 +89,7 @@ def problem_arguments(
         "motion": motion_of(asked.motion, mechanism, reference, limits),
         "objective": objective,
         "limits": limits,
-        "robust": robust_of(asked.robust, mechanism),
+        "robust": Robust(**structs.asdict(asked.robust)),
         "motors": motors_of(asked.motors, mechanism),
         "reference": reference,
         "guess": guess_of(asked.guess, mechanism, place),

@@ -6,8 +6,7 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.keys.motion_and_limits import LimitsSection, Motor, RobustSection
-from linkplan.planner.problem.instant import Range, Robust
+from linkplan.planner.keys.motion_and_limits import LimitsSection, Motor
 from linkplan.planner.problem.settings import DERIVED, frozen, interval, joint_values
 from linkplan.planner.problem.sites import SiteLimit, site_limits_of
 
@@ -93,24 +92,6 @@ def limits_of(section: LimitsSection, mechanism: Mechanism) -> Limits:
         closure_force=forces,
         singular_margin=section.singular_margin,
         site=site_limits_of(section.site, mechanism),
-    )
-
-
-def robust_of(section: RobustSection, mechanism: Mechanism) -> Robust:
-    """Return the ranges of a [robust] table."""
-
-    def friction(table: dict[str, list[float]], where: str) -> dict[int, Range]:
-        joints = {name: mechanism.joint_index(name, ProblemError) for name in table}
-        return {index: interval(table[name], f"{where}.{name}", point=True) for name, index in joints.items()}
-
-    def factor(value: object, where: str) -> Range:
-        return interval(value, where, point=True) if isinstance(value, list) else (1.0, 1.0)
-
-    return Robust(
-        payload_factor=factor(section.payload_factor, "robust.payload_factor"),
-        torque_factor=factor(section.torque_constant_factor, "robust.torque_constant_factor"),
-        viscous=friction(section.viscous_friction, "robust.viscous_friction"),
-        coulomb=friction(section.coulomb_friction, "robust.coulomb_friction"),
     )
 
 

@@ -131,12 +131,15 @@ def _robust(problem: Problem, j: int) -> list[Kind]:
     if mechanism.n_u < mechanism.dof:
         return []
     payload = {} if mechanism.payload is None else {"payload_factor": (1.0, 1.3)}
-    driven = mechanism.independent[0]
+    driven = mechanism.independent_joints[0].name
     robust = Robust(
-        torque_factor=(0.9, 1.0), viscous={int(driven): (0.0, 0.01)}, coulomb={int(driven): (0.0, 0.02)}, **payload
+        torque_constant_factor=(0.9, 1.0),
+        viscous_friction={driven: (0.0, 0.01)},
+        coulomb_friction={driven: (0.0, 0.02)},
+        **payload,
     )
     corner = len(robust.corners) // 3
-    words = robust.corners[corner].description(tuple(joint.name for joint in mechanism.joints))
+    words = robust.corners[corner].description
 
     def limited(problem: Problem, low: float, high: float) -> Problem:
         return replace(_rows("effort", j)(problem, low, high), robust=robust)
