@@ -64,11 +64,11 @@ def number(value: object, key: str, *, positive: bool = False, at_least_zero: bo
     return read(kind, plain(value), key)
 
 
-def interval(value: list[float], key: str, *, point: bool = False) -> tuple[float, float]:
-    """Return [low, high] with low < high, or low <= high for a `point`; ends may be infinite."""
+def interval(value: list[float], key: str) -> tuple[float, float]:
+    """Return [low, high] with low < high; ends may be infinite."""
     low, high = (end if np.isinf(end) else number(end, key) for end in value)
-    if not (low < high or (point and low == high)):
-        raise ProblemError(f"{key} is [low, high] with low {'<=' if point else '<'} high, got [{low:g}, {high:g}]")
+    if not low < high:
+        raise ProblemError(f"{key} is [low, high] with low < high, got [{low:g}, {high:g}]")
     return low, high
 
 
