@@ -106,7 +106,7 @@ class MechanismCase:
 
     def with_scheme(self, name: str) -> "MechanismCase":
         """Return the case with another transcription."""
-        return replace(self, problem=replace(self.problem, mesh=replace(self.problem.mesh, scheme=name)))
+        return replace(self, problem=replace(self.problem, mesh=self.problem.mesh.replace(scheme=name)))
 
 
 def case_of(problem: Problem, *, kinks: bool = True, enclosed: bool = False) -> MechanismCase:

@@ -10,9 +10,10 @@ from typing import Any, Literal, Union, get_args, get_origin
 
 import msgspec
 
-from linkplan.planner.keys.kinds import MAX_NUMBER, Section
+from linkplan.planner.keys.kinds import MAX_NUMBER
 from linkplan.planner.keys.motion_and_limits import SITE_LIMITS
 from linkplan.planner.keys.refusals import range_words, without_metadata, words
+from linkplan.planner.keys.section import Section
 from linkplan.planner.keys.sections import BatchFile, ProblemFile
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
@@ -66,7 +67,7 @@ def _rows(kind: type[Section], section: str) -> Iterator[Key]:
             unit=about["unit"],
             required=field.required,
             default=value if single else None,
-            default_words="" if field.required else about["default"] or _shown(value),
+            default_words="" if field.required else about["otherwise"] or _shown(value),
             doc=about["meaning"],
             example=about["example"],
             needs=about["needs"],

@@ -174,13 +174,7 @@ class MotorLimit(Limit):
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        def of(end: float) -> float | None:
-            return end * factor if np.isfinite(factor) else None
-
-        wider = tuple(
-            m if m is None or m.line is None else replace(m, stall_effort=of(m.line[0]), no_load_speed=of(m.line[1]))
-            for m in problem.motors
-        )
+        wider = tuple(one if one is None or one.line is None else one.with_line(factor) for one in problem.motors)
         return replace(problem, motors=wider)
 
 

@@ -187,11 +187,10 @@ class RobustLimit(Limit):
         return problem.robust.room * problem.limits.effort[self.actuator]
 
     def _name(self, problem: Problem) -> str:
-        joints = tuple(joint.name for joint in problem.mechanism.joints)
-        return f"{problem.mechanism.actuators[self.actuator].name} with {self.corners[self.corner].description(joints)}"
+        return f"{problem.mechanism.actuators[self.actuator].name} with {self.corners[self.corner].description}"
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
         if not np.isfinite(factor):
             return replace(problem, robust=Robust())
-        return replace(problem, robust=replace(problem.robust, room=factor * problem.robust.room))
+        return replace(problem, robust=problem.robust.replace(room=factor * problem.robust.room))

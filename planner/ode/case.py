@@ -134,4 +134,4 @@ class OdeCase:
 
     def with_scheme(self, name: str) -> "OdeCase":
         """Return the case with another transcription."""
-        return replace(self, problem=replace(self.problem, mesh=replace(self.problem.mesh, scheme=name)))
+        return replace(self, problem=replace(self.problem, mesh=self.problem.mesh.replace(scheme=name)))

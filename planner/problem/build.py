@@ -9,13 +9,15 @@ The builders `Problem.reach`, `hold`, `periodic` and `track` first write their a
 
 import copy
 import functools
+import inspect
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from msgspec import structs
 
 from linkplan.models.audit import audit
 from linkplan.models.catalogue import MODELS
@@ -28,7 +30,8 @@ from linkplan.planner.keys.reading import KEYS, read, refuse_unknown_keys
 from linkplan.planner.keys.sections import MechanismSection, MotionSection, ProblemFile
 from linkplan.planner.problem.extra import Extra, ExtraCost, extras_text
 from linkplan.planner.problem.imperfections import imperfections_of
-from linkplan.planner.problem.limits import actuator_index, closure_index, limits_of, motors_of, robust_of
+from linkplan.planner.problem.instant import Robust
+from linkplan.planner.problem.limits import actuator_index, closure_index, limits_of, motors_of
 from linkplan.planner.problem.motion import motion_of
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.reference import Sine, guess_of, guess_place, sine_of
@@ -45,9 +48,11 @@ from linkplan.planner.problem.settings import (
 
 # Arguments that are whole tables of a problem file, those that are keys of a table, and those that no file holds.
 _SECTIONS = ("reference", "limits", "motors", "guess", "mesh", "solver", "tracking", "robust", "imperfections")
-_MOTION = tuple(key for key in KEYS["motion"] if key != "kind")
+_TABLES = {key: "motion" for key in KEYS["motion"] if key != "kind"} | {"minimize": "objective", "reserve": "limits"}
 _MECHANISM = tuple(key for key in KEYS["mechanism"] if key != "model")
 _EXTRAS = ("extra_costs", "extra_limits")
+# The arguments of builders.
+ARGUMENTS = ("mechanism", *_TABLES, *_SECTIONS, *_EXTRAS, "name", *_MECHANISM)
 
 
 def problem_arguments(
@@ -84,7 +89,7 @@ def problem_arguments(
         "motion": motion_of(asked.motion, mechanism, reference, limits),
         "objective": objective,
         "limits": limits,
-        "robust": robust_of(asked.robust, mechanism),
+        "robust": Robust(**structs.asdict(asked.robust)),
         "motors": motors_of(asked.motors, mechanism),
         "reference": reference,
         "guess": guess_of(asked.guess, mechanism, place),
@@ -207,32 +212,38 @@ def _tracking(section: dict, mechanism: Mechanism | None) -> Tracking:
     found = Tracking(**section)
     if mechanism is not None:
         if "period_s" not in section:
-            found = replace(found, period_s=max(DEFAULT_PERIOD_S, float(mechanism.model.opt.timestep)))
+            found = found.replace(period_s=max(DEFAULT_PERIOD_S, float(mechanism.model.opt.timestep)))
         # Both refuse joints without a value, and values of unknown joints.
         found.gains(mechanism.independent_joints)
         found.lqr_errors(mechanism.independent_joints)
     return found
 
 
-def refuse_unknown_arguments(said: Mapping[str, object]) -> None:
-    """Refuse names that are no arguments of `replace`."""
-    legal = ("mechanism", *_MECHANISM, *_MOTION, "minimize", *_SECTIONS, "reserve", *_EXTRAS, "name")
+def with_arguments(builder: Callable) -> Callable:
+    """Return a builder that help and editors show with every argument of a problem by name."""
+    own = [one for one in inspect.signature(builder).parameters.values() if one.kind is not one.VAR_KEYWORD]
+    named = [name for name in ARGUMENTS if name not in [one.name for one in own]]
+    every = [*own, *(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None) for name in named)]
+    builder.__signature__ = inspect.Signature(every, return_annotation="Problem")
+    return builder
+
+
+def refuse_unknown_arguments(said: Mapping[str, object], builder: str) -> None:
+    """Refuse names that are no arguments of a builder."""
     for key in said:
-        if key not in legal:
-            raise ProblemError(f"unknown argument '{key}' of replace{nearest(key, legal)}; arguments are {', '.join(legal)}")
+        if key not in ARGUMENTS:
+            hint = nearest(key, ARGUMENTS)
+            raise ProblemError(f"unknown argument '{key}' of {builder}{hint}; arguments are {', '.join(ARGUMENTS)}")
 
 
 def fill(tables: Tables, said: Mapping[str, object]) -> None:
     """Set arguments in a file's tables; None removes what was set before."""
-    tables["motion"] = _updated(tables["motion"], {key: value for key, value in said.items() if key in _MOTION})
-    if "minimize" in said:
-        tables["objective"] = _updated(tables.get("objective", {}), {"minimize": said["minimize"]})
-    sections = {key: value for key, value in said.items() if key in _SECTIONS}
-    kept = _updated(tables, sections)
-    if "reserve" in said:
-        kept["limits"] = _updated(kept.get("limits", {}), {"reserve": said["reserve"]})
-    tables.clear()
-    tables.update(kept)
+    for name in sorted(said, key=lambda name: name not in _SECTIONS):  # whole tables before keys in them
+        if name in _SECTIONS or name in _TABLES:
+            table = tables if name in _SECTIONS else tables.setdefault(_TABLES[name], {})
+            table.pop(name, None)
+            if said[name] is not None:
+                table[name] = plain(said[name])
 
 
 def apply_settings(tables: Tables, settings: object) -> None:
@@ -250,8 +261,9 @@ def asked_mechanism(said: Mapping[str, object], default: Mechanism | None = None
         found = default
     if not isinstance(found, Mechanism):
         found = mechanism_from_tables({"mechanism": {"model": plain(found)}})
-    asked = {key: value for key, value in said.items() if key in _MECHANISM}
-    return mechanism_from_tables({"mechanism": _updated(found.source, asked)}) if asked else found
+    asked = {key: plain(value) for key, value in said.items() if key in _MECHANISM}
+    table = {key: value for key, value in (found.source | asked).items() if value is not None}
+    return mechanism_from_tables({"mechanism": table}) if asked else found
 
 
 def given_extras(said: Mapping[str, object]) -> dict:
@@ -264,12 +276,6 @@ def checked_name(name: object) -> str:
     if not isinstance(name, str) or not name.strip() or not name.isprintable() or len(name) > 500:
         raise ProblemError(f"a problem's name is a word of at most 500 characters that can be shown, got {name!r}")
     return name
-
-
-def _updated(table: Mapping, said: Mapping[str, object]) -> dict:
-    """Return a table with new values, without the keys whose new value is None."""
-    found = {key: value for key, value in table.items() if key not in said}
-    return found | {key: plain(value) for key, value in said.items() if value is not None}
 
 
 def file_text(tables: Tables, extras: Sequence[Extra]) -> str:

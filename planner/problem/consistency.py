@@ -15,8 +15,9 @@ from linkplan.models.poses.assembly import close_at, continue_to, follow, step_s
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.reach import Reach, reach
 from linkplan.planner.keys.kinds import MAX_INTERVALS
+from linkplan.planner.keys.motion_and_limits import Motor
 from linkplan.planner.problem.instant import Robust, corner_out_of_reach
-from linkplan.planner.problem.limits import Limits, Motor
+from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.objective import Objective
 from linkplan.planner.problem.reference import GuessedPath, Sine
@@ -266,8 +267,10 @@ def check_periods(motion: Motion, reference: Sine | None, mesh: MeshSettings) ->
 
 def check_robust(robust: Robust, mechanism: Mechanism) -> None:
     """Refuse ranges that do not apply to this mechanism."""
+    for joint in (*robust.viscous_friction, *robust.coulomb_friction):
+        mechanism.joint_index(joint, ProblemError)
     driven = int(np.linalg.matrix_rank(np.array(mechanism.dynamics.effort_map(mechanism.home)))) if robust.corners else 0
-    if robust.payload_factor != (1.0, 1.0) and mechanism.payload is None:
+    if tuple(robust.payload_factor) != (1.0, 1.0) and mechanism.payload is None:
         raise ProblemError("robust.payload_factor needs a mechanism.payload; there is none")
     if robust.corners and driven < mechanism.dof:
         _check_robust_of_driven(robust, mechanism, driven)
@@ -280,10 +283,9 @@ def _check_robust_of_driven(robust: Robust, mechanism: Mechanism, driven: int) -
         raise ProblemError(f"[robust] takes actuators that move every degree of freedom, or each its own; {moved}")
     lost = corner_out_of_reach(mechanism, robust.corners)
     if lost is not None:
-        corner = lost.description(tuple(joint.name for joint in mechanism.joints))
         raise ProblemError(
             f"[robust] keeps one motion for every machine in its ranges; {moved}, and the others move differently at the"
-            f" corner: {corner}; legal are ranges that actuators"
+            f" corner: {lost.description}; legal are ranges that actuators"
             " compensate: the torque constant, friction at driven joints"
         )
 

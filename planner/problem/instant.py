@@ -24,10 +24,10 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.tree.joints import unit_steps
+from linkplan.planner.keys.motion_and_limits import RobustSection
 
 # More corners would give too many rows at every node.
 MAX_CORNERS = 64
-Range = tuple[float, float]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -36,42 +36,33 @@ class Corner:
 
     payload_factor: float = 1.0
     torque_factor: float = 1.0
-    friction: tuple[tuple[int, float, float], ...] = ()
+    friction: tuple[tuple[str, float, float], ...] = ()
 
-    def description(self, joints: tuple[str, ...]) -> str:
-        """Return a phrase that describes the corner."""
+    @property
+    def description(self) -> str:
+        """A phrase that describes the corner."""
         words = []
         if self.payload_factor != 1:
             words.append(f"payload {self.payload_factor:g}")
         if self.torque_factor != 1:
             words.append(f"torque constant {self.torque_factor:g}")
-        for joint, viscous, coulomb in self.friction:
-            words.append(f"{joints[joint]} rubbing {viscous:g} v {coulomb:+g}")
+        words += [f"{joint} rubbing {viscous:g} v {coulomb:+g}" for joint, viscous, coulomb in self.friction]
         return ", ".join(words) or "as modelled"
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Robust:
-    """Ranges [low, high]: factors on payload and torque constant; viscous and Coulomb friction by joint index.
+class Robust(RobustSection, frozen=True, eq=False):
+    """The [robust] of a problem."""
 
-    Friction is [N.m.s/rad or N.s/m] and [N.m or N].
-    """
-
-    payload_factor: Range = (1.0, 1.0)
-    torque_factor: Range = (1.0, 1.0)
-    viscous: Mapping[int, Range] = field(default_factory=dict)
-    coulomb: Mapping[int, Range] = field(default_factory=dict)
     room: float = 1.0  # a factor on effort limits at the corners, which a diagnosis increases
 
     def __post_init__(self) -> None:
-        for name in ("payload_factor", "torque_factor"):
-            low, high = getattr(self, name)
-            if not 0 < low <= high < np.inf:
-                raise ProblemError(f"robust.{name} is [low, high] of positive factors, got [{low:g}, {high:g}]")
-        for name in ("viscous", "coulomb"):
-            for low, high in getattr(self, name).values():
-                if not 0 <= low <= high < np.inf:
-                    raise ProblemError(f"robust.{name} is [low, high] from zero on, got [{low:g}, {high:g}]")
+        factors = {name: getattr(self, name) for name in ("payload_factor", "torque_constant_factor")}
+        tables = {name: getattr(self, name) for name in ("viscous_friction", "coulomb_friction")}
+        frictions = {f"{name}.{joint}": ends for name, table in tables.items() for joint, ends in table.items()}
+        for name, (low, high) in (factors | frictions).items():
+            if not (low > 0 if name in factors else low >= 0) or not low <= high < np.inf:
+                legal = "of positive factors" if name in factors else "from zero on"
+                raise ProblemError(f"robust.{name} is [low, high] {legal} with low <= high, got [{low:g}, {high:g}]")
         if len(self.corners) > MAX_CORNERS:
             raise ProblemError(f"[robust] has {len(self.corners)} corners; at most {MAX_CORNERS} are kept")
 
@@ -79,12 +70,13 @@ class Robust:
     def corners(self) -> tuple[Corner, ...]:
         """All corners except the nominal machine, whose efforts are the plan's own."""
         choices = []
-        for joint in sorted({*self.viscous, *self.coulomb}):
-            most = self.coulomb.get(joint, (0.0, 0.0))[1]  # of either sign
+        for joint in sorted({*self.viscous_friction, *self.coulomb_friction}):
+            most = self.coulomb_friction.get(joint, (0.0, 0.0))[1]  # of either sign
             signs = sorted({-most, most})
-            choices.append([(joint, d, c) for d in sorted({*self.viscous.get(joint, (0.0, 0.0))}) for c in signs])
-        rubbing = itertools.product(*choices)
-        found = itertools.product(sorted({*self.payload_factor}), sorted({*self.torque_factor}), rubbing)
+            viscous = sorted({*self.viscous_friction.get(joint, (0.0, 0.0))})
+            choices.append([(joint, d, c) for d in viscous for c in signs])
+        factors = (sorted({*self.payload_factor}), sorted({*self.torque_constant_factor}))
+        found = itertools.product(*factors, itertools.product(*choices))
         corners = (Corner(payload_factor=p, torque_factor=k, friction=tuple(one)) for p, k, one in found)
         return tuple(one for one in corners if (one.payload_factor, one.torque_factor) != (1.0, 1.0) or _rubs(one))
 
@@ -108,7 +100,8 @@ def _needed(at: "Instant", corners: Sequence[Corner]) -> list[ca.SX]:
                 scaled = ca.vertcat(factor * at.payload[0], at.payload[1:4], factor * at.payload[4:7])
                 modelled[factor] = at.mechanism.parametric_dynamics().inverse_dynamics(at.q, at.v, at.a, scaled)
         tau = modelled[factor]
-        for joint, viscous, coulomb in corner.friction:
+        for name, viscous, coulomb in corner.friction:
+            joint = at.mechanism.joint_index(name)
             tau = tau + gamma[joint, :].T * (viscous * rates[joint] + coulomb)
         found.append(tau)
     return found

@@ -6,8 +6,7 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.keys.motion_and_limits import LimitsSection, MotorSection, RobustSection
-from linkplan.planner.problem.instant import Range, Robust
+from linkplan.planner.keys.motion_and_limits import LimitsSection, Motor
 from linkplan.planner.problem.settings import DERIVED, frozen, interval, joint_values
 from linkplan.planner.problem.sites import SiteLimit, site_limits_of
 
@@ -15,31 +14,6 @@ from linkplan.planner.problem.sites import SiteLimit, site_limits_of
 def free_bounds(n: int) -> np.ndarray:
     """Return infinite [low, high] rows (n, 2)."""
     return np.tile([-np.inf, np.inf], (n, 1))
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Motor:
-    """An electric motor behind an actuator, in the actuator's own effort and speed.
-
-    `torque_constant` [N.m/A or N/A] and `resistance` [ohm] give the copper loss R (u / k)^2; `stall_effort` [N.m or N] and
-    `no_load_speed` [rad/s or m/s] give the line |u / stall + w / no_load| <= 1 with the actuator's speed w. None if unknown.
-    """
-
-    torque_constant: float | None = None
-    resistance: float | None = None
-    stall_effort: float | None = None
-    no_load_speed: float | None = None
-
-    @property
-    def line(self) -> tuple[float, float] | None:
-        """The stall effort and the no-load speed of its torque-speed line; None if unknown."""
-        return None if self.stall_effort is None or self.no_load_speed is None else (self.stall_effort, self.no_load_speed)
-
-    @property
-    def loss(self) -> float:
-        """Copper loss per squared effort, R / k^2; 0 where unknown."""
-        k, R = self.torque_constant, self.resistance
-        return 0.0 if k is None or R is None else R / k**2
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -121,24 +95,6 @@ def limits_of(section: LimitsSection, mechanism: Mechanism) -> Limits:
     )
 
 
-def robust_of(section: RobustSection, mechanism: Mechanism) -> Robust:
-    """Return the ranges of a [robust] table."""
-
-    def friction(table: dict[str, list[float]], where: str) -> dict[int, Range]:
-        joints = {name: mechanism.joint_index(name, ProblemError) for name in table}
-        return {index: interval(table[name], f"{where}.{name}", point=True) for name, index in joints.items()}
-
-    def factor(value: object, where: str) -> Range:
-        return interval(value, where, point=True) if isinstance(value, list) else (1.0, 1.0)
-
-    return Robust(
-        payload_factor=factor(section.payload_factor, "robust.payload_factor"),
-        torque_factor=factor(section.torque_constant_factor, "robust.torque_constant_factor"),
-        viscous=friction(section.viscous_friction, "robust.viscous_friction"),
-        coulomb=friction(section.coulomb_friction, "robust.coulomb_friction"),
-    )
-
-
 def actuator_index(mechanism: Mechanism, name: str, where: str) -> int:
     """Return the index of a named actuator.
 
@@ -179,7 +135,7 @@ def _actuator_rows(table: dict[str, float | list[float]], where: str, mechanism:
     return rows
 
 
-def motors_of(section: dict[str, MotorSection], mechanism: Mechanism) -> tuple[Motor | None, ...]:
+def motors_of(section: dict[str, Motor], mechanism: Mechanism) -> tuple[Motor | None, ...]:
     """Return the motor of each actuator; None if the [motors] table does not name it."""
     motors: list[Motor | None] = [None] * mechanism.n_u
     for name, motor in section.items():
@@ -190,14 +146,8 @@ def motors_of(section: dict[str, MotorSection], mechanism: Mechanism) -> tuple[M
             right, wrong = wrong, right
         if getattr(motor, wrong) is not None:
             raise ProblemError(f"actuator '{name}' gives {unit}; use {where}.{right}, not {wrong}")
-        speed = getattr(motor, right)
         for one, other in (("torque_constant", "resistance_ohm"), ("stall_effort", right)):
             if (getattr(motor, one) is None) != (getattr(motor, other) is None):
                 raise ProblemError(f"{where}.{one} and {where}.{other} go together, got one of them alone")
-        motors[index] = Motor(
-            torque_constant=motor.torque_constant,
-            resistance=motor.resistance_ohm,
-            stall_effort=motor.stall_effort,
-            no_load_speed=None if speed is None else speed if unit == "N" else float(np.radians(speed)),
-        )
+        motors[index] = motor
     return tuple(motors)

@@ -12,9 +12,9 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError, nearest
 from linkplan.planner.keys.kinds import Term as TermName
+from linkplan.planner.keys.motion_and_limits import Motor
 from linkplan.planner.problem.extra import ExtraCost, checked_extras, expressed
 from linkplan.planner.problem.instant import Instant, Scales
-from linkplan.planner.problem.limits import Motor
 
 Motors = Sequence[Motor | None]
 

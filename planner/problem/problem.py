@@ -6,6 +6,7 @@ import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -13,18 +14,17 @@ from linkplan.models.audit import audit
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import Tables, apply_override, read_tables
+from linkplan.planner.keys.motion_and_limits import Motor
 from linkplan.planner.problem import build, consistency
 from linkplan.planner.problem.consistency import start_pose
 from linkplan.planner.problem.extra import Extra, ExtraCost, ExtraLimit, checked_extras, uses
 from linkplan.planner.problem.instant import Robust
-from linkplan.planner.problem.limits import Limits, Motor
+from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.reference import GuessedPath, Sine
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.trajectory import Trajectory
-
-ByName = Mapping[str, float]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
@@ -35,7 +35,8 @@ class Problem:
     builders take the same arguments, in the form of a problem file's tables:
 
     Args:
-        mechanism: from `load_mechanism`, or an argument for it: a built-in name, a path, MJCF text.
+        mechanism: from `load_mechanism`, or an argument for it: a built-in name, a path, MJCF text. The keys of [mechanism]
+            are arguments, too, such as `payload` and `home_deg`.
         start_deg, goal_deg: angles [deg] of the independent hinges by joint name; dependent hinges may be named, too, and
             are checked against the closed loop. `start_m`, `goal_m`: slides' positions [m].
         start_at, goal_at: instead of joints, positions [m] of the model's sites in the world frame, by name:
@@ -94,127 +95,36 @@ class Problem:
     unread_extras: tuple = ()  # records of extra limits and costs of a saved plan, whose files lack the expressions
 
     @classmethod
-    def reach(
-        cls,
-        mechanism: Mechanism | str | Path,
-        *,
-        start_deg: ByName | None = None,
-        goal_deg: ByName | None = None,
-        duration_s: float | str | None = None,
-        minimize: str | ByName | None = None,
-        limits: Mapping | None = None,
-        reserve: float | None = None,
-        waypoints: Sequence[Mapping] | None = None,
-        start_m: ByName | None = None,
-        goal_m: ByName | None = None,
-        start_at: Mapping[str, Sequence[float] | ByName] | None = None,
-        goal_at: Mapping[str, Sequence[float] | ByName] | None = None,
-        start_speed_deg_s: ByName | None = None,
-        goal_speed_deg_s: ByName | None = None,
-        start_speed_m_s: ByName | None = None,
-        goal_speed_m_s: ByName | None = None,
-        min_duration_s: float | None = None,
-        max_duration_s: float | None = None,
-        reference: Mapping | None = None,
-        motors: Mapping[str, Mapping] | None = None,
-        guess: Mapping | None = None,
-        mesh: Mapping | None = None,
-        solver: Mapping | None = None,
-        tracking: Mapping | None = None,
-        robust: Mapping | None = None,
-        imperfections: Mapping | None = None,
-        extra_costs: Sequence[ExtraCost] | None = None,
-        extra_limits: Sequence[ExtraLimit] | None = None,
-        name: str | None = None,
-    ) -> Problem:
+    @build.with_arguments
+    def reach(cls, mechanism: Mechanism | str | Path, **arguments: Any) -> Problem:
         """Return the problem of a motion from a start to a goal; the arguments are those of `Problem`.
 
         Without `duration_s` the duration is free. The default objective is the integral of squared efforts.
         """
-        return cls._built("reach", locals())
+        return cls._built("reach", mechanism, arguments)
 
     @classmethod
-    def hold(
-        cls,
-        mechanism: Mechanism | str | Path,
-        *,
-        start_deg: ByName | None = None,
-        duration_s: float | None = None,
-        minimize: str | ByName | None = None,
-        limits: Mapping | None = None,
-        reserve: float | None = None,
-        start_m: ByName | None = None,
-        start_at: Mapping[str, Sequence[float] | ByName] | None = None,
-        motors: Mapping[str, Mapping] | None = None,
-        solver: Mapping | None = None,
-        tracking: Mapping | None = None,
-        robust: Mapping | None = None,
-        extra_costs: Sequence[ExtraCost] | None = None,
-        extra_limits: Sequence[ExtraLimit] | None = None,
-        name: str | None = None,
-    ) -> Problem:
+    @build.with_arguments
+    def hold(cls, mechanism: Mechanism | str | Path, **arguments: Any) -> Problem:
         """Return the problem of holding a pose at rest by the least efforts; the arguments are those of `Problem`."""
-        return cls._built("hold", locals())
+        return cls._built("hold", mechanism, arguments)
 
     @classmethod
-    def periodic(
-        cls,
-        mechanism: Mechanism | str | Path,
-        *,
-        reference: Mapping | None = None,
-        start_deg: ByName | None = None,
-        goal_deg: ByName | None = None,
-        duration_s: float | str | None = None,
-        minimize: str | ByName | None = None,
-        limits: Mapping | None = None,
-        reserve: float | None = None,
-        waypoints: Sequence[Mapping] | None = None,
-        start_m: ByName | None = None,
-        goal_m: ByName | None = None,
-        start_at: Mapping[str, Sequence[float] | ByName] | None = None,
-        goal_at: Mapping[str, Sequence[float] | ByName] | None = None,
-        min_duration_s: float | None = None,
-        max_duration_s: float | None = None,
-        turns: Mapping[str, int] | None = None,
-        motors: Mapping[str, Mapping] | None = None,
-        guess: Mapping | None = None,
-        mesh: Mapping | None = None,
-        solver: Mapping | None = None,
-        tracking: Mapping | None = None,
-        robust: Mapping | None = None,
-        imperfections: Mapping | None = None,
-        extra_costs: Sequence[ExtraCost] | None = None,
-        extra_limits: Sequence[ExtraLimit] | None = None,
-        name: str | None = None,
-    ) -> Problem:
+    @build.with_arguments
+    def periodic(cls, mechanism: Mechanism | str | Path, **arguments: Any) -> Problem:
         """Return the problem of a motion that returns to its first state; the arguments are those of `Problem`.
 
         The motion goes from `start_deg` to `goal_deg` in half the period and back, or through `waypoints`, or it follows the
         `reference`. With a reference, the duration is that of its period and the default objective is the tracking error.
         With `turns`, hinges turn by whole turns in every period.
         """
-        return cls._built("periodic", locals())
+        return cls._built("periodic", mechanism, arguments)
 
     @classmethod
-    def track(
-        cls,
-        mechanism: Mechanism | str | Path,
-        *,
-        reference: Mapping | None = None,
-        duration_s: float | None = None,
-        limits: Mapping | None = None,
-        reserve: float | None = None,
-        motors: Mapping[str, Mapping] | None = None,
-        mesh: Mapping | None = None,
-        solver: Mapping | None = None,
-        tracking: Mapping | None = None,
-        robust: Mapping | None = None,
-        imperfections: Mapping | None = None,
-        extra_limits: Sequence[ExtraLimit] | None = None,
-        name: str | None = None,
-    ) -> Problem:
+    @build.with_arguments
+    def track(cls, mechanism: Mechanism | str | Path, **arguments: Any) -> Problem:
         """Return the problem of following a reference exactly; the arguments are those of `Problem`."""
-        return cls._built("track", locals())
+        return cls._built("track", mechanism, arguments)
 
     @classmethod
     def from_file(cls, path_or_name: str | Path, settings: Mapping[str, object] | None = None) -> Problem:
@@ -262,12 +172,13 @@ class Problem:
         return cls(name=name, extra_limits=extra_limits, **build.problem_arguments(tables, folder, mechanism, extra_costs))
 
     @classmethod
-    def _built(cls, kind: str, said: Mapping[str, object]) -> Problem:
-        """Return the problem of a builder's arguments, which are among the builder's local variables `said`."""
-        given = {key: value for key, value in said.items() if value is not None}
-        mechanism, tables = build.asked_mechanism(given), {"mechanism": {}, "motion": {"kind": kind}}
+    def _built(cls, kind: str, model: Mechanism | str | Path, arguments: Mapping[str, object]) -> Problem:
+        """Return the problem of a builder's arguments."""
+        build.refuse_unknown_arguments(arguments, kind)
+        given = {key: value for key, value in arguments.items() if value is not None}
+        mechanism = build.asked_mechanism(given | {"mechanism": model})
         name = given.get("name", f"{mechanism.name}-{kind}")
-        return cls._varied(name, tables, mechanism, given, {})
+        return cls._varied(name, {"mechanism": {}, "motion": {"kind": kind}}, mechanism, given, {})
 
     @classmethod
     def _varied(
@@ -332,16 +243,16 @@ class Problem:
         """
         return build.file_text(self.source, self.extras)
 
-    def replace(self, **changes: object) -> Problem:
-        """Return the problem with new values of some of the builders' arguments; None removes an argument.
+    @build.with_arguments
+    def replace(self, **changes: Any) -> Problem:
+        """Return the problem with new values of some of the builders' arguments, or `mechanism`; None removes an argument.
 
-        A table, such as `limits`, is replaced as a whole; `with_settings` changes single values in a table. Further
-        arguments are `payload`, `home_deg`, `home_m` and `independent`, of the mechanism.
+        A table, such as `limits`, is replaced as a whole; `with_settings` changes single values in a table.
 
         Raises:
             LinkplanError: for an unknown argument, or as for the builders.
         """
-        build.refuse_unknown_arguments(changes)
+        build.refuse_unknown_arguments(changes, "replace")
         mechanism = build.asked_mechanism(changes, self.mechanism)
         name = self.name if changes.get("name") is None else changes["name"]
         return self._varied(name, self.to_dict(), mechanism, changes, self._extras())

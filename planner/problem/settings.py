@@ -9,11 +9,12 @@ independent.
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import PurePath
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+from msgspec import Meta
+from msgspec.structs import force_setattr
 
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import ProblemError
@@ -28,11 +29,10 @@ from linkplan.planner.keys.kinds import (
     AtLeastZero,
     Number,
     Positive,
-    Section,
 )
-from linkplan.planner.keys.reading import checked, read
+from linkplan.planner.keys.reading import KEYS, checked, kind_of, read
+from linkplan.planner.keys.section import Section
 from linkplan.planner.keys.sections import MeshSection, SolverSection, TrackingSection
-from linkplan.planner.transcription.schemes import scheme
 
 # The default of a field that __post_init__ sets: readers of the field find its type, and never None.
 DERIVED: Any = None
@@ -64,11 +64,11 @@ def number(value: object, key: str, *, positive: bool = False, at_least_zero: bo
     return read(kind, plain(value), key)
 
 
-def interval(value: list[float], key: str, *, point: bool = False) -> tuple[float, float]:
-    """Return [low, high] with low < high, or low <= high for a `point`; ends may be infinite."""
+def interval(value: list[float], key: str) -> tuple[float, float]:
+    """Return [low, high] with low < high; ends may be infinite."""
     low, high = (end if np.isinf(end) else number(end, key) for end in value)
-    if not (low < high or (point and low == high)):
-        raise ProblemError(f"{key} is [low, high] with low {'<=' if point else '<'} high, got [{low:g}, {high:g}]")
+    if not low < high:
+        raise ProblemError(f"{key} is [low, high] with low < high, got [{low:g}, {high:g}]")
     return low, high
 
 
@@ -78,10 +78,8 @@ def whole(value: object, key: str, low: int, high: int) -> int:
     Raises:
         ProblemError: naming the key, when it is anything else.
     """
-    value = plain(value)
-    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
-        raise ProblemError(f"{key} is a whole number from {low} to {high}, got {value!r}")
-    return value
+    kind: Any = Annotated[int, Meta(ge=low, le=high)]
+    return read(kind, plain(value), key)
 
 
 def plain(value: Any) -> Any:
@@ -154,51 +152,39 @@ def _named(tables: Mapping[str, dict]) -> Iterator[str]:
                 yield from table.get(f"{state}_{unit}", ())
 
 
-# Defaults are those of the sections of problem files.
-_MESH, _SOLVER, _TRACKING = MeshSection(), SolverSection(), TrackingSection()
+def _check(settings: Section, section: str) -> None:
+    """Check settings that Python code makes as the decoder checks a file's section; None is kept if it is the default."""
+    for key in KEYS[section]:
+        value = plain(getattr(settings, key))
+        if value is not None or getattr(kind_of(section)(), key) is not None:
+            force_setattr(settings, key, checked(f"{section}.{key}", value))
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class MeshSettings:
-    """The scheme, the initial number of intervals, and the shape of efforts on an interval."""
+class MeshSettings(MeshSection, frozen=True, eq=False):
+    """The [mesh] of a problem; `breaks` is an array."""
 
-    scheme: str = _MESH.scheme
-    intervals: int = _MESH.intervals
-    effort: str = _MESH.effort  # "constant", "linear" or "polynomial"
-    tolerance_deg: float | None = None  # of the integrated state; None: 1e-6 while the mesh stays small
-    # Refinement of a mesh that is too coarse: "intervals", "degree", or "both", each where it pays.
-    refine: str = _MESH.refine
-    breaks: np.ndarray | None = None  # of the first mesh, from 0 to 1; None: `intervals` equal ones
+    breaks: Any = None
 
     def __post_init__(self) -> None:
-        scheme(self.scheme, self.effort)  # refuses unknown names
         given = plain(self.breaks)
-        _check(self, "mesh", _MESH, ("intervals", "refine", "tolerance_deg", "breaks"))
-        if self.breaks is not None:
+        _check(self, "mesh")
+        if given is not None:
             breaks = frozen(self.breaks)
             if breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) < MIN_INTERVAL_SHARE):
                 raise ProblemError(f"mesh.breaks is {BREAKS}, got {given!r}")
-            _set(self, "breaks", breaks)
+            force_setattr(self, "breaks", breaks)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class SolverSettings:
-    """Settings of the solver: compilation, number of starts, and time limit [s].
+class SolverSettings(SolverSection, frozen=True, eq=False):
+    """The [solver] of a problem, with what its search sets: the number of iterations and the time."""
 
-    `compile` is "auto" (compiled functions if the cache has them or the mesh is large), "always" or "never". The best answer
-    from `starts` motions is kept.
-    """
-
-    compile: str = _SOLVER.compile
-    max_time_s: float = _SOLVER.max_time_s
-    starts: int = _SOLVER.starts
     max_iterations: int | None = None  # None: enough for a hard problem
     deadline: Deadline = NO_DEADLINE  # of all solves; certificates have a later one
 
     def __post_init__(self) -> None:
-        _check(self, "solver", _SOLVER, ("compile", "max_time_s", "starts"))
+        _check(self, "solver")
         if self.max_iterations is not None:
-            _set(self, "max_iterations", whole(self.max_iterations, "solver.max_iterations", 1, 1_000_000))
+            force_setattr(self, "max_iterations", whole(self.max_iterations, "solver.max_iterations", 1, 1_000_000))
 
     @property
     def certificate_deadline(self) -> Deadline:
@@ -212,46 +198,23 @@ class SolverSettings:
 
     def begun(self) -> "SolverSettings":
         """Return these settings with a deadline: `max_time_s` from now, less the certificate's share."""
-        return replace(self, deadline=self.deadline.within((1 - CERTIFICATE_TIME_SHARE) * self.max_time_s))
+        return self.replace(deadline=self.deadline.within((1 - CERTIFICATE_TIME_SHARE) * self.max_time_s))
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Tracking:
-    """Settings of tracking: PD gains per actuated joint, sampling, delay, and LQR weights.
+class Tracking(TrackingSection, frozen=True, eq=False):
+    """The [tracking] of a problem; LQR errors that are None are set for a machine by `with_lqr_errors`."""
 
-    kp [N.m/rad or N/m] and kd [N.m.s/rad or N.s/m] act on the independent joints through their actuators: one number for
-    all, or one for each joint by name. LQR gives equal weight to a position error of `lqr_position_deg`, a velocity error of
-    `lqr_velocity_deg_s` and the whole effort limit; on a slide to `lqr_position_m` [m] and `lqr_velocity_m_s`, again for all
-    or by joint. Those that are None are set for a machine by `with_lqr_errors`. LQI gives the same weight to the integral of
-    that error over `integral_time_s`. Errors under computed torque and gain-scheduled PD have the natural frequency
-    `bandwidth_hz` [Hz] and the damping ratio. MPC has the horizon `horizon_s` [s]. In tracking, the delay is a whole number
-    of control periods; frequency responses allow any delay.
-    """
-
-    kp: float | Mapping[str, float] = _TRACKING.kp
-    kd: float | Mapping[str, float] = _TRACKING.kd
     period_s: float = DEFAULT_PERIOD_S
-    delay_periods: float = _TRACKING.delay_periods
-    duration_s: float | None = None  # of the tracking run; default: the plan and a rest, or eight periods
-    lqr_position_deg: float | Mapping[str, float] | None = None
-    lqr_velocity_deg_s: float | Mapping[str, float] | None = None
-    lqr_position_m: float | Mapping[str, float] | None = None
-    lqr_velocity_m_s: float | Mapping[str, float] | None = None
-    bandwidth_hz: float = _TRACKING.bandwidth_hz
-    damping_ratio: float = _TRACKING.damping_ratio
-    integral_time_s: float = _TRACKING.integral_time_s
-    horizon_s: float = _TRACKING.horizon_s
 
     def __post_init__(self) -> None:
-        _check(self, "tracking", _TRACKING, [key for key in _TRACKING.__struct_fields__ if key != "delay_periods"])
-        delay = plain(self.delay_periods)  # an integer stays an integer
-        checked("tracking.delay_periods", delay)
-        _set(self, "delay_periods", delay)
+        delay = plain(self.delay_periods)
+        _check(self, "tracking")
+        force_setattr(self, "delay_periods", delay)  # an integer stays an integer
 
     def tracked(self) -> "Tracking":
         """Return these settings if they can track a motion: the delay must be a whole number of control periods."""
         delay = whole(self.delay_periods, "tracking.delay_periods", 0, MAX_DELAY)
-        return self if type(self.delay_periods) is int else replace(self, delay_periods=delay)
+        return self if type(self.delay_periods) is int else self.replace(delay_periods=delay)
 
     @property
     def acts(self) -> bool:
@@ -309,7 +272,7 @@ class Tracking:
             near = {name: min(max(position, 0.5 * a * time**2), LQR_ERRORS[1]) for name, a in most.items()}
             slow = {name: min(max(velocity, a * time), LQR_ERRORS[1]) for name, a in most.items()}
             reached |= {f"lqr_position_{unit}": near or position, f"lqr_velocity_{unit}_s": slow or velocity}
-        return replace(self, **{key: _one_if_equal(value) for key, value in reached.items() if getattr(self, key) is None})
+        return self.replace(**{key: _one_if_equal(value) for key, value in reached.items() if getattr(self, key) is None})
 
     def lqr_errors(self, joints: Sequence[Joint]) -> tuple[np.ndarray, np.ndarray]:
         """Return the position and velocity errors (n,) [rad or m, and per second] that have the weight 1.
@@ -329,18 +292,3 @@ def _one_if_equal(value: float | dict[str, float]) -> float | dict[str, float]:
     """Return the common value of a table if all its values are equal, else the table."""
     values = {*value.values()} if isinstance(value, dict) else {value}
     return values.pop() if len(values) == 1 else value
-
-
-def _check(
-    settings: object, section: str, left_out: MeshSection | SolverSection | TrackingSection, keys: Sequence[str]
-) -> None:
-    """Check settings against a file's section and set them; None is kept if the section has no default."""
-    for key in keys:
-        value = plain(getattr(settings, key))
-        if value is not None or getattr(left_out, key) is not None:
-            _set(settings, key, checked(f"{section}.{key}", value))
-
-
-def _set(settings: object, field: str, value: object) -> None:
-    """Set a field of a frozen object during construction."""
-    object.__setattr__(settings, field, value)

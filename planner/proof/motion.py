@@ -197,7 +197,8 @@ class Kinetics:
         if factor not in self._trees:
             self._trees[factor] = dense(walk(state.q, self.rates, self.accelerations)[0], len(state.q))
         forces = list(self._trees[factor])
-        for joint, viscous, coulomb in () if corner is None else corner.friction:
+        for name, viscous, coulomb in () if corner is None else corner.friction:
+            joint = state.blocks.mechanism.joint_index(name)
             forces[joint] = forces[joint] + viscous * self.rates[joint] + coulomb
         return state.reduced(forces)
 

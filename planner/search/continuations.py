@@ -67,7 +67,7 @@ def from_continuation(search: Search, budget: Budget) -> Plan | None:
     at = continued(problem, swung, n_intervals, search.known)
     if at is None:
         return None
-    final = replace(problem, mesh=replace(problem.mesh, scheme=at.scheme), guess=None)
+    final = replace(problem, mesh=problem.mesh.replace(scheme=at.scheme), guess=None)
     if problem.motion.duration_s is None:  # if the motion ends earlier, this bound changes nothing
         final = replace(final, motion=replace(problem.motion, max_duration_s=at.longest_s))
     durations, what = at.shares * at.start.duration_s, "at its full length"
@@ -170,7 +170,7 @@ def _step(problem: Problem, at: Continued, allowed: float) -> Continued | None:
     motion = replace(problem.motion, min_duration_s=least if least is not None and least <= allowed else None)
     motion = replace(motion, duration_s=allowed) if fixed else replace(motion, max_duration_s=allowed)
     # Integration error allowed for the motions on the way [deg].
-    mesh = replace(problem.mesh, tolerance_deg=0.01, scheme=at.scheme, breaks=None)
+    mesh = problem.mesh.replace(tolerance_deg=0.01, scheme=at.scheme, breaks=None)
     case = case_of(replace(problem, motion=motion, mesh=mesh, guess=None))
     start = stretched(at.start, allowed) if fixed else at.start
     durations = at.shares * start.duration_s

@@ -142,7 +142,7 @@ def _solved(way: _Way, coarse: Iterate[Trajectory], rows: bool) -> Iterate[Traje
     start, settings = replace(motion_of(coarse.motion), share_of_effort=1.0), way.case.problem.solver
     another = coarse.solution.transcribed.scheme.name != way.case.problem.mesh.scheme
     most = 2 * _MOST_ITERATIONS if another else _MOST_ITERATIONS
-    few = replace(settings, max_iterations=min(most, settings.max_iterations or most))
+    few = settings.replace(max_iterations=min(most, settings.max_iterations or most))
     case = replace(way.case, problem=replace(way.case.problem, solver=few))
     found: list[Iterate[Trajectory]] = []
     for adaptive in (True, False) if case.asked.motion.duration_s is None else (False, True):
@@ -182,7 +182,7 @@ def _rides_a_range(problem: Problem, at: CertifiedIterate) -> bool:
 def _repaired(kept: _Kept) -> CertifiedIterate:
     """Return a motion that is changed as little as finer meshes ask for, until it is sound, or the last one that passes."""
     at, problem, margin = kept.at, kept.case.problem, kept.case.asked.limits.singular_margin
-    solver = replace(problem.solver, deadline=problem.solver.certificate_deadline)
+    solver = problem.solver.replace(deadline=problem.solver.certificate_deadline)
     # A margin that nobody asked for may be missed by the error of the mesh.
     case = _loosened(kept.case, max(margin, 0.5 * problem.limits.singular_margin))
     case = replace(case, problem=replace(case.problem, solver=solver))

@@ -44,7 +44,7 @@ class Budget:
         fewer = settings.max_iterations
         if self.iterations is not None:
             fewer = min(self.iterations, fewer or self.iterations)
-        return replace(settings, max_iterations=fewer, deadline=settings.deadline.within_share(self.share_of_time))
+        return settings.replace(max_iterations=fewer, deadline=settings.deadline.within_share(self.share_of_time))
 
 
 # Budgets: of a first start, and of what is tried after it. Feasible motions need tens of iterations: no random problem of

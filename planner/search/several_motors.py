@@ -143,7 +143,7 @@ def _in_time(case: MechanismCase, found: list[_First]) -> MechanismCase:
     """Return a case whose solve takes at most three times the iterations of the shortest one that led to a motion."""
     solver = case.problem.solver
     most = min((3 * first.found.solution.iterations for first in found), default=FIRST_ITERATIONS)
-    solver = replace(solver, max_iterations=min(most, solver.max_iterations or most))
+    solver = solver.replace(max_iterations=min(most, solver.max_iterations or most))
     return replace(case, problem=replace(case.problem, solver=solver))
 
 
@@ -170,9 +170,9 @@ def _starts(search: Search, problem: Problem) -> Iterator[tuple[str, Guess]]:
 def _first_case(problem: Problem, start_pose: np.ndarray) -> MechanismCase:
     """Return the case of first solves: at a distance from singular poses, with ties broken, on a coarse mesh."""
     solver = problem.solver
-    mesh = replace(problem.mesh, intervals=max(12, round(0.6 * problem.mesh.intervals)))
+    mesh = problem.mesh.replace(intervals=max(12, round(0.6 * problem.mesh.intervals)))
     compiled = "always" if solver.compile == "auto" else solver.compile
     iterations = min(FIRST_ITERATIONS, solver.max_iterations or FIRST_ITERATIONS)
-    solver = replace(solver, compile=compiled, max_iterations=iterations)
+    solver = solver.replace(compile=compiled, max_iterations=iterations)
     case = at_a_distance(case_of(problem), start_pose)
     return replace(case, problem=replace(case.problem, mesh=mesh, solver=solver), ties=FIRST_TIE_WEIGHT)

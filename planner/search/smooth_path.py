@@ -35,7 +35,7 @@ def along_smooth_path(search: Search) -> Plan | None:
     if asked.motion.kind != "reach" or search.verdicts:
         return None
     # A search that is out of time has this motion at hand, however late the solver's first iteration let it end.
-    problem = replace(asked, solver=replace(asked.solver, deadline=Deadline().within(asked.solver.max_time_s)))
+    problem = replace(asked, solver=asked.solver.replace(deadline=Deadline().within(asked.solver.max_time_s)))
     try:
         if not _is_carried(problem, search):
             return None

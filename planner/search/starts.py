@@ -353,7 +353,7 @@ def shortest_motion(search: Search) -> Plan | None:
 def _in_least_time(problem: Problem) -> Problem:
     """Return the problem of least time. Efforts constant over intervals, as least work has them, would be late."""
     motion = replace(problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
-    mesh = replace(problem.mesh, effort="polynomial")
+    mesh = problem.mesh.replace(effort="polynomial")
     return replace(problem, objective="time", motion=motion, mesh=mesh, guess=None)
 
 

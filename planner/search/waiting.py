@@ -84,7 +84,7 @@ def _a_little_longer(search: Search, budget: Budget, quick: Plan) -> Plan | None
     duration = min(1.05 * motion.duration_s, asked or np.inf)
     problem = search.within(budget)
     # In the transcription that the least-time motion's certificate passed with.
-    mesh = replace(problem.mesh, scheme=quick.solved.scheme.name, refine="intervals")
+    mesh = problem.mesh.replace(scheme=quick.solved.scheme.name, refine="intervals")
     problem = replace(problem, guess=None, mesh=mesh, motion=replace(problem.motion, duration_s=duration))
     start, mesh = stretched(motion_of(motion), duration), quick.solved.program.mesh
     lengths = np.bincount(mesh.segment, weights=np.diff(motion.breaks_s))

@@ -4,7 +4,7 @@ import contextlib
 import io
 import threading
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import casadi as ca
@@ -248,7 +248,7 @@ def solve(
     settings = settings or SolverSettings()
     first = _patience(transcribed, settings)
     if first is not None:
-        few = replace(settings, max_iterations=first)
+        few = settings.replace(max_iterations=first)
         solution = _solved(transcribed, few, warm=warm, close=close, adaptive=adaptive)
         if solution.status != OUT_OF_ITERATIONS:
             return solution
@@ -256,7 +256,7 @@ def solve(
     solution = _solved(transcribed, settings, warm=warm, close=close, adaptive=adaptive)
     if solution.status != OUT_OF_ITERATIONS or adaptive:
         return solution
-    fewer = replace(settings, max_iterations=min(_ITERATIONS_AGAIN, settings.max_iterations or _ITERATIONS_AGAIN))
+    fewer = settings.replace(max_iterations=min(_ITERATIONS_AGAIN, settings.max_iterations or _ITERATIONS_AGAIN))
     again = _solved(transcribed, fewer, warm=warm, close=close, adaptive=True)
     return again if again.converged else solution
 

@@ -176,7 +176,7 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     trajectory, tracking = plan.trajectory, problem.tracking
     ends = not trajectory.periodic
     if tracking.duration_s is None and ends:
-        tracking = replace(tracking, duration_s=1.25 * trajectory.duration_s)  # so that errors can settle
+        tracking = tracking.replace(duration_s=1.25 * trajectory.duration_s)  # so that errors can settle
     reference = tracking_reference(replace(plan, problem=replace(problem, tracking=tracking)))
     loop = ControlLoop(
         effort_limit=np.array(problem.limits.actuators_effort), delay_periods=int(problem.tracking.delay_periods)

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 
-from linkplan.planner.keys.kinds import QUANTITIES
+from linkplan.planner.keys.imperfections import QUANTITIES
 from linkplan.planner.problem.imperfections import Factor
 from linkplan.studies.compare.compare import Comparison
 from linkplan.studies.compare.tracking_sections import whole_comparison

@@ -165,9 +165,9 @@ def _over_the_motion(plan: Plan) -> Plan:
     settings, duration = lqr_settings(plan, run), trajectory.duration_s
     if trajectory.periodic:
         period = settings.period_s if run.cycle is not None else duration / round(duration / settings.period_s)
-        settings = replace(settings, period_s=period, duration_s=duration)
+        settings = settings.replace(period_s=period, duration_s=duration)
     elif settings.duration_s is not None and settings.duration_s < duration:
-        settings = replace(settings, duration_s=duration)
+        settings = settings.replace(duration_s=duration)
     return replace(plan, problem=replace(plan.problem, tracking=settings))
 
 

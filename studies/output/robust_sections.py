@@ -27,7 +27,7 @@ def robust_section(plan: Plan, motion: Motion, group: str, period: float | None)
 
 def _facts(plan: Plan) -> list[tuple[str, str]]:
     problem, robust = plan.problem, plan.problem.robust
-    joints = problem.mechanism.joints
+    joints = {joint.name: joint for joint in problem.mechanism.joints}
     rows = []
     if problem.limits.reserve:
         rows.append(("left to feedback", f"{100 * problem.limits.reserve:.3g} % of every effort limit"))
@@ -36,24 +36,23 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
         ):
             said = f"{low:.5g} to {high:.5g} {actuator.unit}, of {least:.5g} to {most:.5g}"
             rows.append((f"what the plan may use of {actuator.name}", said))
-    for name, (low, high) in (("payload", robust.payload_factor), ("torque constant", robust.torque_factor)):
+    for name, (low, high) in (("payload", robust.payload_factor), ("torque constant", robust.torque_constant_factor)):
         if low != high or low != 1:
             rows.append((f"factor on the {name}", f"{low:g} to {high:g}"))
     friction = (
-        ("viscous friction", robust.viscous, ("N.m.s/rad", "N.s/m")),
-        ("dry friction", robust.coulomb, ("N.m", "N")),
+        ("viscous friction", robust.viscous_friction, ("N.m.s/rad", "N.s/m")),
+        ("dry friction", robust.coulomb_friction, ("N.m", "N")),
     )
     for name, ranges, (turning, sliding) in friction:
-        for index, (low, high) in ranges.items():
-            unit = turning if joints[index].kind == "hinge" else sliding
-            rows.append((f"{name} at {joints[index].name}", f"{low:g} to {high:g} {unit}"))
+        for joint, (low, high) in ranges.items():
+            unit = turning if joints[joint].kind == "hinge" else sliding
+            rows.append((f"{name} at {joint}", f"{low:g} to {high:g} {unit}"))
     return rows
 
 
 def _table(plan: Plan) -> Table:
     """Return the table of corners, each with its effort nearest to a limit, from the certificate."""
     problem, n_u = plan.problem, plan.problem.mechanism.n_u
-    joints = tuple(joint.name for joint in problem.mechanism.joints)
     rows = []
     for item, corner in enumerate(problem.robust.corners):
         of_it = [one for one in plan.certificate.margins if one.what == "robust" and one.item // n_u == item]
@@ -62,7 +61,7 @@ def _table(plan: Plan) -> Table:
             places = 4 - math.floor(math.log10(abs(worst.limit) or 1.0))  # five digits of the limit
             figures = [round(x, places) + 0.0 for x in (worst.value, worst.limit, worst.left)]
             at = float(f"{worst.time_s:.5g}")
-            rows.append([corner.description(joints), worst.kept, actuator.name, *figures, actuator.unit, at])
+            rows.append([corner.description, worst.kept, actuator.name, *figures, actuator.unit, at])
     heads = [(head, "") for head in ("machine", "kept", "nearest to its limit", "effort", "limit", "left", "unit")]
     return Table(title="Corners of the ranges, each certified between the nodes", columns=[*heads, ("at", "s")], rows=rows)
 
@@ -70,7 +69,6 @@ def _table(plan: Plan) -> Table:
 def _efforts(plan: Plan, motion: Motion, group: str, period: float | None) -> list[Plot]:
     """Return the plots of the effort that every corner and the model need of each actuator."""
     problem, mechanism = plan.problem, plan.problem.mechanism
-    joints = tuple(joint.name for joint in mechanism.joints)
     corners = problem.robust.corners
     efforts = corner_efforts_along(mechanism, corners, motion.pose, motion.velocity, motion.acceleration, motion.effort)
     found = []
@@ -79,7 +77,7 @@ def _efforts(plan: Plan, motion: Motion, group: str, period: float | None) -> li
         needed, unit = motion.effort[:, j], actuator.unit
         modelled = Line(name="as modelled", values=needed, unit=unit, limits=bounds, colour=None, width=2.4)
         lines = [
-            Line(name=corner.description(joints), values=np.asarray(efforts[:, item, j]), unit=unit, limits=bounds)
+            Line(name=corner.description, values=np.asarray(efforts[:, item, j]), unit=unit, limits=bounds)
             for item, corner in enumerate(corners)
         ]
         title = f"What each machine needs of {actuator.name} for the motion"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -133,7 +133,7 @@ def loop_of(
         number(
             value, key if given.get(key) is not None else f"tracking.{key}", positive=key == "period_s", at_least_zero=True
         )
-    settings = replace(settings, **asked)
+    settings = settings.replace(**asked)
     if not settings.acts:
         raise ProblemError("kp and kd are both 0: there is no feedback")
     limit = mechanism.effort_limit if problem is None else problem.limits.actuators_effort

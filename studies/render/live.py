@@ -45,8 +45,7 @@ def with_gains(tracking: Tracking, kp_factor: float, kd_factor: float) -> Tracki
 
     if kp_factor == kd_factor == 1.0:
         return tracking
-    return replace(
-        tracking,
+    return tracking.replace(
         kp=times(tracking.kp, kp_factor),
         kd=times(tracking.kd, kd_factor),
         lqr_position_deg=times(tracking.lqr_position_deg, 1 / kp_factor),

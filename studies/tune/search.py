@@ -38,7 +38,7 @@ def found_gains(points: Sequence[OperatingPoint], wanted: Wanted, law: SampledLa
     if len(channels) == 1:
         return _refined(points, wanted, law, channels, say)
     zeros = {joint.name: 0.0 for joint in joints}  # spins have no gains
-    first = replace(law, settings=replace(law.settings, kp=zeros, kd=zeros))
+    first = replace(law, settings=law.settings.replace(kp=zeros, kd=zeros))
     best = evaluated(points, wanted, _refined(points, wanted, first, channels, say))
     law = best.law
     for number in range(MAX_ROUNDS):
@@ -122,8 +122,8 @@ def _settings(
     kp = {name: own * omega**2 for name, own in zip(names, inertia, strict=True)}
     kd = {name: 2 * damping * own * omega for name, own in zip(names, inertia, strict=True)}
     if isinstance(settings.kp, Mapping) and isinstance(settings.kd, Mapping):
-        return replace(settings, kp={**settings.kp, **kp}, kd={**settings.kd, **kd})
-    return replace(settings, kp=kp[names[0]], kd=kd[names[0]])
+        return settings.replace(kp={**settings.kp, **kp}, kd={**settings.kd, **kd})
+    return settings.replace(kp=kp[names[0]], kd=kd[names[0]])
 
 
 def _with_weights(points, settings: Tracking, channel: int, inertia: float, omega: float, damping: float) -> Tracking:
@@ -135,7 +135,7 @@ def _with_weights(points, settings: Tracking, channel: int, inertia: float, omeg
     limit = _effort_weight(points, channel)
     extra = max(kd**2 - 2 * inertia * kp, (1e-4 * kd) ** 2)
     position, velocity = (float(np.clip(joint.shown(x), *LQR_ERRORS)) for x in (limit / kp, limit / np.sqrt(extra)))
-    return replace(settings, **{f"lqr_position_{joint.unit}": position, f"lqr_velocity_{joint.unit}_s": velocity})
+    return settings.replace(**{f"lqr_position_{joint.unit}": position, f"lqr_velocity_{joint.unit}_s": velocity})
 
 
 def _effort_weight(points: Sequence[OperatingPoint], channel: int) -> float:

@@ -123,7 +123,7 @@ def test_builders_take_reserve_ranges_and_imperfections():
     problem = linkplan.Problem.reach("optimus-knee", limits={"effort": {"act_O": [-50, 50]}}, **asked, **more)
     assert problem.limits.reserve == 0.2
     assert problem.limits.effort[0].tolist() == pytest.approx([-40.0, 40.0])
-    assert problem.robust.torque_factor == (0.9, 1.1)
+    assert problem.robust.torque_constant_factor == [0.9, 1.1]
     assert problem.to_dict()["imperfections"] == {"delay_periods": [0.5, 2.0]}
     assert problem.replace(reserve=None).limits.reserve == 0.0
     for key, wrong in (("reserve", 2.0), ("robust", {"payload": 1}), ("imperfections", {"delay": 1})):

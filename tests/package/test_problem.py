@@ -11,6 +11,7 @@ import linkplan
 from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError
 from linkplan.planner.files.tables import BUILT_IN
+from linkplan.planner.keys.section import Section
 from linkplan.planner.problem.problem import Problem
 
 REACH = {"start_deg": {"O": -49.07}, "goal_deg": {"O": 56.27}, "duration_s": 0.2}
@@ -25,8 +26,9 @@ def knee():
 
 def differences(one, other, where="problem"):
     """Return where two problems, or what they are made of, are not the same; their sources and models left to others."""
-    if is_dataclass(one) and type(one) is type(other):
-        names = [f.name for f in fields(one) if f.name not in ("mechanism", "name")]
+    if (is_dataclass(one) or isinstance(one, Section)) and type(one) is type(other):
+        every = one.__struct_fields__ if isinstance(one, Section) else [field.name for field in fields(one)]
+        names = [name for name in every if name not in ("mechanism", "name")]
         return [d for name in names for d in differences(getattr(one, name), getattr(other, name), f"{where}.{name}")]
     if isinstance(one, tuple) and isinstance(other, tuple) and len(one) == len(other):
         pairs = enumerate(zip(one, other, strict=True))
@@ -268,6 +270,7 @@ def test_a_builder_refuses_in_the_words_in_which_a_file_is_refused(knee, kind, a
         (lambda: linkplan.load_mechanism("<mujoco><worldbody>"), ModelError, "does not parse"),
         (lambda: linkplan.Problem.reach("optimus-knee", **REACH, name=""), ProblemError, "name is a word"),
         (lambda: linkplan.Problem.reach(None, **REACH), ProblemError, "mechanism.model"),
+        (lambda: linkplan.Problem.hold("optimus-knee", goal=1), ProblemError, "unknown argument 'goal' of hold"),
         (lambda: linkplan.Problem.from_file("knee-reech"), ProblemError, "did you mean 'knee-reach'"),
         (lambda: linkplan.Problem.from_file("knee-reach", {"duration_s": 1}), ProblemError, "section.key=value"),
         (lambda: linkplan.Problem.from_file("knee-reach", {"motion.kind.of": 1}), ProblemError, "a value, not a table"),

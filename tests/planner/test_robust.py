@@ -50,7 +50,7 @@ def test_least_time_over_a_range_of_payloads_is_that_of_the_heaviest():
 def test_a_corner_s_efforts_are_the_inverse_dynamics_of_its_own_machine():
     plan = optimal("knee-reach")
     _, q, v, a = samples(plan)
-    corner = Corner(payload_factor=0.7, torque_factor=0.9, friction=((0, 0.05, 0.0),))
+    corner = Corner(payload_factor=0.7, torque_factor=0.9, friction=(("O", 0.05, 0.0),))
     found = corner_efforts_along(plan.problem.mechanism, (corner,), q, v, a, np.zeros_like(v))[:, 0]
     other = load_mechanism("optimus-knee", payload=SHANK.scaled(0.7))
     wanted = (needed_effort(other, q, v, a)[0] + 0.05 * v) / 0.9
@@ -67,7 +67,7 @@ def test_corners_of_several_freedoms_are_solved_for_together():
 
 
 def test_dry_friction_is_kept_against_either_direction():
-    corners = Robust(coulomb={0: (0.0, 2.0)}).corners
+    corners = Robust(coulomb_friction={"O": (0.0, 2.0)}).corners
     assert sorted(one.friction[0][2] for one in corners) == [-2.0, 2.0]
 
 
@@ -159,7 +159,7 @@ def test_what_efforts_of_an_underactuated_mechanism_can_make_up_for_is_a_range_l
     rng = np.random.default_rng(5)
     q, v, u = rng.normal(size=(3, 4, 2))
     a = np.array([np.array(mechanism.dynamics.acceleration(*x)).ravel() for x in zip(q, v, u[:, :1], strict=True)])
-    corner = Corner(payload_factor=1.3, torque_factor=0.9, friction=((0, 0.5, 0.0),))
+    corner = Corner(payload_factor=1.3, torque_factor=0.9, friction=(("cart", 0.5, 0.0),))
     found = corner_efforts_along(mechanism, (corner,), q, v, a, u[:, :1])[:, 0, 0]
     model = load_mechanism("cart-pole", payload=payload.scaled(1.3)).model
     model.dof_damping[0] += 0.5
@@ -177,7 +177,7 @@ def test_a_motion_within_a_reserve_is_one_of_weaker_motors_too_where_they_move_o
     whole = replace(kept.problem.limits, effort=kept.problem.limits.actuators_effort, reserve=0.0)
 
     def of_motors(factor: float):
-        problem = replace(kept.problem, limits=whole, robust=Robust(torque_factor=(factor, 1.0)))
+        problem = replace(kept.problem, limits=whole, robust=Robust(torque_constant_factor=(factor, 1.0)))
         return certify(problem, kept.trajectory)
 
     assert of_motors(0.601).passed

@@ -11,10 +11,10 @@ import numpy as np
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.planner.keys.motion_and_limits import Motor
 from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, effort_rates
 from linkplan.planner.limits.samples import Samples
 from linkplan.planner.problem.instant import Robust
-from linkplan.planner.problem.limits import Motor
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.trajectory import Trajectory
@@ -131,12 +131,15 @@ def _robust(problem: Problem, j: int) -> list[Kind]:
     if mechanism.n_u < mechanism.dof:
         return []
     payload = {} if mechanism.payload is None else {"payload_factor": (1.0, 1.3)}
-    driven = mechanism.independent[0]
+    driven = mechanism.independent_joints[0].name
     robust = Robust(
-        torque_factor=(0.9, 1.0), viscous={int(driven): (0.0, 0.01)}, coulomb={int(driven): (0.0, 0.02)}, **payload
+        torque_constant_factor=(0.9, 1.0),
+        viscous_friction={driven: (0.0, 0.01)},
+        coulomb_friction={driven: (0.0, 0.02)},
+        **payload,
     )
     corner = len(robust.corners) // 3
-    words = robust.corners[corner].description(tuple(joint.name for joint in mechanism.joints))
+    words = robust.corners[corner].description
 
     def limited(problem: Problem, low: float, high: float) -> Problem:
         return replace(_rows("effort", j)(problem, low, high), robust=robust)
@@ -158,7 +161,7 @@ def _line(problem: Problem, motion: Trajectory, j: int) -> list[Kind]:
     def limited(problem: Problem, low: float, high: float) -> Problem:
         size = min(abs(low), abs(high))
         motors = list(problem.motors)
-        motors[j] = Motor(stall_effort=float(most * size), no_load_speed=float(fast * size))
+        motors[j] = Motor(stall_effort=float(most * size), no_load_speed_m_s=float(fast * size))
         return replace(problem, motors=tuple(motors))
 
     def values(at: Samples) -> np.ndarray:

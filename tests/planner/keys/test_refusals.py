@@ -2,15 +2,18 @@
 
 from typing import Annotated, Literal
 
+import msgspec
 import pytest
 from msgspec import Meta
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.keys import kinds
-from linkplan.planner.keys.key_table import _choices, _range
+from linkplan.planner.keys.imperfections import QUANTITIES
+from linkplan.planner.keys.key_table import _choices, _range, key_table
 from linkplan.planner.keys.motion_and_limits import MotionSection
 from linkplan.planner.keys.reading import checked, read
 from linkplan.planner.keys.refusals import fault, words
+from linkplan.planner.keys.section import Section, by_joint, key, required
 
 BOUNDS = [
     (kinds.Number, 1e15, 1.01e15),
@@ -107,7 +110,7 @@ def test_a_motion_has_at_most_a_thousand_waypoints():
 
 
 def test_quantities_of_slides_and_of_rates_are_within_a_billion_of_their_unit():
-    bounds = {name: (one.low, one.high) for name, one in kinds.QUANTITIES.items()}
+    bounds = {name: (one.low, one.high) for name, one in QUANTITIES.items()}
     assert bounds["encoder_offset_m"] == (-BILLION, BILLION)
     assert bounds["encoder_offset_deg"] == (-360.0, 360.0)
     assert bounds["encoder_resolution_m"] == (0.0, BILLION)
@@ -136,6 +139,23 @@ def test_the_table_of_keys_has_the_words_and_the_ranges_that_a_user_may_choose_f
     assert _range(kind) == within
 
 
+class Example(Section, frozen=True):
+    """A section with a twin key."""
+
+    name: str = required("the name")
+    time_s: kinds.Positive = key("the time", "s", "1 s")
+    speed_deg_s: kinds.Angles = by_joint(
+        "hinges' angles by second", "deg/s", "none", "{ {hinge} = 2.0 }", twin=(("2.0", "0.1"),)
+    )
+
+
 def test_a_key_s_description_ends_with_its_unit_and_its_default():
-    assert kinds.key("the time", "s", "1 s").description == "The time [s]. Default: 1 s."
-    assert kinds.key("the name").description == "The name."
+    words = [kind.__metadata__[-1].description for kind in Example.__annotations__.values()]
+    assert words[:2] == ["The name.", "The time [s]. Default: 1 s."]
+
+
+def test_a_key_of_hinges_declares_its_twin_of_slides_in_metres():
+    assert Example.__struct_fields__ == ("name", "time_s", "speed_deg_s", "speed_m_s")
+    (row,) = (row for row in key_table(Example) if row.name == "speed_m_s")
+    assert (row.unit, row.example) == ("m/s", "{ {slide} = 0.1 }")
+    assert msgspec.convert({"name": "it", "speed_m_s": {"S": 1e9}}, Example).speed_m_s == {"S": 1e9}

@@ -287,6 +287,15 @@ def test_every_key_of_the_table_is_described_and_has_a_default_where_it_may_be_l
         assert "None" not in row.default_words, row.name
 
 
+def test_every_key_stands_in_the_documents_itself_or_as_its_twin_or_along_x():
+    pages = "".join((DOCS.parent / f"{name}.md").read_text(encoding="utf-8") for name in ("mechanisms", "experiments"))
+    named = set(re.findall(r"\w+", DOCS.read_text(encoding="utf-8") + pages))
+    twins = {re.sub("_deg", "_m", name) for name in named} | {
+        re.sub("_x_", axis, name) for name in named for axis in ("_y_", "_z_")
+    }
+    assert not {row.name for row in key_table()} - named - twins
+
+
 def test_the_table_s_defaults_are_what_the_reader_puts_in():
     for row in key_table():
         if row.section in KEYS and row.default is not None:

@@ -133,7 +133,7 @@ def test_actuators_powers_count_where_they_drive():
 def test_a_corner_s_friction_is_viscous_and_dry():
     mechanism = load_mechanism(HINGE)
     v, a, u = np.array([[2.0], [-1.0]]), np.array([[0.5], [3.0]]), np.zeros((2, 1))
-    corner = Corner(torque_factor=0.8, friction=((0, 0.05, 0.3),))
+    corner = Corner(torque_factor=0.8, friction=(("J", 0.05, 0.3),))
     found = corner_efforts_along(mechanism, (corner,), np.zeros((2, 1)), v, a, u)[:, 0]
     assert found == pytest.approx((HINGE_INERTIA * a + 0.05 * v + 0.3) / 0.8)
 
@@ -142,7 +142,8 @@ def test_frictions_of_three_joints_have_sixty_four_corners_and_more_are_refused(
     """Two ends of a viscous and of a dry friction for each joint."""
 
     def rubbing(joints: int) -> Robust:
-        return Robust(viscous=dict.fromkeys(range(joints), (0.1, 0.2)), coulomb=dict.fromkeys(range(joints), (0.1, 0.3)))
+        names = "ABCD"[:joints]
+        return Robust(viscous_friction=dict.fromkeys(names, (0.1, 0.2)), coulomb_friction=dict.fromkeys(names, (0.1, 0.3)))
 
     assert len(rubbing(3).corners) == 64
     with pytest.raises(ProblemError, match="256 corners; at most 64"):

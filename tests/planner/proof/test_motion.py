@@ -89,7 +89,7 @@ def test_a_corner_s_machine_has_other_friction_and_weaker_motors(actuators):
     mechanism = load_mechanism(CRANK.format(actuators=actuators))
     (one, _), q, v, a, u = kinetics(mechanism)
     slide = [joint.name for joint in mechanism.joints].index("P")
-    corner = Corner(payload_factor=1.0, torque_factor=0.9, friction=((slide, 0.7, 0.2),))
+    corner = Corner(payload_factor=1.0, torque_factor=0.9, friction=(("P", 0.7, 0.2),))
     tau, maps = demanded(mechanism, q, v, a)
     ratio = np.array(mechanism.dynamics.velocity_map(q[0]))[slide]
     needed = (tau[0] + ratio * (0.7 * (ratio @ v[0]) + 0.2)) / 0.9

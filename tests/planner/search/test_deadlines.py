@@ -38,7 +38,7 @@ class Clock:
 def timed(problem, looks: float):
     """Return a problem that has time for so many looks at its clock, and the clock."""
     clock = Clock()
-    return replace(problem, solver=replace(problem.solver, max_time_s=looks, deadline=Deadline(clock=clock))), clock
+    return replace(problem, solver=problem.solver.replace(max_time_s=looks, deadline=Deadline(clock=clock))), clock
 
 
 def test_a_path_is_not_followed_beyond_its_deadline():

@@ -25,7 +25,7 @@ TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
 
 def search_for(problem, seconds: float = 600.0, clock=processor_time_s) -> Search:
     deadline = Deadline(clock=clock).within(seconds)
-    timed = replace(problem, solver=replace(problem.solver, deadline=deadline))
+    timed = replace(problem, solver=problem.solver.replace(deadline=deadline))
     return Search(problem=timed, start_pose=problem.start_pose())
 
 
@@ -122,7 +122,7 @@ def test_no_program_is_built_after_the_deadline():
 def test_a_certificate_ends_with_the_plans_time_and_says_so():
     plan = plan_motion(load_problem("knee-reach"))
     assert plan.certificate.passed
-    past = replace(plan.problem.solver, deadline=Deadline().within(-0.5 * plan.problem.solver.max_time_s))
+    past = plan.problem.solver.replace(deadline=Deadline().within(-0.5 * plan.problem.solver.max_time_s))
     judged = certify(replace(plan.problem, solver=past), plan.trajectory)
     assert not judged.passed
     assert any("ran out of the plan's 600 s (solver.max_time_s)" in said for said in judged.failures)
@@ -134,7 +134,7 @@ def test_a_budget_shortens_the_time_and_the_iterations_of_its_solves(share, left
     within = search.within(Budget(iterations=7, share_of_time=share)).solver
     assert within.deadline.at_s == pytest.approx(50.0 + left)
     assert within.max_iterations == 7
-    fewer = replace(search.problem, solver=replace(search.problem.solver, max_iterations=3))
+    fewer = replace(search.problem, solver=search.problem.solver.replace(max_iterations=3))
     assert replace(search, problem=fewer).within(Budget(iterations=7)).solver.max_iterations == 3
 
 

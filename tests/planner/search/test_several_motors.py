@@ -118,7 +118,7 @@ def test_a_jump_is_where_the_impulse_of_its_interval_puts_it(in_least_time):
 def test_one_motor_constant_efforts_and_given_breaks_have_another_search(in_least_time):
     assert of_several(in_least_time)
     assert not of_several(load_problem("knee-reach"))
-    assert not of_several(replace(in_least_time, robust=Robust(torque_factor=(0.9, 1.1))))
+    assert not of_several(replace(in_least_time, robust=Robust(torque_constant_factor=(0.9, 1.1))))
     for mesh in ({"effort": "constant"}, {"breaks": np.linspace(0.0, 1.0, 21)}):
-        assert not of_several(replace(in_least_time, mesh=replace(in_least_time.mesh, **mesh)))
+        assert not of_several(replace(in_least_time, mesh=in_least_time.mesh.replace(**mesh)))
     assert not of_several(leg(duration_s=0.3, minimize="work"))

@@ -1,7 +1,6 @@
 """A long solve on interpreted functions is given up for compiled ones, which lead it the same way."""
 
 import time
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -65,6 +64,6 @@ def test_one_that_may_not_be_compiled_or_may_take_few_iterations_is_begun_once(c
     monkeypatch.setattr(module, "_COMPILING_COST", 1)
     monkeypatch.setattr(module, "_MIN_PATIENCE_ITERATIONS", 3)
     settings, program = programmed(f"solver.compile={compile_mode}")
-    found = solve(program, replace(settings, max_iterations=most))
+    found = solve(program, settings.replace(max_iterations=most))
     assert not found.transcribed.program.interval.compiled
     assert (found.status == OUT_OF_ITERATIONS) == (most == 3)

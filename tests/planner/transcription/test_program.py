@@ -184,7 +184,7 @@ def test_every_unknown_has_one_place(case):
 def test_a_planned_motion_written_back_keeps_every_row(name):
     plan = planned(name)
     mesh, durations = mesh_of(plan)
-    problem = replace(plan.problem, mesh=replace(plan.problem.mesh, scheme=plan.scheme))  # its degree may have been raised
+    problem = replace(plan.problem, mesh=plan.problem.mesh.replace(scheme=plan.scheme))  # its degree may have been raised
     transcribed = transcribe(problem, motion_of(plan.trajectory), mesh, durations)
     x = np.array(transcribed.start)  # holds back from the limits, where a guess wants room and a plan does not
     x[transcribed.program.layout.effort()] = plan.trajectory.effort.transpose(1, 0, 2) / transcribed.units.effort

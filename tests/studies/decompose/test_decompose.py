@@ -243,5 +243,5 @@ def test_causes_that_act_on_each_other_have_the_mean_of_their_parts_over_both_or
 
 def experiment_plan(plan: Plan) -> Plan:
     """Return a plan with the longer run of experiments."""
-    tracking = replace(plan.problem.tracking, duration_s=1.25 * plan.trajectory.duration_s)
+    tracking = plan.problem.tracking.replace(duration_s=1.25 * plan.trajectory.duration_s)
     return replace(plan, problem=replace(plan.problem, tracking=tracking))

@@ -211,7 +211,7 @@ def test_a_sprung_leg_has_a_first_motion_at_once(monkeypatch):
 
     def noted(problem: Problem, *rest) -> Plan:
         tried.append(problem)
-        return plan_motion(replace(problem, solver=replace(problem.solver, max_time_s=60.0)), *rest)
+        return plan_motion(replace(problem, solver=problem.solver.replace(max_time_s=60.0)), *rest)
 
     monkeypatch.setattr("linkplan.studies.new.first_motion.plan_motion", noted)
     found = first_motion({"model": str(DATA / "sprung_leg.xml")}, print)
