@@ -15,10 +15,10 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
-from linkplan.studies.bode.bode_report import bode_record, save_bode
+from linkplan.studies.bode.bode_report import save_bode
 from linkplan.studies.bode.bode_sections import bode_sections
 from linkplan.studies.bode.loop_blocks import map_blocks
-from linkplan.studies.bode.map_study import map_record, map_study
+from linkplan.studies.bode.map_study import map_study
 from linkplan.studies.check.check_sections import check_sections
 from linkplan.studies.check.inspection import inspection_record
 from linkplan.studies.check.inspection_blocks import inspection_blocks
@@ -218,14 +218,14 @@ def _loops(place: Path, said: dict, say: Say) -> list[Sections]:
         )
         folder = place / "bode" / label
         folder.mkdir(parents=True)
-        said["bode"].append(bode_record(study))
-        write_json(folder / "bode.json", said["bode"][-1])
+        said["bode"].append(study)
+        write_json(folder / "bode.json", study)
         save_bode(study, folder)
         sections.append(bode_sections(study, f"kp = {gains.kp:g}, kd = {gains.kd:g} every {1e3 * gains.period_s:g} ms"))
         if gains is LOOPS[0]:
             found = map_study(study, lambda text: say(f"stability map: {text}"))
             marked = [(f"the document's KP = {DOCUMENT_KP:g}, KD = {kd:g}", DOCUMENT_KP, kd) for kd in (1.0, 10.0)]
-            said["stability_map"], blocks = map_record(found), map_blocks(found, marked)
+            said["stability_map"], blocks = found, map_blocks(found, marked)
             figure_of(panels_of(blocks), place / "stability_map.png", columns=2, panel_in=(6.5, 5.0))
             sections[0].append(Section(title="Stability map", blocks=blocks, depth=2))
     return sections

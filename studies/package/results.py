@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 from linkplan.models.errors import LinkplanError
 from linkplan.paths import path_of
@@ -15,9 +16,10 @@ if TYPE_CHECKING:
 
 
 class Result(ABC):
-    """The result of a study. Each kind has `passed`, `to_dict`, `blocks`, `document` and `draw`; the rest follows.
+    """The result of a study. Each kind has `passed`, `blocks`, `document` and `draw`; the rest follows.
 
-    A base class in place of a function for each member, so that every result is saved, drawn and shown in the same way.
+    The first field of a kind is a frozen struct whose fields are the JSON, except those of type `Beside`. A base class in
+    place of a function for each member, so that every result is saved, drawn and shown in the same way.
     """
 
     __slots__ = ()
@@ -29,9 +31,11 @@ class Result(ABC):
         """Whether the answer is yes: a command then ends with exit code 0."""
         return True
 
-    @abstractmethod
     def to_dict(self) -> dict:
-        """Return all values by name, in JSON types."""
+        """Return all values by name, with units in the names, in JSON types."""
+        from linkplan.planner.files.folders import plain_record
+
+        return plain_record(getattr(self, fields(cast("Any", self))[0].name))
 
     @abstractmethod
     def blocks(self) -> list[Block]:
