@@ -31,8 +31,8 @@ from linkplan.studies.compare.comparison_blocks import (
     document_blocks,
     document_figure,
 )
-from linkplan.studies.compare.comparison_notes import comparison_record
-from linkplan.studies.compare.document import DOCUMENT_KP, document_record, mended_runs, printed_runs
+from linkplan.studies.compare.comparison_figures import comparison_figures
+from linkplan.studies.compare.document import DOCUMENT_KP, document_rows, mended_runs, printed_runs
 from linkplan.studies.compare.tracking_sections import comparison_sections
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.output.document import Block, Section, Text, table_of
@@ -194,7 +194,7 @@ def _comparisons(place: Path, said: dict, plans: dict[str, Plan], say: Say) -> t
         comparison = compare(plan, default_mismatch(plan), lambda text, name=name: say(f"compare {name}: {text}"))
         folder = place / "compare" / name
         folder.mkdir(parents=True)
-        said["compare"][name] = comparison_record(comparison)
+        said["compare"][name] = comparison_figures(comparison)
         write_json(folder / "compare.json", said["compare"][name])
         comparison_figure(comparison, folder / "compare.png")
         texts += comparison_blocks(comparison)
@@ -234,7 +234,7 @@ def _loops(place: Path, said: dict, say: Say) -> list[Sections]:
 def _document(place: Path, said: dict, plan: Plan, say: Say) -> list[Block]:
     assert plan.problem.reference is not None  # the document's sinusoid
     runs = printed_runs(plan.problem.reference, say) | mended_runs(plan, say)
-    said["document"] = document_record(runs)
+    said["document"] = document_rows(runs)
     blocks = document_blocks(runs)
     document_figure(blocks, place / "desired_and_actual.png")
     return blocks
