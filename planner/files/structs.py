@@ -13,7 +13,11 @@ S = TypeVar("S", bound=Struct)
 
 if TYPE_CHECKING:
     Beside = Annotated[T, "not in the JSON"]
+    Number = float
 else:
+
+    class Number(float):
+        """The type of a field with a number that need not be finite: null in JSON, not a number when it is read."""
 
     class Beside:
         """The type of a field that figures need and the JSON does not have: `Beside[np.ndarray]`."""
@@ -40,9 +44,13 @@ def _json_fields(kind: type[Struct]) -> tuple[tuple[str, str, Any], ...]:
 
 
 def read_struct(kind: type[S], values: Mapping) -> S:
-    """Return the struct of a JSON object; null in an array is not a number.
+    """Return the struct of a JSON object; null in an array, or for a `Number`, is not a number.
 
     Raises:
         msgspec.ValidationError: if a value is missing or has another type.
     """
-    return convert(values, kind, dec_hook=lambda _, value: np.array(value, dtype=float))
+    return convert(values, kind, dec_hook=_read)
+
+
+def _read(kind: type, value: object) -> object:
+    return np.array(value, dtype=float) if kind is np.ndarray else kind("nan" if value is None else value)
