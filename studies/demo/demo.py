@@ -20,7 +20,6 @@ from linkplan.studies.bode.bode_sections import bode_sections
 from linkplan.studies.bode.loop_blocks import map_blocks
 from linkplan.studies.bode.map_study import map_study
 from linkplan.studies.check.check_sections import check_sections
-from linkplan.studies.check.inspection import inspection_record
 from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.path_plots import inspection_figure
 from linkplan.studies.check.whole_check import check_whole
@@ -158,13 +157,13 @@ def _checks(place: Path, said: dict, say: Say) -> Sections:
         whole = check_whole(load_mechanism(name), None)
         folder = place / "check" / name
         folder.mkdir(parents=True)
-        said["check"][name] = inspection_record(whole.found)
-        write_json(folder / "check.json", said["check"][name])
-        inspection_figure(whole.found, folder / "mechanism.png")
+        said["check"][name] = whole
+        write_json(folder / "check.json", whole)
+        inspection_figure(whole, folder / "mechanism.png")
         if name == "optimus-knee":
             sections += check_sections(whole)
         else:
-            sections.append(Section(title=f"Mechanism as printed: {name}", blocks=inspection_blocks(whole.found)))
+            sections.append(Section(title=f"Mechanism as printed: {name}", blocks=inspection_blocks(whole)))
     return sections
 
 

@@ -49,7 +49,7 @@ def tune_plots(tuning: Tuning, loops: Sequence[JudgedLoop], of: str) -> list[Plo
     """Return the plots of one joint's margins over the position or the pose, with the requirements; `of` ends the titles."""
     (at, place, unit), wanted = places(tuning, loops), tuning.wanted
     order, found = np.argsort(at), []
-    margins = [loops[k] for k in order]
+    margins = [loops[k] for k in order.tolist()]
     lost = at[order][[not one.stable for one in margins]]
     for name, what, per, limit, words in (
         ("bandwidth_hz", "bandwidth", "Hz", wanted.bandwidth_hz, "wanted at least"),
