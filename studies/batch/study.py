@@ -127,7 +127,7 @@ class BatchRecord(Struct, frozen=True):
     cases: dict[str, CaseRecord]
 
 
-def read_batch_record(path: Path) -> dict:
+def read_cases(path: Path) -> dict:
     """Return the part of a batch's record that a report shows, in JSON types.
 
     Raises:
