@@ -189,10 +189,11 @@ def _worst(mechanism: Mechanism, scan: Scan) -> WorstMargins:
     """Return the worst margins of a scan, and the least value of each."""
     joint, line = mechanism.independent_joints[scan.channel], scan.line
     key = f"position_{joint.unit}" if line.name == joint.name else "time_s"
+    place: dict[str, Any] = {key: line.shown(scan.positions[scan.worst])}
     least = {name: found for name in LEAST_MARGINS if (found := scan.least(name)) is not None}
     return WorstMargins(
         **structs.asdict(scan.margins[scan.worst]),
-        **{key: line.shown(scan.positions[scan.worst])},
+        **place,
         least={name: {"value": value, key: line.shown(scan.positions[k])} for name, (value, k) in least.items()},
     )
 

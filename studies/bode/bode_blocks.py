@@ -182,8 +182,8 @@ def responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> dic
             phase.append(
                 (f"{entry.point.name}, measured", response.frequency_hz, measured_phase(response, frequency, deg), dots)
             )
-            differences = ((off_db, response.less_predicted_db), (off_deg, response.less_predicted_deg))
-            for off, less in differences:  # a line through coherent ones, a dot for each
+            less_db, less_deg = response.against(entry.predicted[quantity])
+            for off, less in ((off_db, less_db), (off_deg, less_deg)):  # a line through coherent ones, a dot for each
                 coherent = np.where(response.coherence > LEAST_COHERENCE, less, np.nan)
                 off += [(entry.point.name, response.frequency_hz, coherent, look), ("", response.frequency_hz, less, dots)]
         limits = {"gain": [limit], "phase": [Limit(name="phase", value=-180.0)] if quantity == "loop" else []}

@@ -149,7 +149,7 @@ def inspect(
     )
 
 
-def _by_kind(name: str, mechanism: Mechanism, pose: np.ndarray) -> dict[str, dict[str, float]]:
+def _by_kind(name: str, mechanism: Mechanism, pose: np.ndarray) -> dict[str, Any]:
     """Return a pose as `name`_deg of the hinges and `name`_m of the slides."""
     joints = list(zip(mechanism.joints, pose, strict=True))
     hinges = {joint.name: joint.shown(x) for joint, x in joints if joint.kind == "hinge"}

@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 from msgspec import Struct
 
+from linkplan.models.mechanism import Mechanism
 from linkplan.models.transfer.polytope import effort_box
 from linkplan.models.transfer.rest import SerialErrors
-from linkplan.studies.transfer.serial_study import left_out
+from linkplan.studies.transfer.serial_study import Serial, left_out
 from linkplan.studies.transfer.serial_urdf import reductions, urdf_notes
 from linkplan.studies.transfer.study import CONVENTION, Transfer, carried_gains
 from linkplan.studies.transfer.transfer_blocks import notes
@@ -78,16 +79,16 @@ def transfer_figures(transfer: Transfer) -> TransferFigures:
             "effort_box": effort_box(home.ratio, transfer.effort_limit)[0],
             **{name: gains[0] for name, gains in carried_gains(transfer, home.ratio).items()},
         },
-        serial=None if serial is None else _serial_figures(transfer),
+        serial=None if serial is None else _serial_figures(serial, outputs.mechanism),
         serial_note=transfer.serial_note,
         serial_urdf=None if serial is None else _urdf_figures(transfer),
         notes=notes(transfer),
     )
 
 
-def _serial_figures(transfer: Transfer) -> dict[str, Any]:
-    model, errors = transfer.serial.model, transfer.serial.errors
-    names, closed = [joint.name for joint in model.outputs.joints], transfer.outputs.mechanism.joints
+def _serial_figures(serial: Serial, mechanism: Mechanism) -> dict[str, Any]:
+    model, errors, closed = serial.model, serial.errors, mechanism.joints
+    names = [joint.name for joint in model.outputs.joints]
     return {
         "joints": names,
         "armature": model.armature,
@@ -96,7 +97,7 @@ def _serial_figures(transfer: Transfer) -> dict[str, Any]:
         "friction_joints": {closed[i].name: force for i, force in zip(model.rubbing, model.rubbing_force, strict=True)},
         "effort_limit": model.effort_limit,
         "welded": list(model.removed),
-        "left_out": left_out(transfer.serial),
+        "left_out": left_out(serial),
         "errors": None if errors is None else _error_figures(errors, names),
     }
 

@@ -127,14 +127,15 @@ def _of_motor(actuator: Actuator, joint: Joint, values: dict[str, np.ndarray]) -
     """Return the gains of a motor from its `ratio`, `kp` and `kd` (n,)."""
     ratio = values["ratio"]
     one = bool(np.ptp(ratio) <= ROUNDING_SHARE * np.abs(ratio).max())
-    ends = {k: (float(x.min()), float(x.max())) if np.isfinite(x).all() else None for k, x in values.items()}
+    figures: dict[str, Any] = {name: float(x[0]) if one else None for name, x in values.items()}
+    for name, x in values.items():
+        figures[f"{name}_range"] = (float(x.min()), float(x.max())) if np.isfinite(x).all() else None
     return MotorGains(
         actuator=actuator.name,
         joint=joint.name,
         gear=actuator.gear,
         units=actuator.gain_units,
-        **{name: float(x[0]) if one else None for name, x in values.items()},
-        **{f"{name}_range": both for name, both in ends.items()},
+        **figures,
         values=values,
         si_units=(actuator.si_units[0], joint.si_units[0]),
     )
