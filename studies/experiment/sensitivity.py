@@ -126,7 +126,7 @@ def _by_label(one: Influence, labels: Sequence[str]) -> MetricInfluence:
     return MetricInfluence(
         middle=one.middle if np.isfinite(one.middle) else None,
         left_out=one.left_out,
-        ranking=tuple(labels[i] for i in one.order.tolist()),
+        ranking=tuple(labels[int(i)] for i in one.order),
         effects=plain_record(effects),
     )
 
