@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path, PurePosixPath
 
 import numpy as np
+from msgspec import Struct
 
 from linkplan.models.deadline import check, shielded
 from linkplan.models.errors import PlanFileError
@@ -28,6 +29,7 @@ from linkplan.planner.files.manifest import (
     read_manifest,
     write_manifest,
 )
+from linkplan.planner.files.structs import json_values
 from linkplan.planner.files.work_folders import locked, sweep, sync, sync_folder, work_folder
 
 _NEW_RESULT = ".linkplan-new"
@@ -273,7 +275,8 @@ def _remove_if_empty(folder: Path) -> None:
 
 
 def plain(value: object) -> object:
-    """Return `value` in JSON's types: arrays as lists, numbers that are not finite as null."""
+    """Return `value` in JSON's types: structs as objects, arrays as lists, numbers that are not finite as null."""
+    value = json_values(value) if isinstance(value, Struct) else value
     if isinstance(value, Mapping):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
@@ -290,12 +293,13 @@ def plain(value: object) -> object:
     return value
 
 
-def plain_record(record: Mapping) -> dict:
+def plain_record(record: Mapping | Struct) -> dict:
     """Return a record in JSON's types."""
-    return {str(key): plain(item) for key, item in record.items()}
+    values = json_values(record) if isinstance(record, Struct) else record
+    return {str(key): plain(item) for key, item in values.items()}
 
 
-def write_json(path: Path, record: Mapping) -> None:
+def write_json(path: Path, record: Mapping | Struct) -> None:
     """Write a record as JSON with a line for each key; a list of numbers stands in one line."""
     path.write_text(_lines(plain_record(record), "\n") + "\n", encoding="utf-8")
 

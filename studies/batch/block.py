@@ -19,10 +19,10 @@ from linkplan.models.reading import MAX_FILE_BYTES
 from linkplan.planner.batch import plan_cases
 from linkplan.planner.files.columns import read_member, read_trajectory
 from linkplan.planner.keys.sections import BatchFile, CaseSection
-from linkplan.planner.plan_folder import write_plan
+from linkplan.planner.plan_folder import record, write_plan
 from linkplan.planner.plan_record import read_plan_record
 from linkplan.planner.refinement.history import Say
-from linkplan.studies.output.batch_table import case_record, case_row
+from linkplan.studies.output.batch_table import case_row
 
 # A block is a sixteenth of the cases within these bounds. Short blocks spread over workers and are soon redone; long blocks
 # reuse more solutions.
@@ -71,9 +71,8 @@ def plan_block(batch: BatchFile, block: int, target: Path | None, parquet: bool,
                 write_plan(plan, Path(place), target / case.name, parquet=parquet)
                 files = {path.name: path.read_bytes() for path in sorted(Path(place).iterdir())}
         failure = None if plan.passed else f"{case.name}: {plan.message}"
-        answer = Planned(
-            name=case.name, row=case_row(case, plan), record=case_record(case, plan), failure=failure, files=files
-        )
+        said = {"settings": list(case.set), **record(plan)}
+        answer = Planned(name=case.name, row=case_row(case, plan), record=said, failure=failure, files=files)
         found.append(answer)
     return found
 

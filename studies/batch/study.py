@@ -1,8 +1,8 @@
 """A complete batch: an engine plans its blocks, each block's results are stored, and the end result is a folder of plans."""
 
 import functools
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import msgspec
 from msgspec import Struct
@@ -11,6 +11,7 @@ from linkplan.models.reading import MAX_FILE_BYTES
 from linkplan.planner.batch import check_batch
 from linkplan.planner.files.folders import check_target, write_json
 from linkplan.planner.files.manifest import read_record
+from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.files.work_folders import replace_file
 from linkplan.planner.keys.sections import BatchFile
 from linkplan.planner.plan_folder import versions
@@ -23,13 +24,12 @@ from linkplan.studies.tasks.unfinished import finish, part, parts_folder, workin
 RECORD = "batch.json"
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Outcome:
-    """The results of a batch: rows of the table, a sentence for each case without a plan, and the record."""
+class Outcome(Struct, frozen=True, kw_only=True, eq=False):
+    """The results of a batch: the record of each case, rows of the table, a sentence for each case without a plan."""
 
-    rows: list[list]
-    failures: list[str]
-    record: dict
+    cases: dict[str, dict[str, Any]]
+    rows: Beside[list[list]] = NOT_READ
+    failures: Beside[list[str]] = NOT_READ
 
 
 def run_batch(
@@ -68,7 +68,7 @@ def run_batch(
 
         def save(place: Path) -> None:
             outcomes.append(_outcome(folder, batch, place, True))
-            write_json(place / RECORD, outcomes[0].record)
+            write_json(place / RECORD, outcomes[0])
 
         complete(folder, blocks, "cases", engine, work, write, say)
         if target is None:
@@ -106,7 +106,7 @@ def _outcome(folder: Path, batch: BatchFile, place: Path | None, keep_records: b
             failures += [] if answer.failure is None else [answer.failure]
             if keep_records:
                 cases[answer.name] = answer.record
-    return Outcome(rows=rows, failures=failures, record={"cases": cases})
+    return Outcome(rows=rows, failures=failures, cases=cases)
 
 
 class CaseRecord(Struct, frozen=True):
@@ -127,7 +127,7 @@ class BatchRecord(Struct, frozen=True):
     cases: dict[str, CaseRecord]
 
 
-def read_batch_record(path: Path) -> dict:
+def read_cases(path: Path) -> dict:
     """Return the part of a batch's record that a report shows, in JSON types.
 
     Raises:

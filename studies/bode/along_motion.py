@@ -2,44 +2,23 @@
 
 import functools
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import replace
 
 import numpy as np
+from msgspec.structs import asdict
 
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.sampling import Sampling, sampling
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
+from linkplan.studies.bode.bode_result import AlongMotion, FrozenMargins
 from linkplan.studies.bode.scan import stability
 from linkplan.studies.compare.compare import build_tracker
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop, OperatingPoint, feedback_loop
-from linkplan.studies.frequency.floquet import Floquet, floquet, floquet_record, frozen_radii, linear_law
+from linkplan.studies.frequency.floquet import floquet, frozen_radii, linear_law
 from linkplan.studies.frequency.margins import Margins, margins
 from linkplan.studies.frequency.worst import local_minima
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class AlongMotion:
-    """A tracker along a plan: frozen margins at instants (m,), the largest frozen pole at all samples (n,), the multipliers.
-
-    The margins are those of the coordinate `channels` (m,) with the worst loop at the instant. The instants are evenly
-    spaced, plus the local worst ones between them.
-    """
-
-    plan: Plan
-    law: str
-    reference: SampledReference
-    instants: np.ndarray
-    margins: tuple[Margins, ...]
-    channels: tuple[int, ...]
-    radius: np.ndarray
-    floquet: Floquet | None
-
-    @property
-    def worst(self) -> int:
-        """The index of the instant with the smallest disk margin; unstable instants come first."""
-        return int(np.argmin([stability(m) for m in self.margins]))
 
 
 def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], None] = silent) -> AlongMotion:
@@ -61,21 +40,21 @@ def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], 
         return min(every, key=lambda one: stability(one[0]))
 
     between = [round(k) for k in local_minima(lambda k: stability(worst(round(k))[0]), instants)]
-    instants = np.unique([*instants, *between])
-    found = [worst(k) for k in instants]
+    joints, frozen = mechanism.independent_joints, []
+    for k in np.unique([*instants, *between]):
+        bounds, channel = worst(k)
+        frozen.append(FrozenMargins(**asdict(bounds), time_s=float(reference.time_s[k]), joint=joints[channel].name))
     cycle = None
     if reference.cycle is not None:
         say("Floquet multipliers, predicted and measured")
         cycle = floquet(mechanism, reference, tracker, timing, plan.problem.limits.actuators_effort)
     return AlongMotion(
-        plan=plan,
-        law=law,
-        reference=reference,
-        instants=instants,
-        margins=tuple(one for one, _ in found),
-        channels=tuple(channel for _, channel in found),
-        radius=radius,
+        plan=plan.problem.name,
+        tracker=law,
+        frozen=tuple(frozen),
+        largest_frozen_pole=float(radius.max()),
         floquet=cycle,
+        n_loops=len(joints),
     )
 
 
@@ -89,18 +68,3 @@ def frozen_loop(mechanism, reference: SampledReference, gains: np.ndarray, timin
         told=tuple(mechanism.channels),
     )
     return feedback_loop(point, gains[k], timing)
-
-
-def along_record(found: AlongMotion) -> dict:
-    """Return the loop along the motion as a JSON record."""
-    reference, joints = found.reference, found.plan.problem.mechanism.independent_joints
-    return {
-        "plan": found.plan.problem.name,
-        "tracker": found.law,
-        "frozen": [
-            {"time_s": float(reference.time_s[k]), "joint": joints[channel].name, **asdict(bounds)}
-            for k, bounds, channel in zip(found.instants, found.margins, found.channels, strict=True)
-        ],
-        "largest_frozen_pole": float(found.radius.max()),
-        "floquet": None if found.floquet is None else floquet_record(found.floquet),
-    }

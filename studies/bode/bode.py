@@ -1,24 +1,28 @@
 """The study behind `linkplan bode`: a tracker's loop at several poses, predicted and measured, and the worst case."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
+from msgspec import UNSET, structs
 
 from linkplan.controllers.sampling import Sampling
-from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.contacts import ContactPair, contact_pairs
+from linkplan.models.mechanism import Joint, Mechanism
+from linkplan.models.poses.contacts import contact_pairs
 from linkplan.models.poses.reach import reach
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import Tracking
+from linkplan.studies.bode.bode_result import BodePoint, BodeStudy, PoseLoops, WorstMargins
 from linkplan.studies.bode.scan import Line, Scan, coordinate_line, scan_line
-from linkplan.studies.bode.touching import touched
-from linkplan.studies.frequency.excitation import Setup
+from linkplan.studies.bode.touching import contact_sentence, touched
+from linkplan.studies.check.softness import gap_sentence, held_gap
+from linkplan.studies.frequency.excitation import EXCITATIONS, Setup
 from linkplan.studies.frequency.feedback_loops import (
     CONTINUOUS,
     FeedbackLoop,
-    OperatingPoint,
     SampledLaw,
+    broken_at,
     label_differences,
     operating_point,
     refuse_above_nyquist,
@@ -38,113 +42,9 @@ SCAN_POSITIONS = 41
 SAME_POSE_SHARE = 1e-3
 # Trial periods of loops with contacts. A simulated contact takes about ten times the time.
 _CONTACT_TRIAL_PERIODS = 4_000
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class BodePoint:
-    """The loop of one joint at one pose: its prediction, its stability trial in MuJoCo and its measured responses.
-
-    `measured` and `predicted` hold the responses of `feedback_loops.QUANTITIES` at the same frequencies. Both are empty for
-    an unstable loop, and if no measurement was requested.
-    """
-
-    sampled: FeedbackLoop
-    continuous: FeedbackLoop
-    channel: int
-    margins: Margins
-    continuous_margins: Margins
-    settles_in_mujoco: bool
-    measured: dict[str, Response]
-    predicted: dict[str, Response]
-
-    @property
-    def point(self) -> OperatingPoint:
-        """The operating point."""
-        return self.sampled.point
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class BodeStudy:
-    """A tracker's loops at several poses, and the margins over the whole reach."""
-
-    mechanism: Mechanism
-    law: SampledLaw
-    points: tuple[BodePoint, ...]
-    scans: tuple[Scan, ...]
-    is_measured: bool
-    simulated_steps: int
-    conditions: dict
-    note: str | None = None  # on the choice of the poses
-    contacts: tuple[ContactPair, ...] = ()  # pairs of geoms, with the indices of the operating points where they touch
-
-    @property
-    def stable(self) -> bool:
-        """True if the sampled loop is stable at every pose, by the model and in MuJoCo."""
-        return all(point.margins.stable and point.settles_in_mujoco for point in self.points)
-
-    @property
-    def disputed(self) -> tuple[str, ...]:
-        """The poses at which the sampled model and the MuJoCo run disagree about stability."""
-        return tuple(dict.fromkeys(p.point.name for p in self.points if p.margins.stable != p.settles_in_mujoco))
-
-    @property
-    def loop_name(self) -> str:
-        """The tracker with its gains, period and delay, as text."""
-        settings, timing = self.law.settings, self.law.timing
-        name = "lqr" if self.law.name == "lqr" else settings.gains_text(self.mechanism.independent_joints)
-        name += f" sampled every {settings.period_s:g} s"
-        if timing.delay_steps:
-            name += f" with a delay of {timing.delay_s / settings.period_s:g} period(s)"
-        return name
-
-    @property
-    def worst_deviation(self) -> tuple[float, float] | None:
-        """The largest difference between measured and predicted closed loops at coherent frequencies: [dB], [deg]."""
-        worst = []
-        for point in self.points:
-            for name in ("complementary", "reference"):
-                if name in point.measured:
-                    measured = point.measured[name]
-                    db, deg = measured.against(point.predicted[name])
-                    coherent = measured.coherence > 0.99
-                    worst.append((np.abs(db[coherent]).max(initial=0.0), np.abs(deg[coherent]).max(initial=0.0)))
-        return None if not worst else (float(max(w[0] for w in worst)), float(max(w[1] for w in worst)))
-
-    @property
-    def message(self) -> str:
-        """The verdict as a sentence."""
-        bad = list(dict.fromkeys(p.point.name for p in self.points if not p.margins.stable))
-        poses = list(dict.fromkeys(p.point.name for p in self.points))
-        if bad:
-            where = ", ".join(name.split(" = ", 1)[1].removesuffix(f" {self._unit}") for name in bad)
-            if self.mechanism.dof == 1:
-                where = f"{self.mechanism.independent_joints[0].name} = {where} {self._unit}"
-            else:
-                where = "; ".join(bad)
-            return f"unstable at {where} ({len(bad)} of {_counted(len(poses))}): {self.loop_name}{self._dispute}"
-        if self.disputed:
-            return (
-                f"stable by the sampled model and not in MuJoCo at {'; '.join(self.disputed)} ({len(self.disputed)} of"
-                f" {_counted(len(poses))}), because the model omits soft closures, contacts and limits: {self.loop_name}"
-            )
-        text = f"stable at {'the pose' if len(poses) == 1 else f'all {len(poses)} poses'}: {self.loop_name}"
-        known = [(margin, p.point.name) for p in self.points if (margin := p.margins.phase_margin_deg) is not None]
-        if known:
-            text += ", phase margin {:.1f} deg at the worst ({})".format(*min(known))
-        return text
-
-    @property
-    def _dispute(self) -> str:
-        settled = [p.point.name for p in self.points if p.settles_in_mujoco and not p.margins.stable]
-        return f"; MuJoCo's own run settles at {'; '.join(dict.fromkeys(settled))}" if settled else ""
-
-    @property
-    def _unit(self) -> str:
-        return self.mechanism.independent_joints[0].unit
-
-
-def _counted(n: int) -> str:
-    return "1 pose" if n == 1 else f"{n} poses"
+# The margins whose least values over a line are stated, and the responses whose measured deviation is.
+LEAST_MARGINS = ("gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg", "disk_margin", "bandwidth_hz")
+CLOSED_LOOPS = ("complementary", "reference")
 
 
 def inner_reach(mechanism: Mechanism, coordinate: int) -> tuple[float, float]:
@@ -218,30 +118,153 @@ def bode_study(
             taken = measure([loops[i] for i in stable], at, effort_limit, setup, channel=channel, say=say)
             steps, conditions = steps + taken.simulated_steps, taken.conditions
             measured = dict(zip(stable, taken.responses, strict=True))
-        for i, loop in enumerate(loops):
-            responses = measured.get(i, {})
-            point = BodePoint(
-                sampled=loop,
-                continuous=ideal[i],
-                channel=channel,
-                margins=bounds[i],
-                continuous_margins=margins(ideal[i], channel),
-                settles_in_mujoco=bool(trials[i]),
-                measured=responses,
-                predicted={q: loop.response(q, r.frequency_hz, channel) for q, r in responses.items()},
-            )
-            found.append(point)
+        found += [
+            _point(loop, ideal[i], channel, bounds[i], bool(trials[i]), measured.get(i)) for i, loop in enumerate(loops)
+        ]
+    joints, name = mechanism.independent_joints, _loop_name(mechanism, chosen)
+    disputed = tuple(dict.fromkeys(point.point.name for point in found if point.stable != point.settles_in_mujoco))
     return BodeStudy(
+        mechanism_name=mechanism.name,
+        stable=all(point.stable and point.settles_in_mujoco for point in found),
+        message=_message(found, disputed, name),
+        tracker=law,
+        gains={name: getattr(chosen.settings, name) for name in (*_gain_names(law, joints[0]), "period_s", "delay_periods")},
+        disputed=disputed,
+        softness=_softness(loops),
+        contacts=contact_sentence(pairs, len(loops)),
+        poses=_by_pose(mechanism, law, found),
+        worst={joints[scan.channel].name: _worst(mechanism, scan) for scan in scans},
+        measurement=_measurement(found, steps, conditions) if steps else None,
+        note=note,
         mechanism=mechanism,
         law=chosen,
         points=tuple(found),
         scans=scans,
         is_measured=setup is not None,
-        simulated_steps=steps,
-        conditions=conditions,
-        note=note,
-        contacts=pairs,
+        loop_name=name,
     )
+
+
+def _point(
+    loop: FeedbackLoop, ideal: FeedbackLoop, channel: int, bounds: Margins, settles: bool, taken: dict[str, Response] | None
+) -> BodePoint:
+    """Return the loop of one joint at one pose; `taken` are its measured responses."""
+    responses, predicted = {}, {}
+    for name, response in (taken or {}).items():
+        predicted[name] = loop.response(name, response.frequency_hz, channel)
+        db, deg = response.against(predicted[name])
+        responses[name] = structs.replace(response, less_predicted_db=db, less_predicted_deg=deg)
+    return BodePoint(
+        **structs.asdict(bounds),
+        broken_at=broken_at(loop.point.mechanism, channel),
+        settles_in_mujoco=settles,
+        continuous=margins(ideal, channel),
+        measured=responses or UNSET,
+        channel=channel,
+        sampled=loop,
+        ideal=ideal,
+        predicted=predicted,
+    )
+
+
+def _by_pose(mechanism: Mechanism, law: str, points: Sequence[BodePoint]) -> list[PoseLoops]:
+    """Return the loops of all joints at each pose, by the law and, if there are several, the joint."""
+    found: dict[bytes, PoseLoops] = {}
+    for entry in points:
+        at, joints = entry.point, list(zip(mechanism.joints, entry.point.pose, strict=True))
+        row = PoseLoops(
+            q_deg={joint.name: joint.shown(x) for joint, x in joints if joint.kind == "hinge"},
+            q_m={joint.name: float(x) for joint, x in joints if joint.kind != "hinge"},
+            reduced_inertia_kgm2=float(at.inertia[0, 0]) if mechanism.dof == 1 else at.inertia.tolist(),
+            holding_effort={a.name: float(u) for a, u in zip(mechanism.actuators, at.hold, strict=True)},
+            loops={},
+        )
+        several = len(mechanism.channels) > 1
+        name = f"{law} {mechanism.independent_joints[entry.channel].name}" if several else law
+        found.setdefault(at.pose.tobytes(), row).loops[name] = entry
+    return list(found.values())
+
+
+def _worst(mechanism: Mechanism, scan: Scan) -> WorstMargins:
+    """Return the worst margins of a scan, and the least value of each."""
+    joint, line = mechanism.independent_joints[scan.channel], scan.line
+    key = f"position_{joint.unit}" if line.name == joint.name else "time_s"
+    place: dict[str, Any] = {key: line.shown(scan.positions[scan.worst])}
+    least = {name: found for name in LEAST_MARGINS if (found := scan.least(name)) is not None}
+    return WorstMargins(
+        **structs.asdict(scan.margins[scan.worst]),
+        **place,
+        least={name: {"value": value, key: line.shown(scan.positions[k])} for name, (value, k) in least.items()},
+    )
+
+
+def _measurement(points: Sequence[BodePoint], steps: int, conditions: dict) -> dict[str, Any]:
+    """Return the method, the largest difference between measured and predicted closed loops, and the conditions."""
+    off_db, off_deg = [], []
+    for response in [point.responses[name] for point in points for name in CLOSED_LOOPS if name in point.responses]:
+        coherent = response.coherence > 0.99
+        off_db.append(float(np.abs(response.less_predicted_db[coherent]).max(initial=0.0)))
+        off_deg.append(float(np.abs(response.less_predicted_deg[coherent]).max(initial=0.0)))
+    return {
+        "method": "sinestream",
+        "excitations": list(EXCITATIONS),
+        "simulated_steps": steps,
+        "closed_loop_deviation_db": max(off_db, default=None),
+        "closed_loop_deviation_deg": max(off_deg, default=None),
+        **conditions,
+    }
+
+
+def _gain_names(law: str, joint: Joint) -> tuple[str, str]:
+    """Return the keys of a law's two gains."""
+    if law != "lqr":
+        return "kp", "kd"
+    return ("lqr_position_m", "lqr_velocity_m_s") if joint.kind == "slide" else ("lqr_position_deg", "lqr_velocity_deg_s")
+
+
+def _softness(loops: Sequence[FeedbackLoop]) -> str | None:
+    """Return the sentence on the closure gap at the poses, or None if it is small."""
+    mechanism = loops[0].point.mechanism
+    gaps = [held_gap(mechanism, loop.point.pose, loop.point.hold) for loop in loops]
+    return gap_sentence(mechanism, max(gaps), error=" while the poses are held")
+
+
+def _loop_name(mechanism: Mechanism, law: SampledLaw) -> str:
+    """Return the tracker with its gains, period and delay, as text."""
+    settings, timing = law.settings, law.timing
+    name = "lqr" if law.name == "lqr" else settings.gains_text(mechanism.independent_joints)
+    name += f" sampled every {settings.period_s:g} s"
+    if timing.delay_steps:
+        name += f" with a delay of {timing.delay_s / settings.period_s:g} period(s)"
+    return name
+
+
+def _message(points: Sequence[BodePoint], disputed: Sequence[str], loop: str) -> str:
+    """Return the verdict as a sentence."""
+    mechanism = points[0].point.mechanism
+    joint, counted = mechanism.independent_joints[0], _counted(len({p.point.name for p in points}))
+    if bad := list(dict.fromkeys(p.point.name for p in points if not p.stable)):
+        where = "; ".join(bad)
+        if mechanism.dof == 1:
+            numbers = ", ".join(name.split(" = ", 1)[1].removesuffix(f" {joint.unit}") for name in bad)
+            where = f"{joint.name} = {numbers} {joint.unit}"
+        settled = dict.fromkeys(p.point.name for p in points if p.settles_in_mujoco and not p.stable)
+        dispute = f"; MuJoCo's own run settles at {'; '.join(settled)}" if settled else ""
+        return f"unstable at {where} ({len(bad)} of {counted}): {loop}{dispute}"
+    if disputed:
+        return (
+            f"stable by the sampled model and not in MuJoCo at {'; '.join(disputed)} ({len(disputed)} of {counted}), because"
+            f" the model omits soft closures, contacts and limits: {loop}"
+        )
+    text = f"stable at {'the pose' if counted == _counted(1) else f'all {counted}'}: {loop}"
+    known = [(margin, p.point.name) for p in points if (margin := p.phase_margin_deg) is not None]
+    if known:
+        text += ", phase margin {:.1f} deg at the worst ({})".format(*min(known))
+    return text
+
+
+def _counted(n: int) -> str:
+    return "1 pose" if n == 1 else f"{n} poses"
 
 
 def _predicted(

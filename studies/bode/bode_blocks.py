@@ -6,10 +6,8 @@ import numpy as np
 from msgspec.structs import replace
 
 from linkplan.models.tree.friction import frictions_of
-from linkplan.studies.bode.bode import BodePoint, BodeStudy
+from linkplan.studies.bode.bode_result import BodePoint, BodeStudy
 from linkplan.studies.bode.scan import Scan, bounds_text
-from linkplan.studies.bode.touching import contact_sentence
-from linkplan.studies.check.softness import gap_sentence, held_gap
 from linkplan.studies.frequency.feedback_loops import operating_point
 from linkplan.studies.frequency.margins import Margins, frequency_grid
 from linkplan.studies.frequency.response import Response
@@ -57,18 +55,18 @@ def summary(study: BodeStudy, *, verdict: bool = True) -> list[Block]:
         )
         blocks.append(Text(text=text))
     scans = [Text(text=_worst_of(study, scan)) for scan in study.scans]
-    notes = [*crossovers_of(study), contacts_of(study), softness_of(study), study.note]
+    notes = [*crossovers_of(study), study.contacts, study.softness, study.note]
     said = [Text(text=note, tone="note") for note in notes if note]
     return [*blocks, Facts(rows=[*rows, *_measured(study)]), _margins(study), *scans, *said]
 
 
 def _measured(study: BodeStudy) -> list[tuple[str, str]]:
     """Return the agreement of measurement and prediction, or the reason why nothing was measured."""
-    deviation, c = study.worst_deviation, study.conditions
-    if deviation is not None:
+    if (c := study.measurement) is not None:
         solref = ", ".join(f"{x[0]:g} {x[1]:g}" for x in c["solref"]) or "none"
-        how = f"sinestream, {study.simulated_steps} steps of {c['timestep_s']:g} s in MuJoCo {c['mujoco']}"
-        differ = f"differ from the prediction by at most {deviation[0]:.2g} dB and {deviation[1]:.2g} deg"
+        how = f"sinestream, {c['simulated_steps']} steps of {c['timestep_s']:g} s in MuJoCo {c['mujoco']}"
+        off_db, off_deg = c["closed_loop_deviation_db"], c["closed_loop_deviation_deg"]
+        differ = f"differ from the prediction by at most {off_db:.2g} dB and {off_deg:.2g} deg"
         text = f"{differ} ({how}, {c['integrator']}, closure constraints' solref {solref})"
         if any(frictions_of(study.mechanism.model)):
             text += "; dry friction, which the prediction leaves out, damps small motions: a larger test signal comes closer"
@@ -76,7 +74,7 @@ def _measured(study: BodeStudy) -> list[tuple[str, str]]:
     if not study.is_measured:
         return []
     why = "an unstable feedback loop holds no operating point"
-    if any(point.margins.stable for point in study.points):
+    if any(point.stable for point in study.points):
         why = "contacts push at the poses where the feedback loop is stable"
     return [("not measured", why)]
 
@@ -88,13 +86,13 @@ def _margins(study: BodeStudy) -> Table:
     heads = ["loop" if several else "pose", f"inertia [{inertias}]", "stable", "settles in MuJoCo"]
     heads += ["largest pole", "gain margin [dB]", "phase margin [deg]", "delay margin [ms]", "disk margin", "crossover [Hz]"]
     heads += ["bandwidth [Hz]", "resonance [dB]", "peak of |S|"]
-    lowered = any(_less_gain_is_nearer(entry.margins) for entry in study.points)
+    lowered = any(_less_gain_is_nearer(entry) for entry in study.points)
     heads += ["gain reduction margin [dB]"] if lowered else []
-    pulled = any(_is_pulled_away(entry.margins) for entry in study.points)
+    pulled = any(_is_pulled_away(entry) for entry in study.points)
     heads += ["response at rest"] if pulled else []
     rows = []
     for entry in study.points:
-        m, name = entry.margins, entry.point.name
+        m, name = entry, entry.point.name
         delay = None if m.delay_margin_s is None else 1e3 * m.delay_margin_s
         figures = [m.gain_margin_db, m.phase_margin_deg, delay, m.disk_margin]
         figures += [m.crossover_hz, m.bandwidth_hz, m.resonance_db, m.sensitivity_peak]
@@ -144,7 +142,7 @@ def crossovers_of(study: BodeStudy) -> list[str]:
     """Return a sentence for each feedback loop with several gain crossovers."""
     found = []
     for entry in study.points:
-        at, others = entry.margins.crossover_hz, entry.margins.other_crossovers_hz
+        at, others = entry.crossover_hz, entry.other_crossovers_hz
         if others:
             joint = study.mechanism.independent_joints[entry.channel].name
             loop = f"{joint} at {entry.point.name}" if len(study.mechanism.channels) > 1 else entry.point.name
@@ -153,20 +151,8 @@ def crossovers_of(study: BodeStudy) -> list[str]:
     return found
 
 
-def contacts_of(study: BodeStudy) -> str | None:
-    """Return the sentence on contacts at the poses, or None if there is no contact."""
-    return contact_sentence(study.contacts, len(study.points) // len(study.mechanism.channels))
-
-
-def softness_of(study: BodeStudy) -> str | None:
-    """Return the sentence on the closure gap at the poses, or None if it is small."""
-    mechanism, first = study.mechanism, study.mechanism.channels[0]
-    gaps = [held_gap(mechanism, entry.point.pose, entry.point.hold) for entry in study.points if entry.channel == first]
-    return gap_sentence(mechanism, max(gaps), error=" while the poses are held")
-
-
 def _name(entry: BodePoint) -> str:
-    return entry.point.name + ("" if entry.margins.stable else " (unstable)")
+    return entry.point.name + ("" if entry.stable else " (unstable)")
 
 
 def responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> dict[str, list[Plot]]:
@@ -188,11 +174,11 @@ def responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> dic
             beside = look | {"look": "dots", "width": 0.9}
             gain += [(_name(entry), frequency, db, look), ("", ideal[0], ideal[1], beside)]
             phase += [(_name(entry), frequency, deg, look), ("", ideal[0], ideal[2], beside)]
-            response = entry.measured.get(quantity)
+            response = entry.responses.get(quantity)
             if response is None:
                 continue
             dots = {**look, "look": "points"}
-            gain.append((f"{entry.point.name}, measured", response.frequency_hz, response.db, dots))
+            gain.append((f"{entry.point.name}, measured", response.frequency_hz, response.gain_db, dots))
             phase.append(
                 (f"{entry.point.name}, measured", response.frequency_hz, measured_phase(response, frequency, deg), dots)
             )
@@ -215,10 +201,10 @@ def responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> dic
 
 def _curve(entry: BodePoint, quantity: str, *, sampled: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return frequencies (n,) [Hz], gain [dB] and phase [deg] of a predicted response, thinned."""
-    loop = entry.sampled if sampled else entry.continuous
+    loop = entry.sampled if sampled else entry.ideal
     curve = loop.response(quantity, frequency_grid(loop.timing.period_s)[::2], entry.channel)
     shown = curve.frequency_hz >= lowest_hz(entry)
-    frequency, db = curve.frequency_hz[shown], curve.db[shown]
+    frequency, db = curve.frequency_hz[shown], curve.gain_db[shown]
     phase = shifted_phase(curve.phase_deg[shown], curve.gain[shown], quantity)
     rows = drawn_rows(np.column_stack([db, phase]), most=220)
     return frequency[rows], db[rows], phase[rows]
@@ -260,10 +246,10 @@ def sensitivities(entries: Sequence[BodePoint], group: str) -> list[Plot]:
                 curves.append(("", frequency[peak : peak + 1], db[peak : peak + 1], look | {"look": "points"}))
             if quantity == "control":
                 unit = f"dB of {entry.sampled.response(quantity, np.array([frequency[0]]), entry.channel).unit}"
-            if quantity in entry.measured:
-                response = entry.measured[quantity]
+            if quantity in entry.responses:
+                response = entry.responses[quantity]
                 dots = {**look, "look": "points"}
-                curves.append((f"{entry.point.name}, measured", response.frequency_hz, response.db, dots))
+                curves.append((f"{entry.point.name}, measured", response.frequency_hz, response.gain_db, dots))
         ends = None if quantity == "control" else (-50.0, 25.0)
         limits = [] if quantity == "control" else [Limit(name="gain one,", value=0.0)]
         found.append(_plot(title, "gain", unit, curves, group, limits, ends))
@@ -273,16 +259,16 @@ def sensitivities(entries: Sequence[BodePoint], group: str) -> list[Plot]:
 def nyquist(study: BodeStudy, entries: Sequence[BodePoint]) -> Plane:
     """Return the open loops in the complex plane, with the critical point and the disk of the least disk margin."""
     turn = np.exp(1j * np.linspace(0.0, 2 * np.pi, 121))
-    title = f"Nyquist curves of the open loop{'; dots measured' if any(entry.measured for entry in entries) else ''}"
+    title = f"Nyquist curves of the open loop{'; dots measured' if any(entry.responses for entry in entries) else ''}"
     curves = [Series(name="unit circle", x=rounded(turn.real), y=rounded(turn.imag), look="dots", colour=None, width=1.0)]
-    stable = [(margin, k) for k, entry in enumerate(entries) if (margin := entry.margins.disk_margin) is not None]
+    stable = [(margin, k) for k, entry in enumerate(entries) if (margin := entry.disk_margin) is not None]
     if stable:
         least_margin, k = min(stable)
         alpha = min(least_margin, 1.999)
         disk = 1.0 / (0.5 + turn / alpha) - 1.0  # the disk that L does not enter: |S - 1/2| = 1 / alpha
         least = entries[k]
-        gain = least.margins.disk_gain_margin_db or np.inf
-        phase = least.margins.disk_phase_margin_deg
+        gain = least.disk_gain_margin_db or np.inf
+        phase = least.disk_phase_margin_deg
         title += f"; least disk margin {alpha:.3g} at {least.point.name} (gain +-{gain:.3g} dB or phase {phase:.3g} deg)"
         curves.append(Series(name="least disk margin", x=rounded(disk.real), y=rounded(disk.imag), look="area", colour=4))
     half_width, grid = _NYQUIST_HALF_WIDTH, frequency_grid(study.law.timing.period_s)[::3]
@@ -292,8 +278,8 @@ def nyquist(study: BodeStudy, entries: Sequence[BodePoint]) -> Plane:
         half_width = max(half_width, 1.3 * min(float(np.abs(gain).min()), _MAX_NYQUIST_GAIN))
         gain = np.where(np.abs(gain) < _MAX_NYQUIST_GAIN, gain, np.nan)  # no straight line across a resonance
         curves.append(Series(name=_name(entry), x=rounded(gain.real), y=rounded(gain.imag), **line_style(k)))
-        if "loop" in entry.measured:
-            points = entry.measured["loop"].gain
+        if "loop" in entry.responses:
+            points = entry.responses["loop"].gain
             points = points[np.abs(points) < _MAX_NYQUIST_GAIN]
             dots = {**line_style(k), "look": "points"}
             curves.append(Series(name="", x=rounded(points.real), y=rounded(points.imag), **dots))
@@ -354,9 +340,9 @@ def _map(study: BodeStudy, scan: Scan, axis: Axis, x: np.ndarray) -> Plane:
 
 def lowest_hz(entry: BodePoint) -> float:
     """Return the lowest frequency [Hz] drawn: a fifth of the lowest measured one, or a hundredth of the crossover."""
-    if entry.measured:
-        return float(next(iter(entry.measured.values())).frequency_hz[0]) / 5.0
-    crossing = entry.margins.crossover_hz or entry.continuous_margins.crossover_hz
+    if entry.responses:
+        return float(next(iter(entry.responses.values())).frequency_hz[0]) / 5.0
+    crossing = entry.crossover_hz or entry.continuous.crossover_hz
     return (crossing or 0.05 / entry.sampled.timing.period_s) / 100.0
 
 

@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from linkplan.studies.bode.bode import BodeStudy
 from linkplan.studies.bode.bode_blocks import margins_along, nyquist, responses, sensitivities, summary
+from linkplan.studies.bode.bode_result import BodeStudy
 from linkplan.studies.output.document import Block, Report, Section
 from linkplan.studies.output.report_file import report_of
 

@@ -1,25 +1,18 @@
 """The study behind `linkplan bode --large`: a feedback loop beyond its effort limit, and the feasible amplitudes."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+
+from msgspec.structs import replace
 
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
 from linkplan.planner.problem.limits import Limits
-from linkplan.studies.bode.bode import BodeStudy
-from linkplan.studies.frequency.describing import LargeSignals, default_large_frequencies, large_record, large_signals
-from linkplan.studies.frequency.feasible import FeasibleCurve, curve_rows, default_amplitudes, feasible_curve
+from linkplan.studies.bode.bode_result import BodeStudy
+from linkplan.studies.frequency.describing import LargeSignals, default_large_frequencies, large_signals
+from linkplan.studies.frequency.feasible import curve_rows, default_amplitudes, feasible_curve
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class LargeStudy:
-    """Large-signal responses and the feasible-amplitude curve at one pose."""
-
-    signals: LargeSignals
-    curve: FeasibleCurve
-
-
-def large_study(study: BodeStudy, limits: Limits | None, say: Callable[[str], None] = silent) -> LargeStudy:
+def large_study(study: BodeStudy, limits: Limits | None, say: Callable[[str], None] = silent) -> LargeSignals:
     """Return the large-signal responses at the middle one of a bode study's stable poses.
 
     Args:
@@ -30,7 +23,7 @@ def large_study(study: BodeStudy, limits: Limits | None, say: Callable[[str], No
     Raises:
         LinkplanError: if no pose is stable, or the actuator has no limit.
     """
-    stable = [entry for entry in study.points if entry.margins.stable and entry.channel == 0]
+    stable = [entry for entry in study.points if entry.stable and entry.channel == 0]
     if not stable:
         raise LinkplanError("a response past the effort limit needs a stable feedback loop, and none of the poses has one")
     entry = stable[len(stable) // 2]
@@ -46,14 +39,9 @@ def large_study(study: BodeStudy, limits: Limits | None, say: Callable[[str], No
     signals = large_signals(
         entry.sampled,
         study.law.effort_limit,
-        default_large_frequencies(entry.sampled, entry.margins.crossover_hz),
+        default_large_frequencies(entry.sampled, entry.crossover_hz),
         quantity="reference" if study.law.name == "pd" else "reference+ff",
         farthest=float(within.max()) if within.size else None,
         say=say,
     )
-    return LargeStudy(signals=signals, curve=curve)
-
-
-def large_study_record(study: LargeStudy) -> dict:
-    """Return the large signals as a JSON record."""
-    return large_record(study.signals) | {"feasible": list(curve_rows(study.curve))}
+    return replace(signals, feasible=curve_rows(curve), curve=curve)

@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import contourpy
 import numpy as np
 
-from linkplan.studies.bode.along_motion import AlongMotion
-from linkplan.studies.bode.large_study import LargeStudy
-from linkplan.studies.bode.map_study import TRIAL_GAIN_SHARE, MapStudy, agreement
+from linkplan.studies.bode.bode_result import AlongMotion, MapStudy
+from linkplan.studies.bode.map_study import TRIAL_GAIN_SHARE
 from linkplan.studies.bode.scan import bounds_text, figures
+from linkplan.studies.frequency.describing import LargeSignals
 from linkplan.studies.frequency.feedback_loops import LAW_NAMES
 from linkplan.studies.frequency.floquet import floquet_text
 from linkplan.studies.output.document import MEASURED, Axis, Block, Facts, Heat, Plane, Plot, Series, Text, table_of
@@ -27,27 +27,27 @@ def map_blocks(study: MapStudy, marked: Marked = ()) -> list[Block]:
     found = study.found
     joint = found.points[0].mechanism.independent_joints[0]
     stiffness, damping = joint.gain_units
-    right, tried = agreement(found)
+    own_kp, own_kd = study.gains
     delay = f", delay {found.timing.delay_s:g} s" if found.timing.delay_steps else ""
     rows = [
         ("sampled every", f"{found.timing.period_s:g} s{delay}"),
-        ("gains next to the stability boundary tried in MuJoCo", f"{tried}, as predicted {right}"),
+        ("gains next to the stability boundary tried in MuJoCo", f"{study.tried_count}, as predicted {study.as_predicted}"),
     ]
-    gains = f"kp = {study.kp:g} {stiffness}, kd = {study.kd:g} {damping}"
+    gains = f"kp = {own_kp:g} {stiffness}, kd = {own_kd:g} {damping}"
     if study.longest_s is None:
         rows.append(("longest control period", f"{gains} is unstable at any"))
     elif np.isfinite(study.longest_s):
         period = f"{1e3 * study.longest_s:.4g} ms ({1e-3 / study.longest_s:.4g} kHz)"
         rows.append(("longest control period", f"{period} for {gains}, at {study.longest_at.name}"))
-    marked = marked or [("these gains", study.kp, study.kd)]
+    marked = marked or [("these gains", own_kp, own_kd)]
     low, high = np.nan_to_num(study.critical, nan=0.0).T
     at = np.array([joint.shown(point.state[0]) for point in found.points])
     axis = Axis(label=joint.name, unit=joint.unit)
     inertia = np.array([float(point.inertia[0, 0]) for point in found.points])
     heads = [f"inertia [{joint.inertia_unit}]", f"least kd [{damping}]", f"largest kd [{damping}]"]
     stable = zip(at, inertia, *study.critical.T, strict=True)
-    table = table_of(f"Stable kd at kp = {study.kp:g} {stiffness}", [(joint.name, joint.unit), *heads], list(stable))
-    lines = [Line(name=f"largest stable kd at kp = {study.kp:g}", values=high, unit=damping, colour=4)]
+    table = table_of(f"Stable kd at kp = {own_kp:g} {stiffness}", [(joint.name, joint.unit), *heads], list(stable))
+    lines = [Line(name=f"largest stable kd at kp = {own_kp:g}", values=high, unit=damping, colour=4)]
     if not found.timing.delay_steps:
         lines.append(
             Line(name="2 J / T", values=2 * inertia / found.timing.period_s, unit=damping, look="dots", colour=None)
@@ -109,45 +109,42 @@ def _contour(x: np.ndarray, y: np.ndarray, values: np.ndarray, level: float) -> 
 
 def along_blocks(found: AlongMotion) -> list[Block]:
     """Return a loop frozen along a motion and, for a periodic motion, the decay of a disturbance."""
-    time, joints = found.reference.time_s[found.instants], found.plan.problem.mechanism.independent_joints
-    worst = bounds_text(found.margins[found.worst])
-    if len(joints) > 1:
-        worst += f", of the loop of {joints[found.channels[found.worst]].name}"
+    worst = found.worst
+    said = bounds_text(worst) + (f", of the loop of {worst.joint}" if found.n_loops > 1 else "")
     frozen = (
-        f"{LAW_NAMES[found.law]} at frozen instants along {found.plan.problem.name}: worst at"
-        f" {1e3 * time[found.worst]:.4g} ms ({worst}); the largest frozen pole is {radius_figure(float(found.radius.max()))}"
+        f"{LAW_NAMES[found.tracker]} at frozen instants along {found.plan}: worst at {1e3 * worst.time_s:.4g} ms ({said});"
+        f" the largest frozen pole is {radius_figure(found.largest_frozen_pole)}"
     )
     cycle = found.floquet
     none = "the motion is not periodic: there are no Floquet multipliers"
     blocks: list[Block] = [Text(text=frozen), Text(text=none if cycle is None else floquet_text(cycle))]
     margins = [
-        Line(name="phase margin", values=figures(found.margins, "phase_margin_deg"), unit="deg"),
-        Line(name="disk phase margin", values=figures(found.margins, "disk_phase_margin_deg"), unit="deg"),
+        Line(name="phase margin", values=figures(found.frozen, "phase_margin_deg"), unit="deg"),
+        Line(name="disk phase margin", values=figures(found.frozen, "disk_phase_margin_deg"), unit="deg"),
     ]
-    several = ", the worst coordinate's loop" if len(joints) > 1 else ""
+    several = ", the worst coordinate's loop" if found.n_loops > 1 else ""
     title = f"Margins at frozen instants{several}"
-    blocks += plots(title, "margin", TIME, time, margins, group=f"time:{found.plan.problem.name}")
+    blocks += plots(title, "margin", TIME, figures(found.frozen, "time_s"), margins, group=f"time:{found.plan}")
     if cycle is not None:
-        clear = slice(None, cycle.last_visible_sample + 1)
-        shares = [np.maximum(size[clear], _LEAST_SHARE) for size in (cycle.size, cycle.measured_size)]
+        shares = [np.maximum(size, _LEAST_SHARE) for size in (cycle.size, cycle.measured_size)]
         decay = [
             Line(name="predicted", values=shares[0], unit="1"),
             Line(name="measured in MuJoCo", values=shares[1], unit="1", look="dash"),
         ]
-        title = f"Remaining share of the worst disturbance; largest multiplier {np.abs(cycle.multipliers[0]):.3g} a cycle"
-        blocks += plots(title, "share", TIME, cycle.time_s[clear], decay, log=True)
+        title = f"Remaining share of the worst disturbance; largest multiplier {cycle.multiplier_size[0]:.3g} a cycle"
+        blocks += plots(title, "share", TIME, cycle.time_s, decay, log=True)
     return blocks
 
 
-def large_blocks(study: LargeStudy) -> list[Block]:
+def large_blocks(signals: LargeSignals) -> list[Block]:
     """Return large signals: gain at saturation, the describing function, feasible amplitudes."""
-    signals, curve = study.signals, study.curve
+    curve = signals.curve
     joint = curve.point.mechanism.independent_joints[0]
     texts: list[Block] = [Text(text=f"large signals at {curve.point.name}")]
     cut = signals.saturated > 0.05
     if np.any(cut):
-        deviation = np.abs(np.abs(signals.describing[cut]) / signals.describing_predicted[cut] - 1).max()
-        off = np.abs(20 * np.log10(np.abs(signals.measured[cut] / signals.predicted[cut]))).max()
+        deviation = np.abs(signals.describing[cut] / signals.describing_predicted[cut] - 1).max()
+        off = np.abs(signals.gain_db[cut] - signals.predicted_db[cut]).max()
         said = (
             f"past the limit ({int(cut.sum())} points) the measured describing function is within {100 * deviation:.2g} % of"
             f" the saturation's, and the closed loop within {off:.2g} dB of harmonic balance"
@@ -159,14 +156,12 @@ def large_blocks(study: LargeStudy) -> list[Block]:
     ]
     heads = [f"amplitude [{joint.unit}]", "can be followed up to [Hz]", "because of"]
     texts.append(table_of("Feasible amplitudes", heads, followed))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        measured, predicted = (20 * np.log10(np.abs(x)) for x in (signals.measured, signals.predicted))
     frequency = rounded(signals.frequency_hz, log=True)
     series = []
     for k, multiple in enumerate(signals.multiples):
         name = f"command {multiple:g} of the limit"
-        series.append(Series(name=name, y=rounded(predicted[:, k]), colour=k % 7, width=1.1))
-        series.append(Series(name=name + MEASURED, y=rounded(measured[:, k]), colour=k % 7, look="points"))
+        series.append(Series(name=name, y=rounded(signals.predicted_db[:, k]), colour=k % 7, width=1.1))
+        series.append(Series(name=name + MEASURED, y=rounded(signals.gain_db[:, k]), colour=k % 7, look="points"))
     gain = Plot(
         title=f"Reference to position at {curve.point.name}, lines by harmonic balance",
         group="frequency:large",
@@ -180,7 +175,7 @@ def large_blocks(study: LargeStudy) -> list[Block]:
     x = rounded(ratio[known][order], log=True)
     described = (
         ("saturation's", signals.describing_predicted, "line", None),
-        ("MuJoCo", np.abs(signals.describing), "points", 1),
+        ("MuJoCo", signals.describing, "points", 1),
     )
     describing = Plane(
         title="Describing function",
@@ -193,7 +188,8 @@ def large_blocks(study: LargeStudy) -> list[Block]:
     )
     live = (curve.frequency_hz > 0) & np.isfinite(curve.frequency_hz)
     tried = np.isfinite(signals.saturated)
-    hz = np.broadcast_to(signals.frequency_hz[:, None], signals.amplitude.shape)
+    amplitude = signals.amplitude_deg if joint.unit == "deg" else signals.amplitude_m
+    hz = np.broadcast_to(signals.frequency_hz[:, None], amplitude.shape)
     curves = [
         Series(
             name="feasible for any controller",
@@ -209,7 +205,7 @@ def large_blocks(study: LargeStudy) -> list[Block]:
             Series(
                 name=name,
                 x=rounded(hz[which], log=True),
-                y=rounded(joint.shown(1.0) * signals.amplitude[which], log=True),
+                y=rounded(amplitude[which], log=True),
                 look=look,
                 colour=None,
             )

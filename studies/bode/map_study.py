@@ -1,16 +1,14 @@
 """The study behind `linkplan bode --map`: stable gains at all poses, checked in MuJoCo, and the longest control period."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.planning import silent
-from linkplan.studies.bode.bode import BodeStudy
+from linkplan.studies.bode.bode_result import BodeStudy, MapStudy
 from linkplan.studies.frequency.feedback_loops import OperatingPoint, operating_point, refuse_several_freedoms
 from linkplan.studies.frequency.stability_map import (
-    StabilityMap,
     critical_kd,
     longest_period,
     pd_loop,
@@ -22,22 +20,6 @@ from linkplan.studies.frequency.worst import local_minima
 # Gains simulated in MuJoCo lie this share above and below the stability boundary.
 TRIAL_GAIN_SHARE = 0.02
 _GRID_POINTS = 48
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class MapStudy:
-    """A stability map, the stable kd (low, high) at the study's kp for each pose (n, 2), the longest control period [s].
-
-    `longest_s` is None if the gains are unstable at any period, and infinite if they are stable at any period.
-    """
-
-    found: StabilityMap
-    settles_near_border: np.ndarray  # (n, 2): MuJoCo settles just below and just above each pose's largest stable kd
-    kp: float
-    kd: float
-    critical: np.ndarray
-    longest_s: float | None
-    longest_at: OperatingPoint | None
 
 
 def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy:
@@ -82,12 +64,31 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
     delay = law.timing.delay_steps / law.timing.substeps
     longest, where = longest_period(points, own_kp, own_kd, delay, law.timing.period_s)
     say("gains on both sides of the stability boundary at every pose, in MuJoCo")
+    settles = _settles_near_border(points, own_kp, critical[:, 1], law.timing, law.effort_limit)
+    joint, tried = mechanism.independent_joints[0], list(zip(found.tried, found.settles.tolist(), strict=True))
+    ends = zip(points, np.nan_to_num(critical, nan=0.0, posinf=np.inf).tolist(), settles.tolist(), strict=True)
     return MapStudy(
+        kp=found.kp,
+        kd=found.kd,
+        radius=found.radius,
+        critical_kd=[
+            {
+                f"position_{joint.unit}": joint.shown(point.state[0]),
+                "least": low,
+                "largest": high,
+                "settles_below_in_mujoco": below,
+                "settles_above_in_mujoco": above,
+            }
+            for point, (low, high), (below, above) in ends
+        ],
+        longest_period_s=longest,
+        tried=[{"kp": kp, "kd": kd, "pose": points[i].name, "settles_in_mujoco": at} for (kp, kd, i), at in tried],
+        as_predicted=sum(pd_loop(points[i], kp, kd, law.timing).stable == at for (kp, kd, i), at in tried),
+        tried_count=len(tried),
         found=found,
-        settles_near_border=_settles_near_border(points, own_kp, critical[:, 1], law.timing, law.effort_limit),
-        kp=own_kp,
-        kd=own_kd,
+        gains=(own_kp, own_kd),
         critical=critical,
+        settles_near_border=settles,
         longest_s=longest,
         longest_at=where,
     )
@@ -98,40 +99,3 @@ def _settles_near_border(points, kp: float, critical: np.ndarray, timing, effort
     kd = np.where(np.isfinite(critical), critical, 1.0)[:, None] * np.array([1 - TRIAL_GAIN_SHARE, 1 + TRIAL_GAIN_SHARE])
     loops = [pd_loop(point, kp, value, timing) for point, pair in zip(points, kd, strict=True) for value in pair]
     return settle_trials(loops, effort_limit).reshape(-1, 2)
-
-
-def agreement(found: StabilityMap) -> tuple[int, int]:
-    """Return the number of simulated gains for which MuJoCo agrees with the sampled model, and the number simulated."""
-    predicted = np.array([pd_loop(found.points[i], kp, kd, found.timing).stable for kp, kd, i in found.tried], dtype=bool)
-    return int(np.sum(predicted == found.settles)), len(predicted)
-
-
-def map_record(study: MapStudy) -> dict:
-    """Return the map as a JSON record."""
-    found = study.found
-    joint = found.points[0].mechanism.independent_joints[0]
-    right, tried = agreement(found)
-    return {
-        "kp": found.kp,
-        "kd": found.kd,
-        "radius": found.radius,
-        "critical_kd": [
-            {
-                f"position_{joint.unit}": joint.shown(p.state[0]),
-                "least": float(low),
-                "largest": float(high) if np.isfinite(high) else None,
-                "settles_below_in_mujoco": bool(below),
-                "settles_above_in_mujoco": bool(above),
-            }
-            for p, (low, high), (below, above) in zip(
-                found.points, np.nan_to_num(study.critical, nan=0.0), study.settles_near_border, strict=True
-            )
-        ],
-        "longest_period_s": study.longest_s if study.longest_s is not None and np.isfinite(study.longest_s) else None,
-        "tried": [
-            {"kp": kp, "kd": kd, "pose": found.points[i].name, "settles_in_mujoco": bool(settles)}
-            for (kp, kd, i), settles in zip(found.tried, found.settles, strict=True)
-        ],
-        "as_predicted": right,
-        "tried_count": tried,
-    }

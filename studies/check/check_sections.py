@@ -15,8 +15,8 @@ from linkplan.studies.output.report_file import report_of
 
 def check_sections(whole: WholeCheck) -> list[Section]:
     """Return the sections of a check."""
-    first = Section(title=f"Mechanism: {whole.name}", blocks=inspection_blocks(whole.found))
-    n = len(whole.along)
+    first = Section(title=f"Mechanism: {whole.name}", blocks=inspection_blocks(whole))
+    n = len(whole.sweeps)
     return [first, *(path_section(path, whole.name, n) for path in whole.paths)]
 
 

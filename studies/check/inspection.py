@@ -1,8 +1,9 @@
 """The study behind `linkplan check`: a mechanism's properties, its reach, and its faults."""
 
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from msgspec import UNSET, Struct, UnsetType, field
 
 from linkplan.models.audit import audit
 from linkplan.models.closure.initial_assembly import keyframe_of
@@ -17,6 +18,7 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import Reach, reach, toggles
 from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.dynamics import site_names
+from linkplan.planner.files.structs import NOT_READ, Beside, Number
 from linkplan.planner.problem.consistency import check_asked_pose
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.drives import (
@@ -36,31 +38,54 @@ from linkplan.studies.check.tendon_ranges import coincident_sites, tendon_findin
 _MOST_CONTACT_POSES = 6000
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class PoseReport:
-    """The mechanism at one pose: inertia (n_s, n_s), efforts (n_s,) that hold the weight and everything, effort map."""
+class PoseReport(Struct, frozen=True, kw_only=True, eq=False):
+    """The mechanism at one pose: inertia (n_s, n_s), efforts that hold the weight and everything, and the effort map.
 
-    pose: np.ndarray
-    reduced_inertia: np.ndarray
-    gravity_effort: np.ndarray
-    holding_effort: np.ndarray
-    effort_map: np.ndarray
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Inspection:
-    """The findings of `check`; `problems` are sentences, empty for a mechanism without faults.
-
-    `closure_gaps` are the largest gaps at home by unit: "m" for points and slides, "rad" for angles, hinges and tendons.
+    Efforts are on the independent joints, by name; the map is by actuator and joint.
     """
 
-    mechanism: Mechanism
-    closure_gaps: dict[str, float]
-    reaches: tuple[Reach, ...]
-    contacts: tuple[ContactPair, ...]
-    points: tuple[PoseReport, ...]
+    q_deg: dict[str, float]
+    q_m: dict[str, float]
+    reduced_inertia_kgm2: np.ndarray
+    gravity_effort: dict[str, float]
+    holding_effort: dict[str, float]
+    effort_map: dict[str, dict[str, float]]
+
+
+class Inspection(Struct, frozen=True, kw_only=True, eq=False):
+    """The findings of `check`; `problems` are sentences, empty for a mechanism without faults.
+
+    The gaps are the largest at home: "m" of points and slides, "rad" of angles, hinges and tendons. `branch` has the
+    determinants of J_z's blocks at home. A reach has both ends, `reach_ends` what ends it. `contacts` are pairs of geoms.
+    """
+
+    name: str = field(name="model")
+    dof: int
+    independent: list[str]
+    dependent: list[str]
+    closures: list[str]
+    closure_rows: int
+    closure_rank: int
+    closure_gap_m: float
+    closure_gap_rad: float | UnsetType = UNSET
+    branch: list[float]
+    home_deg: dict[str, float]
+    home_m: dict[str, float]
+    reach_deg: dict[str, tuple[Number, Number]]
+    reach_m: dict[str, tuple[Number, Number]]
+    reach_ends: dict[str, tuple[str, str]]
+    singular_deg: list[float]
+    branching_deg: list[float]
+    toggle_deg: list[float]
+    actuators: dict[str, dict[str, Any]]
+    contacts: list[dict[str, Any]]
     problems: tuple[str, ...]
     notes: tuple[str, ...]
+    sites_at_home_m: dict[str, np.ndarray]
+    points: tuple[PoseReport, ...]
+    mechanism: Beside[Mechanism] = NOT_READ
+    reaches: Beside[tuple[Reach, ...]] = NOT_READ
+    pairs: Beside[tuple[ContactPair, ...]] = NOT_READ
 
 
 def inspect(
@@ -82,15 +107,53 @@ def inspect(
     touching = contact_pairs(mechanism, poses)
     problems, notes = _findings(mechanism, reaches)
     refused, noted = contact_findings(mechanism, touching, sweeps, motion, contacts)
+    reached = list(zip(mechanism.independent_joints, reaches, strict=True))
+    hinges = [(joint, can) for joint, can in reached if joint.kind == "hinge"]
+    ends = {joint.name: (joint.shown(can.lower.position), joint.shown(can.upper.position)) for joint, can in reached}
     return Inspection(
-        mechanism=mechanism,
-        closure_gaps=_closure_gaps(mechanism),
-        reaches=reaches,
-        contacts=touching,
-        points=tuple(pose_report(mechanism, asked) for asked in positions),
+        name=mechanism.name,
+        dof=mechanism.dof,
+        independent=[joint.name for joint in mechanism.independent_joints],
+        dependent=[mechanism.joints[i].name for i in mechanism.dependent],
+        closures=list(mechanism.closure_names),
+        closure_rows=mechanism.n_closure_rows,
+        closure_rank=len(mechanism.closure_rows),
+        **{f"closure_gap_{unit}": gap for unit, gap in ({"m": 0.0} | _closure_gaps(mechanism)).items()},
+        branch=np.array(mechanism.dynamics.block_singularity(mechanism.home)).ravel().tolist() if mechanism.closures else [],
+        **_by_kind("home", mechanism, mechanism.home),
+        reach_deg={joint.name: ends[joint.name] for joint, _ in hinges},
+        reach_m={joint.name: ends[joint.name] for joint, _ in reached if joint.kind == "slide"},
+        reach_ends={joint.name: (can.lower.reason, can.upper.reason) for joint, can in reached},
+        singular_deg=[joint.shown(position) for joint, can in hinges for position in can.singular],
+        branching_deg=[joint.shown(position) for joint, can in hinges for position, _ in can.branching],
+        toggle_deg=[joint.shown(x) for joint, can in hinges for _, x in toggles(mechanism, can.coordinate)],
+        actuators={
+            a.name: {
+                "joint": None if a.joint is None else mechanism.joints[a.joint].name,
+                "on": a.target,
+                "limit": [a.lower, a.upper],
+                "unit": a.unit,
+            }
+            for a in mechanism.actuators
+        },
+        contacts=[
+            {"geoms": [pair.first, pair.second], "poses": len(pair.poses), "depth_m": pair.depth_m} for pair in touching
+        ],
         problems=tuple(dict.fromkeys([*problems, *refused])),
         notes=(*notes, *noted),
+        sites_at_home_m=sites_at_home(mechanism),
+        points=tuple(pose_report(mechanism, asked) for asked in positions),
+        mechanism=mechanism,
+        reaches=reaches,
+        pairs=touching,
     )
+
+
+def _by_kind(name: str, mechanism: Mechanism, pose: np.ndarray) -> dict[str, Any]:
+    """Return a pose as `name`_deg of the hinges and `name`_m of the slides."""
+    joints = list(zip(mechanism.joints, pose, strict=True))
+    hinges = {joint.name: joint.shown(x) for joint, x in joints if joint.kind == "hinge"}
+    return {f"{name}_deg": hinges, f"{name}_m": {joint.name: float(x) for joint, x in joints if joint.kind == "slide"}}
 
 
 def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:
@@ -114,12 +177,15 @@ def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:
     except AssemblyError as error:
         raise ProblemError(f"the pose asked for is beyond reach: {error}") from error
     dynamics, still = mechanism.dynamics, np.zeros(mechanism.dof)
+    names = [joint.name for joint in mechanism.independent_joints]
+    weight, held = dynamics.gravity_effort(pose), dynamics.inverse_dynamics(pose, still, still)
+    by_actuator = zip(mechanism.actuators, np.array(dynamics.effort_map(pose)).T, strict=True)
     return PoseReport(
-        pose=pose,
-        reduced_inertia=np.array(dynamics.reduced_inertia(pose)),
-        gravity_effort=np.array(dynamics.gravity_effort(pose)).ravel(),
-        holding_effort=np.array(dynamics.inverse_dynamics(pose, still, still)).ravel(),
-        effort_map=np.array(dynamics.effort_map(pose)),
+        **_by_kind("q", mechanism, pose),
+        reduced_inertia_kgm2=np.array(dynamics.reduced_inertia(pose)),
+        gravity_effort=dict(zip(names, np.array(weight).ravel(), strict=True)),
+        holding_effort=dict(zip(names, np.array(held).ravel(), strict=True)),
+        effort_map={actuator.name: dict(zip(names, column, strict=True)) for actuator, column in by_actuator},
     )
 
 
@@ -296,80 +362,7 @@ def _range(joint: Joint) -> str:
     return f"[{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}] {joint.unit}"
 
 
-def branch(mechanism: Mechanism) -> list[float]:
-    """Return the determinants of J_z's blocks at home; their signs are constant along a branch."""
-    return np.array(mechanism.dynamics.block_singularity(mechanism.home)).ravel().tolist() if mechanism.closures else []
-
-
-def inspection_record(found: Inspection) -> dict:
-    """Return the record of `linkplan check --json`."""
-    mechanism = found.mechanism
-    independent = mechanism.independent_joints
-    return {
-        "model": mechanism.name,
-        "dof": mechanism.dof,
-        "independent": [joint.name for joint in independent],
-        "dependent": [mechanism.joints[i].name for i in mechanism.dependent],
-        "closures": list(mechanism.closure_names),
-        "closure_rows": mechanism.n_closure_rows,
-        "closure_rank": len(mechanism.closure_rows),
-        **{f"closure_gap_{unit}": gap for unit, gap in ({"m": 0.0} | found.closure_gaps).items()},
-        "branch": branch(mechanism),
-        "home_deg": {j.name: j.shown(x) for j, x in zip(mechanism.joints, mechanism.home, strict=True) if j.kind == "hinge"},
-        "home_m": {j.name: float(x) for j, x in zip(mechanism.joints, mechanism.home, strict=True) if j.kind == "slide"},
-        **_reach_record(found),
-        "actuators": {
-            a.name: {
-                "joint": None if a.joint is None else mechanism.joints[a.joint].name,
-                "on": a.target,
-                "limit": [a.lower, a.upper],
-                "unit": a.unit,
-            }
-            for a in mechanism.actuators
-        },
-        "contacts": [
-            {"geoms": [pair.first, pair.second], "poses": len(pair.poses), "depth_m": pair.depth_m}
-            for pair in found.contacts
-        ],
-        "problems": list(found.problems),
-        "notes": list(found.notes),
-        "sites_at_home_m": sites_at_home(mechanism),
-        "points": [_point_record(mechanism, point) for point in found.points],
-    }
-
-
-def _reach_record(found: Inspection) -> dict:
-    """Return the reach of each independent joint, and its singular, branching and toggle poses."""
-    reaches = list(zip(found.mechanism.independent_joints, found.reaches, strict=True))
-    hinges = [(joint, can) for joint, can in reaches if joint.kind == "hinge"]
-    ends = {joint.name: [joint.shown(can.lower.position), joint.shown(can.upper.position)] for joint, can in reaches}
-    return {
-        "reach_deg": {joint.name: ends[joint.name] for joint, _ in hinges},
-        "reach_m": {joint.name: ends[joint.name] for joint, _ in reaches if joint.kind == "slide"},
-        "reach_ends": {joint.name: [can.lower.reason, can.upper.reason] for joint, can in reaches},
-        "singular_deg": [joint.shown(position) for joint, can in hinges for position in can.singular],
-        "branching_deg": [joint.shown(position) for joint, can in hinges for position, _ in can.branching],
-        "toggle_deg": [joint.shown(x) for joint, can in hinges for _, x in toggles(found.mechanism, can.coordinate)],
-    }
-
-
 def sites_at_home(mechanism: Mechanism) -> dict[str, np.ndarray]:
     """Return the positions (3,) [m] of a model's named sites at home, in the world's frame."""
     index = {name: mechanism.model.site(name).id for name in site_names(mechanism.model)}
     return {name: places_of(mechanism, int(site), mechanism.home)[0] for name, site in index.items()}
-
-
-def _point_record(mechanism: Mechanism, point: PoseReport) -> dict:
-    joints = list(zip(mechanism.joints, point.pose, strict=True))
-    names = [joint.name for joint in mechanism.independent_joints]
-    return {
-        "q_deg": {joint.name: joint.shown(x) for joint, x in joints if joint.kind == "hinge"},
-        "q_m": {joint.name: float(x) for joint, x in joints if joint.kind == "slide"},
-        "reduced_inertia_kgm2": point.reduced_inertia,
-        "gravity_effort": dict(zip(names, point.gravity_effort, strict=True)),
-        "holding_effort": dict(zip(names, point.holding_effort, strict=True)),
-        "effort_map": {
-            actuator.name: dict(zip(names, point.effort_map[:, column], strict=True))
-            for column, actuator in enumerate(mechanism.actuators)
-        },
-    }

@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.models.poses.reach import Reach
 from linkplan.models.tree.joints import where
-from linkplan.studies.check.inspection import Inspection, branch, sites_at_home
+from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
 from linkplan.studies.output.plan_blocks import figure
 
@@ -38,13 +38,14 @@ def _facts(found: Inspection) -> Facts:
     mechanism = found.mechanism
     n_rows = mechanism.n_closure_rows
     rank = f"{n_rows} row{'s' if n_rows != 1 else ''}, rank {len(mechanism.closure_rows)}"
-    gaps = " and ".join(f"{figure(gap, 2)} {unit}" for unit, gap in found.closure_gaps.items())
+    units = sorted({closure.unit for closure in mechanism.closures}) or ["m"]
+    gaps = " and ".join(f"{figure(getattr(found, f'closure_gap_{unit}'), 2)} {unit}" for unit in units)
     rows = [
         ("closure", f"{', '.join(mechanism.closure_names) or 'none'}: {rank}, gap {gaps}"),
         ("home", where(mechanism.joints, mechanism.home, 5)),
     ]
     if mechanism.closures:
-        rows.append(("branch", f"that of home, where det J_z is {', '.join(f'{x:.4g}' for x in branch(mechanism))}"))
+        rows.append(("branch", f"that of home, where det J_z is {', '.join(f'{x:.4g}' for x in found.branch)}"))
     return Facts(rows=rows)
 
 
@@ -69,7 +70,7 @@ def reach_table(found: Inspection, reaches: Sequence[Reach], more: str = "") -> 
 def _sites(found: Inspection) -> list[Table]:
     """Return the table of the sites at home, with rounding errors as zero."""
     least = 1e-12 * found.mechanism.extent_m
-    rows = [[name, *np.where(np.abs(place) < least, 0.0, place)] for name, place in sites_at_home(found.mechanism).items()]
+    rows = [[name, *np.where(np.abs(place) < least, 0.0, place)] for name, place in found.sites_at_home_m.items()]
     return [table_of("Sites at home", ["site", "x [m]", "y [m]", "z [m]"], rows, digits=6)] if rows else []
 
 
@@ -87,7 +88,9 @@ def _poses(found: Inspection) -> list[Table]:
     heads += [(f"{a.name}->{joint.name}", "") for a in mechanism.actuators for joint in independent]
     rows = []
     for point in found.points:
-        upper = point.reduced_inertia[np.triu_indices(mechanism.dof)]
-        positions = [float(joint.said(x, 17)) for joint, x in zip(mechanism.joints, point.pose, strict=True)]
-        rows.append([*positions, *upper, *point.gravity_effort, *point.holding_effort, *point.effort_map.T.ravel()])
+        upper = point.reduced_inertia_kgm2[np.triu_indices(mechanism.dof)]
+        pose = point.q_deg | point.q_m
+        positions = [float(joint.said(joint.read(pose[joint.name]), 17)) for joint in mechanism.joints]
+        ratios = [ratio for column in point.effort_map.values() for ratio in column.values()]
+        rows.append([*positions, *upper, *point.gravity_effort.values(), *point.holding_effort.values(), *ratios])
     return [table_of("At the poses asked for", heads, rows)]

@@ -15,6 +15,7 @@ from itertools import pairwise
 
 import casadi as ca
 import numpy as np
+from msgspec import Struct
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
@@ -48,6 +49,26 @@ class Sweep:
         return self.poses[:, self.mechanism.independent]
 
 
+class PathFigures(Struct, frozen=True, kw_only=True, eq=False):
+    """A path's entry in `check.json`: arrays over its samples, by joint, coordinate, actuator or closure."""
+
+    path: str
+    coordinate: str | None
+    time_s: np.ndarray | None
+    q_deg: dict[str, np.ndarray]
+    q_m: dict[str, np.ndarray]
+    joint_rate: dict[str, dict[str, np.ndarray]]
+    transmission_ratio: dict[str, dict[str, np.ndarray]]
+    reduced_inertia: np.ndarray
+    reflected_inertia: dict[str, np.ndarray]
+    gravity_effort: dict[str, np.ndarray]
+    holding_effort: dict[str, np.ndarray]
+    unheld_effort: dict[str, np.ndarray]
+    available_effort: dict[str, np.ndarray]
+    singularity_ratio: np.ndarray
+    closure_force_n: dict[str, np.ndarray]
+
+
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class KinematicLoopPath(Sweep):
     """The report along a path, at rest at each of its poses.
@@ -68,6 +89,36 @@ class KinematicLoopPath(Sweep):
     limit: np.ndarray  # (n_u, 2) of the actuators' efforts
     singularity: np.ndarray  # (n,) least determinant of J_z's blocks relative to home; 0 at a singular pose
     closure_force: np.ndarray  # (n, n_closures) [N] norm of each closure's force while weight and springs are held
+
+    @property
+    def figures(self) -> PathFigures:
+        """The path by names; beyond the size of a record (`has_whole_records`) with its own coordinate alone."""
+        mechanism, own = self.mechanism, self.coordinate
+        names, joints = [joint.name for joint in mechanism.independent_joints], list(enumerate(mechanism.joints))
+        of = list(range(len(names))) if own is None or has_whole_records(mechanism) else [own]
+        independent = [names[column] for column in of]
+        actuators = [actuator.name for actuator in mechanism.actuators]
+
+        def by(names: list[str], values: np.ndarray) -> dict[str, np.ndarray]:
+            return {name: values[:, k] for k, name in enumerate(names)}
+
+        return PathFigures(
+            path=self.title,
+            coordinate=None if own is None else names[own],
+            time_s=self.time_s,
+            q_deg={joint.name: np.degrees(self.poses[:, k]) for k, joint in joints if joint.kind == "hinge"},
+            q_m={joint.name: self.poses[:, k] for k, joint in joints if joint.kind == "slide"},
+            joint_rate={joint.name: by(independent, self.rates[:, k, of]) for k, joint in joints},
+            transmission_ratio={name: by(independent, self.ratio[:, of, j]) for j, name in enumerate(actuators)},
+            reduced_inertia=self.reduced_inertia[:, of][:, :, of],
+            reflected_inertia=by(actuators, self.reflected_inertia),
+            gravity_effort=by(independent, self.gravity_effort[:, of]),
+            holding_effort=by(actuators, self.holding_effort),
+            unheld_effort=by(independent, self.unheld_effort[:, of]),
+            available_effort=by(independent, self.available_effort[:, of]),
+            singularity_ratio=self.singularity,
+            closure_force_n=by(list(mechanism.closure_names), self.closure_force),
+        )
 
 
 def measure(
@@ -262,38 +313,3 @@ def _singularity(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
         return np.ones(len(poses))
     block = mechanism.dynamics.block_singularity
     return (sampled(block, poses)[:, :, 0] / np.array(block(mechanism.home)).ravel()).min(axis=1)
-
-
-def path_record(path: KinematicLoopPath) -> dict:
-    """Return a path's record of `linkplan check --json`: lists over its samples, null for infinite values and nan.
-
-    Quantities of coordinates are those of all, or of the path's own beyond the size of a record (`has_whole_records`).
-    """
-    mechanism = path.mechanism
-    joints = list(enumerate(mechanism.joints))
-    names = [joint.name for joint in mechanism.independent_joints]
-    own = path.coordinate
-    of = list(range(len(names))) if own is None or has_whole_records(mechanism) else [own]
-    independent = [names[column] for column in of]
-    actuators = [actuator.name for actuator in mechanism.actuators]
-
-    def by(names: list[str], values: np.ndarray) -> dict:
-        return {name: values[:, k] for k, name in enumerate(names)}
-
-    return {
-        "path": path.title,
-        "coordinate": None if own is None else names[own],
-        "time_s": path.time_s,
-        "q_deg": {joint.name: np.degrees(path.poses[:, k]) for k, joint in joints if joint.kind == "hinge"},
-        "q_m": {joint.name: path.poses[:, k] for k, joint in joints if joint.kind == "slide"},
-        "joint_rate": {joint.name: by(independent, path.rates[:, k, of]) for k, joint in joints},
-        "transmission_ratio": {name: by(independent, path.ratio[:, of, j]) for j, name in enumerate(actuators)},
-        "reduced_inertia": path.reduced_inertia[:, of][:, :, of],
-        "reflected_inertia": by(actuators, path.reflected_inertia),
-        "gravity_effort": by(independent, path.gravity_effort[:, of]),
-        "holding_effort": by(actuators, path.holding_effort),
-        "unheld_effort": by(independent, path.unheld_effort[:, of]),
-        "available_effort": by(independent, path.available_effort[:, of]),
-        "singularity_ratio": path.singularity,
-        "closure_force_n": by(list(mechanism.closure_names), path.closure_force),
-    }

@@ -1,45 +1,38 @@
 """The report of `linkplan check` on a model that cannot be loaded: locked, not assembled, or without inertia."""
 
-from dataclasses import dataclass
+from msgspec import UNSET, Struct, UnsetType
 
 from linkplan.models.closure.initial_assembly import home_text
 from linkplan.models.errors import InertiaError, LockedError, UnassembledError
+from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.studies.output.document import Block, Code, Facts, Text
 
 # The errors of a model that `check` reports as problems instead of bad input.
 REFUSED = (InertiaError, LockedError, UnassembledError)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class RefusedModel:
-    """A report on a model that cannot be loaded, with the text that repairs it, if it is known."""
+class RefusedModel(Struct, frozen=True, kw_only=True, eq=False):
+    """A report on a model that cannot be loaded, with the text that repairs it, if it is known.
+
+    `dof_gained_without` has by part the degrees of freedom that a locked model has without it; `gap_m`, `keyframe` and the
+    home are those of a model that is not assembled.
+    """
 
     name: str
-    error: InertiaError | LockedError | UnassembledError
-
-    @property
-    def problems(self) -> tuple[str, ...]:
-        """The error as a sentence."""
-        return (str(self.error),)
+    problems: tuple[str, ...]
+    locked: bool
+    dof: int | None = None
+    dof_gained_without: dict[str, int] | UnsetType = UNSET
+    gap_m: float | UnsetType = UNSET
+    keyframe: str | UnsetType | None = UNSET
+    home_deg: dict[str, float] | UnsetType = UNSET
+    home_m: dict[str, float] | UnsetType = UNSET
+    error: Beside[InertiaError | LockedError | UnassembledError] = NOT_READ
 
     @property
     def notes(self) -> tuple[str, ...]:
         """There are no notes: the text explains the problem."""
         return ()
-
-    def record(self) -> dict:
-        """Return the findings by name."""
-        said: dict = {"name": self.name, "problems": list(self.problems)}
-        if isinstance(self.error, LockedError):
-            return said | {"locked": True, "dof": 0, "dof_gained_without": self.error.freed}
-        if isinstance(self.error, InertiaError):
-            return said | {"locked": False, "dof": self.error.dof}
-        return said | {
-            "locked": False,
-            "dof": None,
-            "gap_m": self.error.gap_m,
-            "keyframe": self.error.keyframe or None,
-        } | self.error.home  # fmt: skip
 
     def blocks(self) -> list[Block]:
         """Return the findings as a document."""
@@ -56,3 +49,16 @@ class RefusedModel:
             found.append(Code(title="into the model, in place of a keyframe home", text=self.error.keyframe))
             found.append(Code(title="or into the problem file", text=home))
         return found
+
+
+def refused_model(name: str, error: InertiaError | LockedError | UnassembledError) -> RefusedModel:
+    """Return the report on a model with the error of loading it."""
+    said: dict = {}
+    if isinstance(error, LockedError):
+        said = {"dof": 0, "dof_gained_without": error.freed}
+    elif isinstance(error, InertiaError):
+        said = {"dof": error.dof}
+    else:
+        said = {"gap_m": error.gap_m, "keyframe": error.keyframe or None, **error.home}
+    locked = isinstance(error, LockedError)
+    return RefusedModel(name=name, problems=(str(error),), locked=locked, error=error, **said)

@@ -1,26 +1,30 @@
 """The whole result of `linkplan check`: the inspection of a mechanism, and the loop report along its motion or reach."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
+from msgspec import UNSET, UnsetType
+from msgspec.structs import asdict, replace
+
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
+from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.files.tables import Tables
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.check_report import path_blocks, weight_sentences
-from linkplan.studies.check.inspection import Inspection, inspect, inspection_record
+from linkplan.studies.check.inspection import Inspection, inspect
 from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.kinematic_loop_report import (
     KinematicLoopPath,
+    PathFigures,
     Sweep,
     has_whole_records,
     inertia_notes,
     measured,
     motion_path,
-    path_record,
     reach_paths,
     reach_sweeps,
 )
@@ -45,60 +49,45 @@ class MeasuredPaths(Sequence[KinematicLoopPath]):
         return measured(self.along[index])
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)  # without slots: the paths are measured once, when they are asked for
-class WholeCheck:
+class WholeCheck(Inspection, frozen=True, kw_only=True, eq=False, dict=True):
     """An inspection, and the loop report along a problem's motion or, without one, over each coordinate's reach."""
 
-    found: Inspection
-    along: tuple[Sweep, ...]
+    along: Sequence[PathFigures] | UnsetType = UNSET
+    sweeps: Beside[tuple[Sweep, ...]] = NOT_READ
 
     @property
     def paths(self) -> Sequence[KinematicLoopPath]:
         """The loop report along the motion, or along each sweep; a summary of many coordinates needs none."""
-        return MeasuredPaths(along=self.along) if self.brief else self._few_paths
+        return MeasuredPaths(along=self.sweeps) if self.brief else self._few_paths
 
-    @cached_property
+    @cached_property  # hence dict=True: the paths are measured once, when they are asked for
     def _few_paths(self) -> tuple[KinematicLoopPath, ...]:
-        return reach_paths(self.along)
+        return reach_paths(self.sweeps)
 
     @property
     def brief(self) -> bool:
         """Tell if there are so many coordinates that each is reported in brief."""
-        return len(self.along) > 6
+        return len(self.sweeps) > 6
 
     @property
-    def name(self) -> str:
-        """The mechanism's name."""
-        return self.found.mechanism.name
-
-    @property
-    def problems(self) -> tuple[str, ...]:
-        """The faults, each a sentence."""
-        return self.found.problems
-
-    @property
-    def notes(self) -> tuple[str, ...]:
-        """Further facts that are no faults, each a sentence."""
-        return self.found.notes
-
-    def record(self) -> dict:
-        """Return the findings by name, units in the names."""
-        return inspection_record(self.found) | {"along": [path_record(path) for path in self.paths]}
+    def with_paths(self) -> "WholeCheck":
+        """The check with the figures of every path, which take the time and the memory to measure them."""
+        return replace(self, along=[path.figures for path in self.paths])
 
     def blocks(self) -> list[Block]:
         """Return the findings as a document, with brief tables for more than six coordinates."""
         brief = self.brief
         paths = [block for path in self.paths for block in path_blocks(path, brief=brief)]
         left_out = (
-            f"of {len(self.along)} coordinates each has its own quantities above, at rest, where they change along its"
-            f" reach; the JSON record has {'all of them' if has_whole_records(self.found.mechanism) else 'every pose'}"
+            f"of {len(self.sweeps)} coordinates each has its own quantities above, at rest, where they change along its"
+            f" reach; the JSON record has {'all of them' if has_whole_records(self.mechanism) else 'every pose'}"
         )
-        return [*inspection_blocks(self.found), *paths, *([Text(text=left_out)] if brief else [])]
+        return [*inspection_blocks(self), *paths, *([Text(text=left_out)] if brief else [])]
 
     def summary(self) -> list[Block]:
         """Return the findings in less than thirty lines; first the notes on actuators too weak for weight and springs."""
         weak = [] if self.brief else [text for path in self.paths for text in weight_sentences(path)]
-        return summary_blocks(replace(self.found, notes=(*weak, *self.found.notes)))
+        return summary_blocks(replace(self, notes=(*weak, *self.notes)))
 
 
 def mechanism_and_problem(
@@ -143,7 +132,7 @@ def check_whole(
     chosen = () if problem is None else problem.notes
     singular = [note for path in along for note in inertia_notes(path)]
     notes = (*found.notes, *singular, *notes, *chosen, *off_path)
-    return WholeCheck(found=replace(found, notes=notes), along=along)
+    return WholeCheck(**asdict(replace(found, notes=notes)), sweeps=along)
 
 
 def _motion(problem: Problem | None) -> tuple[KinematicLoopPath | None, tuple[str, ...]]:

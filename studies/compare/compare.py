@@ -232,7 +232,7 @@ def _plant(plan: Plan, mismatch: Mismatch | None) -> MujocoPlant:
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a diverged run has infinite errors
-def rollout_record(plan: Plan, rollout: Rollout) -> dict:
+def run_figures(plan: Plan, rollout: Rollout) -> dict:
     """Return a run's metrics; the names contain the units."""
     names = [actuator.name for actuator in plan.problem.mechanism.actuators]
     return error_figures(plan.problem.mechanism, rollout.error_rad) | {

@@ -8,9 +8,9 @@ import numpy as np
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.studies.compare.compare import Comparison, gap_units, rollout_record, steered_by_unit, tracking_reference
+from linkplan.studies.compare.compare import Comparison, gap_units, run_figures, steered_by_unit, tracking_reference
 from linkplan.studies.compare.comparison_notes import comparison_notes
-from linkplan.studies.compare.document import DOCUMENT_KP, document_record
+from linkplan.studies.compare.document import DOCUMENT_KP, document_rows
 from linkplan.studies.output.document import Block, Plot, Table, Text, table_of
 from linkplan.studies.output.lines import TIME, TRACKER_COLOURS, Line, overlaid_width, plots, tracker_colour
 from linkplan.studies.output.text import brief_rows
@@ -80,7 +80,7 @@ def _tables(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> 
     ]
     rows = []
     for name, run in runs.items():
-        said = rollout_record(plan, run)
+        said = run_figures(plan, run)
         errors = [said.get(f"{which}_error_{unit}") for unit in units for which in ("rms", "max", "final")]
         gaps = [1e6 * gap for gap, there in zip(run.largest_gaps, (lengths, angles), strict=True) if there]
         peaks = [said["peak_effort"][actuator.name] for actuator in few]
@@ -100,7 +100,7 @@ def _conditions_text(conditions: Mapping) -> str:
 
 def _peak_table(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> Table:
     plan = comparison.plan
-    records = [rollout_record(plan, run)["peak_effort"] for run in runs.values()]
+    records = [run_figures(plan, run)["peak_effort"] for run in runs.values()]
     actuators, limits = plan.problem.mechanism.actuators, _longest(runs).effort_limit
     rows = [[a.name, *(peaks[a.name] for peaks in records), a.unit] for a in actuators]
     peaks = [max(row[1:-1]) for row in rows]
@@ -225,7 +225,7 @@ def document_blocks(runs: Mapping[tuple[str, float], Rollout]) -> list[Block]:
     heads = ["model", "KP [N.m/rad]", "KD [N.m.s/rad]", "rms error [deg]", "closure gap, mean [um]"]
     heads += ["closure gap, largest [um]", "contacts", "at the limit [%]", "stable"]
     cells = []
-    for row in document_record(runs):
+    for row in document_rows(runs):
         gaps = [1e6 * row["steady_gap_mean_m"], 1e6 * row["steady_gap_max_m"]]
         at_limit = 100 * row["at_limit_fraction"]
         error = row["rms_error_deg"]

@@ -1,6 +1,4 @@
-"""The sentences on a comparison of trackers, and its JSON record."""
-
-from dataclasses import asdict
+"""The sentences on a comparison of trackers."""
 
 import numpy as np
 
@@ -14,7 +12,7 @@ from linkplan.planner.limits.samples import actuator_speeds
 from linkplan.planner.plan import Plan
 from linkplan.studies.check.holding import why_no_loop
 from linkplan.studies.check.softness import gap_sentence, softness_error
-from linkplan.studies.compare.compare import Comparison, error_figures, rollout_record, steered_by_unit
+from linkplan.studies.compare.compare import Comparison, error_figures, steered_by_unit
 
 # Below this travel [deg or m], a motion stands still, and an error has no travel to be compared with.
 _STANDS_STILL = 1e-9
@@ -140,34 +138,3 @@ def servo_note(mechanism: Mechanism) -> str | None:
         f" leaves {100 * shares[column]:.2g} % of a feedback's acceleration at {mechanism.independent_joints[column].name};"
         ' the planned efforts are unaffected; with integrator="Euler" in the model\'s <option> feedback acts in full'
     )
-
-
-def comparison_record(comparison: Comparison) -> dict:
-    """Return the JSON record of `linkplan compare`."""
-    plan = comparison.plan
-    trajectory = plan.trajectory
-
-    def side(runs: dict[str, Rollout]) -> dict:
-        return {
-            "loop": next(iter(runs.values())).conditions,
-            "trackers": {name: rollout_record(plan, rollout) for name, rollout in runs.items()},
-        }
-
-    record = {
-        "case": comparison.title,
-        "plan": {
-            "name": plan.problem.name,
-            "status": plan.status,
-            "message": plan.message,
-            "objective": plan.objective,
-            "duration_s": trajectory.duration_s,
-            "certificate_passed": plan.certificate.passed,
-        },
-        "gains": {"kp": plan.problem.tracking.kp, "kd": plan.problem.tracking.kd},
-        **side(comparison.nominal),
-        "notes": comparison_notes(comparison),
-        "run_time": {name: asdict(needs) for name, needs in comparison.run_time.items()},
-    }
-    if comparison.mismatch is not None:
-        record["mismatch"] = {"name": comparison.mismatch.name, **side(comparison.mismatched)}
-    return record

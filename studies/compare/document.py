@@ -57,7 +57,7 @@ def printed_runs(sine: Sine, say: Callable[[str], None]) -> dict[tuple[str, floa
     return runs
 
 
-def document_record(runs: Mapping[tuple[str, float], Rollout]) -> list[dict]:
+def document_rows(runs: Mapping[tuple[str, float], Rollout]) -> list[dict]:
     """Return the runs' metrics: error, loop gap over the second half, contacts, share of the time at the limit."""
     rows = []
     for (model, kd), rollout in runs.items():

@@ -1,9 +1,8 @@
 """The computing cost of a tracker: memory, stored numbers, floating-point operations and measured time."""
 
-from dataclasses import dataclass
-
 import casadi as ca
 import numpy as np
+from msgspec import Struct
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.controllers.trackers.closing import CLOSING_CALLS
@@ -15,8 +14,7 @@ from linkplan.controllers.trackers.tracker import AnyTracker, StateFeedback, ste
 from linkplan.models.mechanism import Mechanism
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunTime:
+class RunTime(Struct, frozen=True, kw_only=True):
     """A tracker's cost in a control period; None if unknown, for a tracker that is not built in.
 
     `remembered`: numbers kept from one period to the next. `stored`: numbers stored for each control instant of the plan

@@ -15,12 +15,11 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
-from linkplan.studies.bode.bode_report import bode_record, save_bode
+from linkplan.studies.bode.bode_report import save_bode
 from linkplan.studies.bode.bode_sections import bode_sections
 from linkplan.studies.bode.loop_blocks import map_blocks
-from linkplan.studies.bode.map_study import map_record, map_study
+from linkplan.studies.bode.map_study import map_study
 from linkplan.studies.check.check_sections import check_sections
-from linkplan.studies.check.inspection import inspection_record
 from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.path_plots import inspection_figure
 from linkplan.studies.check.whole_check import check_whole
@@ -31,8 +30,8 @@ from linkplan.studies.compare.comparison_blocks import (
     document_blocks,
     document_figure,
 )
-from linkplan.studies.compare.comparison_notes import comparison_record
-from linkplan.studies.compare.document import DOCUMENT_KP, document_record, mended_runs, printed_runs
+from linkplan.studies.compare.comparison_figures import comparison_figures
+from linkplan.studies.compare.document import DOCUMENT_KP, document_rows, mended_runs, printed_runs
 from linkplan.studies.compare.tracking_sections import comparison_sections
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.output.document import Block, Section, Text, table_of
@@ -158,13 +157,13 @@ def _checks(place: Path, said: dict, say: Say) -> Sections:
         whole = check_whole(load_mechanism(name), None)
         folder = place / "check" / name
         folder.mkdir(parents=True)
-        said["check"][name] = inspection_record(whole.found)
-        write_json(folder / "check.json", said["check"][name])
-        inspection_figure(whole.found, folder / "mechanism.png")
+        said["check"][name] = whole
+        write_json(folder / "check.json", whole)
+        inspection_figure(whole, folder / "mechanism.png")
         if name == "optimus-knee":
             sections += check_sections(whole)
         else:
-            sections.append(Section(title=f"Mechanism as printed: {name}", blocks=inspection_blocks(whole.found)))
+            sections.append(Section(title=f"Mechanism as printed: {name}", blocks=inspection_blocks(whole)))
     return sections
 
 
@@ -194,7 +193,7 @@ def _comparisons(place: Path, said: dict, plans: dict[str, Plan], say: Say) -> t
         comparison = compare(plan, default_mismatch(plan), lambda text, name=name: say(f"compare {name}: {text}"))
         folder = place / "compare" / name
         folder.mkdir(parents=True)
-        said["compare"][name] = comparison_record(comparison)
+        said["compare"][name] = comparison_figures(comparison)
         write_json(folder / "compare.json", said["compare"][name])
         comparison_figure(comparison, folder / "compare.png")
         texts += comparison_blocks(comparison)
@@ -218,14 +217,14 @@ def _loops(place: Path, said: dict, say: Say) -> list[Sections]:
         )
         folder = place / "bode" / label
         folder.mkdir(parents=True)
-        said["bode"].append(bode_record(study))
-        write_json(folder / "bode.json", said["bode"][-1])
+        said["bode"].append(study)
+        write_json(folder / "bode.json", study)
         save_bode(study, folder)
         sections.append(bode_sections(study, f"kp = {gains.kp:g}, kd = {gains.kd:g} every {1e3 * gains.period_s:g} ms"))
         if gains is LOOPS[0]:
             found = map_study(study, lambda text: say(f"stability map: {text}"))
             marked = [(f"the document's KP = {DOCUMENT_KP:g}, KD = {kd:g}", DOCUMENT_KP, kd) for kd in (1.0, 10.0)]
-            said["stability_map"], blocks = map_record(found), map_blocks(found, marked)
+            said["stability_map"], blocks = found, map_blocks(found, marked)
             figure_of(panels_of(blocks), place / "stability_map.png", columns=2, panel_in=(6.5, 5.0))
             sections[0].append(Section(title="Stability map", blocks=blocks, depth=2))
     return sections
@@ -234,7 +233,7 @@ def _loops(place: Path, said: dict, say: Say) -> list[Sections]:
 def _document(place: Path, said: dict, plan: Plan, say: Say) -> list[Block]:
     assert plan.problem.reference is not None  # the document's sinusoid
     runs = printed_runs(plan.problem.reference, say) | mended_runs(plan, say)
-    said["document"] = document_record(runs)
+    said["document"] = document_rows(runs)
     blocks = document_blocks(runs)
     document_figure(blocks, place / "desired_and_actual.png")
     return blocks

@@ -6,9 +6,8 @@ docs/experiments.md has the table.
 """
 
 import hashlib
-import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -75,8 +74,7 @@ def _joint(mechanism: Mechanism, actuator) -> str | None:
     return None if actuator.joint is None else mechanism.joints[actuator.joint].name
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Settings:
+class Settings(Struct, frozen=True, kw_only=True):
     """The settings of an experiment: trackers, samples, design, seed, and the tube about the path that defines success.
 
     The number of samples of a grid follows from its levels. A sensitivity design has as many whole groups as fit into
@@ -106,14 +104,14 @@ class Settings:
 
 
 class AskedRecord(Struct, frozen=True, omit_defaults=True):
-    """All inputs of an experiment's results, made by `request_record` and stored in `experiment.json`."""
+    """All inputs of an experiment's results, made by `request_of` and stored in `experiment.json`."""
 
     format: Literal[1]
     problem: dict[str, Any]
     plan: str | None
     settings: Settings
     versions: dict[str, str]
-    tracker_sources: dict[str, str] = {}
+    tracker_sources: dict[str, str] | None = None
 
 
 class ExperimentRecord(Struct, frozen=True):
@@ -244,21 +242,19 @@ def defaults_note(plan: Plan) -> str | None:
     return None if table else "[imperfections] is empty: all machines are alike, and shares and intervals say nothing"
 
 
-def request_record(source: Mapping, digest: str | None, settings: Settings, trackers: Mapping[str, str]) -> dict:
+def request_of(source: Mapping, digest: str | None, settings: Settings, trackers: Mapping[str, str]) -> AskedRecord:
     """Return all inputs of an experiment's results: the problem's tables, a saved plan's digest, settings and versions.
 
     `trackers` are the hashes of the source files of users' trackers.
     """
-    record = {
-        "format": 1,
-        "problem": source,
-        "plan": digest,
-        "settings": asdict(settings),
-        "versions": versions() | ({"salib": salib_version()} if settings.design in (MORRIS, SOBOL) else {}),
-    }
-    if trackers:
-        record["tracker_sources"] = dict(trackers)
-    return json.loads(json.dumps(plain_record(record)))
+    return AskedRecord(
+        format=1,
+        problem=plain_record(source),
+        plan=digest,
+        settings=settings,
+        versions=versions() | ({"salib": salib_version()} if settings.design in (MORRIS, SOBOL) else {}),
+        tracker_sources=dict(trackers) or None,
+    )
 
 
 def plan_digest(plan: Plan) -> str:

@@ -27,21 +27,21 @@ def outcome_blocks(outcome: Outcome) -> list[Block]:
     """Return the tables of an outcome; means only if the machines are distributed like the imperfections."""
     found: list[Block] = []
     if outcome.distributed:
-        made = f"{outcome.experiment.plan.problem.name}: {outcome.summary.samples} machines, means with their 95 % intervals"
+        made = f"{outcome.name}: {outcome.samples} machines, means with their 95 % intervals"
         found += [Text(text=made), *summary(outcome), *pairs(outcome), worst(outcome)]
     return found + sensitivity(outcome)
 
 
 def sensitivity(outcome: Outcome) -> list[Block]:
     """Return the influence of each imperfection; nothing without a design of sensitivity analysis."""
-    record, experiment = outcome.record.get("sensitivity"), outcome.experiment
-    return sensitivity_blocks(experiment.plan.problem.name, record, experiment.settings.seed) if record else []
+    found = outcome.sensitivity
+    return sensitivity_blocks(outcome.name, found, outcome.experiment.settings.seed) if found is not None else []
 
 
 def summary(outcome: Outcome) -> list[Block]:
     """Return what was simulated, each tracker's means, and the failures."""
     tables = _tables(outcome) if outcome.distributed else []
-    notes = [Text(text=note, tone="note") for note in outcome.record["notes"]]
+    notes = [Text(text=note, tone="note") for note in outcome.notes]
     return [_facts(outcome), *tables, *_failures(outcome), *notes]
 
 
@@ -78,33 +78,35 @@ def _facts(outcome: Outcome) -> Facts:
 
 
 def _tables(outcome: Outcome) -> list[Table]:
-    summary = outcome.summary
-    units = [name.removeprefix("rms_error_") for name in summary.metrics if name.startswith("rms_error_")]
+    units = [name.removeprefix("rms_error_") for name in outcome.metrics if name.startswith("rms_error_")]
     errors = [(f"{which}_error_{unit}", f"{word} error", unit) for unit in units for which, word in _WORDS]
     largest = [(name, f"95th percentile of the {word}", unit) for name, word, unit in errors if name.startswith("max")]
     heads = ["tracker", "success [%]", "its 95 % interval [%]", "failed", *((word, unit) for _, word, unit in errors)]
     rows = [
         [
-            one.name,
+            tracker,
             100 * one.success.value,
             _interval(one.success),
             sum(one.failures.values()),
             *(estimated(one.means[name]) for name, _, _ in errors),
             *(one.percentile95[name] for name, _, _ in largest),
         ]
-        for one in summary.trackers
+        for tracker, one in outcome.trackers.items()
     ]
     title = "Trackers: means with half of their 95 % confidence intervals"
     first = table_of(title, [*heads, *((word, unit) for _, word, unit in largest)], rows, digits=3)
-    others = ["tracker", *((head, unit or summary.metrics[name].unit) for name, head, unit, _ in _OTHERS)]
-    rows = [[one.name, *(factor * one.means[name].value for name, *_, factor in _OTHERS)] for one in summary.trackers]
+    others = ["tracker", *((head, unit or outcome.metrics[name].unit) for name, head, unit, _ in _OTHERS)]
+    rows = [
+        [tracker, *(factor * one.means[name].value for name, *_, factor in _OTHERS)]
+        for tracker, one in outcome.trackers.items()
+    ]
     return [first, table_of("Efforts, energy and closure, means", others, rows)]
 
 
 def _failures(outcome: Outcome) -> list[Text]:
     said = [
-        f"{one.name}: {count} of {outcome.summary.samples} runs failed: {text}"
-        for one in outcome.summary.trackers
+        f"{tracker}: {count} of {outcome.samples} runs failed: {text}"
+        for tracker, one in outcome.trackers.items()
         for text, count in one.failures.items()
     ]
     return [Text(text=text, tone="bad") for text in said]
@@ -112,13 +114,13 @@ def _failures(outcome: Outcome) -> list[Text]:
 
 def pairs(outcome: Outcome) -> list[Table]:
     """Return the table of pairs of trackers, if there are several trackers."""
-    if not outcome.summary.pairs:
+    if not outcome.pairs:
         return []
-    metric = outcome.summary.metrics[outcome.summary.pairs[0].metric]
+    metric = outcome.metrics[outcome.pairs[0].metric]
     heads = ["first", "second", ("first less second", metric.unit), "first wins [%]", "its 95 % interval [%]"]
     rows = [
         [p.first, p.second, estimated(p.difference), 100 * p.wins.value, _interval(p.wins), _decided(p)]
-        for p in outcome.summary.pairs
+        for p in outcome.pairs
     ]
     title = f"Sample by sample, by the {metric.text}: the mean difference, and the share of machines that the first wins"
     return [table_of(title, [*heads, "the better one"], rows, digits=3)]
@@ -141,11 +143,11 @@ def _interval(one: Estimate) -> str | None:
 def worst(outcome: Outcome) -> Table:
     """Return the table of each tracker's worst machines."""
     results, rows = outcome.results, []
-    largest = next(name for name in outcome.summary.metrics if name.startswith("max_error"))
-    for one in outcome.summary.trackers:
+    largest = next(name for name in outcome.metrics if name.startswith("max_error"))
+    for tracker, one in outcome.trackers.items():
         for sample in one.worst:
-            (row,) = np.flatnonzero((results["tracker"] == one.name) & (results["sample"] == sample))
+            (row,) = np.flatnonzero((results["tracker"] == tracker) & (results["sample"] == sample))
             cells = [float(results[largest][row]), bool(results["success"][row]), results["failure"][row]]
-            rows.append([one.name, sample, *cells])
-    heads = ["tracker", "sample", ("largest error", outcome.summary.metrics[largest].unit), "success", "failed"]
+            rows.append([tracker, sample, *cells])
+    heads = ["tracker", "sample", ("largest error", outcome.metrics[largest].unit), "success", "failed"]
     return table_of("Each tracker's worst machines: failed, or else of the largest error", heads, rows)

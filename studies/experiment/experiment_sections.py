@@ -20,7 +20,7 @@ Again = Callable[[str, int], str]
 
 def experiment_sections(outcome: Outcome, again: Again | None) -> list[Section]:
     """Return the sections of an experiment; `again` returns the command that runs a sample again, if there is one."""
-    experiment, metrics = outcome.experiment, outcome.summary.metrics
+    experiment, metrics = outcome.experiment, outcome.metrics
     drawn = [name for start in SHOWN for name in metrics if name.startswith(start)]
     others = [name for name in metrics if name not in drawn]
 
@@ -44,7 +44,7 @@ def experiment_sections(outcome: Outcome, again: Again | None) -> list[Section]:
 def _commands(outcome: Outcome, again: Again | None) -> list[Code]:
     if again is None:
         return []
-    commands = [again(one.name, sample) for one in outcome.summary.trackers for sample in one.worst]
+    commands = [again(name, sample) for name, one in outcome.trackers.items() for sample in one.worst]
     return [Code(title="Commands that repeat these runs exactly, with their whole logs", text="\n".join(commands))]
 
 
@@ -77,10 +77,10 @@ def _spread(factor: Factor) -> str:
 
 def experiment_report(outcome: Outcome, again: Again | None = None) -> Report:
     """Return the report of an experiment and its plan; `again` returns the command that runs a sample again."""
-    plan, summary = outcome.experiment.plan, outcome.summary
-    best = max(summary.trackers, key=lambda one: one.success.value)
-    shares = ", ".join(f"{one.name} {100 * one.success.value:.3g} %" for one in summary.trackers)
-    verdict = f"success on {summary.samples} machines within {tube_text(outcome.experiment)}: {shares}"
+    plan = outcome.experiment.plan
+    best = max(outcome.trackers.values(), key=lambda one: one.success.value)
+    shares = ", ".join(f"{name} {100 * one.success.value:.3g} %" for name, one in outcome.trackers.items())
+    verdict = f"success on {outcome.samples} machines within {tube_text(outcome.experiment)}: {shares}"
     if not outcome.distributed:
         verdict = f"what matters most for the rms error: {_foremost(outcome)}"
     sections = [*experiment_sections(outcome, again), *plan_sections(plan)]
@@ -91,7 +91,7 @@ def experiment_report(outcome: Outcome, again: Again | None = None) -> Report:
 def _foremost(outcome: Outcome) -> str:
     """Return each tracker's imperfection with the largest influence on the first rms error."""
     found = outcome.sensitivity
-    return ", ".join(f"{found.ranking(tracker, found.mains[0])[0]} ({tracker})" for tracker in found.influences)
+    return ", ".join(f"{found.ranking(tracker, found.mains[0])[0]} ({tracker})" for tracker in found.trackers)
 
 
 def replay_report(comparison: Comparison, sample: Mapping) -> Report:

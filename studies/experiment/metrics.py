@@ -1,9 +1,9 @@
 """The metrics of a run, each with its unit and direction."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from linkplan.controllers.reference import state_at
 from linkplan.controllers.simulate import Ensemble
@@ -12,8 +12,7 @@ from linkplan.studies.compare.compare import error_figures, steered_by_unit
 from linkplan.studies.experiment.experiment import Experiment
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Metric:
+class Metric(Struct, frozen=True, kw_only=True):
     """A metric of a run: its description, its unit, and the better direction ("less", "more" or "")."""
 
     text: str

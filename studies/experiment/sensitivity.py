@@ -1,11 +1,13 @@
 """The influence of each imperfection on each tracker and metric, from the results of a sensitivity design."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from msgspec import Struct
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.imperfections import Factor
 from linkplan.studies.experiment.design import ends_of, varied
 from linkplan.studies.experiment.metrics import Metric, metrics_of
@@ -23,42 +25,53 @@ MEASURES = {
 }
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Varied:
-    """An imperfection that was varied: its label, unit and the ends of its range; no ends for the noise draw."""
+CHANCE = "noise draw"
 
-    label: str
+
+class Varied(Struct, frozen=True, kw_only=True):
+    """An imperfection that was varied: its unit and the ends of its range; no ends for the noise draw."""
+
     unit: str
-    ends: tuple[float, float] | None = None
+    range: tuple[float, float] | None
 
 
-CHANCE = Varied(label="noise draw", unit="")
+class MetricInfluence(Struct, frozen=True, kw_only=True, eq=False):
+    """The influence on one metric of one tracker: see `Influence`.
+
+    `ranking` has the labels of the imperfections in decreasing order of importance. `effects` has by label the importance,
+    its interval and the additional values; None for values that are not finite.
+    """
+
+    middle: float | None
+    left_out: int
+    ranking: tuple[str, ...]
+    effects: dict[str, dict[str, Any]]
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Sensitivity:
-    """Influences by tracker and metric, with arrays in the order of `factors`, from `groups` of `size` machines each."""
+class Sensitivity(Struct, frozen=True, kw_only=True, eq=False):
+    """Influences by tracker and metric, from `groups` of `group_size` machines each.
+
+    `metrics` have text and unit, also of importances: the metric's unit, or 1 for Sobol's shares.
+    """
 
     design: str
-    factors: tuple[Varied, ...]
-    influences: Mapping[str, Mapping[str, Influence]]
-    metrics: Mapping[str, Metric]
+    measure: str
     groups: int
-    size: int
+    group_size: int
+    imperfections: dict[str, Varied]
+    metrics: dict[str, dict[str, str]]
+    trackers: dict[str, dict[str, MetricInfluence]]
 
-    def importance(self, tracker: str, metric: str, i: int) -> Estimate:
-        """Return the importance of factor i with its interval."""
-        one = self.influences[tracker][metric]
-        n = one.groups - one.left_out
-        return Estimate(value=float(one.importance[i]), low=float(one.low[i]), high=float(one.high[i]), n=n)
+    def importance(self, tracker: str, metric: str, label: str) -> Estimate:
+        """Return the importance of an imperfection with its interval."""
+        one = self.trackers[tracker][metric]
+        effect = one.effects[label]
+        value, low, high = (np.nan if x is None else x for x in (effect["importance"], *effect["interval95"]))
+        return Estimate(value=value, interval95=(low, high), n=self.groups - one.left_out)
 
     def ranking(self, tracker: str, metric: str) -> tuple[str, ...]:
         """Return the labels of the imperfections in decreasing order of importance."""
-        return tuple(self.factors[i].label for i in self.influences[tracker][metric].order)
-
-    def unit(self, metric: str) -> str:
-        """Return the unit of importances: the metric's unit, or 1 for Sobol's shares."""
-        return "1" if self.design == SOBOL else self.metrics[metric].unit
+        return self.trackers[tracker][metric].ranking
 
     @property
     def mains(self) -> tuple[str, ...]:
@@ -77,19 +90,44 @@ def sensitivity_of(
     """Return the sensitivity from the columns of results, which hold all machines of a scheme in order for each tracker."""
     known = {**metrics_of(mechanism), SUCCESS: _SUCCESS}
     which = [factors[i] for i in varied(factors)]
-    labelled = [Varied(label=one.label, unit=_unit(one, mechanism), ends=ends_of(one)) for one in which]
+    labelled = {one.label: Varied(unit=_unit(one, mechanism), range=ends_of(one)) for one in which}
+    labelled |= {CHANCE: Varied(unit="", range=None)} if scheme.noisy else {}
     rows = {tracker: np.flatnonzero(results["tracker"] == tracker) for tracker in trackers}
-    influences = {
-        tracker: {name: influence_of(scheme, results[name][rows[tracker]].astype(float), seed) for name in known}
-        for tracker in trackers
-    }
+    shares = scheme.design == SOBOL
     return Sensitivity(
         design=scheme.design,
-        factors=(*labelled, CHANCE) if scheme.noisy else tuple(labelled),
-        influences=influences,
-        metrics=known,
+        measure=MEASURES[scheme.design],
         groups=scheme.n_groups,
-        size=scheme.size,
+        group_size=scheme.size,
+        imperfections=labelled,
+        metrics={
+            name: {"text": metric.text, "unit": "1" if shares else metric.unit, "metric_unit": metric.unit}
+            for name, metric in known.items()
+        },
+        trackers={
+            tracker: {
+                name: _by_label(influence_of(scheme, results[name][rows[tracker]].astype(float), seed), [*labelled])
+                for name in known
+            }
+            for tracker in trackers
+        },
+    )
+
+
+def _by_label(one: Influence, labels: Sequence[str]) -> MetricInfluence:
+    effects = {
+        label: {
+            "importance": one.importance[i],
+            "interval95": (one.low[i], one.high[i]),
+            **{name: values[i] for name, values in one.parts.items()},
+        }
+        for i, label in enumerate(labels)
+    }
+    return MetricInfluence(
+        middle=one.middle if np.isfinite(one.middle) else None,
+        left_out=one.left_out,
+        ranking=tuple(labels[int(i)] for i in one.order),
+        effects=plain_record(effects),
     )
 
 
@@ -100,41 +138,3 @@ def _unit(factor: Factor, mechanism: Mechanism) -> str:
     if factor.quantity.of == "actuator":
         kinds = {actuator.name: actuator.unit == "N" for actuator in mechanism.actuators}
     return linear if linear and kinds.get(factor.name) else rotary if factor.name in kinds else factor.quantity.unit
-
-
-def sensitivity_record(sensitivity: Sensitivity) -> dict:
-    """Return a sensitivity as a JSON record: ranking and importances for each tracker and metric."""
-    labels = [factor.label for factor in sensitivity.factors]
-    found: dict[str, dict] = {}
-    for tracker, by_metric in sensitivity.influences.items():
-        found[tracker] = {}
-        for metric, one in by_metric.items():
-            effects = {
-                label: {
-                    "importance": one.importance[i],
-                    "interval95": [one.low[i], one.high[i]],
-                    **{name: values[i] for name, values in one.parts.items()},
-                }
-                for i, label in enumerate(labels)
-            }
-            found[tracker][metric] = {
-                "middle": one.middle,
-                "left_out": one.left_out,
-                "ranking": list(sensitivity.ranking(tracker, metric)),
-                "effects": effects,
-            }
-    return {
-        "design": sensitivity.design,
-        "measure": MEASURES[sensitivity.design],
-        "groups": sensitivity.groups,
-        "group_size": sensitivity.size,
-        "imperfections": {
-            factor.label: {"unit": factor.unit, "range": None if factor.ends is None else list(factor.ends)}
-            for factor in sensitivity.factors
-        },
-        "metrics": {
-            name: {"text": metric.text, "unit": sensitivity.unit(name), "metric_unit": metric.unit}
-            for name, metric in sensitivity.metrics.items()
-        },
-        "trackers": found,
-    }

@@ -1,14 +1,11 @@
-"""A sensitivity as a document: tables and bar charts of what each tracker's figures owe to each imperfection.
-
-All functions read the record "sensitivity" of an experiment: by tracker and metric it has "ranking", "middle" and "effects",
-the importance of each imperfection, its interval, and the values specific to the design.
-"""
+"""A sensitivity as a document: tables and bar charts of what each tracker's figures owe to each imperfection."""
 
 import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from linkplan.studies.experiment.sensitivity import MetricInfluence, Sensitivity
 from linkplan.studies.output.document import (
     LOWERING_COLOUR,
     RAISING_COLOUR,
@@ -31,83 +28,77 @@ if TYPE_CHECKING:
 _MAX_ROWS = 12
 
 
-def sensitivity_blocks(name: str, record: Mapping, seed: int) -> list[Block]:
+def sensitivity_blocks(name: str, study: Sensitivity, seed: int) -> list[Block]:
     """Return the importances for the rms errors as tables and charts, and the most important ones for every metric."""
-    groups, size, mains = record["groups"], record["group_size"], _mains(record)
+    groups, size, mains = study.groups, study.group_size, study.mains
     made = f"{groups} groups of {size} machines" if groups > 1 else f"{size} machines"
     blocks: list[Block] = [
-        Text(text=f"{name}: which imperfection matters most ({record['design']}, {made}, seed {seed})"),
-        Text(text=f"importance: {record['measure']}"),
+        Text(text=f"{name}: which imperfection matters most ({study.design}, {made}, seed {seed})"),
+        Text(text=f"importance: {study.measure}"),
     ]
-    shown = _foremost(record, mains[0])
+    shown = _foremost(study, mains[0])
     for metric in mains:
-        blocks += [_importances(record, metric, shown), *sensitivity_charts(record, metric)]
-    hidden = len(record["imperfections"]) - len(shown)
+        blocks += [_importances(study, metric, shown), *sensitivity_charts(study, metric)]
+    hidden = len(study.imperfections) - len(shown)
     if hidden:
         text = f"{hidden} more matter{'s' if hidden == 1 else ''} less for every tracker; the record has them"
         blocks.append(Text(text=text))
-    said = {
-        metric: [_most_important(one[metric], shown) for one in record["trackers"].values()] for metric in record["metrics"]
-    }
+    said = {metric: [_most_important(one[metric], shown) for one in study.trackers.values()] for metric in study.metrics}
     rows = [[metric, *cells] for metric, cells in said.items() if any(cells)]
     title = "What matters most for each figure, by number; - for nothing that is certain"
     return [
         *blocks,
-        table_of(title, ["figure", *((tracker, "") for tracker in record["trackers"])], rows),
-        *_left_out(record),
+        table_of(title, ["figure", *((tracker, "") for tracker in study.trackers)], rows),
+        *_left_out(study),
     ]
 
 
-def save_tornados(name: str, record: Mapping, folder: Path) -> None:
+def save_tornados(name: str, study: Sensitivity, folder: Path) -> None:
     """Save the figure of each rms error in a folder: sensitivity.png, and a second one for hinges and slides together."""
-    for i, metric in enumerate(_mains(record)):
-        tornado_figure(name, record, metric, folder / ("sensitivity.png" if i == 0 else f"sensitivity_{metric}.png"))
+    for i, metric in enumerate(study.mains):
+        tornado_figure(name, study, metric, folder / ("sensitivity.png" if i == 0 else f"sensitivity_{metric}.png"))
 
 
-def tornado_figure(name: str, record: Mapping, metric: str, path: Path | None) -> "Figure":
+def tornado_figure(name: str, study: Sensitivity, metric: str, path: Path | None) -> "Figure":
     """Return the figure of the imperfections' influences on a metric of a plan's runs, saved at `path` if given."""
     from linkplan.studies.output.figure import figure_of
 
-    charts, machines = sensitivity_charts(record, metric), record["groups"] * record["group_size"]
-    text = record["metrics"][metric]["text"]
-    title = f"{name}: what the {text} owes to each imperfection ({record['design']}, {machines} machines)"
+    charts, machines = sensitivity_charts(study, metric), study.groups * study.group_size
+    text = study.metrics[metric]["text"]
+    title = f"{name}: what the {text} owes to each imperfection ({study.design}, {machines} machines)"
     height_in = 1.4 + 0.33 * len(charts[0].rows)
     return figure_of(charts, path, title=title, columns=2, panel_in=(6.5, height_in))
 
 
-def _mains(record: Mapping) -> list[str]:
-    return [name for name in record["metrics"] if name.startswith("rms_error")]
-
-
-def sensitivity_charts(record: Mapping, metric: str) -> list[Bars]:
+def sensitivity_charts(study: Sensitivity, metric: str) -> list[Bars]:
     """Return a chart for each tracker of the influence of each imperfection on a metric."""
     found = []
-    for tracker, by_metric in record["trackers"].items():
-        axis, rows, line = _CHARTS[record["design"]](record, metric, by_metric[metric], _foremost(record, metric))
-        title = f"{tracker}: what the {record['metrics'][metric]['text']} owes to each imperfection"
+    for tracker, by_metric in study.trackers.items():
+        axis, rows, line = _CHARTS[study.design](study, metric, by_metric[metric], _foremost(study, metric))
+        title = f"{tracker}: what the {study.metrics[metric]['text']} owes to each imperfection"
         name = "" if line == 0 else f"all in the middle, {_said(line)}"
-        beside = "total" if record["design"] == SOBOL else f"change [{axis.unit}]"
+        beside = "total" if study.design == SOBOL else f"change [{axis.unit}]"
         found.append(Bars(title=title, axis=axis, rows=rows, line=line, line_name=name, note_name=beside))
     return found
 
 
-def _importances(record: Mapping, metric: str, shown: list[str]) -> Table:
+def _importances(study: Sensitivity, metric: str, shown: list[str]) -> Table:
     """Return the table of importances for a metric, with imperfections as rows and trackers as columns."""
-    one, trackers = record["metrics"][metric], record["trackers"].values()
+    one, trackers = study.metrics[metric], study.trackers.values()
     rows = [
-        [f"{k} {label}", *(_importance(by_metric[metric]["effects"], label) for by_metric in trackers)]
+        [f"{k} {label}", *(_importance(by_metric[metric].effects, label) for by_metric in trackers)]
         for k, label in enumerate(shown, 1)
     ]
-    shares = record["design"] == SOBOL
+    shares = study.design == SOBOL
     if shares:
-        sums = [[effect["first_order"] for effect in by_metric[metric]["effects"].values()] for by_metric in trackers]
+        sums = [[effect["first_order"] for effect in by_metric[metric].effects.values()] for by_metric in trackers]
         totals = [None if None in values else f"{sum(values):.2f}" for values in sums]
         rows.append(["sum of first-order indices", *totals])
     of = f"of the {one['text']}"
     what = f"Shares of the variance {of}" if shares else f"Importance for the {one['text']} [{one['unit']}]"
     return table_of(
-        f"{what}, with 95 % intervals" if record["groups"] > 1 else what,
-        ["imperfection", *((tracker, "") for tracker in record["trackers"])],
+        f"{what}, with 95 % intervals" if study.groups > 1 else what,
+        ["imperfection", *((tracker, "") for tracker in study.trackers)],
         rows,
     )
 
@@ -126,41 +117,41 @@ def _importance(effects: Mapping, label: str) -> str | None:
     return f"{effect['importance']:.{digits}f}" + (f" ± {half:.{digits}f}" if half > 0 else "")
 
 
-def _most_important(found: Mapping, shown: list[str]) -> str | None:
+def _most_important(found: MetricInfluence, shown: list[str]) -> str | None:
     """Return the numbers of the two most important imperfections, if their importance is significant."""
     certain = [
         label
-        for label in found["ranking"][:2]
-        if (found["effects"][label]["importance"] or 0) > 0 and not (found["effects"][label]["interval95"][0] or 1) <= 0
+        for label in found.ranking[:2]
+        if (found.effects[label]["importance"] or 0) > 0 and not (found.effects[label]["interval95"][0] or 1) <= 0
     ]
     return ", ".join(str(shown.index(label) + 1) if label in shown else label for label in certain) or None
 
 
-def _left_out(record: Mapping) -> list[Text]:
-    main, notes = _mains(record)[0], []
-    for tracker, by_metric in record["trackers"].items():
-        if by_metric[main]["left_out"]:
+def _left_out(study: Sensitivity) -> list[Text]:
+    main, notes = study.mains[0], []
+    for tracker, by_metric in study.trackers.items():
+        if by_metric[main].left_out:
             text = (
-                f"{tracker}: {by_metric[main]['left_out']} of {record['groups']} groups are left out of the errors, because"
+                f"{tracker}: {by_metric[main].left_out} of {study.groups} groups are left out of the errors, because"
                 " it failed on one of their machines; the figure 'success' shows the causes of failures"
             )
             notes.append(Text(text=text, tone="note"))
     return notes
 
 
-def _foremost(record: Mapping, metric: str) -> list[str]:
+def _foremost(study: Sensitivity, metric: str) -> list[str]:
     """Return the imperfections that matter most for any tracker, in the order of the first tracker's ranking."""
-    rankings = [by_metric[metric]["ranking"] for by_metric in record["trackers"].values()]
-    places = {label: min(ranking.index(label) for ranking in rankings) for label in record["imperfections"]}
+    rankings = [by_metric[metric].ranking for by_metric in study.trackers.values()]
+    places = {label: min(ranking.index(label) for ranking in rankings) for label in study.imperfections}
     kept = set(sorted(places, key=lambda label: places[label])[:_MAX_ROWS])
     return [label for label in rankings[0] if label in kept]
 
 
-def _ends(record: Mapping, metric: str, found: Mapping, shown: list[str]) -> tuple[Axis, list[Bar], float]:
+def _ends(study: Sensitivity, metric: str, found: MetricInfluence, shown: list[str]) -> tuple[Axis, list[Bar], float]:
     """Return the change due to each end of an imperfection's range, with all others in the middle of theirs."""
-    middle, rows = found["middle"] or 0.0, []
+    middle, rows = found.middle or 0.0, []
     for label in shown:
-        effect = found["effects"][label]
+        effect = found.effects[label]
         ends = (("low", effect.get("at_low"), LOWERING_COLOUR), ("high", effect.get("at_high"), RAISING_COLOUR))
         spans = [
             Span(name=f"at the {name} end", start=middle, end=value, colour=colour)
@@ -168,34 +159,34 @@ def _ends(record: Mapping, metric: str, found: Mapping, shown: list[str]) -> tup
             if value is not None
         ]
         lost = [f"lost at the {name} end" for name, value, _ in ends if value is None]
-        rows.append(Bar(label=_named(record, label), spans=spans, note=", ".join(lost) or _said(effect["importance"])))
-    text = record["metrics"][metric]
+        rows.append(Bar(label=_named(study, label), spans=spans, note=", ".join(lost) or _said(effect["importance"])))
+    text = study.metrics[metric]
     return Axis(label=text["text"], unit=text["metric_unit"]), rows, middle
 
 
-def _effects(record: Mapping, metric: str, found: Mapping, shown: list[str]) -> tuple[Axis, list[Bar], float]:
+def _effects(study: Sensitivity, metric: str, found: MetricInfluence, shown: list[str]) -> tuple[Axis, list[Bar], float]:
     """Return Morris' mean absolute effect, split into the effects that raise the figure and those that lower it."""
     rows = []
     for label in shown:
-        effect = found["effects"][label]
+        effect = found.effects[label]
         size, mean = effect["importance"], effect["mean"]
         if size is None or mean is None:
-            rows.append(Bar(label=_named(record, label), spans=[], note="unknown"))
+            rows.append(Bar(label=_named(study, label), spans=[], note="unknown"))
             continue
         spans = [
             Span(name="raises it, from the low to the high end", start=0.0, end=(size + mean) / 2, colour=RAISING_COLOUR),
             Span(name="lowers it", start=0.0, end=-(size - mean) / 2, colour=LOWERING_COLOUR),
         ]
-        rows.append(Bar(label=_named(record, label), spans=spans, note=_with_interval(effect)))
-    text = record["metrics"][metric]
+        rows.append(Bar(label=_named(study, label), spans=spans, note=_with_interval(effect)))
+    text = study.metrics[metric]
     return Axis(label=f"mean change of the {text['text']}", unit=text["metric_unit"]), rows, 0.0
 
 
-def _shares(record: Mapping, _metric: str, found: Mapping, shown: list[str]) -> tuple[Axis, list[Bar], float]:
+def _shares(study: Sensitivity, _metric: str, found: MetricInfluence, shown: list[str]) -> tuple[Axis, list[Bar], float]:
     """Return Sobol's first-order and total indices as shares of the variance."""
     rows = []
     for label in shown:
-        effect = found["effects"][label]
+        effect = found.effects[label]
         spans = []
         for name, value, low, high, colour in (
             ("by itself or with others (total index)", effect["importance"], *effect["interval95"], TOTAL_COLOUR),
@@ -206,7 +197,7 @@ def _shares(record: Mapping, _metric: str, found: Mapping, shown: list[str]) -> 
                 end = 100 * max(value, 0.0)
                 spans.append(Span(name=name, start=0.0, end=end, colour=colour, low=ends[0], high=ends[1]))
         total = effect["importance"]
-        rows.append(Bar(label=_named(record, label), spans=spans, note="" if total is None else f"{100 * total:.0f} %"))
+        rows.append(Bar(label=_named(study, label), spans=spans, note="" if total is None else f"{100 * total:.0f} %"))
     return Axis(label="share of the variance", unit="%"), rows, 0.0
 
 
@@ -218,12 +209,12 @@ def _about(effect: Mapping) -> tuple[float | None, float | None]:
     return (None, None) if value is None or half is None else (value - half, value + half)
 
 
-def _named(record: Mapping, label: str) -> str:
-    one = record["imperfections"][label]
-    if one["range"] is None:
+def _named(study: Sensitivity, label: str) -> str:
+    one = study.imperfections[label]
+    if one.range is None:
         return label
-    unit = "" if one["unit"] in ("", "1") else f" {one['unit']}"
-    return f"{label}, {one['range'][0]:.4g} to {one['range'][1]:.4g}{unit}"
+    unit = "" if one.unit in ("", "1") else f" {one.unit}"
+    return f"{label}, {one.range[0]:.4g} to {one.range[1]:.4g}{unit}"
 
 
 def _with_interval(effect: Mapping) -> str:

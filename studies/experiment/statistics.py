@@ -6,19 +6,28 @@ American Statistical Association 22, 1927), which is also valid near 0 and 1. It
 conservative for a hypercube.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct, field
+
+from linkplan.planner.files.structs import Number
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Estimate:
+class Estimate(Struct, frozen=True, kw_only=True):
     """A value, its confidence interval, and the number of samples."""
 
-    value: float
-    low: float
-    high: float
+    value: Number
+    interval95: tuple[Number, Number]
     n: int
+
+    @property
+    def low(self) -> float:
+        """The lower end of the interval."""
+        return self.interval95[0]
+
+    @property
+    def high(self) -> float:
+        """The upper end of the interval."""
+        return self.interval95[1]
 
     @property
     def half(self) -> float:
@@ -26,7 +35,7 @@ class Estimate:
         return 0.5 * (self.high - self.low)
 
 
-_NO_ESTIMATE = Estimate(value=float("nan"), low=float("nan"), high=float("nan"), n=0)
+_NO_ESTIMATE = Estimate(value=np.nan, interval95=(np.nan, np.nan), n=0)
 
 
 @np.errstate(over="ignore", invalid="ignore")  # diverging loops have huge efforts, and an infinite interval
@@ -46,10 +55,10 @@ def mean_of(values: np.ndarray, replicate: np.ndarray | None = None) -> Estimate
     means = np.bincount(group, kept) / np.bincount(group)
     mean, groups = float(np.mean(kept)), len(means)
     if groups == 1:
-        return Estimate(value=mean, low=-np.inf, high=np.inf, n=len(kept))
+        return Estimate(value=mean, interval95=(-np.inf, np.inf), n=len(kept))
     error = np.sqrt(groups / (groups - 1) * np.sum((share * (means - mean)) ** 2))
     half = float(t.ppf(0.975, groups - 1) * error)
-    return Estimate(value=mean, low=mean - half, high=mean + half, n=len(kept))
+    return Estimate(value=mean, interval95=(mean - half, mean + half), n=len(kept))
 
 
 def share_of(hits: int, n: int) -> Estimate:
@@ -59,11 +68,10 @@ def share_of(hits: int, n: int) -> Estimate:
     if n == 0:
         return _NO_ESTIMATE
     ends = binomtest(hits, n).proportion_ci(method="wilson")
-    return Estimate(value=hits / n, low=float(ends.low), high=float(ends.high), n=n)
+    return Estimate(value=hits / n, interval95=(float(ends.low), float(ends.high)), n=n)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Pair:
+class Pair(Struct, frozen=True, kw_only=True):
     """Two trackers on the same samples: the mean of first minus second, and the share of samples won by the first.
 
     A tracker that failed on a sample loses it. Samples on which both failed, and ties, count for neither.
@@ -73,7 +81,7 @@ class Pair:
     second: str
     metric: str
     difference: Estimate
-    wins: Estimate
+    wins: Estimate = field(name="wins_of_first")
 
 
 def pair_of(first: str, second: str, metric: str, a: np.ndarray, b: np.ndarray, replicate: np.ndarray | None = None) -> Pair:

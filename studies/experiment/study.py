@@ -1,18 +1,18 @@
 """A complete experiment: from a plan to a folder with results, or to a summary only."""
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-import msgspec
 import numpy as np
+from msgspec import field, structs
 
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import PlanFileError, ProblemError
 from linkplan.models.extras import load_extra
 from linkplan.planner.files.folders import check_target, plain_record, write_json
 from linkplan.planner.files.manifest import read_record
+from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import write_plan
 from linkplan.studies.compare.tracker_source import object_hash, refuse_other_sources, source_hash
@@ -28,11 +28,11 @@ from linkplan.studies.experiment.experiment import (
     experiment_of,
     fall_note,
     imperfections_asked,
-    request_record,
+    request_of,
 )
 from linkplan.studies.experiment.metrics import metrics_of
-from linkplan.studies.experiment.sensitivity import Sensitivity, sensitivity_of, sensitivity_record
-from linkplan.studies.experiment.summary import Summary, chatter_notes, summarise, summary_record
+from linkplan.studies.experiment.sensitivity import Sensitivity, sensitivity_of
+from linkplan.studies.experiment.summary import Summary, chatter_notes, summarise
 from linkplan.studies.sensitivity.scheme import MORRIS, ONE_AT_A_TIME
 from linkplan.studies.tasks.engine import Engine, Say, here
 from linkplan.studies.tasks.unfinished import PLAN, finish, parts_folder, refuse_other, remove_left, unfinished, working
@@ -43,18 +43,23 @@ if TYPE_CHECKING:
 RECORD, RESULTS = "experiment.json", "results.parquet"
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Outcome:
-    """An experiment's results: their columns, summary and record.
+class Outcome(Summary, frozen=True, kw_only=True, eq=False, omit_defaults=True):
+    """An experiment's inputs, its results as columns, and their summary, whose fields are keys of the JSON.
 
-    `sensitivity` is present for a sensitivity design. The summary then covers only statistically independent machines.
+    `machines` and `sensitivity` are present for a sensitivity design. The summary then covers only statistically independent
+    machines.
     """
 
-    experiment: Experiment
-    results: Mapping[str, np.ndarray]
-    summary: Summary
-    record: dict
+    name: str = field(name="experiment")
+    asked: AskedRecord
+    imperfections: dict[str, Any]
+    control_period_s: float
+    duration_s: float
+    notes: list[str]
+    machines: int | None = None
     sensitivity: Sensitivity | None = None
+    experiment: Beside[Experiment] = field(default=NOT_READ, name="(experiment)")
+    results: Beside[Mapping[str, np.ndarray]] = NOT_READ
 
     @property
     def population(self) -> Mapping[str, np.ndarray]:
@@ -100,7 +105,8 @@ def run_experiment(
     objects = own or {}
     sources = {name: source_hash(name) for name in settings.trackers if name not in TRACKERS and name not in objects}
     written = {name: object_hash(given) for name, given in objects.items()}
-    asked = request_record(source, digest, settings, sources | written)
+    request = request_of(source, digest, settings, sources | written)
+    asked = plain_record(request)
     if target is not None:
         check_target(target, RECORD)
         if (target / RECORD).is_file():
@@ -111,7 +117,7 @@ def run_experiment(
     with parts_folder(target) as folder, working(folder, asked, "an experiment"):
         experiment = conduct(folder, settings, sources, objects, plan, engine, say, threads)
         write_results(folder, folder / RESULTS, experiment)
-        outcome = _outcome(experiment, read_results(folder / RESULTS, experiment), asked)
+        outcome = _outcome(experiment, read_results(folder / RESULTS, experiment), request)
         (folder / RESULTS).unlink()
         if target is not None:
             finish(folder, target, lambda place: _save(outcome, folder, place), RECORD)
@@ -123,10 +129,10 @@ def experiment_figure(outcome: Outcome, path: Path | None) -> "Figure":
     from linkplan.studies.experiment.distributions import SHOWN, distributions
     from linkplan.studies.output.figure import figure_of
 
-    one, metrics = outcome.experiment, outcome.summary.metrics
+    one, metrics = outcome.experiment, outcome.metrics
     names = [name for start in SHOWN for name in metrics if name.startswith(start)]
     drawn = distributions(outcome.population, one.settings.trackers, names, metrics)
-    title = f"{one.plan.problem.name}: {outcome.summary.samples} machines"
+    title = f"{one.plan.problem.name}: {outcome.samples} machines"
     return figure_of(drawn, path, title=title, columns=3, panel_in=(4.0, 3.0))
 
 
@@ -136,42 +142,41 @@ def _save(outcome: Outcome, folder: Path, place: Path) -> None:
 
     write_results(folder, place / RESULTS, outcome.experiment)
     read_results(place / RESULTS, outcome.experiment)
-    write_json(place / RECORD, outcome.record)
+    write_json(place / RECORD, outcome)
     read_asked(place)
     (place / PLAN).mkdir()
     write_plan(outcome.experiment.plan, place / PLAN)
     if outcome.sensitivity is not None:
-        save_tornados(outcome.experiment.plan.problem.name, outcome.record["sensitivity"], place)
+        save_tornados(outcome.name, outcome.sensitivity, place)
     if outcome.distributed:
         experiment_figure(outcome, place / "experiment.png")
 
 
-def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: dict) -> Outcome:
+def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: AskedRecord) -> Outcome:
     mechanism = experiment.plan.problem.mechanism
     metrics = metrics_of(mechanism)
     settings, scheme = experiment.settings, experiment.scheme
     replicate = replicate_of(experiment.n) if settings.design == LATIN_HYPERCUBE else None
     summary = summarise(_independent(experiment, results), settings.trackers, metrics, replicate)
-    sensitivity, found = None, {}
+    sensitivity = None
     if scheme is not None:
         factors = experiment.section.factors
         sensitivity = sensitivity_of(scheme, factors, results, settings.trackers, mechanism, settings.seed)
-        found = {"machines": experiment.n, "sensitivity": sensitivity_record(sensitivity)}
-    record = {
-        "experiment": experiment.plan.problem.name,
-        "asked": asked,
-        "imperfections": imperfections_asked(experiment.plan),
-        "control_period_s": experiment.reference.period_s,
-        "duration_s": experiment.reference.period_s * experiment.reference.n,
-        "notes": [
+    return Outcome(
+        **structs.asdict(summary),
+        name=experiment.plan.problem.name,
+        asked=asked,
+        imperfections=imperfections_asked(experiment.plan),
+        control_period_s=experiment.reference.period_s,
+        duration_s=experiment.reference.period_s * experiment.reference.n,
+        notes=[
             *(note for note in (fall_note(experiment), defaults_note(experiment.plan)) if note is not None),
             *chatter_notes(experiment, summary),
         ],
-        **summary_record(summary),
-        **found,
-    }
-    return Outcome(
-        experiment=experiment, results=results, summary=summary, record=plain_record(record), sensitivity=sensitivity
+        machines=None if scheme is None else experiment.n,
+        sensitivity=sensitivity,
+        experiment=experiment,
+        results=results,
     )
 
 
@@ -200,7 +205,7 @@ def refuse_changed_tracker(folder: Path, tracker: str) -> None:
     Raises:
         LinkplanError: if it has changed.
     """
-    sources = read_asked(folder).tracker_sources
+    sources = read_asked(folder).tracker_sources or {}
     refuse_other_sources({name: known for name, known in sources.items() if name == tracker.strip()})
 
 
@@ -211,8 +216,7 @@ def saved_outcome(folder: Path) -> Outcome:
         PlanFileError: if the folder holds no experiment, or its results do not match its record.
     """
     experiment = saved_experiment(folder)
-    asked = msgspec.to_builtins(read_asked(folder))
-    return _outcome(experiment, read_results(folder / RESULTS, experiment), asked)
+    return _outcome(experiment, read_results(folder / RESULTS, experiment), read_asked(folder))
 
 
 def read_asked(folder: Path) -> AskedRecord:

@@ -1,10 +1,11 @@
 """The summary of an experiment: each tracker's metrics with intervals, pairs of trackers, the worst samples."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
 
 import numpy as np
+from msgspec import Struct, field
 
+from linkplan.planner.files.structs import Number
 from linkplan.studies.experiment.experiment import Experiment
 from linkplan.studies.experiment.metrics import Metric
 from linkplan.studies.experiment.statistics import Estimate, Pair, mean_of, pair_of, share_of
@@ -13,29 +14,26 @@ from linkplan.studies.experiment.statistics import Estimate, Pair, mean_of, pair
 CHATTER_FACTOR = 5.0
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class TrackerSummary:
+class TrackerSummary(Struct, frozen=True, kw_only=True, eq=False):
     """One tracker over all samples: means by metric, 95th percentiles, success, failures by reason, worst samples.
 
     The worst samples are failed samples first, then those with the largest error.
     """
 
-    name: str
-    means: Mapping[str, Estimate]
-    percentile95: Mapping[str, float]
+    means: dict[str, Estimate] = field(name="mean")
+    percentile95: dict[str, Number]
     success: Estimate
-    failures: Mapping[str, int]
-    worst: tuple[int, ...]
+    failures: dict[str, int]
+    worst: tuple[int, ...] = field(name="worst_samples")
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Summary:
+class Summary(Struct, frozen=True, kw_only=True, eq=False):
     """All trackers, and all pairs of trackers compared by the rms error of the first unit."""
 
     samples: int
-    trackers: tuple[TrackerSummary, ...]
+    trackers: dict[str, TrackerSummary]
     pairs: tuple[Pair, ...]
-    metrics: Mapping[str, Metric]
+    metrics: dict[str, Metric]
 
 
 def summarise(
@@ -51,7 +49,7 @@ def summarise(
     rows = {name: results["tracker"] == name for name in trackers}
     main = next(name for name in metrics if name.startswith("rms_error"))
     largest = next(name for name in metrics if name.startswith("max_error"))
-    found = []
+    found = {}
     for name in trackers:
         at = rows[name]
         group = None if replicate is None else replicate[results["sample"][at]]
@@ -60,15 +58,12 @@ def summarise(
         values = {metric: results[metric][at].astype(float) for metric in metrics}
         order = np.argsort(-np.where(failed, np.inf, values[largest]), kind="stable")
         texts = [str(text) for text in failure[failed]]
-        found.append(
-            TrackerSummary(
-                name=name,
-                means={metric: mean_of(values[metric], group) for metric in metrics},
-                percentile95={metric: _percentile(values[metric]) for metric in metrics},
-                success=share_of(int(np.sum(results["success"][at])), int(np.sum(at))),
-                failures={text: texts.count(text) for text in sorted(set(texts))},
-                worst=tuple(int(sample) for sample in results["sample"][at][order[:3]]),
-            )
+        found[name] = TrackerSummary(
+            means={metric: mean_of(values[metric], group) for metric in metrics},
+            percentile95={metric: _percentile(values[metric]) for metric in metrics},
+            success=share_of(int(np.sum(results["success"][at])), int(np.sum(at))),
+            failures={text: texts.count(text) for text in sorted(set(texts))},
+            worst=tuple(int(sample) for sample in results["sample"][at][order[:3]]),
         )
     pairs = [
         pair_of(a, b, main, results[main][rows[a]].astype(float), results[main][rows[b]].astype(float), group)
@@ -76,7 +71,7 @@ def summarise(
         for b in trackers[i + 1 :]
     ]
     samples = int(np.sum(rows[trackers[0]]))
-    return Summary(samples=samples, trackers=tuple(found), pairs=tuple(pairs), metrics=metrics)
+    return Summary(samples=samples, trackers=found, pairs=tuple(pairs), metrics=dict(metrics))
 
 
 def chatter_notes(experiment: Experiment, summary: Summary) -> list[str]:
@@ -86,9 +81,9 @@ def chatter_notes(experiment: Experiment, summary: Summary) -> list[str]:
     span = float(np.sum(np.where(np.isfinite(limit), np.abs(limit), 0.0)))
     unit = summary.metrics["chatter"].unit
     return [
-        f"{one.name} chatters: its effort varies by {varied:.3g} {unit} in total, the plan's by {planned:.3g}; its gains are"
+        f"{name} chatters: its effort varies by {varied:.3g} {unit} in total, the plan's by {planned:.3g}; its gains are"
         " too high for this period, delay and encoder"
-        for one in summary.trackers
+        for name, one in summary.trackers.items()
         if (varied := one.means["chatter"].value) > CHATTER_FACTOR * planned + span
     ]
 
@@ -96,33 +91,3 @@ def chatter_notes(experiment: Experiment, summary: Summary) -> list[str]:
 def _percentile(values: np.ndarray) -> float:
     kept = values[np.isfinite(values)]
     return float(np.percentile(kept, 95)) if len(kept) else float("nan")
-
-
-def summary_record(summary: Summary) -> dict:
-    """Return a summary as a JSON record: values with intervals, metrics with unit and direction."""
-
-    def estimate_record(one: Estimate) -> dict:
-        return {"value": one.value, "interval95": [one.low, one.high], "n": one.n}
-
-    trackers = {
-        one.name: {
-            "mean": {metric: estimate_record(value) for metric, value in one.means.items()},
-            "percentile95": dict(one.percentile95),
-            "success": estimate_record(one.success),
-            "failures": dict(one.failures),
-            "worst_samples": list(one.worst),
-        }
-        for one in summary.trackers
-    }
-    pairs = [
-        {
-            "first": pair.first,
-            "second": pair.second,
-            "metric": pair.metric,
-            "difference": estimate_record(pair.difference),
-            "wins_of_first": estimate_record(pair.wins),
-        }
-        for pair in summary.pairs
-    ]
-    metrics = {name: asdict(metric) for name, metric in summary.metrics.items()}
-    return {"samples": summary.samples, "trackers": trackers, "pairs": pairs, "metrics": metrics}

@@ -10,44 +10,52 @@ when the two limits are at unequal distances.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import UNSET, Struct, UnsetType
 
 from linkplan.models.errors import LinkplanError
 from linkplan.models.poses.sign_change import sign_change
+from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.planning import silent
 from linkplan.studies.frequency import sinestream
 from linkplan.studies.frequency.excitation import Setup, whole_samples
+from linkplan.studies.frequency.feasible import FeasibleCurve
 from linkplan.studies.frequency.feedback_loops import FeedbackLoop, refuse_several_freedoms
 
 # Amplitudes of the command without a limit, divided by the distance to the limit.
 MULTIPLES = (0.3, 0.9, 1.2, 1.6, 2.2, 3.0)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class LargeSignals:
-    """The reference response and the actuator's gain at frequencies (n,) [Hz] and amplitudes (n, m) [rad or m].
+class LargeSignals(Struct, frozen=True, kw_only=True, eq=False):
+    """The reference response and the actuator's gain at frequencies (n,) [Hz] and amplitudes (n, m).
 
     `multiples` (m,): amplitude of the command without a limit, divided by `room`, the distance to the limit [N.m or N].
-    `measured` and `predicted` (n, m): Y / R. `command` (n, m): amplitude of the measured command [N.m or N]. `describing`
-    (n, m): measured ratio of applied to commanded effort. `describing_predicted` (n, m): python-control's describing
-    function at that command. `saturated` (n, m): share of instants at a limit.
+    `measured` and `predicted` (n, m): Y / R, also in dB. `command` (n, m): amplitude of the measured command [N.m or N].
+    `describing` (n, m): size of the measured ratio of applied to commanded effort. `describing_predicted` (n, m):
+    python-control's describing function at that command. `saturated` (n, m): share of instants at a limit. `feasible`: rows
+    of the curve of feasible amplitudes, `curve`.
     """
 
-    loop: FeedbackLoop
-    quantity: str
+    pose: str
+    response: str
     room: float
     frequency_hz: np.ndarray
     multiples: np.ndarray
-    amplitude: np.ndarray
-    measured: np.ndarray
-    predicted: np.ndarray
-    command: np.ndarray
+    amplitude_deg: np.ndarray | UnsetType = UNSET  # of a hinge
+    amplitude_m: np.ndarray | UnsetType = UNSET  # of a slide
+    gain_db: np.ndarray
+    predicted_db: np.ndarray
     describing: np.ndarray
     describing_predicted: np.ndarray
+    command: np.ndarray
     saturated: np.ndarray
     coherence: np.ndarray
+    feasible: Sequence[dict[str, float | str | None]] = ()
+    loop: Beside[FeedbackLoop] = NOT_READ
+    measured: Beside[np.ndarray] = NOT_READ
+    predicted: Beside[np.ndarray] = NOT_READ
+    curve: Beside[FeasibleCurve] = NOT_READ
 
 
 def saturation(loop: FeedbackLoop, effort_limit: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
@@ -128,7 +136,7 @@ def large_signals(
             [[balance(loop, quantity, f, a, N)[0] for a in row] for f, row in zip(frequency, sizes.T, strict=True)]
         ),
         "command": np.abs(commands),
-        "describing": applied / commands,
+        "describing": np.abs(applied / commands),
         "describing_predicted": np.column_stack([N(size) for size in np.abs(commands).T]),
         "saturated": np.array([response.saturated for response in responses]).T,
         "coherence": np.array([response.coherence for response in responses]).T,
@@ -137,12 +145,17 @@ def large_signals(
         found |= {
             name: np.where(farthest < sizes.T, np.nan, values) for name, values in found.items() if name != "amplitude"
         }
+    joint, amplitude = loop.point.mechanism.independent_joints[0], found.pop("amplitude")
     return LargeSignals(
         loop=loop,
-        quantity=quantity,
+        pose=loop.point.name,
+        response=quantity,
         room=room,
         frequency_hz=frequency,
         multiples=np.array(multiples, dtype=float),
+        gain_db=20 * np.log10(np.abs(found["measured"])),
+        predicted_db=20 * np.log10(np.abs(found["predicted"])),
+        **{f"amplitude_{joint.unit}": joint.shown(1.0) * amplitude},
         **found,
     )
 
@@ -151,24 +164,3 @@ def default_large_frequencies(loop: FeedbackLoop, crossover_hz: float | None) ->
     """Return eight frequencies [Hz] around a crossover."""
     middle = crossover_hz or 0.02 / loop.timing.period_s
     return np.geomspace(0.15 * middle, min(1.5 * middle, 0.2 / loop.timing.period_s), 8)
-
-
-def large_record(found: LargeSignals) -> dict:
-    """Return the large-signal results as a JSON record."""
-    joint = found.loop.point.mechanism.independent_joints[0]
-    shown = joint.shown(1.0)
-    return {
-        "pose": found.loop.point.name,
-        "response": found.quantity,
-        "room": found.room,
-        "frequency_hz": found.frequency_hz,
-        "multiples": found.multiples,
-        f"amplitude_{joint.unit}": shown * found.amplitude,
-        "gain_db": 20 * np.log10(np.abs(found.measured)),
-        "predicted_db": 20 * np.log10(np.abs(found.predicted)),
-        "describing": np.abs(found.describing),
-        "describing_predicted": found.describing_predicted,
-        "command": found.command,
-        "saturated": found.saturated,
-        "coherence": found.coherence,
-    }

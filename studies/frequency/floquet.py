@@ -8,9 +8,8 @@ A tracker without feedforward settles on a motion that differs from the referenc
 analysis is done about it.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import Struct
 
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import Sampling, augmented, closed, simulated, spectral_radius
@@ -18,59 +17,38 @@ from linkplan.controllers.trackers.tracker import AnyTracker, StateFeedback
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at, follow
+from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.studies.frequency.simulated_loops import SimulatedLoops
 
 # A transition matrix that grows beyond this is rescaled and its logarithm kept.
 _MAX_GROWTH = 1e50
+# A disturbance is visible above this share of its largest size, far above rounding.
+_VISIBLE_SHARE = 1e-6
+# Zeros have the logarithm of this size.
+_LEAST_SIZE = 1e-300
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Floquet:
-    """A tracked periodic motion: predicted and measured monodromy matrices (M, M), and the decay of disturbances.
+class Floquet(Struct, frozen=True, kw_only=True, eq=False):
+    """A tracked periodic motion: the sizes (M,) of its predicted and measured multipliers, and the decay of disturbances.
 
-    `size` and `measured_size` (n,): largest singular value of the scaled transition from the start to `time_s` (n,), which
-    is the remaining share of the worst disturbance.
+    The largest multipliers come first; measured ones below rounding are meaningless. `decay_rate_per_s` is the predicted
+    rate at which the largest one shrinks. `size` and `measured_size` (n,) are the largest singular value of the scaled
+    transition from the start to `time_s` (n,), which is the remaining share of the worst disturbance; they end at `seen_s`,
+    where the decay is no longer visible, with the logarithms `log_left_predicted` and `log_left_measured`.
     """
 
     cycle_s: float
-    monodromy: np.ndarray
-    measured: np.ndarray
-    time_s: np.ndarray
-    size: np.ndarray
-    measured_size: np.ndarray
-
-    @property
-    def multipliers(self) -> np.ndarray:
-        """The predicted multipliers (M,), complex, the largest first."""
-        return _sorted(self.monodromy)
-
-    @property
-    def measured_multipliers(self) -> np.ndarray:
-        """The measured multipliers (M,), complex, the largest first; those below rounding are meaningless."""
-        return _sorted(self.measured)
-
-    @property
-    def converges(self) -> bool:
-        """True if disturbances decay from cycle to cycle."""
-        return bool(np.abs(self.multipliers[0]) < 1.0)
-
-    @property
-    def decay_rate(self) -> float:
-        """The predicted rate [1/s] at which the largest multiplier shrinks."""
-        return float(-np.log(max(np.abs(self.multipliers[0]), 1e-300)) / self.cycle_s)
-
-    @property
-    def last_visible_sample(self) -> int:
-        """The last sample at which the predicted disturbance is above 1e-6 of its largest size, far above rounding."""
-        clear = np.flatnonzero(self.size > 1e-6 * self.size.max())
-        return int(clear[-1])
-
-    @property
-    def measured_decay(self) -> tuple[float, float, float]:
-        """The time [s] over which the decay is visible, and the logarithm of the remaining share: predicted, measured."""
-        k = self.last_visible_sample
-        predicted, measured = (max(float(size[k]), 1e-300) for size in (self.size, self.measured_size))
-        return float(self.time_s[k]), float(np.log(predicted)), float(np.log(measured))
+    converges: bool  # from cycle to cycle
+    multiplier_size: np.ndarray
+    measured_multiplier_size: np.ndarray
+    decay_rate_per_s: float
+    seen_s: float
+    log_left_predicted: float
+    log_left_measured: float
+    monodromy: Beside[np.ndarray] = NOT_READ
+    time_s: Beside[np.ndarray] = NOT_READ
+    size: Beside[np.ndarray] = NOT_READ
+    measured_size: Beside[np.ndarray] = NOT_READ
 
 
 def linear_law(tracker: AnyTracker) -> StateFeedback:
@@ -138,15 +116,24 @@ def floquet(
         nan=_MAX_GROWTH,
         posinf=_MAX_GROWTH,
     )
-    scaled = transition / scale[:, None] * scale
-    measured_scaled = measured / scale[:, None] * scale
+    size, measured_size = (np.linalg.norm(M / scale[:, None] * scale, ord=2, axis=(1, 2)) for M in (transition, measured))
+    multipliers, measured_multipliers = (_multiplier_sizes(M[-1]) for M in (transition, measured))
+    cycle_s, time_s = n * reference.period_s, reference.period_s * np.arange(n + 1)
+    seen = int(np.flatnonzero(size > _VISIBLE_SHARE * size.max())[-1])
+    left, measured_left = (float(np.log(max(values[seen], _LEAST_SIZE))) for values in (size, measured_size))
     return Floquet(
-        cycle_s=n * reference.period_s,
+        cycle_s=cycle_s,
+        converges=bool(multipliers[0] < 1.0),
+        multiplier_size=multipliers,
+        measured_multiplier_size=measured_multipliers,
+        decay_rate_per_s=float(-np.log(max(multipliers[0], _LEAST_SIZE)) / cycle_s),
+        seen_s=float(time_s[seen]),
+        log_left_predicted=left,
+        log_left_measured=measured_left,
         monodromy=transition[-1],
-        measured=measured[-1],
-        time_s=reference.period_s * np.arange(n + 1),
-        size=np.linalg.norm(scaled, ord=2, axis=(1, 2)),
-        measured_size=np.linalg.norm(measured_scaled, ord=2, axis=(1, 2)),
+        time_s=time_s[: seen + 1],
+        size=size[: seen + 1],
+        measured_size=measured_size[: seen + 1],
     )
 
 
@@ -252,34 +239,16 @@ def _cut(reference: SampledReference, n: int) -> SampledReference:
     return SampledReference(period_s=reference.period_s, cycle=n, **arrays)
 
 
-def _sorted(matrix: np.ndarray) -> np.ndarray:
-    values = np.linalg.eigvals(matrix)
-    return values[np.argsort(-np.abs(values))]
-
-
-def floquet_record(found: Floquet) -> dict:
-    """Return the multipliers as a JSON record."""
-    seen_s, predicted, measured = found.measured_decay
-    return {
-        "cycle_s": found.cycle_s,
-        "converges": found.converges,
-        "multiplier_size": np.abs(found.multipliers),
-        "measured_multiplier_size": np.abs(found.measured_multipliers),
-        "decay_rate_per_s": found.decay_rate,
-        "seen_s": seen_s,
-        "log_left_predicted": predicted,
-        "log_left_measured": measured,
-    }
+def _multiplier_sizes(matrix: np.ndarray) -> np.ndarray:
+    return np.sort(np.abs(np.linalg.eigvals(matrix)))[::-1]
 
 
 def floquet_text(found: Floquet) -> str:
     """Return a sentence about the multipliers."""
-    size = np.abs(found.multipliers[0])
     verdict = "dies away" if found.converges else "grows"
-    seen_s, predicted, measured = found.measured_decay
+    left, predicted = np.exp(found.log_left_measured), np.exp(found.log_left_predicted)
     return (
-        f"along the motion a disturbance {verdict}: the largest Floquet multiplier is {size:.3g} a cycle of"
-        f" {found.cycle_s:g} s"
-        f" ({found.decay_rate:.4g} 1/s); over {1e3 * seen_s:.3g} ms MuJoCo reduces it to {np.exp(measured):.3g} of its"
-        f" size, predicted {np.exp(predicted):.3g}"
+        f"along the motion a disturbance {verdict}: the largest Floquet multiplier is {found.multiplier_size[0]:.3g} a cycle"
+        f" of {found.cycle_s:g} s ({found.decay_rate_per_s:.4g} 1/s); over {1e3 * found.seen_s:.3g} ms MuJoCo reduces it to"
+        f" {left:.3g} of its size, predicted {predicted:.3g}"
     )

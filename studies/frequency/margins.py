@@ -6,10 +6,12 @@ simultaneous changes of gain and phase (Seiler, Packard & Gahinet, An Introducti
 2020).
 """
 
+import dataclasses
 from collections.abc import Callable
-from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import Struct
+from msgspec.structs import replace
 
 from linkplan.controllers.sampling import MOST_DELAY_PERIODS
 from linkplan.models.poses.sign_change import sign_change
@@ -26,8 +28,7 @@ _MAX_POLE_DELAY_PERIODS = 40
 _MAX_STEPS_PER_PERIOD = 200
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Margins:
+class Margins(Struct, frozen=True, kw_only=True, eq=False):
     """Margins of one feedback loop. A figure is None if it is infinite or if the loop is unstable.
 
     If the open loop has several gain crossovers, `crossover_hz` is the crossover with the smallest phase margin, which is
@@ -97,7 +98,7 @@ def delay_margin(loop: FeedbackLoop, guess_s: float) -> tuple[float, int]:
     begin = timing.delay_steps * substeps // timing.substeps
     if guess_s + timing.delay_s > min(_MAX_POLE_DELAY_PERIODS, 0.5 * MOST_DELAY_PERIODS) * timing.period_s:
         return guess_s, timing.substeps
-    finer = replace(timing, substeps=substeps, delay_steps=begin)
+    finer = dataclasses.replace(timing, substeps=substeps, delay_steps=begin)
 
     def radius(steps: int) -> float:
         return float(feedback_loop(loop.point, loop.gain, finer.delayed(steps), SIMULATED).radius or 0.0)

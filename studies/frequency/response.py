@@ -1,11 +1,13 @@
 """A frequency response as a value: predicted or measured, with its unit, uncertainty and origin."""
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import UNSET, Struct, UnsetType
+from msgspec.structs import force_setattr
 
 from linkplan.models.errors import LinkplanError
+from linkplan.planner.files.structs import NOT_READ, Beside
 
 if TYPE_CHECKING:
     import control
@@ -13,18 +15,23 @@ if TYPE_CHECKING:
 _COLUMNS = ("uncertainty", "coherence", "distortion", "residual", "saturated")
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Response:
+class Response(Struct, frozen=True, kw_only=True, eq=False):
     """Complex gains at frequencies (n,) [Hz], in `unit` (output over input).
+
+    `gain_db` is the gain's size in dB of its unit, at least -400 dB, so that a zero gain is finite. `phase_deg` is
+    continuous over the frequencies.
 
     A measured response has five more arrays (n,). `uncertainty`: standard deviation of the gain, in its unit. `coherence`:
     share of the signals' power at the excited frequency. `distortion`: amplitude of the harmonics over the fundamental's.
     `residual`: amplitude of the remainder over the whole signal's. `saturated`: share of instants at an effort limit. A
     predicted response has coherence one and zeros elsewhere. `origin` names the prediction or the measurement.
+    `less_predicted_db` and `less_predicted_deg` (n,) are the measured response's difference to the prediction.
     """
 
     frequency_hz: np.ndarray
-    gain: np.ndarray
+    gain: Beside[np.ndarray] = NOT_READ
+    gain_db: np.ndarray = NOT_READ
+    phase_deg: np.ndarray = NOT_READ
     unit: str
     origin: str
     uncertainty: np.ndarray | None = None
@@ -32,15 +39,22 @@ class Response:
     distortion: np.ndarray | None = None
     residual: np.ndarray | None = None
     saturated: np.ndarray | None = None
+    less_predicted_db: np.ndarray | UnsetType = UNSET
+    less_predicted_deg: np.ndarray | UnsetType = UNSET
 
     def __post_init__(self) -> None:
+        if self.gain is NOT_READ:
+            return
         frequency = np.array(self.frequency_hz, dtype=float)
         gain = np.array(self.gain, dtype=complex)
         if frequency.ndim != 1 or gain.shape != frequency.shape or frequency.size == 0:
             raise LinkplanError(f"a response has one gain for each frequency, got {gain.shape} for {frequency.shape}")
         if not np.all(frequency > 0) or np.any(np.diff(frequency) <= 0):
             raise LinkplanError("a response's frequencies are positive and increase")
-        values = {"frequency_hz": frequency, "gain": gain}
+        with np.errstate(divide="ignore"):
+            db = np.maximum(20 * np.log10(np.abs(gain)), -400.0)
+        phase = np.degrees(np.unwrap(np.angle(gain)))
+        values = {"frequency_hz": frequency, "gain": gain, "gain_db": db, "phase_deg": phase}
         for name in _COLUMNS:
             value = getattr(self, name)
             values[name] = np.full(frequency.shape, float(name == "coherence")) if value is None else np.array(value, float)
@@ -48,18 +62,7 @@ class Response:
                 raise LinkplanError(f"a response's {name} has one value for each frequency, got {values[name].shape}")
         for name, value in values.items():
             value.flags.writeable = False
-            object.__setattr__(self, name, value)
-
-    @property
-    def db(self) -> np.ndarray:
-        """The gain's size (n,) [dB of its unit], at least -400 dB, so that a zero gain is finite."""
-        with np.errstate(divide="ignore"):
-            return np.maximum(20 * np.log10(np.abs(self.gain)), -400.0)
-
-    @property
-    def phase_deg(self) -> np.ndarray:
-        """The gain's phase (n,) [deg], continuous over the frequencies."""
-        return np.degrees(np.unwrap(np.angle(self.gain)))
+            force_setattr(self, name, value)
 
     def against(self, other: "Response") -> tuple[np.ndarray, np.ndarray]:
         """Return the difference to another response: gain (n,) [dB] and phase (n,) [deg] within half a turn.
@@ -80,14 +83,3 @@ class Response:
         import control
 
         return control.FrequencyResponseData(self.gain, 2 * np.pi * self.frequency_hz)
-
-    def record(self) -> dict:
-        """Return the response as a JSON record."""
-        return {
-            "origin": self.origin,
-            "unit": self.unit,
-            "frequency_hz": self.frequency_hz,
-            "gain_db": self.db,
-            "phase_deg": self.phase_deg,
-            **{name: getattr(self, name) for name in _COLUMNS},
-        }

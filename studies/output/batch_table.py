@@ -4,14 +4,8 @@ from collections.abc import Sequence
 
 from linkplan.planner.keys.sections import CaseSection
 from linkplan.planner.plan import Plan
-from linkplan.planner.plan_folder import record
 from linkplan.studies.output.document import Block, Text, table_of
 from linkplan.studies.output.plan_blocks import figure, known_digits, objective_unit
-
-
-def case_record(case: CaseSection, plan: Plan) -> dict:
-    """Return a case's entry in `batch.json`."""
-    return {"settings": list(case.set), **record(plan)}
 
 
 def case_row(case: CaseSection, plan: Plan) -> list:

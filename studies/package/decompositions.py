@@ -7,8 +7,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from msgspec import to_builtins
-
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.paths import drawn
 from linkplan.planner.plan import Plan
@@ -78,10 +76,6 @@ class DecompositionResult(Result):
     def passed(self) -> bool:
         """Whether the plan passes and every tracker's error is split."""
         return self.plan.passed and self.decomposition.found
-
-    def to_dict(self) -> dict:
-        """Return all parts by name, in JSON types: the sum of "parts" is "rms_error", in deg or m."""
-        return to_builtins(self.decomposition)
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of every tracker's parts as bars, saved at `path` if it is given."""

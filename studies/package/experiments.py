@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -27,7 +26,6 @@ from linkplan.studies.experiment.sensitivity import Sensitivity
 from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.experiment.study import Outcome, experiment_figure, run_experiment
 from linkplan.studies.output.document import Block, Report
-from linkplan.studies.output.text import text_of
 from linkplan.studies.tasks.cluster import engine_of
 from linkplan.subjects import PlanLike, listed, plan_of, problem_of, with_imperfections
 from linkplan.typed_commands import sample_again
@@ -142,15 +140,11 @@ class ExperimentResult(Result):
     def sensitivity(self) -> SensitivityResult | None:
         """The sensitivity of each tracker to each imperfection; None if the design is not one of sensitivity analysis."""
         found = self.outcome.sensitivity
-        return None if found is None else SensitivityResult(outcome=self.outcome, found=found)
+        return None if found is None else SensitivityResult(found=found, outcome=self.outcome)
 
     def replay(self, tracker: str, sample: int) -> Rollout:
         """Run one sample again and return the run, with its log in SI units."""
         return replay(self.outcome.experiment, tracker, sample)[0]
-
-    def to_dict(self) -> dict:
-        """Return the settings and the results, in JSON types."""
-        return json.loads(json.dumps(self.outcome.record))
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of the distributions of each tracker's metrics, saved at `path` if it is given."""
@@ -176,14 +170,15 @@ class ExperimentResult(Result):
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class SensitivityResult:
+class SensitivityResult(Result):
     """The sensitivity of each tracker and metric to each imperfection. `str(result)` is the table.
 
     A metric is a name of `ExperimentResult.results`, by default the rms error.
     """
 
-    outcome: Outcome
+    record_name = "sensitivity"
     found: Sensitivity
+    outcome: Outcome
 
     def ranking(self, tracker: str, metric: str | None = None) -> tuple[str, ...]:
         """Return the imperfections' labels, the most important first."""
@@ -192,26 +187,32 @@ class SensitivityResult:
     def importance(self, tracker: str, metric: str | None = None) -> dict[str, Estimate]:
         """Return each imperfection's importance with its 95 % interval, by label (defined in docs/experiments.md)."""
         asked = self._asked(tracker, metric)
-        return {factor.label: self.found.importance(*asked, i) for i, factor in enumerate(self.found.factors)}
+        return {label: self.found.importance(*asked, label) for label in self.found.imperfections}
 
-    def to_dict(self) -> dict:
-        """Return every value, in JSON types."""
-        return json.loads(json.dumps(self.outcome.record["sensitivity"]))
+    def blocks(self) -> list[Block]:
+        """Return the tables and the charts of the influences."""
+        return sensitivity(self.outcome)
+
+    def document(self) -> Report:
+        """Return the report of the experiment."""
+        return ExperimentResult(outcome=self.outcome).document()
+
+    def draw(self, place: Path) -> None:
+        """Write the chart of each rms error."""
+        from linkplan.studies.experiment.sensitivity_blocks import save_tornados
+
+        save_tornados(self.outcome.name, self.found, place)
 
     def plot(self, path: str | Path | None = None, metric: str | None = None) -> Figure:
         """Return the tornado chart of a metric, with a panel for each tracker, saved at `path` if it is given."""
         from linkplan.studies.experiment.sensitivity_blocks import tornado_figure
 
-        _, asked = self._asked(next(iter(self.found.influences)), metric)
-        name, record = self.outcome.experiment.plan.problem.name, self.outcome.record["sensitivity"]
-        return drawn(path, lambda place: tornado_figure(name, record, asked, place))
+        _, asked = self._asked(next(iter(self.found.trackers)), metric)
+        return drawn(path, lambda place: tornado_figure(self.outcome.name, self.found, asked, place))
 
     def _asked(self, tracker: str, metric: str | None) -> tuple[str, str]:
-        choose("tracker", tracker, tuple(self.found.influences), ProblemError)
+        choose("tracker", tracker, tuple(self.found.trackers), ProblemError)
         return tracker, choose("metric", metric or self.found.mains[0], tuple(self.found.metrics), ProblemError)
-
-    def __str__(self) -> str:
-        return text_of(sensitivity(self.outcome))
 
     def __repr__(self) -> str:
         one = self.outcome.experiment

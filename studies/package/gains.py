@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.loops import loop_of
 from linkplan.models.errors import ProblemError, choose
 from linkplan.paths import drawn
-from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.settings import number
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
@@ -23,6 +20,7 @@ from linkplan.studies.output.document import Block, Report
 from linkplan.studies.tune import tune as tuning
 from linkplan.studies.tune import tune_report
 from linkplan.studies.tune.judged import LEAST_DAMPING_RATIO, Wanted
+from linkplan.studies.tune.tuning import Tuning
 from linkplan.subjects import Poses, Subject, poses_of
 
 if TYPE_CHECKING:
@@ -79,12 +77,11 @@ def tune(
     """
     choose("tracker", str(tracker), LINEAR, ProblemError)
     say = listener(progress)
-    peak = np.inf if sensitivity_peak is None else number(sensitivity_peak, "sensitivity_peak", positive=True)
     wanted = Wanted(
         bandwidth_hz=number(bandwidth_hz, "bandwidth_hz", positive=True),
         phase_margin_deg=number(phase_margin_deg, "phase_margin_deg", at_least_zero=True),
-        sensitivity_peak=peak,
-        settling_s=None if settling_s is None else number(settling_s, "settling_s", positive=True),
+        sensitivity_peak=None if sensitivity_peak is None else number(sensitivity_peak, "sensitivity_peak", positive=True),
+        **({} if settling_s is None else {"settling_s": number(settling_s, "settling_s", positive=True)}),
         damping_ratio=number(damping_ratio, "damping_ratio", at_least_zero=True),
         stiffness=None if stiffness is None else number(stiffness, "stiffness", positive=True),
     )
@@ -100,7 +97,7 @@ class TuneResult(Result):
     """Gains for requirements. `str(result)` is the report; `to_dict()` has every value, with units in the names."""
 
     record_name = "tune"
-    tuning: tuning.Tuning
+    tuning: Tuning
 
     @property
     def found(self) -> bool:
@@ -120,11 +117,7 @@ class TuneResult(Result):
     @property
     def tracking(self) -> dict[str, float | dict[str, float]]:
         """The gains as the `tracking` table of problems, `track`, `compare` and `bode`."""
-        return tune_report.tracking_values(self.tuning)
-
-    def to_dict(self) -> dict:
-        """Return all values by name, in JSON types."""
-        return plain_record(tune_report.tune_record(self.tuning))
+        return self.tuning.tracking
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of bandwidth and margins over the poses, saved at `path` if it is given."""

@@ -8,24 +8,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import structs
 
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.paths import drawn
-from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import Tracking, number
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
-from linkplan.studies.bode.along_motion import AlongMotion, along_motion, along_record
-from linkplan.studies.bode.bode import BodePoint, BodeStudy, bode_study
+from linkplan.studies.bode.along_motion import along_motion
+from linkplan.studies.bode.bode import bode_study
 from linkplan.studies.bode.bode_blocks import summary
-from linkplan.studies.bode.bode_report import bode_figure, bode_record, save_bode
-from linkplan.studies.bode.large_study import LargeStudy, large_study, large_study_record
+from linkplan.studies.bode.bode_report import bode_figure, save_bode
+from linkplan.studies.bode.bode_result import BodePoint, BodeStudy
+from linkplan.studies.bode.large_study import large_study
 from linkplan.studies.bode.loop_blocks import along_blocks, large_blocks, map_blocks
-from linkplan.studies.bode.map_study import MapStudy, map_record, map_study
+from linkplan.studies.bode.map_study import map_study
 from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import QUANTITIES, refuse_several_freedoms
@@ -111,14 +112,14 @@ def bode(
         line=looked.line,
         note=looked.note,
     )
-    return BodeResult(
-        study=study,
-        map=map_study(study, say) if map else None,
-        large=large_study(study, None if problem is None else problem.limits, say) if large else None,
-        along=along_motion(plan_of(problem, say, "analyse"), tracker, study.law.settings, say)
+    further = {
+        "map": map_study(study, say) if map else None,
+        "large": large_study(study, None if problem is None else problem.limits, say) if large else None,
+        "along": along_motion(plan_of(problem, say, "analyse"), tracker, study.law.settings, say)
         if along and problem
         else None,
-    )
+    }
+    return BodeResult(study=structs.replace(study, **further))
 
 
 def loop_of(
@@ -142,13 +143,10 @@ def loop_of(
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class BodeResult(Result):
-    """A loop's frequency response; `map`, `large` and `along` are the further studies that were asked for, else None."""
+    """A loop's frequency response; its study has the further ones that were asked for: `map`, `large` and `along`."""
 
     record_name = "bode"
     study: BodeStudy
-    map: MapStudy | None = None
-    large: LargeStudy | None = None
-    along: AlongMotion | None = None
 
     @property
     def passed(self) -> bool:
@@ -204,10 +202,10 @@ class BodeResult(Result):
         entry = self._entry(pose, joint)
         choose("response", quantity, QUANTITIES, ProblemError)
         if measured:
-            if quantity not in entry.measured:
-                known = ", ".join(entry.measured) or "none"
+            if quantity not in entry.responses:
+                known = ", ".join(entry.responses) or "none"
                 raise ProblemError(f"no '{quantity}' was measured at {entry.point.name}; measured: {known}")
-            return entry.measured[quantity].frd()
+            return entry.responses[quantity].frd()
         frequency_hz = frequency_grid(self.study.law.timing.period_s)[:-1]  # below the Nyquist frequency
         return entry.sampled.response(quantity, frequency_hz, entry.channel).frd()
 
@@ -223,14 +221,6 @@ class BodeResult(Result):
         names = [one.name for one in self.study.mechanism.independent_joints]
         return names.index(choose("independent joint", names[0] if joint is None else str(joint), names, ProblemError))
 
-    def to_dict(self) -> dict:
-        """Return all values by name, in JSON types."""
-        said = bode_record(self.study)
-        said |= {} if self.map is None else {"map": map_record(self.map)}
-        said |= {} if self.large is None else {"large": large_study_record(self.large)}
-        said |= {} if self.along is None else {"along": along_record(self.along)}
-        return plain_record(said)
-
     def blocks(self) -> list[Block]:
         """Return the margins at every pose, and the further studies."""
         return [*summary(self.study), *(block for section in self._further.values() for block in section.blocks)]
@@ -238,12 +228,12 @@ class BodeResult(Result):
     @property
     def _further(self) -> dict[str, Section]:
         found: dict[str, Section] = {}
-        if self.map is not None:
-            found["map"] = Section(title="Stability map", blocks=map_blocks(self.map), depth=2)
-        if self.large is not None:
-            found["large"] = Section(title="Large signals", blocks=large_blocks(self.large), depth=2)
-        if self.along is not None:
-            found["along"] = Section(title="Along the motion", blocks=along_blocks(self.along), depth=2)
+        if (stable := self.study.map) is not None:
+            found["map"] = Section(title="Stability map", blocks=map_blocks(stable), depth=2)
+        if (large := self.study.large) is not None:
+            found["large"] = Section(title="Large signals", blocks=large_blocks(large), depth=2)
+        if (along := self.study.along) is not None:
+            found["along"] = Section(title="Along the motion", blocks=along_blocks(along), depth=2)
         return found
 
     def document(self) -> Report:

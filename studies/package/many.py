@@ -8,7 +8,6 @@ from pathlib import Path
 
 from linkplan.models.errors import ProblemError
 from linkplan.paths import path_of
-from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import plain
 from linkplan.reporting import Progress, listener
@@ -85,10 +84,6 @@ class BatchResult(Result):
     def failures(self) -> tuple[str, ...]:
         """A sentence for each case without a plan."""
         return tuple(self.outcome.failures)
-
-    def to_dict(self) -> dict:
-        """Return the settings and the record of every case by name, in JSON types."""
-        return plain_record(self.outcome.record)
 
     def blocks(self) -> list[Block]:
         """Return the table of the cases."""

@@ -11,7 +11,6 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.selection import floating_bodies
 from linkplan.paths import drawn
-from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.settings import plain
 from linkplan.results import Result
@@ -20,6 +19,7 @@ from linkplan.subjects import Poses, Source, Subject, poses_of, source_of, subje
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+    from msgspec import Struct
 
     from linkplan.studies.check.refused_model import RefusedModel
     from linkplan.studies.check.whole_check import WholeCheck
@@ -112,7 +112,7 @@ def check(subject: Subject, *, at_deg: Poses = (), at_m: Poses = ()) -> CheckRes
         found = linkplan.check("optimus-knee")
         print(found.problems, found)
     """
-    from linkplan.studies.check.refused_model import REFUSED, RefusedModel
+    from linkplan.studies.check.refused_model import REFUSED, refused_model
     from linkplan.studies.check.whole_check import check_whole, mechanism_and_problem
 
     notes: tuple[str, ...] = ()
@@ -123,7 +123,7 @@ def check(subject: Subject, *, at_deg: Poses = (), at_m: Poses = ()) -> CheckRes
             mechanism, problem = subject_of(subject)
     except REFUSED as error:
         text = source_of(subject).name if isinstance(subject, Source | str | Path) else str(subject)
-        return CheckResult(found=RefusedModel(name="the model" if "<" in text else Path(text).stem, error=error))
+        return CheckResult(found=refused_model("the model" if "<" in text else Path(text).stem, error))
     return CheckResult(found=check_whole(mechanism, problem, poses_of(mechanism, at_deg, at_m), notes))
 
 
@@ -152,7 +152,7 @@ class CheckResult(Result):
     @property
     def mechanism(self) -> Mechanism | None:
         """The mechanism; None for a model that is refused."""
-        return getattr(getattr(self.found, "found", None), "mechanism", None)
+        return getattr(self.found, "mechanism", None)
 
     @property
     def home(self) -> dict:
@@ -171,9 +171,10 @@ class CheckResult(Result):
         """Whether a body of the model floats freely."""
         return self.mechanism is not None and bool(floating_bodies(self.mechanism.model)[0])
 
-    def to_dict(self) -> dict:
-        """Return all values by name, in JSON types."""
-        return plain_record(self.found.record())
+    @property
+    def struct(self) -> Struct:
+        """The findings, with the paths measured."""
+        return getattr(self.found, "with_paths", self.found)
 
     def blocks(self) -> list[Block]:
         """Return every finding and table."""
@@ -200,10 +201,10 @@ class CheckResult(Result):
 
         if isinstance(self.found, RefusedModel):
             return
-        whole, mechanism = self.found, self.found.found.mechanism
-        inspection_figure(whole.found, place / "mechanism.png")
-        for number, path in enumerate(whole.paths if len(whole.along) <= MAX_FIGURES else (), 1):
-            path_figure(path, whole.found.reaches, place / f"loop-{number}.png")
+        whole, mechanism = self.found, self.found.mechanism
+        inspection_figure(whole, place / "mechanism.png")
+        for number, path in enumerate(whole.paths if len(whole.sweeps) <= MAX_FIGURES else (), 1):
+            path_figure(path, whole.reaches, place / f"loop-{number}.png")
         if mechanism.selection or mechanism.shifted or urdf_root(str(mechanism.source["model"])) is not None:
             written = "selected.xml" if mechanism.selection else "model.xml"
             (place / written).write_text(whole_model_text(mechanism), encoding="utf-8")
@@ -219,7 +220,7 @@ class CheckResult(Result):
 
         if isinstance(self.found, RefusedModel):
             raise LinkplanError(f"nothing to draw: {self.found.error}")
-        found = self.found.found
+        found = self.found
         return drawn(path, lambda place: inspection_figure(found, place))
 
     def __repr__(self) -> str:

@@ -4,18 +4,21 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, cast
 
 from linkplan.models.errors import LinkplanError
 from linkplan.paths import path_of
 
 if TYPE_CHECKING:
+    from msgspec import Struct
+
     from linkplan.studies.output.document import Block, Report
 
 
 class Result(ABC):
-    """The result of a study. Each kind has `passed`, `to_dict`, `blocks`, `document` and `draw`; the rest follows.
+    """The result of a study. Each kind has `passed`, `blocks`, `document` and `draw`; the rest follows.
 
     A base class in place of a function for each member, so that every result is saved, drawn and shown in the same way.
     """
@@ -29,9 +32,16 @@ class Result(ABC):
         """Whether the answer is yes: a command then ends with exit code 0."""
         return True
 
-    @abstractmethod
+    @property
+    def struct(self) -> Struct:
+        """The frozen struct whose fields are the JSON, except those of type `Beside`: the first field of a kind."""
+        return getattr(self, fields(cast("Any", self))[0].name)
+
     def to_dict(self) -> dict:
-        """Return all values by name, in JSON types."""
+        """Return all values by name, with units in the names, in JSON types."""
+        from linkplan.planner.files.folders import plain_record
+
+        return plain_record(self.struct)
 
     @abstractmethod
     def blocks(self) -> list[Block]:

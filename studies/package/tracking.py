@@ -7,10 +7,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from msgspec import structs
+
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.errors import ProblemError
 from linkplan.paths import drawn
-from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.planner.problem.settings import number, whole
@@ -18,8 +19,8 @@ from linkplan.reporting import Listener, Progress, listener
 from linkplan.results import Result, saved
 from linkplan.studies.compare import compare as study
 from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure, document_blocks, document_figure
-from linkplan.studies.compare.comparison_notes import comparison_record
-from linkplan.studies.compare.document import document_record, is_the_documents, mended_runs
+from linkplan.studies.compare.comparison_figures import ComparisonFigures, comparison_figures
+from linkplan.studies.compare.document import document_rows, is_the_documents, mended_runs
 from linkplan.studies.compare.time_series import save_time_series
 from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
 from linkplan.studies.output.document import Block, Report, Section, Text
@@ -85,7 +86,8 @@ def track(
     run = study.track(answer, asked, mismatch)
     title, stem = ("nominal", "nominal") if mismatch is None else (mismatch.name, "mismatch")
     comparison = study.Comparison(plan=answer, nominal={run.tracker: run}, title=title, stem=stem)
-    return TrackingResult(comparison=comparison, record_name="track", tracker=run.tracker)
+    figures = structs.replace(comparison_figures(comparison), tracker=run.tracker)
+    return TrackingResult(figures=figures, comparison=comparison, record_name="track")
 
 
 def _replayed(place: str, tracker: TrackerLike, sample: int) -> TrackingResult:
@@ -99,7 +101,8 @@ def _replayed(place: str, tracker: TrackerLike, sample: int) -> TrackingResult:
     run, said = replay(experiment, name, whole(sample, "sample", 0, 2**31))
     title, stem = f"sample {sample}", f"sample-{sample}"
     comparison = study.Comparison(plan=experiment.plan, nominal={name: run}, title=title, stem=stem)
-    return TrackingResult(comparison=comparison, record_name="track", tracker=name, sample=said)
+    figures = structs.replace(comparison_figures(comparison), tracker=name, sample=said)
+    return TrackingResult(figures=figures, comparison=comparison, record_name="track")
 
 
 def compare(
@@ -134,7 +137,8 @@ def compare(
     answer = _to_track(plan, tracking, say)
     comparison = study.compare(answer, study.mismatch_of(answer, factor, delay), say, asked)
     printed = mended_runs(answer, say) if is_the_documents(answer) else {}
-    return TrackingResult(comparison=comparison, printed=printed)
+    figures = structs.replace(comparison_figures(comparison), document=document_rows(printed) if printed else None)
+    return TrackingResult(figures=figures, comparison=comparison, printed=printed)
 
 
 def _checked(mass_factor: object, delay_periods: object) -> tuple[float, float]:
@@ -156,21 +160,20 @@ def _to_track(plan: PlanLike, tracking: object, say: Listener) -> Plan:
 class TrackingResult(Result):
     """Trackers' runs on one plan. `str(result)` is the table; `to_dict()` has every value, with units in the names.
 
-    `printed` are the runs of the source document's experiment, if the plan is that; `sample` is the record of an
-    experiment's machine, if it ran again.
+    `printed` are the runs of the source document's experiment, if the plan is that.
     """
 
+    figures: ComparisonFigures
     comparison: study.Comparison
     record_name: str = "compare"
-    tracker: str | None = None
     printed: Mapping[tuple[str, float], Rollout] = field(default_factory=dict)
-    sample: Mapping | None = None
 
     @property
     def passed(self) -> bool:
         """Whether the plan passes and the run of `track`, or one of the nominal runs of `compare`, is stable."""
-        lost = self.sample is not None and self.sample["failure"] is not None
-        plan = self.comparison.plan.passed or self.sample is not None
+        sample = self.figures.sample
+        lost = sample is not None and sample["failure"] is not None
+        plan = self.comparison.plan.passed or sample is not None
         return plan and not lost and any(run.stable for run in self.comparison.nominal.values())
 
     @property
@@ -188,31 +191,23 @@ class TrackingResult(Result):
         """Whether every run stayed finite and none oscillated between its limits."""
         return all(run.stable for run in (*self.comparison.nominal.values(), *self.comparison.mismatched.values()))
 
-    def to_dict(self) -> dict:
-        """Return all values by name, in JSON types: errors in deg or m, efforts, share at the limits, loop gap."""
-        said = comparison_record(self.comparison)
-        said |= {} if self.tracker is None else {"tracker": self.tracker}
-        said |= {} if self.sample is None else {"sample": dict(self.sample)}
-        said |= {"document": document_record(self.printed)} if self.printed else {}
-        return plain_record(said)
-
     def blocks(self) -> list[Block]:
         """Return the table of errors and efforts, and the machine of an experiment's sample."""
-        if self.sample is None:
+        if (sample := self.figures.sample) is None:
             return comparison_blocks(self.comparison)
         from linkplan.studies.experiment.experiment_sections import machine_section
 
-        failure = self.sample["failure"]
+        failure = sample["failure"]
         lost = [Text(text=failure, tone="bad")] if failure else []
-        return [*comparison_blocks(self.comparison), *lost, *machine_section(self.sample).blocks]
+        return [*comparison_blocks(self.comparison), *lost, *machine_section(sample).blocks]
 
     def document(self) -> Report:
         """Return the report."""
         from linkplan.studies.compare.tracking_sections import comparison_report
         from linkplan.studies.experiment.experiment_sections import replay_report
 
-        if self.sample is not None:
-            return replay_report(self.comparison, self.sample)
+        if self.figures.sample is not None:
+            return replay_report(self.comparison, self.figures.sample)
         title = "The source document, as printed and mended"
         section = Section(title=title, blocks=document_blocks(self.printed)) if self.printed else None
         return comparison_report(self.comparison, section)

@@ -12,13 +12,13 @@ import numpy as np
 from linkplan.models.errors import LinkplanError, ProblemError, choose
 from linkplan.models.transfer.rest import OutputMotion, rest_effort
 from linkplan.paths import drawn
-from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.settings import plain
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result, saved
 from linkplan.studies.transfer.columns import arrays_of
 from linkplan.studies.transfer.serial_study import Serial
 from linkplan.studies.transfer.study import Transfer, transfer_study
+from linkplan.studies.transfer.transfer_figures import TransferFigures, transfer_figures
 from linkplan.subjects import PlanLike, Subject, numbers, plan_of, subject_of
 
 if TYPE_CHECKING:
@@ -97,7 +97,7 @@ def transfer(
         gains={name: numbers(values, name) for name, values in gains.items() if values is not None},
         say=say,
     )
-    return TransferResult(found=found)
+    return TransferResult(figures=transfer_figures(found), found=found)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
@@ -105,12 +105,13 @@ class TransferResult(Result):
     """A transfer table. `str(result)` is the report; `to_dict()` has the linkage at home, the ends of the map and errors."""
 
     record_name = "transfer"
+    figures: TransferFigures
     found: Transfer
 
     @property
     def kept(self) -> bool:
         """Whether the table keeps the interpolation error that was asked for."""
-        return self.found.kept
+        return self.figures.kept
 
     @property
     def passed(self) -> bool:
@@ -206,12 +207,6 @@ class TransferResult(Result):
         if self.found.serial is None:
             raise LinkplanError(self.found.serial_note)
         return self.found.serial
-
-    def to_dict(self) -> dict:
-        """Return the record by name, in JSON types."""
-        from linkplan.studies.transfer.transfer_blocks import transfer_record
-
-        return plain_record(transfer_record(self.found))
 
     def blocks(self) -> list[Block]:
         """Return the table and the curves."""

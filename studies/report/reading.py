@@ -14,7 +14,7 @@ from linkplan.planner.plan_folder import read_plan, unchecked
 from linkplan.planner.plan_record import read_plan_record
 from linkplan.planner.proof.finding import OWN_MOTION
 from linkplan.studies.batch.study import RECORD as BATCH
-from linkplan.studies.batch.study import read_batch_record
+from linkplan.studies.batch.study import read_cases
 from linkplan.studies.experiment.experiment_sections import experiment_report
 from linkplan.studies.experiment.study import RECORD as EXPERIMENT
 from linkplan.studies.experiment.study import saved_outcome
@@ -63,7 +63,7 @@ def saved_plan(folder: Path) -> Plan:
 
 def _record_report(path: Path) -> Report:
     """Return the report of a record without a document: from an earlier version, or of a batch."""
-    said = read_batch_record(path) if path.name == BATCH else read_record(path, dict[str, Any])
+    said = read_cases(path) if path.name == BATCH else read_record(path, dict[str, Any])
     lacks = Text(
         text=f"This folder has no {DOCUMENT}: shown are the figures of {path.name}; animation and curves need the command"
         " to be run again.",

@@ -1,6 +1,5 @@
-"""The serial equivalent of a transfer table, and its errors along motions, as records and documents."""
+"""The serial equivalent of a transfer table, and its errors along motions, as a document."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,7 +7,6 @@ from numpy.typing import ArrayLike
 
 from linkplan.models.digest import compiled_bytes
 from linkplan.models.errors import ModelError, ProblemError
-from linkplan.models.mechanism import Mechanism
 from linkplan.models.transfer.output_map import OutputMap
 from linkplan.models.transfer.rest import OutputMotion, SerialErrors, rest_values, serial_errors
 from linkplan.models.transfer.serial import SerialModel, serial_model
@@ -123,38 +121,6 @@ def left_out(serial: Serial) -> list[str]:
     if len(names) > 1:
         found.append("the linkage's coupling of the joints' accelerations (inertia off the diagonal) is in inertia_rest")
     return found
-
-
-def serial_record(serial: Serial, closed: Mechanism) -> dict:
-    """Return the record of the serial equivalent of a mechanism."""
-    model = serial.model
-    names = [joint.name for joint in model.outputs.joints]
-    rubbing = [closed.joints[i].name for i in model.rubbing]
-    return {
-        "joints": names,
-        "armature": model.armature,
-        "damping": model.damping,
-        "friction": model.friction,
-        "friction_joints": dict(zip(rubbing, model.rubbing_force, strict=True)),
-        "effort_limit": model.effort_limit,
-        "welded": list(model.removed),
-        "left_out": left_out(serial),
-        "errors": None if serial.errors is None else _errors_record(serial.errors, names),
-    }
-
-
-def _errors_record(errors: SerialErrors, names: Sequence[str]) -> dict:
-    needed = np.abs(errors.effort).max(axis=0)
-    return {
-        "largest_effort": dict(zip(names, needed, strict=True)),
-        **{
-            name: {
-                "rms": dict(zip(names, np.sqrt(np.mean(off**2, axis=0)), strict=True)),
-                "max": dict(zip(names, np.abs(off).max(axis=0), strict=True)),
-            }
-            for name, off in errors.named().items()
-        },
-    }
 
 
 def serial_blocks(serial: Serial | None, note: str) -> list[Block]:

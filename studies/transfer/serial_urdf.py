@@ -84,14 +84,6 @@ def urdf_notes(transfer: Transfer) -> list[str]:
     return found
 
 
-def urdf_record(transfer: Transfer) -> dict:
-    """Return the record of the URDF of a serial equivalent: its transmissions, and what it lacks."""
-    joints, motors = ([one.name for one in of] for of in (transfer.outputs.joints, transfer.outputs.actuators))
-    found = [{"joint": name, "motor": motors[motor], "reduction": reduction, "offset": offset}
-             for name, (motor, reduction, offset) in zip(joints, reductions(transfer), strict=False)]  # fmt: skip
-    return {"transmissions": found, "left_out": urdf_notes(transfer)}
-
-
 def urdf_text(transfer: Transfer) -> str | None:
     """Return the serial equivalent as URDF, or None where it has a ball joint, which no URDF has."""
     serial: SerialModel = transfer.serial.model

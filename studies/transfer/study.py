@@ -17,6 +17,8 @@ from linkplan.planner.problem.settings import number
 from linkplan.studies.export.output_joints import with_outputs
 from linkplan.studies.transfer.serial_study import Serial, motion_of_plan, serial_of
 
+# The sentence on the direction of the map, which stands in every result.
+CONVENTION = "motor velocity = G joint velocity; joint effort = G^T motor effort; so motor power = joint power"
 # The gains that can be carried across: their words, and where they are known.
 GAINS = {
     "joint_kp": "stiffness of the joints",

@@ -10,12 +10,10 @@ from linkplan.studies.output.document import Axis, Block, Facts, Plane, Plot, Re
 from linkplan.studies.output.lines import Line, overlaid_width, plots
 from linkplan.studies.output.numbers import rounded
 from linkplan.studies.output.report_file import report_of
-from linkplan.studies.transfer.serial_study import error_plots, serial_blocks, serial_record
-from linkplan.studies.transfer.serial_urdf import urdf_notes, urdf_record
-from linkplan.studies.transfer.study import Transfer, carried_gains
+from linkplan.studies.transfer.serial_study import error_plots, serial_blocks
+from linkplan.studies.transfer.serial_urdf import urdf_notes
+from linkplan.studies.transfer.study import CONVENTION, Transfer, carried_gains
 
-# The sentence on the direction of the map, which stands in every result.
-CONVENTION = "motor velocity = G joint velocity; joint effort = G^T motor effort; so motor power = joint power"
 _PLOT_SAMPLES = 201
 _TITLES = {
     "motor_position": "Motor positions",
@@ -71,45 +69,6 @@ def notes(transfer: Transfer) -> list[str]:
         if also:
             found.append(f"motor {outputs.actuators[place].name} also moves with {', '.join(also)}")
     return found
-
-
-def transfer_record(transfer: Transfer) -> dict:
-    """Return the JSON record; positions in rad or m, everything in SI, as in the files of the table."""
-    table, outputs, home = transfer.table, transfer.outputs, transfer.home
-    ends = {
-        joint.name: [{"position": end.position, "reason": end.reason, "margin": end.margin} for end in both]
-        for joint, both in zip(outputs.joints, table.ends, strict=True)
-    }
-    return {
-        "mechanism": outputs.mechanism.name,
-        "message": transfer.message,
-        "convention": CONVENTION,
-        "joints": [joint.name for joint in outputs.joints],
-        "joint_units": [joint.si_units for joint in outputs.joints],
-        "motors": [motor.name for motor in outputs.actuators],
-        "motor_units": [motor.si_units for motor in outputs.actuators],
-        "nodes": [len(axis) for axis in table.grid.axes],
-        "tolerance": table.tolerance,
-        "kept": transfer.kept,
-        "interpolation_error": table.grid.errors,
-        "scale": table.grid.scale,
-        "points_checked": table.grid.checked,
-        "inverse_error": None if table.inverse is None else table.inverse.errors["joint_position"],
-        "inverse_answered": None if table.inverse is None else table.inverse.answered,
-        "ends": ends,
-        "dead_centres": [{"motor": outputs.actuators[m].name, "position": x} for m, x in table.dead_centres],
-        "home": {
-            "joint_position": outputs.home,
-            **{name: getattr(home, name)[0] for name in ("motor_position", "ratio", "inertia", "armature", "damping")},
-            **{name: getattr(home, name)[0] for name in ("friction", "gravity")},
-            "effort_box": effort_box(home.ratio, transfer.effort_limit)[0],
-            **{name: gains[0] for name, gains in carried_gains(transfer, home.ratio).items()},
-        },
-        "serial": None if transfer.serial is None else serial_record(transfer.serial, transfer.outputs.mechanism),
-        "serial_note": transfer.serial_note,
-        "serial_urdf": None if transfer.serial is None else urdf_record(transfer),
-        "notes": notes(transfer),
-    }
 
 
 def _facts(transfer: Transfer) -> list[tuple[str, str]]:

@@ -95,7 +95,7 @@ def _natural_at_rest(points: Sequence[OperatingPoint], wanted: Wanted, channels:
     for point in points:
         stiffness = passive_stiffness(point).diagonal()
         for k in channels:
-            pulled = abs(stiffness[k]) / (1.0 - wanted.response_at_rest)
+            pulled = abs(stiffness[k]) / (1.0 - (wanted.response_at_rest or 0.0))
             needed = pulled if wanted.stiffness is None else wanted.stiffness + abs(stiffness[k])
             found = max(found, float(np.sqrt(needed / point.inertia[k, k])))
     return found / (2 * np.pi * wanted.bandwidth_hz)
@@ -174,9 +174,9 @@ def _shortfall_of(quick: QuickMargins, wanted: Wanted, timing: Sampling) -> np.n
         short = np.clip(np.log(wanted.bandwidth_hz * _SEARCH_RESERVE / band), 0.0, UNSTABLE_SHORTFALL)
     if wanted.phase_margin_deg:
         short = np.maximum(short, 1.0 - quick.phase_margin_deg / (wanted.phase_margin_deg * _SEARCH_RESERVE))
-    short = np.maximum(short, quick.sensitivity_peak * _SEARCH_RESERVE / wanted.sensitivity_peak - 1.0)
+    short = np.maximum(short, quick.sensitivity_peak * _SEARCH_RESERVE / wanted.largest_peak - 1.0)
     with np.errstate(invalid="ignore"):
-        short = np.maximum(short, np.log(quick.settling_s * _SEARCH_RESERVE / wanted.longest_settling_s))
+        short = np.maximum(short, np.log(quick.settling_s * _SEARCH_RESERVE / wanted.settling_s))
     short = np.maximum(short, wanted.damping_ratio * _SEARCH_RESERVE - quick.damping_ratio)
     at_rest = wanted.shortfall_at_rest(quick.response, quick.stiffness)
     return np.maximum(short, np.where(np.isfinite(at_rest), at_rest, UNSTABLE_SHORTFALL))

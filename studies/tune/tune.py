@@ -8,7 +8,6 @@ With several degrees of freedom every joint has PD gains of its own, found one l
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,19 +21,7 @@ from linkplan.studies.frequency.feedback_loops import LAW_NAMES, OperatingPoint,
 from linkplan.studies.frequency.worst import local_minima
 from linkplan.studies.tune.judged import UNSTABLE_SHORTFALL, EvaluatedGains, Wanted, evaluated, shortfall
 from linkplan.studies.tune.search import MAX_ROUNDS, found_gains
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Tuning:
-    """The best gains at all points, whether they meet the requirements (`found`), and the verdict as a sentence."""
-
-    mechanism: Mechanism
-    wanted: Wanted
-    points: tuple[OperatingPoint, ...]
-    best: EvaluatedGains
-    found: bool
-    message: str
-    note: str | None  # on the choice of the points
+from linkplan.studies.tune.tuning import Tuning, motor_gains, tracking_values, tuned_joints
 
 
 def tune(
@@ -95,14 +82,23 @@ def tune(
         points = _along(points, worst)
         best = evaluated(points, wanted, law)
     found = best.shortfall == 0.0
+    motors = () if law.name == "lqr" else motor_gains(best, mechanism)
+    tracking = tracking_values(best, mechanism)
+    gains = {key: value for key, value in tracking.items() if key != "delay_periods"} | {"delay_s": timing.delay_s}
     return Tuning(
-        mechanism=mechanism,
-        wanted=wanted,
-        points=tuple(points),
-        best=best,
+        mechanism_name=mechanism.name,
+        tracker=law.name,
         found=found,
         message=_message(points, wanted, best, found, line),
+        wanted=wanted,
+        gains=gains if law.name == "lqr" else gains | {"motor_side": motors},
         note=note,
+        points=best.loops,
+        mechanism=mechanism,
+        best=best,
+        motors=motors,
+        joints=tuned_joints(mechanism),
+        tracking=tracking,
     )
 
 
@@ -132,7 +128,7 @@ def _worst(mechanism: Mechanism, line: Line, law: SampledLaw, wanted: Wanted) ->
 def _message(points: Sequence[OperatingPoint], wanted: Wanted, best: EvaluatedGains, found: bool, line: Line | None) -> str:
     timing, words = best.law.timing, LAW_NAMES[best.law.name]
     asked = f"{wanted.bandwidth_hz:g} Hz and {wanted.phase_margin_deg:g} deg"
-    if np.isfinite(wanted.sensitivity_peak):
+    if wanted.sensitivity_peak is not None:
         asked += f" with |S| up to {wanted.sensitivity_peak:g}"
     mechanism = points[0].mechanism
     kinds = [mechanism.independent_joints[channel].kind for channel in mechanism.channels]
@@ -156,7 +152,7 @@ def _message(points: Sequence[OperatingPoint], wanted: Wanted, best: EvaluatedGa
         reached = [] if band is None else [f"bandwidth (-3 dB) {band:.4g} Hz at the least ({at_band.name})"]
         reached += [] if phase is None else [f"phase margin {phase:.4g} deg at the least ({at_phase.name})"]
         reached.append(f"an error settles to 2 % within {settling:.3g} s ({at_settling.name})")
-        reached.append(f"a small step settles at {100 * farthest.margins.response_at_rest:.4g} % ({farthest.name})")
+        reached.append(f"a small step settles at {100 * farthest.response_at_rest:.4g} % ({farthest.name})")
         reached.append(f"stiffness at rest {stiffness:.4g} {unit} at the least ({softest.name})")
         return f"{words} gives {asked} at {everywhere}, {sampled}: {', '.join(reached)}"
     # The hold of one period and the delay cost this much phase at the required bandwidth with any gains.
@@ -167,15 +163,15 @@ def _message(points: Sequence[OperatingPoint], wanted: Wanted, best: EvaluatedGa
 
 def _reason(wanted: Wanted, best: EvaluatedGains) -> str:
     """Return the requirements that the best gains violate, as text."""
-    unstable = [loop.point.name for loop in best.loops if not loop.margins.stable]
+    unstable = [loop.point.name for loop in best.loops if not loop.stable]
     if unstable:
         return f"no gains near that bandwidth are even stable at {unstable[0]}"
     violated = []
     for name, words, unit, limit in (
         ("bandwidth_hz", "a bandwidth of", " Hz", wanted.bandwidth_hz),
         ("phase_margin_deg", "a phase margin of", " deg", wanted.phase_margin_deg),
-        ("sensitivity_peak", "a peak of |S| of", "", wanted.sensitivity_peak),
-        ("settling_s", "a settling time of", " s", wanted.longest_settling_s),
+        ("sensitivity_peak", "a peak of |S| of", "", wanted.largest_peak),
+        ("settling_s", "a settling time of", " s", wanted.settling_s),
         ("damping_ratio", "a damping ratio of", "", wanted.damping_ratio),
         ("stiffness_at_rest", "a stiffness at rest of", "", wanted.stiffness or -np.inf),
     ):
@@ -184,7 +180,7 @@ def _reason(wanted: Wanted, best: EvaluatedGains) -> str:
         if value is not None and (value > limit if is_bound_above else value < limit):
             violated.append(f"{words} {value:.4g}{unit} at {where.name}")
     farthest = best.farthest_at_rest()
-    response = farthest.margins.response_at_rest
+    response = farthest.response_at_rest
     if wanted.stiffness is None and response is not None and wanted.shortfall_at_rest(response, np.inf) > 0:
         violated.append(f"a response at rest of {100 * response:.4g} % of a step at {farthest.name}")
     return f"the nearest has {' and '.join(violated)}"

@@ -1,11 +1,9 @@
 """The sections of gains for requirements, and their report."""
 
-import numpy as np
-
 from linkplan.studies.output.document import Block, Code, Facts, Report, Section
 from linkplan.studies.output.report_file import report_of
-from linkplan.studies.tune.tune import Tuning
 from linkplan.studies.tune.tune_report import tracking_table, tune_blocks
+from linkplan.studies.tune.tuning import Tuning
 
 
 def tune_sections(found: Tuning) -> list[Section]:
@@ -18,7 +16,7 @@ def tune_sections(found: Tuning) -> list[Section]:
         ("wanted phase margin", f"{wanted.phase_margin_deg:g} deg at least"),
         ("control period", f"{law.timing.period_s:g} s, delay {law.timing.delay_s:g} s"),
     ]
-    if np.isfinite(wanted.sensitivity_peak):
+    if wanted.sensitivity_peak is not None:
         rows.append(("wanted peak of |S|", f"{wanted.sensitivity_peak:g} at most"))
     blocks: list[Block] = [
         Facts(rows=rows),

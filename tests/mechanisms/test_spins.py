@@ -9,7 +9,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.compare.compare import rollout_record, track
+from linkplan.studies.compare.compare import run_figures, track
 from tests.support.spins import BUSH, DRAGGING, FIXED_BUSH, ON_A_BALL, ROUND, SPINS, TWO_BALLS, WISHBONE, WISHBONE_WITHOUT
 
 # Least effort with a bush left alone and with one fixed to the coupler, relative: what its drag and its moment of inertia
@@ -72,7 +72,7 @@ def test_what_spins_in_the_plan_spins_as_much_in_mujoco():
     rollout = track(plan, "lqr")
     assert np.degrees(np.abs(rollout.error_rad[:, 0]).max()) < TRACKED_DEG
     assert np.degrees(np.abs(rollout.error_rad[:, 1]).max()) < 0.2 * abs(spun_deg(plan))
-    assert rollout_record(plan, rollout)["max_error_deg"] < TRACKED_DEG, "what nobody steers is no tracking error"
+    assert run_figures(plan, rollout)["max_error_deg"] < TRACKED_DEG, "what nobody steers is no tracking error"
 
 
 @pytest.mark.slow

@@ -99,7 +99,7 @@ def test_a_notebook_from_mjcf_text_to_margins(tmp_path):
     assert gains.found
     loop = linkplan.bode(problem.replace(tracking=gains.tracking), at_deg=[{"O": 90.0}], frequency_hz=[20.0, 50.0])
     assert loop.stable
-    assert loop.study.worst_deviation[0] < 0.2
+    assert loop.study.measurement["closed_loop_deviation_db"] < 0.2
     loop.plot(tmp_path / "bode.png")
 
     planner = linkplan.Planner()

@@ -11,10 +11,10 @@ from linkplan.controllers.sampling import sampling
 from linkplan.models.catalogue import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
+from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
 from linkplan.studies.bode.bode_blocks import summary
-from linkplan.studies.bode.bode_report import bode_record
 from linkplan.studies.bode.poses import loop_poses
 from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import SIMULATED, feedback_loop, law_gain, operating_point
@@ -108,7 +108,7 @@ def test_the_study_names_the_worst_angle_and_says_how_well_the_two_agree():
         frequency_hz=np.array([200.0, 1000.0]),
         scanned=7,
     )
-    record, text = bode_record(study), text_of(summary(study))
+    record, text = plain_record(study), text_of(summary(study))
     # Where the inertia is least the sampled loop is nearest to its border.
     scan = study.scans[0]
     assert np.degrees(scan.positions[scan.worst]) == pytest.approx(62.45, abs=0.1)

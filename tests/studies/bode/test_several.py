@@ -62,8 +62,8 @@ def test_the_crossover_that_is_stated_is_where_the_phase_margin_is_and_others_ar
     assert np.abs(phase_margins[1:]).min() > abs(phase_margins[0])
     study = bode_study(mechanism, point.pose[mechanism.independent], gains, mechanism.effort_limit, scanned=0)
     first, _ = study.points
-    others = ", ".join(f"{f:.4g}" for f in first.margins.other_crossovers_hz)
-    stated = first.margins.crossover_hz
+    others = ", ".join(f"{f:.4g}" for f in first.other_crossovers_hz)
+    stated = first.crossover_hz
     assert f"the gain is one at {others} Hz too; the phase margin is least at {stated:.4g} Hz" in text_of(summary(study))
 
 
@@ -110,7 +110,7 @@ def test_a_loop_that_is_stable_in_the_model_and_not_in_mujoco_is_a_no(monkeypatc
     never = np.zeros(1, dtype=bool)
     monkeypatch.setattr(bode_module, "settle_trials", lambda *_: never)
     study = bode_study(mechanism, point.state[:2], GAINS, mechanism.effort_limit, scanned=0)
-    assert all(entry.margins.stable for entry in study.points)
+    assert all(entry.stable for entry in study.points)
     assert not study.stable
     assert study.message.startswith("stable by the sampled model and not in MuJoCo at O1 = ")
 
@@ -138,6 +138,6 @@ def test_dry_friction_is_said_to_damp_the_measured_motion(tmp_path):
             mechanism, np.zeros((1, 1)), gains, mechanism.effort_limit, setup=setup, frequency_hz=np.array([3.0]), scanned=0
         )
         assert (words in text_of(summary(study))) == (friction > 0)
-        deviations.append(study.worst_deviation[0])
+        deviations.append(study.measurement["closed_loop_deviation_db"])
     free, held, moved = deviations
     assert free < 1e-3 < moved < 1.0 < held

@@ -37,7 +37,7 @@ def test_a_gain_that_is_unstable_between_the_angles_of_a_grid_is_called_unstable
     study = study_of(1.845)
     assert not study.stable
     assert study.message.startswith("unstable at O = 62.4")
-    bad = [point for point in study.points if not point.margins.stable]
+    bad = [point for point in study.points if not point.stable]
     assert [np.degrees(point.point.state[0]) for point in bad] == pytest.approx([WORST_DEG], abs=0.1)
     assert not bad[0].settles_in_mujoco
 
@@ -47,7 +47,7 @@ def test_the_least_gain_margin_over_the_reach_is_the_largest_stable_damping_gain
     least, k = study.scans[0].least("gain_margin_db")
     assert np.degrees(study.scans[0].positions[k]) == pytest.approx(WORST_DEG, abs=0.1)
     assert least == pytest.approx(5.23, abs=0.01)
-    assert min(point.margins.gain_margin_db for point in study.points) == pytest.approx(least, abs=1e-3)
+    assert min(point.gain_margin_db for point in study.points) == pytest.approx(least, abs=1e-3)
     assert "least gain margin 5.23 dB at O = 62.4" in text_of(summary(study))
     worst = operating_point(study.mechanism, study.scans[0].line.at(study.scans[0].positions[k]))
     assert critical_kd(worst, 200.0, study.law.timing)[1] == pytest.approx(LARGEST_SAFE_KD, abs=1e-3)

@@ -7,7 +7,6 @@ import pytest
 
 import linkplan
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.check.kinematic_loop_report import path_record
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.cli.main import main
 
@@ -40,10 +39,10 @@ def test_two_hinges_on_one_axis_are_a_problem_found_and_no_bad_input(tmp_path, c
 
 def test_a_gimbal_lock_in_a_reach_is_a_note_that_names_joints_and_pose():
     found = check_whole(load_mechanism(WRIST), None)
-    (note,) = [text for text in found.found.notes if "singular inertia" in text]
+    (note,) = [text for text in found.notes if "singular inertia" in text]
     assert note.startswith("singular inertia at b = -90 deg, in 2 of ")
     assert "joints a and c move together without moving any mass there" in note
-    felt = path_record(found.paths[1])["reflected_inertia"]["actuator 0"]
+    felt = found.paths[1].figures.reflected_inertia["actuator 0"]
     assert np.flatnonzero(np.isnan(felt)).tolist() == [0, len(felt) - 1]
 
 
@@ -54,14 +53,14 @@ def test_a_gimbal_lock_in_a_reach_is_a_note_that_names_joints_and_pose():
 )
 def test_a_tendon_without_length_at_home_is_a_problem_that_names_its_sites(pull, motor):
     mechanism = load_mechanism(SLIDE.format(pull=pull, motor=motor))
-    (said,) = [text for text in check_whole(mechanism, None).found.problems if "no length" in text]
+    (said,) = [text for text in check_whole(mechanism, None).problems if "no length" in text]
     assert said.startswith("tendon cord has no length between e and t, which coincide at home: its force has no direction")
     still = np.zeros(2)
     assert np.isfinite(np.array(mechanism.dynamics.linearisation(mechanism.home, still, np.zeros(mechanism.n_u))[0])).all()
 
 
 def test_a_tendon_that_pulls_nothing_may_have_no_length():
-    found = check_whole(load_mechanism(SLIDE.format(pull="", motor="")), None).found
+    found = check_whole(load_mechanism(SLIDE.format(pull="", motor="")), None)
     assert not any("no length" in text for text in (*found.problems, *found.notes))
 
 

@@ -10,7 +10,7 @@ from linkplan.models.poses.reach import reach
 from linkplan.studies.check.check_sections import check_sections
 from linkplan.studies.check.drives import _krylov_space
 from linkplan.studies.check.inspection import inspect
-from linkplan.studies.check.kinematic_loop_report import most_poses, path_record, reach_paths, reach_sweeps, thinned
+from linkplan.studies.check.kinematic_loop_report import most_poses, reach_paths, reach_sweeps, thinned
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.output.document import Animation
 from linkplan.studies.output.text import text_of
@@ -59,7 +59,7 @@ def test_what_it_says_is_what_the_whole_record_has(wholes):
 
 def test_paths_of_many_coordinates_are_thinned_so_that_their_matrices_have_room(wholes):
     poses = np.arange(361.0)[:, None]
-    assert len(thinned(poses, most_poses(wholes[3].found.mechanism))) == 361
+    assert len(thinned(poses, most_poses(wholes[3].mechanism))) == 361
     few = thinned(poses, most_poses(load_mechanism(chain(20))))
     assert few[0] == 0
     assert few[-1] == 360
@@ -71,18 +71,18 @@ def test_contacts_of_many_coordinates_are_looked_for_at_a_bounded_number_of_pose
     colliding = chain(30).replace(" range='-60 60'", "").replace(" contype='0' conaffinity='0'", "")
     found = inspect(load_mechanism(colliding), [])
     assert found.contacts
-    assert max(pair.poses[-1] for pair in found.contacts) < 6000
+    assert max(pair.poses[-1] for pair in found.pairs) < 6000
 
 
 def test_records_of_very_many_coordinates_have_those_of_their_own_only(wholes):
-    assert list(path_record(wholes[9].paths[7])["joint_rate"]["j0"]) == [f"j{i}" for i in range(9)]
+    assert list(wholes[9].paths[7].figures.joint_rate["j0"]) == [f"j{i}" for i in range(9)]
     mechanism = load_mechanism(chain(30))
     (sweep,) = reach_sweeps(mechanism, [reach(mechanism, 7)])
     (path,) = reach_paths([sweep])
-    record = path_record(path)
-    assert record["coordinate"] == "j7"
-    assert list(record["joint_rate"]["j0"]) == list(record["gravity_effort"]) == ["j7"]
-    np.testing.assert_array_equal(record["reduced_inertia"][:, 0, 0], path.reduced_inertia[:, 7, 7])
+    figures = path.figures
+    assert figures.coordinate == "j7"
+    assert list(figures.joint_rate["j0"]) == list(figures.gravity_effort) == ["j7"]
+    np.testing.assert_array_equal(figures.reduced_inertia[:, 0, 0], path.reduced_inertia[:, 7, 7])
 
 
 def test_a_summary_of_many_coordinates_measures_no_path():
@@ -96,7 +96,7 @@ def test_the_animations_of_many_coordinates_have_as_many_numbers_as_one(wholes):
     blocks = [block for section in check_sections(wholes[9]) for block in section.blocks]
     frames = [len(block.times) for block in blocks if isinstance(block, Animation)]
     assert len(frames) == 9
-    assert 41 * 9 < sum(frames) * wholes[9].found.mechanism.model.nbody * 13 <= 120_000
+    assert 41 * 9 < sum(frames) * wholes[9].mechanism.model.nbody * 13 <= 120_000
 
 
 def largest_arrays(work) -> int:
@@ -127,7 +127,7 @@ def test_reports_of_many_coordinates_are_in_memory_one_at_a_time():
     whole, other = (check_whole(load_mechanism(chain(40)), None) for _ in range(2))
     one = other.paths[0]
     size = one.rates.nbytes + one.ratio.nbytes + one.reduced_inertia.nbytes
-    assert largest_arrays(lambda: [path_record(path) for path in whole.paths]) < 12 * size  # of 40 reports
+    assert largest_arrays(lambda: [path.figures for path in whole.paths]) < 12 * size  # of 40 reports
 
 
 @pytest.mark.parametrize(("n", "m"), [(6, 1), (6, 2), (7, 3), (5, 5)])

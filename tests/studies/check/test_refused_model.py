@@ -1,11 +1,10 @@
 """`check` of what is no mechanism as it stands, and of cylinders: reports with an exit code, and lines to paste."""
 
 import json
-from dataclasses import replace
 from itertools import pairwise
 
-import numpy as np
 import pytest
+from msgspec.structs import replace
 
 import linkplan
 from linkplan.models.errors import LinkplanError
@@ -152,7 +151,10 @@ def test_a_hinges_stops_inside_another_hinges_range_are_a_note():
 def test_positions_in_the_table_of_poses_are_zero_where_they_are_rounding():
     found = inspect(load_mechanism(BOOM), [{"stroke": 0.0}])
     (point,) = found.points
-    drifted = replace(found, points=(replace(point, pose=np.array([-1.2e-10, 0.5, 0.0])),))
+    moved = list(zip(found.mechanism.joints, (-1.2e-10, 0.5, 0.0), strict=True))
+    angles = {joint.name: joint.shown(x) for joint, x in moved if joint.kind == "hinge"}
+    strokes = {joint.name: x for joint, x in moved if joint.kind == "slide"}
+    drifted = replace(found, points=(replace(point, q_deg=angles, q_m=strokes),))
     lines = text_of(inspection_blocks(drifted)).partition("At the poses asked for")[2].splitlines()
     row = next(line for above, line in pairwise(lines) if above.startswith("---")).split()
     assert row[:3] == ["0", "28.65", "0"]

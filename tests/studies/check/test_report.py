@@ -19,7 +19,6 @@ from linkplan.studies.check.kinematic_loop_report import (
     KinematicLoopPath,
     measure,
     motion_path,
-    path_record,
     reach_paths,
     reach_sweeps,
     swept,
@@ -233,7 +232,7 @@ def test_an_actuator_without_limits_gives_any_effort_where_it_acts_and_none_wher
     mechanism = load_mechanism(text)
     path = measure(mechanism, mechanism.home[None], "home")
     assert path.available_effort[0].tolist() == [[-np.inf, np.inf], [0.0, 0.0]]
-    json.dumps(plain(path_record(path)), allow_nan=False)
+    json.dumps(plain(path.figures), allow_nan=False)
 
 
 def test_a_models_sites_are_listed_where_mujoco_has_them_at_home(capsys):

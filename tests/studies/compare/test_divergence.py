@@ -10,7 +10,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.cli.main import main
-from linkplan.studies.compare.compare import Comparison, _plant, rollout_record, track, tracking_reference
+from linkplan.studies.compare.compare import Comparison, _plant, run_figures, track, tracking_reference
 from linkplan.studies.compare.comparison_blocks import comparison_figure
 from linkplan.studies.experiment.statistics import mean_of
 
@@ -64,7 +64,7 @@ def runaway(gain: float):
 def test_a_run_that_diverges_is_measured_and_drawn_without_a_warning(plan, gain, tmp_path):
     run = track(plan, runaway(gain), None)
     assert np.abs(run.commanded).max() > 1e6
-    assert rollout_record(plan, run)["peak_effort"]["ma"] > 1e6
+    assert run_figures(plan, run)["peak_effort"]["ma"] > 1e6
     runs = {"runaway": run}
     comparison_figure(
         Comparison(plan=plan, nominal=runs, mismatch=None, mismatched={}, title="nominal", stem="nominal"),

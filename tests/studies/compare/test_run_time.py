@@ -5,14 +5,13 @@ import pytest
 
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.studies.compare.compare import compare
-from linkplan.studies.compare.comparison_notes import comparison_record
 from tests.support.plans import optimal
 
 
 @pytest.fixture(scope="module")
 def needs() -> dict:
     plan = optimal("knee-reach", "tracking.period_s=1e-3")
-    return comparison_record(compare(plan, None, asked=TRACKERS))["run_time"]
+    return compare(plan, None, asked=TRACKERS).run_time
 
 
 @pytest.mark.parametrize(
@@ -30,19 +29,19 @@ def needs() -> dict:
 )
 def test_a_linear_law_s_needs_are_those_counted_by_hand(needs, name, remembered, stored, operations):
     found = needs[name]
-    assert (found["remembered"], found["stored"], found["operations"]) == (remembered, stored, operations)
-    assert found["operations_at_limit"] == operations
+    assert (found.remembered, found.stored, found.operations) == (remembered, stored, operations)
+    assert found.operations_at_limit == operations
 
 
 def test_what_computes_the_model_needs_more_by_orders_of_magnitude(needs):
-    assert needs["ct"]["operations"] > 100 * needs["lqr"]["operations"]
-    assert needs["mpc"]["operations"] < needs["ct"]["operations"] < needs["mpc"]["operations_at_limit"] / 10
-    assert needs["mpc"]["remembered"] == 20
+    assert needs["ct"].operations > 100 * needs["lqr"].operations
+    assert needs["mpc"].operations < needs["ct"].operations < needs["mpc"].operations_at_limit / 10
+    assert needs["mpc"].remembered == 20
 
 
 def test_every_tracker_s_time_is_reported_and_a_user_s_law_is_not_counted(needs):
     assert set(needs) == set(TRACKERS)
-    assert all(0 < one["median_us"] <= one["percentile90_us"] for one in needs.values())
+    assert all(0 < one.median_us <= one.percentile90_us for one in needs.values())
 
     class Idle:
         name = "idle"

@@ -18,7 +18,7 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.softness import soft_closures, softness_error
-from linkplan.studies.compare.compare import Comparison, rollout_record, track
+from linkplan.studies.compare.compare import Comparison, run_figures, track
 from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure
 from linkplan.studies.compare.comparison_notes import comparison_notes
 from linkplan.studies.compare.time_series import run_columns, save_time_series
@@ -83,7 +83,7 @@ def test_the_table_has_the_peak_of_every_actuator():
     head = text.split("----")[0]
     assert head.count("peak") == head.count("[N.m]") == 2
     assert head.index("act_O1") < head.index("act_O2")
-    for peak in rollout_record(comparison.plan, comparison.nominal["pd"])["peak_effort"].values():
+    for peak in run_figures(comparison.plan, comparison.nominal["pd"])["peak_effort"].values():
         assert f"{peak:.4g}" in text
 
 
@@ -162,7 +162,7 @@ def test_gears_that_give_way_are_off_by_an_angle_and_by_no_length():
     assert run.gap_rad == pytest.approx(off)
     assert run.gap_m.max() == 0
     assert run_columns(plan.problem.mechanism, run)["closure_gap_rad"] == pytest.approx(off)
-    assert rollout_record(plan, run)["loop_gap_max_rad"] == pytest.approx(off.max())
+    assert run_figures(plan, run)["loop_gap_max_rad"] == pytest.approx(off.max())
     (note,) = comparison_notes(comparison)
     assert note.startswith(
         f"pd, soft closures: in MuJoCo angles that closures tie are off by up to {off.max():.3g} rad, and B"

@@ -10,6 +10,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 import linkplan
 from linkplan.models.errors import LinkplanError, PlanFileError, ProblemError
@@ -56,7 +57,7 @@ def test_every_tracker_meets_the_same_machines_and_every_figure_is_a_number(tmp_
         pairs = results[name].reshape(6, 2)
         assert np.array_equal(pairs[:, 0], pairs[:, 1])
         assert len(set(pairs[:, 0])) == 6
-    for name, metric in outcome.summary.metrics.items():
+    for name, metric in outcome.metrics.items():
         assert metric.unit
         if name != "settling_s":  # the motion has not ended by then
             assert np.all(np.isfinite(results[name]))
@@ -215,7 +216,7 @@ class Failing:
 def test_a_tracker_that_fails_on_some_machines_is_counted_and_the_others_stand(tmp_path, monkeypatch):
     monkeypatch.setattr(blocks, "law_of", lambda *_: Failing())
     outcome = done(tmp_path / "x", Settings(trackers=("pd",), samples=12))
-    one = outcome.summary.trackers[0]
+    one = outcome.trackers["pd"]
     assert set(one.failures) == {"the tracker failed: RuntimeError: behind", "the tracker gave an effort that is no number"}
     assert 0 < sum(one.failures.values()) < 12
     assert one.means["rms_error_deg"].n == 12 - sum(one.failures.values())
@@ -225,7 +226,7 @@ def test_a_tracker_that_fails_on_some_machines_is_counted_and_the_others_stand(t
 def test_a_machine_that_cannot_be_built_is_counted_too(tmp_path):
     overrides = (SHORT, "imperfections.link_length_factor={ coupler = [0.5, 3.0] }")
     outcome = done(tmp_path / "x", Settings(trackers=("pd",), samples=12), overrides=overrides)
-    (said, count), *_ = outcome.summary.trackers[0].failures.items()
+    (said, count), *_ = outcome.trackers["pd"].failures.items()
     assert "does not close at the start" in said
     assert 0 < count < 12
 
@@ -301,15 +302,15 @@ def test_an_empty_table_of_imperfections_means_none_and_a_missing_one_the_defaul
     plan = optimal("knee-reach", SHORT)
     none = replace(plan, problem=replace(plan.problem, source={**plan.problem.source, "imperfections": {}}))
     outcome = run_experiment({"name": "knee-reach"}, None, lambda: none, FEW, tmp_path / "none", silent)
-    assert outcome.record["imperfections"] == {}
-    (note,) = outcome.record["notes"]
+    assert outcome.imperfections == {}
+    (note,) = outcome.notes
     assert note.startswith("[imperfections] is empty: all machines are alike")
     with pytest.raises(ProblemError, match="needs an imperfection"):
-        run_experiment({}, None, lambda: none, replace(FEW, design="morris"), tmp_path / "refused", silent)
+        run_experiment({}, None, lambda: none, structs.replace(FEW, design="morris"), tmp_path / "refused", silent)
     assert [path.name for path in tmp_path.iterdir()] == ["none"]  # the refused one has no parts
     errors = outcome.results["rms_error_deg"].reshape(6, 2)
     assert np.ptp(errors, axis=0).max() == 0.0
-    (note,) = done(tmp_path / "defaults").record["notes"]
+    (note,) = done(tmp_path / "defaults").notes
     assert "without [imperfections]" in note
     assert "torque_bandwidth_hz" in note
 
@@ -326,7 +327,7 @@ def test_a_block_of_long_runs_has_few_samples_so_that_little_is_lost():
 def test_a_tracker_whose_gains_are_too_high_for_its_encoder_is_said_to_chatter(tmp_path):
     fine = ("imperfections.encoder_resolution_deg=1e-4", SHORT)
     coarse = ("imperfections.encoder_resolution_deg=0.05", SHORT)
-    (quiet, loud) = (done(tmp_path / name, overrides=how).record["notes"] for name, how in (("a", fine), ("b", coarse)))
+    (quiet, loud) = (done(tmp_path / name, overrides=how).notes for name, how in (("a", fine), ("b", coarse)))
     assert not any("chatters" in note for note in quiet)
     assert any(note.startswith("pd+ff chatters: its effort varies by") for note in loud)
 

@@ -10,9 +10,10 @@ import pyarrow.parquet as parquet
 import pytest
 
 from linkplan.models.errors import PlanFileError
+from linkplan.planner.files.folders import plain_record
 from linkplan.planner.planning import silent
 from linkplan.studies.experiment.conduct import conduct, keep_plan
-from linkplan.studies.experiment.experiment import Settings, request_record
+from linkplan.studies.experiment.experiment import Settings, request_of
 from linkplan.studies.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment, saved_outcome
 from linkplan.studies.tasks import unfinished as parts
 from linkplan.studies.tasks.engine import here
@@ -203,7 +204,7 @@ def test_a_part_of_other_machines_is_refused_and_the_parts_are_kept(whole, tmp_p
     target = tmp_path / "new"
     left = parts.unfinished(target)
     source = {"name": "knee-reach"}
-    with parts.working(left, request_record(source, None, SETTINGS, {}), "an experiment"):
+    with parts.working(left, plain_record(request_of(source, None, SETTINGS, {})), "an experiment"):
         keep_plan(left, plan())
         conduct(left, SETTINGS, {}, {}, plan, here, silent)
     one = parts.part(left, 0, "parquet")

@@ -100,7 +100,7 @@ def test_a_mean_of_nothing_is_none():
     ("value", "half", "text"), [(4.5849, 0.042, "4.58 ± 0.04"), (123.4, 12.0, "123 ± 12"), (0.0389, 0.0026, "0.039 ± 0.003")]
 )
 def test_a_mean_is_printed_to_the_figures_that_its_interval_leaves(value, half, text):
-    assert estimated(Estimate(value=value, low=value - half, high=value + half, n=9)) == text
+    assert estimated(Estimate(value=value, interval95=(value - half, value + half), n=9)) == text
 
 
 def test_each_latin_hypercube_meets_every_part_of_every_range_once():

@@ -45,9 +45,9 @@ def along(plan, law, **settings):
 )
 def test_multipliers_predict_the_decay_a_cycle_leaves_in_mujoco(plan, law, settings):
     found, *_ = along(plan, law, **settings)
-    predicted, measured = found.multipliers[:2], found.measured_multipliers[:2]
-    assert 1e-4 < np.abs(predicted[0]) < 0.9
-    assert np.abs(measured) == pytest.approx(np.abs(predicted), rel=DECAY)
+    predicted, measured = found.multiplier_size[:2], found.measured_multiplier_size[:2]
+    assert 1e-4 < predicted[0] < 0.9
+    assert measured == pytest.approx(predicted, rel=DECAY)
     assert found.converges
 
 
@@ -55,10 +55,9 @@ def test_multipliers_predict_the_decay_a_cycle_leaves_in_mujoco(plan, law, setti
 @pytest.mark.parametrize("law", ["pd", "pd+ff", "lqr"])
 def test_the_problems_own_trackers_let_a_disturbance_die_as_predicted(plan, law):
     found, *_ = along(plan, law)
-    seen_s, predicted, measured = found.measured_decay
-    assert predicted < np.log(1e-4)
-    assert measured == pytest.approx(predicted, rel=DECAY)
-    assert 0 < seen_s <= found.cycle_s
+    assert found.log_left_predicted < np.log(1e-4)
+    assert found.log_left_measured == pytest.approx(found.log_left_predicted, rel=DECAY)
+    assert 0 < found.seen_s <= found.cycle_s
 
 
 @pytest.mark.slow
@@ -91,6 +90,6 @@ def test_the_loop_frozen_along_a_reach_has_margins_at_every_instant_and_no_multi
     plan = plan_motion(load_problem("knee-reach"))
     found = along_motion(plan, "lqr", plan.problem.tracking)
     assert found.floquet is None
-    assert all(bounds.stable for bounds in found.margins)
-    assert found.radius.max() < 1
-    assert found.margins[found.worst].disk_margin == min(bounds.disk_margin for bounds in found.margins)
+    assert all(bounds.stable for bounds in found.frozen)
+    assert found.largest_frozen_pole < 1
+    assert found.worst.disk_margin == min(bounds.disk_margin for bounds in found.frozen)

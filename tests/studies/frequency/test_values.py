@@ -31,7 +31,7 @@ def test_a_response_goes_to_python_control():
 def test_a_response_knows_its_size_its_phase_and_its_distance_from_another():
     gain = np.array([1.0, 0.5j, -0.1])
     response = Response(frequency_hz=F, gain=gain, unit="1", origin="a")
-    assert response.db == pytest.approx([0.0, -6.0206, -20.0], abs=PRINTED_DB)
+    assert response.gain_db == pytest.approx([0.0, -6.0206, -20.0], abs=PRINTED_DB)
     assert response.phase_deg == pytest.approx([0.0, 90.0, 180.0])
     db, deg = response.against(Response(frequency_hz=F, gain=2j * gain, unit="1", origin="b"))
     assert db == pytest.approx(-6.0206, abs=PRINTED_DB)
@@ -101,13 +101,12 @@ def test_each_joints_loop_is_predicted_and_measured_with_the_others_closed():
 
 def test_the_study_has_a_loop_for_every_joint():
     from linkplan.studies.bode.bode_blocks import summary
-    from linkplan.studies.bode.bode_report import bode_record
     from linkplan.studies.output.text import text_of
 
     mechanism, _, settings = five_bar_loops()
     home = mechanism.home[mechanism.independent][None]
     study = bode_study(mechanism, home, settings, mechanism.effort_limit, scanned=0)
-    loops = bode_record(study)["points"][0]["loops"]
+    loops = study.poses[0].loops
     assert list(loops) == [f"pd {joint.name}" for joint in mechanism.independent_joints]
     text = text_of(summary(study))
     assert "stable" in text

@@ -5,6 +5,7 @@ import pytest
 
 from linkplan.studies.decompose.decomposition import Decomposition
 from linkplan.studies.decompose.decomposition_blocks import decomposition_charts
+from linkplan.studies.experiment.sensitivity import Sensitivity
 from linkplan.studies.experiment.sensitivity_blocks import sensitivity_charts
 from linkplan.studies.output.document import Bars
 
@@ -33,20 +34,22 @@ DECOMPOSED = msgspec.convert(
 )
 
 
-def record(design: str, effects: dict, middle: float = 0.3) -> dict:
-    """Return a sensitivity's record of one tracker and metric, its imperfections in the order of their importance."""
-    return {
+def record(design: str, effects: dict, middle: float = 0.3) -> Sensitivity:
+    """Return a sensitivity of one tracker and metric, its imperfections in the order of their importance."""
+    one = {"middle": middle, "left_out": 0, "ranking": list(effects), "effects": effects}
+    said = {
         "design": design,
         "measure": "what it is",
         "groups": 5,
         "group_size": 3,
         "imperfections": {label: {"unit": "N.m", "range": [0.0, 2.0]} for label in effects},
         "metrics": {"rms_error_deg": {"text": "rms error", "unit": "deg", "metric_unit": "deg"}},
-        "trackers": {"lqr": {"rms_error_deg": {"middle": middle, "ranking": list(effects), "effects": effects}}},
+        "trackers": {"lqr": {"rms_error_deg": one}},
     }
+    return msgspec.convert(said, Sensitivity)
 
 
-def chart(said: dict) -> Bars:
+def chart(said: Sensitivity) -> Bars:
     (found,) = sensitivity_charts(said, "rms_error_deg")
     return found
 

@@ -41,7 +41,7 @@ def outcome(folder):
 def test_the_trackers_table_has_the_means_and_their_intervals(outcome):
     table = next(table for table in blocks(experiment_report(outcome), Table) if table.title.startswith("Trackers"))
     heads = [head for head, _ in table.columns]
-    for row, one in zip(table.rows, outcome.summary.trackers, strict=True):
+    for row, one in zip(table.rows, outcome.trackers.values(), strict=True):
         assert row[0] == one.name
         assert row[heads.index("rms error")] == estimated(one.means["rms_error_deg"])
         assert row[heads.index("success")] == pytest.approx(100 * one.success.value, rel=1e-2)
@@ -77,7 +77,7 @@ def test_a_page_of_a_folder_has_the_same_figures_and_leaves_the_results_alone(fo
     assert main(["report", str(folder), "-o", str(tmp_path / "page.html"), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["report"].endswith("page.html")
     page = (tmp_path / "page.html").read_text()
-    assert f"linkplan track {folder} --sample {outcome.summary.trackers[0].worst[0]} --tracker pd --report" in page
+    assert f"linkplan track {folder} --sample {outcome.trackers['pd'].worst[0]} --tracker pd --report" in page
     assert (folder / RESULTS).read_bytes() == before
     titles = [section.title for section in folder_report(folder).sections]
     assert titles == [section.title for section in experiment_report(outcome).sections]

@@ -11,7 +11,6 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
 from linkplan.studies.tune.judged import Wanted
 from linkplan.studies.tune.tune import tune
-from linkplan.studies.tune.tune_report import motor_gains
 from tests.support.driven_linkages import MODELS, Linkage
 
 PERIOD_S = 1e-3
@@ -38,12 +37,12 @@ def test_gains_at_the_motor_stiffness_and_margins_are_those_of_mujocos_rows(name
     law = sampled_law(mechanism, "pd", Tracking(period_s=PERIOD_S), mechanism.effort_limit)
     found = tune(points, Wanted(bandwidth_hz=8.0, phase_margin_deg=60.0), law)
     assert found.found
-    (motor,), settings = motor_gains(found), found.best.law.settings
+    (motor,), settings = found.motors, found.best.law.settings
     for k, position in enumerate(POSITIONS[name]):
         pose = linkage.closed(linkage.pose, position)
-        here, passive, margins = linkage.at(pose), linkage.stiffness(pose), found.best.loops[k].margins
-        assert motor.kp[k] == pytest.approx(settings.kp / here.ratio**2, rel=1e-9)
-        assert motor.kd[k] == pytest.approx(settings.kd / here.ratio**2, rel=1e-9)
+        here, passive, margins = linkage.at(pose), linkage.stiffness(pose), found.points[k]
+        assert motor.values["kp"][k] == pytest.approx(settings.kp / here.ratio**2, rel=1e-9)
+        assert motor.values["kd"][k] == pytest.approx(settings.kd / here.ratio**2, rel=1e-9)
         assert margins.stiffness_at_rest == pytest.approx(settings.kp + passive, rel=1e-5)
         assert margins.response_at_rest == pytest.approx(settings.kp / (settings.kp + passive), rel=1e-5)
         A = np.array([[0.0, 1.0], [-passive / here.inertia, -here.damping / here.inertia]])

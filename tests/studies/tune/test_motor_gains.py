@@ -8,7 +8,7 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
 from linkplan.studies.tune.judged import Wanted
 from linkplan.studies.tune.tune import Tuning, tune
-from linkplan.studies.tune.tune_report import gain_lines, motor_gains, motor_record
+from linkplan.studies.tune.tune_report import gain_lines
 from tests.support.parallel_ankle import ankle_text
 
 RAD_PER_M = 2000.0
@@ -39,10 +39,10 @@ def test_a_screw_has_the_same_motor_gains_as_a_gear_and_as_a_coupling():
         "as a coupling": load_mechanism(coupled, independent=["table"]),
         "of the motor itself": load_mechanism(coupled, independent=["motor"]),
     }
-    gains = {name: motor_gains(tuned(mechanism, [0.0]))[0] for name, mechanism in found.items()}
-    stiffness = [motor.kp[0] for motor in gains.values()]
+    gains = {name: tuned(mechanism, [0.0]).motors[0] for name, mechanism in found.items()}
+    stiffness = [motor.kp for motor in gains.values()]
     assert stiffness == pytest.approx([stiffness[0]] * 3, rel=1e-6)
-    assert {motor.actuator.gain_units[0] for motor in gains.values()} == {"N.m/rad"}
+    assert {motor.units[0] for motor in gains.values()} == {"N.m/rad"}
     # The rotor's inertia and the table's, seen at the motor, at the natural frequency that the joint's gains give.
     assert stiffness[0] == pytest.approx(tuned(found["as a gear"], [0.0]).best.law.settings.kp / RAD_PER_M**2)
 
@@ -52,7 +52,7 @@ def test_motors_that_move_several_joints_have_no_gains_of_their_own():
     point = operating_point(mechanism, mechanism.home[mechanism.independent])
     law = sampled_law(mechanism, "pd", Tracking(period_s=1e-3), mechanism.effort_limit)
     found = tune([point], Wanted(bandwidth_hz=5.0, phase_margin_deg=40.0), law)
-    assert motor_gains(found) == []
+    assert found.motors == ()
     assert any("several joints" in text for _, text in gain_lines(found))
 
 
@@ -70,15 +70,14 @@ def test_motor_gains_across_a_linkage_change_with_the_square_of_its_ratio():
     mechanism = load_mechanism(model, independent=["arm"])
     angles = [-0.4, 0.0, 0.5]
     found = tuned(mechanism, angles)
-    (motor,) = motor_gains(found)
+    (motor,) = found.motors
     # phi is the angle at the hinge between the frame and the arm; the axis -y turns z towards -x for positive angles.
     phi = np.pi / 2 - np.array(angles)
     length = np.sqrt(0.4**2 + 0.3**2 - 2 * 0.4 * 0.3 * np.cos(phi))
     ratio = -0.4 * 0.3 * np.sin(phi) / length
-    assert motor.ratio == pytest.approx(ratio, rel=1e-6)
-    assert motor.kp == pytest.approx(found.best.law.settings.kp / ratio**2, rel=1e-6)
+    assert motor.values["ratio"] == pytest.approx(ratio, rel=1e-6)
+    assert motor.values["kp"] == pytest.approx(found.best.law.settings.kp / ratio**2, rel=1e-6)
     assert not motor.is_constant
-    record = motor_record(motor)
-    assert record["kp"] is None
+    assert motor.kp is None
     kd = found.best.law.settings.kd / ratio**2
-    assert record["kd_range"] == pytest.approx([kd.min(), kd.max()], rel=1e-6)
+    assert motor.kd_range == pytest.approx([kd.min(), kd.max()], rel=1e-6)

@@ -12,7 +12,7 @@ from linkplan.studies.frequency.margins import damping_ratio, margins, settling_
 from linkplan.studies.output.text import text_of
 from linkplan.studies.tune.judged import Wanted
 from linkplan.studies.tune.tune import tune
-from linkplan.studies.tune.tune_report import motor_gains, tune_blocks, tune_figure, tune_record
+from linkplan.studies.tune.tune_report import tune_blocks, tune_figure
 from tests.support.oscillators import inertia_alone, mass_on_a_spring
 from tests.support.tolerances_loops import GAINS_SCALED
 
@@ -38,7 +38,7 @@ def test_gains_found_do_what_is_wanted_at_every_angle(payload, law, bandwidth, p
     assert found.found
     # A second look, from the gains alone.
     mechanism, settings = found.mechanism, found.best.law.settings
-    for point in found.points:
+    for point in [loop.point for loop in found.points]:
         gain = law_gain(point, law, settings, mechanism.effort_limit)
         bounds = margins(feedback_loop(point, gain, found.best.law.timing))
         assert bounds.stable
@@ -85,16 +85,15 @@ def test_the_motors_side_sees_gains_through_the_square_of_its_gear():
     point = operating_point(mechanism, np.array([oscillator.position]))
     wanted = Wanted(bandwidth_hz=10.0, phase_margin_deg=40.0)
     found = tune([point], wanted, sampled_law(mechanism, "pd", Tracking(period_s=1e-3), mechanism.effort_limit))
-    (motor,) = motor_gains(found)
+    (motor,) = found.motors
     assert motor.is_constant
     assert motor.kp == pytest.approx(found.best.law.settings.kp / 25)
     # The effort of the actuator at a joint's error e is kp e / gear, at the motor's own motion gear e: kp / gear^2.
     gain = law_gain(point, "pd", found.best.law.settings, mechanism.effort_limit)
-    assert gain[0, 0] / 5.0 == pytest.approx(motor.kp[0])
+    assert gain[0, 0] / 5.0 == pytest.approx(motor.kp)
     assert "N/m" in text_of(tune_blocks(found))
-    (record,) = tune_record(found)["gains"]["motor_side"]
-    assert record["gear"] == 5.0
-    assert record["kp"] == pytest.approx(found.best.law.settings.kp / 25)
+    assert motor.gear == 5.0
+    assert found.gains["motor_side"] == found.motors
 
 
 @pytest.mark.parametrize(
@@ -145,17 +144,18 @@ def test_gains_settle_an_error_within_cycles_of_the_bandwidth_and_not_after_seco
     wanted, settings = Wanted(bandwidth_hz=30.0, phase_margin_deg=phase_margin_deg), Tracking(period_s=1e-3, delay_periods=1)
     found = tune(points, wanted, sampled_law(mechanism, "pd", settings, mechanism.effort_limit))
     assert found.found is (phase_margin_deg < 50.0)
-    for point, judged in zip(found.points, found.best.loops, strict=True):
+    for judged in found.points:
+        point = judged.point
         gain = law_gain(point, "pd", found.best.law.settings, mechanism.effort_limit)
         loop = feedback_loop(point, gain, found.best.law.timing)
         # The state after the time in which an error is to settle, from the loop's own steps.
-        steps = round(wanted.longest_settling_s / 1e-3)
+        steps = round(wanted.settling_s / 1e-3)
         after = np.linalg.matrix_power(loop.matrix, steps)[0, 0]
         assert abs(after) < 0.05
         # A steady torque on the joint moves it by the torque over the stiffness.
         _, push = augmented(loop.A, loop.B, loop.B_late, loop.timing)
         steady = np.linalg.solve(np.eye(len(loop.matrix)) - loop.matrix, push[:, 0])
-        assert steady[0] == pytest.approx(1.0 / judged.margins.stiffness_at_rest, rel=1e-3)
+        assert steady[0] == pytest.approx(1.0 / judged.stiffness_at_rest, rel=1e-3)
 
 
 def test_the_message_states_the_level_of_the_bandwidth_and_the_stiffness():

@@ -1,0 +1,56 @@
+"""The result of a study as a frozen struct: its fields are its JSON, except those of type `Beside`."""
+
+import functools
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+
+import numpy as np
+from msgspec import UNSET, Struct, convert
+from msgspec.structs import fields
+
+T = TypeVar("T")
+S = TypeVar("S", bound=Struct)
+
+if TYPE_CHECKING:
+    Beside = Annotated[T, "not in the JSON"]
+    Number = float
+else:
+
+    class Number(float):
+        """The type of a field with a number that need not be finite: null in JSON, not a number when it is read."""
+
+    class Beside:
+        """The type of a field that figures need and the JSON does not have: `Beside[np.ndarray]`."""
+
+        def __class_getitem__(cls, kind: object) -> type:
+            return cls
+
+
+NOT_READ: Any = None
+"""The default of a field of type `Beside`: its value in a struct that is read from JSON."""
+
+
+def json_values(struct: Struct) -> dict[str, Any]:
+    """Return the values of a struct's JSON by key."""
+    values = ((key, getattr(struct, name), omitted) for name, key, omitted in _json_fields(type(struct)))
+    return {key: value for key, value, omitted in values if value is not UNSET and value is not omitted}
+
+
+@functools.cache
+def _json_fields(kind: type[Struct]) -> tuple[tuple[str, str, Any], ...]:
+    """Return the attribute, the key and the omitted value of the fields in the JSON."""
+    omits = kind.__struct_config__.omit_defaults
+    return tuple((f.name, f.encode_name, f.default if omits else UNSET) for f in fields(kind) if f.type is not Beside)
+
+
+def read_struct(kind: type[S], values: Mapping) -> S:
+    """Return the struct of a JSON object; null in an array, or for a `Number`, is not a number.
+
+    Raises:
+        msgspec.ValidationError: if a value is missing or has another type.
+    """
+    return convert(values, kind, dec_hook=_read)
+
+
+def _read(kind: type, value: object) -> object:
+    return np.array(value, dtype=float) if kind is np.ndarray else kind("nan" if value is None else value)

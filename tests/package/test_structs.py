@@ -1,0 +1,82 @@
+"""Every result of a study is one struct: its JSON is read back as the same struct, and no function describes it again."""
+
+import json
+import re
+
+import pytest
+
+import linkplan
+from linkplan.planner.files.folders import plain_record
+from linkplan.planner.files.structs import Beside, read_struct
+from linkplan.results import Result
+from tests.support.sources import ROOT, SOURCES
+
+COARSE = {"tracking.period_s": 1e-3, "tracking.kp": 200.0, "tracking.kd": 1.0}
+VARIED = {"payload_mass_factor": [0.9, 1.1], "delay_periods": [0.0, 2.0]}
+AT_REST = {"at_deg": [{"O": 3.6}], "period_s": 1e-4}
+LOCKED = """<mujoco><worldbody><body name="b"><joint axis="0 1 0"/><geom size=".1"/></body></worldbody>
+  <equality><weld body1="b"/></equality></mujoco>"""
+# Results of every kind, with the optional parts of their structs.
+MADE = {
+    "check": ("CheckResult", lambda _: linkplan.check("slider-crank", at_deg=[{"O": 30.0}])),
+    "check of a locked model": ("CheckResult", lambda _: linkplan.check(LOCKED)),
+    "track": ("TrackingResult", lambda plan: linkplan.track(plan, "lqr")),
+    "compare": ("TrackingResult", lambda plan: linkplan.compare(plan, ["pd", "lqr"])),
+    "bode": ("BodeResult", lambda _: linkplan.bode("optimus-knee", kp=200.0, kd=20.0, measure=False, **AT_REST)),
+    "bode, measured": (
+        "BodeResult",
+        lambda _: linkplan.bode("optimus-knee", kp=200.0, kd=20.0, frequency_hz=[100.0], **AT_REST),
+    ),
+    "tune": ("TuneResult", lambda _: linkplan.tune("optimus-knee", bandwidth_hz=10.0, **AT_REST)),
+    "tune, several joints": (
+        "TuneResult",
+        lambda _: linkplan.tune("five-bar", bandwidth_hz=10.0, tracker="pd", stiffness=5.0),
+    ),
+    "transfer": ("TransferResult", lambda _: linkplan.transfer("optimus-knee", ["C"])),
+    "experiment": (
+        "ExperimentResult",
+        lambda plan: linkplan.experiment(plan, ["pd", "lqr"], samples=4, imperfections=VARIED),
+    ),
+    "sensitivity": ("SensitivityResult", lambda plan: _varied(plan).sensitivity),
+    "experiment of a sensitivity": ("ExperimentResult", lambda plan: _varied(plan)),
+    "batch": ("BatchResult", lambda _: linkplan.batch({"problem": "knee-reach", "case": [{"name": "one", "set": []}]})),
+    "decompose": ("DecompositionResult", lambda plan: linkplan.decompose(plan, ["pd"], imperfections=VARIED, samples=2)),
+}
+# Its JSON is that of a `Proof` of the planner.
+OF_THE_PLANNER = {"ProofResult"}
+
+
+def _varied(plan):
+    return linkplan.experiment(plan, ["pd"], design="one-at-a-time", imperfections=VARIED)
+
+
+@pytest.fixture(scope="module")
+def plan():
+    return linkplan.plan(linkplan.Problem.from_file("knee-reach", COARSE)).require()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", MADE)
+def test_the_json_of_a_result_is_read_back_as_its_struct(plan, name):
+    kind, make = MADE[name]
+    result = make(plan)
+    assert isinstance(result, Result)
+    assert type(result).__name__ == kind
+    said = json.loads(json.dumps(result.to_dict(), allow_nan=False))
+    again = read_struct(type(result.struct), said)
+    assert plain_record(again) == said
+    beside = [key for key in type(again).__struct_fields__ if type(again).__annotations__.get(key) is Beside]
+    assert all(getattr(again, key) is None for key in beside)
+
+
+def test_every_kind_of_result_is_a_struct_and_tried_above():
+    kinds = {kind.__name__: kind for kind in Result.__subclasses__() if kind.__name__ not in OF_THE_PLANNER}
+    assert {kind for kind, _ in MADE.values()} == set(kinds)
+    assert not [name for name, kind in kinds.items() if "to_dict" in vars(kind)]
+
+
+def test_no_function_of_a_study_describes_a_result_as_a_record():
+    texts = [path.read_text(encoding="utf-8") for path in SOURCES if path.is_relative_to(ROOT / "studies")]
+    functions = [name for text in texts for name in re.findall(r"^ *def (\w+)\(", text, flags=re.MULTILINE)]
+    assert len(functions) > 500
+    assert not [name for name in functions if name == "record" or name.endswith("_record")]
