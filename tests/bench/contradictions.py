@@ -103,9 +103,9 @@ def weak_answer(seed: int, number: int, factors: Sequence[float] = FACTORS) -> d
         near = np.array([start - 1e-5, start + 1e-5, goal - 1e-5, goal + 1e-5])
         potential = fourbar.potential(near)
         hold = min(abs(potential[1] - potential[0]), abs(potential[3] - potential[2])) / 2e-5
-        for factor in factors:
-            answers[str(factor)] = plan_of(tables("effort", factor * least["duration_s"]))
-        wrong = contradictions({factor: answers[str(factor)] for factor in factors}, least["duration_s"], hold if hold <= limit else None)
+        tried = {factor: plan_of(tables("effort", factor * least["duration_s"])) for factor in factors}
+        answers |= {str(factor): answer for factor, answer in tried.items()}
+        wrong = contradictions(tried, least["duration_s"], hold if hold <= limit else None)
     return {"number": number, "answers": answers, "wrong": wrong}
 
 

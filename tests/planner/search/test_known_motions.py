@@ -35,8 +35,8 @@ def planned(minimize: str, duration: float | str) -> Plan:
 def test_a_motion_a_little_longer_than_the_certified_least_time_is_found_and_costs_no_more_the_longer_it_is():
     least = planned("time", "free")
     assert least.status == "optimal"
-    plans = [planned("effort", factor * least.trajectory.duration_s) for factor in (1.0005, 1.01, 1.1)]
-    assert [plan.status for plan in plans] == ["optimal"] * 3, [plan.message for plan in plans]
+    plans = [planned("effort", factor * least.trajectory.duration_s) for factor in (1.0005, 1.1)]
+    assert [plan.status for plan in plans] == ["optimal"] * 2, [plan.message for plan in plans]
     costs = [plan.objective for plan in plans]
     assert costs == sorted(costs, reverse=True)
 
