@@ -88,9 +88,9 @@ def test_a_spatial_four_bar_is_planned_and_tracked_through_a_turn():
 
 
 @pytest.mark.slow
-def test_a_spatial_four_bar_whose_rocker_is_hinged_by_two_connects_is_planned_through_a_turn():
-    motion = {"kind": "reach", "start_deg": {"O": 0.0}, "goal_deg": {"O": 360.0}, "duration_s": 0.3}
-    plan = planned(TWO_BALLS, motion, mesh={"intervals": 40, "scheme": "radau-5"}, solver={"max_time_s": 3600})
+def test_a_spatial_four_bar_whose_rocker_is_hinged_by_two_connects_is_planned_through_half_a_turn():
+    motion = {"kind": "reach", "start_deg": {"O": 0.0}, "goal_deg": {"O": 180.0}, "duration_s": 0.15}
+    plan = planned(TWO_BALLS, motion, mesh={"intervals": 20, "scheme": "radau-5"}, solver={"max_time_s": 3600})
     assert plan.certificate.passed
     assert not plan.problem.mechanism.dynamics.projected
 
