@@ -178,7 +178,7 @@ def _integrated_with_restarts(
     span = position_units(mechanism, trajectory.position)
     unit = np.concatenate([span, np.full(n_s, speed)])
     poses = follow(mechanism, trajectory.position[0], trajectory.start_pose, until)
-    if _linear_growth(mechanism, trajectory, poses, unit) < 0.1 * RESTART_GROWTH:  # 2 n_s integrations are spared
+    if _linear_growth(mechanism, trajectory, poses, unit) < RESTART_GROWTH:  # 2 n_s integrations are spared
         return None
     trajectory, first = _in_pieces(mechanism, trajectory, poses)
     n, widths = len(trajectory.breaks_s) - 1, np.diff(trajectory.breaks_s)
