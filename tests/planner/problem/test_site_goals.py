@@ -79,7 +79,6 @@ def test_an_open_pose_of_a_closed_loop_ends_at_its_height():
     """Its efforts leave their limits next to each other, which refinement tells apart."""
     motion = {"start_deg": {"O1": -90.0, "O2": -90.0}, "goal_at": {"P": {"z": -0.25}}, "duration_s": 0.5}
     plan = plan_of(load_mechanism("five-bar"), motion, objective={"minimize": "work"})
-    assert plan.status == "optimal", plan.message
     assert plan.problem.motion.goal_rows == (2,)
     assert places_along(plan, "P")[-1, 2] == pytest.approx(-0.25, abs=1e-8)
     assert plan.certificate.closure_gap_m < 1e-9
