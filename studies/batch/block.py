@@ -23,6 +23,7 @@ from linkplan.planner.plan_folder import record, write_plan
 from linkplan.planner.plan_record import read_plan_record
 from linkplan.planner.refinement.history import Say
 from linkplan.studies.output.batch_table import case_row
+from linkplan.studies.tasks.streaming import blocks_of
 
 # A block is a sixteenth of the cases within these bounds. Short blocks spread over workers and are soon redone; long blocks
 # reuse more solutions.
@@ -41,15 +42,9 @@ class Planned(Struct, frozen=True, kw_only=True, omit_defaults=True):
     files: dict[str, bytes] = field(default_factory=dict)
 
 
-def cases_of(block: int, n: int) -> range:
-    """Return the cases of a block of a batch of n."""
-    size = min(_MAX_BLOCK_CASES, max(_MIN_BLOCK_CASES, -(-n // 16)))
-    return range(block * size, min(n, (block + 1) * size))
-
-
-def block_count(n: int) -> int:
-    """Return the number of blocks of a batch of n cases."""
-    return next(block for block in range(n + 1) if not cases_of(block, n))
+def case_blocks(n: int) -> list[range]:
+    """Return the cases of each block of a batch of n."""
+    return blocks_of(n, min(_MAX_BLOCK_CASES, max(_MIN_BLOCK_CASES, -(-n // 16))))
 
 
 def plan_block(batch: BatchFile, block: int, target: Path | None, parquet: bool, say: Say) -> list[Planned]:
@@ -62,7 +57,7 @@ def plan_block(batch: BatchFile, block: int, target: Path | None, parquet: bool,
         parquet: write a trajectory.parquet for every plan.
         say: receives the name of each case.
     """
-    part, found = cases_of(block, len(batch.case)), []
+    part, found = case_blocks(len(batch.case))[block], []
     cases = [batch.case[i] for i in part]
     for case, plan in plan_cases(batch, cases, lambda name: say(f"{part[len(found)] + 1} of {len(batch.case)}: {name}")):
         files = {}

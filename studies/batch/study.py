@@ -16,7 +16,7 @@ from linkplan.planner.files.work_folders import replace_file
 from linkplan.planner.keys.sections import BatchFile
 from linkplan.planner.plan_folder import versions
 from linkplan.planner.refinement.history import silent
-from linkplan.studies.batch.block import Planned, block_count, cases_of, packed, plan_block, unpacked
+from linkplan.studies.batch.block import Planned, case_blocks, packed, plan_block, unpacked
 from linkplan.studies.tasks.engine import Engine, Say, here
 from linkplan.studies.tasks.streaming import complete
 from linkplan.studies.tasks.unfinished import finish, part, parts_folder, working
@@ -59,7 +59,6 @@ def run_batch(
     if target is not None:
         check_target(target, RECORD)
     outcomes = []
-    blocks = [cases_of(block, len(batch.case)) for block in range(block_count(len(batch.case)))]
     work = functools.partial(_work, batch, target, parquet, say if engine is here else None)
     with parts_folder(target) as folder, working(folder, asked, "a batch"):
 
@@ -70,7 +69,7 @@ def run_batch(
             outcomes.append(_outcome(folder, batch, place, True))
             write_json(place / RECORD, outcomes[0])
 
-        complete(folder, blocks, "cases", engine, work, write, say)
+        complete(folder, case_blocks(len(batch.case)), "cases", engine, work, write, say)
         if target is None:
             return _outcome(folder, batch, None, keep_records)
         finish(folder, target, save, RECORD)
@@ -99,8 +98,8 @@ def _work(batch: BatchFile, target: Path | None, parquet: bool, say: Say | None,
 
 def _outcome(folder: Path, batch: BatchFile, place: Path | None, keep_records: bool) -> Outcome:
     rows, failures, cases = [], [], {}
-    for block in range(block_count(len(batch.case))):
-        cases_here = [batch.case[i] for i in cases_of(block, len(batch.case))]
+    for block, numbers in enumerate(case_blocks(len(batch.case))):
+        cases_here = [batch.case[i] for i in numbers]
         for answer in unpacked(part(folder, block, "zip"), cases_here, place):
             rows.append(answer.row)
             failures += [] if answer.failure is None else [answer.failure]

@@ -26,7 +26,7 @@ from linkplan.planner.planning import silent
 from linkplan.planner.problem.settings import whole
 from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.decompose.decomposition import Decomposition, Shares, TrackerShares
-from linkplan.studies.decompose.ladder import SEARCH_METHODS, run_ladder
+from linkplan.studies.decompose.ladder import CAUSES, run_ladder
 from linkplan.studies.experiment.experiment import Experiment, Settings, experiment_of, imperfections_asked
 
 # Machines that are simulated by default and at most, if something is random. For more, use an experiment.
@@ -51,7 +51,7 @@ class ErrorParts:
         """Return the parts by the names of the causes and of the joints (n_s,)."""
 
         def by_cause(values: np.ndarray) -> dict[str, float]:
-            return dict(zip(SEARCH_METHODS, values.tolist(), strict=True))
+            return dict(zip(CAUSES, values.tolist(), strict=True))
 
         return Shares(
             rms_error=self.rms,
@@ -129,7 +129,7 @@ def decompose(
         delay_periods=experiment.loop.delay_periods,
         timestep_s=min(reference.period_s, float(mechanism.model.opt.timestep)),
         duration_s=reference.period_s * reference.n,
-        parts=dict(SEARCH_METHODS),
+        parts=dict(CAUSES),
         trackers=found,
     )
 

@@ -24,7 +24,7 @@ from linkplan.studies.compare.compare import build_tracker
 from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.experiment.experiment import Experiment
 
-SEARCH_METHODS: Mapping[str, str] = {
+CAUSES: Mapping[str, str] = {
     "plan": "discretisation of the plan",
     "law": "feedforward that the tracker lacks",
     "sampling": "sampling and delay",
@@ -46,7 +46,7 @@ _FEEDFORWARD_TOLERANCE = 1e-9
 class Ladder:
     """One tracker's errors on the rungs, and the reasons for failed machines.
 
-    `errors` (n_rungs, t, n, n_s): s_ref - s [rad or m] after each cause is switched on, in the order of `SEARCH_METHODS`.
+    `errors` (n_rungs, t, n, n_s): s_ref - s [rad or m] after each cause is switched on, in the order of `CAUSES`.
     `increments` (n_rungs, t, n, n_s) add up to the last of them: what each cause adds, those of `SWITCHES` in the mean over
     their orders.
     """
@@ -98,7 +98,7 @@ def run_ladder(experiment: Experiment, asked: TrackerLike) -> Ladder:
     ideal = _ideal(experiment, asked)
     first = [*ideal, _errors(rigid, _unlimited(law), reference, clocked), ran[frozenset()]]
     after = [ran[frozenset(SWITCHES[:k]) & frozenset(acting)] for k in range(1, len(SWITCHES) + 1)]
-    failure = _failures([*zip(SEARCH_METHODS.values(), [*first, *after], strict=True), *_words_of(ran)], n)
+    failure = _failures([*zip(CAUSES.values(), [*first, *after], strict=True), *_words_of(ran)], n)
     t, n_s = reference.position_rad.shape
     errors = np.array([np.broadcast_to(error, (t, n, n_s)) for error, _ in [*first, *after]])
     increments = np.diff(errors, axis=0, prepend=0.0)
@@ -146,7 +146,7 @@ def _mean_increment(name: str, acting: Sequence[str], ran: Mapping[frozenset[str
 
 
 def _words_of(ran: Mapping[frozenset[str], "_Found"]) -> list[tuple[str, "_Found"]]:
-    return [(" and ".join(SEARCH_METHODS[name].partition(":")[0] for name in names), ran[names]) for names in ran if names]
+    return [(" and ".join(CAUSES[name].partition(":")[0] for name in names), ran[names]) for names in ran if names]
 
 
 # Errors (t, n or 1, n_s), and the reason for each failed run.

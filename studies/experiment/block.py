@@ -12,6 +12,7 @@ from linkplan.studies.compare.user_tracker import known_tracker
 from linkplan.studies.experiment.experiment import Experiment
 from linkplan.studies.experiment.laws import law_of
 from linkplan.studies.experiment.metrics import measured, metrics_of
+from linkplan.studies.tasks.streaming import blocks_of
 
 # A worker computes one block at a time, and an interruption loses at most one block. The most samples of a block, and the
 # simulator steps that it has about: some ten seconds.
@@ -27,15 +28,9 @@ def block_samples(experiment: Experiment) -> int:
     return max(1, min(BLOCK_SAMPLES, BLOCK_STEPS // steps))
 
 
-def block_count(experiment: Experiment) -> int:
-    """Return the number of blocks."""
-    return -(-experiment.n // block_samples(experiment))
-
-
-def samples_of(block: int, experiment: Experiment) -> range:
-    """Return the samples of a block."""
-    size = block_samples(experiment)
-    return range(block * size, min(experiment.n, (block + 1) * size))
+def sample_blocks(experiment: Experiment) -> list[range]:
+    """Return the samples of each block."""
+    return blocks_of(experiment.n, block_samples(experiment))
 
 
 def run_block(experiment: Experiment, block: int, threads: int = 0) -> dict[str, list]:
@@ -46,7 +41,7 @@ def run_block(experiment: Experiment, block: int, threads: int = 0) -> dict[str,
         block: index of the block.
         threads: simulator threads; 0 for one per core.
     """
-    samples = samples_of(block, experiment)
+    samples = sample_blocks(experiment)[block]
     mechanism, reference = experiment.plan.problem.mechanism, experiment.reference
     together = max(1, min(BLOCK_SAMPLES, _MAX_LOG_BYTES // bytes_each(mechanism, reference.n)))
     found: dict[tuple[int, str], dict] = {}

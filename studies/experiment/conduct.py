@@ -18,7 +18,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import read_plan, write_plan
 from linkplan.studies.compare.tracker_source import refuse_other_sources
 from linkplan.studies.compare.user_tracker import TrackerLike
-from linkplan.studies.experiment.block import block_count, run_block, samples_of
+from linkplan.studies.experiment.block import run_block, sample_blocks
 from linkplan.studies.experiment.experiment import Experiment, Settings, experiment_of
 from linkplan.studies.experiment.laws import unbatched_notes
 from linkplan.studies.experiment.metrics import metrics_of
@@ -62,10 +62,9 @@ def conduct(
     experiment = replace(_opened(folder, settings, written), own=own)
     for line in unbatched_notes(experiment):
         say(line)
-    blocks = [samples_of(block, experiment) for block in range(block_count(experiment))]
     work = functools.partial(_work, folder, settings, written, sources, own, threads)
     write = functools.partial(write_part, folder, experiment)
-    complete(folder, blocks, "samples", engine, work, write, say)
+    complete(folder, sample_blocks(experiment), "samples", engine, work, write, say)
     return experiment
 
 
@@ -136,8 +135,8 @@ def write_results(folder: Path, path: Path, experiment: Experiment) -> None:
 
     schema = schema_of(column_kinds(experiment))
     with parquet.ParquetWriter(path, schema) as writer:
-        for block in range(block_count(experiment)):
-            columns = read_results(part(folder, block, "parquet"), experiment, samples_of(block, experiment))
+        for block, samples in enumerate(sample_blocks(experiment)):
+            columns = read_results(part(folder, block, "parquet"), experiment, samples)
             writer.write_table(pa.table(columns, schema=schema))
 
 

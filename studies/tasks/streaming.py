@@ -72,6 +72,11 @@ def _once(pool: Pool, work: Callable[[int, int], Result], tasks: Sequence[int]) 
             yield asked.pop(future), result
 
 
+def blocks_of(n: int, size: int) -> list[range]:
+    """Return 0 to n - 1 in blocks of `size` consecutive numbers, the last one with the rest."""
+    return [range(first, min(n, first + size)) for first in range(0, n, size)]
+
+
 def complete(
     folder: Path,
     tasks: Sequence[range],

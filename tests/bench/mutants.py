@@ -1,6 +1,6 @@
-"""Mutants: small changes of the planner and the controllers, and whether the nearest tests detect them.
+"""Mutants: small changes of models, planner and controllers, and whether the nearest tests detect them.
 
-    python -m tests.bench.mutants [--count 60] [--seed 1] [--kind all|inline|other] [--slow] [--timeout 600]
+    python -m tests.bench.mutants [--count 60] [--seed 1] [--kind all|inline|other] [--under DIR] [--slow] [--timeout 600]
 
 Each mutant changes one named or inline number, sign, comparison or bound in a copy of the tree. The nearest tests are the
 file of the same name, the files that import the changed one, and the folder of the same name. They run until the first
@@ -24,7 +24,7 @@ from pathlib import Path
 from tests.support.sources import inline_numbers
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("planner", "controllers")
+PACKAGES = ("models", "planner", "controllers")
 COPIED = ("linkplan", "models", "planner", "controllers", "studies", "tests", "pyproject.toml", "docs", "README.md")
 # What stands for what in a mutant.
 COMPARISONS = {ast.Lt: ">", ast.LtE: ">", ast.Gt: "<", ast.GtE: "<"}
@@ -141,14 +141,15 @@ def main() -> int:
     parser.add_argument(
         "--kind", choices=("all", "inline", "other"), default="all", help="inline numbers alone, or all else"
     )
+    parser.add_argument("--under", nargs="*", default=PACKAGES, help="folders whose files are changed (all)")
     parser.add_argument("--slow", action="store_true", help="run the slow tests, too")
     parser.add_argument("--timeout", type=float, default=600.0, help="longest run of the tests of one mutant [s]")
     arguments = parser.parse_args()
-    files = [path.relative_to(ROOT) for package in PACKAGES for path in sorted((ROOT / package).rglob("*.py"))]
+    files = [path.relative_to(ROOT) for package in arguments.under for path in sorted((ROOT / package).rglob("*.py"))]
     every = [mutant for path in files for mutant in mutants_of(path)]
     if arguments.kind != "all":
         every = [mutant for mutant in every if mutant.inline == (arguments.kind == "inline")]
-    drawn = random.Random(arguments.seed).sample(every, arguments.count)
+    drawn = random.Random(arguments.seed).sample(every, min(arguments.count, len(every)))
     detected = 0
     with tempfile.TemporaryDirectory() as folder:
         copy = Path(folder)

@@ -26,8 +26,6 @@ SAME_EFFORT = 1e-6
 TRACKED_DEG = 1.0
 MODELS = {"bennett": bennett, "cranks": coupled_cranks, "bricard": bricard}
 TRACKING = {"period_s": 1e-3, "kp": 2.0, "kd": 0.1, "duration_s": 2.0}
-exact = pytest.param(0.0, id="exact")
-noisy = pytest.param(NOISE, id="noisy", marks=pytest.mark.slow)
 
 
 @cache
@@ -39,11 +37,18 @@ def planned(name: str, noise: float = 0.0) -> linkplan.Plan:
 
 
 FIRST = {"bennett": "H0", "cranks": "O0", "bricard": "H0"}
+NOISY = [pytest.param(name, marks=pytest.mark.long if name == "bricard" else pytest.mark.slow) for name in MODELS]
 of_each = pytest.mark.parametrize("name", MODELS)
+exact_and_noisy = pytest.mark.parametrize(
+    ("name", "noise"),
+    [
+        *(pytest.param(name, 0.0, id=f"{name}, exact") for name in MODELS),
+        *(pytest.param(*one.values, NOISE, id=f"{one.values[0]}, noisy", marks=one.marks) for one in NOISY),
+    ],
+)
 
 
-@of_each
-@pytest.mark.parametrize("noise", [exact, noisy])
+@exact_and_noisy
 def test_a_plan_of_a_turn_is_certified(name, noise):
     plan = planned(name, noise)
     assert plan.certificate.passed
@@ -54,14 +59,12 @@ def test_a_plan_of_a_turn_is_certified(name, noise):
     assert trajectory.position[-1, -1, 0] - trajectory.position[0, 0, 0] == pytest.approx(turned, abs=1e-9)
 
 
-@of_each
-@pytest.mark.slow
+@pytest.mark.parametrize("name", NOISY)
 def test_rounding_of_the_axes_changes_the_effort_no_more_than_itself(name):
     assert planned(name, NOISE).objective == pytest.approx(planned(name).objective, rel=SAME_EFFORT)
 
 
-@of_each
-@pytest.mark.parametrize("noise", [exact, noisy])
+@exact_and_noisy
 def test_a_turn_is_tracked_in_mujoco(name, noise):
     rollout = linkplan.track(planned(name, noise), "pd+ff").comparison.nominal["pd+ff"]
     assert rollout.stable
@@ -71,9 +74,8 @@ def test_a_turn_is_tracked_in_mujoco(name, noise):
 
 
 @of_each
-@pytest.mark.parametrize("noise", [exact])
-def test_pin_forces_along_the_turn_are_mujocos_of_least_norm(name, noise):
-    plan = planned(name, noise)
+def test_pin_forces_along_the_turn_are_mujocos_of_least_norm(name):
+    plan = planned(name)
     mechanism, trajectory = plan.problem.mechanism, plan.trajectory
     time = np.linspace(0.03, 0.97, 9)
     path = np.concatenate([np.linspace(0.0, 0.03, 20)[:-1], np.linspace(0.03, 0.97, 401)])

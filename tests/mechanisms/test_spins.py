@@ -76,21 +76,21 @@ def test_what_spins_in_the_plan_spins_as_much_in_mujoco():
 
 
 @pytest.mark.slow
-def test_a_spatial_four_bar_is_planned_and_tracked_through_two_turns():
-    motion = {"kind": "reach", "start_deg": {"O": 0.0}, "goal_deg": {"O": 720.0}, "duration_s": 0.5}
-    plan = planned(ON_A_BALL, motion, mesh={"intervals": 80, "scheme": "radau-5"}, tracking={"period_s": 1e-4})
+def test_a_spatial_four_bar_is_planned_and_tracked_through_a_turn():
+    motion = {"kind": "reach", "start_deg": {"O": 0.0}, "goal_deg": {"O": 360.0}, "duration_s": 0.3}
+    plan = planned(ON_A_BALL, motion, mesh={"intervals": 40, "scheme": "radau-5"}, tracking={"period_s": 1e-4})
     assert plan.certificate.passed
     rollout = track(plan, "lqr")
-    assert np.degrees(rollout.position_rad[-1, 0]) > 719
+    assert np.degrees(rollout.position_rad[-1, 0]) > 359
     assert np.degrees(np.abs(rollout.error_rad[:, 0]).max()) < TRACKED_DEG
     assert np.degrees(np.abs(rollout.error_rad[:, 1]).max()) < SPUN_DEG
     assert abs(spun_deg(plan)) > 10
 
 
 @pytest.mark.slow
-def test_a_spatial_four_bar_whose_rocker_is_hinged_by_two_connects_is_planned_through_a_turn():
-    motion = {"kind": "reach", "start_deg": {"O": 0.0}, "goal_deg": {"O": 360.0}, "duration_s": 0.3}
-    plan = planned(TWO_BALLS, motion, mesh={"intervals": 40, "scheme": "radau-5"}, solver={"max_time_s": 3600})
+def test_a_spatial_four_bar_whose_rocker_is_hinged_by_two_connects_is_planned_through_half_a_turn():
+    motion = {"kind": "reach", "start_deg": {"O": 0.0}, "goal_deg": {"O": 180.0}, "duration_s": 0.15}
+    plan = planned(TWO_BALLS, motion, mesh={"intervals": 20, "scheme": "radau-5"}, solver={"max_time_s": 3600})
     assert plan.certificate.passed
     assert not plan.problem.mechanism.dynamics.projected
 

@@ -214,6 +214,11 @@ def test_a_home_with_an_unknown_joint_is_refused_with_the_joints():
     assert_names(refusal(lambda: load_mechanism(FOUR_BAR, home={"K": 0.0})), "'K'", "'four-bar'", "O, A, C")
 
 
+@pytest.mark.parametrize("value", [1001.0, -1001.0, np.nan])
+def test_a_home_of_more_than_a_thousand_radians_is_refused(value):
+    assert_names(refusal(lambda: load_mechanism(FOUR_BAR, home={"O": value})), "'O'", "within 1000 rad or m", str(value))
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e15, "upright", None], ids=str)
 def test_a_home_that_is_no_position_is_refused_by_joint(value):
     assert_names(refusal(lambda: linkplan.load_mechanism(FOUR_BAR, home_deg={"O": value}), ProblemError), "O")

@@ -146,8 +146,8 @@ WAYPOINT_EFFORT = 1e-7
 # An effort at the very start of a motion, absolute, of order one: a polynomial's end, of lower order than its nodes.
 # Measured 1e-6.
 ODE_EFFORT = 1e-5
-# A gain along a singular arc, where the effort chatters between nodes and the state is asked for to 1e-4, relative.
-ODE_CHATTERING = 1e-3
+# A gain along a singular arc, at which the effort chatters between nodes, relative. Measured 1e-6.
+ODE_SINGULAR_ARC = 1e-5
 # Least times with arcs shorter than an interval, cut by the costates, relative: radau-3 on what is left. Measured 5e-9.
 ODE_SHORT = 1e-8
 # A least time at which an arc has shrunk to nothing, relative: the root of what the state's tolerance leaves. Measured 2e-8.

@@ -67,3 +67,16 @@ def test_a_loop_that_locks_its_nearest_closed_pose_offers_no_pose():
     with pytest.raises(UnassembledError, match="at the nearest closed pose found, the loops lock every joint") as refused:
         load_mechanism(text)
     assert not refused.value.home
+
+
+# A crank of a centimetre below a rocker of a metre, drawn in the middle of the rocker's swing of 0.01 rad each way.
+SMALL_CRANK = """<mujoco><default><geom contype="0" conaffinity="0" size=".01"/><joint axis="0 1 0"/></default><worldbody>
+<body pos="0 0 1"><joint name="crank"/><geom/><body pos="0 0 .01"><joint name="pin"/>
+<geom type="capsule" fromto="0 0 0 1 0 -.01"/><site name="tip" pos="1 0 -.01"/></body></body>
+<body pos="1 0 0"><joint name="rocker"/><geom type="capsule" fromto="0 0 0 0 0 1"/><site name="end" pos="0 0 1"/></body>
+</worldbody><equality><connect site1="tip" site2="end"/></equality>
+<actuator><motor joint="rocker" ctrlrange="-1 1"/></actuator></mujoco>"""
+
+
+def test_a_joint_that_turns_by_a_hundredth_of_a_radian_each_way_is_not_locked():
+    assert [joint.name for joint in load_mechanism(SMALL_CRANK).independent_joints] == ["rocker"]

@@ -7,21 +7,19 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
-from scipy.optimize import brentq, fsolve, minimize
+from scipy.optimize import brentq, minimize
 
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.ode.solve_ocp import OdePlan
 from linkplan.planner.problem.settings import MeshSettings
 from tests.support.ode import INF, NAN, OSCILLATOR, double_integrator, duration, oscillator, solved
 from tests.support.tolerances_planner import (
-    BOOK_TIME,
     COPS_CATALYST,
     COPS_ROCKET,
-    ODE_CHATTERING,
     ODE_CLOSED_FORM,
-    ODE_EFFORT,
     ODE_LIMIT,
     ODE_SINGULAR,
+    ODE_SINGULAR_ARC,
     ODE_STATE,
     ODE_SWITCH,
 )
@@ -113,36 +111,6 @@ def test_a_boat_in_an_even_current_takes_the_way_that_meets_the_goal():
     assert plan.objective == pytest.approx(exact, rel=ODE_CLOSED_FORM)
 
 
-def test_a_boat_in_a_current_with_shear_steers_by_zermelo_s_formula():
-    """Bryson & Ho 2.7: x' = V cos u - V y, y' = V sin u, from (3.66, -1.86) to 0; then u' = cos^2 u."""
-
-    def missed(unknowns: np.ndarray) -> np.ndarray:
-        def rate(t: float, y: np.ndarray) -> list[float]:
-            del t
-            return [np.cos(y[2]) - y[1], np.sin(y[2]), np.cos(y[2]) ** 2]
-
-        start = [3.66, -1.86, unknowns[0]]
-        return solve_ivp(rate, (0, unknowns[1]), start, method="DOP853", rtol=1e-12, atol=1e-12).y[:2, -1]
-
-    angle, T = fsolve(missed, [np.radians(105), 5.46], xtol=1e-13)
-    assert pytest.approx(5.46, abs=BOOK_TIME) == T  # the book's figure
-    path = np.column_stack([np.linspace(3.66, 0, 11), np.linspace(-1.86, 0, 11)])
-    plan = solved(
-        OdeProblem(
-            name="Zermelo, shear",
-            rate=lambda x, u, p, t: [ca.cos(u[0]) - x[1], ca.sin(u[0])],  # noqa: ARG005
-            start=[3.66, -1.86],
-            goal=[0, 0],
-            effort_limit=[[0, 2 * np.pi]],
-            duration_s=(0.1, 50),
-            final_cost=duration,
-            guesses=[StateGuess(state=path, effort=[[1.8], [4.2]], duration_s=6.0)],
-        )
-    )
-    assert plan.objective == pytest.approx(T, rel=ODE_CLOSED_FORM)
-    assert plan.trajectory.effort_at([0.0])[0, 0] == pytest.approx(angle, abs=ODE_EFFORT)
-
-
 # Limits on paths.
 
 
@@ -213,6 +181,7 @@ def test_aly_and_chan_s_singular_problem_costs_nothing():
             goal=[NAN, NAN],
             effort_limit=[[-1, 1]],
             duration_s=np.pi / 2,
+            mesh=MeshSettings(intervals=10),
             running_cost=lambda x, u, p, t: (x[1] ** 2 - x[0] ** 2) / 2,  # noqa: ARG005
         )
     )
@@ -282,11 +251,9 @@ def test_a_rocket_s_height_is_that_of_its_bang_singular_and_coasting_arcs():
             duration_s=(0.01, 1),
             final_cost=lambda x0, xT, T, p: -xT[0],  # noqa: ARG005
             guesses=[StateGuess(state=[[1, 0.05, 1], [1.01, 0.05, 0.6]], duration_s=0.2)],
-            mesh=MeshSettings(intervals=30),
-            tolerance=1e-4,
         )
     )
-    assert -plan.objective - 1 == pytest.approx(state[0] - 1, rel=ODE_CHATTERING)
+    assert -plan.objective - 1 == pytest.approx(state[0] - 1, rel=ODE_SINGULAR_ARC)
 
 
 @pytest.mark.slow

@@ -11,9 +11,11 @@ from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.problem.settings import SolverSettings
 from tests.support.ode import FREE_EFFORT, INF, NAN, double_integrator, duration, solved
 from tests.support.tolerances_planner import (
+    BOOK_TIME,
     COPS_GLIDER,
     FIVE_DIGITS,
     ODE_CLOSED_FORM,
+    ODE_EFFORT,
     ODE_FOUR_DIGITS,
     ODE_INTEGRATED,
     ODE_INTEGRATED_ROUGHLY,
@@ -40,7 +42,8 @@ def test_zermelo_s_boat_crosses_the_current_in_its_least_time():
 
         return solve_ivp(rate, (0, T), [3.66, -1.86, heading], method="DOP853", rtol=1e-12, atol=1e-13).y[:2, -1]
 
-    T = fsolve(missed, [np.radians(105), 5.46], xtol=1e-13)[1]
+    heading, T = fsolve(missed, [np.radians(105), 5.46], xtol=1e-13)
+    assert pytest.approx(5.46, abs=BOOK_TIME) == T  # the book's figure
     plan = solved(
         OdeProblem(
             name="Zermelo",
@@ -53,6 +56,7 @@ def test_zermelo_s_boat_crosses_the_current_in_its_least_time():
         )
     )
     assert plan.objective == pytest.approx(T, rel=ODE_CLOSED_FORM)
+    assert np.exp(1j * plan.trajectory.effort_at([0.0])[0, 0]) == pytest.approx(np.exp(1j * heading), abs=ODE_EFFORT)
     # Between the nodes the heading is no wild polynomial: within an interval it turns by what it may turn in that time.
     turn = np.ptp(plan.trajectory.effort, axis=0)[:, 0]
     assert np.all(turn <= np.diff(plan.trajectory.breaks_s) + ODE_STATE)
@@ -129,12 +133,12 @@ def shortest_dubins(x: float, y: float, heading: float) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("goal", [(4, 4, np.pi / 2), (5, 1, -np.pi / 3), (-3, 2, 0.0)], ids=["left", "right", "behind"])
+@pytest.mark.parametrize("goal", [(5, 1, -np.pi / 3), (-3, 2, 0.0)], ids=["right", "behind"])
 def test_dubins_car_takes_the_shortest_arcs_and_line(goal):
     plan = solved(
         OdeProblem(
             name="Dubins' car",
-            solver=SolverSettings(starts=8),
+            solver=SolverSettings(starts=5),
             rate=lambda x, u, p, t: [ca.cos(x[2]), ca.sin(x[2]), u[0]],  # noqa: ARG005
             start=[0, 0, 0],
             goal=goal,
@@ -156,7 +160,7 @@ def test_a_chain_hangs_in_its_catenary():
     plan = solved(
         OdeProblem(
             name="hanging chain",
-            solver=SolverSettings(starts=8),
+            solver=SolverSettings(starts=3),
             rate=lambda x, u, p, t: [u[0], ca.sqrt(1 + u[0] ** 2)],  # noqa: ARG005
             start=[1, 0],
             goal=[3, 4],
@@ -277,7 +281,7 @@ def test_jacobson_s_singular_problem_costs_its_bang_and_its_arc():
     assert plan.objective == pytest.approx(plan.certificate.integrated_objective, rel=ODE_INTEGRATED_ROUGHLY)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_rocket_s_height_is_found_to_eight_digits_without_chatter():
     """Goddard's rocket in COPS's units at the default tolerance; the height is of its bang, singular and coasting arcs."""
     plan = solved(

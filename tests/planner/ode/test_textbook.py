@@ -181,7 +181,7 @@ def cart_pole_swing_up(starts: int) -> OdePlan:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("starts", "published"), [(1, 58.8077), (12, 57.9449)])
+@pytest.mark.parametrize(("starts", "published"), [(1, 58.8077), (6, 57.9449)])
 def test_the_cart_pole_s_optima_are_the_published_ones(starts, published):
     """From the linear guess the nearby optimum, from several starts the best."""
     assert cart_pole_swing_up(starts).objective == pytest.approx(published, rel=ODE_FOUR_DIGITS)
@@ -248,7 +248,7 @@ def extremal(plan: OdePlan, effort_of: Callable[[np.ndarray], np.ndarray]) -> fl
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("starts", [1, 12])
+@pytest.mark.parametrize("starts", [1, 6])
 def test_the_cart_pole_s_optima_satisfy_pontryagin_s_conditions(starts):
     plan = cart_pole_swing_up(starts)
     cost = extremal(plan, lambda drive: np.clip(-drive / 2, -20, 20))

@@ -66,7 +66,8 @@ def test_a_push_of_one_sign_lifts_a_rod_that_weight_brakes():
 @pytest.mark.parametrize(
     ("seed", "number", "least_s", "most"),
     [
-        (9001, 16, 2.643277, 0.743),  # the cost at 1.1 times the least time; a solver lost it from every other start
+        # the cost at 1.1 times the least time; a solver lost it from every other start
+        pytest.param(9001, 16, 2.643277, 0.743, marks=pytest.mark.long),
         (9200, 32, 2.046093, 1.0),  # 7.74 at 1.1 times; the smooth path leads to 21.6
     ],
 )

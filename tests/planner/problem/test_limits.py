@@ -240,7 +240,6 @@ def test_the_line_of_a_motor_on_a_dependent_joint_is_kept():
 
 TORQUE_SPEED = "torque-speed line of motor (effort / stall + speed / no-load)"
 FORBIDDING = {
-    "effort rate": ("limits.effort_rate.motor=3.0", "effort rate of motor", 3, "N.m/s"),
     "torque-speed line": ("motors.motor={stall_effort=4.0,no_load_speed_deg_s=90.0}", TORQUE_SPEED, 1, ""),
     "power": ("limits.power_w.motor=1.0", "power of motor", 1, "W"),
 }

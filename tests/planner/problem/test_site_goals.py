@@ -76,6 +76,7 @@ def test_an_open_pose_ends_in_a_better_one_than_guessed(settings):
 
 @pytest.mark.slow
 def test_an_open_pose_of_a_closed_loop_ends_at_its_height():
+    """Its efforts leave their limits next to each other, which refinement tells apart."""
     motion = {"start_deg": {"O1": -90.0, "O2": -90.0}, "goal_at": {"P": {"z": -0.25}}, "duration_s": 0.5}
     plan = plan_of(load_mechanism("five-bar"), motion, objective={"minimize": "work"})
     assert plan.problem.motion.goal_rows == (2,)

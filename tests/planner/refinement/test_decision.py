@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.refinement import decision
+from linkplan.planner.refinement import actions, decision
 from linkplan.planner.refinement.actions import (
     Halve,
     ImposeRanges,
@@ -53,6 +53,20 @@ def test_what_no_mesh_mends_is_the_end():
 
 def test_an_action_that_led_nowhere_is_the_end():
     assert next_action(state(iterate(passed=False, exact=False, growth=ONE_OF_TEN), ended=True)) is None
+
+
+def test_a_motion_whose_higher_degree_is_not_solved_is_halved(monkeypatch):
+    coarse = state(iterate(passed=False, exact=False, growth=1.0))
+    action = next_action(coarse)
+    assert action == RaiseDegree("radau-5")
+    coarse.case.with_scheme = lambda _scheme: coarse.case
+    monkeypatch.setattr(actions, "_solved_on", lambda *_: None)
+    after = action.apply(coarse)
+    assert not after.ended
+    assert after.rounds == coarse.rounds + 1
+    assert isinstance(next_action(after), Halve)
+    passing = replace(coarse, at=iterate(passed=True, exact=False, growth=1.0))
+    assert action.apply(passing).ended  # a motion that passes is kept as it is
 
 
 def test_an_error_on_one_interval_halves_it():

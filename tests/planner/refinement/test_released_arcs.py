@@ -3,13 +3,10 @@
 import numpy as np
 import pytest
 
-from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.refinement.constrained_arcs import arcs_against_their_limits, released
 from linkplan.planner.refinement.decision import refine
 from tests.support.bodies import HINGE_INERTIA, TURN
 from tests.support.held_arcs import held, held_case
-from tests.support.sites import site_problem
 
 WRONG = ([4.0, -4.0, 4.0, -4.0], [0.41, 0.46, 0.56])
 
@@ -36,10 +33,3 @@ def test_an_answer_with_wrong_arcs_becomes_the_right_one():
     assert len(right.against) == 0
     assert len(arcs_against_their_limits(found.solution)) > 0
     assert right.motion.duration_s == pytest.approx(least, rel=1e-8)
-
-
-@pytest.mark.slow
-def test_two_efforts_that_leave_their_limits_next_to_each_other_are_told_apart():
-    motion = {"start_deg": {"O1": -90.0, "O2": -90.0}, "goal_at": {"P": {"z": -0.25}}, "duration_s": 0.5}
-    plan = plan_motion(site_problem(load_mechanism("five-bar"), motion, objective={"minimize": "work"}))
-    assert plan.status == "optimal", plan.message

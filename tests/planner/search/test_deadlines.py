@@ -22,7 +22,7 @@ TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
 MANY = ["solver.starts=1000"]
 LEGS = ["limits.power_w={ act_O = [-300.0, 300.0] }"]
 # Looks at the clock after which there is no time: the first loops, starts, solves, refinement, diagnosis.
-LOOKS = (1, 3, 10, 30, 100, 200, 400, 800, 1600, 3200)
+LOOKS = (1, 3, 10, 30, 100, 400, 1600)
 
 
 class Clock:

@@ -12,7 +12,7 @@ from linkplan.models.errors import PlanFileError
 from linkplan.planner.plan_folder import write_plan
 from linkplan.planner.planning import silent
 from linkplan.studies.batch import study
-from linkplan.studies.batch.block import Planned, block_count, cases_of, packed, unpacked
+from linkplan.studies.batch.block import Planned, case_blocks, packed, unpacked
 from linkplan.studies.batch.study import run_batch
 from linkplan.studies.tasks.engine import processes
 from linkplan.studies.tasks.unfinished import PARTS, unfinished
@@ -22,9 +22,9 @@ from tests.support.plans import optimal
 
 @pytest.mark.parametrize("n", [1, 8, 9, 160, 500, 10_000])
 def test_blocks_hold_every_case_once_in_order(n):
-    held = [case for block in range(block_count(n)) for case in cases_of(block, n)]
+    held = [case for cases in case_blocks(n) for case in cases]
     assert held == list(range(n))
-    assert max(len(cases_of(block, n)) for block in range(block_count(n))) <= 64
+    assert max(map(len, case_blocks(n))) <= 64
 
 
 @pytest.mark.slow

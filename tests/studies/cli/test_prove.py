@@ -57,7 +57,7 @@ def test_a_saved_plan_is_proved_and_json_has_the_four_lists(folder, capsys):
 )
 def test_a_spoilt_folder_is_refuted_with_exit_code_1(folder, capsys, name, at, by):
     spoil(folder, name, at, by)
-    code, said = proved(capsys, str(folder))
+    code, said = proved(capsys, str(folder), "--no-existence")
     assert (code, said["verdict"]) == (1, "refuted")
     assert all(one["reason"] for one in said["refuted"])
 
@@ -67,7 +67,7 @@ def test_a_record_that_claims_a_proof_is_not_believed(folder, capsys):
     record = json.loads((folder / "plan.json").read_text(encoding="utf-8"))
     record["proof"] = {"complete": True, "refuted": []}
     (folder / "plan.json").write_text(json.dumps(record), encoding="utf-8")
-    assert proved(capsys, str(folder))[0] == 1
+    assert proved(capsys, str(folder), "--no-existence")[0] == 1
 
 
 def test_the_text_names_what_is_proved_and_what_is_sampled(folder, capsys):

@@ -31,13 +31,10 @@ def shell(line: str, folder: Path) -> tuple[int, str, str]:
     ("line", "code"),
     [
         ("L plan knee-reach -o P 2>&1 | (exec <&-)", 0),
-        ("L plan knee-reach -o P > /dev/full", 0),
         ("L plan knee-reach -o P 2> /dev/full", 0),
-        ("L plan knee-reach -o P >&-", 0),
         ("L plan knee-reach -o P <&- >&- 2>&-", 0),
         ("L plan knee-reach -o P --json | (exec <&-; sleep 0)", 141),
         ("L plan knee-reach -o P --json > /dev/full", 2),
-        ("L plan knee-reach -o P --json >&-", 2),
     ],
 )
 def test_a_result_is_written_whatever_becomes_of_stdout_and_stderr(line, code, tmp_path):

@@ -5,7 +5,7 @@ import json
 import pytest
 
 import linkplan
-from linkplan.studies.decompose.ladder import SEARCH_METHODS
+from linkplan.studies.decompose.ladder import CAUSES
 from tests.support.tolerances_planner import SAME_FIGURE
 
 SHORT = ("--set", "tracking.duration_s=0.005", "--trackers", "pd+ff")
@@ -19,7 +19,7 @@ def test_the_command_says_writes_and_reports_the_same_parts(ask_json, ask, tmp_p
     assert json.loads((folder / "decompose.json").read_text()) == said
     assert (folder / "decompose.png").stat().st_size > 10_000
     found = said["trackers"]["pd+ff"]["deg"]
-    assert list(found["parts"]) == list(SEARCH_METHODS) == list(said["parts"])
+    assert list(found["parts"]) == list(CAUSES) == list(said["parts"])
     assert sum(found["parts"].values()) == pytest.approx(found["rms_error"], rel=SAME_FIGURE)
     code, _, _ = ask("report", str(folder), "-o", str(tmp_path / "page.html"))
     assert code == 0

@@ -18,7 +18,7 @@ from linkplan.studies.compare.compare import build_tracker, default_mismatch, tr
 from linkplan.studies.decompose.decompose import decompose
 from linkplan.studies.decompose.decomposition import Decomposition
 from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks, decomposition_figure, decomposition_report
-from linkplan.studies.decompose.ladder import SEARCH_METHODS
+from linkplan.studies.decompose.ladder import CAUSES
 from linkplan.studies.experiment.block import run_block
 from linkplan.studies.experiment.experiment import Settings, experiment_of
 from linkplan.studies.output.document import Table
@@ -159,9 +159,9 @@ def test_tables_have_all_trackers_and_columns_add_up():
     for name in TRACKERS:
         assert name in text
     column = [float(line.split()[-1]) for line in text.split("\n\n")[1].splitlines()[3:]]
-    assert len(column) == len(SEARCH_METHODS) + 1
+    assert len(column) == len(CAUSES) + 1
     places = len(next(line.split()[-1] for line in text.split("\n\n")[1].splitlines()[-1:]).partition(".")[2])
-    assert sum(column[:-1]) == pytest.approx(column[-1], abs=len(SEARCH_METHODS) * 10.0**-places)
+    assert sum(column[:-1]) == pytest.approx(column[-1], abs=len(CAUSES) * 10.0**-places)
 
 
 def test_every_tracker_has_a_panel_whose_bars_end_where_the_whole_does(tmp_path):
@@ -170,8 +170,8 @@ def test_every_tracker_has_a_panel_whose_bars_end_where_the_whole_does(tmp_path)
     assert (tmp_path / "parts.png").is_file()
     for axis, one in zip(figure.axes, found.trackers.values(), strict=False):
         bars = axis.patches
-        assert len(bars) == len(SEARCH_METHODS) + 1
-        last = bars[len(SEARCH_METHODS) - 1]
+        assert len(bars) == len(CAUSES) + 1
+        last = bars[len(CAUSES) - 1]
         assert last.get_x() + last.get_width() == pytest.approx(one.deg.rms_error)
         assert bars[-1].get_width() == pytest.approx(one.deg.rms_error)
 
@@ -179,7 +179,7 @@ def test_every_tracker_has_a_panel_whose_bars_end_where_the_whole_does(tmp_path)
 def test_a_report_has_the_parts_and_the_plan():
     report = decomposition_report(decompose(reach(SHORT, AS_MODELLED), ["pd+ff"]), reach(SHORT, AS_MODELLED))
     table = next(block for section in report.sections for block in section.blocks if isinstance(block, Table))
-    assert [row[0] for row in table.rows][:-1] == list(SEARCH_METHODS.values())
+    assert [row[0] for row in table.rows][:-1] == list(CAUSES.values())
     assert sum(float(row[1]) for row in table.rows[:-1]) == pytest.approx(float(table.rows[-1][1]), rel=1e-3)
     assert len(report.sections) > 1
 

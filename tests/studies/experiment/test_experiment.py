@@ -320,7 +320,7 @@ def test_a_block_of_long_runs_has_few_samples_so_that_little_is_lost():
     short, long = (experiment_of(optimal("knee-reach", f"tracking.duration_s={t}"), many) for t in (0.01, 10.0))
     assert blocks.block_samples(short) == blocks.BLOCK_SAMPLES
     assert blocks.block_samples(long) * 2 * long.reference.n <= blocks.BLOCK_STEPS
-    covered = [sample for block in range(blocks.block_count(long)) for sample in blocks.samples_of(block, long)]
+    covered = [sample for samples in blocks.sample_blocks(long) for sample in samples]
     assert covered == list(range(1000))
 
 

@@ -12,7 +12,7 @@ import pytest
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.planning import silent
-from linkplan.studies.experiment.conduct import conduct, keep_plan
+from linkplan.studies.experiment.conduct import conduct, keep_plan, read_results
 from linkplan.studies.experiment.experiment import Settings, request_of
 from linkplan.studies.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment, saved_outcome
 from linkplan.studies.tasks import unfinished as parts
@@ -141,12 +141,12 @@ def test_results_cut_short_are_refused(share, folder):
 
 
 def test_a_byte_of_the_results_that_was_flipped_is_refused_or_changes_nothing(folder, whole):
-    content = (folder / RESULTS).read_bytes()
-    before = saved_outcome(whole).results
+    content, experiment = (folder / RESULTS).read_bytes(), saved_experiment(whole)
+    before = read_results(whole / RESULTS, experiment)
     for place in range(4, len(content), len(content) // 40):
         (folder / RESULTS).write_bytes(content[:place] + bytes([content[place] ^ 0xFF]) + content[place + 1 :])
         try:
-            now = saved_outcome(folder).results
+            now = read_results(folder / RESULTS, experiment)
         except PlanFileError:
             continue
         assert list(now) == list(before)

@@ -274,32 +274,7 @@ def test_names_become_identifiers(name, found):
 
 
 # Targets of CMake's own, headers of C's, keywords, and names that are those of another model with an ending.
-TROUBLESOME = [
-    "test",
-    "all",
-    "install",
-    "clean",
-    "help",
-    "package",
-    "edit_cache",
-    "rebuild_cache",
-    "list_install_components",
-]
-TROUBLESOME += [
-    "depend",
-    "math",
-    "stdio",
-    "string",
-    "int",
-    "for",
-    "main",
-    "3rd leg",
-    "膝",
-    "a",
-    "a_test",
-    "a_float",
-    "a-law",
-]
+TROUBLESOME = ["test", "all", "edit_cache", "math", "int", "3rd leg", "膝", "a", "a_test", "a_float", "a-law"]
 
 
 @needs_gcc

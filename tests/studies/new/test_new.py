@@ -18,6 +18,7 @@ from linkplan.planner.keys.key_table import key_table
 from linkplan.planner.keys.reading import KEYS as READER
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import plan_motion
+from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.studies.new.clear_way import obstacle_on_way
@@ -126,7 +127,7 @@ def test_every_option_in_a_comment_can_be_taken_as_it_stands(model):
     for line in text.splitlines():
         section = found[1] if (found := re.match(r"#?\[(\w+)\]", line)) else section
         option = OPTION.match(line)
-        # a reference is taken as a whole below; a guess asks for a plan; turns are of periodic motions alone
+        # A reference is taken as a whole below; a guess asks for a plan; turns are of periodic motions alone.
         if option is None or section in ("reference", "guess") or option[1] == "turns":
             continue
         tables = tomllib.loads(text)
@@ -138,7 +139,8 @@ def test_every_option_in_a_comment_can_be_taken_as_it_stands(model):
                 tables, f"{'mechanism' if other == 'payload' else section}.{other}", tomllib.loads(f"x = {example}")["x"]
             )
         set_key(tables, f"{section}.{option[1]}", tomllib.loads(f"x = {option[2]}")["x"])
-        Problem.from_tables("begun", tables)
+        same = tables["mechanism"] == begun(model).tables["mechanism"]
+        Problem.from_tables("begun", tables, None, begun(model).mechanism if same else None)
         taken += 1
     assert taken > 50
 
@@ -153,7 +155,8 @@ def test_its_reference_can_be_taken_as_a_whole():
     assert problem.reference.frequency_hz == 1.0
 
 
-def tried_of(model: str, monkeypatch) -> list[dict]:
+@cache
+def tried_of(model: str) -> list[Motion]:
     """Return the motions that are tried of a mechanism none of whose motions is ever found."""
     tried = []
 
@@ -161,8 +164,9 @@ def tried_of(model: str, monkeypatch) -> list[dict]:
         tried.append(problem)
         return Plan(problem=problem, status="failed", message="failed: as told")
 
-    monkeypatch.setattr("linkplan.studies.new.first_motion.plan_motion", nothing)
-    found = first_motion({"model": model}, print)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("linkplan.studies.new.first_motion.plan_motion", nothing)
+        found = first_motion({"model": model}, print)
     assert not found.planned
     assert found.why.startswith("failed: as told")
     assert moves_of(found.tables["motion"])
@@ -173,19 +177,18 @@ def moved(motion) -> int:
     return int(np.sum(motion.start != motion.goal))
 
 
-def test_many_driven_joints_are_tried_together_and_one_alone_the_larger_motions_first(monkeypatch, tmp_path):
-    (tmp_path / "ring.xml").write_text(ring(7, 5), encoding="utf-8")
-    motions = tried_of(str(tmp_path / "ring.xml"), monkeypatch)
+def test_many_driven_joints_are_tried_together_and_one_alone_the_larger_motions_first():
+    motions = tried_of(ring(7, 5))
     assert {moved(motion) for motion in motions} == {1, 5}
     for count in (1, 5):
         way = [np.abs(motion.goal - motion.start).max() for motion in motions if moved(motion) == count]
         assert way[: len(way) // 2] == sorted(way[: len(way) // 2], reverse=True)
 
 
-def test_freedoms_on_springs_are_no_pendulums_whose_swings_a_motion_waits_for(monkeypatch):
-    motions = tried_of(str(DATA / "sprung_leg.xml"), monkeypatch)
+def test_freedoms_on_springs_are_no_pendulums_whose_swings_a_motion_waits_for():
+    motions = tried_of(str(DATA / "sprung_leg.xml"))
     assert max(motion.duration_s for motion in motions) < 1.0
-    (cart,) = {motion.duration_s for motion in tried_of("cart-pole", monkeypatch)}
+    (cart,) = {motion.duration_s for motion in tried_of("cart-pole")}
     assert cart > 1.0
 
 
@@ -197,8 +200,8 @@ def test_a_closed_chain_of_eight_links_has_a_first_motion(tmp_path):
     assert found.plan.certificate.passed
 
 
-def test_a_sprung_leg_begins_with_a_small_smooth_motion_of_one_drive(monkeypatch):
-    first, *others = tried_of(str(DATA / "sprung_leg.xml"), monkeypatch)
+def test_a_sprung_leg_begins_with_a_small_smooth_motion_of_one_drive():
+    first, *others = tried_of(str(DATA / "sprung_leg.xml"))
     assert np.sum(np.abs(first.goal - first.start) > 0.01) == 1, "the springs move less"
     assert max(np.sum(np.abs(motion.goal - motion.start) > 0.01) for motion in others) > 1
     assert np.abs(first.goal - first.start).max() < max(np.abs(motion.goal - motion.start).max() for motion in others)
@@ -374,8 +377,7 @@ def test_a_joint_outside_its_range_at_home_begins_inside():
 
 
 def test_where_the_smooth_path_is_the_plan_of_a_small_mechanism_planning_searches_no_longer_either(monkeypatch):
-    plan = plan_motion(Problem.from_file("five-bar-reach"), print)
-    smooth = replace(plan, solved=None)
+    smooth = replace(begun("five-bar").plan, solved=None)
     monkeypatch.setattr("linkplan.studies.new.first_motion.plan_motion", lambda *_: smooth)
     found = first_motion({"model": "five-bar"}, print)
     assert found.tables["solver"]["max_time_s"] > 0
