@@ -3,7 +3,7 @@
 A first solve takes tens of iterations once three things hold: its iterates keep a distance from singular poses, a small
 weight on efforts breaks the ties of joints with time to spare, and the barrier of every other one of a free duration follows
 the iterates. Several local optima exist, and no start leads to the best of them for certain. Starts are therefore tried
-until the best objective was found twice (Boender & Rinnooy Kan, Mathematical Programming 37, 1987, have such stopping rules).
+until the best objective was found twice; Boender & Rinnooy Kan, Mathematical Programming 37, 1987, have such stopping rules.
 """
 
 import itertools
