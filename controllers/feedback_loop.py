@@ -10,7 +10,7 @@ from typing import Protocol
 
 import numpy as np
 
-from linkplan.controllers.imperfections.sensing import Sensing, measure
+from linkplan.controllers.imperfections.sensing import SensorState, measure
 from linkplan.controllers.rollout import divergence_expected
 from linkplan.controllers.trackers.tracker import TrackerWithMemory
 from linkplan.models.deadline import check
@@ -62,7 +62,7 @@ class LoopLog:
 
 
 @divergence_expected()
-def run_loop(stepper: Stepper, law: TrackerWithMemory, instants: int, sensors: Sensing | None = None) -> LoopLog:
+def run_loop(stepper: Stepper, law: TrackerWithMemory, instants: int, sensors: SensorState | None = None) -> LoopLog:
     """Return the log of a law over control instants, from the machines' present states.
 
     Args:

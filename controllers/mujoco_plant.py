@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from linkplan.controllers.imperfections.batch_effects import ClosureWatch, Pushing, pushing, spread
-from linkplan.controllers.imperfections.driving import Driving, act, driving, stretches, take
+from linkplan.controllers.imperfections.batch_effects import ClosureWatch, PushState, pushing, spread
+from linkplan.controllers.imperfections.driving import DriveState, act, driving, stretches, take
 from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.imperfections.plant import Plant, as_modelled, held_before, plant
 from linkplan.controllers.imperfections.servos import servo_inversion, speed_gains
@@ -126,11 +126,11 @@ class MujocoStepper:
         self,
         mechanism: Mechanism,
         plants: Sequence[Plant],
-        drives: Driving,
+        drives: DriveState,
         substeps: int,
         *,
         base: Plant | None = None,
-        pushes: Pushing | None = None,
+        pushes: PushState | None = None,
         gains: np.ndarray | None = None,
         threads: int = 0,
         watched: bool = False,

@@ -142,8 +142,8 @@ class Mechanism:
 
     @property
     def channels(self) -> tuple[int, ...]:
-        """The indices of the steered independent joints, each of which has a feedback loop."""
-        return tuple(np.flatnonzero(self.steered).tolist())
+        """The indices of the actuated independent joints, each of which has a feedback loop."""
+        return tuple(np.flatnonzero(self.actuated).tolist())
 
     @property
     def effort_limit(self) -> np.ndarray:
@@ -151,14 +151,14 @@ class Mechanism:
         return np.array([[a.lower, a.upper] for a in self.actuators]).reshape(-1, 2)
 
     @property
-    def steered(self) -> np.ndarray:
+    def actuated(self) -> np.ndarray:
         """A mask (n_s,) of the coordinates that actuators may hold: all but the passive and the coasting ones."""
         return ~np.isin(self.independent, [*self.passive_dofs, *self.coasting_dofs])
 
     @property
     def cyclic(self) -> np.ndarray:
         """A mask (n_s,) of the freedoms without a drive on which the dynamics do not depend."""
-        return round_spins(self.dynamics, self.home, ~self.steered)
+        return round_spins(self.dynamics, self.home, ~self.actuated)
 
     def fingerprint(self, *, payload_apart: bool = False) -> str:
         """Return a hash of the compiled model and of the choice of coordinates, which determine the reduced dynamics.

@@ -159,10 +159,10 @@ def motion_table(
 
 def _single_valued(dense: np.ndarray) -> np.ndarray:
     """Return increasing times (n,) without near duplicates; of two close times, the later stays."""
-    hair = 1e-9 * (dense[-1] - dense[0])  # twelve digits in a table still distinguish them
+    tie_break_s = 1e-9 * (dense[-1] - dense[0])  # twelve digits in a table still distinguish them
     kept = [float(dense[-1])]
     for time in dense[-2::-1]:
-        if kept[-1] - time > hair:
+        if kept[-1] - time > tie_break_s:
             kept.append(float(time))
     return np.array(kept[::-1])
 

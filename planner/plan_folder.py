@@ -13,7 +13,7 @@ from msgspec.structs import asdict
 
 from linkplan.models.digest import part_hashes
 from linkplan.models.errors import AssemblyError, CertificateError, LinkplanError, PlanFileError, shown
-from linkplan.models.poses.contacts import Meeting
+from linkplan.models.poses.contacts import Contact
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.further_checks import disagreements, with_contacts
 from linkplan.planner.files.columns import ARRAYS, csv_bytes, parquet_bytes, read_trajectory
@@ -111,7 +111,7 @@ def _margin_record(margin: Margin) -> dict:
     return {name: getattr(margin, name) for name in ("what", "name", "value", "limit", "left", "unit", "time_s")}
 
 
-def _contact_record(meeting: Meeting) -> dict:
+def _contact_record(meeting: Contact) -> dict:
     return {
         "geoms": [meeting.first, meeting.second],
         "bodies": list(meeting.bodies),

@@ -44,7 +44,7 @@ def spread(batch: Batch, base: mujoco.MjModel, models: Sequence[mujoco.MjModel])
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Pushing:
+class PushState:
     """Pushes (n, m) on simulations, from `start` to `end` [simulator steps of each simulation]; m is the largest number.
 
     `force` (n, m, nbody, 6) [N, N.m] acts at the bodies' centres of mass, `effort` (n, m, nv) [N.m or N] on joints.
@@ -67,7 +67,7 @@ class Pushing:
 
 def pushing(
     machines: Sequence[Imperfections], plants: Sequence[Plant], mechanism: Mechanism, substeps: int
-) -> Pushing | None:
+) -> PushState | None:
     """Return the pushes on machines, or None if no machine has one.
 
     Raises:
@@ -84,7 +84,7 @@ def pushing(
             start[i, m] = push.start_s / h - begun
             end[i, m] = start[i, m] + push.duration_s / h
             _place(push, mechanism, force[i, m], effort[i, m])
-    return Pushing(start=start, end=end, force=force, effort=effort)
+    return PushState(start=start, end=end, force=force, effort=effort)
 
 
 def _place(push: Push, mechanism: Mechanism, force: np.ndarray, effort: np.ndarray) -> None:

@@ -13,7 +13,7 @@ from linkplan.controllers.imperfections.imperfections import Drives, stacked
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Driving:
+class DriveState:
     """Drives of simulations (n,): arrays (n, n_u), but `whole`, `late` and `fraction` (n,), `low` and `high` (n_u,).
 
     `queue` (n, p, n_u) holds the last p = `n_queued` commands; slot k mod p holds the command of instant k. A command acts
@@ -55,7 +55,7 @@ def driving(
     substeps: int,
     limit: np.ndarray,
     held: np.ndarray | None = None,
-) -> Driving:
+) -> DriveState:
     """Return the drives of machines (n,).
 
     Args:
@@ -84,7 +84,7 @@ def driving(
         mean = np.where(np.isinf(phases), 0.0, (1.0 - left) / phases)
     resolution, factor = of_all("resolution"), of_all("constant_factor")
     n_queued = int(whole.max(initial=0)) + 2
-    return Driving(
+    return DriveState(
         low=np.array(limit[:, 0], dtype=float),
         high=np.array(limit[:, 1], dtype=float),
         resolution=resolution,
@@ -106,7 +106,7 @@ def driving(
     )
 
 
-def stretches(drives: Driving, substeps: int) -> list[tuple[int, int]]:
+def stretches(drives: DriveState, substeps: int) -> list[tuple[int, int]]:
     """Return the runs of simulator steps with constant efforts in a period: (first step, number of steps).
 
     The first step of a period is a run of its own, because the log records values at its beginning.
@@ -117,7 +117,7 @@ def stretches(drives: Driving, substeps: int) -> list[tuple[int, int]]:
     return [(j, after - j) for j, after in zip(begins, [*begins[1:], substeps], strict=True)]
 
 
-def take(drives: Driving, k: int, command: np.ndarray) -> None:
+def take(drives: DriveState, k: int, command: np.ndarray) -> None:
     """Queue the commands (n, n_u) of instant k, rounded and clipped to the limits."""
     if drives.rounded:
         step = np.where(drives.resolution > 0, drives.resolution, 1.0)
@@ -130,7 +130,7 @@ def take(drives: Driving, k: int, command: np.ndarray) -> None:
         drives.queue[:] = slot[:, None].copy()
 
 
-def act(drives: Driving, k: int, j: int) -> np.ndarray:
+def act(drives: DriveState, k: int, j: int) -> np.ndarray:
     """Return the mean efforts (n, n_u) over simulator step j of period k."""
     effort = arrived(drives, k)
     if not drives.punctual:
@@ -147,7 +147,7 @@ def act(drives: Driving, k: int, j: int) -> np.ndarray:
     return effort * drives.factor if drives.scaled else effort
 
 
-def arrived(drives: Driving, k: int) -> np.ndarray:
+def arrived(drives: DriveState, k: int) -> np.ndarray:
     """Return the commands (n, n_u) that have arrived by period k."""
     p = drives.n_queued
     if drives.together is not None:

@@ -15,7 +15,7 @@ _NOISE_BLOCK_INSTANTS = 256
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Sensing:
+class SensorState:
     """Sensors of simulations (n,) with their state: arrays (n, n_s), `filtered` and `pole` (n, 1).
 
     `filtered` marks velocities that are differences of measured positions, with a filter's `pole` or 0 for none.
@@ -36,7 +36,7 @@ class Sensing:
     estimate: np.ndarray
 
 
-def sensing(sensors: Sequence[Sensors], position: np.ndarray, velocity: np.ndarray, period_s: float) -> Sensing:
+def sensing(sensors: Sequence[Sensors], position: np.ndarray, velocity: np.ndarray, period_s: float) -> SensorState:
     """Return the sensors of simulations that start at positions and velocities (n, n_s), read every period [s]."""
     n, n_s = position.shape
 
@@ -48,7 +48,7 @@ def sensing(sensors: Sequence[Sensors], position: np.ndarray, velocity: np.ndarr
     poles = [0.0 if f is None else float(np.exp(-2 * np.pi * f * period_s)) for f in filters]
     filtered = np.array([[one.differentiates] for one in sensors])
     resolution, offset, noisy = of_all("resolution"), of_all("offset"), bool(np.any(noise))
-    return Sensing(
+    return SensorState(
         period_s=period_s,
         resolution=resolution,
         offset=offset,
@@ -66,7 +66,7 @@ def sensing(sensors: Sequence[Sensors], position: np.ndarray, velocity: np.ndarr
     )
 
 
-def measure(sensing: Sensing, k: int, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def measure(sensing: SensorState, k: int, position: np.ndarray, velocity: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the measured positions and velocities (n, n_s) at instant k."""
     if sensing.perfect:
         return position, velocity

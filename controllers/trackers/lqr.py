@@ -80,14 +80,14 @@ def regulator(mechanism: Mechanism, reference: SampledReference, errors: Errors)
     """
     n = repeated(reference)
     states = reference.pose_rad[:n], reference.velocity_rad_s[:n], reference.effort[:n]
-    kept = np.flatnonzero(np.tile(mechanism.steered, 2))
+    kept = np.flatnonzero(np.tile(mechanism.actuated, 2))
     if simulates_servos(mechanism):
         A, B, _ = simulated(mechanism, *states, sampling(mechanism, reference.period_s))
         A, B = A[:, kept[:, None], kept], B[:, kept]
     else:
         A, B = linearise(mechanism, *states)
         A, B = discretise(A[:, kept[:, None], kept], B[:, kept], reference.period_s)
-    sizes = [np.broadcast_to(weight, mechanism.dof)[mechanism.steered] for weight in (errors.position, errors.velocity)]
+    sizes = [np.broadcast_to(weight, mechanism.dof)[mechanism.actuated] for weight in (errors.position, errors.velocity)]
     Q = np.diag(np.concatenate(sizes) ** -2.0)
     R = np.diag(np.asarray(errors.effort, dtype=float) ** -2.0)
     return regulate(A, B, Q, R, repeats=reference.cycle is not None), kept

@@ -49,7 +49,7 @@ class ContactPair:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Meeting:
+class Contact:
     """Two geoms in contact along a motion.
 
     `since` is the first instant of a contact that is not there by construction. It is None for an overlap that is as deep at
@@ -117,7 +117,7 @@ def meetings(
     poses: np.ndarray,
     position_at: Callable[[np.ndarray], np.ndarray],
     deadline: Deadline = NO_DEADLINE,
-) -> tuple[Meeting, ...]:
+) -> tuple[Contact, ...]:
     """Return the contacts along a motion in the order of their instants, followed by overlaps by construction.
 
     More instants are checked between two where the geoms' distances and travel allow a contact.
@@ -147,7 +147,7 @@ def meetings(
     return tuple(sorted(found, key=lambda meeting: np.inf if meeting.since is None else meeting.since))
 
 
-def _meeting(mechanism: Mechanism, pair: Pair, at_home: _PoseSample, seen, sample, position_at) -> Meeting:
+def _meeting(mechanism: Mechanism, pair: Pair, at_home: _PoseSample, seen, sample, position_at) -> Contact:
     """Return a pair's contact along the samples `seen` of a motion."""
     model, extent = mechanism.model, mechanism.extent_m
     depth = np.array([-one.clearance.get(pair, (np.inf, np.inf))[0] for _, _, one in seen])
@@ -157,7 +157,7 @@ def _meeting(mechanism: Mechanism, pair: Pair, at_home: _PoseSample, seen, sampl
     since, deepest = None, int(np.argmax(depth))
     if len(deeper):
         since, deepest = _onset(mechanism, pair, allowed, int(deeper[0]), seen, sample, position_at), int(np.argmax(away))
-    return Meeting(
+    return Contact(
         first=geom_name(model, pair[0]),
         second=geom_name(model, pair[1]),
         bodies=_bodies(model, pair),
@@ -337,6 +337,6 @@ def exclusion(bodies: tuple[str, str]) -> str:
     return f"<exclude body1={one} body2={other}/>"
 
 
-def new_meetings(found: Iterable[Meeting]) -> tuple[Meeting, ...]:
+def new_meetings(found: Iterable[Contact]) -> tuple[Contact, ...]:
     """Return the contacts that are not there by construction."""
     return tuple(meeting for meeting in found if meeting.since is not None)

@@ -49,7 +49,7 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
     for column, value in named.items():
         base[column] = value
     columns, still, near = list(unnamed), np.zeros(mechanism.dof), np.array(mechanism.home)
-    kept = mechanism.steered  # the slight weight of a rod's spin moves nothing else
+    kept = mechanism.actuated  # the slight weight of a rod's spin moves nothing else
     slopes = slopes_at_rest(mechanism)
 
     def closed(x: np.ndarray) -> np.ndarray:

@@ -49,11 +49,11 @@ class SitePose:
     """The pose (n_q,) that comes nearest to the targets, and the distance of each site (n,) [m] from its target there."""
 
     pose: np.ndarray
-    off_m: np.ndarray
+    distance_m: np.ndarray
 
     def arrived(self, mechanism: Mechanism) -> bool:
         """Return True if every site is at its target."""
-        return bool(self.off_m.max(initial=0.0) <= ARRIVED_SHARE * mechanism.extent_m)
+        return bool(self.distance_m.max(initial=0.0) <= ARRIVED_SHARE * mechanism.extent_m)
 
 
 @functools.lru_cache(maxsize=16)
@@ -69,7 +69,7 @@ def places_of(mechanism: Mechanism, site: int, q: np.ndarray) -> np.ndarray:
     return sampled(mechanism.dynamics.site_places, np.atleast_2d(np.asarray(q, dtype=float)))[:, :, site]
 
 
-def off_m(mechanism: Mechanism, targets: SiteTargets, pose: np.ndarray) -> np.ndarray:
+def distance_m(mechanism: Mechanism, targets: SiteTargets, pose: np.ndarray) -> np.ndarray:
     """Return the distances (n,) [m] of the sites from their targets at a pose (n_q,), in the prescribed coordinates."""
     places = np.array([places_of(mechanism, int(site), pose)[0] for site in targets.sites])
     return np.sqrt(np.nansum((places - targets.points) ** 2, axis=1))
@@ -95,12 +95,12 @@ def site_pose(
     found = []
     for pose in _starts(mechanism, np.array(start, dtype=float), ranges):
         end = _descended(mechanism, targets, pose, ranges)
-        off = off_m(mechanism, targets, end)
+        off = distance_m(mechanism, targets, end)
         away = float(np.linalg.norm((end - start)[mechanism.independent] / unit))
         inside = np.all((end >= ranges[:, 0] - POSITION_ROUNDING) & (end <= ranges[:, 1] + POSITION_ROUNDING))
         there = bool(inside and off.max(initial=0.0) <= ARRIVED_SHARE * mechanism.extent_m)
         order = (not inside, not there, 0.0 if there else float(off.max()), there and not prefer(end), away)
-        found.append((order, len(found), SitePose(pose=end, off_m=off)))
+        found.append((order, len(found), SitePose(pose=end, distance_m=off)))
         if order == (False, False, 0.0, False, 0.0):
             break  # the start is the solution
     return min(found, key=lambda item: item[:2])[2]
@@ -118,7 +118,7 @@ def independent_rows_of(mechanism: Mechanism, targets: SiteTargets, pose: np.nda
     best: np.ndarray = np.zeros(0, dtype=int)
     for q in _nearby(mechanism, pose, ranges):
         _, J = _rows(mechanism, targets, q)
-        J = J[:, mechanism.steered]
+        J = J[:, mechanism.actuated]
         if not J.size:
             continue
         factors: Any = scipy.linalg.qr(J.T, mode="economic", pivoting=True)

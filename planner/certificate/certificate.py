@@ -11,7 +11,7 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import demanded, joint_rates, least_effort, missed_rounding, sampled, whole_turns
-from linkplan.models.poses.contacts import Meeting
+from linkplan.models.poses.contacts import Contact
 from linkplan.models.poses.controls import control_excess
 from linkplan.planner.certificate.flow import INTEGRATION_RTOL
 from linkplan.planner.certificate.integration import (
@@ -84,7 +84,7 @@ class Certificate:
     unrepairable: tuple[
         str, ...
     ] = ()  # failures that no other mesh removes: a servo's range, contacts, a rounded loop's gap
-    contacts: tuple[Meeting, ...] = ()  # of geoms along the motion, see linkplan.planner.certificate.further_checks
+    contacts: tuple[Contact, ...] = ()  # of geoms along the motion, see linkplan.planner.certificate.further_checks
 
     @property
     def peak_power(self) -> np.ndarray:

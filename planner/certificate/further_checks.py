@@ -16,7 +16,7 @@ from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
-from linkplan.models.poses.contacts import Meeting, may_collide, meetings, new_meetings
+from linkplan.models.poses.contacts import Contact, may_collide, meetings, new_meetings
 from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE, exact_bounds, relative_violation
@@ -199,7 +199,7 @@ def unavoidable(problem: Problem, trajectory: Trajectory, certificate: Certifica
     return bool(np.any((low <= at) & (at <= high)))
 
 
-def _failure(found: tuple[Meeting, ...]) -> str:
+def _failure(found: tuple[Contact, ...]) -> str:
     """Return the sentence on the first collision of a plan, with the number of others."""
     first, others = found[0], len(found) - 1
     already = f", {1e3 * first.home_depth_m:.2g} mm at home" if first.home_depth_m > 0 else ""
@@ -211,7 +211,7 @@ def _failure(found: tuple[Meeting, ...]) -> str:
     )
 
 
-def geom_names(meeting: Meeting) -> str:
+def geom_names(meeting: Contact) -> str:
     """Return a phrase that names two geoms and their bodies."""
     first, second = (
         f"{geom} ({body})" if not geom.endswith(f" of {body}") else geom
@@ -220,7 +220,7 @@ def geom_names(meeting: Meeting) -> str:
     return f"geoms {first} and {second}"
 
 
-def contact_notes(found: tuple[Meeting, ...]) -> tuple[str, ...]:
+def contact_notes(found: tuple[Contact, ...]) -> tuple[str, ...]:
     """Return phrases on the contacts that a plan neglects: one for each that begins on the way, one for all the others."""
     begun = [
         f"contact of {geom_names(meeting)} from t = {meeting.since:.5g} s on, {_neglected(meeting.depth_m)}"

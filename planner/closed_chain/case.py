@@ -144,7 +144,7 @@ def _target(problem: Problem, *, kinks: bool, enclosed: bool) -> RefinementTarge
         objective_tolerance=1e-6 if enclosed else tolerance,  # looser, because jumps may lie inside intervals
         kinks_at_limits=True,
         enclosed=enclosed,
-        layers=any(frictions_of(problem.mechanism.model)),  # thin layers where dry friction changes its sign
+        has_boundary_layers=any(frictions_of(problem.mechanism.model)),  # thin layers where dry friction changes its sign
     )
 
 

@@ -63,7 +63,7 @@ def choose_scales(problem: Problem, guess: Guess) -> Scales:
     residual = np.abs(maps).max(axis=0) @ effort
     residual = np.where(residual > 0, residual, effort.max())
     # On a spin the actuators' leverage is rounding and no unit. The effort of the spin's own motion is the unit.
-    spins, rates, none = ~mechanism.steered, position / guess.duration_s, 0.0 * position
+    spins, rates, none = ~mechanism.actuated, position / guess.duration_s, 0.0 * position
     moved, still = (mechanism.dynamics.inverse_dynamics(poses[0], v, none) for v in (rates, none))
     own = np.abs(inertia) @ rates / guess.duration_s + np.abs(np.array(moved - still)).ravel()
     return Scales(

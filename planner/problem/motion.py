@@ -222,7 +222,7 @@ def _state(
     result = []
     if default is None:
         values = _with_rests(values, f"{where}.{key}", mechanism)
-    for index, steered in zip(mechanism.independent, mechanism.steered, strict=True):
+    for index, steered in zip(mechanism.independent, mechanism.actuated, strict=True):
         joint = mechanism.joints[index]
         if index not in values and default is None and steered:
             named = sorted(mechanism.joints[i].name for i in values)

@@ -207,7 +207,7 @@ class Problem:
     def free_at_end(self) -> np.ndarray:
         """A mask (n_s,) of coordinates with a free final state: passive and coasting ones that the goal does not name."""
         named = np.isin(np.arange(self.mechanism.dof), list(self.motion.goal_named))
-        return ~self.mechanism.steered & ~named
+        return ~self.mechanism.actuated & ~named
 
     @property
     def free_spins(self) -> np.ndarray:

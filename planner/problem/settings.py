@@ -126,7 +126,7 @@ def other_coordinates(tables: Mapping[str, dict], mechanism: Mechanism) -> list[
     if "independent" in mechanism.source:
         return None
     named = [joint.name for joint in mechanism.joints if joint.name in set(_named(tables))]
-    unnamed = [*sprung_freedoms(mechanism), *np.flatnonzero(~mechanism.steered)]
+    unnamed = [*sprung_freedoms(mechanism), *np.flatnonzero(~mechanism.actuated)]
     resting = set(mechanism.independent[unnamed].tolist())
     missing = [mechanism.joints[i].name for i in mechanism.independent.tolist() if i not in resting]
     missing = [name for name in missing if name not in named]

@@ -147,15 +147,15 @@ def pose_at(
 
     found = site_pose(mechanism, targets, begin, ranges, within)
     if not found.arrived(mechanism):
-        worst = points[int(np.argmax(found.off_m))]
+        worst = points[int(np.argmax(found.distance_m))]
         place = places_of(mechanism, worst.index, found.pose)[0]
         together = " together with the other sites" if len(points) > 1 else ""
         raise ProblemError(
             f"{where}.{worst.site} = {shown(worst.point)} is out of reach{together}: {worst.site} comes no nearer than"
-            f" {shown(np.where(np.abs(place) < 1e-6, 0.0, place))}, {found.off_m.max():.4g} m away"
+            f" {shown(np.where(np.abs(place) < 1e-6, 0.0, place))}, {found.distance_m.max():.4g} m away"
         )
     rows = independent_rows_of(mechanism, targets, found.pose, ranges)
-    active = int(np.sum(mechanism.steered))
+    active = int(np.sum(mechanism.actuated))
     if not rows:
         raise ProblemError(
             f"{where} does not constrain the motion: the named coordinates of {', '.join(p.site for p in points)} do not"

@@ -33,7 +33,7 @@ class ReadSwitches:
 
     def apply(self, state: RefinementState) -> RefinementState:
         """Return the state with switch times, or the same one where they make it no better."""
-        found = state.at.found
+        found = state.iterate.found
         better = settle_switch_times(state.case, found, position_rows=state.position_rows)
         counted = replace(state, readings=state.readings + 1)
         if better.solution is found.solution:
@@ -52,7 +52,7 @@ class ImposeRanges:
         """Return the state with ranges imposed; without them, for good, where they lead to no motion."""
         rows = replace(state, position_rows=True)
         what = "state limits imposed at every instant"
-        found = _solved_on(rows, np.zeros(state.at.n_intervals, dtype=bool), what)
+        found = _solved_on(rows, np.zeros(state.iterate.n_intervals, dtype=bool), what)
         if found is None:  # the error of this mesh leaves the range; a finer one keeps it
             return replace(state, rows_lost=True, rounds=state.rounds + 1)
         if state.target.switches:
@@ -69,8 +69,8 @@ class RaiseDegree:
     def apply(self, state: RefinementState) -> RefinementState:
         """Return the state with the scheme; where no motion is found, one that does not pass is halved instead."""
         higher = replace(state, case=state.case.with_scheme(self.scheme))
-        after = _after(higher, np.zeros(state.at.n_intervals, dtype=bool), f"higher degree, {self.scheme}")
-        lost = after.ended and after.at is state.at and not state.at.passed
+        after = _after(higher, np.zeros(state.iterate.n_intervals, dtype=bool), f"higher degree, {self.scheme}")
+        lost = after.ended and after.iterate is state.iterate and not state.iterate.passed
         return replace(state, degree_lost=True, rounds=state.rounds + 1) if lost else after
 
 
@@ -96,7 +96,7 @@ class Tighten:
 
     def apply(self, state: RefinementState) -> RefinementState:
         """Return the state within tightened limits."""
-        none = np.zeros(state.at.n_intervals, dtype=bool)
+        none = np.zeros(state.iterate.n_intervals, dtype=bool)
         return _after(_tightened(state), none, "constraints tightened between the nodes")
 
 
@@ -106,7 +106,7 @@ class Loosen:
 
     def apply(self, state: RefinementState) -> RefinementState:
         """Return the state with the limits as asked."""
-        best, loose = state.best.found, state.loose
+        best, loose = state.best.found, state.loosened
         asked = state.asked.with_scheme(best.solution.transcribed.scheme.name)
         coarse = best if loose is None else loose.found
         marked = np.zeros(best.mesh.n_intervals, dtype=bool) if loose is None else most_overrun(loose)
@@ -115,11 +115,19 @@ class Loosen:
             asked, asked.start_from(coarse.motion), mesh, durations, "limits as asked",
             warm=True, fixed=_held_in(best), position_rows=state.position_rows,
         )  # fmt: skip
-        new = replace(state, case=asked, rounds=state.rounds + 1, tightenings=0, idle=state.idle + 1, warm=True, ended=False)
+        new = replace(
+            state,
+            case=asked,
+            rounds=state.rounds + 1,
+            tightenings=0,
+            loosenings_without_gain=state.loosenings_without_gain + 1,
+            warm=True,
+            ended=False,
+        )
         if found is None:
-            return replace(new, ended=True, loose=state.best)
+            return replace(new, ended=True, loosened=state.best)
         at = certify_iterate(state.asked, found)
-        return observed(replace(new, loose=at), at)
+        return observed(replace(new, loosened=at), at)
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +161,7 @@ def _held_in(found: Iterate[Any]) -> FixedArcs | None:
 
 
 def _tightened(state: RefinementState) -> RefinementState:
-    case = state.case.tightened(state.at.certificate, state.at.found.motion)
+    case = state.case.tightened(state.iterate.certificate, state.iterate.found.motion)
     return replace(state, case=case, tightenings=state.tightenings + 1)
 
 
@@ -171,10 +179,10 @@ def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate
     The solver starts at the coarser solution (warm) if efforts are bang arcs or jump inside intervals, else with a large
     barrier parameter (cold). If one way finds no solution, the other is tried.
     """
-    coarse, case, target = state.at.found, state.case, state.target
+    coarse, case, target = state.iterate.found, state.case, state.target
     mesh, start = halved(coarse.mesh, marked), case.start_from(coarse.motion)
     durations = np.bincount(mesh.segment, weights=widths_of(coarse.motion, marked))
-    report, again = state.at.report, state.best is not None
+    report, again = state.iterate.report, state.best is not None
     near = state.warm and report is not None and report.unstable and not report.unseen
 
     def alike(finer: Iterate[Any]) -> bool:
@@ -216,7 +224,7 @@ class ReduceEffortOverrun:
             return counted
         at = certify_iterate(state.asked, found)
         better = at.passed and at.certificate.effort_overrun.max() < best.certificate.effort_overrun.max()
-        return replace(counted, at=at, best=at, ended=False) if better else counted
+        return replace(counted, iterate=at, best=at, ended=False) if better else counted
 
 
 def nearest_on(case: Case, coarse: Iterate, mesh: Mesh, *, position_rows: bool) -> Iterate | None:

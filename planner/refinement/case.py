@@ -62,7 +62,7 @@ class RefinementTarget:
         objective_tolerance_given: the user asked for that, too; if not, it is kept where that is cheap.
         kinks_at_limits: the motion is smooth where no limit binds, so the integration error alone measures the mesh.
         enclosed: limits on power and pin force hold at every instant, by rows on Bernstein coefficients.
-        layers: the motion has thin layers; the error falls only once the mesh resolves them.
+        has_boundary_layers: the motion has thin layers; the error falls only once the mesh resolves them.
     """
 
     effort_limit: np.ndarray
@@ -75,7 +75,7 @@ class RefinementTarget:
     objective_tolerance_given: bool = True
     kinks_at_limits: bool = False
     enclosed: bool = False
-    layers: bool = False
+    has_boundary_layers: bool = False
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

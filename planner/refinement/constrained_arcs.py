@@ -92,7 +92,7 @@ def own_arcs(transcribed: Transcribed, x: np.ndarray, kinds: tuple[str, ...]) ->
     return np.hstack(arcs)
 
 
-def standing_off(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
+def off_limit_intervals(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     """Return True (n,) where a limit on Bernstein coefficients keeps a curve away from the limit.
 
     Coefficients enclose their polynomial: one that touches its limit in an instant may not, by an eighth of its bend. On

@@ -80,10 +80,10 @@ def next_action(state: RefinementState) -> Action | None:
 
 def _towards_a_certificate(state: RefinementState) -> Action | None:
     """Return the next action on a motion that does not pass, or whose objective has not settled."""
-    at, report = state.at, state.at.report
+    at, report = state.iterate, state.iterate.report
     if state.ended or state.rounds >= MAX_ROUNDS or (report is not None and not at.passed and not report.repairable):
         return None
-    if state.loose is not None:
+    if state.loosened is not None:
         return Tighten() if not at.passed and at.overruns and state.tightenings < TIGHTENINGS_BETWEEN else None
     if state.finished:
         return _within_efforts(state) or (ReadSwitches() if _may_read_better(state) else None)
@@ -97,13 +97,13 @@ def _towards_a_certificate(state: RefinementState) -> Action | None:
 
 def _within_efforts(state: RefinementState) -> Action | None:
     """Return the action on an exact motion that needs more effort than a proof allows, if it costs little."""
-    beyond = beyond_efforts(state.at)
+    beyond = beyond_efforts(state.iterate)
     if not beyond.any() or state.target.enclosed:
         return None
     higher = raised(state.case.problem.mesh) if beyond.mean() >= EVEN_SHARE else None
     if higher is not None and degree_of(higher) <= MAX_ROUGH_DEGREE:
         return RaiseDegree(higher)
-    return Halve(beyond) if grown(state.at.found.mesh, beyond) <= ENOUGH_INTERVALS else None
+    return Halve(beyond) if grown(state.iterate.found.mesh, beyond) <= ENOUGH_INTERVALS else None
 
 
 def _towards_a_proof(state: RefinementState) -> Action | None:
@@ -118,7 +118,7 @@ def _towards_a_proof(state: RefinementState) -> Action | None:
 
 def _finer(state: RefinementState, over: np.ndarray) -> Action | None:
     """Return the action on the errors of the mesh and on the intervals (n,) that overrun a limit."""
-    at = state.at
+    at = state.iterate
     inexact, uneven = _inexact(state, over)
     higher = _higher_scheme(state, inexact if state.target.enclosed else inexact | uneven, over)
     if higher is not None:
@@ -149,11 +149,11 @@ def _towards_the_optimum(state: RefinementState) -> Action | None:
 
 def _may_loosen(state: RefinementState) -> bool:
     """Return True if the best motion is within tightened limits, and loosening them may gain something."""
-    best, loose = state.best.found, state.loose
+    best, loose = state.best.found, state.loosened
     if (
         best.solution.transcribed.formulation.tightening is None
         or state.target.bang_bang
-        or state.idle >= MAX_IDLE_LOOSENINGS
+        or state.loosenings_without_gain >= MAX_IDLE_LOOSENINGS
     ):
         return False
     if loose is None:
@@ -164,23 +164,23 @@ def _may_loosen(state: RefinementState) -> bool:
 
 
 def _switches_are_open(state: RefinementState) -> bool:
-    fixed = state.at.found.fixed
+    fixed = state.iterate.found.fixed
     return state.target.switches and not (fixed is not None and fixed.everything)
 
 
 def _may_read_better(state: RefinementState) -> bool:
     """Return True if switches read from a motion that passes may be better: efforts were left free, or bounds were met."""
     may = state.readings < MAX_READINGS and not state.arcs_known
-    return may and is_bang_bang(state.case, state.at.found.solution.transcribed)
+    return may and is_bang_bang(state.case, state.iterate.found.solution.transcribed)
 
 
 def _inexact(state: RefinementState, over: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return the intervals (n,) on which the motion is not exact, and those that the objective alone asks for."""
-    at, fixed = state.at, state.at.found.fixed
+    at, fixed = state.iterate, state.iterate.found.fixed
     inexact, uneven = marked_for(at, state.target.strictness), np.zeros(at.n_intervals, dtype=bool)
     if state.target.enclosed:
-        return inexact, uneven if state.settled else uneven_of(at) | state.kept_off
-    inexact |= state.kept_off
+        return inexact, uneven if state.settled else uneven_of(at) | state.off_limit_intervals
+    inexact |= state.off_limit_intervals
     if at.passed and not state.settled and (fixed is None or not (inexact | over).any()):
         # If arcs are held between switch times, limits begin and cease to bind at the switch times.
         uneven = uneven_of(at) if fixed is None else rough_of(at.found.motion)
@@ -189,7 +189,7 @@ def _inexact(state: RefinementState, over: np.ndarray) -> tuple[np.ndarray, np.n
 
 def _marked(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> np.ndarray:
     """Return the intervals (n,) to halve, of those that are inexact and those on which limits are overrun."""
-    at, fixed = state.at, state.at.found.fixed
+    at, fixed = state.iterate, state.iterate.found.fixed
     if state.target.enclosed:  # efforts jump inside intervals: what the certificate needs comes first
         needed = marked_for(at, 1.0)
         return needed if needed.any() or at.report is None else inexact
@@ -203,7 +203,7 @@ def _marked(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> np
 
 def _higher_scheme(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> str | None:
     """Return the scheme of higher degree that is worth more than a finer mesh, or None."""
-    at, report = state.at, state.at.report
+    at, report = state.iterate, state.iterate.report
     if state.degree_lost or (report is not None and report.unseen):
         return None
     higher = None if state.target.enclosed else higher_on_arcs(state.case, at, over)
@@ -215,7 +215,7 @@ def _higher_scheme(state: RefinementState, inexact: np.ndarray, over: np.ndarray
 
 def _comfortable(state: RefinementState) -> int:
     """Return the number of intervals that is enough for a motion that passes."""
-    target, report = state.target, state.at.report
+    target, report = state.target, state.iterate.report
     if target.tolerance_given:
         exact = report is not None and report.exact and np.isfinite(state.change)
         growth = CHEAP_GROWTH if exact and not target.objective_tolerance_given else MAX_GROWTH
@@ -226,8 +226,10 @@ def _comfortable(state: RefinementState) -> int:
 
 def _most_intervals(state: RefinementState, *, held: bool = False) -> int:
     """Return the number of intervals beyond which the mesh is not refined."""
-    wanders = not (state.falls or state.target.layers or state.at.report is None or state.at.report.exact)
-    wanders = wanders and not state.target.enclosed and not overrunning(state.at).any()
+    wanders = not (
+        state.error_falls or state.target.has_boundary_layers or state.iterate.report is None or state.iterate.report.exact
+    )
+    wanders = wanders and not state.target.enclosed and not overrunning(state.iterate).any()
     most = MAX_GROWTH * state.asked.problem.mesh.intervals
     return _comfortable(state) if (state.best is not None or wanders) and not held else most
 
@@ -259,4 +261,4 @@ def first_state(
     if case.target.switches:
         found = settle_switch_times(case, found)
     at = certify_iterate(case, found)
-    return observed(RefinementState(asked=case, case=case, at=at, warm=warm), at)
+    return observed(RefinementState(asked=case, case=case, iterate=at, warm=warm), at)

@@ -14,7 +14,7 @@ from linkplan.planner.refinement.case import (
     RefinementTarget,
     error_of,
 )
-from linkplan.planner.refinement.constrained_arcs import arcs_against_their_limits, limits_bind, standing_off
+from linkplan.planner.refinement.constrained_arcs import arcs_against_their_limits, limits_bind, off_limit_intervals
 from linkplan.planner.refinement.switch_search import at_bounds
 from linkplan.planner.solvers.solve import SOLVER_TOLERANCE, SUCCEEDED, Solution
 
@@ -45,7 +45,7 @@ class Refined(Generic[MotionT, CertificateT]):
     objective_error: float = np.inf
 
     @property
-    def against(self) -> np.ndarray:
+    def arcs_with_wrong_sign(self) -> np.ndarray:
         """The instants (n,) [s] at which the optimum would leave a held limit; a local optimum has none."""
         return arcs_against_their_limits(self.solution)
 
@@ -73,20 +73,21 @@ class RefinementState(Generic[MotionT, CertificateT]):
     """The iterates of a refinement and the record of its actions.
 
     `asked` has the limits as they are asked: every certificate is against them. `case` has the scheme and the tightened
-    limits by now. `at` is the last iterate, `best` the best that passed. `warm` says that finer meshes are solved from
+    limits by now. `iterate` is the last one, `best` the best that passed. `warm` says that finer meshes are solved from
     next to the coarser one's answer. `position_rows` says that ranges are imposed at every instant, `rows_lost` that
     this led to no solution, `degree_lost` that a higher degree led to none. `rounds` counts actions, `readings` those
     that read switches, `read_in` is the round of the last reading. `before` is the objective of the iterate that passed
-    before, `change` its relative change since, `change_before` the one before that, `calm` the number of meshes without
-    change. `falls` says that the last finer mesh erred by less than the one before. `releases` counts releases of arcs.
-    `loose` is the last iterate with the limits as asked after one had passed within tightened limits, `tightenings`
-    counts those since then, `idle` the loosenings since the best one improved. `ended` says that the last action led
-    nowhere. `restored` counts meshes on which the best motion was kept, see `ReduceEffortOverrun`.
+    before, `change` its relative change since, `change_before` the one before that, `settled_meshes` the number of meshes
+    without change. `error_falls` says that the last finer mesh erred by less than the one before. `releases` counts
+    releases of arcs. `loosened` is the last iterate with the limits as asked after one had passed within tightened limits,
+    `tightenings` counts those since then, `loosenings_without_gain` the loosenings since the best one improved. `ended`
+    says that the last action led nowhere. `restored` counts meshes on which the best motion was kept, see
+    `ReduceEffortOverrun`.
     """
 
     asked: Case[MotionT, CertificateT]
     case: Case[MotionT, CertificateT]
-    at: CertifiedIterate[MotionT, CertificateT]
+    iterate: CertifiedIterate[MotionT, CertificateT]
     warm: bool
     best: CertifiedIterate[MotionT, CertificateT] | None = None
     position_rows: bool = False
@@ -98,12 +99,12 @@ class RefinementState(Generic[MotionT, CertificateT]):
     before: float = np.inf
     change: float = np.inf
     change_before: float = np.inf
-    calm: int = 0
-    falls: bool = True
+    settled_meshes: int = 0
+    error_falls: bool = True
     releases: int = 0
-    loose: CertifiedIterate[MotionT, CertificateT] | None = None
+    loosened: CertifiedIterate[MotionT, CertificateT] | None = None
     tightenings: int = 0
-    idle: int = 0
+    loosenings_without_gain: int = 0
     ended: bool = False
     restored: int = 0
 
@@ -115,7 +116,7 @@ class RefinementState(Generic[MotionT, CertificateT]):
     @property
     def objective_tolerance(self) -> float | None:
         """The largest relative change of the objective; None if the integration error alone counts."""
-        smooth = self.target.kinks_at_limits and not self.target.enclosed and not limits_bind(self.at.found.solution)
+        smooth = self.target.kinks_at_limits and not self.target.enclosed and not limits_bind(self.iterate.found.solution)
         return None if smooth else self.target.objective_tolerance
 
     @property
@@ -127,40 +128,40 @@ class RefinementState(Generic[MotionT, CertificateT]):
         """
         if self.objective_tolerance is None:
             return self.target.bang_bang or self.moved <= REPORTED_CHANGE
-        return self.calm >= self.meshes_to_settle
+        return self.settled_meshes >= self.meshes_to_settle
 
     @property
     def meshes_to_settle(self) -> int:
         """The number of meshes in a row on which the objective must keep still: on one it can do so by chance."""
-        return 2 if self.at.found.fixed is None and not self.target.enclosed else 1
+        return 2 if self.iterate.found.fixed is None and not self.target.enclosed else 1
 
     @property
     def finished(self) -> bool:
         """True if the iterate passes, is exact, and its objective has settled."""
-        if not (self.at.passed and self.at.report is not None and self.at.report.exact and self.settled):
+        if not (self.iterate.passed and self.iterate.report is not None and self.iterate.report.exact and self.settled):
             return False
-        return self.change <= CHANGE_AT_TOUCHED_LIMIT or not self.kept_off.any()
+        return self.change <= CHANGE_AT_TOUCHED_LIMIT or not self.off_limit_intervals.any()
 
     @property
-    def kept_off(self) -> np.ndarray:
+    def off_limit_intervals(self) -> np.ndarray:
         """The intervals (n,) on which a limit on coefficients keeps a motion of bang arcs away from itself."""
-        solution = self.at.found.solution
+        solution = self.iterate.found.solution
         if not (self.target.bang_bang or self.target.enclosed):
-            return np.zeros(self.at.n_intervals, dtype=bool)
-        return standing_off(solution.transcribed, solution.x)
+            return np.zeros(self.iterate.n_intervals, dtype=bool)
+        return off_limit_intervals(solution.transcribed, solution.x)
 
     @property
     def arcs_known(self) -> bool:
         """True if everything is held along arcs and no switch time is at a bound."""
-        fixed = self.at.found.fixed
-        return fixed is not None and fixed.everything and not at_bounds(self.at.found.solution)
+        fixed = self.iterate.found.fixed
+        return fixed is not None and fixed.everything and not at_bounds(self.iterate.found.solution)
 
     @property
     def result(self) -> Refined[MotionT, CertificateT] | None:
         """The best motion, or the last one if none passed; None without a certificate."""
-        at, best = self.at, self.best
+        at, best = self.iterate, self.best
         asked = self.objective_tolerance is not None and self.target.objective_tolerance_given
-        if not (at.passed and self.settled and asked and self.loose is None):
+        if not (at.passed and self.settled and asked and self.loosened is None):
             at = best or at
         if at.certificate is None:
             return None
@@ -184,8 +185,8 @@ class RefinementState(Generic[MotionT, CertificateT]):
     @property
     def moved(self) -> float:
         """The relative change of the objective from the last mesh to this one, or what tightening costs; 0 if unknown."""
-        if self.loose is not None and self.best is not None:
-            best, loose = self.best.found.solution.objective, self.loose.found.solution.objective
+        if self.loosened is not None and self.best is not None:
+            best, loose = self.best.found.solution.objective, self.loosened.found.solution.objective
             return max(best - loose, 0.0) / max(abs(best), np.finfo(float).tiny)
         return self.change if np.isfinite(self.change) else 0.0
 
@@ -196,20 +197,20 @@ def observed(
     """Return the state after a new iterate; `tells` says that its mesh is finer wherever the objective depends on it."""
     first = state.rounds <= 1  # the error on the first mesh is too coarse to compare with
     # An error that a finer mesh leaves at more than half does not fall: each mesh has another motion.
-    new = replace(state, at=at, falls=first or error_of(at) <= 0.5 * error_of(state.at))
+    new = replace(state, iterate=at, error_falls=first or error_of(at) <= 0.5 * error_of(state.iterate))
     if not at.passed:
         return new
     solution = at.found.solution
     objective, size = solution.objective, abs(solution.objective)
     change = abs(objective - state.before)
     tolerance, solved = new.objective_tolerance, solution.status == SUCCEEDED
-    calm = state.calm
+    settled_meshes = state.settled_meshes
     if solved:
-        calm = calm + 1 if tells and (tolerance is None or change <= tolerance * size) else 0
-    if state.loose is not None:  # on meshes that err alike the objectives can be compared
+        settled_meshes = settled_meshes + 1 if tells and (tolerance is None or change <= tolerance * size) else 0
+    if state.loosened is not None:  # on meshes that err alike the objectives can be compared
         better = state.best is None or objective < state.best.found.solution.objective
-        return replace(new, best=at, idle=0) if better else new
-    new = replace(new, best=better_of(state.best, at, state.target), calm=calm)
+        return replace(new, best=at, loosenings_without_gain=0) if better else new
+    new = replace(new, best=better_of(state.best, at, state.target), settled_meshes=settled_meshes)
     if not solved and tolerance is not None:  # a solver that stopped short says nothing of the objective
         return new
     change = change / size if size and np.isfinite(change) else state.change

@@ -141,7 +141,7 @@ def certified(
     solution = better.solution
     objective = own_objective(solution.transcribed, solution.objective, better.motion)
     moved = better.moved if change is None else change
-    against = better.against
+    against = better.arcs_with_wrong_sign
     # A plan whose objective changes by more than this share on a finer mesh is "feasible" and not "optimal".
     optimal = not len(against) and moved <= 5e-2
     plan = finished(problem, better.motion, better.certificate, objective, None, optimal=optimal)

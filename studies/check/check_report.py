@@ -184,7 +184,7 @@ def unheld_sentences(path: KinematicLoopPath, *, changing: bool = False) -> list
     """
     said, least = [], ROUNDING_SHARE * _scale(path.gravity_effort)
     for i, joint in enumerate(path.mechanism.independent_joints):
-        if not path.mechanism.steered[i]:
+        if not path.mechanism.actuated[i]:
             continue
         missing = np.abs(path.unheld_effort[:, i])
         beyond = missing > least

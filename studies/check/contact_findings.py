@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.contacts import ContactPair, Meeting, exclusion, meetings
+from linkplan.models.poses.contacts import Contact, ContactPair, exclusion, meetings
 from linkplan.models.tree.joints import where
 from linkplan.planner.certificate.further_checks import contact_notes, geom_names
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
@@ -82,7 +82,7 @@ def _meet_at_an_end(pair: ContactPair, sweeps: Sequence[int]) -> bool:
     return not pair.on_ground
 
 
-def _on_the_way(mechanism: Mechanism, meeting: Meeting, path: KinematicLoopPath, position_at) -> str:
+def _on_the_way(mechanism: Mechanism, meeting: Contact, path: KinematicLoopPath, position_at) -> str:
     at = position_at(np.array([meeting.since]))[0]
     place, depth = where(mechanism.independent_joints, at, 5), f"up to {1e3 * meeting.depth_m:.2g} mm deep"
     return f"{geom_names(meeting)} collide at {place} on {path.title}, {depth}"

@@ -241,7 +241,7 @@ def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[list[st
 def _coordinate_findings(mechanism: Mechanism, can: Reach, *, idle: bool, steerable: bool) -> tuple[list[str], list[str]]:
     """Return the problems and notes on an independent joint; `idle` if no actuator acts on it at home."""
     problems, notes, column = [], [], can.coordinate
-    passive = not mechanism.steered[column]
+    passive = not mechanism.actuated[column]
     if idle and mechanism.independent[column] not in mechanism.passive_dofs:
         sentence, fault = undriven(mechanism, column, steerable=steerable)
         (problems if fault else notes).append(sentence)
@@ -310,7 +310,7 @@ def _stop_note(mechanism: Mechanism, can: Reach, *, upper: bool) -> str | None:
 def _moves_with_others(mechanism: Mechanism, pose: np.ndarray, joint: int, column: int) -> bool:
     """Tell if a joint also moves with other coordinates, except passive ones, so that they can move it off its stop."""
     rates = np.abs(np.array(mechanism.dynamics.velocity_map(pose))[joint])
-    free = ~mechanism.steered
+    free = ~mechanism.actuated
     return bool(np.any(np.delete(rates * ~free, column) > ROUNDING_SHARE * rates.max()))
 
 

@@ -183,7 +183,7 @@ def reach_sweeps(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[Sweep,
     found = []
     for can in reaches:
         column = can.coordinate
-        if not mechanism.steered[column]:
+        if not mechanism.actuated[column]:
             continue  # a rod that spins about its axis changes nothing
         name = mechanism.joints[mechanism.independent[column]].name
         others = ", the other coordinates at home" if mechanism.dof > 1 else ""

@@ -54,7 +54,7 @@ def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
     from linkplan.studies.output.figure import figure_of, one_screen
 
     mechanism = found.mechanism
-    steered = [can for can in found.reaches if mechanism.steered[can.coordinate]]
+    steered = [can for can in found.reaches if mechanism.actuated[can.coordinate]]
     reaches = (steered or found.reaches)[:MAX_FIGURES]
     rows: list[list] = []
     for can in reaches:

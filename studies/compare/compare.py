@@ -259,7 +259,7 @@ def error_figures(mechanism: Mechanism, error: np.ndarray) -> dict[str, float]:
 def steered_by_unit(mechanism: Mechanism) -> dict[str, tuple[np.ndarray, float]]:
     """Return a mask (n_s,) of the controllable independent joints for each of their units, and the unit's factor from SI."""
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
-    units = {"deg": (hinge & mechanism.steered, 180 / np.pi), "m": (~hinge & mechanism.steered, 1.0)}
+    units = {"deg": (hinge & mechanism.actuated, 180 / np.pi), "m": (~hinge & mechanism.actuated, 1.0)}
     return {unit: found for unit, found in units.items() if np.any(found[0])}
 
 

@@ -27,6 +27,6 @@ def scaled(settings: Tracking, mechanism: Mechanism, pose: np.ndarray, unit: np.
     # Behind a soft loop, an effort at first moves little more than its own link.
     effort = np.abs(sampled(mechanism.dynamics.reduced_inertia, pose) @ by_effort) @ unit
     felt = np.array([felt_inertia(mechanism, at) for at in pose])
-    most = np.where(mechanism.steered, np.maximum(reached, effort / felt).max(axis=0), 0.0)
+    most = np.where(mechanism.actuated, np.maximum(reached, effort / felt).max(axis=0), 0.0)
     period = max(settings.period_s, float(mechanism.model.opt.timestep))
     return settings.with_lqr_errors(mechanism.independent_joints, most, period)

@@ -137,7 +137,7 @@ def decompose(
 def joints_by_unit(experiment: Experiment) -> dict[str, np.ndarray]:
     """Return the indices of the controllable independent joints, by their unit."""
     mechanism = experiment.plan.problem.mechanism
-    steered = mechanism.steered
+    steered = mechanism.actuated
     units = np.array([joint.unit for joint in mechanism.independent_joints])
     return {str(unit): np.flatnonzero(steered & (units == unit)) for unit in dict.fromkeys(units[steered])}
 

@@ -180,7 +180,7 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
         effort_limit=np.array(problem.limits.actuators_effort), delay_periods=int(problem.tracking.delay_periods)
     )
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
-    passive = ~mechanism.steered  # uncontrollable
+    passive = ~mechanism.actuated  # uncontrollable
     middle = np.median(values, axis=0)
     plant(mechanism, reference, loop, machine_of(section, middle.tolist(), mechanism, (0,)), 1)  # raises errors early
     _refuse_late_push(section, values, float(reference.time_s[-1]))

@@ -191,7 +191,7 @@ class FeedbackLoop:
     @property
     def steered_entries(self) -> np.ndarray:
         """The indices of the state's entries that belong to steered coordinates."""
-        return np.flatnonzero(np.tile(self.point.mechanism.steered, 2))
+        return np.flatnonzero(np.tile(self.point.mechanism.actuated, 2))
 
     @property
     def radius(self) -> float | None:

@@ -36,21 +36,21 @@ def settle_trials(
     batch = SimulatedLoops(
         mechanism,
         pose=np.array([loop.point.pose for loop in loops]),
-        velocity=kick[:, None] * mechanism.steered,
+        velocity=kick[:, None] * mechanism.actuated,
         gain=np.array([loop.gain for loop in loops]),
         under_way=hold,
         timing=timing,
         effort_limit=effort_limit,
     )
     settles = np.zeros(n, dtype=bool)
-    unit = unit_steps(mechanism.joints, mechanism.extent_m)[mechanism.independent][mechanism.steered]
+    unit = unit_steps(mechanism.joints, mechanism.extent_m)[mechanism.independent][mechanism.actuated]
     active, history = np.arange(n), []
     while active.size:
         reference, push = (np.repeat(value[None, active], 100, axis=0) for value in (state, hold))
         x, _ = batch.run(active, reference, push)
         speed = np.full(n, np.inf)
         with np.errstate(invalid="ignore"):
-            now = np.abs(x[:, :, n_s:][:, :, mechanism.steered]).max(axis=(0, 2))
+            now = np.abs(x[:, :, n_s:][:, :, mechanism.actuated]).max(axis=(0, 2))
         speed[active] = np.where(np.isfinite(now), now, np.inf)
         history.append(speed)
         log_speed = np.log(np.maximum(np.array(history)[:, active], 1e-300))
@@ -65,7 +65,7 @@ def settle_trials(
         grown = ~(speed[active] < _GROWTH_FACTOR * kick[active]) & ~falls[active]
         finished = decisive | decayed | grown | (batch.periods >= most_periods)
         trend = np.where(decisive, change, late_change)
-        off = np.abs(x[-1, :, :n_s] - state[active, :n_s])[:, mechanism.steered] / unit
+        off = np.abs(x[-1, :, :n_s] - state[active, :n_s])[:, mechanism.actuated] / unit
         near = off.max(axis=1) < _FALL_DISTANCE
         settles[active[finished]] = (near & (decayed | (~grown & (trend < 0))))[finished]
         active = active[~finished]

@@ -23,7 +23,7 @@ from linkplan.models.kinematics import STIFF
 from linkplan.models.library import compile_model
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import demanded, effort_within
-from linkplan.models.poses.contacts import ContactPair, Meeting, contact_pairs
+from linkplan.models.poses.contacts import Contact, ContactPair, contact_pairs
 from linkplan.models.selection import floating_joints, floating_words
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.urdf_loops import FILTERS
@@ -224,12 +224,12 @@ def left_out_notes(mechanism: Mechanism) -> list[str]:
     ] * bool(forces)
 
 
-def overlapping_bodies(contacts: Iterable[Meeting]) -> list[list[str]]:
+def overlapping_bodies(contacts: Iterable[Contact]) -> list[list[str]]:
     """Return the pairs of links that overlap by construction in a plan's contacts; contacts with the ground are kept."""
     return _not_on_ground(meeting for meeting in contacts if meeting.since is None)
 
 
-def _not_on_ground(contacts: Iterable[Meeting | ContactPair]) -> list[list[str]]:
+def _not_on_ground(contacts: Iterable[Contact | ContactPair]) -> list[list[str]]:
     """Return the pairs of bodies of contacts, without those that touch the ground in one of them."""
     pairs: dict[tuple[str, str], bool] = {}
     for contact in contacts:

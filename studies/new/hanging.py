@@ -25,12 +25,12 @@ GRAVITY_M_S2 = 9.81
 def driven_columns(mechanism: Mechanism) -> np.ndarray:
     """Return the columns of the independent coordinates on which actuators act, without passive ones."""
     arms = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1)
-    return np.flatnonzero((arms > 1e-9 * arms.max()) & mechanism.steered)
+    return np.flatnonzero((arms > 1e-9 * arms.max()) & mechanism.actuated)
 
 
 def rests_by_itself(mechanism: Mechanism, column: int) -> bool:
     """Tell if a coordinate is passive, coasts or is held by springs, so that a motion does not name it."""
-    return not mechanism.steered[column] or column in sprung_freedoms(mechanism)
+    return not mechanism.actuated[column] or column in sprung_freedoms(mechanism)
 
 
 def hanging_columns(mechanism: Mechanism) -> list[int]:

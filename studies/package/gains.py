@@ -19,7 +19,7 @@ from linkplan.studies.frequency.feedback_loops import operating_point, sampled_l
 from linkplan.studies.output.document import Block, Report
 from linkplan.studies.tune import tune as tuning
 from linkplan.studies.tune import tune_report
-from linkplan.studies.tune.judged import LEAST_DAMPING_RATIO, Wanted
+from linkplan.studies.tune.judged import LEAST_DAMPING_RATIO, Requirements
 from linkplan.studies.tune.tuning import Tuning
 from linkplan.subjects import Poses, Subject, poses_of
 
@@ -77,7 +77,7 @@ def tune(
     """
     choose("tracker", str(tracker), LINEAR, ProblemError)
     say = listener(progress)
-    wanted = Wanted(
+    wanted = Requirements(
         bandwidth_hz=number(bandwidth_hz, "bandwidth_hz", positive=True),
         phase_margin_deg=number(phase_margin_deg, "phase_margin_deg", at_least_zero=True),
         sensitivity_peak=None if sensitivity_peak is None else number(sensitivity_peak, "sensitivity_peak", positive=True),

@@ -21,7 +21,7 @@ SETTLING_CYCLES, LEAST_DAMPING_RATIO = 5.0, 0.4
 UNSTABLE_SHORTFALL = 10.0
 
 
-class Wanted(Struct, frozen=True, kw_only=True, eq=False):
+class Requirements(Struct, frozen=True, kw_only=True, eq=False):
     """The requirements at the worst pose.
 
     The least bandwidth [Hz] of the complementary sensitivity (-3 dB), the least phase margin [deg], the largest peak of |S|
@@ -110,7 +110,7 @@ class EvaluatedGains:
         return max(self.loops, key=lambda loop: abs(1.0 - (loop.response_at_rest or 0.0)))
 
 
-def evaluated(points: Sequence[OperatingPoint], wanted: Wanted, law: SampledLaw) -> EvaluatedGains:
+def evaluated(points: Sequence[OperatingPoint], wanted: Requirements, law: SampledLaw) -> EvaluatedGains:
     """Return a law with the loops of all joints at all points, and the largest relative shortfall."""
     channels = points[0].mechanism.channels
     loops = [_judged(point, channel, law) for channel in channels for point in label_differences(points)]
@@ -137,7 +137,7 @@ def _place(point: OperatingPoint, channel: int) -> dict[str, Any]:
     return {"joint": own.name, "position_deg": hinges, "position_m": slides}
 
 
-def shortfall(found: Margins, wanted: Wanted, timing: Sampling) -> float:
+def shortfall(found: Margins, wanted: Requirements, timing: Sampling) -> float:
     """Return the largest relative shortfall of margins: negative with a reserve, infinite without stability or bandwidth."""
     if not found.stable or found.bandwidth_hz == 0.0:
         return np.inf

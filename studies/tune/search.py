@@ -13,7 +13,7 @@ from linkplan.studies.frequency.feedback_loops import OperatingPoint, SampledLaw
 from linkplan.studies.frequency.quick import QuickMargins, quick_loops
 from linkplan.studies.frequency.rest import passive_stiffness
 from linkplan.studies.frequency.stability_map import effort_map
-from linkplan.studies.tune.judged import UNSTABLE_SHORTFALL, Wanted, evaluated
+from linkplan.studies.tune.judged import UNSTABLE_SHORTFALL, Requirements, evaluated
 
 # Search range of the natural frequency, in units of the required bandwidth, and of the damping ratio.
 _NATURAL_FREQUENCY_RANGE = (0.08, 4.0)
@@ -26,7 +26,9 @@ _SEARCH_RESERVE = 1.005
 MAX_ROUNDS = 5
 
 
-def found_gains(points: Sequence[OperatingPoint], wanted: Wanted, law: SampledLaw, say: Callable[[str], None]) -> SampledLaw:
+def found_gains(
+    points: Sequence[OperatingPoint], wanted: Requirements, law: SampledLaw, say: Callable[[str], None]
+) -> SampledLaw:
     """Return the law with the gains that fall short least at the points, and damp least among those that meet all.
 
     Several joints first get gains of the same natural frequency and damping ratio, each for its own inertia. Where these
@@ -58,7 +60,7 @@ def found_gains(points: Sequence[OperatingPoint], wanted: Wanted, law: SampledLa
 
 def _refined(
     points: Sequence[OperatingPoint],
-    wanted: Wanted,
+    wanted: Requirements,
     law: SampledLaw,
     channels: Sequence[int],
     say: Callable[[str], None],
@@ -89,7 +91,7 @@ def _refined(
     return best[2]
 
 
-def _natural_at_rest(points: Sequence[OperatingPoint], wanted: Wanted, channels: Sequence[int]) -> float:
+def _natural_at_rest(points: Sequence[OperatingPoint], wanted: Requirements, channels: Sequence[int]) -> float:
     """Return the natural frequency [required bandwidths] of gains that meet the requirement at rest."""
     found = 0.0
     for point in points:
@@ -103,7 +105,7 @@ def _natural_at_rest(points: Sequence[OperatingPoint], wanted: Wanted, channels:
 
 def _settings(
     points: Sequence[OperatingPoint],
-    wanted: Wanted,
+    wanted: Requirements,
     law: SampledLaw,
     channels: Sequence[int],
     natural: float,
@@ -146,7 +148,7 @@ def _effort_weight(points: Sequence[OperatingPoint], channel: int) -> float:
     return limit / abs(float(effort_map(points[0])[0, channel]))
 
 
-def _shortfalls(points: Sequence[OperatingPoint], candidates: Sequence[SampledLaw], wanted: Wanted) -> np.ndarray:
+def _shortfalls(points: Sequence[OperatingPoint], candidates: Sequence[SampledLaw], wanted: Requirements) -> np.ndarray:
     """Return the relative shortfall of each candidate (n,), the largest over the points, from approximate margins.
 
     At a point it is the sum over the joints' loops of each one's largest shortfall.
@@ -167,7 +169,7 @@ def _shortfalls(points: Sequence[OperatingPoint], candidates: Sequence[SampledLa
     return total
 
 
-def _shortfall_of(quick: QuickMargins, wanted: Wanted, timing: Sampling) -> np.ndarray:
+def _shortfall_of(quick: QuickMargins, wanted: Requirements, timing: Sampling) -> np.ndarray:
     """Return the largest relative shortfall (n,) of stable loops, zero where all requirements are met with the reserve."""
     band = np.where(np.isfinite(quick.bandwidth_hz), quick.bandwidth_hz, timing.nyquist_hz)
     with np.errstate(divide="ignore"):

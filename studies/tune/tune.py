@@ -19,14 +19,14 @@ from linkplan.studies.bode.bode import SAME_POSE_SHARE, SCAN_POSITIONS
 from linkplan.studies.bode.scan import Line, judge_of
 from linkplan.studies.frequency.feedback_loops import LAW_NAMES, OperatingPoint, SampledLaw, operating_point
 from linkplan.studies.frequency.worst import local_minima
-from linkplan.studies.tune.judged import UNSTABLE_SHORTFALL, EvaluatedGains, Wanted, evaluated, shortfall
+from linkplan.studies.tune.judged import UNSTABLE_SHORTFALL, EvaluatedGains, Requirements, evaluated, shortfall
 from linkplan.studies.tune.search import MAX_ROUNDS, found_gains
 from linkplan.studies.tune.tuning import Tuning, motor_gains, tracking_values, tuned_joints
 
 
 def tune(
     points: Sequence[OperatingPoint],
-    wanted: Wanted,
+    wanted: Requirements,
     law: SampledLaw,
     *,
     say: Callable[[str], None] = silent,
@@ -108,7 +108,7 @@ def _along(points: Sequence[OperatingPoint], added: Sequence[OperatingPoint]) ->
     return sorted(every, key=lambda point: float(point.state[0])) if points[0].mechanism.dof == 1 else every
 
 
-def _worst(mechanism: Mechanism, line: Line, law: SampledLaw, wanted: Wanted) -> list[OperatingPoint]:
+def _worst(mechanism: Mechanism, line: Line, law: SampledLaw, wanted: Requirements) -> list[OperatingPoint]:
     """Return up to three points of a line with the largest shortfall, among its local maxima."""
     judge = judge_of(mechanism, line, law, mechanism.channels)
 
@@ -125,7 +125,9 @@ def _worst(mechanism: Mechanism, line: Line, law: SampledLaw, wanted: Wanted) ->
     return [operating_point(mechanism, line.at(float(x)), law.effort_limit) for x in places if np.isfinite(reserve(x))]
 
 
-def _message(points: Sequence[OperatingPoint], wanted: Wanted, best: EvaluatedGains, found: bool, line: Line | None) -> str:
+def _message(
+    points: Sequence[OperatingPoint], wanted: Requirements, best: EvaluatedGains, found: bool, line: Line | None
+) -> str:
     timing, words = best.law.timing, LAW_NAMES[best.law.name]
     asked = f"{wanted.bandwidth_hz:g} Hz and {wanted.phase_margin_deg:g} deg"
     if wanted.sensitivity_peak is not None:
@@ -161,7 +163,7 @@ def _message(points: Sequence[OperatingPoint], wanted: Wanted, best: EvaluatedGa
     return f"{cannot}: {_reason(wanted, best)}; hold and delay alone cost {cost:.3g} deg at {wanted.bandwidth_hz:g} Hz"
 
 
-def _reason(wanted: Wanted, best: EvaluatedGains) -> str:
+def _reason(wanted: Requirements, best: EvaluatedGains) -> str:
     """Return the requirements that the best gains violate, as text."""
     unstable = [loop.point.name for loop in best.loops if not loop.stable]
     if unstable:

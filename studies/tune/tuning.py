@@ -12,7 +12,7 @@ from linkplan.models.poses.along import sampled
 from linkplan.models.transfer.polytope import motor_gains as gains_at_motors
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.files.structs import NOT_READ, Beside
-from linkplan.studies.tune.judged import EvaluatedGains, JudgedLoop, Wanted
+from linkplan.studies.tune.judged import EvaluatedGains, JudgedLoop, Requirements
 
 
 class MotorGains(Struct, frozen=True, kw_only=True, eq=False):
@@ -66,7 +66,7 @@ class Tuning(Struct, frozen=True, kw_only=True, eq=False):
     tracker: str
     found: bool
     message: str
-    wanted: Wanted
+    wanted: Requirements
     gains: dict[str, Any]
     note: str | None  # on the choice of the points
     points: tuple[JudgedLoop, ...]

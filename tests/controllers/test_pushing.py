@@ -2,14 +2,14 @@
 
 import numpy as np
 
-from linkplan.controllers.imperfections.batch_effects import Pushing
+from linkplan.controllers.imperfections.batch_effects import PushState
 
 FORCE, EFFORT = 8.0, -3.0
 
 
 def test_a_push_acts_on_its_share_of_every_step_and_its_impulse_is_whole():
     start, end = 1.25, 3.5
-    push = Pushing(
+    push = PushState(
         start=np.array([[start]]),
         end=np.array([[end]]),
         force=np.full((1, 1, 1, 6), FORCE),

@@ -77,5 +77,5 @@ def state(at: CertifiedIterate, *, target: RefinementTarget = AIMS, scheme: str 
     """Return a state at an iterate, its history as `changes` say."""
     problem = SimpleNamespace(mesh=MeshSettings(intervals=10, scheme=scheme))
     case = SimpleNamespace(problem=problem, target=target)
-    begin = RefinementState(asked=case, case=case, at=at, warm=False)
+    begin = RefinementState(asked=case, case=case, iterate=at, warm=False)
     return replace(observed(begin, at), **changes)

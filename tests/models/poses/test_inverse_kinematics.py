@@ -7,7 +7,7 @@ import pytest
 from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.poses.inverse_kinematics import SiteTargets, independent_rows_of, off_m, places_of, site_pose
+from linkplan.models.poses.inverse_kinematics import SiteTargets, distance_m, independent_rows_of, places_of, site_pose
 from linkplan.models.tree.dynamics import site_index, site_names
 from tests.support.arms import LOWER, UPPER, angles_at, arm, foot_of
 from tests.support.mechanisms import random_tree
@@ -95,7 +95,7 @@ def test_out_of_reach_is_answered_with_the_least_distance(two_links, point):
     least = np.hypot(max(planar - UPPER - LOWER, UPPER - LOWER - planar, 0.0), y)
     assert least > 0.01
     assert not found.arrived(two_links)
-    assert found.off_m[0] == pytest.approx(least, abs=OUT_OF_REACH_M)
+    assert found.distance_m[0] == pytest.approx(least, abs=OUT_OF_REACH_M)
 
 
 def test_the_stretched_arm_arrives_at_the_border_of_its_reach(two_links):
@@ -126,7 +126,7 @@ def test_a_closed_loop_stays_closed_and_on_its_branch():
     asked = targets(mechanism, P=[0.1, 0.0, -0.25])
     found = site_pose(mechanism, asked, mechanism.home, ranges(mechanism))
     assert found.arrived(mechanism)
-    assert off_m(mechanism, asked, found.pose).max() < SITE_M * 1e3
+    assert distance_m(mechanism, asked, found.pose).max() < SITE_M * 1e3
     assert mechanism.gap_m(found.pose) < mechanism.closed_m
     assert close_at(mechanism, found.pose[mechanism.independent]) == pytest.approx(found.pose, abs=IK_RAD)
 
@@ -141,7 +141,7 @@ def test_dependent_ranges_are_kept():
     free = site_pose(mechanism, targets(mechanism, P=[0.06, FREE, -0.9]), mechanism.home, bounds)
     bounds[pin, 0] = np.radians(60)
     held = site_pose(mechanism, targets(mechanism, P=[0.06, FREE, -0.9]), mechanism.home, bounds)
-    assert held.off_m[0] > free.off_m[0] + 0.001
+    assert held.distance_m[0] > free.distance_m[0] + 0.001
     assert held.pose[pin] >= np.radians(60) - 1e-4
 
 

@@ -6,15 +6,15 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from linkplan.models.poses.contacts import Meeting
+from linkplan.models.poses.contacts import Contact
 from linkplan.planner.certificate import further_checks
 from linkplan.planner.certificate.further_checks import contact_notes, surely_collides, unavoidable, with_contacts
 from tests.support.bodies import body_plan
 
 
-def meeting(since: float | None, depth_m: float = 1e-3, home_depth_m: float = 0.0, first: str = "a") -> Meeting:
+def meeting(since: float | None, depth_m: float = 1e-3, home_depth_m: float = 0.0, first: str = "a") -> Contact:
     depths = {"depth_m": depth_m, "home_depth_m": home_depth_m}
-    return Meeting(first=first, second="b", bodies=("A", "B"), since=since, deepest_at=since or 0.0, **depths)
+    return Contact(first=first, second="b", bodies=("A", "B"), since=since, deepest_at=since or 0.0, **depths)
 
 
 @pytest.mark.parametrize(("start", "goal"), [(1.0, 3.0), (3.0, 1.0)])

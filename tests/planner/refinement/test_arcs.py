@@ -11,7 +11,7 @@ from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.constrained_arcs import (
     arc_ends,
     find_constrained_paths,
-    standing_off,
+    off_limit_intervals,
 )
 from linkplan.planner.refinement.switch_search import settle_switch_times
 from linkplan.planner.refinement.switches import find_switch_times
@@ -57,7 +57,7 @@ def test_a_curve_that_its_coefficients_keep_off_its_limit_is_found():
     first = attempt(case, guess, mesh, durations, "first solve")
     settled = settle_switch_times(case, first)
     motion, solution = settled.motion, settled.solution
-    off = standing_off(solution.transcribed, solution.x)
+    off = off_limit_intervals(solution.transcribed, solution.x)
     fastest = np.abs(motion.velocity[:, :, 0])
     limit = problem.limits.speed[0, 1]
     assert off.any()

@@ -8,9 +8,9 @@ import pytest
 from linkplan.planner.refinement.constrained_arcs import (
     arc_ends,
     find_constrained_paths,
+    off_limit_intervals,
     own_arcs,
     path_arcs,
-    standing_off,
 )
 
 LOW, HIGH = -2.0, 4.0
@@ -48,11 +48,11 @@ def program_of(rows, *, limit=(LOW, HIGH), kind="speed", n_path=0, n_equations=0
     ],
 )
 def test_coefficients_keep_a_parabola_off_a_limit_that_its_middle_coefficient_alone_touches(coefficients, is_off):
-    assert standing_off(program_of([coefficients]), np.zeros(0)).tolist() == [is_off]
+    assert off_limit_intervals(program_of([coefficients]), np.zeros(0)).tolist() == [is_off]
 
 
 def test_a_limit_of_zero_or_none_keeps_nothing_off():
-    assert not standing_off(program_of([(-1.0, 0.0, -1.0)], limit=(-np.inf, 0.0)), np.zeros(0)).any()
+    assert not off_limit_intervals(program_of([(-1.0, 0.0, -1.0)], limit=(-np.inf, 0.0)), np.zeros(0)).any()
 
 
 def test_an_interval_is_an_arc_where_all_of_its_coefficients_are_at_one_limit():

@@ -65,7 +65,7 @@ def test_a_motion_whose_higher_degree_is_not_solved_is_halved(monkeypatch):
     assert not after.ended
     assert after.rounds == coarse.rounds + 1
     assert isinstance(next_action(after), Halve)
-    passing = replace(coarse, at=iterate(passed=True, exact=False, growth=1.0))
+    passing = replace(coarse, iterate=iterate(passed=True, exact=False, growth=1.0))
     assert action.apply(passing).ended  # a motion that passes is kept as it is
 
 
@@ -161,7 +161,7 @@ def tightened(gain: float, *, n: int = 10, **changes) -> RefinementState:
     """Return a state whose best motion is within tightened limits; loosening them gains a share of the objective."""
     best = iterate(tightened=True, n=n)
     loose = iterate(passed=False, overrun=1e-4 * np.eye(n)[3], objective=1.0 - gain, n=n)
-    return replace(state(best), loose=loose, at=loose, tightenings=2, **changes)
+    return replace(state(best), loosened=loose, iterate=loose, tightenings=2, **changes)
 
 
 def test_a_motion_within_tightened_limits_is_loosened():
@@ -186,7 +186,7 @@ def test_limits_are_loosened_on_at_most_240_intervals(n, loosens):
 
 @pytest.mark.parametrize(("idle", "loosens"), [(1, True), (2, False)])
 def test_two_loosenings_that_gain_nothing_are_the_end(idle, loosens):
-    assert (next_action(tightened(1e-3, idle=idle)) == Loosen()) == loosens
+    assert (next_action(tightened(1e-3, loosenings_without_gain=idle)) == Loosen()) == loosens
 
 
 @pytest.mark.parametrize(("n", "change", "finer"), [(39, 1e-3, True), (41, 1e-3, False), (41, np.inf, True)])

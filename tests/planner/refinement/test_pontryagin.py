@@ -36,7 +36,7 @@ def test_an_answer_says_nothing_where_all_is_right():
 
 @pytest.mark.slow
 def test_a_plan_with_an_arc_that_would_rather_leave_its_limit_is_feasible_and_no_optimum(monkeypatch):
-    monkeypatch.setattr(Refined, "against", property(lambda _: np.array([0.1])))
+    monkeypatch.setattr(Refined, "arcs_with_wrong_sign", property(lambda _: np.array([0.1])))
     plan = plan_motion(body_problem(HINGE, QUARTER_TURN + 'duration_s = "free"\n', "objective.minimize=time"))
     assert plan.certificate.passed
     assert (plan.status, plan.passed, plan.require()) == ("feasible", True, plan)

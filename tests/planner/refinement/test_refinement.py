@@ -48,8 +48,8 @@ def test_a_reading_of_switches_counts_as_a_round_and_holds_what_it_read():
     problem = body_problem(HINGE, reach, "objective.minimize=time")
     case, guess = case_of(problem), first_guess(problem, problem.start_pose())
     first = attempt(case, guess, *first_mesh(problem, guess), "first solve")
-    state = RefinementState(asked=case, case=case, at=certify_iterate(case, first), warm=False, rounds=5, readings=1)
+    state = RefinementState(asked=case, case=case, iterate=certify_iterate(case, first), warm=False, rounds=5, readings=1)
     after = ReadSwitches().apply(state)
     assert (after.rounds, after.readings, after.read_in) == (6, 2, 5)
-    assert after.at.found.fixed.efforts[:, 0].tolist() == problem.limits.effort[0, ::-1].tolist()
-    assert after.at.passed
+    assert after.iterate.found.fixed.efforts[:, 0].tolist() == problem.limits.effort[0, ::-1].tolist()
+    assert after.iterate.passed

@@ -30,6 +30,6 @@ def test_an_answer_with_wrong_arcs_becomes_the_right_one():
     assert case.certify(found.motion).passed
     assert found.motion.duration_s > 1.005 * least
     right = refine(case, found)
-    assert len(right.against) == 0
+    assert len(right.arcs_with_wrong_sign) == 0
     assert len(arcs_against_their_limits(found.solution)) > 0
     assert right.motion.duration_s == pytest.approx(least, rel=1e-8)

@@ -25,7 +25,7 @@ def coarse() -> RefinementState:
     found = attempt(case, first_guess(problem, problem.start_pose()), uniform(7), np.array([0.16]), "once")
     at = certify_iterate(case, found)
     assert at.passed
-    return RefinementState(asked=case, case=case, at=at, best=at, warm=False, restored=1)
+    return RefinementState(asked=case, case=case, iterate=at, best=at, warm=False, restored=1)
 
 
 def effort_is_proved(state: RefinementState) -> bool:

@@ -11,13 +11,13 @@ from tests.support.refinement_states import iterate, state
 
 
 def moved(best: float | None, loose: float | None, change: float = np.inf) -> float:
-    """Return what the objective moved by, with tightened limits (`best`) and with loosened ones (`loose`)."""
+    """Return what the objective moved by, with tightened limits (`best`) and with loosened ones (`loosened`)."""
 
     def at(objective: float | None) -> SimpleNamespace | None:
         solution = SimpleNamespace(objective=objective)
         return None if objective is None else SimpleNamespace(found=SimpleNamespace(solution=solution))
 
-    state = SimpleNamespace(best=at(best), loose=at(loose), change=change)
+    state = SimpleNamespace(best=at(best), loosened=at(loose), change=change)
     return RefinementState.moved.fget(state)
 
 
@@ -42,13 +42,13 @@ def test_an_error_falls_if_a_finer_mesh_leaves_at_most_half_of_it(rounds, error,
     """The first mesh, whose error is 1e-3, is too coarse to compare with."""
     before, at = state(iterate(), rounds=rounds), iterate()
     at = replace(at, report=replace(at.report, integration_error_deg=error))
-    assert observed(before, at).falls == falls
+    assert observed(before, at).error_falls == falls
 
 
 @pytest.mark.parametrize(("objective", "better"), [(0.9, True), (1.1, False)])
 def test_of_motions_within_the_limits_as_asked_the_best_is_kept(objective, better):
-    before = state(iterate(), idle=1)
-    before, at = replace(before, loose=before.at), iterate(objective=objective)
+    before = state(iterate(), loosenings_without_gain=1)
+    before, at = replace(before, loosened=before.iterate), iterate(objective=objective)
     after = observed(before, at)
     assert (after.best is at) == better
-    assert after.idle == (0 if better else 1)
+    assert after.loosenings_without_gain == (0 if better else 1)

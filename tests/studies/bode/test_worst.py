@@ -18,7 +18,7 @@ from linkplan.studies.frequency.margins import margins
 from linkplan.studies.frequency.stability_map import critical_kd
 from linkplan.studies.frequency.worst import local_minima
 from linkplan.studies.output.text import text_of
-from linkplan.studies.tune.tune import Wanted, tune
+from linkplan.studies.tune.tune import Requirements, tune
 from tests.support.tolerances_loops import ON_A_GRID
 
 # The largest kd that is stable at kp = 200 and 0.1 ms at every angle of the knee, where MuJoCo settles below and not above.
@@ -102,7 +102,7 @@ def test_gains_found_keep_what_is_wanted_over_a_whole_turn_of_a_crank():
     assert np.ptp(looked.line.states) == pytest.approx(2 * np.pi)
     points = [operating_point(mechanism, np.array([s])) for s in (-np.pi, 0.0)]
     law = sampled_law(mechanism, "pd", Tracking(period_s=1e-3), mechanism.effort_limit)
-    wanted = Wanted(bandwidth_hz=30.0, phase_margin_deg=60.0)
+    wanted = Requirements(bandwidth_hz=30.0, phase_margin_deg=60.0)
 
     def least(found) -> float:
         bands = []

@@ -70,7 +70,7 @@ def test_a_drive_behind_soft_loops_is_weighed_by_what_it_moves_at_first():
     unit, time = np.full(mechanism.n_u, 1e4), 6 * PERIOD_S
     settings = scaled(Tracking(period_s=PERIOD_S), mechanism, mechanism.home[None], unit)
     position, velocity = settings.lqr_errors(mechanism.independent_joints)
-    steered = mechanism.steered
+    steered = mechanism.actuated
     alone = 1e4 / felt_inertia(mechanism, mechanism.home)[steered]
     assert np.all(position[steered] >= 0.5 * alone * time**2 * (1 - 1e-9))
     assert np.all(velocity[steered] >= alone * time * (1 - 1e-9))

@@ -27,7 +27,7 @@ ROD_ON_A_ROCKER = """<mujoco><option gravity="0 0 0"/><default><geom contype="0"
 
 def test_the_rod_that_spins_is_locked_also_where_its_spin_is_another_ball_joint_s_angle():
     free = load_mechanism(ROD_ON_A_ROCKER)
-    assert [joint.chart for joint in np.array(free.independent_joints)[~free.steered]] == ["ball_b"]
+    assert [joint.chart for joint in np.array(free.independent_joints)[~free.actuated]] == ["ball_b"]
     mechanism, notes = changed_mechanism({"model": ROD_ON_A_ROCKER})
     assert mechanism.source["lock_spin"] == ["ball_a"]
     assert (mechanism.dof, mechanism.n_u) == (1, 1)

@@ -9,7 +9,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.reach import reach
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
-from linkplan.studies.tune.judged import Wanted
+from linkplan.studies.tune.judged import Requirements
 from linkplan.studies.tune.tune import tune
 from tests.support.driven_linkages import MODELS, Linkage
 
@@ -35,7 +35,7 @@ def test_gains_at_the_motor_stiffness_and_margins_are_those_of_mujocos_rows(name
     mechanism, linkage = load_mechanism(text, independent=[joint]), Linkage(text, joint)
     points = [operating_point(mechanism, np.array([x])) for x in POSITIONS[name]]
     law = sampled_law(mechanism, "pd", Tracking(period_s=PERIOD_S), mechanism.effort_limit)
-    found = tune(points, Wanted(bandwidth_hz=8.0, phase_margin_deg=60.0), law)
+    found = tune(points, Requirements(bandwidth_hz=8.0, phase_margin_deg=60.0), law)
     assert found.found
     (motor,), settings = found.motors, found.best.law.settings
     for k, position in enumerate(POSITIONS[name]):

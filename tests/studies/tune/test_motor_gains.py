@@ -6,7 +6,7 @@ import pytest
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
-from linkplan.studies.tune.judged import Wanted
+from linkplan.studies.tune.judged import Requirements
 from linkplan.studies.tune.tune import Tuning, tune
 from linkplan.studies.tune.tune_report import gain_lines
 from tests.support.parallel_ankle import ankle_text
@@ -27,7 +27,7 @@ def tuned(mechanism: Mechanism, positions: list[float], bandwidth_hz: float = 10
     """Return PD gains at independent positions [rad or m] of one degree of freedom, sampled every 1 ms."""
     points = [operating_point(mechanism, np.array([x])) for x in positions]
     law = sampled_law(mechanism, "pd", Tracking(period_s=1e-3), mechanism.effort_limit)
-    return tune(points, Wanted(bandwidth_hz=bandwidth_hz, phase_margin_deg=60.0, **wanted), law)
+    return tune(points, Requirements(bandwidth_hz=bandwidth_hz, phase_margin_deg=60.0, **wanted), law)
 
 
 def test_a_screw_has_the_same_motor_gains_as_a_gear_and_as_a_coupling():
@@ -51,7 +51,7 @@ def test_motors_that_move_several_joints_have_no_gains_of_their_own():
     mechanism = load_mechanism(ankle_text(), independent=["ankle_pitch", "ankle_roll"])
     point = operating_point(mechanism, mechanism.home[mechanism.independent])
     law = sampled_law(mechanism, "pd", Tracking(period_s=1e-3), mechanism.effort_limit)
-    found = tune([point], Wanted(bandwidth_hz=5.0, phase_margin_deg=40.0), law)
+    found = tune([point], Requirements(bandwidth_hz=5.0, phase_margin_deg=40.0), law)
     assert found.motors == ()
     assert any("several joints" in text for _, text in gain_lines(found))
 

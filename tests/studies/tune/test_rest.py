@@ -11,7 +11,7 @@ from linkplan.studies.bode.bode_blocks import summary
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
 from linkplan.studies.frequency.margins import margins
 from linkplan.studies.output.text import text_of
-from linkplan.studies.tune.judged import Wanted
+from linkplan.studies.tune.judged import Requirements
 from linkplan.studies.tune.tune import Tuning, tune
 
 MASS_KG, LENGTH_M, ANGLE = 2.0, 0.5, np.radians(20.0)
@@ -32,7 +32,7 @@ def point_and_law():
 
 def tuned(bandwidth_hz: float, **wanted) -> Tuning:
     point, law = point_and_law()
-    return tune([point], Wanted(bandwidth_hz=bandwidth_hz, phase_margin_deg=60.0, **wanted), law)
+    return tune([point], Requirements(bandwidth_hz=bandwidth_hz, phase_margin_deg=60.0, **wanted), law)
 
 
 def test_a_weak_loop_has_the_response_at_rest_of_weight_and_gain_and_no_bandwidth():

@@ -15,7 +15,7 @@ from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
 from linkplan.studies.output.text import text_of
-from linkplan.studies.tune.judged import Wanted
+from linkplan.studies.tune.judged import Requirements
 from linkplan.studies.tune.tune import tune
 from linkplan.studies.tune.tune_report import tracking_table, tune_blocks, tune_figure
 from tests.support.parallel_ankle import ankle
@@ -29,7 +29,7 @@ def five_bar_tuned(independent, bandwidth_hz, phase_margin_deg=60.0, stiffness=N
     mechanism = load_mechanism("five-bar", independent=independent)
     point = operating_point(mechanism, mechanism.home[mechanism.independent])
     settings = Tracking(period_s=PERIOD_S, delay_periods=1)
-    wanted = Wanted(bandwidth_hz=bandwidth_hz, phase_margin_deg=phase_margin_deg, stiffness=stiffness)
+    wanted = Requirements(bandwidth_hz=bandwidth_hz, phase_margin_deg=phase_margin_deg, stiffness=stiffness)
     return tune([point], wanted, sampled_law(mechanism, "pd", settings, mechanism.effort_limit))
 
 

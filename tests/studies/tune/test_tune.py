@@ -10,7 +10,7 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
 from linkplan.studies.frequency.margins import damping_ratio, margins, settling_time_s
 from linkplan.studies.output.text import text_of
-from linkplan.studies.tune.judged import Wanted
+from linkplan.studies.tune.judged import Requirements
 from linkplan.studies.tune.tune import tune
 from linkplan.studies.tune.tune_report import tune_blocks, tune_figure
 from tests.support.oscillators import inertia_alone, mass_on_a_spring
@@ -23,7 +23,7 @@ def tuned(payload, law, bandwidth_hz, phase_margin_deg, period_s, delay=0.0, pea
     """Return the tuning of the knee."""
     mechanism = load_mechanism("optimus-knee", payload=payload)
     points = [operating_point(mechanism, np.radians([angle])) for angle in ANGLES_DEG]
-    wanted = Wanted(bandwidth_hz=bandwidth_hz, phase_margin_deg=phase_margin_deg, sensitivity_peak=peak)
+    wanted = Requirements(bandwidth_hz=bandwidth_hz, phase_margin_deg=phase_margin_deg, sensitivity_peak=peak)
     settings = Tracking(period_s=period_s, delay_periods=delay)
     return tune(points, wanted, sampled_law(mechanism, law, settings, mechanism.effort_limit))
 
@@ -70,7 +70,7 @@ def test_gains_of_an_inertia_grow_with_the_square_and_the_first_power_of_the_ban
     law = sampled_law(mechanism, "pd", Tracking(period_s=1e-4), mechanism.effort_limit)
     kp, kd = [], []
     for bandwidth in (5.0, 10.0):
-        wanted = Wanted(bandwidth_hz=bandwidth, phase_margin_deg=60.0)
+        wanted = Requirements(bandwidth_hz=bandwidth, phase_margin_deg=60.0)
         found = tune([point], wanted, law)
         assert found.found
         kp.append(found.best.law.settings.kp)
@@ -83,7 +83,7 @@ def test_the_motors_side_sees_gains_through_the_square_of_its_gear():
     oscillator = mass_on_a_spring(gear=5.0)
     mechanism = load_mechanism(oscillator.mjcf)
     point = operating_point(mechanism, np.array([oscillator.position]))
-    wanted = Wanted(bandwidth_hz=10.0, phase_margin_deg=40.0)
+    wanted = Requirements(bandwidth_hz=10.0, phase_margin_deg=40.0)
     found = tune([point], wanted, sampled_law(mechanism, "pd", Tracking(period_s=1e-3), mechanism.effort_limit))
     (motor,) = found.motors
     assert motor.is_constant
@@ -106,7 +106,7 @@ def test_the_motors_side_sees_gains_through_the_square_of_its_gear():
 )
 def test_wanted_nonsense_is_refused(values, words):
     with pytest.raises(LinkplanError, match=words):
-        Wanted(**values)
+        Requirements(**values)
 
 
 def test_a_bandwidth_beyond_nyquist_is_refused():
@@ -118,7 +118,7 @@ def test_positions_of_a_slide_are_no_angles():
     mechanism = load_mechanism(mass_on_a_spring().mjcf)
     points = [operating_point(mechanism, np.array([position])) for position in (0.0, 0.1)]
     law = sampled_law(mechanism, "pd", Tracking(period_s=2e-3), mechanism.effort_limit)
-    found = tune(points, Wanted(bandwidth_hz=10.0, phase_margin_deg=60.0), law)
+    found = tune(points, Requirements(bandwidth_hz=10.0, phase_margin_deg=60.0), law)
     assert "10 Hz and 60 deg at all 2 poses, sampled" in found.message
 
 
@@ -141,7 +141,10 @@ FOUR_BAR = """<mujoco><compiler angle="degree" autolimits="true"/><option timest
 def test_gains_settle_an_error_within_cycles_of_the_bandwidth_and_not_after_seconds(phase_margin_deg):
     mechanism = load_mechanism(FOUR_BAR)
     points = [operating_point(mechanism, np.radians([angle])) for angle in (-110.49, 0.0, 45.1, 110.49)]
-    wanted, settings = Wanted(bandwidth_hz=30.0, phase_margin_deg=phase_margin_deg), Tracking(period_s=1e-3, delay_periods=1)
+    wanted, settings = (
+        Requirements(bandwidth_hz=30.0, phase_margin_deg=phase_margin_deg),
+        Tracking(period_s=1e-3, delay_periods=1),
+    )
     found = tune(points, wanted, sampled_law(mechanism, "pd", settings, mechanism.effort_limit))
     assert found.found is (phase_margin_deg < 50.0)
     for judged in found.points:
@@ -161,7 +164,7 @@ def test_gains_settle_an_error_within_cycles_of_the_bandwidth_and_not_after_seco
 def test_the_message_states_the_level_of_the_bandwidth_and_the_stiffness():
     mechanism = load_mechanism(inertia_alone(0.05, 3.0))
     law = sampled_law(mechanism, "pd", Tracking(period_s=1e-4), mechanism.effort_limit)
-    wanted = Wanted(bandwidth_hz=5.0, phase_margin_deg=60.0)
+    wanted = Requirements(bandwidth_hz=5.0, phase_margin_deg=60.0)
     found = tune([operating_point(mechanism, np.zeros(1))], wanted, law)
     assert "bandwidth (-3 dB)" in found.message
     assert f"stiffness at rest {found.best.law.settings.kp:.4g} N.m/rad" in found.message
