@@ -13,8 +13,6 @@ from linkplan.planner.keys.section import Section, key
 _MAX_QUANTITY = 1e9
 # The legal forms of a value.
 FORMS = "a number, a range [low, high], { uniform = [low, high] } or { normal = [mean, std] }"
-# The need of a quantity, by the kind of object that it belongs to.
-_NEEDS = {"hinge": "free_hinge", "slide": "free_slide", "actuator": "actuator", "body": "body"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,111 +48,85 @@ class Quantity:
 def _quantity(
     meaning: str,
     unit: str,
-    example: str,
     low: float = -_MAX_QUANTITY,
     high: float = _MAX_QUANTITY,
     of: str = "",
     otherwise: str = "as modelled",
-    slides: str = "",
+    twin: bool = False,
 ) -> Any:
-    """Return the description of a quantity's key; `slides` is the last number of the example of hinges' twin."""
+    """Return the description of a quantity's key; with `twin` that of hinges, which declares the key of slides too."""
     kind = Quantity(unit or "1", low, high, of).kind
-    if not slides:
-        return key(meaning, unit, otherwise, example, _NEEDS.get(of, ""), kind=kind)
-    twin = Quantity(unit.replace("deg", "m"), -_MAX_QUANTITY if low < 0 else 0.0, _MAX_QUANTITY, "slide").kind
-    number = example.strip(" ]}").split(" ")[-1]
-    return key(meaning, unit, otherwise, example, _NEEDS[of], twin=((number, slides),), kind=kind, twin_kind=twin)
+    if not twin:
+        return key(meaning, unit, otherwise, kind=kind)
+    of_slides = Quantity(unit.replace("deg", "m"), -_MAX_QUANTITY if low < 0 else 0.0, _MAX_QUANTITY, "slide").kind
+    return key(meaning, unit, otherwise, twin=(), kind=kind, twin_kind=of_slides)
 
 
-def _word(meaning: str, example: str) -> Any:
-    return key(meaning, "", "none", example, kind=Annotated[str, Meta(min_length=1, extra={"said": "a name"})])
+def _word(meaning: str) -> Any:
+    return key(meaning, "", "none", kind=Annotated[str, Meta(min_length=1, extra={"said": "a name"})])
 
 
 class ImperfectionsSection(Section, frozen=True):
     """Imperfections of simulated machines, as a value or a distribution for each quantity."""
 
-    period_factor: Any = _quantity(
-        "ratio of the controller's actual to its nominal period", "", "{ normal = [1.0, 1e-4] }", 0.5, 2.0
-    )
-    phase_periods: Any = _quantity(
-        "delay of the first control instant after the motion begins", "control periods", "[0.0, 1.0]", 0.0, 1.0
-    )
-    delay_periods: Any = _quantity(
-        "added to tracking.delay_periods; may be fractional", "control periods", "[0.5, 1.5]", 0.0, 1000.0
-    )
+    period_factor: Any = _quantity("ratio of the controller's actual to its nominal period", "", 0.5, 2.0)
+    phase_periods: Any = _quantity("delay of the first control instant after the motion begins", "control periods", 0.0, 1.0)
+    delay_periods: Any = _quantity("added to tracking.delay_periods; may be fractional", "control periods", 0.0, 1000.0)
     encoder_resolution_deg: Any = _quantity(
-        "step to which hinges' positions are rounded", "deg", "0.01", 0.0, 360.0, "hinge", slides="1e-5"
+        "step to which hinges' positions are rounded", "deg", 0.0, 360.0, "hinge", twin=True
     )
-    encoder_offset_deg: Any = _quantity(
-        "error of hinges' measured positions", "deg", "{ normal = [0.0, 0.02] }", -360.0, 360.0, "hinge", slides="1e-4"
-    )
+    encoder_offset_deg: Any = _quantity("error of hinges' measured positions", "deg", -360.0, 360.0, "hinge", twin=True)
     position_noise_deg: Any = _quantity(
-        "standard deviation of white noise on hinges' positions", "deg", "0.005", 0.0, 360.0, "hinge", slides="1e-5"
+        "standard deviation of white noise on hinges' positions", "deg", 0.0, 360.0, "hinge", twin=True
     )
     velocity_noise_deg_s: Any = _quantity(
         "standard deviation of white noise on hinges' velocities, if these are measured directly",
         "deg/s",
-        "1.0",
         0.0,
         of="hinge",
-        slides="0.01",
+        twin=True,
     )
     velocity_filter_hz: Any = _quantity(
         "velocity is the difference of measured positions, filtered by a first-order low-pass of this cutoff",
         "Hz",
-        "1000.0",
         1e-6,
     )
-    torque_resolution: Any = _quantity("step to which commands are rounded", "N.m or N", "0.05", 0.0, of="actuator")
-    torque_bandwidth_hz: Any = _quantity(
-        "bandwidth of the drive's first-order lag", "Hz", "[500.0, 1500.0]", 1e-6, of="actuator"
-    )
-    torque_rate: Any = _quantity("largest rate of the drive's effort", "N.m/s or N/s", "5000.0", 1e-9, 1e15, of="actuator")
-    torque_constant_factor: Any = _quantity(
-        "ratio of actual to commanded effort", "", "{ normal = [1.0, 0.03] }", 0.01, 100.0, of="actuator"
-    )
-    viscous_friction: Any = _quantity(
-        "damping of any joint, added to the model's", "N.m.s/rad or N.s/m", "{ {joint} = [0.0, 0.05] }", 0.0, of="joint"
-    )
-    coulomb_friction: Any = _quantity("dry friction of any joint", "N.m or N", "{ {joint} = [0.0, 2.0] }", 0.0, of="joint")
+    torque_resolution: Any = _quantity("step to which commands are rounded", "N.m or N", 0.0, of="actuator")
+    torque_bandwidth_hz: Any = _quantity("bandwidth of the drive's first-order lag", "Hz", 1e-6, of="actuator")
+    torque_rate: Any = _quantity("largest rate of the drive's effort", "N.m/s or N/s", 1e-9, 1e15, of="actuator")
+    torque_constant_factor: Any = _quantity("ratio of actual to commanded effort", "", 0.01, 100.0, of="actuator")
+    viscous_friction: Any = _quantity("damping of any joint, added to the model's", "N.m.s/rad or N.s/m", 0.0, of="joint")
+    coulomb_friction: Any = _quantity("dry friction of any joint", "N.m or N", 0.0, of="joint")
     payload_mass_factor: Any = _quantity(
         "factor on the mass and inertia of the payload, or of all moving bodies if there is none",
         "",
-        "[0.9, 1.1]",
         0.001,
         1000.0,
     )
-    payload_com_x_m: Any = _quantity("shift of the payload's centre of mass along x of its body", "m", "[-0.005, 0.005]")
-    payload_com_y_m: Any = _quantity("shift along y", "m", "[-0.005, 0.005]")
-    payload_com_z_m: Any = _quantity("shift along z", "m", "[-0.005, 0.005]")
+    payload_com_x_m: Any = _quantity("shift of the payload's centre of mass along x of its body", "m")
+    payload_com_y_m: Any = _quantity("shift along y", "m")
+    payload_com_z_m: Any = _quantity("shift along z", "m")
     link_length_factor: Any = _quantity(
         "scales all points fixed to a link about its joint; the loop is assembled again",
         "",
-        "{ normal = [1.0, 2e-4] }",
         0.1,
         10.0,
         of="body",
     )
-    push_start_s: Any = _quantity("time at which a push begins", "s", "[0.0, 0.1]", 0.0, otherwise="0")
-    push_duration_s: Any = _quantity("duration of the push", "s", "0.01", 0.0, otherwise="none")
-    push_force_x_n: Any = _quantity(
-        "force along x of the world on push_body's centre of mass", "N", "[-20.0, 20.0]", otherwise="none"
-    )
-    push_force_y_n: Any = _quantity("force along y", "N", "[-20.0, 20.0]", otherwise="none")
-    push_force_z_n: Any = _quantity("force along z", "N", "[-20.0, 20.0]", otherwise="none")
-    push_effort: Any = _quantity("effort on push_joint", "N.m or N", "[-5.0, 5.0]", otherwise="none")
-    start_error_deg: Any = _quantity(
-        "hinges' initial distance from the path", "deg", "{ normal = [0.0, 0.05] }", -360.0, 360.0, "hinge", slides="1e-4"
-    )
-    start_velocity_error_deg_s: Any = _quantity(
-        "hinges' initial velocity error", "deg/s", "{ normal = [0.0, 1.0] }", of="hinge", slides="0.01"
-    )
+    push_start_s: Any = _quantity("time at which a push begins", "s", 0.0, otherwise="0")
+    push_duration_s: Any = _quantity("duration of the push", "s", 0.0, otherwise="none")
+    push_force_x_n: Any = _quantity("force along x of the world on push_body's centre of mass", "N", otherwise="none")
+    push_force_y_n: Any = _quantity("force along y", "N", otherwise="none")
+    push_force_z_n: Any = _quantity("force along z", "N", otherwise="none")
+    push_effort: Any = _quantity("effort on push_joint", "N.m or N", otherwise="none")
+    start_error_deg: Any = _quantity("hinges' initial distance from the path", "deg", -360.0, 360.0, "hinge", twin=True)
+    start_velocity_error_deg_s: Any = _quantity("hinges' initial velocity error", "deg/s", of="hinge", twin=True)
     loop_time_constant_s: Any = _quantity(
-        "time constant of the loop constraint in MuJoCo's solref; at least two simulator steps", "s", "0.005", 1e-9
+        "time constant of the loop constraint in MuJoCo's solref; at least two simulator steps", "s", 1e-9
     )
-    loop_damping_ratio: Any = _quantity("damping ratio of the loop constraint", "", "1.0", 0.001, 1000.0)
-    push_body: Any = _word("the body that a push's force acts on", "{body}")
-    push_joint: Any = _word("the joint that a push's effort acts on", "{joint_name}")
+    loop_damping_ratio: Any = _quantity("damping ratio of the loop constraint", "", 0.001, 1000.0)
+    push_body: Any = _word("the body that a push's force acts on")
+    push_joint: Any = _word("the joint that a push's effort acts on")
 
 
 _FIELDS = {field.name: field.type.__metadata__[0].extra.get("quantity") for field in fields(ImperfectionsSection)}

@@ -1,12 +1,12 @@
 """All keys of a problem file as one table, and of problem and batch files as a JSON Schema (draft 2020-12).
 
-Reference pages and commented problem files show the table. Editors complete and check files with the schema.
+New problem files take the comments on their keys from the table. Editors complete and check files with the schema.
 """
 
 import types
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Literal, Union, get_args, get_origin
+from typing import Any, Union, get_args, get_origin
 
 import msgspec
 
@@ -26,26 +26,17 @@ class Key:
 
     `section` is "" for tables, "motion" for its keys, or a path to nested keys: "motion.waypoints[]", "motors.NAME".
     `default` is the value of a key that is left out, None if there is no single value; `default_words` describe it in both
-    cases. A `required` key has neither. `choices` lists the legal words of a key that takes several. `example` is a value of
-    a key without a single default, and `needs` what a mechanism must have for it (`section.key`).
+    cases. A `required` key has neither.
     """
 
     section: str
     name: str
     type: str
-    choices: str
     unit: str
     required: bool
     default: Any
     default_words: str
     doc: str
-    example: str
-    needs: str
-
-    @property
-    def is_constant(self) -> bool:
-        """Whether the default is one value that depends on no other key."""
-        return self.default is not None and self.default_words == _shown(self.default)
 
 
 def key_table(kind: type[Section] = ProblemFile, section: str = "") -> tuple[Key, ...]:
@@ -63,14 +54,11 @@ def _rows(kind: type[Section], section: str) -> Iterator[Key]:
             section=section,
             name=field.name,
             type=", ".join(filter(None, (words(field.type), _range(field.type)))),
-            choices=_choices(field.type),
             unit=about["unit"],
             required=field.required,
             default=value if single else None,
             default_words="" if field.required else about["otherwise"] or _shown(value),
             doc=about["meaning"],
-            example=about["example"],
-            needs=about["needs"],
         )
         inside += [(one, f"{section}.{field.name}{how}".lstrip(".")) for one, how in _inside(bare, about)]
     for one, where in inside:
@@ -95,16 +83,6 @@ def _inside(bare: Any, about: dict, how: str = "") -> Iterator[tuple[type[Sectio
 
 def _shown(value: object) -> str:
     return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _choices(kind: Any) -> str:
-    """Return the legal words of a kind, or of the first of several kinds that has words; "" if it has fewer than two."""
-    bare, about = without_metadata(kind)
-    if get_origin(bare) in (Union, types.UnionType):
-        return next(filter(None, map(_choices, get_args(bare))), "")
-    if get_origin(bare) is not Literal or len(get_args(bare)) < 2:
-        return ""
-    return about.get("choices") or f"one of {', '.join(get_args(bare))}"
 
 
 def _range(kind: Any) -> str:

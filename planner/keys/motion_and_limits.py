@@ -39,30 +39,26 @@ class MotionSection(Section, frozen=True):
     """The motion: start, goal, waypoints and duration."""
 
     kind: kinds.Kind = required(
-        "from start to goal; at rest at the start; back to its first state; or exactly the reference", example='"reach"'
+        "from start to goal; at rest at the start; back to its first state; or exactly the reference"
     )
-    start_deg: kinds.Angles = by_joint("hinges' angles at the start", "deg", _OPEN, _HOME)
-    start_at: kinds.Places = by_name(f"sites' places at the start, {_PLACES}", "m", "by the joints", _SITE_HOME)
-    goal_deg: kinds.Angles = by_joint(f"hinges' angles {_END}", "deg", _OPEN, _HOME)
-    goal_at: kinds.Places = by_name(f"sites' places at the end, {_PLACES}", "m", "by the joints", _SITE_HOME)
-    start_speed_deg_s: kinds.Numbers = by_joint("hinges' speeds at the start", "deg/s", "at rest", _ZERO)
-    goal_speed_deg_s: kinds.Numbers = by_joint("hinges' speeds at the end", "deg/s", "at rest", _ZERO)
-    duration_s: kinds.Duration | kinds.Free = key(
-        'the duration, or "free"', "s", "free, or the reference's period", example='"free"'
-    )
-    min_duration_s: kinds.ShortDuration = key("the shortest free duration", "s", "any", "0.1")
-    max_duration_s: kinds.Duration = key("the longest free duration", "s", "any", "10.0")
+    start_deg: kinds.Angles = by_joint("hinges' angles at the start", "deg", _OPEN)
+    start_at: kinds.Places = by_name(f"sites' places at the start, {_PLACES}", "m", "by the joints")
+    goal_deg: kinds.Angles = by_joint(f"hinges' angles {_END}", "deg", _OPEN)
+    goal_at: kinds.Places = by_name(f"sites' places at the end, {_PLACES}", "m", "by the joints")
+    start_speed_deg_s: kinds.Numbers = by_joint("hinges' speeds at the start", "deg/s", "at rest")
+    goal_speed_deg_s: kinds.Numbers = by_joint("hinges' speeds at the end", "deg/s", "at rest")
+    duration_s: kinds.Duration | kinds.Free = key('the duration, or "free"', "s", "free, or the reference's period")
+    min_duration_s: kinds.ShortDuration = key("the shortest free duration", "s", "any")
+    max_duration_s: kinds.Duration = key("the longest free duration", "s", "any")
     waypoints: Annotated[list[WaypointSection], _WAYPOINTS] = key(
         "states between start and goal, in order: at_deg, at_m or at (of sites), speed_deg_s, speed_m_s, each at its time_s"
         " or at a free time",
         otherwise="none",
-        example="[{ {waypoint} }]",
         default=[],
     )
     turns: kinds.WholeTurns = key(
         "whole turns of hinges over a period of a periodic motion",
         otherwise="none: it returns in full",
-        example="{ {free_hinge} = 1 }",
     )
 
 
@@ -72,12 +68,10 @@ _EACH = "none: each joint needs one"
 class ReferenceSection(Section, frozen=True):
     """A sinusoid for each independent joint: bias + amplitude sin(2 pi frequency t + phase)."""
 
-    frequency_hz: kinds.Frequency = required("common to all joints; its period is the motion's", "Hz", example="1.0")
-    amplitude_deg: kinds.Angles = by_joint(
-        "hinges' amplitudes", "deg", _EACH, "{ {free_hinge} = 10.0 }", twin=(("10.0", "0.01"),)
-    )
-    bias_deg: kinds.Angles = by_joint("hinges' mean angles", "deg", "0", _ZERO)
-    phase_deg: kinds.Phases = by_name("phases by joint", "deg", "0", "{ {joint} = 0.0 }")
+    frequency_hz: kinds.Frequency = required("common to all joints; its period is the motion's", "Hz")
+    amplitude_deg: kinds.Angles = by_joint("hinges' amplitudes", "deg", _EACH)
+    bias_deg: kinds.Angles = by_joint("hinges' mean angles", "deg", "0")
+    phase_deg: kinds.Phases = by_name("phases by joint", "deg", "0")
 
 
 class Box(Section, frozen=True):
@@ -115,38 +109,28 @@ _SITES = Meta(extra={"of": "site = limits", "noun": "site"})
 class LimitsSection(Section, frozen=True):
     """Limits at every instant."""
 
-    effort: kinds.Efforts = by_name(
-        "[low, high] by actuator", "N.m, N", "the model's own", "{ {actuator} = {effort_range} }"
-    )
+    effort: kinds.Efforts = by_name("[low, high] by actuator", "N.m, N", "the model's own")
     range_deg: kinds.Ranges = by_joint(
         "hinges' ranges, dependent joints too, within the model's own",
         "deg",
         "the model's own",
-        "{ {hinge} = {hinge_range} }",
     )
     speed_deg_s: kinds.Speeds = by_joint(
         "hinges' speeds, dependent joints too: a number for both ways, or [low, high]",
         "deg/s",
         "none",
-        "{ {hinge} = 900.0 }",
-        twin=(("900.0", "1.0"),),
     )
     effort_rate: kinds.ActuatorLimits = by_name(
-        "rate of efforts by actuator; efforts then have no jumps", "N.m/s, N/s", "none", "{ {actuator} = 5000.0 }"
+        "rate of efforts by actuator; efforts then have no jumps", "N.m/s, N/s", "none"
     )
-    power_w: kinds.ActuatorLimits = by_name(
-        "mechanical power by actuator: a number, or [low, high]", "W", "none", "{ {actuator} = 500.0 }"
-    )
-    closure_force: kinds.ClosureLimits = by_name(
-        "the largest force on a closure's pin", "N", "none", "{ {closure} = 1000.0 }"
-    )
+    power_w: kinds.ActuatorLimits = by_name("mechanical power by actuator: a number, or [low, high]", "W", "none")
+    closure_force: kinds.ClosureLimits = by_name("the largest force on a closure's pin", "N", "none")
     reserve: kinds.Margin = key("the share of every effort limit that a plan leaves to feedback", default=0.0)
     singular_margin: kinds.Margin = key("the least |det J_z| along the motion, relative to its value at home", default=0.0)
     site: Annotated[dict[str, SiteLimitTable | list[SiteLimitTable]], _SITES] = by_name(
         "boxes, walls and tubes that sites stay within, one or a list of them",
         "m",
         "none",
-        "{ {site} = { z = [-inf, inf] } }",
     )
     contacts: kinds.Contacts = key(
         "refuse a plan along which geoms collide, or note it and plan without contact forces", default="refuse"
@@ -202,23 +186,14 @@ class RobustSection(Section, frozen=True):
     """Ranges of machines, at every corner of which one motion keeps all effort limits."""
 
     payload_factor: kinds.Interval = key(
-        "[low, high] of the factor on the payload's mass and inertia", "", "[1, 1]", "[0.8, 1.2]", "fully_driven", _ONE
+        "[low, high] of the factor on the payload's mass and inertia", "", "[1, 1]", default=_ONE
     )
     torque_constant_factor: kinds.Interval = key(
-        "[low, high] of the ratio of an actuator's actual to commanded effort",
-        "",
-        "[1, 1]",
-        "[0.95, 1.05]",
-        "fully_driven",
-        _ONE,
+        "[low, high] of the ratio of an actuator's actual to commanded effort", "", "[1, 1]", default=_ONE
     )
     viscous_friction: kinds.Ranges = by_name(
         "[low, high] of a joint's damping, added to the model's",
         "N.m.s/rad, N.s/m",
         "none",
-        "{ {joint} = [0.0, 0.05] }",
-        "fully_driven",
     )
-    coulomb_friction: kinds.Ranges = by_name(
-        "[low, high] of a joint's dry friction, of either sign", "N.m, N", "none", "{ {joint} = [0.0, 2.0] }", "fully_driven"
-    )
+    coulomb_friction: kinds.Ranges = by_name("[low, high] of a joint's dry friction, of either sign", "N.m, N", "none")

@@ -1,6 +1,6 @@
 """Sections of a file: structs whose every key is declared once, with its kind, unit, default and meaning.
 
-    range_deg: Ranges = by_joint("hinges' ranges", "deg", "the model's own", "{ {hinge} = {hinge_range} }")
+    range_deg: Ranges = by_joint("hinges' ranges", "deg", "the model's own")
 
 A key of hinges in degrees (`by_joint`) declares its twin of slides in metres, range_m, too.
 """
@@ -28,8 +28,6 @@ class _Key:
         meaning: a phrase.
         unit: of its value.
         otherwise: a phrase for its default, if that is no single value.
-        example: such a key's value as TOML, with placeholders in braces for a mechanism's names: {hinge}, {actuator}, ...
-        needs: what a mechanism must have for the key, in addition to the placeholders: "closure", "fully_driven".
         default: its value if it is left out.
         twin: phrases that differ for slides, as pairs; None without a twin.
         kind: of its values, if the section does not say; `twin_kind` likewise.
@@ -38,8 +36,6 @@ class _Key:
     meaning: str
     unit: str = ""
     otherwise: str = ""
-    example: str = ""
-    needs: str = ""
     default: Any = ABSENT
     twin: tuple[tuple[str, str], ...] | None = None
     kind: Any = None
@@ -49,13 +45,13 @@ class _Key:
         """Return the kind of its values with the description."""
         sentence = f"{self.meaning[0].upper()}{self.meaning[1:]}" + (f" [{self.unit}]" if self.unit else "") + "."
         described = f"{sentence} Default: {self.otherwise}." if self.otherwise else sentence
-        words = {name: getattr(self, name) for name in ("meaning", "unit", "otherwise", "example", "needs")}
+        words = {name: getattr(self, name) for name in ("meaning", "unit", "otherwise")}
         shown = {"x-unit": self.unit} if self.unit else {}
         return Annotated[self.kind or kind, Meta(description=described, extra=words, extra_json_schema=shown)]
 
     def of_slides(self) -> "_Key":
         """Return its twin."""
-        words = {name: getattr(self, name) for name in ("meaning", "otherwise", "example", "needs")}
+        words = {name: getattr(self, name) for name in ("meaning", "otherwise")}
         for hinges, slides in (*(self.twin or ()), *_WORDS):
             words = {name: text.replace(hinges, slides) for name, text in words.items()}
         return replace(self, unit=self.unit.replace("deg", "m"), kind=self.twin_kind, **words)

@@ -47,62 +47,50 @@ class PayloadSection(Section, frozen=True):
 class MechanismSection(Section, frozen=True):
     """The machine: its model, its assembly and its payload."""
 
-    model: Annotated[str, _MODEL] = required("a built-in name, a path to an MJCF file, or MJCF text", example='"{model}"')
+    model: Annotated[str, _MODEL] = required("a built-in name, a path to an MJCF file, or MJCF text")
     payload: Annotated[kinds.PayloadName | PayloadSection, _PAYLOAD] = key(
         "a built-in payload's name, or a table",
         otherwise="none",
-        example="{ body = {body}, mass_kg = 1.0, com_m = [0.0, 0.0, 0.0], inertia_kgm2 = [1e-3, 1e-3, 1e-3] }",
     )
     home_deg: kinds.HomeAngles = by_joint(
         "hinges' angles for the assembly, which determine the branch",
         "deg",
         "the model's keyframe home",
-        "{ {hinge} = {hinge_home} }",
     )
     independent: kinds.Names = key(
         "the joints in which the motion is planned",
         otherwise="the driven joints, or those that the motion names",
-        example="[{independent}]",
     )
     keep: kinds.Kept = key(
         "bodies or joints: of a larger robot, only these are read, with what hangs on them and the loops over them",
         otherwise="the whole model",
-        example="[{bodies}]",
     )
     fix_base: Annotated[bool, _SWITCH] = key(
         "whether what lies between the world and the kept bodies is locked, and a base that nothing drives",
         otherwise="false",
-        example="true",
     )
-    lock: kinds.Locks = by_name("positions of joints that do not move", "deg, m on slides", "none", "{}")
-    keyframe: str = key(
-        "the model's keyframe that gives the home pose", otherwise="home, or the reference pose", example='"home"'
-    )
+    lock: kinds.Locks = by_name("positions of joints that do not move", "deg, m on slides", "none")
+    keyframe: str = key("the model's keyframe that gives the home pose", otherwise="home, or the reference pose")
     exclude_contacts: kinds.BodyPairs = key(
         "pairs of bodies that pass through each other in simulation and in the search for contacts",
         otherwise="none",
-        example="[]",
         default=[],
     )
     drive: kinds.Names = key(
         "joints that get a motor, within their effort limits",
         otherwise="none: the model's actuators",
-        example="[{independent}]",
     )
     lock_spin: kinds.BallJoints = key(
-        "ball joints of rods that do not spin about their own line", otherwise="none", example="[]", default=[]
+        "ball joints of rods that do not spin about their own line", otherwise="none", default=[]
     )
     closure_tolerance_m: kinds.Positive = key(
-        "the largest gap of a loop that counts as rounding of the model", "m", "by the mechanism's size", "1e-6"
+        "the largest gap of a loop that counts as rounding of the model", "m", "by the mechanism's size"
     )
-    solref: kinds.Softness = key(
-        "closures as stiff in simulation as the timestep admits", "", "the model's own", '"stiff"', "closure"
-    )
+    solref: kinds.Softness = key("closures as stiff in simulation as the timestep admits", "", "the model's own")
     friction_transition_deg_s: kinds.Positive = key(
         "the speed v_0 of dry friction f tanh(v / v_0); for slides and tendons as many rad/s times the mechanism's size",
         "deg/s",
         "2",
-        "2.0",
     )
 
 
@@ -113,18 +101,15 @@ class ObjectiveSection(Section, frozen=True):
         "a term, or a weighted sum of terms: squared effort, duration, distance from the reference, positive work, copper"
         " loss, squared effort rate, squared closure force",
         otherwise="effort; tracking if there is a reference to follow",
-        example="{ time = 1.0, effort = 1e-5 }",
     )
 
 
 class GuessSection(Section, frozen=True):
     """The initial guess: positions at equidistant times, or a saved plan's motion."""
 
-    plan: Annotated[str, _PLAN] = key("a saved plan's folder, whose motion is the guess", "", "none", '"planned"')
-    path_deg: kinds.Paths = by_joint(
-        "hinges' angles at equidistant times", "deg", "none", "{ {free_hinge} = [{free_hinge_home}, {free_hinge_home}] }"
-    )
-    duration_s: kinds.Duration = key("the duration of the guess", "s", "the motion's own, or guessed", "1.0")
+    plan: Annotated[str, _PLAN] = key("a saved plan's folder, whose motion is the guess", "", "none")
+    path_deg: kinds.Paths = by_joint("hinges' angles at equidistant times", "deg", "none")
+    duration_s: kinds.Duration = key("the duration of the guess", "s", "the motion's own, or guessed")
 
 
 class MeshSection(Section, frozen=True):
@@ -137,13 +122,11 @@ class MeshSection(Section, frozen=True):
         otherwise="polynomial; for least work constant, or linear if limits.effort_rate is given",
         default="polynomial",
     )
-    tolerance_deg: kinds.Tolerance = key("of the integrated state", "deg", "1e-6 while the mesh stays small", "1e-6")
+    tolerance_deg: kinds.Tolerance = key("of the integrated state", "deg", "1e-6 while the mesh stays small")
     refine: kinds.Refine = key(
         "the refinement of a mesh that is too coarse", otherwise="both; intervals if a scheme is named", default="both"
     )
-    breaks: kinds.Breaks = key(
-        "ends of the first mesh's intervals as shares of the duration", "", "equal intervals", "[0.0, 0.5, 1.0]"
-    )
+    breaks: kinds.Breaks = key("ends of the first mesh's intervals as shares of the duration", "", "equal intervals")
 
 
 class SolverSection(Section, frozen=True):
@@ -168,20 +151,19 @@ class TrackingSection(Section, frozen=True):
         "proportional gain on the independent joints, for all or by joint", "N.m/rad, N/m", default=200.0
     )
     kd: kinds.Gain | kinds.Gains = key("derivative gain, for all or by joint", "N.m.s/rad, N.s/m", default=1.0)
-    period_s: kinds.Period = key("the control period", "s", "1e-4, or the model's timestep if that is longer", "0.0001")
+    period_s: kinds.Period = key("the control period", "s", "1e-4, or the model's timestep if that is longer")
     delay_periods: kinds.Delay = key(
         "control periods from a measurement to its effort, a whole number in tracking", default=0
     )
-    duration_s: kinds.Duration = key("the duration of the run", "s", "the plan's own, and a rest", "2.0")
+    duration_s: kinds.Duration = key("the duration of the run", "s", "the plan's own, and a rest")
     lqr_position_deg: kinds.LqrError | kinds.LqrErrors = key(
         "a hinge's position error with the weight of the whole effort limit, for all or by joint",
         "deg",
         f"1, {_MORE_IF_LIGHT}",
-        "1.0",
-        twin=(("1,", "0.01,"), ("1.0", "0.01")),
+        twin=(("1,", "0.01,"),),
     )
     lqr_velocity_deg_s: kinds.LqrError | kinds.LqrErrors = key(
-        "a hinge's speed error with that weight", "deg/s", f"100, {_MORE_IF_LIGHT}", "100.0", twin=(("100", "1"),)
+        "a hinge's speed error with that weight", "deg/s", f"100, {_MORE_IF_LIGHT}", twin=(("100", "1"),)
     )
     bandwidth_hz: kinds.Positive = key("natural frequency of the errors under ct and gs-pd+ff", "Hz", default=20.0)
     damping_ratio: kinds.Positive = key("damping ratio of the errors under ct and gs-pd+ff", default=1.0)
@@ -206,7 +188,6 @@ class ProblemFile(Section, frozen=True, kw_only=True):
     motors: Annotated[dict[str, MotorTable], _MOTORS] = by_name(
         "the motor behind an actuator, by the actuator's name",
         otherwise="unknown",
-        example="{ torque_constant = 0.5, resistance_ohm = 0.1, stall_effort = {effort_high}, {no_load} }",
     )
     guess: GuessSection = key("the initial guess", otherwise="found by the planner", default=GuessSection())
     mesh: MeshSection = key("the discretisation", otherwise="chosen", default=MeshSection())

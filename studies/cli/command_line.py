@@ -166,7 +166,7 @@ def build_parser() -> Parser:
     _file(explore, "the problem file that the page's button writes; it must not be there (default: problem.toml)")
     _add(explore, "--port", "N", "of 127.0.0.1 (default: a free one)", int, 0)
 
-    text = "write a first problem file for a mechanism: a motion that it can make, every option in comments"
+    text = "write a first problem file for a mechanism: a motion that it can make"
     new = command("new", text, output=False)
     _add(new, "model", "MODEL", "a built-in model or an MJCF file")
     _selection(new)

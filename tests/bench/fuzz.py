@@ -88,17 +88,17 @@ def mutated(rng: random.Random, text: str, pattern: str, values: tuple[str, ...]
 
 
 def mutated_toml(rng: random.Random) -> bytes:
-    """Return a problem file with values replaced and a key of any section added, by its example."""
-    from linkplan.planner.files.tables import built_in_text
+    """Return a problem file with values replaced and a key of any section added."""
+    from linkplan.planner.files.tables import built_in_text, inline
     from linkplan.planner.keys.key_table import key_table
 
     text = built_in_text(rng.choice(PROBLEMS))
     row = rng.choice([row for row in key_table() if row.section])
-    example = re.sub(r"\{[a-z_]+\}", "O", row.example or "1.0")
+    value = "1.0" if row.default is None else inline(row.default)
     if f"[{row.section}]" in text:
-        text = text.replace(f"[{row.section}]", f"[{row.section}]\n{row.name} = {example}")
+        text = text.replace(f"[{row.section}]", f"[{row.section}]\n{row.name} = {value}")
     else:
-        text += f"\n[{row.section}]\n{row.name} = {example}\n"
+        text += f"\n[{row.section}]\n{row.name} = {value}\n"
     return mutated(rng, text, r"^[\w.]+ = (.+)$", WORDS)
 
 
