@@ -55,7 +55,9 @@ def missing(mechanism: Mechanism, corner: Corner, q, s_rate, s_acceleration, eff
     data.ctrl[: len(efforts)] = efforts
     mujoco.mj_inverse(model, data)
     needed = data.qfrc_inverse.copy()
-    for joint, viscous, coulomb in corner.friction:
+    names = [joint.name for joint in mechanism.joints]
+    for name, viscous, coulomb in corner.friction:
+        joint = names.index(name)
         needed[joint] += viscous * rates[joint] + coulomb
     mujoco.mj_forward(model, data)
     given = corner.torque_factor * data.qfrc_actuator

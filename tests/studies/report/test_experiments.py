@@ -41,8 +41,8 @@ def outcome(folder):
 def test_the_trackers_table_has_the_means_and_their_intervals(outcome):
     table = next(table for table in blocks(experiment_report(outcome), Table) if table.title.startswith("Trackers"))
     heads = [head for head, _ in table.columns]
-    for row, one in zip(table.rows, outcome.trackers.values(), strict=True):
-        assert row[0] == one.name
+    for row, (name, one) in zip(table.rows, outcome.trackers.items(), strict=True):
+        assert row[0] == name
         assert row[heads.index("rms error")] == estimated(one.means["rms_error_deg"])
         assert row[heads.index("success")] == pytest.approx(100 * one.success.value, rel=1e-2)
     assert len({row[heads.index("rms error")] for row in table.rows}) == 2
