@@ -1,11 +1,12 @@
 """The parser of the command line: commands, arguments and options. This file has no heavy imports."""
 
 import argparse
+import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from linkplan.models.errors import one_line
+from linkplan.models.errors import nearest, one_line
 from linkplan.names import C_TRACKERS, FOLDER_FORMATS, FORMATS, LINEAR, keys_said
 from linkplan.studies.cli import option_values as values
 from linkplan.studies.cli.exit_codes import BAD_INPUT
@@ -27,9 +28,24 @@ class Parser(argparse.ArgumentParser):
     """argparse's parser; an error is one line on stderr."""
 
     def error(self, message: str) -> NoReturn:
-        """Print the error and end with exit code 2."""
+        """Print the error, with the legal word nearest to a misspelled one, and end with exit code 2."""
+        choice = re.match(r"(.*invalid choice: '(.*?)') \(choose from (.*)\)", message)
+        if choice:
+            message = choice[1] + nearest(choice[2], choice[3].replace("'", "").split(", ")) + f"; legal: {choice[3]}"
         put(sys.stderr, f"{self.prog}: {one_line(message)} ({self.prog} --help says more)\n")
         raise SystemExit(BAD_INPUT)
+
+    def commands(self) -> dict[str, "Parser"]:
+        """Return the parsers of the commands by name."""
+        return next(action.choices for action in self._actions if isinstance(action, argparse._SubParsersAction))
+
+    def refuse_unknown(self, command: str | None, unknown: Sequence[str]) -> NoReturn:
+        """Refuse arguments that a command does not take, with the option nearest to the first misspelled one."""
+        parser = self if command is None else self.commands()[command]
+        options = [name for action in parser._actions for name in action.option_strings]
+        misspelled = next((word.partition("=")[0] for word in unknown if word.startswith("--")), None)
+        hint = "" if misspelled is None else nearest(misspelled, options)
+        parser.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
 
 
 def build_parser() -> Parser:

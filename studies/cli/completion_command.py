@@ -55,8 +55,7 @@ def completion_script(shell: str) -> str:
     import shtab
 
     parser = build_parser()
-    commands = next(action.choices for action in parser._actions if isinstance(action, argparse._SubParsersAction))
-    for command in (parser, *commands.values()):
+    for command in (parser, *parser.commands().values()):
         for action in command._actions:
             takes = _completed(str(action.metavar))
             if takes is not None:

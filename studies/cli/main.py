@@ -74,8 +74,7 @@ def _arguments(argv: Sequence[str] | None) -> argparse.Namespace | int:
     try:
         arguments, unknown = parser.parse_known_args(argv)
         if unknown:
-            parser.prog = " ".join(filter(None, (parser.prog, arguments.command)))
-            parser.error(f"unrecognized arguments: {' '.join(unknown)}")
+            parser.refuse_unknown(arguments.command, unknown)
     except SystemExit as leave:
         return int(leave.code or 0)
     if arguments.version:

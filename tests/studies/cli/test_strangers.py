@@ -19,7 +19,8 @@ TYPED = [
     # in the wrong order, misspelled, without quotes
     (["--json", "plan", "leg.toml"], ["unrecognized arguments: --json"]),
     (["leg.toml", "plan"], ["invalid choice: 'leg.toml'", "'plan'"]),
-    (["plna", "leg.toml"], ["invalid choice: 'plna'", "'plan'"]),
+    (["plna", "leg.toml"], ["invalid choice: 'plna' (did you mean 'plan'?)"]),
+    (["plan", "leg.toml", "--ouput", "my"], ["unrecognized arguments: --ouput my (did you mean '--output'?)"]),
     (["-v"], ["unrecognized arguments: -v"]),
     (["plan", "leg.toml", "--verbose"], ["unrecognized arguments: --verbose", "linkplan plan --help says more"]),
     (["plan", "leg.toml", "--set", "motion.duration_s", "=", "0.2"], ["unrecognized arguments: = 0.2"]),
