@@ -98,8 +98,8 @@ class PathEffort:
 def far_too_short(search: Search) -> tuple[str, dict[str, float]] | None:
     """Return a sentence and its numbers if a reach is given only a small share of its least duration; else None.
 
-    With one degree of freedom the phase plane gives the shortest motion at once. With more it is planned if the smooth path
-    needs far larger efforts than allowed.
+    With one degree of freedom the phase plane gives the shortest motion at once. With several
+    degrees of freedom it is planned only if the smooth path needs far more effort than allowed.
     """
     problem, asked = search.problem, longest(search.problem)
     motion = problem.motion

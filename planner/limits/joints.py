@@ -2,8 +2,8 @@
 
 The certificate lists the margins of positions and speeds by joint. Positions and speeds of independent joints are
 polynomials of the program, with bounded coefficients at every instant. Dependent positions are unknowns at nodes, and
-dependent speeds are rows at nodes. A ball joint's row is sin^2(alpha / 2) of its angle alpha, relative to that of the
-largest angle, and a tendon's its length in units of the range's width.
+dependent speeds are rows at nodes. The row of a ball joint of angle alpha is sin^2(alpha / 2), as a share of its
+value at the largest angle. The row of a tendon is its length in units of its range's width.
 
 Pin forces are rows at nodes, or at every instant by Bernstein coefficients of the force's square. Rows at nodes alone allow
 efforts that jump to exceed the limit between nodes, as for powers. At every instant the force is an algebraic unknown, a

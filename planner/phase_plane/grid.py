@@ -105,8 +105,8 @@ def grid_of(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Return positions (n,) around places that a motion passes, within the ranges that hold from its start on, and poses.
 
-    The poses (2 n - 1, n_q) are at and between them. None where not all places are within reach on one side of what is out
-    of range.
+    The poses (2 n - 1, n_q) are at the grid points and midway between them. None where not all places are within reach on
+    one side of what is out of range.
 
     Args:
         problem: of one degree of freedom.

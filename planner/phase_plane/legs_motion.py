@@ -129,7 +129,7 @@ def _collocated(leg: Leg, held: np.ndarray, t: float, h: float, at: np.ndarray):
             asked = law(s, v)[1]
             nudge = 1e-7 * np.maximum(np.abs(v), size[1])  # for slopes by differences
             by_speed = (law(s, v + nudge)[1] - asked) / nudge
-            # The law's slope by place is left out of Newton's steps: over a hundredth of a leg it hardly changes them.
+            # Newton's steps ignore d(law)/d(position), which is negligible on short intervals.
             slope = np.eye(len(nodes)) - h * by_speed[:, None] * known.velocity
             step = np.linalg.solve(slope, asked - a)
             a = a + step

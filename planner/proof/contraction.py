@@ -112,8 +112,8 @@ def _transition(box: LinearBox, unit: arb, n_s: int) -> tuple[arb_mat, arb_mat]:
     """Return Phi over a box, and what the polynomial of -d adds over it.
 
     Both are columns of Y with Y' = A Y, A extended by a column of -d. The series of Y in x + 1 has terms with
-    m Y_m = h / 2 sum_i A_i Y_(m - 1 - i). With |Y(z)| <= Y_R = exp(int_0^R |A|) on the disc of radius R = 8, those after p
-    are below Y_R 4^-p / 3 at 2.
+    m Y_m = h / 2 sum_i A_i Y_(m - 1 - i). With |Y(z)| <= Y_R = exp(int_0^R |A|) on the disc of radius R = 8, the remainder
+    after term p is below Y_R 4^-p / 3 on |z| <= 2.
     """
     n, half = 2 * n_s, box.width / 2
     terms = max(*(len(entry) for row in box.slopes for entry in row), *(len(form.coefficients) for form in box.defect))

@@ -24,8 +24,8 @@ from linkplan.planner.transcription.collocation import Transcribed
 SHARE_BESIDE_SWITCHES = 0.15
 # An end of an arc within so many intervals of a switch time is that switch time.
 INTERVALS_TO_SAME_SWITCH = 2.5
-# If coefficients are at a limit and the curve is further from it than this share, the coefficients keep it away. The curve
-# is sampled at so many instants of an interval.
+# If coefficients are at a limit and the curve is further from it than this share, the coefficients keep it away. Then
+# the number of samples per interval.
 SHARE_OFF_LIMIT, SAMPLES_OF_INTERVAL = 1e-7, 33
 # A multiplier of the wrong sign above this share of the largest one is more than rounding.
 WRONG_SIGN_SHARE = 1e-2

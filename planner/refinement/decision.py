@@ -195,7 +195,7 @@ def _marked(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> np
         return needed if needed.any() or at.report is None else inexact
     if over.any() and _switches_are_open(state):
         inexact = over  # an arc shorter than an interval must be resolved before its ends can be unknowns
-    # With everything held, the overrun is the error of the mesh. Tightening by it would make the motion slower.
+    # If all efforts are fixed on arcs, any overrun is mesh error. Tightening by it would make the motion slower.
     held = fixed is not None and fixed.everything and bool(fixed.paths.any())
     fits = grown(at.found.mesh, inexact | over) <= (_most_intervals(state, held=held) if held else _comfortable(state))
     return inexact | over if fits else inexact

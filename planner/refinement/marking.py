@@ -153,7 +153,7 @@ def marked_for(at: CertifiedIterate[Any, Any], strictness: float) -> np.ndarray:
 
 
 def beyond_efforts(at: CertifiedIterate[Any, Any]) -> np.ndarray:
-    """Return the intervals (n,) on which the motion needs nearly as much beyond an effort limit as a proof allows, or more.
+    """Return the intervals (n,) whose effort overrun is near or above the proof's allowance.
 
     There are none where every interval keeps the allowance.
     """

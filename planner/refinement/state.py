@@ -53,8 +53,8 @@ class Refined(Generic[MotionT, CertificateT]):
 def better_of(before: CertifiedIterateT | None, now: CertifiedIterateT, target: RefinementTarget) -> CertifiedIterateT:
     """Return the better of two motions that pass: the later, on a finer mesh, unless that lost what the other had.
 
-    The solver leaves its tolerance at every limit that binds, which are more on a finer mesh. An objective that nobody asked
-    to settle is not given up for that on a mesh that is no more exact.
+    On a finer mesh more limits bind, and each adds the solver's tolerance to the objective. The coarser motion is kept if it
+    is as exact and better by no more than that, unless a tolerance on the objective was asked for.
     """
     if before is None or (target.tolerance_given and now.report.exact and not before.report.exact):
         return now

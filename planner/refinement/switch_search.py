@@ -28,7 +28,7 @@ MESH_ERROR_SHARE = 1e-4
 SHARE_AT_BOUND = 1e-3
 # Switch times next to arcs inside the limits settle until the objective gains less than this share.
 SETTLED_GAIN = 1e-9
-# A duration within this share of where it may end is there.
+# A duration this close to its bound (relative) counts as at the bound.
 SHARE_AT_GUESS_BOUND = 0.01
 
 LONGER, SHORTER = "longer", "shorter"

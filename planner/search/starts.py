@@ -2,10 +2,10 @@
 
 The motion of least time is looked for once, and shared by methods and diagnoses.
 
-A method keeps a distance from singular poses that was not asked for. A linkage may swing up to a dead centre, where its
-actuator holds or turns it the more easily the nearer it comes. No motion is the best then: its cost falls with the margin,
-down to a motion that leaves the branch. A crank that turns fully may pass a pose that is nearly singular: a coarse mesh
-steps over it onto the other branch. In both cases solvers are lost, and within a margin they find the best motion.
+A method keeps a distance from singular poses that was not asked for. Near a dead centre the needed effort vanishes, so
+there is no optimum: the cost falls as the margin shrinks, down to a motion that leaves the branch. A crank that turns fully
+may pass a pose that is nearly singular: a coarse mesh steps over it onto the other branch. In both cases solvers are lost,
+and within a margin they find the best motion.
 """
 
 import itertools
@@ -66,8 +66,8 @@ def phase_plane_may_help(search: Search) -> bool:
 def no_time(search: Search) -> bool:
     """True if the phase plane shows that the given time is too short for any motion.
 
-    Its motion on a grid is late, the more so if it swings. The least-time plan that it leads to decides, to the digits with
-    which durations are printed.
+    Its motion on a grid is late, the more so if it swings. The certified least time decides; it is compared to the printed
+    digits.
     """
     quickest, asked = search.quickest, longest(search.problem)
     if quickest is None or quickest.boundaries_s is not None or asked >= quickest.duration_s:

@@ -175,7 +175,7 @@ def build_parser() -> Parser:
     _add(report, "result", "DIR", "what plan, check, compare, experiment, decompose, bode, tune, batch or demo wrote")
     _add(report, "-o --output", "FILE", "default: %(default)s", default="report.html")
 
-    text = "vary a problem by sliders on a page of this machine: the certified plan and its tracking follow"
+    text = "open a web page with sliders; the plan and the tracking result update as you move them"
     explore = command("explore", text, output=False)
     _add(explore, "subject", "MODEL-or-PROBLEM", "a built-in model or problem, or an MJCF or TOML file")
     _selection(explore)

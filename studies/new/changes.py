@@ -6,8 +6,8 @@ nothing drives and dry friction holds. Of a rod that spins while all else rests,
 spin, and its equations are too small beside the others for the solver. Of a rod between ball joints, a universal joint
 takes the place of one. Dry friction of a robot's leg sets in over a wider range of speeds: joints that hardly move would
 have a mesh as fine as the default range asks for. Links that overlap by construction, as an exporter leaves them on
-their pins, pass through each other. A drive whose limit is below the weight at home, as exporters write who do not know
-the motor, gets twice the effort that holds it.
+their pins, pass through each other. A drive whose limit is below the weight at home gets twice the effort that holds it:
+exporters often write a placeholder.
 """
 
 import functools
@@ -203,7 +203,7 @@ def raised_notes(mechanism: Mechanism, tables: Mapping[str, Mapping]) -> list[st
     )
     return [
         f"actuators, or others with the same limits, are too weak to hold the weight at home: limits.effort takes {said};"
-        " put in the motors' own"
+        " replace them by your motors' limits"
     ]
 
 

@@ -27,7 +27,7 @@ def pressed(mechanism: Mechanism) -> dict[str, float]:
 
 
 def fixed_by_range(mechanism: Mechanism) -> dict[str, float]:
-    """Return the middles [deg or m] of ranges that let no joint move, by name: in this way authors fix a joint.
+    """Return the midpoint [deg or m] of each range of zero width by joint: some authors fix joints this way.
 
     Such a range spans a thousandth of a radian or of the mechanism's size at most. Joints of loops are left as they are.
     """

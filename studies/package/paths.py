@@ -24,7 +24,7 @@ def path_of(value: object, key: str) -> Path:
     try:
         parts = [os.fsencode(part) for part in Path(text).parts]
     except UnicodeEncodeError as error:
-        raise ProblemError(f"{key} is a path, got what is no text: {text!r}") from error
+        raise ProblemError(f"{key} must be a path, got {text!r}") from error
     if not text or "\0" in text or any(len(part) > 255 for part in parts):
         raise ProblemError(f"{key} is a path whose names have 1 to 255 bytes, none of them zero, got {text!r}")
     return Path(text)

@@ -83,7 +83,7 @@ def explore(
     tell: Callable[[BaseException], None] = lambda _: None,
     progress: Progress | None = None,
 ) -> Exploration:
-    """Return a page of sliders of a problem: the certified plan and its tracking follow them. `serve` answers its requests.
+    """Return a page with sliders for a problem; its plan and tracking result follow them. `serve` answers its requests.
 
     Args:
         subject: a `Problem`, or the name or path of one; or a mechanism or its name, of which a first motion is looked for.

@@ -47,7 +47,10 @@ class Scheme:
 
     @property
     def independent(self) -> np.ndarray:
-        """A mask (n,) of independent trials: both points of a pair in Sobol's design, else the first trial of a group."""
+        """A mask (n,) of independent trials.
+
+        In Sobol's design they are both points of a pair. In the others they are the first trial of each group.
+        """
         place = np.arange(len(self.points)) % self.size
         return (place == 0) | (place == self.size - 1) if self.design == SOBOL else place == 0
 
