@@ -13,8 +13,8 @@ from linkplan.studies.new.first_motion import FirstMotion, relative_model_path
 _LINE_WIDTH, _COMMENT_COLUMN = 100, 44
 _HEAD = """\
 # Keys that end in _deg are in degrees, those of slides (_m) in metres, all else is SI. Every other
-# key keeps its default: docs/problem-files.md has them all, and an editor that reads the schema
-# (linkplan schema -o problem.schema.json) offers them with their meanings.
+# key keeps its default. docs/problem-files.md has them all, and an editor offers them with their
+# meanings from the JSON schema of problem files.
 """
 
 

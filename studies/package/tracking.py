@@ -170,11 +170,11 @@ class TrackingResult(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether the plan passes and the run of `track`, or one of the nominal runs of `compare`, is stable."""
+        """Whether the plan passes and every run is stable."""
         sample = self.figures.sample
         lost = sample is not None and sample["failure"] is not None
         plan = self.comparison.plan.passed or sample is not None
-        return plan and not lost and any(run.stable for run in self.comparison.nominal.values())
+        return plan and not lost and self.stable
 
     @property
     def runs(self) -> dict[str, Rollout]:
