@@ -34,7 +34,7 @@ class Result(ABC):
 
     @property
     def struct(self) -> Struct:
-        """The frozen struct whose fields are the JSON, except those of type `Beside`: the first field of a kind."""
+        """The frozen struct, a result's first field. Its own fields are the JSON, except those of type `Beside`."""
         return getattr(self, fields(cast("Any", self))[0].name)
 
     def to_dict(self) -> dict:
