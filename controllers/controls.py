@@ -85,6 +85,6 @@ def advanced(at_s: float, elapsed_s: float, controls: Controls, duration_s: floa
     return (at_s + elapsed_s / controls.slowness) % (duration_s + HOLD_S / controls.slowness)
 
 
-def keys_said() -> str:
+def keys_text() -> str:
     """Return every key and its effect as one line."""
     return "; ".join(f"{name} {does}" for name, does, _ in KEYS.values())

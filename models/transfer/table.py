@@ -140,13 +140,13 @@ def _ends(outputs: OutputMap, k: int, found: Reach, asked: tuple[float, float] |
         return ends[0], ends[1]
     if not ends[0].position <= asked[0] < asked[1] <= ends[1].position:
         raise ModelError(
-            f"the range of {joint.name} is inside {joint.said(ends[0].position, 6)} to {joint.said(ends[1].position, 6)}"
-            f" {joint.unit} ({ends[0].reason}; {ends[1].reason}), got {joint.said(asked[0], 6)} to {joint.said(asked[1], 6)}"
+            f"the range of {joint.name} is inside {joint.text(ends[0].position, 6)} to {joint.text(ends[1].position, 6)}"
+            f" {joint.unit} ({ends[0].reason}; {ends[1].reason}), got {joint.text(asked[0], 6)} to {joint.text(asked[1], 6)}"
         )
     share = 1e-6  # positions of motors at closer poses differ by rounding alone
     if asked[1] - asked[0] < share * width:
         raise ModelError(
-            f"the range of {joint.name} is at least {share:g} of its reach of {joint.said(width, 6)}"
+            f"the range of {joint.name} is at least {share:g} of its reach of {joint.text(width, 6)}"
             f" {joint.unit} wide, got {joint.shown(asked[0]):g} to {joint.shown(asked[1]):g}"
         )
     return End(position=asked[0], reason="asked for"), End(position=asked[1], reason="asked for")

@@ -103,7 +103,7 @@ class Joint:
         """Return a position [rad or m] in the unit of files and messages."""
         return float(np.degrees(position)) if self.kind == "hinge" else float(position)
 
-    def said(self, position: float, digits: int = 4) -> str:
+    def text(self, position: float, digits: int = 4) -> str:
         """Return a position [rad or m] as text in the unit of files and messages, rounded to `digits` digits."""
         return f"{0.0 if abs(position) < POSITION_ROUNDING else self.shown(position):.{digits}g}"
 
@@ -178,4 +178,4 @@ def index_of(
 def where(joints: Iterable[Joint], positions: Iterable[float], digits: int = 4) -> str:
     """Return the positions [rad or m] of joints as text, rounded to `digits` digits: "O = 10 deg, B = 0.2 m"."""
     placed = zip(joints, positions, strict=True)
-    return ", ".join(f"{joint.name} = {joint.said(x, digits)} {joint.unit}" for joint, x in placed)
+    return ", ".join(f"{joint.name} = {joint.text(x, digits)} {joint.unit}" for joint, x in placed)

@@ -70,7 +70,7 @@ def ends_off_m(problem: Problem, trajectory: Trajectory, time: np.ndarray, q: np
         near = q[int(np.argmin(np.abs(time - at)))]
         pose = follow(problem.mechanism, trajectory.position_at(np.array([at])), near, problem.solver.judging_deadline)[0]
         for point in points:
-            off = point.off_m(places_of(problem.mechanism, point.index, pose)[0])
+            off = point.distance_m(places_of(problem.mechanism, point.index, pose)[0])
             worst = max(worst, off)
             if not off <= BOUNDARY_SHARE * problem.mechanism.extent_m:
                 failures.append(f"site {point.site} is {off:.3g} m away from where motion.{name}_at asks it")
@@ -99,7 +99,7 @@ def waypoint_off_m(problem: Problem, trajectory: Trajectory, waypoint: Waypoint,
     poses = follow(problem.mechanism, trajectory.position_at(along), trajectory.start_pose, until)
     q = poses[back[len(trajectory.breaks_s) :]]
     places = [places_of(problem.mechanism, point.index, q) for point in waypoint.at]
-    return np.array([[p.off_m(x) for x in at] for p, at in zip(waypoint.at, places, strict=True)]).T
+    return np.array([[p.distance_m(x) for x in at] for p, at in zip(waypoint.at, places, strict=True)]).T
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -274,16 +274,16 @@ def _remove_if_empty(folder: Path) -> None:
         return
 
 
-def plain(value: object) -> object:
+def to_json_types(value: object) -> object:
     """Return `value` in JSON's types: structs as objects, arrays as lists, numbers that are not finite as null."""
     value = json_values(value) if isinstance(value, Struct) else value
     if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
+        return {str(key): to_json_types(item) for key, item in value.items()}
     if isinstance(value, np.ndarray):
         known = value.dtype.kind == "f" and bool(np.isfinite(value).all())
-        return value.tolist() if known else plain(value.tolist())
+        return value.tolist() if known else to_json_types(value.tolist())
     if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
+        return [to_json_types(item) for item in value]
     if isinstance(value, np.bool_ | bool):
         return bool(value)
     if isinstance(value, np.integer):
@@ -296,7 +296,7 @@ def plain(value: object) -> object:
 def plain_record(record: Mapping | Struct) -> dict:
     """Return a record in JSON's types."""
     values = json_values(record) if isinstance(record, Struct) else record
-    return {str(key): plain(item) for key, item in values.items()}
+    return {str(key): to_json_types(item) for key, item in values.items()}
 
 
 def write_json(path: Path, record: Mapping | Struct) -> None:

@@ -43,7 +43,7 @@ from linkplan.planner.problem.settings import (
     coordinates_note,
     joint_values,
     other_coordinates,
-    plain,
+    to_toml_types,
 )
 
 # Arguments that are whole tables of a problem file, those that are keys of a table, and those that no file holds.
@@ -59,7 +59,7 @@ def problem_arguments(
     tables: Tables, folder: Path | None, mechanism: Mechanism | None, extra_costs: Sequence[ExtraCost]
 ) -> dict[str, Any]:
     """Return the arguments of `Problem` that tables determine; the arguments are those of its `from_tables`."""
-    tables = plain(tables)
+    tables = to_toml_types(tables)
     if mechanism is not None:
         tables["mechanism"] = copy.deepcopy(dict(mechanism.source))
     refuse_unknown_keys(tables)
@@ -105,14 +105,14 @@ def problem_arguments(
 
 def mechanism_from_tables(tables: Mapping[str, dict], folder: Path | None = None) -> Mechanism:
     """Return the mechanism of a file's [mechanism] table; the other tables are only checked for unknown keys."""
-    tables = plain(tables)
+    tables = to_toml_types(tables)
     refuse_unknown_keys(tables)
     return _mechanism(tables.get("mechanism", {}), folder)
 
 
 def tracking_from_tables(tables: Mapping[str, dict], mechanism: Mechanism | None = None) -> Tracking:
     """Return the tracking settings of a file's [tracking] table; with a mechanism, gains by joint are checked."""
-    tables = plain(tables)
+    tables = to_toml_types(tables)
     refuse_unknown_keys(tables)
     return _tracking(tables.get("tracking", {}), mechanism)
 
@@ -141,7 +141,7 @@ def _refuse_unknown_name(mechanism: Mechanism, noun: str, name: str, where: str)
 
 def model_from_tables(tables: Mapping[str, dict], folder: Path | None = None) -> tuple[str, Selection]:
     """Return the model of a file's [mechanism] table, a built-in name or a path, and what is selected of it."""
-    _, selection = _model_asked(section := plain(tables).get("mechanism", {}), folder)
+    _, selection = _model_asked(section := to_toml_types(tables).get("mechanism", {}), folder)
     return section["model"], selection
 
 
@@ -243,7 +243,7 @@ def fill(tables: Tables, said: Mapping[str, object]) -> None:
             table = tables if name in _SECTIONS else tables.setdefault(_TABLES[name], {})
             table.pop(name, None)
             if said[name] is not None:
-                table[name] = plain(said[name])
+                table[name] = to_toml_types(said[name])
 
 
 def apply_settings(tables: Tables, settings: object) -> None:
@@ -251,7 +251,7 @@ def apply_settings(tables: Tables, settings: object) -> None:
     if not isinstance(settings, Mapping):
         raise ProblemError(f"settings are a table of section.key = value, got {settings!r}")
     for key, value in settings.items():
-        set_key(tables, str(key), plain(value))
+        set_key(tables, str(key), to_toml_types(value))
 
 
 def asked_mechanism(said: Mapping[str, object], default: Mechanism | None = None) -> Mechanism:
@@ -260,8 +260,8 @@ def asked_mechanism(said: Mapping[str, object], default: Mechanism | None = None
     if found is None and default is not None:
         found = default
     if not isinstance(found, Mechanism):
-        found = mechanism_from_tables({"mechanism": {"model": plain(found)}})
-    asked = {key: plain(value) for key, value in said.items() if key in _MECHANISM}
+        found = mechanism_from_tables({"mechanism": {"model": to_toml_types(found)}})
+    asked = {key: to_toml_types(value) for key, value in said.items() if key in _MECHANISM}
     table = {key: value for key, value in (found.source | asked).items() if value is not None}
     return mechanism_from_tables({"mechanism": table}) if asked else found
 

@@ -80,8 +80,8 @@ def _check_reach(mechanism: Mechanism, ranges: np.ndarray | None, what: str, s: 
             reason = can.lower.reason if s[column] < interval[0] else can.upper.reason
         if not inside:
             raise ProblemError(
-                f"{what} {joint.name} = {joint.said(s[column], 6)} {joint.unit} is beyond reach:"
-                f" {joint.name} reaches from {joint.said(interval[0], 6)} to {joint.said(interval[1], 6)} {joint.unit}"
+                f"{what} {joint.name} = {joint.text(s[column], 6)} {joint.unit} is beyond reach:"
+                f" {joint.name} reaches from {joint.text(interval[0], 6)} to {joint.text(interval[1], 6)} {joint.unit}"
                 f" ({reason}"
                 f"{_way_through(can, reason, s[column])})"
             )
@@ -122,7 +122,7 @@ def _check_turns(mechanism: Mechanism, motion: Motion, start_pose: np.ndarray, d
     names = " and ".join(joint.name for joint in turning)
     if can is not None and not can.turns_fully:
         (joint,) = turning
-        low, high = joint.said(can.lower.position, 6), joint.said(can.upper.position, 6)
+        low, high = joint.text(can.lower.position, 6), joint.text(can.upper.position, 6)
         raise ProblemError(
             f"motion.turns of joint {names}: it does not turn fully, it reaches from {low} deg ({can.lower.reason}) to"
             f" {high} deg ({can.upper.reason})"
@@ -145,7 +145,7 @@ def _check_turns(mechanism: Mechanism, motion: Motion, start_pose: np.ndarray, d
         joint = mechanism.joints[worst]
         raise ProblemError(
             f"motion.turns of joint {names}: after it joint {joint.name} is not back, it has gone on by"
-            f" {joint.said(travelled[worst], 6)} {joint.unit}: give as many turns as bring all joints back"
+            f" {joint.text(travelled[worst], 6)} {joint.unit}: give as many turns as bring all joints back"
         )
     _check_efforts(mechanism, names, poses[0], gone)
 
@@ -246,7 +246,7 @@ def _check_turning_joints(motion: Motion, mechanism: Mechanism, limits: Limits) 
     turns = np.zeros(mechanism.dof) if motion.turns is None else motion.turns
     for joint, index, n in zip(mechanism.independent_joints, mechanism.independent, turns, strict=True):
         if n and np.any(np.isfinite(limits.position[index])):
-            low, high = (joint.said(x, 6) for x in limits.position[index])
+            low, high = (joint.text(x, 6) for x in limits.position[index])
             raise ProblemError(
                 f"motion.turns of joint {joint.name}: a joint that turns endlessly has no range; its range is {low} to"
                 f" {high} deg"

@@ -383,6 +383,6 @@ def _check_poses(section: MotionSection, mechanism: Mechanism, motion: Motion) -
                 pairs = zip(mechanism.independent_joints, s, strict=True)
                 raise ProblemError(
                     f"{where}.{key}_{joint.unit} does not close: with"
-                    f" {', '.join(f'{j.name} = {j.said(x, 6)}' for j, x in pairs)} the loop has {joint.name} at"
-                    f" {joint.said(pose[index], 6)} {joint.unit}, asked {joint.said(asked, 6)}"
+                    f" {', '.join(f'{j.name} = {j.text(x, 6)}' for j, x in pairs)} the loop has {joint.name} at"
+                    f" {joint.text(pose[index], 6)} {joint.unit}, asked {joint.text(asked, 6)}"
                 )

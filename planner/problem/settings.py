@@ -61,7 +61,7 @@ def number(value: object, key: str, *, positive: bool = False, at_least_zero: bo
         ProblemError: naming the key, when it is anything else.
     """
     kind: Any = Positive if positive else AtLeastZero if at_least_zero else Number
-    return read(kind, plain(value), key)
+    return read(kind, to_toml_types(value), key)
 
 
 def interval(value: list[float], key: str) -> tuple[float, float]:
@@ -79,17 +79,17 @@ def whole(value: object, key: str, low: int, high: int) -> int:
         ProblemError: naming the key, when it is anything else.
     """
     kind: Any = Annotated[int, Meta(ge=low, le=high)]
-    return read(kind, plain(value), key)
+    return read(kind, to_toml_types(value), key)
 
 
-def plain(value: Any) -> Any:
+def to_toml_types(value: Any) -> Any:
     """Return a copy of a value in the types of a TOML file; values without such a type are returned unchanged."""
     if isinstance(value, np.generic | np.ndarray):
-        return plain(value.tolist())
+        return to_toml_types(value.tolist())
     if isinstance(value, Mapping):
-        return {str(name): plain(item) for name, item in value.items()}
+        return {str(name): to_toml_types(item) for name, item in value.items()}
     if isinstance(value, list | tuple | range):
-        return [plain(item) for item in value]
+        return [to_toml_types(item) for item in value]
     return str(value) if isinstance(value, PurePath) else value
 
 
@@ -155,7 +155,7 @@ def _named(tables: Mapping[str, dict]) -> Iterator[str]:
 def _check(settings: Section, section: str) -> None:
     """Check settings that Python code makes as the decoder checks a file's section; None is kept if it is the default."""
     for key in KEYS[section]:
-        value = plain(getattr(settings, key))
+        value = to_toml_types(getattr(settings, key))
         if value is not None or getattr(kind_of(section)(), key) is not None:
             force_setattr(settings, key, checked(f"{section}.{key}", value))
 
@@ -166,7 +166,7 @@ class MeshSettings(MeshSection, frozen=True, eq=False):
     breaks: Any = None
 
     def __post_init__(self) -> None:
-        given = plain(self.breaks)
+        given = to_toml_types(self.breaks)
         _check(self, "mesh")
         if given is not None:
             breaks = frozen(self.breaks)
@@ -207,7 +207,7 @@ class Tracking(TrackingSection, frozen=True, eq=False):
     period_s: float = DEFAULT_PERIOD_S
 
     def __post_init__(self) -> None:
-        delay = plain(self.delay_periods)
+        delay = to_toml_types(self.delay_periods)
         _check(self, "tracking")
         force_setattr(self, "delay_periods", delay)  # an integer stays an integer
 

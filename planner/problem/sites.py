@@ -98,7 +98,7 @@ class SitePoint:
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", frozen(self.point))
 
-    def off_m(self, p: np.ndarray) -> float:
+    def distance_m(self, p: np.ndarray) -> float:
         """Return the distance [m] of a place p (3,) from the point, in the prescribed coordinates."""
         return float(np.sqrt(np.nansum((np.asarray(p) - self.point) ** 2)))
 

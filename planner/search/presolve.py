@@ -85,7 +85,7 @@ def _beyond_the_range(problem: Problem, end: _End) -> str | None:
     return (
         f"infeasible: no effort within its limits {does} the {abs(joint.shown(end.speed)):.4g} {joint.unit}/s of joint"
         f" {joint.name} at the {end.name} within the {room:.4g} {joint.unit} to the end of its range at"
-        f" {joint.said(bound, 5)} {joint.unit}"
+        f" {joint.text(bound, 5)} {joint.unit}"
     )
 
 
@@ -116,8 +116,8 @@ def _speed_at_an_end(problem: Problem) -> str | None:
             low, high = problem.limits.speed[mechanism.independent[column]]
             if value is not None and not low <= value[column] <= high:
                 return (
-                    f"infeasible: motion.{name} of joint {joint.name} is {joint.said(value[column], 4)} {joint.unit}/s,"
-                    f" beyond its speed limit of {joint.said(high if value[column] > 0 else low, 4)} {joint.unit}/s"
+                    f"infeasible: motion.{name} of joint {joint.name} is {joint.text(value[column], 4)} {joint.unit}/s,"
+                    f" beyond its speed limit of {joint.text(high if value[column] > 0 else low, 4)} {joint.unit}/s"
                 )
     return None
 
@@ -134,8 +134,8 @@ def _mean_speed(problem: Problem) -> str | None:
             bound = high if mean > 0 else low
             shortest = (motion.goal[column] - motion.start[column]) / bound if bound else np.inf
             return (
-                f"infeasible: joint {joint.name} would have to move at {joint.said(mean, 4)} {joint.unit}/s on average"
-                f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.said(bound, 4)} {joint.unit}/s;"
+                f"infeasible: joint {joint.name} would have to move at {joint.text(mean, 4)} {joint.unit}/s on average"
+                f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.text(bound, 4)} {joint.unit}/s;"
                 f" that limit alone asks for {shortest:.4g} s"
             )
     return None
@@ -155,7 +155,7 @@ def _branches_on_the_way(problem: Problem) -> str | None:
     for position, rank in can.branching:
         if low < position < high and position not in can.single:
             return (
-                f"infeasible: between start and goal, at {joint.name} = {joint.said(position, 5)} {joint.unit}, the"
+                f"infeasible: between start and goal, at {joint.name} = {joint.text(position, 5)} {joint.unit}, the"
                 f" closure's rank falls from {len(mechanism.dependent)} to {rank}: the loops do not say how the mechanism"
                 " goes on there, and no effort of its actuators does"
             )
@@ -235,7 +235,7 @@ def _where(problem: Problem, pose: np.ndarray) -> str:
     """Return the words on a pose (n_q,) on the only way."""
     (crank,), (driven,) = problem.mechanism.independent_joints, problem.mechanism.independent
     return (
-        f"where {crank.name} = {crank.said(float(pose[driven]), 4)} {crank.unit}, between start and goal, where every motion"
+        f"where {crank.name} = {crank.text(float(pose[driven]), 4)} {crank.unit}, between start and goal, where every motion"
         " of one degree of freedom passes"
     )
 

@@ -17,7 +17,7 @@ from linkplan.planner.keys.sections import BatchFile
 from linkplan.planner.plan_folder import versions
 from linkplan.planner.refinement.history import silent
 from linkplan.studies.batch.block import Planned, case_blocks, packed, plan_block, unpacked
-from linkplan.studies.tasks.engine import Engine, Say, here
+from linkplan.studies.tasks.engine import Engine, Say, serial
 from linkplan.studies.tasks.streaming import complete
 from linkplan.studies.tasks.unfinished import finish, part, parts_folder, working
 
@@ -37,7 +37,7 @@ def run_batch(
     target: Path | None,
     say: Say,
     *,
-    engine: Engine = here,
+    engine: Engine = serial,
     parquet: bool = False,
     keep_records: bool = True,
 ) -> Outcome:
@@ -59,7 +59,7 @@ def run_batch(
     if target is not None:
         check_target(target, RECORD)
     outcomes = []
-    work = functools.partial(_work, batch, target, parquet, say if engine is here else None)
+    work = functools.partial(_work, batch, target, parquet, say if engine is serial else None)
     with parts_folder(target) as folder, working(folder, asked, "a batch"):
 
         def write(block: int, answers: list[Planned]) -> None:

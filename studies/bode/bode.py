@@ -298,7 +298,7 @@ def _scans(
 ) -> Iterator[Scan]:
     """Yield the margins along lines: a coordinate's line for that coordinate's loop, a motion's line for all loops."""
     for coordinate, line in lines:
-        say(f"margins over {line.name} from {line.said(line.low, 4)} to {line.said(line.high, 4)} {line.unit}")
+        say(f"margins over {line.name} from {line.text(line.low, 4)} to {line.text(line.high, 4)} {line.unit}")
         for channel in mechanism.channels if coordinate is None else [coordinate]:
             if (found := scan_line(mechanism, line, law, channel, count)) is not None:
                 yield found

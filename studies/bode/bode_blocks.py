@@ -45,8 +45,8 @@ def summary(study: BodeStudy, *, verdict: bool = True) -> list[Block]:
     message = study.message[:1].upper() + study.message[1:]
     blocks: list[Block] = [Text(text=message, tone="good" if study.stable else "bad")] if verdict else []
     rows = [("mechanism", study.mechanism.name), ("tracker", study.law.name), ("feedback loop", study.loop_name)]
-    if alike := study.points[0].point.alike:
-        rows.append(("at every pose", alike))
+    if shared := study.points[0].point.shared_coordinates:
+        rows.append(("at every pose", shared))
     if len(study.mechanism.channels) > 1:
         names = ", ".join(study.mechanism.independent_joints[k].name for k in study.mechanism.channels)
         text = (
@@ -125,7 +125,7 @@ _LEAST_MARGINS = (
 
 def _worst_of(study: BodeStudy, scan: Scan) -> str:
     line, joints = scan.line, study.mechanism.independent_joints
-    ends = f"{line.said(scan.positions[0], 4)} to {line.said(scan.positions[-1], 4)} {line.unit}"
+    ends = f"{line.text(scan.positions[0], 4)} to {line.text(scan.positions[-1], 4)} {line.unit}"
     of_loop = "" if len(joints) == 1 else f" of the loop of {joints[scan.channel].name}"
     worst = f"{line.place(scan.positions[scan.worst])}: {bounds_text(scan.margins[scan.worst])}"
     text = f"over {line.name} from {ends} the worst{of_loop} is {worst}"

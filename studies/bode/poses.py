@@ -85,9 +85,9 @@ def _over_reach(mechanism: Mechanism, problem: Problem | None, effort_limit: np.
         kept, unheld = tried[held], tried[~held]
         positions = kept[(shares * (len(kept) - 1)).round().astype(int)]
         note = (
-            f"poses are taken from {joint.name} = {joint.said(kept[0], 4)} to {joint.said(kept[-1], 4)} {joint.unit}: the"
-            f" actuators cannot hold {len(unheld)} of {len(tried)} positions from {joint.said(low, 4)} to"
-            f" {joint.said(high, 4)} at rest, all between {joint.said(unheld[0], 4)} and {joint.said(unheld[-1], 4)}"
+            f"poses are taken from {joint.name} = {joint.text(kept[0], 4)} to {joint.text(kept[-1], 4)} {joint.unit}: the"
+            f" actuators cannot hold {len(unheld)} of {len(tried)} positions from {joint.text(low, 4)} to"
+            f" {joint.text(high, 4)} at rest, all between {joint.text(unheld[0], 4)} and {joint.text(unheld[-1], 4)}"
         )
     positions = positions[:, None]
     low, high = float(positions.min()), float(positions.max())

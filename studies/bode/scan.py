@@ -39,13 +39,13 @@ class Line:
         """Return a parameter in the line's display unit."""
         return float(self.factor * x)
 
-    def said(self, x: float, digits: int = 4) -> str:
+    def text(self, x: float, digits: int = 4) -> str:
         """Return a parameter as text, with rounding errors of zero shown as zero."""
         return f"{0.0 if abs(x) < _ZERO_SHARE * (self.high - self.low) else self.shown(x):.{digits}g}"
 
     def place(self, x: float) -> str:
         """Return a parameter as text with name and unit."""
-        return f"{self.name} = {self.said(x, 4)} {self.unit}"
+        return f"{self.name} = {self.text(x, 4)} {self.unit}"
 
 
 def coordinate_line(mechanism: Mechanism, channel: int, low: float, high: float, others: np.ndarray) -> Line:

@@ -31,7 +31,7 @@ class Column:
         value = np.where(np.abs(self.values[k]) > ROUNDING_SHARE * self.scale, self.values[k], 0.0)
         return float(value) if self.values.ndim == 1 else f"{value[0]:.4g} to {value[1]:.4g}"
 
-    def said(self) -> str:
+    def text(self) -> str:
         """Return the constant value in words."""
         value = self.cell(0)
         text = value if isinstance(value, str) else f"{value:.4g}"
@@ -60,7 +60,7 @@ def path_blocks(path: KinematicLoopPath, *, brief: bool = False) -> list[Block]:
     sentences = [Text(text=text, tone="note") for text in said]
     if brief:
         return [*table, *sentences] if table or sentences else []
-    constant = [column.said() for column in columns if column.is_constant]
+    constant = [column.text() for column in columns if column.is_constant]
     if not acts(path).all():
         constant.append("all other ratios 0")
     hold = "hold and force are" if path.mechanism.actuators else "force is"
@@ -76,7 +76,7 @@ def _pose_table(path: KinematicLoopPath, columns: list[Column]) -> list[Table]:
     if not shown:
         return []
     positions = [
-        Column(head=joint.name, unit=joint.unit, values=np.array([float(joint.said(x, 17)) for x in s]), scale=1.0)
+        Column(head=joint.name, unit=joint.unit, values=np.array([float(joint.text(x, 17)) for x in s]), scale=1.0)
         for column, (joint, s) in enumerate(zip(path.mechanism.independent_joints, path.positions.T, strict=True))
         if path.coordinate in (None, column)
     ]

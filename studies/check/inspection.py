@@ -261,7 +261,7 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
     for joint, x in zip(mechanism.joints, mechanism.home, strict=True):
         if not joint.lower - RANGE_ROUNDING <= x <= joint.upper + RANGE_ROUNDING:
             problems.append(
-                f"joint {joint.name} stands at {joint.said(x, 4)} {joint.unit} at home, outside its range {_range(joint)}"
+                f"joint {joint.name} stands at {joint.text(x, 4)} {joint.unit} at home, outside its range {_range(joint)}"
             )
     for ball, angle in zip(mechanism.balls, ball_angles(mechanism, mechanism.home[None])[0], strict=True):
         if angle > ball.largest + RANGE_ROUNDING and ball.largest:
@@ -296,7 +296,7 @@ def _stop_note(mechanism: Mechanism, can: Reach, *, upper: bool) -> str | None:
         return None
     joint, other = mechanism.joints[index], mechanism.joints[end.joint]
     stop = f"joint {other.name}'s range {_range(other)} stops the mechanism at {joint.name} ="
-    stop += f" {joint.said(end.position, 4)} {joint.unit}"
+    stop += f" {joint.text(end.position, 4)} {joint.unit}"
     distance = abs(end.position - (joint.upper if upper else joint.lower))
     if not np.isfinite([joint.lower, joint.upper]).any() or distance <= 0.01 * (joint.upper - joint.lower):
         return stop
@@ -318,7 +318,7 @@ def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:
     """Return a sentence on each singular pose of a reach: a dead centre of its coordinate, or a branching pose."""
     joint, branching, said = mechanism.joints[mechanism.independent[can.coordinate]], dict(can.branching), []
     for position in can.singular:
-        at = f"singular pose at {joint.name} = {joint.said(position, 5)} {joint.unit}"
+        at = f"singular pose at {joint.name} = {joint.text(position, 5)} {joint.unit}"
         if position in can.single:
             said.append(
                 f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}: one motion alone"
@@ -351,7 +351,7 @@ def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
             found.append(position)
     said = []
     for other, positions in by_joint.items():
-        places = listed([joint.said(x, 5) for x in positions], 4)
+        places = listed([joint.text(x, 5) for x in positions], 4)
         said.append(f"joint {mechanism.joints[other].name} turns back at {joint.name} = {places} {joint.unit}")
     every = "turn" if can.upper.reason == "full turn" else can.upper.reason
     again = "" if can.period is None else f", and again every {every}"

@@ -55,8 +55,8 @@ def reach_table(found: Inspection, reaches: Sequence[Reach], more: str = "") -> 
     rows = [
         [
             joint.name,
-            joint.said(can.lower.position, 5),
-            joint.said(can.upper.position, 5),
+            joint.text(can.lower.position, 5),
+            joint.text(can.upper.position, 5),
             joint.unit,
             can.lower.reason,
             can.upper.reason,
@@ -90,7 +90,7 @@ def _poses(found: Inspection) -> list[Table]:
     for point in found.points:
         upper = point.reduced_inertia_kgm2[np.triu_indices(mechanism.dof)]
         pose = point.q_deg | point.q_m
-        positions = [float(joint.said(joint.read(pose[joint.name]), 17)) for joint in mechanism.joints]
+        positions = [float(joint.text(joint.read(pose[joint.name]), 17)) for joint in mechanism.joints]
         ratios = [ratio for column in point.effort_map.values() for ratio in column.values()]
         rows.append([*positions, *upper, *point.gravity_effort.values(), *point.holding_effort.values(), *ratios])
     return [table_of("At the poses asked for", heads, rows)]

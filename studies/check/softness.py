@@ -284,13 +284,13 @@ def softness_note(mechanism: Mechanism) -> str | None:
     worst, others = soft[0], soft[1:]
     largest = 0.01 * mechanism.extent_m
 
-    def said(gap: float) -> str:
+    def gap_text(gap: float) -> str:
         return f"{1e3 * gap:.2g} mm" if gap <= largest else f"more than {1e3 * largest:.2g} mm"
 
     also = f" (and {', '.join(one.name for one in others)})" if others else ""
-    gaps = f"{said(worst.weight_gap_m)} while weight and springs are held at home"
+    gaps = f"{gap_text(worst.weight_gap_m)} while weight and springs are held at home"
     if worst.rated_by is not None:
-        gaps += f", {said(worst.rated_gap_m)} under {worst.rated_by} at its limit"
+        gaps += f", {gap_text(worst.rated_gap_m)} under {worst.rated_by} at its limit"
     solref = " ".join(f"{number:g}" for number in worst.solref)
     text = f"closure {worst.name}{also} is soft (solref {solref}): the simulator's closure gap is {gaps}"
     if worst.turned is not None:
@@ -300,7 +300,7 @@ def softness_note(mechanism: Mechanism) -> str | None:
         return f"{text}; a shorter timestep would admit a stiffer one"
     return (
         f'{text}; solref="{worst.stiff_solref}" solimp="{STIFF_IMPEDANCE}", the stiffest that its timestep admits, leaves'
-        f" {said(worst.stiff_gap_m)} ({STIFF_KEY} sets it)"
+        f" {gap_text(worst.stiff_gap_m)} ({STIFF_KEY} sets it)"
     )
 
 

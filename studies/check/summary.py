@@ -10,7 +10,7 @@ from linkplan.studies.check.drives import floating_columns
 from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.check.inspection_blocks import reach_table
 from linkplan.studies.output.document import Block, Facts, Text
-from linkplan.studies.output.text import by_kind, limits_said
+from linkplan.studies.output.text import by_kind, limits_text
 
 # So many problems, coordinates and notes at most: with two lines on what to do next the summary fits on a screen.
 MOST_PROBLEMS, MOST_COORDINATES, MOST_NOTES = 7, 8, 4
@@ -29,7 +29,7 @@ def summary_blocks(found: Inspection) -> list[Block]:
         Text(text=f"PROBLEM: {text}", tone="bad") for text in _first(problems, MOST_PROBLEMS, "problems")
     ]
     notes = [Text(text=text, tone="note") for text in _first(grouped(mechanism, found.notes), MOST_NOTES, "notes")]
-    drives = listed([f"{a.name} ({limits_said(a.lower, a.upper, a.unit)})" for a in mechanism.actuators], MOST_COORDINATES)
+    drives = listed([f"{a.name} ({limits_text(a.lower, a.upper, a.unit)})" for a in mechanism.actuators], MOST_COORDINATES)
     rank = f"{mechanism.n_closure_rows} rows of rank {len(mechanism.closure_rows)}"
     facts = Facts(
         rows=[

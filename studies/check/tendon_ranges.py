@@ -37,7 +37,7 @@ def tendon_findings(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[lis
             joint, lengths = mechanism.joints[index], sampled(mechanism.dynamics.tendon_length, can.poses)[:, item, 0]
             stops = [x for end in (tendon.low, tendon.high) for x in _crossings(can.poses[:, index], lengths - end)]
             if stops:
-                at = ", ".join(joint.said(x, 4) for x in sorted(stops))
+                at = ", ".join(joint.text(x, 4) for x in sorted(stops))
                 notes.append(f"tendon {tendon.name} is at the end of its range {said} at {joint.name} = {at} {joint.unit}")
     return problems, notes
 

@@ -30,8 +30,8 @@ def run_check(arguments: argparse.Namespace) -> int:
 
 
 def _what_is_next(found: "CheckResult", arguments: argparse.Namespace) -> "list[Block]":
+    from linkplan.inputs import is_problem
     from linkplan.studies.output.document import Facts
-    from linkplan.subjects import is_problem
 
     subject, mechanism = shlex.join([arguments.subject, *_options(arguments)]), found.mechanism
     of_problem = is_problem(arguments.subject)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from linkplan.models.errors import nearest, one_line
-from linkplan.names import C_TRACKERS, FOLDER_FORMATS, FORMATS, LINEAR, keys_said
+from linkplan.names import C_TRACKERS, FOLDER_FORMATS, FORMATS, LINEAR, keys_text
 from linkplan.studies.cli import option_values as values
 from linkplan.studies.cli.exit_codes import BAD_INPUT
 from linkplan.studies.cli.printing import put
@@ -157,7 +157,7 @@ def build_parser() -> Parser:
     _transfer(command("transfer", text, report=True))
 
     view = command("view", "play a tracked plan in MuJoCo's interactive viewer, where keys change its gains", output=False)
-    view.epilog = f"keys in the window: {keys_said()}; {EPILOG}"
+    view.epilog = f"keys in the window: {keys_text()}; {EPILOG}"
     _add(view, "plan", "PLAN", "a saved plan's folder, a built-in problem or a TOML file")
     _anyway(view)
     _tracker(view)

@@ -10,8 +10,8 @@ from linkplan.models.errors import PlanFileError, ProblemError
 from linkplan.studies.cli.printing import show
 
 if TYPE_CHECKING:
+    from linkplan.inputs import Source
     from linkplan.results import Result
-    from linkplan.subjects import Source
 
 # Options for further files in a result's folder.
 _WITH_OUTPUT = {"report": "report.html", "parquet": "tables as Parquet", "jumps": "both sides of jumps"}
@@ -69,7 +69,7 @@ def new_file(arguments: argparse.Namespace) -> Path | None:
 
 def source_asked(arguments: argparse.Namespace, name: str, parameters: Container[str]) -> "Source":
     """Return a source with the options that say how it is read; a function's own `parameters` are left to it."""
-    from linkplan.subjects import Source
+    from linkplan.inputs import Source
 
     selection = {key: getattr(arguments, key, None) for key in SELECTION if key not in parameters}
     return Source(

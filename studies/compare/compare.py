@@ -23,7 +23,7 @@ from linkplan.planner.keys.kinds import Delay
 from linkplan.planner.keys.reading import read
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
-from linkplan.planner.problem.settings import Tracking, number, plain
+from linkplan.planner.problem.settings import Tracking, number, to_toml_types
 from linkplan.studies.compare.lqr_weights import scaled, unit_effort
 from linkplan.studies.compare.run_time import RunTime, run_time
 from linkplan.studies.compare.user_tracker import TrackerLike, users_tracker
@@ -89,7 +89,7 @@ def mismatch_of(plan: Plan, mass_factor: object, delay_periods: object) -> Misma
 def delay_of(value: object, key: str) -> float:
     """Return a delay [control periods], checked; a refusal names the key."""
     kind: Any = Delay
-    return read(kind, plain(value), key)
+    return read(kind, to_toml_types(value), key)
 
 
 def tracking_reference(plan: Plan) -> SampledReference:

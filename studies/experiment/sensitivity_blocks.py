@@ -76,7 +76,7 @@ def sensitivity_charts(study: Sensitivity, metric: str) -> list[Bars]:
     for tracker, by_metric in study.trackers.items():
         axis, rows, line = _CHARTS[study.design](study, metric, by_metric[metric], _foremost(study, metric))
         title = f"{tracker}: what the {study.metrics[metric]['text']} owes to each imperfection"
-        name = "" if line == 0 else f"all in the middle, {_said(line)}"
+        name = "" if line == 0 else f"all in the middle, {_text(line)}"
         beside = "total" if study.design == SOBOL else f"change [{axis.unit}]"
         found.append(Bars(title=title, axis=axis, rows=rows, line=line, line_name=name, note_name=beside))
     return found
@@ -159,7 +159,7 @@ def _ends(study: Sensitivity, metric: str, found: MetricInfluence, shown: list[s
             if value is not None
         ]
         lost = [f"lost at the {name} end" for name, value, _ in ends if value is None]
-        rows.append(Bar(label=_named(study, label), spans=spans, note=", ".join(lost) or _said(effect["importance"])))
+        rows.append(Bar(label=_named(study, label), spans=spans, note=", ".join(lost) or _text(effect["importance"])))
     text = study.metrics[metric]
     return Axis(label=text["text"], unit=text["metric_unit"]), rows, middle
 
@@ -220,8 +220,8 @@ def _named(study: Sensitivity, label: str) -> str:
 def _with_interval(effect: Mapping) -> str:
     low, high = effect["interval95"]
     half = "" if low is None or high is None else f" ± {(high - low) / 2:.1g}"
-    return f"{_said(effect['importance'])}{half}"
+    return f"{_text(effect['importance'])}{half}"
 
 
-def _said(value: float | None) -> str:
+def _text(value: float | None) -> str:
     return "" if value is None or not math.isfinite(value) else f"{value:.3g}"

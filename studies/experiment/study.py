@@ -34,7 +34,7 @@ from linkplan.studies.experiment.metrics import metrics_of
 from linkplan.studies.experiment.sensitivity import Sensitivity, sensitivity_of
 from linkplan.studies.experiment.summary import Summary, chatter_notes, summarise
 from linkplan.studies.sensitivity.scheme import MORRIS, ONE_AT_A_TIME
-from linkplan.studies.tasks.engine import Engine, Say, here
+from linkplan.studies.tasks.engine import Engine, Say, serial
 from linkplan.studies.tasks.unfinished import PLAN, finish, parts_folder, refuse_other, remove_left, unfinished, working
 
 if TYPE_CHECKING:
@@ -80,7 +80,7 @@ def run_experiment(
     target: Path | None,
     say: Say,
     *,
-    engine: Engine = here,
+    engine: Engine = serial,
     threads: int = 0,
     own: Mapping[str, TrackerLike] | None = None,
 ) -> Outcome:

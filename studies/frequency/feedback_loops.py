@@ -73,7 +73,7 @@ class OperatingPoint:
         return self._places(self.told)
 
     @property
-    def alike(self) -> str:
+    def shared_coordinates(self) -> str:
         """The positions of the other joints with a feedback loop, the same at all points, as text."""
         return self._places([k for k in self.mechanism.channels if k not in self.told])
 

@@ -71,13 +71,13 @@ def why_stuck(mechanism: Mechanism) -> str:
     """Return why the driven joints cannot leave home; if a joint is outside its range at home, that joint is named."""
     for joint, x in zip(mechanism.joints, mechanism.home.tolist(), strict=True):
         if not joint.lower - RANGE_ROUNDING <= x <= joint.upper + RANGE_ROUNDING:
-            said = f"{joint.said(x)} {joint.unit} at home, outside its range {_range_words(joint)}"
+            said = f"{joint.text(x)} {joint.unit} at home, outside its range {_range_words(joint)}"
             return f"joint {joint.name} stands at {said}; mechanism.home_deg and home_m name another pose"
     return "the joints cannot leave home"
 
 
 def _range_words(joint: Joint) -> str:
-    return f"[{joint.said(joint.lower)}, {joint.said(joint.upper)}] {joint.unit}"
+    return f"[{joint.text(joint.lower)}, {joint.text(joint.upper)}] {joint.unit}"
 
 
 def why_not(answer: Plan, within_s: float | None) -> str:

@@ -13,7 +13,7 @@ from linkplan.planner.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, Proof
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
-from linkplan.studies.output.text import brief_rows, limits_said, notes_of
+from linkplan.studies.output.text import brief_rows, limits_text, notes_of
 
 # Solvers stop at a relative 1e-8. A certificate passes at a relative error of about 1e-3 at the most.
 _MAX_DIGITS, _MIN_DIGITS = 8, 3
@@ -137,7 +137,7 @@ def facts(plan: Plan) -> list[tuple[str, str]]:
         rows.append((f"objective ({problem.objective.name})", value))
     peaks = zip(problem.mechanism.actuators, plan.certificate.peak_effort, problem.limits.effort, strict=True)
     return rows + [
-        (f"effort {a.name}", f"{figure(peak, 5)} {a.unit} at the most, {limits_said(low, high, a.unit, 'limit ')}")
+        (f"effort {a.name}", f"{figure(peak, 5)} {a.unit} at the most, {limits_text(low, high, a.unit, 'limit ')}")
         for a, peak, (low, high) in peaks
     ]
 

@@ -75,12 +75,12 @@ def _notes(plan: Plan) -> list[Text]:
 def _about(plan: Plan) -> Facts:
     """Return the facts of a plan's problem, and of its motion if it has one."""
     problem = plan.problem
-    rows = [("mechanism", _mechanism_said(plan)), ("motion", problem.motion.kind), ("objective", problem.objective.name)]
+    rows = [("mechanism", _mechanism_text(plan)), ("motion", problem.motion.kind), ("objective", problem.objective.name)]
     known = facts(plan) if plan.trajectory is not None and plan.certificate is not None else []
     return Facts(rows=[*rows, *known])
 
 
-def _mechanism_said(plan: Plan) -> str:
+def _mechanism_text(plan: Plan) -> str:
     mechanism = plan.problem.mechanism
     freedoms = f"{mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
     payload = "" if mechanism.payload is None else ", with a payload"

@@ -10,7 +10,7 @@ from rich.table import Table as Drawn
 from rich.text import Text as Words
 
 from linkplan.studies.output.document import Block, Checklist, Table, Text
-from linkplan.studies.output.text import ROUNDED_DIGITS, SENTENCE_LETTERS, checks, headed, said, text_of, to_the_left
+from linkplan.studies.output.text import ROUNDED_DIGITS, SENTENCE_LETTERS, cell_text, checks, headed, text_of, to_the_left
 
 _TONES = {"good": "green", "bad": "red", "note": "yellow"}
 _VERDICTS = {"NO": "red", "infeasible": "red", "failed": "red", "optimal": "green", "passed": "green"}
@@ -50,7 +50,7 @@ def _parts(block: Table, width: int) -> list[Drawn | Words]:
     An empty line follows each part.
     """
     heads = [headed(*column) for column in block.columns]
-    cells = [[said(row[k], ROUNDED_DIGITS) for row in block.rows] for k in range(len(heads))]
+    cells = [[cell_text(row[k], ROUNDED_DIGITS) for row in block.rows] for k in range(len(heads))]
     least = [_least(head, column) for head, column in zip(heads, cells, strict=True)]
     parts: list[list[int]] = [[0]]
     for k in range(1, len(heads)):

@@ -59,7 +59,7 @@ def headed(head: str, unit: str) -> str:
     return f"{head} [{unit}]" if unit not in ("", "1") else head
 
 
-def said(cell: object, digits: int = 4) -> str:
+def cell_text(cell: object, digits: int = 4) -> str:
     """Return a cell as text."""
     if cell is None:
         return "-"
@@ -68,7 +68,7 @@ def said(cell: object, digits: int = 4) -> str:
     return f"{cell:.{digits}g}" if isinstance(cell, float) else str(cell)
 
 
-def limits_said(low: float, high: float, unit: str, before: str = "") -> str:
+def limits_text(low: float, high: float, unit: str, before: str = "") -> str:
     """Return limits as text: "-5 to 5 N.m" behind the words `before`, or "no limit" alone."""
     return "no limit" if low == -math.inf and high == math.inf else f"{before}{low:g} to {high:g} {unit}"
 
@@ -80,7 +80,7 @@ def to_the_left(column: int, cells: Sequence[str]) -> bool:
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]], digits: int = 4) -> str:
     """Return rows under a head in aligned columns, as wide as they are; numbers have `digits` significant digits."""
-    columns = [[title, *(said(row[k], digits) for row in rows)] for k, title in enumerate(head)]
+    columns = [[title, *(cell_text(row[k], digits) for row in rows)] for k, title in enumerate(head)]
     for k, column in enumerate(columns):
         width, left = max(map(len, column)), to_the_left(k, column[1:])
         column.insert(1, "-" * width)
@@ -184,4 +184,4 @@ def _table(title: str, heads: Sequence[str], rows: Sequence[Sequence]) -> str:
 
 
 def _cell(value: object) -> str:
-    return f"<td>{'<b>NO</b>' if value is False else escape(said(value, 6))}</td>"
+    return f"<td>{'<b>NO</b>' if value is False else escape(cell_text(value, 6))}</td>"

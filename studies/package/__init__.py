@@ -18,26 +18,26 @@ import importlib
 
 TYPE_CHECKING = False  # like that of typing, which takes as long to load as everything else here
 if TYPE_CHECKING:  # for editors and type checkers; `_HOMES` below has the same names at run time
+    from linkplan.batches import batch
     from linkplan.controllers.trackers.tracker import Tracker
     from linkplan.decompositions import decompose
     from linkplan.experiments import experiment
+    from linkplan.first_motion import new
     from linkplan.gains import tune
     from linkplan.loops import bode
-    from linkplan.many import batch
     from linkplan.mechanisms import check, load_mechanism
     from linkplan.models.errors import LinkplanError
     from linkplan.models.mechanism import Mechanism
     from linkplan.names import schema
     from linkplan.ode_plans import solve_ocp
+    from linkplan.outputs import export, render, report
     from linkplan.planner.ode.problem import OdeProblem
     from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
     from linkplan.planner.problem.problem import Problem
     from linkplan.plans import Plan, Planner, plan, prove, read_plan
-    from linkplan.starting import new
     from linkplan.tracking import compare, track
     from linkplan.transfers import transfer
     from linkplan.viewing import demo, explore, view
-    from linkplan.writing import export, render, report
 
     __version__: str
 
@@ -83,7 +83,7 @@ _MODULES = {
     "linkplan.experiments": ("experiment",),
     "linkplan.gains": ("tune",),
     "linkplan.loops": ("bode",),
-    "linkplan.many": ("batch",),
+    "linkplan.batches": ("batch",),
     "linkplan.mechanisms": ("check", "load_mechanism"),
     "linkplan.models.errors": ("LinkplanError",),
     "linkplan.models.mechanism": ("Mechanism",),
@@ -93,11 +93,11 @@ _MODULES = {
     "linkplan.planner.problem.extra": ("ExtraCost", "ExtraLimit"),
     "linkplan.planner.problem.problem": ("Problem",),
     "linkplan.plans": ("Plan", "Planner", "plan", "prove", "read_plan"),
-    "linkplan.starting": ("new",),
+    "linkplan.first_motion": ("new",),
     "linkplan.tracking": ("compare", "track"),
     "linkplan.transfers": ("transfer",),
     "linkplan.viewing": ("demo", "explore", "view"),
-    "linkplan.writing": ("export", "render", "report"),
+    "linkplan.outputs": ("export", "render", "report"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from linkplan.controllers.trackers.names import LINEAR
+from linkplan.inputs import PlanLike, listed, plan_of, with_imperfections
 from linkplan.paths import drawn
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.settings import whole
@@ -18,7 +19,6 @@ from linkplan.studies.decompose import decompose as study
 from linkplan.studies.decompose.decomposition import Decomposition
 from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks
 from linkplan.studies.output.document import Block, Report
-from linkplan.subjects import PlanLike, listed, plan_of, with_imperfections
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -12,6 +12,7 @@ import numpy as np
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.controllers.trackers.names import LINEAR
+from linkplan.inputs import PlanLike, listed, plan_of, problem_of, with_imperfections
 from linkplan.models.errors import ProblemError, choose
 from linkplan.paths import drawn, path_of
 from linkplan.planner.plan import Plan
@@ -27,7 +28,6 @@ from linkplan.studies.experiment.statistics import Estimate
 from linkplan.studies.experiment.study import Outcome, experiment_figure, run_experiment
 from linkplan.studies.output.document import Block, Report
 from linkplan.studies.tasks.cluster import engine_of
-from linkplan.subjects import PlanLike, listed, plan_of, problem_of, with_imperfections
 from linkplan.typed_commands import sample_again
 
 if TYPE_CHECKING:

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from linkplan.controllers.trackers.names import LINEAR
+from linkplan.inputs import Poses, Subject, poses_of
 from linkplan.loops import loop_of
 from linkplan.models.errors import ProblemError, choose
 from linkplan.paths import drawn
@@ -19,9 +20,8 @@ from linkplan.studies.frequency.feedback_loops import operating_point, sampled_l
 from linkplan.studies.output.document import Block, Report
 from linkplan.studies.tune import tune as tuning
 from linkplan.studies.tune import tune_report
-from linkplan.studies.tune.judged import LEAST_DAMPING_RATIO, Requirements
+from linkplan.studies.tune.requirements import LEAST_DAMPING_RATIO, Requirements
 from linkplan.studies.tune.tuning import Tuning
-from linkplan.subjects import Poses, Subject, poses_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import structs
 
 from linkplan.controllers.trackers.names import LINEAR
+from linkplan.inputs import Poses, Subject, numbers, plan_of, poses_of, read_subject, tracking_table
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.paths import drawn
@@ -32,7 +33,6 @@ from linkplan.studies.frequency.excitation import Setup
 from linkplan.studies.frequency.feedback_loops import QUANTITIES, refuse_several_freedoms
 from linkplan.studies.frequency.margins import frequency_grid
 from linkplan.studies.output.document import Block, Report, Section
-from linkplan.subjects import Poses, Subject, numbers, plan_of, poses_of, read_subject, tracking_table
 
 if TYPE_CHECKING:
     import control

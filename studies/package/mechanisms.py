@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from linkplan.inputs import Poses, Source, Subject, poses_of, source_of, subject_of
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.selection import floating_bodies
 from linkplan.paths import drawn
 from linkplan.planner.problem.build import mechanism_from_tables
-from linkplan.planner.problem.settings import plain
+from linkplan.planner.problem.settings import to_toml_types
 from linkplan.results import Result
 from linkplan.studies.output.document import Block, Report
-from linkplan.subjects import Poses, Source, Subject, poses_of, source_of, subject_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -89,7 +89,7 @@ def load_mechanism(
         "lock_spin": lock_spin,
     }
     table = {"model": path_or_name} | {key: value for key, value in said.items() if value is not None}
-    return mechanism_from_tables({"mechanism": plain(table)})
+    return mechanism_from_tables({"mechanism": to_toml_types(table)})
 
 
 def check(subject: Subject, *, at_deg: Poses = (), at_m: Poses = ()) -> CheckResult:

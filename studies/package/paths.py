@@ -96,9 +96,9 @@ def _is_a_schema(place: Path) -> bool:
 
 def plain_json(record: object) -> str:
     """Return a record as one line of JSON."""
-    from linkplan.planner.files.folders import plain
+    from linkplan.planner.files.folders import to_json_types
 
-    return json.dumps(plain(record), allow_nan=False)
+    return json.dumps(to_json_types(record), allow_nan=False)
 
 
 def result_identity(folder: Path) -> str | None:

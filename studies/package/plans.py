@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from linkplan.inputs import PlanLike, Source, plan_of, source_of, with_motion
 from linkplan.models.deadline import NO_DEADLINE, OutOfTimeError
 from linkplan.models.errors import ProblemError
 from linkplan.paths import drawn, path_of
@@ -21,7 +22,6 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.replan import NextMotion, Replanner
 from linkplan.reporting import LOG, Listener, Progress, listener
 from linkplan.results import Result
-from linkplan.subjects import PlanLike, Source, plan_of, source_of, with_motion
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from msgspec import structs
 
 from linkplan.controllers.rollout import Rollout
+from linkplan.inputs import PlanLike, Source, listed, plan_of, source_of, tracking_table
 from linkplan.models.errors import ProblemError
 from linkplan.paths import drawn
 from linkplan.planner.plan import Plan
@@ -24,7 +25,6 @@ from linkplan.studies.compare.document import document_rows, is_the_documents, m
 from linkplan.studies.compare.time_series import save_time_series
 from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
 from linkplan.studies.output.document import Block, Report, Section, Text
-from linkplan.subjects import PlanLike, Source, listed, plan_of, source_of, tracking_table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from linkplan.inputs import PlanLike, Subject, numbers, plan_of, subject_of
 from linkplan.models.errors import LinkplanError, ProblemError, choose
 from linkplan.models.transfer.rest import OutputMotion, rest_effort
 from linkplan.paths import drawn
-from linkplan.planner.problem.settings import plain
+from linkplan.planner.problem.settings import to_toml_types
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result, saved
 from linkplan.studies.transfer.columns import arrays_of
 from linkplan.studies.transfer.serial_study import Serial
 from linkplan.studies.transfer.study import Transfer, transfer_study
 from linkplan.studies.transfer.transfer_figures import TransferFigures, transfer_figures
-from linkplan.subjects import PlanLike, Subject, numbers, plan_of, subject_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -80,7 +80,7 @@ def transfer(
     gains = {"joint_kp": joint_kp, "joint_kd": joint_kd, "motor_kp": motor_kp, "motor_kd": motor_kd}
     ends = {}
     for key, table in (("range_deg", range_deg), ("range_m", range_m)):
-        for name, both in plain(table or {}).items():
+        for name, both in to_toml_types(table or {}).items():
             joint = mechanism.joints[mechanism.joint_index(name, ProblemError)]
             values = numbers(both, f"{key}.{name}")
             if len(values) != 2 or joint.unit != key.removeprefix("range_"):

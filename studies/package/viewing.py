@@ -9,13 +9,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from linkplan.inputs import PlanLike, Source, Subject, plan_of, source_of
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.paths import file_to_write, folder_to_write
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import number, whole
 from linkplan.reporting import Listener, Progress, listener
-from linkplan.subjects import PlanLike, Source, Subject, plan_of, source_of
 
 if TYPE_CHECKING:
     from linkplan.studies.explore.server import Server
@@ -47,7 +47,7 @@ def view(
 
         linkplan.view("knee-reach", slow=10.0)
     """
-    from linkplan.controllers.controls import Controls, keys_said
+    from linkplan.controllers.controls import Controls, keys_text
     from linkplan.controllers.playback import has_screen, play
     from linkplan.controllers.trackers.names import TRACKERS
     from linkplan.studies.render.gl import find_gl
@@ -66,7 +66,7 @@ def view(
     from linkplan.studies.render.live import aim, run_maker
 
     say.keep(f"{answer.problem.name} tracked by {tracker}, {slow:g} times slower; close the window to end")
-    say.keep(f"keys: {keys_said()}")
+    say.keep(f"keys: {keys_text()}")
     make = run_maker(answer)
     begin = Controls(tracker=tracker, slowness=slow)
     last = play(answer.problem.mechanism, begin, make, seconds=seconds, camera=aim(answer, tracker))

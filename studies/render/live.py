@@ -92,16 +92,16 @@ def _words(motion: Motion, tracking: Tracking, controls: Controls, k: int) -> Ro
     factors = [f"  (x{factor:.3g})" if factor != 1.0 else "" for factor in (controls.kp_factor, controls.kd_factor)]
     if controls.tracker == "lqr":
         hinge = any(joint.kind == "hinge" for joint in motion.mechanism.independent_joints)
-        position = f"{_gain_said(tracking.lqr_position_deg if hinge else tracking.lqr_position_m)} {'deg' if hinge else 'm'}"
-        velocity = _gain_said(tracking.lqr_velocity_deg_s if hinge else tracking.lqr_velocity_m_s)
+        position = f"{_gain_text(tracking.lqr_position_deg if hinge else tracking.lqr_position_m)} {'deg' if hinge else 'm'}"
+        velocity = _gain_text(tracking.lqr_velocity_deg_s if hinge else tracking.lqr_velocity_m_s)
         velocity += " deg/s" if hinge else " m/s"
         gains = [("weighs 1: position", position + factors[0]), ("weighs 1: speed", velocity + factors[1])]
     else:
-        gains = [("kp", _gain_said(tracking.kp) + factors[0]), ("kd", _gain_said(tracking.kd) + factors[1])]
+        gains = [("kp", _gain_text(tracking.kp) + factors[0]), ("kd", _gain_text(tracking.kd) + factors[1])]
     efforts = [(name, said) for name, _, said in (text.partition(": ") for text, _ in effort_lines(motion, k))]
     stable = [] if motion.stable else [("", "unstable")]
     return [(motion.name, f"t = {motion.time_s[k]:.4f} s"), ("tracker", motion.tracker), *gains, *efforts, *stable]
 
 
-def _gain_said(gain) -> str:
+def _gain_text(gain) -> str:
     return ", ".join(f"{one:.4g}" for one in (gain.values() if isinstance(gain, Mapping) else [gain]))

@@ -86,15 +86,15 @@ def _blocks(said: Mapping) -> list[Block]:
         if isinstance(value, list) and value and all(isinstance(row, dict) for row in value):
             tables.append(_table(str(key), value))
         elif isinstance(value, dict):
-            facts += [(f"{key}, {name}", _said(item)) for name, item in value.items() if _is_plain(item)]
+            facts += [(f"{key}, {name}", _text(item)) for name, item in value.items() if _is_plain(item)]
         elif _is_plain(value):
-            facts.append((str(key), _said(value)))
+            facts.append((str(key), _text(value)))
     return [Facts(rows=facts), *tables]
 
 
 def _table(title: str, rows: list[dict]) -> Table:
     heads = list(dict.fromkeys(name for row in rows for name, value in row.items() if _is_plain(value)))
-    cells = [[row.get(head) if _is_cell(row.get(head)) else _said(row.get(head)) for head in heads] for row in rows[:500]]
+    cells = [[row.get(head) if _is_cell(row.get(head)) else _text(row.get(head)) for head in heads] for row in rows[:500]]
     return Table(title=title, columns=[(str(head), "") for head in heads], rows=cells)
 
 
@@ -106,9 +106,9 @@ def _is_plain(value: object) -> bool:
     return _is_cell(value) or (isinstance(value, list) and all(_is_cell(item) for item in value))
 
 
-def _said(value: object) -> str:
+def _text(value: object) -> str:
     if isinstance(value, list):
-        text = ", ".join(_said(item) for item in value)
+        text = ", ".join(_text(item) for item in value)
     elif isinstance(value, float):
         text = f"{value:.6g}"
     else:

@@ -51,7 +51,7 @@ class _Here(concurrent.futures.Executor):
 
 
 @contextlib.contextmanager
-def here(n: int, say: Say) -> Iterator[Pool]:
+def serial(n: int, say: Say) -> Iterator[Pool]:
     """Open this process as the pool: one task after the other, with all cores for the simulator's threads."""
     del n, say
     yield Pool(executor=_Here(), ahead=1, threads=os.cpu_count() or 1)
@@ -60,12 +60,12 @@ def here(n: int, say: Say) -> Iterator[Pool]:
 def processes(workers: int) -> Engine:
     """Return the engine of a pool of newly started processes, which share nothing with this process."""
     if workers == 1:
-        return here
+        return serial
 
     @contextlib.contextmanager
     def opened(n: int, say: Say) -> Iterator[Pool]:
         if n == 1:
-            with here(n, say) as pool:
+            with serial(n, say) as pool:
                 yield pool
             return
         try:
@@ -74,7 +74,7 @@ def processes(workers: int) -> Engine:
             )
         except (OSError, ImportError, NotImplementedError) as error:  # some containers have no /dev/shm for locks
             say(f"no further process can be started ({one_line(error)}): this process runs all tasks")
-            with here(n, say) as pool:
+            with serial(n, say) as pool:
                 yield pool
             return
         try:

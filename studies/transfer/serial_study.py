@@ -54,8 +54,8 @@ def errors_along(
         first, last = motion.position[:, k].min(), motion.position[:, k].max()
         if first < low or last > high:
             raise ProblemError(
-                f"the motion takes {joint.name} from {joint.said(first)} to {joint.said(last)} {joint.unit}; the table goes"
-                f" from {joint.said(low)} to {joint.said(high)} {joint.unit}"
+                f"the motion takes {joint.name} from {joint.text(first)} to {joint.text(last)} {joint.unit}; the table goes"
+                f" from {joint.text(low)} to {joint.text(high)} {joint.unit}"
             )
     return serial_errors(table.outputs, model, rest, table.grid, motion)
 

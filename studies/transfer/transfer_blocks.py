@@ -54,7 +54,7 @@ def notes(transfer: Transfer) -> list[str]:
         joint = outputs.joints[0]
         found.append(
             f"dead centre: motor {outputs.actuators[motor].name} has no moment arm at {joint.name} ="
-            f" {joint.said(position, 5)} {joint.unit}"
+            f" {joint.text(position, 5)} {joint.unit}"
         )
     others = [
         joint.name
@@ -73,7 +73,7 @@ def notes(transfer: Transfer) -> list[str]:
 
 def _facts(transfer: Transfer) -> list[tuple[str, str]]:
     table = transfer.table
-    rows = [(f"range of {j.name}", f"{j.said(a.position, 5)} to {j.said(b.position, 5)} {j.unit}")
+    rows = [(f"range of {j.name}", f"{j.text(a.position, 5)} to {j.text(b.position, 5)} {j.unit}")
             for j, (a, b) in zip(transfer.outputs.joints, table.ends, strict=True)]  # fmt: skip
     if table.inverse is not None:
         size = " x ".join(str(len(axis)) for axis in table.inverse.axes)
@@ -184,7 +184,7 @@ def _polytope(transfer: Transfer) -> Plane:
         for end in (0, -1):
             place = home.copy()
             place[k] = grid.axes[k][end]
-            places.append((f"{joint.name} = {joint.said(place[k])} {joint.unit}", place))
+            places.append((f"{joint.name} = {joint.text(place[k])} {joint.unit}", place))
     curves = []
     for colour, (name, place) in enumerate(places):
         ratio = grid.at("ratio", place[None])

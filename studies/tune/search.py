@@ -13,7 +13,7 @@ from linkplan.studies.frequency.feedback_loops import OperatingPoint, SampledLaw
 from linkplan.studies.frequency.quick import QuickMargins, quick_loops
 from linkplan.studies.frequency.rest import passive_stiffness
 from linkplan.studies.frequency.stability_map import effort_map
-from linkplan.studies.tune.judged import UNSTABLE_SHORTFALL, Requirements, evaluated
+from linkplan.studies.tune.requirements import UNSTABLE_SHORTFALL, Requirements, evaluated
 
 # Search range of the natural frequency, in units of the required bandwidth, and of the damping ratio.
 _NATURAL_FREQUENCY_RANGE = (0.08, 4.0)

@@ -19,7 +19,7 @@ from linkplan.studies.bode.bode import SAME_POSE_SHARE, SCAN_POSITIONS
 from linkplan.studies.bode.scan import Line, judge_of
 from linkplan.studies.frequency.feedback_loops import LAW_NAMES, OperatingPoint, SampledLaw, operating_point
 from linkplan.studies.frequency.worst import local_minima
-from linkplan.studies.tune.judged import UNSTABLE_SHORTFALL, EvaluatedGains, Requirements, evaluated, shortfall
+from linkplan.studies.tune.requirements import UNSTABLE_SHORTFALL, EvaluatedGains, Requirements, evaluated, shortfall
 from linkplan.studies.tune.search import MAX_ROUNDS, found_gains
 from linkplan.studies.tune.tuning import Tuning, motor_gains, tracking_values, tuned_joints
 
@@ -138,7 +138,7 @@ def _message(
     everywhere = f"all {len(points)} {place}s" if len(points) > 1 else f"the {place}"
     if line is not None:
         place = "instant of the path" if line.unit == "s" else place
-        everywhere = f"every {place} from {line.said(line.low, 4)} to {line.said(line.high, 4)} {line.unit}"
+        everywhere = f"every {place} from {line.text(line.low, 4)} to {line.text(line.high, 4)} {line.unit}"
     if len(mechanism.channels) > 1:
         everywhere += ", in each joint's loop with the others closed"
     sampled = f"sampled every {timing.period_s:g} s"

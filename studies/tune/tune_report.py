@@ -11,7 +11,7 @@ from linkplan.planner.files.tables import inline
 from linkplan.studies.bode.scan import figures
 from linkplan.studies.output.document import Axis, Block, Facts, Limit, Plot, Series, Table, Text, table_of
 from linkplan.studies.output.numbers import rounded
-from linkplan.studies.tune.judged import JudgedLoop
+from linkplan.studies.tune.requirements import JudgedLoop
 from linkplan.studies.tune.tuning import Tuning, joint_gains
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def gain_lines(tuning: Tuning) -> list[tuple[str, str]]:
         lines.append((f"at {where}", f"kp = {kp:.5g} {per[0]}, kd = {kd:.5g} {per[1]}"))
     for motor in tuning.motors:
         over = "" if motor.is_constant else ", over the poses below"
-        lines.append((f"at the motor {motor.actuator}, {motor.said_ratio()}", f"{motor.said_gains()}{over}"))
+        lines.append((f"at the motor {motor.actuator}, {motor.ratio_text()}", f"{motor.gains_text()}{over}"))
     alone = {motor.actuator for motor in tuning.motors}
     if shared := [actuator.name for actuator in tuning.mechanism.actuators if actuator.name not in alone]:
         text = "no gains of its own, because it moves several joints; linkplan transfer has the gains as matrices"
@@ -109,8 +109,8 @@ def tune_blocks(tuning: Tuning, *, verdict: bool = True) -> list[Block]:
         blocks.append(Text(text=f"{weights} (errors weighted like the full effort limit)"))
     else:
         blocks.append(Facts(rows=gain_lines(tuning)))
-    if alike := tuning.points[0].point.alike:
-        blocks.append(Facts(rows=[("at every pose", alike)]))
+    if shared := tuning.points[0].point.shared_coordinates:
+        blocks.append(Facts(rows=[("at every pose", shared)]))
     for channel, joint in zip(tuning.mechanism.channels, joints, strict=True):
         loops = [loop for loop in tuning.points if loop.channel == channel]
         blocks += [
@@ -127,7 +127,7 @@ def _table(loops: Sequence[JudgedLoop], joint: Joint, several: bool) -> Table:
     shown, coordinates = loops[0].point.told, loops[0].point.mechanism.independent_joints
     rows = [
         [
-            *(coordinates[k].said(loop.point.state[k], 5) for k in shown),
+            *(coordinates[k].text(loop.point.state[k], 5) for k in shown),
             loop.stable,
             loop.bandwidth_hz,
             loop.phase_margin_deg,

@@ -12,7 +12,7 @@ from linkplan.models.poses.along import sampled
 from linkplan.models.transfer.polytope import motor_gains as gains_at_motors
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.files.structs import NOT_READ, Beside
-from linkplan.studies.tune.judged import EvaluatedGains, JudgedLoop, Requirements
+from linkplan.studies.tune.requirements import EvaluatedGains, JudgedLoop, Requirements
 
 
 class MotorGains(Struct, frozen=True, kw_only=True, eq=False):
@@ -40,16 +40,16 @@ class MotorGains(Struct, frozen=True, kw_only=True, eq=False):
         """True if the transmission has the same ratio at all poses, so that one pair of gains serves them all."""
         return self.ratio is not None
 
-    def said_gains(self) -> str:
+    def gains_text(self) -> str:
         """Return the gains as text: one pair, or their ranges over the poses."""
-        return ", ".join(f"{name} = {self._said(name)} {unit}" for name, unit in zip(("kp", "kd"), self.units, strict=True))
+        return ", ".join(f"{name} = {self._text(name)} {unit}" for name, unit in zip(("kp", "kd"), self.units, strict=True))
 
-    def said_ratio(self) -> str:
+    def ratio_text(self) -> str:
         """Return the transmission's ratio as text: "ratio 20 to crank", "ratio 0.022 to 0.028 m/rad to K"."""
         own, driven = self.si_units
-        return f"ratio {self._said('ratio')}{'' if own == driven else f' {own}/{driven}'} to {self.joint}"
+        return f"ratio {self._text('ratio')}{'' if own == driven else f' {own}/{driven}'} to {self.joint}"
 
-    def _said(self, name: str) -> str:
+    def _text(self, name: str) -> str:
         values = np.abs(self.values[name])
         low, high = (f"{value:.5g}" for value in (values.min(), values.max()))
         return low if self.is_constant else f"{low} to {high}"

@@ -14,7 +14,7 @@ WANTED = {"start": ABOVE, "waypoint": HALFWAY, "goal": BELOW}
 MISS_M = 1e-3
 
 
-def off_m(wanted: dict, **time: float) -> tuple[float, tuple[str, ...]]:
+def distance_m(wanted: dict, **time: float) -> tuple[float, tuple[str, ...]]:
     """Return the errors of the straight line from FROM to TO in joint space, in two intervals of half a second."""
     waypoint = {"at": {"foot": wanted["waypoint"]}, **time}
     motion = {"start_at": {"foot": wanted["start"]}, "goal_at": {"foot": wanted["goal"]}, "waypoints": [waypoint]}
@@ -34,7 +34,7 @@ def off_m(wanted: dict, **time: float) -> tuple[float, tuple[str, ...]]:
 
 @pytest.mark.parametrize("time", [{"time_s": 0.5}, {}], ids=["at its time", "at some break"])
 def test_a_motion_that_meets_every_place_has_no_error(time):
-    worst, failures = off_m(WANTED, **time)
+    worst, failures = distance_m(WANTED, **time)
     assert worst < 1e-9
     assert failures == ()
 
@@ -43,7 +43,7 @@ def test_a_motion_that_meets_every_place_has_no_error(time):
     ("which", "key"), [("start", "motion.start_at"), ("waypoint", "motion.waypoints[0].at"), ("goal", "motion.goal_at")]
 )
 def test_a_place_that_the_motion_misses_is_named_with_the_distance(which, key):
-    worst, failures = off_m(WANTED | {which: np.subtract(WANTED[which], [MISS_M, 0.0, 0.0]).tolist()})
+    worst, failures = distance_m(WANTED | {which: np.subtract(WANTED[which], [MISS_M, 0.0, 0.0]).tolist()})
     assert worst == pytest.approx(MISS_M, rel=1e-6)
     assert len(failures) == 1
     assert key in failures[0]
@@ -51,4 +51,4 @@ def test_a_place_that_the_motion_misses_is_named_with_the_distance(which, key):
 
 
 def test_a_waypoint_that_is_met_at_another_time_is_missed():
-    assert off_m(WANTED, time_s=0.3)[0] > MISS_M
+    assert distance_m(WANTED, time_s=0.3)[0] > MISS_M

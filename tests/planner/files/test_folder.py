@@ -13,7 +13,7 @@ import pytest
 from linkplan.models.errors import CertificateError, PlanFileError, ProblemError
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.files.folders import plain, write_json, write_whole
+from linkplan.planner.files.folders import to_json_types, write_json, write_whole
 from linkplan.planner.files.manifest import MANIFEST
 from linkplan.planner.files.tables import read_tables
 from linkplan.planner.plan import motion_table
@@ -115,7 +115,7 @@ def test_a_plan_without_a_motion_is_not_saved(tmp_path):
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), np.float64("-inf")])
 def test_a_number_that_is_not_finite_is_null_in_json(value):
-    assert plain({"a": [value, np.array([value])]}) == {"a": [None, [None]]}
+    assert to_json_types({"a": [value, np.array([value])]}) == {"a": [None, [None]]}
 
 
 # The table.

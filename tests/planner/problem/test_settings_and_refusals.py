@@ -196,7 +196,7 @@ def test_the_distance_of_points_from_a_segment_is_to_its_nearest_point():
 
 def test_a_place_is_off_a_point_by_its_prescribed_coordinates():
     point = SitePoint(site="foot", index=0, point=np.array([1.0, np.nan, -2.0]))
-    assert point.off_m(np.array([4.0, 100.0, 2.0])) == pytest.approx(5.0)
+    assert point.distance_m(np.array([4.0, 100.0, 2.0])) == pytest.approx(5.0)
     assert shown(point.point) == "{ x = 1, z = -2 }"
 
 

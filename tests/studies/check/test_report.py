@@ -11,7 +11,7 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import reach
-from linkplan.planner.files.folders import plain
+from linkplan.planner.files.folders import to_json_types
 from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.check.check_report import path_blocks, quantities
 from linkplan.studies.check.inspection import inspect
@@ -232,7 +232,7 @@ def test_an_actuator_without_limits_gives_any_effort_where_it_acts_and_none_wher
     mechanism = load_mechanism(text)
     path = measure(mechanism, mechanism.home[None], "home")
     assert path.available_effort[0].tolist() == [[-np.inf, np.inf], [0.0, 0.0]]
-    json.dumps(plain(path.figures), allow_nan=False)
+    json.dumps(to_json_types(path.figures), allow_nan=False)
 
 
 def test_a_models_sites_are_listed_where_mujoco_has_them_at_home(capsys):
@@ -353,9 +353,9 @@ def test_the_table_tells_weight_alone_from_what_holds_weight_and_springs():
 
 def test_an_angle_that_is_rounding_of_zero_is_said_as_zero():
     joint = load_mechanism("optimus-knee").independent_joints[0]
-    assert joint.said(-1.2e-10) == "0"
-    assert joint.said(np.radians(-12.3456)) == "-12.35"
-    assert joint.said(np.radians(1e-6)) == "1e-06"
+    assert joint.text(-1.2e-10) == "0"
+    assert joint.text(np.radians(-12.3456)) == "-12.35"
+    assert joint.text(np.radians(1e-6)) == "1e-06"
 
 
 KEYED = """<mujoco model="keyed"><worldbody><body><joint name="O" axis="0 1 0"/><geom size="0.1"/></body></worldbody>

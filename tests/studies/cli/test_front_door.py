@@ -7,8 +7,8 @@ import inspect
 import pytest
 
 import linkplan
+from linkplan.inputs import Source
 from linkplan.studies.cli.command_line import build_parser
-from linkplan.subjects import Source
 from tests.support.data import ROOT
 
 # Options on showing and writing only: where the result goes and what of it is printed.

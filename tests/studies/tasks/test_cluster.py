@@ -11,7 +11,7 @@ from linkplan.studies.batch.study import run_batch
 from linkplan.studies.experiment.experiment import Settings
 from linkplan.studies.experiment.study import RECORD, RESULTS, run_experiment
 from linkplan.studies.tasks.cluster import cluster
-from linkplan.studies.tasks.engine import here
+from linkplan.studies.tasks.engine import serial
 from linkplan.studies.tasks.streaming import streamed
 from tests.support.batches import same_plans, swept
 from tests.support.plans import optimal
@@ -33,7 +33,7 @@ def two_workers():
 @pytest.fixture(scope="module")
 def alone(tmp_path_factory):
     """The files of an experiment that one process has made."""
-    return studied(tmp_path_factory.mktemp("alone") / "x", here)
+    return studied(tmp_path_factory.mktemp("alone") / "x", serial)
 
 
 def studied(target, engine, say=silent):

@@ -15,7 +15,7 @@ from linkplan.planner.planning import silent
 from linkplan.studies.tasks import cluster as dask_cluster
 from linkplan.studies.tasks import streaming
 from linkplan.studies.tasks.cluster import cluster
-from linkplan.studies.tasks.engine import Pool, here, processes
+from linkplan.studies.tasks.engine import Pool, processes, serial
 from linkplan.studies.tasks.site import Refused, at_site
 from linkplan.studies.tasks.streaming import Progress, complete, streamed
 
@@ -52,7 +52,7 @@ def test_this_process_runs_each_task_when_the_one_before_is_taken():
         ran.append(task)
         return squared(task, threads)
 
-    results = streamed(here, work, [3, 1, 2], silent)
+    results = streamed(serial, work, [3, 1, 2], silent)
     assert next(results) == (3, 9)
     assert ran == [3]
     assert list(results) == [(1, 1), (2, 4)]
@@ -73,7 +73,7 @@ def test_another_engine_can_stand_in_its_place(tasks):
 
 def test_what_a_task_is_refused_with_is_one_line_here():
     with pytest.raises(LinkplanError, match=r"^task 4 makes no sense$"):
-        list(streamed(here, refused, [4], silent))
+        list(streamed(serial, refused, [4], silent))
 
 
 @pytest.mark.slow
@@ -145,7 +145,7 @@ def test_an_interrupt_while_workers_are_waited_for_reaches_the_command(tmp_path,
     @contextlib.contextmanager
     def waiting(n, say):
         try:
-            with here(n, say) as pool:
+            with serial(n, say) as pool:
                 yield pool
         finally:
             raise KeyboardInterrupt("again")

@@ -9,7 +9,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.reach import reach
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
-from linkplan.studies.tune.judged import Requirements
+from linkplan.studies.tune.requirements import Requirements
 from linkplan.studies.tune.tune import tune
 from tests.support.driven_linkages import MODELS, Linkage
 

@@ -11,7 +11,7 @@ from linkplan.studies.bode.bode_blocks import summary
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
 from linkplan.studies.frequency.margins import margins
 from linkplan.studies.output.text import text_of
-from linkplan.studies.tune.judged import Requirements
+from linkplan.studies.tune.requirements import Requirements
 from linkplan.studies.tune.tune import Tuning, tune
 
 MASS_KG, LENGTH_M, ANGLE = 2.0, 0.5, np.radians(20.0)

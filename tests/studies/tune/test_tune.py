@@ -10,7 +10,7 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
 from linkplan.studies.frequency.margins import damping_ratio, margins, settling_time_s
 from linkplan.studies.output.text import text_of
-from linkplan.studies.tune.judged import Requirements
+from linkplan.studies.tune.requirements import Requirements
 from linkplan.studies.tune.tune import tune
 from linkplan.studies.tune.tune_report import tune_blocks, tune_figure
 from tests.support.oscillators import inertia_alone, mass_on_a_spring

@@ -18,7 +18,7 @@ from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.imperfections import imperfections_of
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.settings import joint_values, number, plain
+from linkplan.planner.problem.settings import joint_values, number, to_toml_types
 from linkplan.reporting import Listener
 
 
@@ -204,7 +204,7 @@ def with_imperfections(problem: Problem, imperfections: Mapping | None) -> Probl
     """
     if imperfections is None:
         return problem
-    table = plain(imperfections)
+    table = to_toml_types(imperfections)
     imperfections_of(table, problem.mechanism)
     return replace(problem, source={**problem.source, "imperfections": table})
 
@@ -224,7 +224,7 @@ def tracking_table(own: Mapping, tracking: object) -> dict:
     """
     if tracking is not None and not isinstance(tracking, Mapping):
         raise ProblemError(f"tracking is a table of key = value, got {tracking!r}")
-    return {**own, **plain(tracking or {})}
+    return {**own, **to_toml_types(tracking or {})}
 
 
 def poses_of(mechanism: Mechanism, at_deg: object, at_m: object = ()) -> list[dict[str, float]]:
@@ -257,7 +257,7 @@ def numbers(values: object, key: str, *, positive: bool = False) -> list[float]:
     Raises:
         ProblemError: for something else, or a number that is not positive if it should be.
     """
-    given = plain(values)
+    given = to_toml_types(values)
     return [number(value, key, positive=positive) for value in (given if isinstance(given, list) else [given])]
 
 
@@ -270,4 +270,4 @@ def _tables(key: str, value: object, mechanism: Mechanism) -> list[dict]:
         value = [{joint.name: item} if isinstance(item, int | float) else item for item in value]
     if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
         raise ProblemError(f"{key} is a list of poses, each a table of joint = value, got {value!r}")
-    return [plain(item) for item in value]
+    return [to_toml_types(item) for item in value]

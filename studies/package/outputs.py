@@ -8,13 +8,13 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from linkplan.inputs import PlanLike, Source, Subject, plan_of, source_of, subject_of
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.paths import file_to_write, path_of
 from linkplan.planner.plan import Plan
 from linkplan.reporting import Listener, Progress, listener
 from linkplan.results import Result
-from linkplan.subjects import PlanLike, Source, Subject, plan_of, source_of, subject_of
 from linkplan.typed_commands import sample_again
 
 if TYPE_CHECKING:

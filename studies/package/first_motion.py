@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from linkplan.inputs import Source, source_of
 from linkplan.models.errors import ProblemError
 from linkplan.paths import file_to_write
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.settings import plain
+from linkplan.planner.problem.settings import to_toml_types
 from linkplan.plans import Plan
 from linkplan.reporting import Progress, listener
-from linkplan.subjects import Source, source_of
 from linkplan.typed_commands import first_steps
 
 
@@ -57,7 +57,7 @@ def new(
     if source.is_problem:
         raise ProblemError(f"'{source.name}' is already a problem; new takes the model of a mechanism")
     asked = {"keep": keep, "fix_base": fix_base, "lock": lock, "keyframe": keyframe, "drive": drive}
-    selected = {key: plain(value) for key, value in asked.items() if value}
+    selected = {key: to_toml_types(value) for key, value in asked.items() if value}
     _, sections, _ = replace(source, selection={**source.selection, **selected}).tables()
     if further := sections.keys() - {"mechanism"}:
         raise ProblemError(f"new takes settings of mechanism and writes the other sections, got {', '.join(further)}")

@@ -9,7 +9,7 @@ from pathlib import Path
 from linkplan.models.errors import ProblemError
 from linkplan.paths import path_of
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.settings import plain
+from linkplan.planner.problem.settings import to_toml_types
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
 from linkplan.studies.batch.study import Outcome, run_batch
@@ -51,7 +51,9 @@ def batch(
     engine = engine_of(workers, cluster)
     if isinstance(cases, Mapping):
         problem = cases.get("problem")
-        asked = batch_from(plain({**cases, "problem": _text_of(problem)} if isinstance(problem, Problem) else cases), Path())
+        asked = batch_from(
+            to_toml_types({**cases, "problem": _text_of(problem)} if isinstance(problem, Problem) else cases), Path()
+        )
     else:
         asked = read_batch(path_of(cases, "cases"))
     target = None if folder is None else path_of(folder, "folder")

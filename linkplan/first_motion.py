@@ -1,0 +1,1 @@
+../studies/package/first_motion.py
