@@ -50,15 +50,29 @@ def joint_rates(mechanism: Mechanism, q: np.ndarray, v: np.ndarray) -> np.ndarra
 
 def accelerations(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     """Return every joint's acceleration q'' = Gamma a + Gamma' v (n, n_q)."""
-    return sampled(_acceleration(mechanism), q, v, a)[:, :, 0]
+    return sampled(joint_acceleration(mechanism), q, v, a)[:, :, 0]
 
 
 @functools.lru_cache(maxsize=16)
-def _acceleration(mechanism: Mechanism) -> ca.Function:
+def joint_acceleration(mechanism: Mechanism) -> ca.Function:
+    """Return the function from q, v and a to every joint's acceleration (n_q,)."""
     q, v, a = (ca.SX.sym(name, n) for name, n in (("q", mechanism.n_q), ("v", mechanism.dof), ("a", mechanism.dof)))
     gamma = mechanism.dynamics.velocity_map(q)
     rates = gamma @ v
     return ca.Function("acceleration", [q, v, a], [ca.densify(gamma @ a + ca.jtimes(rates, q, rates))])
+
+
+@functools.lru_cache(maxsize=16)
+def site_motion(mechanism: Mechanism, order: int) -> ca.Function:
+    """Return the function from q, v and a to the velocities (order 1) or accelerations (2) of all sites (3, n_sites)."""
+    n_q, n_s = mechanism.n_q, mechanism.dof
+    q, v, a, rates = (ca.SX.sym(name, n) for name, n in zip("qvar", (n_q, n_s, n_s, n_q), strict=True))
+    places = ca.vec(mechanism.dynamics.site_places(q))
+    found = ca.jtimes(places, q, rates)
+    if order == 2:
+        found = ca.jtimes(places, q, joint_acceleration(mechanism)(q, v, a)) + ca.jtimes(found, q, rates)
+    found = ca.substitute(found, rates, mechanism.dynamics.velocity_map(q) @ v)
+    return ca.Function("site_motion", [q, v, a], [ca.reshape(ca.densify(found), 3, -1)])
 
 
 def sliding_friction(mechanism: Mechanism, q: np.ndarray, column: int = 0) -> np.ndarray:

@@ -20,6 +20,7 @@ from linkplan.models.poses.contacts import Contact, may_collide, meetings, new_m
 from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE, exact_bounds, relative_violation
+from linkplan.planner.limits.accelerations import jerks
 from linkplan.planner.limits.efforts import effort_rates
 from linkplan.planner.problem.instant import Scales, free_instant
 from linkplan.planner.problem.objective import motor_losses
@@ -136,7 +137,8 @@ def objective_value(problem: Problem, trajectory: Trajectory) -> tuple[float, fl
     q = follow(problem.mechanism, s, trajectory.start_pose)
     rate, _ = effort_rates(trajectory, time)
     wanted = s if reference is None else reference.derivative(time - trajectory.breaks_s[0])
-    values = sampled(ca.Function("objective", symbols, [ca.densify(integrands)]), q, v, a, u, rate, wanted)[:, :, 0]
+    columns = (q, v, a, u, rate, wanted, jerks(trajectory, time))
+    values = sampled(ca.Function("objective", symbols, [ca.densify(integrands)]), *columns)[:, :, 0]
     return float(width @ values.sum(axis=1)), float(width @ np.abs(values).sum(axis=1))
 
 

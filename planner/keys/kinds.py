@@ -76,7 +76,7 @@ Contacts = Literal["refuse", "note"]
 Refine = Literal["both", "intervals", "degree"]
 Compile = Literal["auto", "always", "never"]
 Axis = Literal["x", "y", "z"]
-Term = Literal["effort", "time", "tracking", "work", "copper_loss", "effort_rate", "closure_force"]
+Term = Literal["effort", "time", "tracking", "work", "copper_loss", "effort_rate", "jerk", "closure_force"]
 
 if TYPE_CHECKING:
     Scheme = PayloadName = EffortForm = str
@@ -158,4 +158,5 @@ LqrErrors = Annotated[dict[str, LqrError], Meta(extra={"of": "joint = error"})]
 Efforts = Annotated[dict[str, Interval], Meta(extra=_ACTUATORS | {"of": "actuator = [low, high]"})]
 ActuatorLimits = Annotated[dict[str, Positive | Interval], Meta(extra=_ACTUATORS)]
 ClosureLimits = Annotated[dict[str, Positive], Meta(extra={"of": "closure = newtons", "noun": "closure"})]
+SiteLimits = Annotated[dict[str, Positive], Meta(extra={"of": "site = metres per second squared", "noun": "site"})]
 Places = Annotated[dict[str, Place], Meta(extra={"of": "site = [x, y, z] in metres", "noun": "site"})]

@@ -120,6 +120,13 @@ class LimitsSection(Section, frozen=True):
         "deg/s",
         "none",
     )
+    acceleration_deg_s2: kinds.Speeds = by_joint(
+        "hinges' accelerations, dependent joints too: a number for both ways, or [low, high]", "deg/s2", "none"
+    )
+    jerk_deg_s3: kinds.Speeds = by_joint(
+        "independent hinges' jerk; accelerations then have no jumps, not even from rest", "deg/s3", "none"
+    )
+    site_acceleration_m_s2: kinds.SiteLimits = by_name("the largest acceleration of a site", "m/s2", "none")
     effort_rate: kinds.ActuatorLimits = by_name(
         "rate of efforts by actuator; efforts then have no jumps", "N.m/s, N/s", "none"
     )

@@ -40,7 +40,7 @@ class ExtraPathLimit(Limit):
     def of(cls, problem: Problem, **_: bool) -> list[Self]:
         depends = [uses(one, problem.mechanism) for one in problem.extra_limits]
         return [
-            cls(item, one.expression, of["u"], not of["v"] and not of["u"], one)
+            cls(item, one.expression, of["u"] or of["a"], not (of["v"] or of["a"] or of["u"]), one)
             for item, (one, of) in enumerate(zip(problem.extra_limits, depends, strict=True))
         ]
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from linkplan.planner.limits.accelerations import AccelerationLimit, JerkLimit, SiteAccelerationLimit
 from linkplan.planner.limits.actuators import (
     ControlLimit,
     MotorLimit,
@@ -27,6 +28,8 @@ KINDS: tuple[type[Limit], ...] = (
     RangeLimit,
     EffortRateLimit,
     SpeedLimit,
+    AccelerationLimit,
+    JerkLimit,
     MotorLimit,
     PowerLimit,
     ClosureForceLimit,
@@ -36,12 +39,16 @@ KINDS: tuple[type[Limit], ...] = (
     BallLimit,
     RobustLimit,
     SitePathLimit,
+    SiteAccelerationLimit,
     ExtraPathLimit,
 )
 # In the order in which a diagnosis removes them to find the one that forbids a motion. Effort limits and joint ranges follow
 # after these.
 RELAXED: tuple[type[Limit], ...] = (
     RobustLimit,
+    JerkLimit,
+    SiteAccelerationLimit,
+    AccelerationLimit,
     SpeedLimit,
     PowerLimit,
     ClosureForceLimit,

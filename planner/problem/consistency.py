@@ -23,6 +23,7 @@ from linkplan.planner.problem.objective import Objective
 from linkplan.planner.problem.reference import GuessedPath, Sine
 from linkplan.planner.problem.settings import MeshSettings
 from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.schemes import scheme
 
 
 def start_pose(
@@ -312,7 +313,17 @@ def lacking_parts(
         "motors": motors_lack if unknown else None,
         "closures": None if mechanism.closure_names else f"a closure; '{mechanism.name}' has none",
         "changing efforts": "mesh.effort linear or polynomial, got constant" if mesh.effort == "constant" else None,
+        "changing accelerations": _constant_acceleration(mesh),
     }
+
+
+def _constant_acceleration(mesh: MeshSettings) -> str | None:
+    """Return a phrase on a transcription whose accelerations are constant over an interval; None for the others."""
+    if mesh.effort != "polynomial":
+        return f"mesh.effort polynomial, got {mesh.effort}"
+    if scheme(mesh.scheme).n_nodes < 3:
+        return f"a mesh.scheme with three nodes or more in an interval, got {mesh.scheme}"
+    return None
 
 
 def check_objective(
@@ -338,8 +349,9 @@ def check_objective(
         for need in term.needs:
             if lacking[need] is not None:
                 raise ProblemError(f"objective.minimize '{name}' needs {lacking[need]}")
-    if np.any(np.isfinite(limits.effort_rate)) and lacking["changing efforts"] is not None:
-        raise ProblemError(f"limits.effort_rate needs {lacking['changing efforts']}")
+    for name, need in (("effort_rate", "changing efforts"), ("jerk", "changing accelerations")):
+        if np.any(np.isfinite(getattr(limits, name))) and lacking[need] is not None:
+            raise ProblemError(f"limits.{name} needs {lacking[need]}")
 
 
 def check_shapes(
@@ -359,7 +371,7 @@ def check_shapes(
     for k, waypoint in enumerate(motion.waypoints):
         if waypoint.position.shape != (n_s,) or waypoint.speed.shape != (n_s,):
             raise ProblemError(f"motion.waypoints[{k}] has one value for each of {n_s} independent joints")
-    rows = {"effort": mechanism.n_u, "position": mechanism.n_q, "speed": mechanism.n_q}
+    rows = {"effort": mechanism.n_u} | dict.fromkeys(("position", "speed", "acceleration", "jerk"), mechanism.n_q)
     rows |= {"effort_rate": mechanism.n_u, "power": mechanism.n_u, "closure_force": len(mechanism.closure_names)}
     for name, n_rows in rows.items():
         if len(getattr(limits, name)) != n_rows:

@@ -11,6 +11,7 @@ import numpy as np
 from linkplan.models.errors import ProblemError, choose, one_line, shown
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
+from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.problem.instant import Instant, free_instant
 
 # Names appear in sentences.
@@ -33,7 +34,8 @@ class _Named:
 class NamedInstant:
     """One instant of a motion for users' expressions, in SI: `at.position_rad["O"]`, `at.site("foot")[2]`.
 
-    Every joint, dependent or not, has a position [rad or m] and a velocity; every actuator has an effort [N.m or N].
+    Every joint, dependent or not, has a position [rad or m], a velocity and an acceleration; every actuator has an effort
+    [N.m or N].
     """
 
     instant: Instant
@@ -49,6 +51,12 @@ class NamedInstant:
         return _Named("joint in at.velocity_rad_s", _joints(self.instant.mechanism), self.instant.joint_rates)
 
     @property
+    def acceleration_rad_s2(self) -> _Named:
+        """The joints' accelerations [rad/s2 or m/s2] by name."""
+        accelerations = self.instant.joint_accelerations
+        return _Named("joint in at.acceleration_rad_s2", _joints(self.instant.mechanism), accelerations)
+
+    @property
     def effort(self) -> _Named:
         """The actuators' efforts [N.m or N] by name."""
         names = tuple(actuator.name for actuator in self.instant.mechanism.actuators)
@@ -56,9 +64,18 @@ class NamedInstant:
 
     def site(self, name: str) -> ca.SX:
         """Return the place (3,) [m] of a site in the world."""
-        model = self.instant.mechanism.model
-        names = [model.site(k).name for k in range(model.nsite)]
-        return self.instant.of_pose("site_places")[:, names.index(choose("site in at.site", name, names, ProblemError))]
+        return self._of_site("site", name, self.instant.of_pose("site_places"))
+
+    def site_velocity(self, name: str) -> ca.SX:
+        """Return the velocity (3,) [m/s] of a site in the world."""
+        return self._of_site("site_velocity", name, self.instant.site_velocities)
+
+    def site_acceleration(self, name: str) -> ca.SX:
+        """Return the acceleration (3,) [m/s2] of a site in the world."""
+        return self._of_site("site_acceleration", name, self.instant.site_accelerations)
+
+    def _of_site(self, what: str, name: str, columns: ca.SX) -> ca.SX:
+        return columns[:, site_index(self.instant.mechanism.model, name, f"at.{what}", ProblemError)]
 
 
 Expression = Callable[[NamedInstant], ca.SX]
@@ -175,7 +192,8 @@ def uses(extra: Extra, mechanism: Mechanism) -> dict[str, bool]:
     depends = {name: ca.depends_on(found, one) for name, one in zip("qvau", symbols, strict=False)}
     if not any(depends.values()):
         raise ProblemError(
-            f"extra {extra.kind} '{extra.name}': its expression depends on position, velocity or effort, got a constant"
+            f"extra {extra.kind} '{extra.name}': its expression depends on position, velocity, acceleration or effort,"
+            " got a constant"
         )
     return depends
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import sampled
+from linkplan.models.poses.along import joint_acceleration, sampled, site_motion
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.keys.motion_and_limits import RobustSection
@@ -199,7 +199,7 @@ class Instant:
         units: the program's units by name: time, position, effort, residual, length, power, force.
         rates: rates (n_q,) of all joints if they are unknowns of the program; otherwise they follow from the loops.
         reference: independent positions (n_s,) that are tracked.
-        effort_rate: u' (n_u,).
+        effort_rate, jerk: u' (n_u,) and a' (n_s,).
         losses: copper loss per squared effort (n_u,) of the motors.
         positive_power: of each actuator (n_u,) if it is an unknown of the program; otherwise max(0, u w).
     """
@@ -215,6 +215,7 @@ class Instant:
     rates: ca.SX | None = None
     reference: ca.SX | None = None
     effort_rate: Any = None
+    jerk: Any = None
     losses: Any = None
     positive_power: ca.SX | None = None
     _kept: dict = field(default_factory=dict)
@@ -223,6 +224,21 @@ class Instant:
     def joint_rates(self) -> ca.SX:
         """The rates (n_q,) of all joints."""
         return self.call("velocity_map", self.q) @ self.v if self.rates is None else self.rates
+
+    @cached_property
+    def joint_accelerations(self) -> ca.SX:
+        """The accelerations (n_q,) of all joints."""
+        return joint_acceleration(self.mechanism)(self.q, self.v, self.a)
+
+    @cached_property
+    def site_velocities(self) -> ca.SX:
+        """The velocities (3, n_sites) of the model's sites in the world."""
+        return site_motion(self.mechanism, 1)(self.q, self.v, self.a)
+
+    @cached_property
+    def site_accelerations(self) -> ca.SX:
+        """The accelerations (3, n_sites) of the model's sites in the world."""
+        return site_motion(self.mechanism, 2)(self.q, self.v, self.a)
 
     def of_pose(self, name: str) -> ca.SX:
         """Return the value of a function of the reduced dynamics that depends on the pose only."""
@@ -268,14 +284,15 @@ class Instant:
 
 
 def free_instant(mechanism: Mechanism, losses: np.ndarray | None = None) -> tuple[Instant, list[ca.SX]]:
-    """Return an instant of new symbols, and the symbols: q, v, a, u, the effort's rate, the reference."""
+    """Return an instant of new symbols, and the symbols: q, v, a, u, the effort's rate, the reference, the jerk."""
     sizes = {"q": mechanism.n_q, "v": mechanism.dof, "a": mechanism.dof, "u": mechanism.n_u}
-    symbols = [ca.SX.sym(name, size) for name, size in (sizes | {"rate": mechanism.n_u, "reference": mechanism.dof}).items()]
-    q, v, a, u, rate, reference = symbols
+    sizes |= {"rate": mechanism.n_u, "reference": mechanism.dof, "jerk": mechanism.dof}
+    symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
+    q, v, a, u, rate, reference, jerk = symbols
     payload = ca.SX(0, 1) if mechanism.payload is None else ca.SX(mechanism.payload.numbers())
 
     def call(name: str, *arguments: Any) -> ca.SX:
         return getattr(mechanism.dynamics, name)(*arguments)
 
-    given = {"effort_rate": rate, "reference": reference, "losses": losses}
+    given = {"effort_rate": rate, "jerk": jerk, "reference": reference, "losses": losses}
     return Instant(mechanism=mechanism, q=q, v=v, a=a, u=u, payload=payload, call=call, **given), symbols

@@ -1,11 +1,13 @@
 """Limits at every instant of a motion, and the motors that some limits come from."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.keys.motion_and_limits import LimitsSection, Motor
 from linkplan.planner.problem.settings import DERIVED, frozen, interval, joint_values
 from linkplan.planner.problem.sites import SiteLimit, site_limits_of
@@ -20,29 +22,33 @@ def free_bounds(n: int) -> np.ndarray:
 class Limits:
     """Limits at every instant as rows [low, high], infinite without a limit.
 
-    `effort` (n_u, 2) [N.m or N]; `position` and `speed` (n_q, 2) [rad or m, and per second] of all joints; `effort_rate`
-    (n_u, 2) [N.m/s or N/s]; `power` (n_u, 2) [W], mechanical, of each actuator; `closure_force` (n_closures,) [N], the
-    largest force of each closure; `singular_margin`, the least |det J_z| relative to home; `site`, limits on sites [m].
-    `effort` is the limit for plans: `reserve` is the share of the actuators' own limits that is left to feedback.
+    `effort` (n_u, 2) [N.m or N]; `position`, `speed`, `acceleration` and `jerk` (n_q, 2) [rad or m, and per second, its
+    square and cube] of all joints; `effort_rate` (n_u, 2) [N.m/s or N/s]; `power` (n_u, 2) [W], mechanical, of each
+    actuator; `closure_force` (n_closures,) [N], the largest force of each closure; `singular_margin`, the least |det J_z|
+    relative to home; `site`, limits on sites [m]; `site_acceleration`, the largest by site [m/s2]. `effort` is the limit
+    for plans: `reserve` is the share of the actuators' own limits that is left to feedback.
     """
 
     effort: np.ndarray
     position: np.ndarray
     speed: np.ndarray
+    acceleration: np.ndarray = DERIVED
+    jerk: np.ndarray = DERIVED
     effort_rate: np.ndarray = DERIVED
     power: np.ndarray = DERIVED
     closure_force: np.ndarray = DERIVED
     singular_margin: float = 0.0
     reserve: float = 0.0
     site: tuple[SiteLimit, ...] = ()
+    site_acceleration: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "site", tuple(self.site))
-        for name in ("effort_rate", "power"):
+        for name, like in (("effort_rate", "effort"), ("power", "effort"), ("acceleration", "speed"), ("jerk", "speed")):
             if getattr(self, name) is None:
-                object.__setattr__(self, name, free_bounds(len(self.effort)))
+                object.__setattr__(self, name, free_bounds(len(getattr(self, like))))
         object.__setattr__(self, "closure_force", frozen(() if self.closure_force is None else self.closure_force))
-        for name in ("effort", "position", "speed", "effort_rate", "power"):
+        for name in ("effort", "position", "speed", "acceleration", "jerk", "effort_rate", "power"):
             value = frozen(getattr(self, name))
             if value.ndim != 2 or value.shape[1] != 2 or np.any(np.isnan(value)):
                 raise ProblemError(f"limits.{name} has one [low, high] a row, got shape {value.shape}")
@@ -75,10 +81,6 @@ def limits_of(section: LimitsSection, mechanism: Mechanism) -> Limits:
                 f" [{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}], where its stops act"
             )
         position[index] = low, high
-    speed = free_bounds(mechanism.n_q)
-    for index, value in joint_values(section, "speed_s", "limits", mechanism).items():
-        joint = mechanism.joints[index]
-        speed[index] = [joint.read(end) for end in _including_rest(value, f"limits.speed_{joint.unit}_s.{joint.name}")]
     forces = np.full(len(mechanism.closure_names), np.inf)
     for name, value in section.closure_force.items():
         forces[closure_index(mechanism, name)] = value
@@ -86,12 +88,15 @@ def limits_of(section: LimitsSection, mechanism: Mechanism) -> Limits:
         effort=(1.0 - section.reserve) * effort,
         reserve=section.reserve,
         position=position,
-        speed=speed,
+        speed=_rate_rows(section, "speed", "_s", mechanism),
+        acceleration=_rate_rows(section, "acceleration", "_s2", mechanism),
+        jerk=_jerk_rows(section, mechanism),
         effort_rate=_actuator_rows(section.effort_rate, "limits.effort_rate", mechanism),
         power=_actuator_rows(section.power_w, "limits.power_w", mechanism),
         closure_force=forces,
         singular_margin=section.singular_margin,
         site=site_limits_of(section.site, mechanism),
+        site_acceleration=_of_sites(section.site_acceleration_m_s2, mechanism),
     )
 
 
@@ -125,6 +130,35 @@ def _including_rest(value: float | list[float], where: str) -> tuple[float, floa
     if not low <= 0 <= high:
         raise ProblemError(f"{where} admits rest, low <= 0 <= high, got [{low:g}, {high:g}]")
     return low, high
+
+
+def _rate_rows(section: LimitsSection, name: str, per: str, mechanism: Mechanism) -> np.ndarray:
+    """Return [low, high] (n_q, 2) of a limit on joints' rates, accelerations or jerk, in SI."""
+    rows = free_bounds(mechanism.n_q)
+    for index, value in joint_values(section, name + per, "limits", mechanism).items():
+        joint = mechanism.joints[index]
+        ends = _including_rest(value, f"limits.{name}_{joint.unit}{per}.{joint.name}")
+        rows[index] = [joint.read(end) for end in ends]
+    return rows
+
+
+def _jerk_rows(section: LimitsSection, mechanism: Mechanism) -> np.ndarray:
+    """Return the limits on jerk (n_q, 2), refused for dependent joints: their accelerations are no polynomials."""
+    rows = _rate_rows(section, "jerk", "_s3", mechanism)
+    for index in np.flatnonzero(np.isfinite(rows).any(axis=1)):
+        if index not in mechanism.independent:
+            joint, own = mechanism.joints[index], ", ".join(one.name for one in mechanism.independent_joints)
+            raise ProblemError(
+                f"limits.jerk_{joint.unit}_s3 is of independent joints ({own}), got {joint.name}, which follows from them"
+            )
+    return rows
+
+
+def _of_sites(table: dict[str, float], mechanism: Mechanism) -> dict[str, float]:
+    """Return the largest accelerations by site, refused for unknown names."""
+    for name in table:
+        site_index(mechanism.model, name, "limits.site_acceleration_m_s2", ProblemError)
+    return dict(table)
 
 
 def _actuator_rows(table: dict[str, float | list[float]], where: str, mechanism: Mechanism) -> np.ndarray:

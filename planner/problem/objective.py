@@ -117,6 +117,15 @@ TERMS: Mapping[str, Term] = {
         needs=("changing efforts",),
         efforts="smooth",
     ),
+    "jerk": Term(
+        words="integral of the squared rates of the independent joints' accelerations",
+        unit="rad2/s5",
+        integrand=lambda at: ca.sumsqr(at.jerk),
+        size=lambda scales, _: scales.position**2 / scales.time_s**5,
+        order=2,
+        exact="jerk",
+        needs=("changing accelerations",),
+    ),
     "closure_force": Term(
         words="integral of the squared closure forces",
         unit="N2 s",

@@ -47,11 +47,12 @@ class Problem:
         waypoints: tables in order, with any of `at_deg`, `at_m`, `at` (positions of sites), `speed_deg_s`, `speed_m_s`,
             `time_s`.
         turns: whole turns by joint that a periodic motion makes in a period, {"O": 1}; their sign is the direction.
-        minimize: effort, time, tracking, work, copper_loss, effort_rate or closure_force, or a table of weights.
+        minimize: effort, time, tracking, work, copper_loss, effort_rate, jerk or closure_force, or a table of weights.
         reference: a sinusoid: `amplitude_deg`, `bias_deg`, `phase_deg` by joint, and `frequency_hz`.
-        limits: `effort`, `range_deg`, `speed_deg_s`, `effort_rate`, `power_w`, `closure_force`, each by name, and
-            `singular_margin`, `contacts`; `site`, boxes {"foot": {"z": [0.0, inf]}}, walls {"normal": n, "at": p} and tubes
-            {"along": points, "radius_m": r}, one or a list by site. By default the model's own.
+        limits: `effort`, `range_deg`, `speed_deg_s`, `acceleration_deg_s2`, `jerk_deg_s3`, `effort_rate`, `power_w`,
+            `closure_force`, `site_acceleration_m_s2`, each by name, and `singular_margin`, `contacts`; `site`, boxes
+            {"foot": {"z": [0.0, inf]}}, walls {"normal": n, "at": p} and tubes {"along": points, "radius_m": r}, one or a
+            list by site. By default the model's own.
         reserve: the share of every effort limit that is left to feedback, such as 0.2; also a key of `limits`.
         motors: by actuator: `torque_constant`, `resistance_ohm`, `stall_effort`, `no_load_speed_deg_s`.
         guess: `path_deg`, positions at equal times by joint, or `plan`, a saved plan's folder.

@@ -94,13 +94,13 @@ def to_toml_types(value: Any) -> Any:
 
 
 def joint_values(section: Section, key: str, table_name: str, mechanism: Mechanism) -> dict[int, Any]:
-    """Return {joint index: value} of `key`_deg and `key`_m (before any _s), units checked against the joints.
+    """Return {joint index: value} of `key`_deg and `key`_m (before any _s, _s2 or _s3), units checked against the joints.
 
     Raises:
         ProblemError: for an unknown joint, or a joint of the other kind.
     """
     found = {}
-    stem, rate = (key[: -len("_s")], "_s") if key.endswith("_s") else (key, "")
+    stem, rate = next(((key[: -len(end)], end) for end in ("_s", "_s2", "_s3") if key.endswith(end)), (key, ""))
     for unit, kind, other in (("deg", "hinge", "m"), ("m", "slide", "deg")):
         name = f"{stem}_{unit}{rate}"
         for joint, value in getattr(section, name).items():

@@ -88,7 +88,8 @@ def _arcs_of(
     motion, transcribed, x, target = found.motion, found.solution.transcribed, found.solution.x, case.target
     on_path = path_arcs(transcribed, x)
     # Bang arcs end where arcs along a speed limit begin; other efforts bend there, and along a motor's line all do.
-    arcs = own_arcs(transcribed, x, ("motor",) if target.bang_bang else ("motor", "speed"))
+    kinds = ("motor", "acceleration", "jerk")
+    arcs = own_arcs(transcribed, x, kinds if target.bang_bang else (*kinds, "speed"))
     switch_times = find_switch_times(
         motion,
         target.effort_limit,

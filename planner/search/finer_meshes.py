@@ -22,6 +22,7 @@ from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.actions import nearest_on
 from linkplan.planner.refinement.case import CertifiedIterate, Iterate, attempt, certify_iterate
+from linkplan.planner.refinement.constrained_arcs import arc_ends, own_arcs
 from linkplan.planner.refinement.marking import degree_of, rough_of
 from linkplan.planner.refinement.state import Refined
 from linkplan.planner.refinement.switch_search import mesh_with_switches
@@ -215,7 +216,7 @@ def _first_way(case: MechanismCase, at: CertifiedIterate) -> _Way:
     if asked.mesh.refine != "intervals":
         case = case.with_scheme(_FINER_SCHEME)
     n = max(8, round(_SHARE_OF_INTERVALS * asked.mesh.intervals))
-    boundaries, jumps = motion.breaks_s[found.mesh.boundaries()], jumps_of(case, motion)
+    boundaries, jumps = motion.breaks_s[found.mesh.boundaries()], jumps_of(case, found)
     if len(boundaries) == 2 and not len(jumps):
         return _Way(case, uniform(n), np.array([motion.duration_s]), "finer transcription")
     return _Way(case, *mesh_with_switches(boundaries, jumps, n, least=1), "jumps of efforts as unknowns")
@@ -227,7 +228,7 @@ def _next_way(case: MechanismCase, before: CertifiedIterate, at: CertifiedIterat
         return None
     pieces, mesh = _coarse(case, at), at.found.mesh
     boundaries, durations = at.found.motion.breaks_s[mesh.boundaries()], _durations(at)
-    further = _apart(jumps_of(case, at.found.motion), np.concatenate([[0.0], np.cumsum(durations)]), at.found.motion)
+    further = _apart(jumps_of(case, at.found), np.concatenate([[0.0], np.cumsum(durations)]), at.found.motion)
     nearer = _nearer(case, at)
     if at.passed and nearer is not case:
         return _Way(nearer, mesh, durations, "nearer to singular poses")
@@ -299,7 +300,15 @@ def _enough(case: MechanismCase, worst: np.ndarray) -> np.ndarray:
     return np.clip(np.ceil(finite ** (1.0 / order)), 1, _MAX_PIECES).astype(int)
 
 
-def jumps_of(case: MechanismCase, motion: Trajectory) -> np.ndarray:
+def jumps_of(case: MechanismCase, found: Iterate[Trajectory]) -> np.ndarray:
+    """Return the times (n,) [s] at which efforts jump or arcs along limits on acceleration and jerk end, increasing."""
+    motion, jumps = found.motion, effort_jumps(case, found.motion)
+    arcs = own_arcs(found.solution.transcribed, found.solution.x, ("acceleration", "jerk"))
+    ends = arc_ends(arcs, motion.breaks_s, jumps, motion.breaks_s[found.mesh.boundaries()])
+    return _apart(np.sort(np.append(jumps, ends)), motion.breaks_s[[0, -1]], motion)
+
+
+def effort_jumps(case: MechanismCase, motion: Trajectory) -> np.ndarray:
     """Return the times (n,) [s] at which efforts jump between intervals or inside one, increasing.
 
     The impulse of an interval tells where in it an effort changes from its mean before to its mean after.

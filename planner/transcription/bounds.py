@@ -111,11 +111,11 @@ class _Rows:
         return linear, np.concatenate(self.lower), np.concatenate(self.upper)
 
 
-def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, bang: np.ndarray | None):
+def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, chosen: Scheme, bang: np.ndarray | None):
     """Return rows (n, size) with their lower and upper values.
 
-    The rows impose periodic states, efforts without jumps, the times of phase boundaries after several segments, and,
-    when the least effort limit is sought, efforts within a common factor of their limits.
+    The rows impose periodic states, efforts and accelerations without jumps, the times of phase boundaries after several
+    segments, and, when the least effort limit is sought, efforts within a common factor of their limits.
     """
     rows, effort = _Rows(), layout.effort()
     if formulation.returns:
@@ -126,6 +126,8 @@ def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, bang: np.n
         following = effort[(np.arange(layout.n_intervals) + 1) % layout.n_intervals, 0]
         pairs = np.stack([effort[:, -1], following], axis=-1)[: None if formulation.periodic else -1].reshape(-1, 2)
         rows.add(pairs, np.tile([1.0, -1.0], (len(pairs), 1)), 0.0, 0.0)
+    for columns, values in _accelerations_without_jumps(formulation, layout, chosen):
+        rows.add(columns, values, 0.0, 0.0)
     for group, low, high, weight in _boundary_groups(formulation, mesh):
         if len(group) > 1:
             rows.add(layout.durations()[group][None, :], weight[None, :], low, high)
@@ -141,6 +143,26 @@ def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, bang: np.n
                     rows.add(columns[~at], factor[~at], low, high)
                     rows.add(columns[at], factor[at], 0.0, 0.0)  # held at the limit, whatever its factor
     return rows.stacked(layout.size)
+
+
+def _accelerations_without_jumps(
+    formulation: Formulation, layout: Layout, chosen: Scheme
+) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yield columns and coefficients (n, k) of rows that are zero: accelerations with a bounded rate have no jumps.
+
+    Neither have they where the motion begins or ends at rest.
+    """
+    first, last = chosen.acceleration_coefficients[[0, -1]]
+    speeds = slice(layout.n_s, 2 * layout.n_s)
+    rests = [np.all(formulation.boundaries[end].state[speeds] == 0.0, axis=1) for end in (0, -1)]
+    for column in formulation.rows.has_jerk(layout.n_s):
+        at = layout.acceleration()[:, :, column]  # (n, m)
+        following = np.roll(at, -1, axis=0)
+        pairs = np.hstack([at, following])[: None if formulation.periodic else -1]
+        yield pairs, np.tile(np.concatenate([last, -first]), (len(pairs), 1))
+        for rest, end, of in ((rests[0], 0, first), (rests[1], -1, last)):
+            if rest[column] and not formulation.periodic:
+                yield at[[end]], of[None, :]
 
 
 def _boundary_groups(formulation: Formulation, mesh: Mesh):

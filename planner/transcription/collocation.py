@@ -134,7 +134,7 @@ def collocate(
     )
     durations = stretched_durations(durations, formulation.boundaries, mesh.phase, formulation.units.time_s)
     linear, linear_lower, linear_upper = linear_rows(
-        formulation, layout, mesh, bang_coefficients(bang_efforts, mesh, layout) if least_limit else None
+        formulation, layout, mesh, chosen, bang_coefficients(bang_efforts, mesh, layout) if least_limit else None
     )
     junctions = None
     if 1 not in chosen.open_ends and not least_limit:  # a junction's equation needs a node at the interval's end
@@ -180,7 +180,7 @@ def renumbered_with(transcribed: Transcribed, formulation: Formulation, x: np.nd
     lower, upper = bounds(
         formulation, layout, mesh, durations, transcribed.bang_efforts, program.interval.open_end_z, transcribed.junctions
     )
-    _, linear_lower, linear_upper = linear_rows(formulation, layout, mesh, None)
+    _, linear_lower, linear_upper = linear_rows(formulation, layout, mesh, transcribed.scheme, None)
     breaks, open_ends, numbers = mesh.breaks(durations), program.interval.n_open_ends, transcribed.numbers
     row_lower, row_upper = row_bounds(
         formulation, transcribed.scheme, program.interval, mesh, breaks, transcribed.constrained_paths, transcribed.junctions

@@ -30,8 +30,8 @@ from linkplan.planner.transcription.system import (
     triplets,
 )
 
-# Costs of an interval, exact for the effort's polynomial: its duration, int u_j^2, int u_j'^2.
-COSTS = ("time", "effort", "effort_rate")
+# Costs of an interval, exact for its polynomials: its duration, int u_j^2, int u_j'^2, int a_j'^2.
+COSTS = ("time", "effort", "effort_rate", "jerk")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -41,6 +41,7 @@ class IntervalRows:
     `costs` are names from `COSTS`. The other fields say which quantities are bounded:
 
     * `speed_columns`, `position_columns`: second-order coordinates; `state_columns`: first-order states.
+    * `acceleration_columns`, `jerk_columns`: second-order coordinates whose acceleration or its rate is bounded.
     * `rate_columns`: efforts whose rate is bounded.
     * `motor_columns`: pairs (effort, coordinate) with the line alpha u + beta v.
     * `power_columns`: pairs (effort, coordinate) with the product u v.
@@ -56,6 +57,8 @@ class IntervalRows:
     speed_columns: tuple[int, ...] = ()
     position_columns: tuple[int, ...] = ()
     state_columns: tuple[int, ...] = ()
+    acceleration_columns: tuple[int, ...] = ()
+    jerk_columns: tuple[int, ...] = ()
     rate_columns: tuple[int, ...] = ()
     motor_columns: tuple[tuple[int, int], ...] = ()
     power_columns: tuple[tuple[int, int], ...] = ()
@@ -68,9 +71,13 @@ class IntervalRows:
         """Whether limits on power and force are rows on coefficients."""
         return bool(self.power_columns or self.power_levers or self.squared_sums)
 
-    def n_eta(self, n_u: int) -> int:
+    def n_eta(self, n_u: int, n_s: int) -> int:
         """Return the number of an interval's own parameters: weights of its costs, then alpha and beta of each motor."""
-        return sum({"time": 1}.get(cost, n_u) for cost in self.costs) + 2 * len(self.motor_columns)
+        return sum({"time": 1, "jerk": n_s}.get(cost, n_u) for cost in self.costs) + 2 * len(self.motor_columns)
+
+    def has_jerk(self, n_s: int) -> tuple[int, ...]:
+        """Return the coordinates whose acceleration has no jumps, because a limit or a cost is on its rate."""
+        return tuple(range(n_s)) if "jerk" in self.costs else self.jerk_columns
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -188,13 +195,13 @@ def build_chain(system: System, scheme: Scheme, rows: IntervalRows, node: NodeFu
         n_open_ends=n_open_ends,
         n_z_open_end=len(node.open_end_z),
     )
-    w, share, eta = ca.SX.sym("w", layout.size), ca.SX.sym("share"), ca.SX.sym("eta", rows.n_eta(system.n_u))
+    w, share, eta = ca.SX.sym("w", layout.size), ca.SX.sym("share"), ca.SX.sym("eta", rows.n_eta(system.n_u, system.n_s))
     parts = _Parts(layout, scheme, w, share)
     xi = parts.node_columns()  # (n_xi, m + n_open_ends)
     if n_open_ends:
         xi = ca.horzcat(xi, parts.open_end_columns(scheme, node.open_end_z))
     own, kinds, items = _own_rows(parts, scheme, system, rows, eta)
-    cost = _own_cost(parts, scheme, rows, eta)
+    cost = _own_cost(parts, rows, eta)
     stacked = ca.vec(xi)
     T = ca.jacobian(stacked, w)
     blocks = [T[i * system.n_xi : (i + 1) * system.n_xi, :] for i in range(m + n_open_ends)]
@@ -323,9 +330,14 @@ def _own_rows(parts: _Parts, scheme: Scheme, system: System, rows: IntervalRows,
         add("position", item, parts.s0[column] + travelled)
     for item, column in enumerate(rows.state_columns):
         add("state", item, parts.x0[column] + h * (matrix["velocity_coefficients"] @ parts.r)[:, column])
+    acceleration = matrix["acceleration_coefficients"] @ parts.a
+    for item, column in enumerate(rows.acceleration_columns):
+        add("acceleration", item, acceleration[:, column])
+    for item, column in enumerate(rows.jerk_columns):
+        add("jerk", item, _slope(acceleration[:, column]) / h)
     degree = scheme.effort_at.shape[1] - 1
     for item, column in enumerate(rows.rate_columns):
-        add("effort_rate", item, degree * (parts.u[1:, column] - parts.u[:-1, column]) / h)
+        add("effort_rate", item, _slope(parts.u[:, column]) / h)
     lift = ca.DM(bernstein_elevation(degree, scheme.velocity_coefficients.shape[0] - 1))
     for item, (effort, column) in enumerate(rows.power_columns):
         add("power", item, ca.vertcat(*bernstein_product(parts.u[:, effort], speed(column))))
@@ -345,27 +357,28 @@ def _own_rows(parts: _Parts, scheme: Scheme, system: System, rows: IntervalRows,
     return ca.densify(ca.vertcat(*own)), kinds, items
 
 
-def _own_cost(parts: _Parts, scheme: Scheme, rows: IntervalRows, eta: ca.SX) -> ca.SX:
-    """Return the interval's weighted costs, with exact integrals of the effort's polynomial."""
-    degree, n_u = scheme.effort_at.shape[1] - 1, parts.u.shape[1]
+def _own_cost(parts: _Parts, rows: IntervalRows, eta: ca.SX) -> ca.SX:
+    """Return the interval's weighted costs, with exact integrals of its polynomials."""
+    squares = {
+        "effort": (parts.u, parts.h),
+        "effort_rate": (_slope(parts.u), 1 / parts.h),
+        "jerk": (_slope(parts.matrix["acceleration_coefficients"] @ parts.a), 1 / parts.h),
+    }
     cost, at = ca.SX(0), 0
     for name in rows.costs:
         if name == "time":
             cost += eta[at] * parts.h
             at += 1
             continue
-        if name == "effort":
-            gram, values, factor = ca.DM(bernstein_gram(degree)), parts.u, parts.h
-        elif degree > 0:
-            gram, values, factor = (
-                ca.DM(bernstein_gram(degree - 1)),
-                degree * (parts.u[1:, :] - parts.u[:-1, :]),
-                1 / parts.h,
-            )
-        else:
-            at += n_u
-            continue
-        for j in range(n_u):
-            cost += eta[at + j] * factor * (values[:, j].T @ gram @ values[:, j])
-        at += n_u
+        values, factor = squares[name]
+        gram = ca.DM(bernstein_gram(max(values.shape[0] - 1, 0)))
+        for j in range(values.shape[1]):
+            if values.shape[0]:  # a constant has no slope
+                cost += eta[at + j] * factor * (values[:, j].T @ gram @ values[:, j])
+        at += values.shape[1]
     return cost
+
+
+def _slope(coefficients: ca.SX) -> ca.SX:
+    """Return the Bernstein coefficients of a polynomial's derivative by the share of the interval."""
+    return (coefficients.shape[0] - 1) * (coefficients[1:, :] - coefficients[:-1, :])

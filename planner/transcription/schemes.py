@@ -35,7 +35,7 @@ class Scheme:
     each node, `velocity_end` and `position_end` (m,) up to 1. `weights` (m,) are quadrature weights. `effort_at`
     (m, n_effort) maps Bernstein coefficients to values at the nodes. `velocity_coefficients` (m + 1, m) and
     `position_coefficients` (m + 2, m; m + 1 in first-order form) map nodal accelerations to the Bernstein coefficients of
-    v - v_0 and s - s_0 - h tau v_0.
+    v - v_0 and s - s_0 - h tau v_0, `acceleration_coefficients` (m, m) to those of the acceleration itself.
     """
 
     name: str
@@ -48,6 +48,7 @@ class Scheme:
     effort_at: np.ndarray
     velocity_coefficients: np.ndarray
     position_coefficients: np.ndarray
+    acceleration_coefficients: np.ndarray
 
     def __post_init__(self) -> None:
         m = len(self.nodes)
@@ -61,6 +62,7 @@ class Scheme:
             m == 1 or abs(self.position_end.sum() - 0.5) < tolerance,
             np.allclose(self.effort_at.sum(axis=1), 1, atol=tolerance),
             np.allclose(bernstein_matrix(m, self.nodes) @ self.velocity_coefficients, self.velocity, atol=tolerance),
+            np.allclose(bernstein_matrix(m - 1, self.nodes) @ self.acceleration_coefficients, np.eye(m), atol=tolerance),
             np.allclose(self.velocity_coefficients[-1], self.velocity_end, atol=tolerance),
             np.allclose(self.velocity_coefficients[-1], self.weights, atol=tolerance),
             np.allclose(
@@ -90,9 +92,8 @@ class Scheme:
     @property
     def at_open_ends(self) -> np.ndarray:
         """The matrix (n_open, m) that maps nodal accelerations to the accelerations at the open ends."""
-        m = self.n_nodes
-        to_coefficients = np.linalg.inv(bernstein_matrix(m - 1, self.nodes))
-        return bernstein_matrix(m - 1, np.array(self.open_ends, dtype=float)) @ to_coefficients
+        ends = bernstein_matrix(self.n_nodes - 1, np.array(self.open_ends, dtype=float))
+        return ends @ self.acceleration_coefficients
 
 
 def scheme(name: str, effort: str = "polynomial") -> Scheme:
@@ -125,7 +126,8 @@ def _scheme(name: str, effort: str) -> Scheme:
 
 def _build(name: str, nodes: np.ndarray, effort: str, *, consistent: bool) -> Scheme:
     m = len(nodes)
-    to_velocity = bernstein_integral(m - 1) @ np.linalg.inv(bernstein_matrix(m - 1, nodes))
+    to_acceleration = np.linalg.inv(bernstein_matrix(m - 1, nodes))
+    to_velocity = bernstein_integral(m - 1) @ to_acceleration
     velocity = bernstein_matrix(m, nodes) @ to_velocity
     # In first-order form the position integrates the polynomial through the nodal velocities.
     to_position = bernstein_integral(m) @ to_velocity if consistent else to_velocity @ velocity
@@ -140,4 +142,5 @@ def _build(name: str, nodes: np.ndarray, effort: str, *, consistent: bool) -> Sc
         effort_at=bernstein_matrix(min(EFFORTS[effort], m - 1), nodes),
         velocity_coefficients=to_velocity,
         position_coefficients=to_position,
+        acceleration_coefficients=to_acceleration,
     )

@@ -8,10 +8,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.models.poses.along import joint_rates
+from linkplan.models.poses.along import accelerations, joint_rates, sampled, site_motion
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.keys.motion_and_limits import Motor
+from linkplan.planner.limits.accelerations import jerks
 from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, effort_rates
 from linkplan.planner.limits.samples import Samples
 from linkplan.planner.problem.instant import Robust
@@ -55,6 +56,8 @@ def kinds_of(problem: Problem, motion: Trajectory, rng: np.random.Generator) -> 
     mechanism = problem.mechanism
     j, i = int(rng.integers(mechanism.n_u)), int(rng.integers(mechanism.n_q))
     actuator, joint = mechanism.actuators[j], mechanism.joints[i]
+    k = j % mechanism.dof
+    driven = mechanism.independent_joints[k]
     effort = _rows("effort", j)
     return [
         Kind(
@@ -69,6 +72,16 @@ def kinds_of(problem: Problem, motion: Trajectory, rng: np.random.Generator) -> 
             words=f"speed of {joint.name}",
             values=lambda at: joint_rates(mechanism, at.q, at.v)[:, i],
             limited=_rows("speed", i),
+        ),
+        Kind(
+            words=f"acceleration of {joint.name}",
+            values=lambda at: accelerations(mechanism, at.q, at.v, at.a)[:, i],
+            limited=_rows("acceleration", i),
+        ),
+        Kind(
+            words=f"jerk of {driven.name}",
+            values=lambda at: jerks(at.trajectory, at.time)[:, k],
+            limited=_rows("jerk", int(mechanism.independent[k])),
         ),
         Kind(
             words=f"effort rate of {actuator.name}",
@@ -123,7 +136,14 @@ def _sites(problem: Problem, motion: Trajectory, rng: np.random.Generator) -> li
                 signs=(1,) if what == "tube" else (1, -1),
             )
         )
-    return found
+
+    def accelerated(problem: Problem, low: float, high: float) -> Problem:
+        return replace(problem, limits=replace(problem.limits, site_acceleration={name: min(-low, high)}))
+
+    def size(at: Samples) -> np.ndarray:
+        return np.linalg.norm(sampled(site_motion(mechanism, 2), at.q, at.v, at.a)[:, :, index], axis=1)
+
+    return [*found, Kind(words=f"acceleration of site {name}", values=size, limited=accelerated, signs=(1,))]
 
 
 def _robust(problem: Problem, j: int) -> list[Kind]:

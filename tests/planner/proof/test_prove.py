@@ -180,6 +180,9 @@ def test_a_motion_on_the_other_branch_is_refuted():
     ("override", "words"),
     [
         ("limits.speed_deg_s.C={}", "speed of C"),
+        ("limits.acceleration_deg_s2.C={}", "acceleration of C"),
+        ("limits.jerk_deg_s3.O={}", "jerk of O"),
+        ("limits.site_acceleration_m_s2.B_coupler={}", "acceleration of site B_coupler"),
         ("limits.power_w.act_O={}", "power of act_O"),
         ("limits.closure_force.B={}", "closure force of B"),
         ("limits.range_deg.O=[-90, {}]", "position of O"),
@@ -189,7 +192,7 @@ def test_every_kind_of_limit_is_proved_above_its_largest_value_and_refuted_below
     _, motion = knee()
     wide = 89.0 if "position" in words else 1e6
     (bound,) = [f.bound for f in prove(problem_of("knee-reach", override.format(wide)), motion).findings if words in f.name]
-    size = np.sqrt(bound) if "force" in words else abs(bound)
+    size = np.sqrt(bound) if "force" in words or "site" in words else abs(bound)
     for factor, answer in ((1 + 1e-4, "proved"), (1 - 1e-2, "refuted")):
         narrow = problem_of("knee-reach", override.format(size * factor))
         assert answers(prove(narrow, motion), words) == {answer}, (words, factor)

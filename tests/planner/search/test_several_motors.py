@@ -17,7 +17,7 @@ from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import several_motors
-from linkplan.planner.search.finer_meshes import FIRST_MARGIN, at_a_distance, jumps_of, of_several
+from linkplan.planner.search.finer_meshes import FIRST_MARGIN, at_a_distance, effort_jumps, of_several
 from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.search.several_motors import _margin_kept, from_several_starts
 from tests.support.data import DATA
@@ -110,9 +110,9 @@ def test_a_jump_is_where_the_impulse_of_its_interval_puts_it(in_least_time):
     breaks, level = np.linspace(0.0, 1.0, 11), np.full((10, 2), 100.0)
     level[4, 0], level[5:, 0] = 100.0 - 0.3 * 200.0, -100.0  # the first effort jumps at seven tenths of the fifth interval
     motion = SimpleNamespace(breaks_s=breaks, duration_s=1.0, effort=np.stack([level, level]))
-    assert jumps_of(case_of(in_least_time), motion) == pytest.approx([0.47])
+    assert effort_jumps(case_of(in_least_time), motion) == pytest.approx([0.47])
     smooth = case_of(leg(duration_s=0.3, minimize="effort"))
-    assert len(jumps_of(smooth, motion)) == 0
+    assert len(effort_jumps(smooth, motion)) == 0
 
 
 def test_one_motor_constant_efforts_and_given_breaks_have_another_search(in_least_time):

@@ -7,6 +7,7 @@ import pytest
 
 from linkplan.planner.transcription.bounds import _given_nodes, _hold_paths, bounds, linear_rows, row_bounds
 from linkplan.planner.transcription.formulation import PhaseBoundary
+from linkplan.planner.transcription.interval import IntervalRows
 from linkplan.planner.transcription.mesh import Layout, Mesh, segmented, uniform
 from linkplan.planner.transcription.schemes import scheme
 
@@ -27,7 +28,7 @@ def formulation(*boundaries: PhaseBoundary, **changes) -> SimpleNamespace:
         "units": SimpleNamespace(time_s=1.0, effort=np.array([4.0])), "boundaries": boundaries, "returns": (),
         "smooth": False, "periodic": False, "n_s": 1, "own": {}, "own_tightening": {}, "tightening": None,
         "position_path": (), "passed": (),
-        "path": np.array([[-2.0, 3.0]]), "rows": SimpleNamespace(open_end_path=()),
+        "path": np.array([[-2.0, 3.0]]), "rows": IntervalRows(),
     }  # fmt: skip
     return SimpleNamespace(**numbers | changes)
 
@@ -98,7 +99,7 @@ def test_the_duration_between_two_given_times_is_their_difference():
 def rows_of(problem: SimpleNamespace, mesh: Mesh) -> tuple[Layout, np.ndarray, np.ndarray, np.ndarray]:
     """Return the layout, the rows as a matrix, and their bounds."""
     layout = layout_of(mesh)
-    linear, low, high = linear_rows(problem, layout, mesh, None)
+    linear, low, high = linear_rows(problem, layout, mesh, scheme("radau-2"), None)
     return layout, np.array(linear.dm()), low, high
 
 

@@ -33,9 +33,9 @@ def system() -> System:
 
 
 def test_an_interval_has_a_weight_for_its_time_and_for_each_effort_and_a_line_for_each_motor():
-    assert ROWS.n_eta(2) == 1 + 2 + 2 + 4
-    assert IntervalRows(costs=("effort",)).n_eta(3) == 3
-    assert IntervalRows(costs=("time",), motor_columns=((0, 0),)).n_eta(3) == 3
+    assert ROWS.n_eta(2, 2) == 1 + 2 + 2 + 4
+    assert IntervalRows(costs=("effort",)).n_eta(3, 2) == 3
+    assert IntervalRows(costs=("time",), motor_columns=((0, 0),)).n_eta(3, 2) == 3
 
 
 @pytest.mark.parametrize("name", ["radau-3", "gauss-2", "hermite-simpson"])
