@@ -139,16 +139,15 @@ def _worst_of(study: BodeStudy, scan: Scan) -> str:
 
 
 def crossovers_of(study: BodeStudy) -> list[str]:
-    """Return a sentence for each feedback loop with several gain crossovers."""
-    found = []
-    for entry in study.points:
-        at, others = entry.crossover_hz, entry.other_crossovers_hz
-        if others:
-            joint = study.mechanism.independent_joints[entry.channel].name
-            loop = f"{joint} at {entry.point.name}" if len(study.mechanism.channels) > 1 else entry.point.name
-            frequencies = ", ".join(f"{f:.4g}" for f in others)
-            found.append(f"{loop}: the gain is one at {frequencies} Hz too; the phase margin is least at {at:.4g} Hz")
-    return found
+    """Return the sentence on feedback loops whose gain crosses 1 several times; none without any."""
+    several = [entry for entry in study.points if entry.other_crossovers_hz]
+    if not several:
+        return []
+    others = [f for entry in several for f in entry.other_crossovers_hz]
+    low, high = (f"{of(others):.4g}" for of in (min, max))
+    at = low if low == high else f"{low} to {high}"
+    where = f"in {len(several)} of {len(study.points)} loops" if len(several) > 1 else f"at {several[0].point.name}"
+    return [f"{where} the gain also crosses 1 at {at} Hz; the phase margin shown is the smallest of all crossings"]
 
 
 def _name(entry: BodePoint) -> str:

@@ -170,8 +170,8 @@ def weight_sentences(path: KinematicLoopPath, *, changing: bool = False) -> list
         if beyond.any() and not (changing and np.ptp(effort) <= ROUNDING_SHARE * _scale(effort)):
             k = int(np.argmax(excess))
             said.append(
-                f"holding weight and springs asks {actuator.name} for {effort[k]:.4g} {actuator.unit} at {_pose(path, k)},"
-                f" beyond its limit of {low:g} to {high:g} {actuator.unit}; so in {int(beyond.sum())} of {len(excess)} poses"
+                f"at {_pose(path, k)} actuator {actuator.name} would need {effort[k]:.4g} {actuator.unit} to hold still,"
+                f" beyond its limits {low:g} to {high:g} {actuator.unit} ({int(beyond.sum())} of {len(excess)} poses)"
             )
     return said
 

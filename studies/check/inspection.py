@@ -321,18 +321,18 @@ def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:
         at = f"singular pose at {joint.name} = {joint.text(position, 5)} {joint.unit}"
         if position in can.single:
             said.append(
-                f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}: one motion alone"
-                " leads through, no branch, but forces on the loops grow without bound there; no other coordinate mends it"
+                f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}. Only one motion"
+                " passes this pose, so the branch cannot change; loop forces grow without bound there, with any coordinate"
             )
         elif position in branching:
             said.append(
-                f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}: the mechanism may"
-                " go over to another branch there, and forces on the loops grow without bound; no other coordinate mends it"
+                f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}. The mechanism may"
+                " change to another branch there, and loop forces grow without bound, with any coordinate"
             )
         else:
             said.append(
-                f"{at}: a dead centre of {joint.name}, the closure keeps its rank: the mechanism moves on there, but"
-                f" {joint.name} does not fix how; mechanism.independent with another joint leads through"
+                f"{at}: {joint.name} is at a dead centre. The mechanism can pass it, but not with {joint.name} as its"
+                " coordinate: set mechanism.independent to another joint"
             )
     return said
 

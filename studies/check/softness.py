@@ -19,7 +19,6 @@ import numpy as np
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
 from linkplan.models.kinematics import (
-    STIFF_IMPEDANCE,
     STIFF_SOLIMP,
     soft_couplings,
     stiff_time_constant_s,
@@ -44,7 +43,7 @@ _MOST_GRAVITY_M_S2 = 100.0
 class SoftClosure:
     """The gap of a closure at home [m]: while the weight is held, and with one actuator at its limit.
 
-    `stiff_gap_m` is the larger gap with `stiff_solref` and `STIFF_IMPEDANCE`, the stiffest setting for the timestep.
+    `stiff_gap_m` is the larger gap with `stiff_solref` and the stiffest impedance, the stiffest setting for the timestep.
     `turned` is a soft coupling's attributes written the other way round, which that setting does too.
     """
 
@@ -288,20 +287,17 @@ def softness_note(mechanism: Mechanism) -> str | None:
         return f"{1e3 * gap:.2g} mm" if gap <= largest else f"more than {1e3 * largest:.2g} mm"
 
     also = f" (and {', '.join(one.name for one in others)})" if others else ""
-    gaps = f"{gap_text(worst.weight_gap_m)} while weight and springs are held at home"
+    gaps = f"{gap_text(worst.weight_gap_m)} at rest at home"
     if worst.rated_by is not None:
-        gaps += f", {gap_text(worst.rated_gap_m)} under {worst.rated_by} at its limit"
+        gaps += f" and by {gap_text(worst.rated_gap_m)} with {worst.rated_by} at its limit"
     solref = " ".join(f"{number:g}" for number in worst.solref)
-    text = f"closure {worst.name}{also} is soft (solref {solref}): the simulator's closure gap is {gaps}"
     if worst.turned is not None:
-        why = f"coupling {worst.name}{also} is soft, as MuJoCo makes coefficients below 1: its gap is {gaps}"
+        why = f"in MuJoCo coupling {worst.name}{also} opens by {gaps}, because its coefficient is below 1"
         return f"{why}; {STIFF_KEY} or {worst.turned} closes it"
+    text = f"in MuJoCo loop {worst.name}{also} opens by {gaps} (solref {solref})"
     if worst.stiff_gap_m > 0.5 * worst.gap_m:
-        return f"{text}; a shorter timestep would admit a stiffer one"
-    return (
-        f'{text}; solref="{worst.stiff_solref}" solimp="{STIFF_IMPEDANCE}", the stiffest that its timestep admits, leaves'
-        f" {gap_text(worst.stiff_gap_m)} ({STIFF_KEY} sets it)"
-    )
+        return f"{text}; a shorter timestep would admit a stiffer loop"
+    return f"{text}; {STIFF_KEY} leaves {gap_text(worst.stiff_gap_m)}"
 
 
 def massless_findings(mechanism: Mechanism) -> list[str]:

@@ -82,13 +82,13 @@ def default_gains(comparison: Comparison) -> list[str]:
     unset = [f"{key} = {getattr(tracking, key):g}" for key in ("kp", "kd") if key not in given]
     if not run or not unset:
         return []
-    ran = f"{' and '.join(run)} ran with {' and '.join(unset)}, defaults whatever the mechanism"
+    ran = f"no gains given: {' and '.join(run)} used {' and '.join(unset)}"
     time = comparison.plan.trajectory.dense_times(1)
     positions = comparison.plan.trajectory.position_at(time)
     why = why_no_loop(problem.mechanism, positions, problem.limits.actuators_effort)
     if why is not None:
-        return [f"{ran}: choose them in [tracking], for there is no linear loop to find gains for: {why}"]
-    return [f"{ran}: `linkplan tune` finds gains for [tracking]"]
+        return [f"{ran}; choose them in [tracking]: there is no linear loop to tune, because {why}"]
+    return [f"{ran}; `linkplan tune` finds gains for this mechanism"]
 
 
 def lost_notes(comparison: Comparison) -> list[str]:
@@ -103,8 +103,8 @@ def lost_notes(comparison: Comparison) -> list[str]:
         if lost:
             said = ", ".join(f"{name} by {error:.3g} {unit}" for name, error in lost.items())
             notes.append(
-                f"the motion, which travels {travel:.3g} {unit}, is not followed: {said} at the most; stable says only that"
-                " a run stays finite, without a limit cycle between the effort limits"
+                f"the motion, which travels {travel:.3g} {unit}, is not followed: the largest errors are {said};"
+                " 'stable' only means that a run stays finite, without a limit cycle between the effort limits"
             )
     return notes
 

@@ -137,7 +137,7 @@ def facts(plan: Plan) -> list[tuple[str, str]]:
         rows.append((f"objective ({problem.objective.name})", value))
     peaks = zip(problem.mechanism.actuators, plan.certificate.peak_effort, problem.limits.effort, strict=True)
     return rows + [
-        (f"effort {a.name}", f"{figure(peak, 5)} {a.unit} at the most, {limits_text(low, high, a.unit, 'limit ')}")
+        (f"effort {a.name}", f"at most {figure(peak, 5)} {a.unit}, {limits_text(low, high, a.unit, 'limit ')}")
         for a, peak, (low, high) in peaks
     ]
 

@@ -68,7 +68,7 @@ def _proved(plan: planned.Plan, asked: bool, seconds: float, say: Listener) -> p
     until = NO_DEADLINE.within(max(_PROOF_SHARE * seconds, _PROOF_SECONDS))
     with contextlib.suppress(OutOfTimeError):
         return plan.with_proof(until, existence=False)
-    say.keep("not proved: the proof takes long beside the plan; `linkplan prove` makes it")
+    say.keep("proof skipped: it would take longer than a quarter of the planning; run `linkplan prove` on the saved plan")
     return plan
 
 

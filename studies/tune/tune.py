@@ -145,18 +145,7 @@ def _message(
     if timing.delay_steps:
         sampled += f" with {timing.delay_s:g} s of delay"
     if found:
-        band, at_band = best.worst("bandwidth_hz")
-        phase, at_phase = best.worst("phase_margin_deg")
-        settling, at_settling = best.worst("settling_s", largest=True)
-        stiffness, softest = best.worst("stiffness_at_rest")
-        unit = mechanism.independent_joints[softest.channel].gain_units[0]
-        farthest = best.farthest_at_rest()
-        reached = [] if band is None else [f"bandwidth (-3 dB) {band:.4g} Hz at the least ({at_band.name})"]
-        reached += [] if phase is None else [f"phase margin {phase:.4g} deg at the least ({at_phase.name})"]
-        reached.append(f"an error settles to 2 % within {settling:.3g} s ({at_settling.name})")
-        reached.append(f"a small step settles at {100 * farthest.response_at_rest:.4g} % ({farthest.name})")
-        reached.append(f"stiffness at rest {stiffness:.4g} {unit} at the least ({softest.name})")
-        return f"{words} gives {asked} at {everywhere}, {sampled}: {', '.join(reached)}"
+        return f"{words} gives {asked} at {everywhere}, {sampled}"
     # The hold of one period and the delay cost this much phase at the required bandwidth with any gains.
     cost = 360.0 * wanted.bandwidth_hz * (0.5 * timing.period_s + timing.delay_s)
     cannot = f"{words} cannot give {asked} at {everywhere}, {sampled}"

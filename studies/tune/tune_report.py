@@ -109,6 +109,8 @@ def tune_blocks(tuning: Tuning, *, verdict: bool = True) -> list[Block]:
         blocks.append(Text(text=f"{weights} (errors weighted like the full effort limit)"))
     else:
         blocks.append(Facts(rows=gain_lines(tuning)))
+    if tuning.found:
+        blocks.append(_worst(tuning))
     if shared := tuning.points[0].point.shared_coordinates:
         blocks.append(Facts(rows=[("at every pose", shared)]))
     for channel, joint in zip(tuning.mechanism.channels, joints, strict=True):
@@ -120,6 +122,25 @@ def tune_blocks(tuning: Tuning, *, verdict: bool = True) -> list[Block]:
     if len(joints) > 1:
         blocks.append(Text(text="settling and damping belong to the poles that all loops share"))
     return blocks if tuning.note is None else [*blocks, Text(text=tuning.note, tone="note")]
+
+
+def _worst(tuning: Tuning) -> Table:
+    """Return what was asked, the worst value over all loops and poses, and where it is."""
+    best, wanted = tuning.best, tuning.wanted
+    farthest, (stiffness, softest) = best.farthest_at_rest(), best.worst("stiffness_at_rest")
+    unit = tuning.mechanism.independent_joints[softest.channel].gain_units[0]
+    rows: list[list] = []
+    for words, asked, (value, at) in (
+        ("bandwidth -3 dB [Hz]", wanted.bandwidth_hz, best.worst("bandwidth_hz")),
+        ("phase margin [deg]", wanted.phase_margin_deg, best.worst("phase_margin_deg")),
+        ("peak of |S|", wanted.sensitivity_peak, best.worst("sensitivity_peak", largest=True)),
+        ("time to settle to 2 % [s]", None, best.worst("settling_s", largest=True)),
+        ("a small step settles at [%]", None, (100 * farthest.response_at_rest, farthest)),
+        (f"stiffness at rest [{unit}]", None, (stiffness, softest)),
+    ):
+        if value is not None:
+            rows.append([words, "" if asked is None else asked, value, at.name])
+    return table_of("Worst over all positions", ["quantity", "asked", "worst", "at"], rows)
 
 
 def _table(loops: Sequence[JudgedLoop], joint: Joint, several: bool) -> Table:

@@ -170,8 +170,8 @@ def test_the_gripper_s_cable_has_the_closed_form_s_arm_inertia_and_holding_pull(
     pull = -(2 * STIFFNESS * (q - REST) + WEIGHT * np.sin(q)) / (2 * PULLEY)
     assert relative_error(path.holding_effort[:, 0], pull) < KNEE
     assert np.any(pull < 0), "where the springs hold the hand further shut than its weight does"
-    assert "holding weight and springs asks pull for" in text_of(path_blocks(path))
-    assert f"beyond its limit of 0 to 20 N; so in {np.sum(pull < 0)} of {len(q)} poses" in text_of(path_blocks(path))
+    assert "actuator pull would need" in text_of(path_blocks(path))
+    assert f"beyond its limits 0 to 20 N ({np.sum(pull < 0)} of {len(q)} poses)" in text_of(path_blocks(path))
 
 
 @pytest.mark.slow

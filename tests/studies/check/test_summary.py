@@ -52,7 +52,7 @@ def test_a_motor_too_weak_for_the_weight_is_the_first_note(ask, tmp_path):
     )
     _, out, _ = ask("check", str(tmp_path / "arm.xml"))
     first = next(line for line in out.splitlines() if line.startswith("note: "))
-    assert "holding weight and springs asks m for 9.81 N.m at P = 90 deg, beyond its limit of -8 to 8 N.m" in first
+    assert "at P = 90 deg actuator m would need 9.81 N.m to hold still, beyond its limits -8 to 8 N.m" in first
 
 
 def test_a_base_that_floats_is_one_problem_with_its_remedy(ask, ask_json, tmp_path):
