@@ -17,6 +17,7 @@ from linkplan.models.poses.along import joint_rates, whole_turns
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.certificate.certificate import Certificate
+from linkplan.planner.certificate.demands import Demand, demands_of
 from linkplan.planner.certificate.further_checks import contact_notes
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import AXES
@@ -317,6 +318,14 @@ class Plan:
             LinkplanError: if the plan has no motion, or a time is not finite.
         """
         return sample_motion(self.problem, self.require_motion("sample"), time_s, jumps=jumps)
+
+    def demands(self) -> tuple[Demand, ...]:
+        """Return what the motion demands of each actuator: peak and rms effort, peak speed, powers and energy.
+
+        Raises:
+            LinkplanError: if the plan has no motion, or its loops cannot close along it.
+        """
+        return demands_of(self.problem, self.require_motion("judge actuators by"))
 
     def to_frame(self, time_s: np.ndarray | None = None) -> pandas.DataFrame:
         """Return the motion at times (n,) [s] as a pandas table, with a row for each time and units in the columns' names.

@@ -60,6 +60,7 @@ def record(plan: Plan) -> dict:
             "peak_closure_force_n": peaks("peak_closure_force", mechanism.closure_names),
             "effort_limit": dict(zip(names, problem.limits.effort, strict=True)),
             "effort_unit": {actuator.name: actuator.unit for actuator in mechanism.actuators},
+            "demands": _demands(plan),
             "certificate": None if certificate is None else certificate_record(problem, certificate),
             "proof": None if plan.proof is None else plan.proof.record(),
             "mesh": {"scheme": plan.scheme, "intervals": plan.intervals},
@@ -77,6 +78,16 @@ def record(plan: Plan) -> dict:
             "extras": [asdict(one) for one in (*extra_records(problem.extras), *problem.unread_extras)],
         }
     )
+
+
+def _demands(plan: Plan) -> list[dict] | None:
+    """Return the demands on the actuators; None without a motion, or where its loops do not close."""
+    if plan.trajectory is None:
+        return None
+    try:
+        return [asdict(one) for one in plan.demands()]
+    except AssemblyError:
+        return None
 
 
 def certificate_record(problem: Problem, certificate: Certificate) -> dict:

@@ -8,10 +8,12 @@ from collections.abc import Iterable, Iterator, Sequence
 import numpy as np
 from msgspec.structs import replace
 
+from linkplan.models.errors import AssemblyError
 from linkplan.planner.certificate.certificate import Certificate, integration_rtol
 from linkplan.planner.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, Proof
+from linkplan.studies.output.actuator_blocks import demand_table
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
 from linkplan.studies.output.text import brief_rows, limits_text, notes_of
 
@@ -98,7 +100,15 @@ def plan_blocks(plan: Plan) -> list[Block]:
         replace(block, brief=[]) if isinstance(block, Table) and block.title not in _OPEN_TITLES else block
         for block in proof_blocks(plan.proof, names)
     ]
-    return [*blocks, _verdict(plan, certificate), table, *proof, *notes]
+    return [*blocks, _verdict(plan, certificate), *_demands(plan), table, *proof, *notes]
+
+
+def _demands(plan: Plan) -> list[Block]:
+    """Return the table of what the motion demands of each actuator; none off its loops, as the certificate says."""
+    try:
+        return [demand_table(plan)]
+    except AssemblyError:
+        return []
 
 
 def _verdict(plan: Plan, certificate: Certificate) -> Text:

@@ -9,6 +9,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan import Plan, not_honoured
 from linkplan.planner.problem.build import file_text
+from linkplan.studies.output.actuator_blocks import demand_blocks
 from linkplan.studies.output.animation import animation, frames_of
 from linkplan.studies.output.certificate_list import certificate_list
 from linkplan.studies.output.document import Block, Code, Facts, Plot, Report, Section, Text
@@ -56,6 +57,7 @@ def plan_sections(plan: Plan, *, animated: bool = True, verdict: bool = True) ->
         Section(title="Motion and effort", blocks=over_time, depth=2),
         *([] if phase is None else [Section(title="Phase plane", blocks=[phase], depth=2)]),
         *([] if robust is None else [robust]),
+        Section(title="Actuators", blocks=demand_blocks(plan, group), depth=2),
         Section(title="Certificate", blocks=[_passed(plan), certificate_list(plan, motion, group)], depth=2),
         *([] if plan.proof is None else [Section(title="Proof", blocks=proof_blocks(plan.proof), depth=2)]),
         Section(title="Solves and mesh", blocks=[_solves(plan), _mesh(plan, group, period)], depth=2),
