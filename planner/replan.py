@@ -281,6 +281,8 @@ def structure(problem: Problem) -> tuple:
     extra = tuple(one.expression for one in problem.objective.extra)
     mesh = (problem.mesh.scheme, problem.mesh.intervals, problem.mesh.effort, repr(problem.mesh.breaks))
     terms = tuple(problem.objective.weights)
+    if problem.objective.has("peak_effort"):  # whose rows have the limits as coefficients
+        terms += (problem.limits.effort.tobytes(), *problem.objective.weights.values())
     payload = problem.mechanism.payload
     of = (
         problem.mechanism.fingerprint(payload_apart=True),

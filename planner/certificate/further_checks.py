@@ -120,7 +120,7 @@ def negligible_objective(problem: Problem, trajectory: Trajectory) -> float:
 
 
 def objective_value(problem: Problem, trajectory: Trajectory) -> tuple[float, float]:
-    """Return the integrals of a motion's objective and of its terms' absolute values [SI], by Gauss-Legendre quadrature.
+    """Return a motion's objective and the sum of its terms' absolute values [SI], integrals by Gauss-Legendre quadrature.
 
     Raises:
         AssemblyError: when the loops cannot close along the motion.
@@ -139,7 +139,16 @@ def objective_value(problem: Problem, trajectory: Trajectory) -> tuple[float, fl
     wanted = s if reference is None else reference.derivative(time - trajectory.breaks_s[0])
     columns = (q, v, a, u, rate, wanted, jerks(trajectory, time))
     values = sampled(ca.Function("objective", symbols, [ca.densify(integrands)]), *columns)[:, :, 0]
-    return float(width @ values.sum(axis=1)), float(width @ np.abs(values).sum(axis=1))
+    peak = objective.weight("peak_effort") and objective.weight("peak_effort") * peak_share(problem, trajectory)
+    return float(width @ values.sum(axis=1) + peak), float(width @ np.abs(values).sum(axis=1) + peak)
+
+
+def peak_share(problem: Problem, trajectory: Trajectory) -> float:
+    """Return the largest effort of a motion at any instant, as a share of its limit."""
+    effort = trajectory.effort_at(trajectory.dense_times(40))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = np.nan_to_num(effort[:, :, None] / problem.limits.effort, nan=0.0, posinf=0.0, neginf=0.0)
+    return float(shares.max(initial=0.0))
 
 
 def with_contacts(problem: Problem, trajectory: Trajectory, certificate: Certificate) -> Certificate:

@@ -137,6 +137,7 @@ def formulate(
         own_tightening=own_tightening,
         position_path=tuple(k for k, limit in enumerate(asked.rows) if limit.facts.of_position),
         passed=_passed_rows(problem, asked),
+        peak=None if least_limit or not objective.has("peak_effort") else objective.weight("peak_effort") / value,
         endpoint=endpoint,
         endpoint_bounds=np.zeros((len(places), 2)),
         endpoint_parameters=places,

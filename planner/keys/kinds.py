@@ -76,7 +76,7 @@ Contacts = Literal["refuse", "note"]
 Refine = Literal["both", "intervals", "degree"]
 Compile = Literal["auto", "always", "never"]
 Axis = Literal["x", "y", "z"]
-Term = Literal["effort", "time", "tracking", "work", "copper_loss", "effort_rate", "jerk", "closure_force"]
+Term = Literal["effort", "time", "tracking", "work", "copper_loss", "effort_rate", "jerk", "peak_effort", "closure_force"]
 
 if TYPE_CHECKING:
     Scheme = PayloadName = EffortForm = str

@@ -297,6 +297,7 @@ def lacking_parts(
     motors: Sequence[Motor | None],
     reference: Sine | None,
     mesh: MeshSettings,
+    limits: Limits,
 ) -> dict[str, str | None]:
     """Return, for each need of an objective's terms (`Term.needs`), a phrase on what a problem lacks, or None."""
     given = motion.duration_s
@@ -313,8 +314,20 @@ def lacking_parts(
         "motors": motors_lack if unknown else None,
         "closures": None if mechanism.closure_names else f"a closure; '{mechanism.name}' has none",
         "changing efforts": "mesh.effort linear or polynomial, got constant" if mesh.effort == "constant" else None,
+        "effort limits": _unlimited(mechanism, limits),
         "changing accelerations": _constant_acceleration(mesh),
     }
+
+
+def _unlimited(mechanism: Mechanism, limits: Limits) -> str | None:
+    """Return a phrase on actuators without a limit on effort; None if all have one."""
+    unlimited = [
+        actuator.name
+        for actuator, ends in zip(mechanism.actuators, limits.effort, strict=False)
+        if not np.all(np.isfinite(ends))
+    ]
+    missing = f"a motor's ctrlrange, a servo's forcerange; missing for {', '.join(unlimited)}"
+    return f"finite limits.effort ({missing})" if unlimited else None
 
 
 def _constant_acceleration(mesh: MeshSettings) -> str | None:
@@ -330,16 +343,9 @@ def check_objective(
     objective: Objective, motion: Motion, mechanism: Mechanism, limits: Limits, lacking: Mapping[str, str | None]
 ) -> None:
     """Refuse an objective that does not fit the motion or the actuators; `lacking` is that of `lacking_parts`."""
-    if list(objective.weights) == ["time"] and not np.all(np.isfinite(limits.effort)):
-        unlimited = [
-            actuator.name
-            for actuator, ends in zip(mechanism.actuators, limits.effort, strict=False)
-            if not np.all(np.isfinite(ends))
-        ]
-        raise ProblemError(
-            "objective.minimize 'time' needs finite limits.effort: without them there is no least time; they are missing"
-            f" (a motor's ctrlrange, a servo's forcerange) for {', '.join(unlimited)}"
-        )
+    unlimited = _unlimited(mechanism, limits)
+    if list(objective.weights) == ["time"] and unlimited is not None:
+        raise ProblemError(f"objective.minimize 'time' needs {unlimited}: without them there is no least time")
     if list(objective.weights) == ["time"] and motion.stays:
         raise ProblemError(
             "objective.minimize is 'time' and the motion ends where it starts, which takes no time: ask for another goal or"

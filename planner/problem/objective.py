@@ -21,7 +21,7 @@ Motors = Sequence[Motor | None]
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Term:
-    """One term: an integral over the motion.
+    """One term: an integral over the motion, or its `peak_effort`, which has no integrand.
 
     Args:
         words: description.
@@ -125,6 +125,14 @@ TERMS: Mapping[str, Term] = {
         order=2,
         exact="jerk",
         needs=("changing accelerations",),
+    ),
+    "peak_effort": Term(
+        words="largest effort at any instant, as a share of its limit",
+        unit="of the effort limit",
+        integrand=lambda _: ca.SX(0),
+        size=lambda *_: 1.0,
+        exact="peak",
+        needs=("effort limits",),
     ),
     "closure_force": Term(
         words="integral of the squared closure forces",

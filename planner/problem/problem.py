@@ -47,7 +47,8 @@ class Problem:
         waypoints: tables in order, with any of `at_deg`, `at_m`, `at` (positions of sites), `speed_deg_s`, `speed_m_s`,
             `time_s`.
         turns: whole turns by joint that a periodic motion makes in a period, {"O": 1}; their sign is the direction.
-        minimize: effort, time, tracking, work, copper_loss, effort_rate, jerk or closure_force, or a table of weights.
+        minimize: effort, time, tracking, work, copper_loss, effort_rate, jerk, peak_effort, closure_force, or a table of
+            weights.
         reference: a sinusoid: `amplitude_deg`, `bias_deg`, `phase_deg` by joint, and `frequency_hz`.
         limits: `effort`, `range_deg`, `speed_deg_s`, `acceleration_deg_s2`, `jerk_deg_s3`, `effort_rate`, `power_w`,
             `closure_force`, `site_acceleration_m_s2`, each by name, and `singular_margin`, `contacts`; `site`, boxes
@@ -280,7 +281,7 @@ class Problem:
         object.__setattr__(self, "extra_limits", checked_extras(self.extra_limits, ExtraLimit, "extra_limits"))
         for extra in self.extras:
             uses(extra, self.mechanism)  # refuses what does not fit the mechanism
-        lacking = consistency.lacking_parts(self.motion, self.mechanism, self.motors, self.reference, self.mesh)
+        lacking = consistency.lacking_parts(self.motion, self.mechanism, self.motors, self.reference, self.mesh, self.limits)
         consistency.check_motion(self.motion, self.objective, self.reference)
         consistency.check_objective(self.objective, self.motion, self.mechanism, self.limits, lacking)
         if len(self.limits.closure_force) == 0:

@@ -115,7 +115,7 @@ def linear_rows(formulation: Formulation, layout: Layout, mesh: Mesh, chosen: Sc
     """Return rows (n, size) with their lower and upper values.
 
     The rows impose periodic states, efforts and accelerations without jumps, the times of phase boundaries after several
-    segments, and, when the least effort limit is sought, efforts within a common factor of their limits.
+    segments, and, where that factor is an unknown, efforts within a common factor of their limits.
     """
     rows, effort = _Rows(), layout.effort()
     if formulation.returns:
@@ -209,7 +209,7 @@ def bounds(
     lower[layout.dependent()], upper[layout.dependent()] = formulation.algebraic.T
     lower[layout.open_end_dependent()], upper[layout.open_end_dependent()] = formulation.algebraic[list(open_end_z)].T
     unit = formulation.units.effort
-    if not layout.n_extra:
+    if not layout.n_extra or formulation.peak is not None:
         lower[layout.effort()] = formulation.effort[:, 0] / unit
         upper[layout.effort()] = formulation.effort[:, 1] / unit
     lower[layout.extra()] = 0.0

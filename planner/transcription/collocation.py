@@ -28,7 +28,7 @@ from linkplan.planner.transcription.interval import (
 from linkplan.planner.transcription.mesh import Layout, Mesh, Triplets
 from linkplan.planner.transcription.program import Program, build_program, chain_key, node_key, without_numbers
 from linkplan.planner.transcription.schemes import Scheme
-from linkplan.planner.transcription.system import NodeFunctions, build_node
+from linkplan.planner.transcription.system import Endpoint, NodeFunctions, build_node
 
 # Efforts stay this share inside their limits, so that rounding in evaluating the polynomial cannot exceed a limit.
 _LIMIT_ROUNDING_SHARE = 4e-15
@@ -128,7 +128,7 @@ def collocate(
         n_effort=chosen.effort_at.shape[1],
         n_intervals=mesh.n_intervals,
         n_segments=mesh.n_segments,
-        n_extra=int(least_limit),
+        n_extra=int(least_limit or formulation.peak is not None),
         n_open_ends=interval.n_open_ends,
         n_z_open_end=len(interval.open_end_z),
     )
@@ -145,7 +145,7 @@ def collocate(
     breaks, (_, numbers) = mesh.breaks(durations), without_numbers(formulation.build_system())
     row_lower, row_upper = row_bounds(formulation, chosen, interval, mesh, breaks, constrained_paths, junctions)
     return Transcribed(
-        program=_program(layout, mesh, interval, linear, formulation.endpoint),
+        program=_program(layout, mesh, interval, linear, formulation.endpoint, _extra_cost(formulation, least_limit)),
         scheme=chosen,
         formulation=formulation,
         parameters=_parameters(formulation, chosen, interval.n_open_ends, mesh, breaks, numbers),
@@ -224,7 +224,8 @@ def with_compiled_code(transcribed: Transcribed, deadline: Deadline = NO_DEADLIN
     begin = time.perf_counter()
     old, formulation = transcribed.program, transcribed.formulation
     interval = _interval(formulation, transcribed.scheme, old.mesh.n_intervals, "always", deadline)
-    program = _program(old.layout, old.mesh, interval, old.linear, formulation.endpoint)
+    cost = _extra_cost(formulation, transcribed.least_limit)
+    program = _program(old.layout, old.mesh, interval, old.linear, formulation.endpoint, cost)
     return replace(transcribed, program=program, build_s=transcribed.build_s + time.perf_counter() - begin)
 
 
@@ -241,13 +242,20 @@ def _built(request: _BuildRequest) -> Any:
     return request.by()
 
 
-def _program(layout: Layout, mesh: Mesh, interval: IntervalFunctions, linear: Triplets, endpoint) -> Program:
-    """Return the program over a mesh; its linear cost is the extra unknown, if there is one."""
+def _extra_cost(formulation: Formulation, least_limit: bool) -> float:
+    """Return the linear cost of the extra unknown."""
+    return 1.0 if least_limit else formulation.peak or 0.0
+
+
+def _program(
+    layout: Layout, mesh: Mesh, interval: IntervalFunctions, linear: Triplets, endpoint: Endpoint | None, extra_cost: float
+) -> Program:
+    """Return the program over a mesh; the extra unknown, if there is one, has a linear cost."""
     cost = np.zeros(layout.size)
-    cost[layout.extra()] = 1.0
+    cost[layout.extra()] = extra_cost
     numbers = (mesh.fraction, mesh.segment, mesh.phase, linear.rows, linear.columns, linear.values)
     sizes = tuple(getattr(layout, name) for name in layout.__slots__)
-    key = (sizes, interval.node, interval.chain, endpoint, linear.shape, *(part.tobytes() for part in numbers))
+    key = (sizes, interval.node, interval.chain, endpoint, linear.shape, extra_cost, *(part.tobytes() for part in numbers))
     return _built_program(_BuildRequest(key=key, by=lambda: build_program(layout, mesh, interval, linear, cost, endpoint)))
 
 
@@ -300,8 +308,9 @@ def _start(
     x[layout.durations()] = np.asarray(durations) / formulation.units.time_s
     limit, unit = formulation.effort, formulation.units.effort
     if layout.n_extra:
-        x[layout.effort()] = coefficients / unit
         x[layout.extra()] = 1.1 * np.max(np.abs(coefficients) / np.abs(limit).max(axis=1))
+    if layout.n_extra and formulation.peak is None:  # limits are sought, and none is satisfied yet
+        x[layout.effort()] = coefficients / unit
         return x
     finite = np.all(np.isfinite(limit), axis=1)
     both = np.where(finite[:, None], limit, 0.0)

@@ -51,7 +51,8 @@ class Formulation:
     (n, n_path) by which path bounds are tightened on each interval, and `own_tightening` gives, by kind, amounts
     (n, n_items) for own rows. `position_path` are path quantities that depend only on the positions of second-order
     coordinates; they need no bound at phase boundaries that prescribe all positions. `passed` are prescribed values
-    (boundary, quantity, value) of path quantities at waypoints.
+    (boundary, quantity, value) of path quantities at waypoints. `peak` is the scaled cost of the largest share of the effort
+    limits at any instant, a further unknown; None if it costs nothing.
     """
 
     build_system: Callable[[], System]
@@ -77,6 +78,7 @@ class Formulation:
     passed: tuple[tuple[int, int, float], ...] = ()
     advance: np.ndarray | float = 0.0
     free_at_end: tuple[int, ...] = ()
+    peak: float | None = None
     endpoint: Endpoint | None = None
     endpoint_bounds: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     endpoint_parameters: np.ndarray = field(default_factory=lambda: np.zeros(0))
