@@ -95,14 +95,16 @@ class MotionTable:
         return variables, coordinates
 
 
-def asked_times(time_s: object) -> np.ndarray:
-    """Return times [s], (n,) or a single one (); refuse what are no finite numbers."""
+def asked_times(time_s: object, end_s: float = np.inf) -> np.ndarray:
+    """Return times [s], (n,) or a single one (); refuse what are no finite numbers, or not from 0 to a motion's end."""
     try:
         time = np.asarray(time_s, dtype=float)
     except (TypeError, ValueError, OverflowError):
         time = np.full((), np.nan)
     if time.ndim > 1 or not np.all(np.isfinite(time)):
         raise ProblemError(f"times are finite numbers of seconds, one or a row of them, got {time_s!r}")
+    if np.isfinite(end_s) and np.any(np.abs(2 * time - end_s) > end_s * (1 + 1e-9)):
+        raise ProblemError(f"times are from 0 to {end_s:.7g} s, where the motion ends, got {time_s!r}")
     return time
 
 
@@ -110,10 +112,11 @@ def sample_motion(problem: Problem, trajectory: Trajectory, time_s: object = Non
     """Return a motion at times (n,) [s], or at a single time as numbers; otherwise as `motion_table`.
 
     Raises:
-        ProblemError: for times that are not finite numbers.
+        ProblemError: for times that are not finite numbers, or beyond the ends of a motion that is not periodic.
         AssemblyError: when the loops do not close along the motion.
     """
-    time = None if time_s is None else asked_times(time_s)
+    end_s = np.inf if trajectory.periodic else trajectory.duration_s
+    time = None if time_s is None else asked_times(time_s, end_s)
     table = motion_table(problem, trajectory, None if time is None else np.atleast_1d(time), jumps=jumps)
     return table.single() if time is not None and time.ndim == 0 else table
 
@@ -305,7 +308,7 @@ class Plan:
 
         Args:
             time_s: a time or times (n,) [s], in any order; by default ten instants of every interval. A periodic motion
-                continues beyond its ends, any other motion rests there.
+                continues beyond its ends.
             jumps: whether the default times have both sides of a jump in effort, at equal times; else they increase.
 
         Returns:
@@ -315,7 +318,7 @@ class Plan:
             frame. `columns()` returns all columns under heads with units.
 
         Raises:
-            LinkplanError: if the plan has no motion, or a time is not finite.
+            LinkplanError: if the plan has no motion, or a time is not finite or beyond its ends.
         """
         return sample_motion(self.problem, self.require_motion("sample"), time_s, jumps=jumps)
 

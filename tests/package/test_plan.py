@@ -106,10 +106,11 @@ def test_speeds_are_the_slopes_of_positions(plan):
         assert abs(speed).min() > 1.0
 
 
-def test_a_motion_rests_beyond_its_ends_and_a_periodic_one_goes_on(plan, sine):
-    late = plan.sample(1.0)
-    assert late.position_deg["O"] == pytest.approx(56.27)
-    assert late.speed_deg_s["O"] == 0.0
+def test_times_beyond_the_ends_of_a_motion_are_refused_and_a_periodic_one_goes_on(plan, sine):
+    for beyond in (1.0, -0.01, [0.0, 0.2]):
+        with pytest.raises(ProblemError, match=r"times are from 0 to 0\.16 s, where the motion ends"):
+            plan.sample(beyond)
+    assert plan.sample(plan.duration_s).position_deg["O"] == pytest.approx(56.27)
     assert sine.duration_s == pytest.approx(0.25)
     for name, value in sine.sample(0.05).position_deg.items():
         assert sine.sample(0.05 + 3 * 0.25).position_deg[name] == pytest.approx(value, abs=1e-9)
