@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from linkplan.controllers.rollout import Rollout
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.inputs import PlanLike, listed, plan_of, problem_of, with_imperfections
 from linkplan.models.errors import ProblemError, choose
@@ -19,6 +18,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.problem.settings import whole
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
+from linkplan.studies.compare.named_run import NamedRun
 from linkplan.studies.compare.user_tracker import TrackerLike, name_of, refuse_unpicklable
 from linkplan.studies.experiment.block import replay
 from linkplan.studies.experiment.experiment import Settings, plan_digest
@@ -142,9 +142,10 @@ class ExperimentResult(Result):
         found = self.outcome.sensitivity
         return None if found is None else SensitivityResult(found=found, outcome=self.outcome)
 
-    def replay(self, tracker: str, sample: int) -> Rollout:
-        """Run one sample again and return the run, with its log in SI units."""
-        return replay(self.outcome.experiment, tracker, sample)[0]
+    def replay(self, tracker: str, sample: int) -> NamedRun:
+        """Run one sample again and return the run with its log."""
+        experiment = self.outcome.experiment
+        return NamedRun.of(replay(experiment, tracker, sample)[0], experiment.plan.problem.mechanism)
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of the distributions of each tracker's metrics, saved at `path` if it is given."""

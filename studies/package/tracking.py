@@ -22,6 +22,7 @@ from linkplan.studies.compare import compare as study
 from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure, document_blocks, document_figure
 from linkplan.studies.compare.comparison_figures import ComparisonFigures, comparison_figures
 from linkplan.studies.compare.document import document_rows, is_the_documents, mended_runs
+from linkplan.studies.compare.named_run import NamedRun
 from linkplan.studies.compare.time_series import save_time_series
 from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
 from linkplan.studies.output.document import Block, Report, Section, Text
@@ -177,14 +178,18 @@ class TrackingResult(Result):
         return plan and not lost and self.stable
 
     @property
-    def runs(self) -> dict[str, Rollout]:
-        """The runs by tracker with the nominal model, or the mismatch of `track`: logs at control instants, in SI units."""
-        return dict(self.comparison.nominal)
+    def runs(self) -> dict[str, NamedRun]:
+        """The runs by tracker with the nominal model, or the mismatch of `track`: logs at the control instants."""
+        return self._named(self.comparison.nominal)
 
     @property
-    def mismatched(self) -> dict[str, Rollout]:
+    def mismatched(self) -> dict[str, NamedRun]:
         """The runs by tracker with the mismatch of `compare`; empty without a mismatch."""
-        return dict(self.comparison.mismatched)
+        return self._named(self.comparison.mismatched)
+
+    def _named(self, runs: Mapping[str, Rollout]) -> dict[str, NamedRun]:
+        mechanism = self.comparison.plan.problem.mechanism
+        return {tracker: NamedRun.of(run, mechanism) for tracker, run in runs.items()}
 
     @property
     def stable(self) -> bool:

@@ -73,6 +73,20 @@ def test_trackers_of_ones_own_stand_beside_the_built_in_ones(compared):
     json.dumps(compared.to_dict(), allow_nan=False)
 
 
+def test_a_run_has_positions_errors_and_efforts_by_name_as_a_plan_has(plan, compared):
+    run, planned = compared.runs["lqr"], plan.sample(np.minimum(compared.runs["lqr"].time_s, plan.duration_s))
+    assert list(run.position_deg) == list(planned.position_deg)
+    assert run.reference_deg["O"][:100] == pytest.approx(planned.position_deg["O"][:100], abs=1e-9)
+    assert run.error_deg["O"] == pytest.approx(run.reference_deg["O"] - run.position_deg["O"], abs=1e-9)
+    assert np.abs(run.position_deg["C"][:100] - planned.position_deg["C"][:100]).max() < 2.0
+    assert run.effort["act_O"] == pytest.approx(run.applied[:, 0])
+    assert compared.mismatched["lqr"].speed_deg_s["O"] == pytest.approx(
+        np.degrees(compared.mismatched["lqr"].velocity_rad_s[:, 0])
+    )
+    pytest.importorskip("pandas")
+    assert list(run.to_frame()["O_deg"]) == pytest.approx(list(run.position_deg["O"]))
+
+
 def test_every_tracker_has_a_colour_of_its_own(compared, tmp_path):
     figure = compared.plot(tmp_path / "compared.png")
     assert isinstance(figure, Figure)

@@ -1,0 +1,66 @@
+"""A run in a tracker's result: its log by names of joints and actuators, in degrees or metres, as a plan's samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+
+from linkplan.controllers.rollout import Rollout
+from linkplan.models.extras import load_extra
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.tree.joints import Joint
+from linkplan.studies.compare.time_series import run_columns
+
+if TYPE_CHECKING:
+    import pandas  # pyright: ignore[reportMissingImports]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class NamedRun(Rollout):
+    """The log of a run by names: `position_deg["O"]` (n,) [deg, or m of slides] at the control instants `time_s`."""
+
+    mechanism: Mechanism
+
+    @classmethod
+    def of(cls, run: Rollout, mechanism: Mechanism) -> Self:
+        """Return a run with the names of its mechanism."""
+        return cls(mechanism=mechanism, **{field.name: getattr(run, field.name) for field in fields(Rollout)})
+
+    @property
+    def position_deg(self) -> dict[str, np.ndarray]:
+        """The positions (n,) [deg or m] of all joints by name."""
+        return _shown(self.mechanism.joints, self.pose_rad)
+
+    @property
+    def reference_deg(self) -> dict[str, np.ndarray]:
+        """The desired positions (n,) [deg or m] of the independent joints by name."""
+        return _shown(self.mechanism.independent_joints, self.reference_rad)
+
+    @property
+    def error_deg(self) -> dict[str, np.ndarray]:
+        """The position errors (n,) [deg or m] of the independent joints by name, desired less actual."""
+        return _shown(self.mechanism.independent_joints, self.error_rad)
+
+    @property
+    def speed_deg_s(self) -> dict[str, np.ndarray]:
+        """The speeds (n,) [deg/s or m/s] of the independent joints by name."""
+        return _shown(self.mechanism.independent_joints, self.velocity_rad_s)
+
+    @property
+    def effort(self) -> dict[str, np.ndarray]:
+        """The applied efforts (n,) [N.m or N] by actuator, the mean of each control period."""
+        return {one.name: values for one, values in zip(self.mechanism.actuators, self.applied.T, strict=True)}
+
+    def to_frame(self) -> pandas.DataFrame:
+        """Return the log as a pandas table, with a row for each control instant and units in the columns' names.
+
+        Raises:
+            MissingPackageError: if pandas is not installed.
+        """
+        return load_extra("pandas", "NamedRun.to_frame").DataFrame(run_columns(self.mechanism, self))
+
+
+def _shown(joints: tuple[Joint, ...] | list[Joint], values: np.ndarray) -> dict[str, np.ndarray]:
+    return {joint.name: joint.shown(1.0) * column for joint, column in zip(joints, values.T, strict=True)}
