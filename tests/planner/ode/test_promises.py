@@ -48,7 +48,7 @@ def swing_up(limit: float = 0.5) -> OdeProblem:
 def test_the_longest_time_bounds_a_whole_plan():
     looks = itertools.count()  # a clock that goes on by a second each time that it is read: each solve reads it often
     deadline = Deadline(clock=lambda: float(next(looks)))
-    problem = replace(swing_up(), solver=SolverSettings(starts=100, max_time_s=500, deadline=deadline))
+    problem = replace(swing_up(), solver=SolverSettings(max_time_s=500, deadline=deadline))
     plan = plan_ode(problem)
     assert plan.problem is problem
     assert 1 <= len(plan.history) < 100  # all starts and their refinement take much longer

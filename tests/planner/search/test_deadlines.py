@@ -13,7 +13,6 @@ from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import plan_ode
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
-from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.replan import Replanner
 from linkplan.planner.search.ladder import FULL_BUDGET, SearchMethod
 from linkplan.planner.solvers.solve import OF_TIME
@@ -99,7 +98,6 @@ def test_a_differential_equations_plan_has_an_answer_wherever_its_time_ends(look
         effort_limit=[[-2, 2]],
         duration_s=(0.1, 10),
         final_cost=lambda x0, xT, T, p: T,
-        solver=SolverSettings(starts=50),
     )
     problem, clock = timed(problem, looks)
     plan = plan_ode(problem)
