@@ -147,7 +147,7 @@ def guesses_of(problem: OdeProblem) -> list[OdeTrajectory]:
         [_middle(row, _middle(over, 0.0)) for row, over in zip(rows, other, strict=True)]
         for rows, other in ((problem.start, problem.goal), (problem.goal, problem.start))
     ]
-    line = np.clip(np.linspace(*ends, 21), *problem.state_limit.T)
+    line = np.clip(np.linspace(ends[0], ends[1], 21), *problem.state_limit.T)
     return [_completed(problem, guess) for guess in (*problem.guesses, StateGuess(state=line))]
 
 

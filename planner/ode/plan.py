@@ -88,6 +88,9 @@ def plan_of(problem: OdeProblem, refined: Refined) -> OdePlan:
 def _verdict(problem: OdeProblem, refined: Refined) -> tuple[str, str]:
     """Return the status of a refined motion and the reason for it; if it is optimal, what else there is to say."""
     certificate, tolerance = refined.certificate, problem.tolerance
+    held_back = held_by_guess(problem, refined.solution)
+    if held_back is not None:
+        return "failed", held_back
     if not certificate.passed:
         return "failed", f"the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}"
     moved = f"; its objective changed by {refined.moved:.2g} of itself from mesh to mesh at the last" * bool(refined.moved)
@@ -107,7 +110,7 @@ def _verdict(problem: OdeProblem, refined: Refined) -> tuple[str, str]:
 
 
 def held_by_guess(problem: OdeProblem, solution: Solution) -> str | None:
-    """Return the sentence on a duration that ended at a bound of its guess's, not the user's; None elsewhere."""
+    """Return the words on a duration that ended at a bound which is its guess's, not the user's; None elsewhere."""
     bound = bounded_by_guess(solution, *problem.duration)
     if bound is None:
         return None
@@ -115,7 +118,7 @@ def held_by_guess(problem: OdeProblem, solution: Solution) -> str | None:
     duration = float(solution.x[transcribed.program.layout.durations()].sum()) * transcribed.units.time_s
     side = "above" if bound == LONGER else "below"
     return (
-        f"failed: the {bound} the motion the better, still at {duration:.4g} s, where the search from its guess ends:"
+        f"the {bound} the motion the better, still at {duration:.4g} s, where the search from its guess ends:"
         f" give a {bound} guess, or bound duration_s from {side}"
     )
 

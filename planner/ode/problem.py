@@ -5,7 +5,7 @@ x' = f(x, u, p, t),   J = phi(x_0, x_T, T, p) + int L(x, u, p, t) dt,   c(x, u, 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -149,7 +149,7 @@ class OdeProblem:
                 raise ProblemError(f"{name} is a {kind.__module__}.{kind.__name__}, got {getattr(self, name)!r}")
         if self.solver.starts != 1:
             raise ProblemError(f"solver.starts is 1 for a differential equation, got {self.solver.starts}: give `guesses`")
-        share = Annotated[float, Meta(gt=0, le=1)]
+        share: Any = Annotated[float, Meta(gt=0, le=1)]
         read(share, plain(self.tolerance), "tolerance")
         read(share | None, plain(self.objective_tolerance), "objective_tolerance")
         if self.running_cost is None and self.final_cost is None:

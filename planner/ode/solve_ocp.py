@@ -69,20 +69,20 @@ def _refined_plan(case: OdeCase, found: Iterate) -> OdePlan:
     An effort that acts through its sine and cosine alone may leap by whole turns from node to node: the equations hold
     there, and between them its polynomial is wild. Efforts constant over an interval are next to a motion.
     """
-    certificate = case.certify(found.motion)
-    if certificate.integration_error > _WILD_SHARE:
+    if case.certify(found.motion).integration_error > _WILD_SHARE:
         at = found.motion.times_at(np.array([_FIRST_NODE]))
         held = case.start_from(replace(found.motion, effort=found.motion.effort_at(at)[None]))
         durations = np.array([found.motion.duration_s])
         found = attempt(case, held, found.mesh, durations, "efforts constant at first", warm=True) or found
-    held_back = held_by_guess(case.asked, found.solution)
-    if held_back is not None:
-        return OdePlan(problem=case.asked, status="failed", message=held_back, history=recorded())
-    unstable = certificate.integration_restarts > 0
-    # The solver loses an unstable motion less easily in its own units, and from next to the coarser mesh's.
-    refined = refine(replace(case, units=units_of(case.asked, found.motion)) if unstable else case, found, warm=unstable)
-    assert refined is not None  # a user's solution always has a certificate
-    return plan_of(case.asked, refined)
+    unstable = case.certify(found.motion).integration_restarts > 0
+    if unstable:
+        # The solver loses such a motion less easily in its own units, and from next to the coarser mesh's.
+        case = replace(case, units=units_of(case.asked, found.motion))
+    reason = held_by_guess(case.asked, found.solution)
+    refined = refine(case, found, warm=unstable) if reason is None else None
+    if refined is not None:
+        return plan_of(case.asked, refined)
+    return OdePlan(problem=case.asked, status="failed", message=f"failed: {reason}", history=recorded())
 
 
 def _contradiction(problem: OdeProblem) -> str | None:

@@ -183,8 +183,11 @@ def shuttle() -> OdeProblem:
 
 
 @pytest.mark.long
-def test_a_shuttle_comes_down_from_perturbed_guesses():
-    plan = solved(shuttle())
+def test_a_shuttle_comes_down_as_published_from_a_guess_of_its_turn():
+    asked = shuttle()
+    last = [80000, 30 * DEG, 30 * DEG, 2500, -5 * DEG, 0]
+    turn = StateGuess(state=[asked.start[:, 0], last], effort=[[-75 * DEG, 0], [-75 * DEG, 0]], duration_s=2000)
+    plan = solved(replace(asked, guesses=[turn]))
     assert plan.objective == pytest.approx(-34.1412, abs=5e-5)
     assert plan.objective_error < 1e-6 * abs(plan.objective)
 
