@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from linkplan.planner.limits.samples import sample_points
 from linkplan.planner.ode.certificate import certify_ode, running_cost, sizes_of
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
@@ -60,6 +61,21 @@ def test_the_margin_of_a_state_is_its_least_distance_to_its_limits(limit, margin
     certificate = judged(state_limit=[limit])
     assert certificate.state_margin[0] == pytest.approx(margin, abs=1e-9)
     assert certificate.passed == (margin > 0)
+
+
+def test_the_margin_of_a_state_is_measured_between_the_samples_too():
+    """x = 1 - (t - a)^2 is largest at a, where no sample is."""
+    a = 0.43
+    assert np.abs(sample_points(2) - a).min() > 1e-3
+    problem = OdeProblem(
+        name="parabola", rate=lambda x, u, p, t: [u[0]], start=[1 - a**2], goal=[NAN], effort_limit=FREE_EFFORT,  # noqa: ARG005
+        duration_s=1.0, running_cost=squared_effort, state_limit=[[-1.0, 1 - 1e-4]],
+    )  # fmt: skip
+    state = np.array([1 - a**2, 1 - a**2 + a, 1 - (1 - a) ** 2]).reshape(3, 1, 1)
+    effort = np.array([2 * a, 2 * a - 2]).reshape(2, 1, 1)
+    certificate = certify_ode(problem, OdeTrajectory(breaks_s=np.array([0.0, 1.0]), state=state, effort=effort))
+    assert certificate.integration_error < 1e-10
+    assert certificate.state_margin == pytest.approx([-1e-4], abs=1e-12)
 
 
 @pytest.mark.parametrize(("limit", "margin"), [([-1.0, 10.0], 1.0), ([-5.0, 8.0], 2.0), ([0.0, 5.5], -0.5)])
