@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.planner.certificate.flow import INTEGRATION_RTOL, side_by_side
-from linkplan.planner.certificate.integration import RESTART_GROWTH, relative_violation
+from linkplan.planner.certificate.integration import RESTART_GROWTH, propagated, relative_violation
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.transcription.bernstein import bernstein_value
@@ -60,7 +60,7 @@ def integrate(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, 
         return IntegratedOde(errors=lost, defects=lost, cost=lost[:, 0], beyond=lost[:, 0], end=planned[-1])
     along, transitions = reached[:, :, : n_x + 1], reached[:, :, n_x + 1 :].reshape(n, -1, n_x, n_x + 1).swapaxes(2, 3)
     added = (along[:, -1, :n_x] - planned[1:]) / size
-    begun, errors, restarts = _propagated(
+    begun, errors, restarts = propagated(
         added,
         transitions[:, -1, :n_x] * size / size[:, None],
         # If errors grow by this factor at most, the integrator's own error stays within the tolerance.
@@ -81,26 +81,6 @@ def integrate(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, 
         end=along[-1, -1, :n_x],
         restarts=restarts,
     )
-
-
-def _propagated(defects: np.ndarray, transitions: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return the errors (n, n_x) at the intervals' begins and ends, and the number of restarts.
-
-    The errors are restarted wherever one made before would have grown by more than the factor `most`.
-    """
-    begins, ends, restarts = np.zeros_like(defects), np.zeros_like(defects), 0
-    error, carried = np.zeros(defects.shape[1]), np.eye(defects.shape[1])
-    for k, (defect, transition) in enumerate(zip(defects, transitions, strict=True)):
-        begins[k], ends[k] = error, transition @ error + defect
-        carried = transition @ carried
-        # The spectral norm bounds an error's growth: that of a product is at most the product of the norms. An error that
-        # has shrunk below one made now can be forgotten.
-        grown = np.linalg.norm(carried, 2)
-        restart = grown > most
-        error, restarts = np.zeros_like(error) if restart else ends[k], restarts + int(restart)
-        if restart or grown < 1:
-            carried = np.eye(len(error))
-    return begins, ends, restarts
 
 
 @functools.lru_cache(maxsize=16)
