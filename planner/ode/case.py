@@ -1,6 +1,6 @@
 """A user's problem as refinement sees it: solved within limits that may be tightened, certified against what was asked."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -37,11 +37,12 @@ class OdeCase:
     asked: OdeProblem
     units: Units
     tightenings: tuple[Tightening, ...] = ()
-    target: RefinementTarget = field(init=False)
 
-    def __post_init__(self) -> None:
+    @property
+    def target(self) -> RefinementTarget:
+        """The form of the best motion, of which little is known, and the accuracy that is asked for."""
         asked = self.asked
-        target = RefinementTarget(
+        return RefinementTarget(
             effort_limit=asked.effort_limit,
             # Efforts can jump if both limits are finite.
             switches=bool(np.any(np.all(np.isfinite(asked.effort_limit), axis=1))),
@@ -52,7 +53,6 @@ class OdeCase:
             objective_tolerance=asked.objective_tolerance or _OBJECTIVE_TOLERANCE,
             objective_tolerance_given=asked.objective_tolerance is not None,
         )
-        object.__setattr__(self, "target", target)
 
     def transcribe(
         self, start: Start, mesh: Mesh, durations: np.ndarray, *, position_rows: bool = False, **arcs: Any

@@ -150,8 +150,9 @@ class OdeProblem:
         if self.solver.starts != 1:
             raise ProblemError(f"solver.starts is 1 for a differential equation, got {self.solver.starts}: give `guesses`")
         share: Any = Annotated[float, Meta(gt=0, le=1)]
-        read(share, plain(self.tolerance), "tolerance")
-        read(share | None, plain(self.objective_tolerance), "objective_tolerance")
+        for name in ("tolerance", "objective_tolerance"):
+            if getattr(self, name) is not None or name == "tolerance":
+                read(share, plain(getattr(self, name)), name)
         if self.running_cost is None and self.final_cost is None:
             raise ProblemError("a problem needs running_cost, final_cost or both: otherwise no motion is the best")
 
