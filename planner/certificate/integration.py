@@ -193,28 +193,47 @@ def _integrated_with_restarts(
         reached = flow(called(function, inputs[k], widths[k]), widths[k], np.concatenate([pose, begin[n_s:]]), last, until)
         return None if reached is None else np.concatenate([reached[0, :n_q][mechanism.independent], reached[0, n_q:]])
 
-    error, carried = np.zeros(2 * n_s), np.eye(2 * n_s)
-    errors, defects, restarts = np.zeros((n, 2 * n_s)), np.zeros((n, n_s)), 0
+    defects, transitions = np.zeros((n, 2 * n_s)), np.zeros((n, 2 * n_s, 2 * n_s))
     for k in range(n):
         there = [arrives(k, begins[k])]
         there += [arrives(k, begins[k] + step * unit[i] * np.eye(2 * n_s)[i]) for i in range(2 * n_s)]
         if any(reached is None for reached in there):
             return None
-        # The transition matrix of errors in units.
-        transition = np.array([(reached - there[0]) / step for reached in there[1:]]).T / unit[:, None]
-        defect = (there[0] - ends[k]) / unit
-        error = transition @ error + defect
-        carried = transition @ carried
-        errors[k], defects[k] = np.abs(error), np.abs(defect[:n_s])
-        if np.abs(carried).max() > RESTART_GROWTH:
-            error, carried, restarts = np.zeros(2 * n_s), np.eye(2 * n_s), restarts + 1
+        # Of errors in units.
+        transitions[k] = np.array([(reached - there[0]) / step for reached in there[1:]]).T / unit[:, None]
+        defects[k] = (there[0] - ends[k]) / unit
+    _, errors, restarts = propagated(defects, transitions, RESTART_GROWTH)
     if not restarts:
         return None
+    errors, defects = np.abs(errors), np.abs(defects[:, :n_s])
     position = errors[:, :n_s].max(axis=0) * span
     share = position / np.maximum(defects.sum(axis=0) * span, np.finfo(float).tiny)
     growth = np.maximum.reduceat((defects * span * share / allowed).max(axis=1), first)
     velocity = float(errors[:, n_s:].max(initial=0.0))
     return Integrated(position=position, velocity=velocity, growth=growth, restarts=restarts)
+
+
+def propagated(defects: np.ndarray, transitions: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return the errors (n, k) at the begin and at the end of every interval, and the number of restarts.
+
+    Args:
+        defects: (n, k) that the intervals add to an error, in units.
+        transitions: (n, k, k), by which they multiply the error before.
+        most: the errors are restarted at zero wherever one made before would have grown by more than this factor.
+    """
+    begins, ends, restarts = np.zeros_like(defects), np.zeros_like(defects), 0
+    error, carried = np.zeros(defects.shape[1]), np.eye(defects.shape[1])
+    for k, (defect, transition) in enumerate(zip(defects, transitions, strict=True)):
+        begins[k], ends[k] = error, transition @ error + defect
+        error, carried = ends[k], transition @ carried
+        # The spectral norm bounds an error's growth: that of a product is at most the product of the norms. An error that
+        # has shrunk below one made now can be forgotten.
+        grown = np.linalg.norm(carried, 2)
+        if grown > most:
+            error, restarts = np.zeros_like(error), restarts + 1
+        if not 1 <= grown <= most:
+            carried = np.eye(len(error))
+    return begins, ends, restarts
 
 
 def _in_pieces(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarray) -> tuple[Trajectory, np.ndarray]:

@@ -1,6 +1,7 @@
 """A user's problem as refinement sees it: solved within limits that may be tightened, certified against what was asked."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from linkplan.planner.ode.certificate import (
     certify_ode,
     running_cost,
 )
-from linkplan.planner.ode.formulation import formulate_ode, start_from
+from linkplan.planner.ode.formulation import finite_size, formulate_ode, start_from
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
@@ -36,11 +37,12 @@ class OdeCase:
     asked: OdeProblem
     units: Units
     tightenings: tuple[Tightening, ...] = ()
-    target: RefinementTarget = field(init=False)
 
-    def __post_init__(self) -> None:
+    @property
+    def target(self) -> RefinementTarget:
+        """The form of the best motion, of which little is known, and the accuracy that is asked for."""
         asked = self.asked
-        target = RefinementTarget(
+        return RefinementTarget(
             effort_limit=asked.effort_limit,
             # Efforts can jump if both limits are finite.
             switches=bool(np.any(np.all(np.isfinite(asked.effort_limit), axis=1))),
@@ -51,42 +53,22 @@ class OdeCase:
             objective_tolerance=asked.objective_tolerance or _OBJECTIVE_TOLERANCE,
             objective_tolerance_given=asked.objective_tolerance is not None,
         )
-        object.__setattr__(self, "target", target)
 
     def transcribe(
-        self,
-        start: Start,
-        mesh: Mesh,
-        durations: np.ndarray,
-        *,
-        position_rows: bool = False,
-        bang_efforts: np.ndarray | None = None,
-        constrained_paths: np.ndarray | None = None,
-        least_limit: bool = False,
+        self, start: Start, mesh: Mesh, durations: np.ndarray, *, position_rows: bool = False, **arcs: Any
     ) -> Transcribed:
         """Return the program from a start."""
-        formulation = formulate_ode(
-            self.problem, self.units, state_rows=position_rows, least_limit=least_limit, tightenings=self.tightenings
-        )
-        return collocate(
-            formulation,
-            scheme(self.problem.mesh.scheme, self.problem.mesh.effort),
-            mesh,
-            durations,
-            start,
-            compile_mode=self.problem.solver.compile,
-            deadline=self.problem.solver.deadline,
-            least_limit=least_limit,
-            bang_efforts=bang_efforts,
-            constrained_paths=constrained_paths,
-        )
+        formulation = formulate_ode(self.problem, self.units, state_rows=position_rows, tightenings=self.tightenings)
+        settings, solver = self.problem.mesh, self.problem.solver
+        chosen = scheme(settings.scheme, settings.effort)
+        how = {"compile_mode": solver.compile, "deadline": solver.deadline}
+        return collocate(formulation, chosen, mesh, durations, start, **how, **arcs)
 
     def motion(self, solution: Solution) -> OdeTrajectory:
         """Return a solution's polynomials."""
         curves = curves_of(solution.transcribed, solution.x, self.asked.effort_limit)
-        motion = OdeTrajectory(breaks_s=curves.breaks_s, state=curves.state, effort=curves.effort, n_x=self.asked.n_x)
-        if self.asked.running_cost is None:
-            return motion
+        state = curves.state[..., : self.asked.n_x]  # time may be the last one
+        motion = OdeTrajectory(breaks_s=curves.breaks_s, state=state, effort=curves.effort)
         return replace(motion, running=running_cost(self.asked, motion, solution.transcribed.scheme))
 
     def start_from(self, motion: OdeTrajectory) -> Start:
@@ -99,10 +81,6 @@ class OdeCase:
 
     def error_report(self, certificate: OdeCertificate) -> ErrorReport:
         """Return the errors that a certificate reports; another mesh may remove each of them."""
-        size = [max(abs(bound) for bound in limit if np.isfinite(bound)) or 1.0 for limit in self.asked.path_limit]
-        over = (certificate.path_overrun / np.array(size).reshape(-1, 1)).max(axis=0, initial=0.0)
-        # The largest integration error, as a share of the state's size, at which an unstable motion is resolved by its mesh.
-        # Above it, high degrees follow another motion between the nodes, and the next mesh leads elsewhere.
         return ErrorReport(
             # The objective is to be that of the integrated motion, too.
             exact=certificate.integration_error <= self.asked.tolerance
@@ -111,9 +89,10 @@ class OdeCase:
             repairable=not certificate.passed,
             leaves_positions=certificate.leaves_states,
             overruns=bool(min(certificate.path_margin.min(initial=0.0), certificate.state_margin.min()) < -LIMIT_SLACK),
-            overrun=over.reshape(len(certificate.growth)),
+            overrun=(certificate.path_overrun / self._path_size[:, None]).max(axis=0, initial=0.0),
             touching=certificate.touching,
             unstable=certificate.integration_restarts > 0,
+            # Above this share, high degrees follow another motion between the nodes, and the next mesh leads elsewhere.
             unseen=certificate.integration_restarts > 0 and certificate.integration_error > 1.0,
             integration_error=certificate.integration_error,
         )
@@ -121,17 +100,22 @@ class OdeCase:
     def tightened(self, certificate: OdeCertificate, motion: OdeTrajectory) -> "OdeCase":
         """Return the case with limits tightened by what the solution overran them."""
         breaks = (motion.breaks_s - motion.breaks_s[0]) / motion.duration_s
-        further = []
-        for k, (overrun, limit) in enumerate(zip(certificate.path_overrun, self.asked.path_limit, strict=True)):
-            if overrun.max() > 0:
-                upper = bool(np.isfinite(limit[1]) and (limit[1] or not np.isfinite(limit[0])))
-                share = tightened_share(overrun / (abs(limit[int(upper)]) or 1.0))
-                further.append(Tightening(what="path", item=k, breaks=breaks, share=share, upper=upper))
-        inward = np.array([1.0, -1.0])
+        further = [
+            Tightening(what="path", item=k, breaks=breaks, share=size * tightened_share(overrun / size))
+            for k, (overrun, size) in enumerate(zip(certificate.path_overrun, self._path_size, strict=True))
+            if overrun.max() > 0
+        ]
         # A bound is tightened by this multiple of its overrun.
-        state = self.problem.state_limit + 1.1 * np.maximum(0.0, -certificate.state_margin)[:, None] * inward
+        over = 1.1 * np.maximum(0.0, -certificate.state_margin)
+        state = self.problem.state_limit + over[:, None] * np.array([1.0, -1.0])
         return replace(self, problem=replace(self.problem, state_limit=state), tightenings=(*self.tightenings, *further))
 
     def with_scheme(self, name: str) -> "OdeCase":
         """Return the case with another transcription."""
         return replace(self, problem=replace(self.problem, mesh=self.problem.mesh.replace(scheme=name)))
+
+    @property
+    def _path_size(self) -> np.ndarray:
+        """The sizes (n_path,) of the path limits."""
+        size = finite_size(self.asked.path_limit)
+        return np.where(size > 0, size, 1.0)

@@ -10,7 +10,8 @@ from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.history import Step, recorded
 from linkplan.planner.refinement.state import Refined
-from linkplan.planner.solvers.solve import OF_TIME, SOLVER_TOLERANCE
+from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
+from linkplan.planner.solvers.solve import OF_TIME, SOLVER_TOLERANCE, Solution
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
@@ -40,7 +41,7 @@ class OdePlan:
     @property
     def duration_s(self) -> float | None:
         """The duration of the motion [s]; None without a motion that passes."""
-        return self.trajectory.duration_s if self.passed else None
+        return self.trajectory.duration_s if self.trajectory is not None and self.passed else None
 
     def require(self) -> "OdePlan":
         """Return this plan if it is optimal.
@@ -56,53 +57,47 @@ class OdePlan:
         return self.message
 
 
-def plan_without_motion(problem: OdeProblem, status: str, reason: str) -> OdePlan:
-    """Return the plan of a problem without a motion, "infeasible" or "failed", with the reason and the time that ran out."""
-    return OdePlan(problem=problem, status=status, message=f"{status}: {reason}{_out_of_time(problem)}", history=recorded())
-
-
-def plan_of(problem: OdeProblem, refined: Refined[OdeTrajectory, OdeCertificate], unbounded: str | None = None) -> OdePlan:
-    """Return the plan of a refined motion; `unbounded` are the words on a duration that has no best, where there is none."""
-    certificate, objective = refined.certificate, refined.solution.objective
-    status, reason = _verdict(problem, refined, unbounded)
-    # The solver leaves about its tolerance at every limit that binds.
-    left = SOLVER_TOLERANCE * (len(refined.motion.breaks_s) - 1)
-    # At most ten times the largest of the last changes, if each mesh leaves at most nine tenths of the error before.
-    error = abs(objective) * max(10.0 * refined.objective_error, left)
+def plan_of(problem: OdeProblem, refined: Refined) -> OdePlan:
+    """Return the plan of a refined motion."""
+    certificate, objective, intervals = refined.certificate, refined.solution.objective, len(refined.motion.breaks_s) - 1
+    status, reason = _verdict(problem, refined)
+    # At most ten times the largest of the last changes, if each mesh leaves at most nine tenths of the error before. The
+    # solver leaves about its tolerance at every limit that binds.
+    error = abs(objective) * max(10.0 * refined.objective_error, SOLVER_TOLERANCE * intervals)
     error += abs(objective - certificate.integrated_objective)
-    value, known, late = _value(problem, refined, error), _error_words(error), _out_of_time(problem)
+    known, value = np.isfinite(error), _value(problem, refined, error)
+    estimate = f"the estimated error of the objective is {error:.1g}"
+    estimate = estimate if known else "the error of the objective is not known, because only one mesh has a motion"
     message = {
-        "optimal": f"optimum {value}; {known}{reason}",
-        "feasible": f"feasible: the best certified motion, {value}, keeps every limit, but {reason}; {known}{late}",
-        "failed": f"failed: {reason}{late}",
+        "optimal": f"optimum {value}; {estimate}{reason}",
+        "feasible": f"feasible: the best certified motion, {value}, keeps every limit, but {reason}; {estimate}",
+        "failed": f"failed: {reason}",
     }[status]
-    passed = status != "failed"
     return OdePlan(
         problem=problem,
         status=status,
-        message=message,
-        objective=objective if passed else None,
-        objective_error=float(error) if passed and np.isfinite(error) else None,
+        message=message if status == "optimal" else message + out_of_time(problem),
+        objective=None if status == "failed" else objective,
+        objective_error=None if status == "failed" or not known else float(error),
         trajectory=refined.motion,
         certificate=certificate,
         history=recorded(),
     )
 
 
-def _verdict(problem: OdeProblem, refined: Refined[OdeTrajectory, OdeCertificate], unbounded: str | None) -> tuple[str, str]:
+def _verdict(problem: OdeProblem, refined: Refined) -> tuple[str, str]:
     """Return the status of a refined motion and the reason for it; if it is optimal, what else there is to say."""
-    certificate = refined.certificate
-    if unbounded is not None:
-        return "failed", unbounded
+    certificate, tolerance = refined.certificate, problem.tolerance
+    held_back = held_by_guess(problem, refined.solution)
+    if held_back is not None:
+        return "failed", held_back
     if not certificate.passed:
         return "failed", f"the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}"
-    moved = (
-        f"; its objective changed by {refined.moved:.2g} of itself from mesh to mesh at the last" if refined.moved else ""
-    )
-    if certificate.integration_error > problem.tolerance:
+    moved = f"; its objective changed by {refined.moved:.2g} of itself from mesh to mesh at the last" * bool(refined.moved)
+    if certificate.integration_error > tolerance:
         return "feasible", (
             f"the integrated state ends {certificate.integration_error:.3g} of its size from the solution, more than the"
-            f" tolerance {problem.tolerance:g}{moved}"
+            f" tolerance {tolerance:g}{moved}"
         )
     if problem.objective_tolerance is not None and not refined.settled:
         return "feasible", f"objective_tolerance = {problem.objective_tolerance:g} was not reached{moved}"
@@ -114,7 +109,21 @@ def _verdict(problem: OdeProblem, refined: Refined[OdeTrajectory, OdeCertificate
     return "optimal", ""
 
 
-def _value(problem: OdeProblem, refined: Refined[OdeTrajectory, OdeCertificate], error: float) -> str:
+def held_by_guess(problem: OdeProblem, solution: Solution) -> str | None:
+    """Return the words on a duration that ended at a bound which is its guess's, not the user's; None elsewhere."""
+    bound = bounded_by_guess(solution, *problem.duration)
+    if bound is None:
+        return None
+    transcribed = solution.transcribed
+    duration = float(solution.x[transcribed.program.layout.durations()].sum()) * transcribed.units.time_s
+    side = "above" if bound == LONGER else "below"
+    return (
+        f"the {bound} the motion the better, still at {duration:.4g} s, where the search from its guess ends:"
+        f" give a {bound} guess, or bound duration_s from {side}"
+    )
+
+
+def _value(problem: OdeProblem, refined: Refined, error: float) -> str:
     """Return an objective and a duration in words, with the digits that the objective's error leaves."""
     objective, duration, share = refined.solution.objective, refined.motion.duration_s, 0.0
     if problem.duration[0] < problem.duration[1] and objective != 0:
@@ -122,12 +131,6 @@ def _value(problem: OdeProblem, refined: Refined[OdeTrajectory, OdeCertificate],
         if objective != duration:
             share = np.sqrt(share)  # at a least value the objective hardly changes with the duration
     return f"{known_digits(objective, error)} in {known_digits(duration, share * duration)} s"
-
-
-def _error_words(error: float) -> str:
-    if not np.isfinite(error):
-        return "the error of the objective is not known, because only one mesh has a motion"
-    return f"the estimated error of the objective is {error:.1g}"
 
 
 def known_digits(value: float, error: float) -> str:
@@ -140,7 +143,7 @@ def known_digits(value: float, error: float) -> str:
     return f"{value:.{min(digits, 10)}g}" if digits > 0 else "0"
 
 
-def _out_of_time(problem: OdeProblem) -> str:
+def out_of_time(problem: OdeProblem) -> str:
     """Return the words on a time limit that has passed; empty before it has."""
     if not problem.solver.deadline.passed:
         return ""

@@ -13,32 +13,26 @@ from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 class OdeTrajectory(OnIntervals):
     """States and efforts as polynomials: Bernstein coefficients (degree + 1, n, n_x) and (degree + 1, n, n_u).
 
-    `breaks_s` (n + 1,) are the intervals' ends [s]. `state` may carry time as a last state of its own: `n_x` does not
-    count it. `running` (n,) is what intervals add to the running cost by the transcription's own quadrature, where known.
+    `breaks_s` (n + 1,) are the intervals' ends [s]. `running` (n,) is what intervals add to the running cost by the
+    transcription's own quadrature; None for a motion that no program had.
     """
 
     breaks_s: np.ndarray
     state: np.ndarray
     effort: np.ndarray
-    n_x: int
     running: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        for name in ("breaks_s", "state", "effort"):
-            object.__setattr__(self, name, frozen(getattr(self, name)))
-        if self.running is not None:
-            object.__setattr__(self, "running", frozen(self.running))
+        for name in ("breaks_s", "state", "effort", "running"):
+            value = getattr(self, name)
+            object.__setattr__(self, name, None if value is None else frozen(value))
 
     def state_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return states (n, n_x) at times (n,)."""
-        return self.full_state_at(time_s)[:, : self.n_x]
-
-    def full_state_at(self, time_s: np.ndarray) -> np.ndarray:
-        """Return states at times (n,), time among them where it is carried."""
         return PiecewisePolynomial(self.state, self.breaks_s)(np.atleast_1d(time_s))
 
     def rate_at(self, time_s: np.ndarray) -> np.ndarray:
-        """Return the states' rates at times (n,)."""
+        """Return the states' rates (n, n_x) at times (n,)."""
         return PiecewisePolynomial(self.state, self.breaks_s).derivative()(np.atleast_1d(time_s))
 
     def effort_at(self, time_s: np.ndarray) -> np.ndarray:

@@ -1,7 +1,7 @@
 """The actions of a refinement. Each returns the state after it; what it solves is noted in the history."""
 
 from dataclasses import dataclass, replace
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -153,7 +153,7 @@ class ReleaseArcs:
         return observed(replace(counted, ended=False, warm=True), certify_iterate(state.asked, found))
 
 
-def _held_in(found: Iterate[Any]) -> FixedArcs | None:
+def _held_in(found: Iterate) -> FixedArcs | None:
     transcribed = found.solution.transcribed
     if transcribed.bang_efforts is None or transcribed.constrained_paths is None:
         return None
@@ -173,7 +173,7 @@ def _after(state: RefinementState, marked: np.ndarray, what: str, *, tells: bool
     return observed(replace(state, rounds=state.rounds + 1), certify_iterate(state.asked, found), tells=tells)
 
 
-def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate[Any] | None:
+def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate | None:
     """Solve with the marked intervals (n,) halved and return the iterate, or None.
 
     The solver starts at the coarser solution (warm) if efforts are bang arcs or jump inside intervals, else with a large
@@ -185,7 +185,7 @@ def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate
     report, again = state.iterate.report, state.best is not None
     near = state.warm and report is not None and report.unstable and not report.unseen
 
-    def alike(finer: Iterate[Any]) -> bool:
+    def alike(finer: Iterate) -> bool:
         # Objectives on two meshes that are no further apart than a millionth belong to the same motion.
         change = abs(finer.solution.objective - coarse.solution.objective)
         return change <= 1e-6 * abs(coarse.solution.objective)
@@ -193,7 +193,7 @@ def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate
     ways = [("", state.warm, near)]
     if again or target.enclosed:
         ways.append((", warm start", False, True))
-    found: list[Iterate[Any]] = []
+    found: list[Iterate] = []
     for word, warm, close in reversed(ways) if target.bang_bang or target.enclosed else ways:
         finer = attempt(
             case, start, mesh, durations, what + word,

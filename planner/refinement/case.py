@@ -4,7 +4,7 @@ A mechanism's problem and a user's differential equation implement `Case`, so th
 """
 
 from dataclasses import dataclass
-from typing import Any, Generic, Protocol, Self, TypeVar
+from typing import Any, Protocol, Self
 
 import numpy as np
 
@@ -13,7 +13,6 @@ from linkplan.models.errors import AssemblyError
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.history import amend_last_step, progress, record, recorded, step_of
-from linkplan.planner.refinement.switches import PiecewiseMotion
 from linkplan.planner.solvers.solve import Solution, solve
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh
@@ -41,10 +40,6 @@ class RefinementCertificate(Protocol):
     def effort_overrun(self) -> np.ndarray:
         """The needed effort beyond its limit on each interval (n_intervals,), as a share of a proof's allowance."""
         ...
-
-
-MotionT = TypeVar("MotionT", bound=PiecewiseMotion)
-CertificateT = TypeVar("CertificateT", bound=RefinementCertificate)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -121,8 +116,11 @@ class RefinementSettings(Protocol):
         ...
 
 
-class Case(Protocol[MotionT, CertificateT]):
-    """A problem that can be refined, with its own types of motion, start and certificate."""
+class Case(Protocol):
+    """A problem that can be refined.
+
+    Its motions are a `PiecewiseMotion`, its certificates a `RefinementCertificate`, of types of its own, as its starts are.
+    """
 
     @property
     def problem(self) -> RefinementSettings:
@@ -147,23 +145,23 @@ class Case(Protocol[MotionT, CertificateT]):
         """Return the program that begins at a start; the options are those of the cases' own `transcribe`."""
         ...
 
-    def motion(self, solution: Solution) -> MotionT | None:
+    def motion(self, solution: Solution) -> Any:
         """Return the motion of a solution, or None if it leaves the branch of the mechanism."""
         ...
 
-    def start_from(self, motion: MotionT) -> Any:
+    def start_from(self, motion: Any) -> Any:
         """Return a motion as a start."""
         ...
 
-    def certify(self, motion: MotionT) -> CertificateT | None:
+    def certify(self, motion: Any) -> Any:
         """Return a motion's certificate; None where it has none."""
         ...
 
-    def error_report(self, certificate: CertificateT) -> ErrorReport:
+    def error_report(self, certificate: Any) -> ErrorReport:
         """Return the errors that a certificate shows."""
         ...
 
-    def tightened(self, certificate: CertificateT, motion: MotionT) -> Self:
+    def tightened(self, certificate: Any, motion: Any) -> Self:
         """Return the case with limits tightened by what a motion overran them (constraint tightening)."""
         ...
 
@@ -173,10 +171,10 @@ class Case(Protocol[MotionT, CertificateT]):
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Iterate(Generic[MotionT]):
+class Iterate:
     """The motion and solution of one solve; `fixed` are the efforts and path quantities held along its arcs, or None."""
 
-    motion: MotionT
+    motion: Any  # a `switches.PiecewiseMotion` of the case's own type
     solution: Solution
     fixed: FixedArcs | None = None
 
@@ -187,7 +185,7 @@ class Iterate(Generic[MotionT]):
 
 
 def attempt(
-    case: Case[MotionT, Any],
+    case: Case,
     start: Any,
     mesh: Mesh,
     durations: np.ndarray,
@@ -199,7 +197,7 @@ def attempt(
     position_rows: bool = False,
     bang_efforts: np.ndarray | None = None,
     fixed: FixedArcs | None = None,
-) -> Iterate[MotionT] | None:
+) -> Iterate | None:
     """Solve once, note it in the history, and return the iterate; None if there is no motion or no time is left.
 
     Args:
@@ -244,11 +242,11 @@ def _attempted(what: str, scheme: str, mesh: Mesh) -> str:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class CertifiedIterate(Generic[MotionT, CertificateT]):
+class CertifiedIterate:
     """An iterate, its certificate, and the errors that this shows; None without a certificate."""
 
-    found: Iterate[MotionT]
-    certificate: CertificateT | None
+    found: Iterate
+    certificate: Any  # a `RefinementCertificate` of the case's own type, or None
     report: ErrorReport | None
 
     @property
@@ -267,10 +265,7 @@ class CertifiedIterate(Generic[MotionT, CertificateT]):
         return self.found.mesh.n_intervals
 
 
-CertifiedIterateT = TypeVar("CertifiedIterateT", bound=CertifiedIterate)
-
-
-def certify_iterate(case: Case[MotionT, CertificateT], found: Iterate[MotionT]) -> CertifiedIterate[MotionT, CertificateT]:
+def certify_iterate(case: Case, found: Iterate) -> CertifiedIterate:
     """Certify an iterate and note its integration error in the history."""
     certificate = case.certify(found.motion)
     report = None if certificate is None else case.error_report(certificate)
@@ -282,6 +277,6 @@ def certify_iterate(case: Case[MotionT, CertificateT], found: Iterate[MotionT]) 
     return CertifiedIterate(found=found, certificate=certificate, report=report)
 
 
-def error_of(at: CertifiedIterate[Any, Any]) -> float:
+def error_of(at: CertifiedIterate) -> float:
     """Return the integration error in its client's unit; infinite without a certificate."""
     return np.inf if at.report is None else at.report.integration_error_deg or at.report.integration_error or 0.0

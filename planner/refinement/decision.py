@@ -28,7 +28,7 @@ from linkplan.planner.refinement.actions import (
     ReleaseArcs,
     Tighten,
 )
-from linkplan.planner.refinement.case import Case, CertificateT, Iterate, MotionT, certify_iterate
+from linkplan.planner.refinement.case import Case, Iterate, certify_iterate
 from linkplan.planner.refinement.constrained_arcs import arcs_against_their_limits
 from linkplan.planner.refinement.marking import (
     EVEN_SHARE,
@@ -234,9 +234,7 @@ def _most_intervals(state: RefinementState, *, held: bool = False) -> int:
     return _comfortable(state) if (state.best is not None or wanders) and not held else most
 
 
-def refine(
-    case: Case[MotionT, CertificateT], found: Iterate[MotionT], *, warm: bool = False
-) -> Refined[MotionT, CertificateT] | None:
+def refine(case: Case, found: Iterate, *, warm: bool = False) -> Refined | None:
     """Return the best motion towards the tolerance, or None without a certificate.
 
     The certificate may not pass: then the motion is the last one tried.
@@ -254,9 +252,7 @@ def refine(
     return state.result
 
 
-def first_state(
-    case: Case[MotionT, CertificateT], found: Iterate[MotionT], *, warm: bool
-) -> RefinementState[MotionT, CertificateT]:
+def first_state(case: Case, found: Iterate, *, warm: bool) -> RefinementState:
     """Return the state that a first solution leads to: with switch times as unknowns where efforts jump."""
     if case.target.switches:
         found = settle_switch_times(case, found)

@@ -6,13 +6,13 @@ Limits that a motion overran between the nodes are tightened there and by that m
 import re
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from linkplan.planner.limits.limit import Margin, Tightened
 from linkplan.planner.problem.settings import MeshSettings
-from linkplan.planner.refinement.case import Case, CertificateT, CertifiedIterate, MotionT
+from linkplan.planner.refinement.case import Case, CertifiedIterate, RefinementCertificate
 from linkplan.planner.refinement.switches import PiecewiseMotion
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import MAX_DEGREE
@@ -134,7 +134,7 @@ def tightening_over(
     return tightening
 
 
-def marked_for(at: CertifiedIterate[Any, Any], strictness: float) -> np.ndarray:
+def marked_for(at: CertifiedIterate, strictness: float) -> np.ndarray:
     """Return the intervals (n,) with more than their share of an error that is too large."""
     certificate, n = at.certificate, at.n_intervals
     if certificate is None:
@@ -152,7 +152,7 @@ def marked_for(at: CertifiedIterate[Any, Any], strictness: float) -> np.ndarray:
     return marked
 
 
-def beyond_efforts(at: CertifiedIterate[Any, Any]) -> np.ndarray:
+def beyond_efforts(at: CertifiedIterate) -> np.ndarray:
     """Return the intervals (n,) whose effort overrun is near or above the proof's allowance.
 
     There are none where every interval keeps the allowance.
@@ -161,7 +161,7 @@ def beyond_efforts(at: CertifiedIterate[Any, Any]) -> np.ndarray:
     return (overrun > MARKED_SHARE) & bool(overrun.max(initial=0.0) > 1.0)
 
 
-def overrunning(at: CertifiedIterate[Any, Any]) -> np.ndarray:
+def overrunning(at: CertifiedIterate) -> np.ndarray:
     """Return the intervals (n,) on which a limit is overrun by more than tightening should remove."""
     if at.report is None:
         return np.zeros(at.n_intervals, dtype=bool)
@@ -169,7 +169,7 @@ def overrunning(at: CertifiedIterate[Any, Any]) -> np.ndarray:
     return overrun > max(TIGHTENED_OVERRUN, SHARE_OF_WORST * overrun.max(initial=0.0))
 
 
-def most_overrun(at: CertifiedIterate[Any, Any]) -> np.ndarray:
+def most_overrun(at: CertifiedIterate) -> np.ndarray:
     """Return the intervals (n,) with an overrun near the largest one."""
     overrun = np.zeros(at.n_intervals) if at.report is None else at.report.overrun
     return overrun > LARGE_OVERRUN_SHARE * overrun.max(initial=0.0)
@@ -180,7 +180,7 @@ def grown(mesh: Mesh, marked: np.ndarray) -> int:
     return mesh.n_intervals + int(marked.sum())
 
 
-def uneven_of(at: CertifiedIterate[Any, Any]) -> np.ndarray:
+def uneven_of(at: CertifiedIterate) -> np.ndarray:
     """Return the intervals (n,) that determine the objective: next to kinks, and where a limit begins or ceases to bind."""
     rough = rough_of(at.found.motion)
     touching = None if at.report is None else at.report.touching
@@ -196,7 +196,7 @@ def rough_of(motion: PiecewiseMotion) -> np.ndarray:
     return rough >= ROUGH_SHARE * rough.max()
 
 
-def higher_for(case: Case[Any, CertificateT], certificate: CertificateT | None, marked: np.ndarray) -> str | None:
+def higher_for(case: Case, certificate: RefinementCertificate | None, marked: np.ndarray) -> str | None:
     """Return the scheme of higher degree that reduces the error more than a finer mesh, or None."""
     if certificate is None or not marked.any():
         return None
@@ -205,9 +205,7 @@ def higher_for(case: Case[Any, CertificateT], certificate: CertificateT | None, 
     return raised(case.problem.mesh) if even or case.problem.mesh.refine == "degree" else None
 
 
-def higher_on_arcs(
-    case: Case[MotionT, CertificateT], at: CertifiedIterate[MotionT, CertificateT], over: np.ndarray
-) -> str | None:
+def higher_on_arcs(case: Case, at: CertifiedIterate, over: np.ndarray) -> str | None:
     """Return the scheme of higher degree if limits are overrun evenly along smooth arcs, or None."""
     if at.report is None or not over.any():
         return None

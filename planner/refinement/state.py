@@ -1,16 +1,13 @@
 """The state of a refinement: what was found so far, the better of two iterates, and the result."""
 
 from dataclasses import dataclass, replace
-from typing import Generic
+from typing import Any
 
 import numpy as np
 
 from linkplan.planner.refinement.case import (
     Case,
-    CertificateT,
     CertifiedIterate,
-    CertifiedIterateT,
-    MotionT,
     RefinementTarget,
     error_of,
 )
@@ -29,7 +26,7 @@ REPORTED_CHANGE = 1e-4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Refined(Generic[MotionT, CertificateT]):
+class Refined:
     """A motion with its solution and certificate, which may not pass.
 
     `settled` is True if the objective keeps still from mesh to mesh, where that is required. `moved` is its relative change
@@ -37,9 +34,9 @@ class Refined(Generic[MotionT, CertificateT]):
     relative error as those meshes show it, infinite if there is only one.
     """
 
-    motion: MotionT
+    motion: Any  # of the case's own type, as the certificate
     solution: Solution
-    certificate: CertificateT
+    certificate: Any
     settled: bool
     moved: float = 0.0
     objective_error: float = np.inf
@@ -50,7 +47,7 @@ class Refined(Generic[MotionT, CertificateT]):
         return arcs_against_their_limits(self.solution)
 
 
-def better_of(before: CertifiedIterateT | None, now: CertifiedIterateT, target: RefinementTarget) -> CertifiedIterateT:
+def better_of(before: CertifiedIterate | None, now: CertifiedIterate, target: RefinementTarget) -> CertifiedIterate:
     """Return the better of two motions that pass: the later, on a finer mesh, unless that lost what the other had.
 
     On a finer mesh more limits bind, and each adds the solver's tolerance to the objective. The coarser motion is kept if it
@@ -69,7 +66,7 @@ def better_of(before: CertifiedIterateT | None, now: CertifiedIterateT, target: 
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class RefinementState(Generic[MotionT, CertificateT]):
+class RefinementState:
     """The iterates of a refinement and the record of its actions.
 
     `asked` has the limits as they are asked: every certificate is against them. `case` has the scheme and the tightened
@@ -85,11 +82,11 @@ class RefinementState(Generic[MotionT, CertificateT]):
     `ReduceEffortOverrun`.
     """
 
-    asked: Case[MotionT, CertificateT]
-    case: Case[MotionT, CertificateT]
-    iterate: CertifiedIterate[MotionT, CertificateT]
+    asked: Case
+    case: Case
+    iterate: CertifiedIterate
     warm: bool
-    best: CertifiedIterate[MotionT, CertificateT] | None = None
+    best: CertifiedIterate | None = None
     position_rows: bool = False
     rows_lost: bool = False
     degree_lost: bool = False
@@ -102,7 +99,7 @@ class RefinementState(Generic[MotionT, CertificateT]):
     settled_meshes: int = 0
     error_falls: bool = True
     releases: int = 0
-    loosened: CertifiedIterate[MotionT, CertificateT] | None = None
+    loosened: CertifiedIterate | None = None
     tightenings: int = 0
     loosenings_without_gain: int = 0
     ended: bool = False
@@ -157,7 +154,7 @@ class RefinementState(Generic[MotionT, CertificateT]):
         return fixed is not None and fixed.everything and not at_bounds(self.iterate.found.solution)
 
     @property
-    def result(self) -> Refined[MotionT, CertificateT] | None:
+    def result(self) -> Refined | None:
         """The best motion, or the last one if none passed; None without a certificate."""
         at, best = self.iterate, self.best
         asked = self.objective_tolerance is not None and self.target.objective_tolerance_given
@@ -191,9 +188,7 @@ class RefinementState(Generic[MotionT, CertificateT]):
         return self.change if np.isfinite(self.change) else 0.0
 
 
-def observed(
-    state: RefinementState[MotionT, CertificateT], at: CertifiedIterate[MotionT, CertificateT], *, tells: bool = True
-) -> RefinementState[MotionT, CertificateT]:
+def observed(state: RefinementState, at: CertifiedIterate, *, tells: bool = True) -> RefinementState:
     """Return the state after a new iterate; `tells` says that its mesh is finer wherever the objective depends on it."""
     first = state.rounds <= 1  # the error on the first mesh is too coarse to compare with
     # An error that a finer mesh leaves at more than half does not fall: each mesh has another motion.

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.planner.refinement.case import Case, CertificateT, Iterate, MotionT, attempt
+from linkplan.planner.refinement.case import Case, Iterate, attempt
 from linkplan.planner.refinement.constrained_arcs import (
     FixedArcs,
     arc_ends,
@@ -35,11 +35,11 @@ LONGER, SHORTER = "longer", "shorter"
 
 
 def settle_switch_times(
-    case: Case[MotionT, CertificateT],
-    found: Iterate[MotionT],
+    case: Case,
+    found: Iterate,
     *,
     position_rows: bool = False,
-) -> Iterate[MotionT]:
+) -> Iterate:
     """Return a solution with switch times at its switches, or the same one where switch times make it no better.
 
     Efforts and path quantities are first held at the limits that the arcs showed, so that only the switch times are unknown.
@@ -77,9 +77,7 @@ def settle_switch_times(
     return found
 
 
-def _arcs_of(
-    case: Case[MotionT, CertificateT], found: Iterate[MotionT], boundaries: np.ndarray
-) -> tuple[np.ndarray, FixedArcs]:
+def _arcs_of(case: Case, found: Iterate, boundaries: np.ndarray) -> tuple[np.ndarray, FixedArcs]:
     """Return the ends (n,) [s] of a solution's arcs between phase boundaries [s], and what is held along them.
 
     Arcs shorter than an interval are bang arcs where nothing else binds; elsewhere they are rather ends of arcs along a
@@ -106,7 +104,7 @@ def _arcs_of(
     return switch_times, FixedArcs(efforts=bang_efforts, paths=paths)
 
 
-def is_bang_bang(case: Case[MotionT, CertificateT], transcribed: Transcribed) -> bool:
+def is_bang_bang(case: Case, transcribed: Transcribed) -> bool:
     """Return True if all efforts are at their limits: time is the objective, and only effort limits and ranges bind."""
     interval = transcribed.program.interval
     return case.target.bang_bang and interval.n_path == 0 and {*interval.own_kinds} <= {"continuity", "position"}

@@ -91,7 +91,7 @@ def of_several(problem: Problem) -> bool:
     return min(problem.mechanism.dof, problem.mechanism.n_u) > 1 and free and not objective.is_smoothed
 
 
-def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined | None:
+def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
     """Return the best motion whose certificate passes, else the last one; None without a certificate.
 
     Args:
@@ -137,7 +137,7 @@ def refine_several(case: MechanismCase, found: Iterate[Trajectory]) -> Refined |
     )  # fmt: skip
 
 
-def _solved(way: _Way, coarse: Iterate[Trajectory], rows: bool) -> Iterate[Trajectory] | None:
+def _solved(way: _Way, coarse: Iterate, rows: bool) -> Iterate | None:
     """Return the solution of the next solve from a motion; None without one.
 
     The barrier follows the iterates where the duration is free. With a given one it falls from a small value, which takes
@@ -148,7 +148,7 @@ def _solved(way: _Way, coarse: Iterate[Trajectory], rows: bool) -> Iterate[Traje
     most = 2 * _MOST_ITERATIONS if another else _MOST_ITERATIONS
     few = settings.replace(max_iterations=min(most, settings.max_iterations or most))
     case = replace(way.case, problem=replace(way.case.problem, solver=few))
-    found: list[Iterate[Trajectory]] = []
+    found: list[Iterate] = []
     free = case.asked.motion.duration_s is None
     lost = _LOST_SHARE_AT_FIRST if another and not free else _LOST_SHARE
     for adaptive in (free, not free):

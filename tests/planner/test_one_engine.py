@@ -9,11 +9,7 @@ import pytest
 from linkplan.planner.certificate.flow import flow
 from linkplan.planner.certificate.integration import exact_bounds, relative_violation
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
-from linkplan.planner.closed_chain.guess import first_guess, perturbed_guesses
 from linkplan.planner.ode.case import OdeCase
-from linkplan.planner.ode.formulation import straight_guess
-from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.solve_ocp import perturbed
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import Case
@@ -66,24 +62,6 @@ def test_a_bend_is_as_large_as_the_motion_it_bends():
     )
     small, large = (np.abs(perturbation(number, TAU, np.ones(50))[0]).max() for number in (3, 40))
     assert large > 3 * small
-
-
-def test_mechanisms_and_differential_equations_are_bent_alike():
-    problem = load_problem("knee-reach")
-    pose = problem.start_pose()
-    base, (_, guess) = first_guess(problem, pose), next(iter(perturbed_guesses(problem, pose)))
-    times = np.linspace(0.0, base.duration_s, 121)
-    offset = guess.position(times) - base.position(times)
-    span = np.ptp(base.position(times), axis=0)
-    np.testing.assert_allclose(offset, perturbation(1, times / base.duration_s, span)[0], atol=1e-12)
-    ode = OdeProblem(
-        name="an integrator", rate=lambda x, u, p, t: u, start=[0.0], goal=[1.0], effort_limit=[[-9, 9]],  # noqa: ARG005
-        duration_s=(0.1, 100.0), running_cost=lambda x, u, p, t: u[0] ** 2,  # noqa: ARG005
-    )  # fmt: skip
-    straight = straight_guess(ode)
-    _, second = perturbed(ode, [straight], 2)
-    np.testing.assert_allclose(second.state[:, 0] - TAU, perturbation(1, TAU, np.ones(1))[0][:, 0], atol=1e-12)
-    assert second.duration_s == pytest.approx(straight.duration_s * perturbation(1, TAU, np.ones(1))[1])
 
 
 # Free durations.

@@ -32,16 +32,21 @@ def rod():
     return load_mechanism(PENDULUM.format(limit=20))
 
 
-def growths(n: int, stiffness: float = WEIGHT / INERTIA) -> np.ndarray:
-    """Return by how much an error in units of position and speed has grown after each interval, at the most."""
+def growths(n: int, stiffness: float = WEIGHT / INERTIA, size=lambda matrix: np.abs(matrix).max()) -> np.ndarray:
+    """Return the largest entry of the transition matrix, in units of position and speed, after each interval."""
     unit = np.array([float(position_units(rod(), standing(np.pi, n).position)[0]), SPEED])
     step = expm(WIDTH_S * np.array([[0.0, 1.0], [stiffness, 0.0]]) * unit / unit[:, None])
-    return np.array([np.abs(np.linalg.matrix_power(step, k)).max() for k in range(1, n + 1)])
+    return np.array([size(np.linalg.matrix_power(step, k)) for k in range(1, n + 1)])
+
+
+def until_restart(n: int) -> int:
+    """Return the number of intervals in which an error may grow by `RESTART_GROWTH`, in the spectral norm."""
+    return int(np.flatnonzero(growths(n, size=lambda matrix: np.linalg.norm(matrix, 2)) > RESTART_GROWTH)[0]) + 1
 
 
 def test_an_integration_is_begun_anew_whenever_an_error_would_have_grown_ten_thousandfold():
     n = 40
-    before = int(np.flatnonzero(growths(n) > RESTART_GROWTH)[0]) + 1  # intervals up to each restart
+    before = until_restart(n)
     found = integrate(rod(), standing(np.pi, n), SPEED, ALLOWED)
     assert found.restarts == n // before >= 3
     assert found.position[0] < 1e-9
@@ -52,7 +57,7 @@ def test_an_integration_is_begun_anew_whenever_an_error_would_have_grown_ten_tho
 def test_an_effort_that_is_not_the_motion_s_leads_away_up_to_each_restart(effort):
     """From rest at upright a torque u leads to u / (m g l) (cosh(RATE t) - 1)."""
     n = 40
-    before = int(np.flatnonzero(growths(n) > RESTART_GROWTH)[0]) + 1
+    before = until_restart(n)
     away = abs(effort) / WEIGHT * (np.cosh(RATE * WIDTH_S * before) - 1)
     fast = abs(effort) / WEIGHT * RATE * np.sinh(RATE * WIDTH_S * before)
     found = integrate(rod(), standing(np.pi, n, effort), SPEED, ALLOWED)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from linkplan.planner.limits.samples import sample_points
 from linkplan.planner.ode.certificate import certify_ode, running_cost, sizes_of
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
@@ -31,7 +32,6 @@ def judged(running: np.ndarray | None = None, efforts: np.ndarray | None = None,
         breaks_s=breaks,
         state=SPEED * np.array([breaks[:-1], breaks[1:]])[:, :, None],
         effort=np.full((1, INTERVALS, 1), SPEED) if efforts is None else efforts[None, :, None],
-        n_x=1,
         running=running,
     )
     return certify_ode(problem, motion)
@@ -61,6 +61,21 @@ def test_the_margin_of_a_state_is_its_least_distance_to_its_limits(limit, margin
     certificate = judged(state_limit=[limit])
     assert certificate.state_margin[0] == pytest.approx(margin, abs=1e-9)
     assert certificate.passed == (margin > 0)
+
+
+def test_the_margin_of_a_state_is_measured_between_the_samples_too():
+    """x = 1 - (t - a)^2 is largest at a, where no sample is."""
+    a = 0.43
+    assert np.abs(sample_points(2) - a).min() > 1e-3
+    problem = OdeProblem(
+        name="parabola", rate=lambda x, u, p, t: [u[0]], start=[1 - a**2], goal=[NAN], effort_limit=FREE_EFFORT,  # noqa: ARG005
+        duration_s=1.0, running_cost=squared_effort, state_limit=[[-1.0, 1 - 1e-4]],
+    )  # fmt: skip
+    state = np.array([1 - a**2, 1 - a**2 + a, 1 - (1 - a) ** 2]).reshape(3, 1, 1)
+    effort = np.array([2 * a, 2 * a - 2]).reshape(2, 1, 1)
+    certificate = certify_ode(problem, OdeTrajectory(breaks_s=np.array([0.0, 1.0]), state=state, effort=effort))
+    assert certificate.integration_error < 1e-10
+    assert certificate.state_margin == pytest.approx([-1e-4], abs=1e-12)
 
 
 @pytest.mark.parametrize(("limit", "margin"), [([-1.0, 10.0], 1.0), ([-5.0, 8.0], 2.0), ([0.0, 5.5], -0.5)])
@@ -139,7 +154,7 @@ def test_refinement_is_asked_for_where_a_state_s_own_interval_adds_its_error():
         0, 2, 1
     )
     effort = SPEED * np.array([1.0, 1.0, 1 + 4e-3, 1.0])[None, :, None]
-    certificate = certify_ode(problem, OdeTrajectory(breaks_s=breaks, state=state, effort=effort, n_x=2))
+    certificate = certify_ode(problem, OdeTrajectory(breaks_s=breaks, state=state, effort=effort))
     assert certificate.growth == pytest.approx([0.0, 0.0, 4e-3 / INTERVALS / 1e-4, 0.0], abs=1e-5)
 
 
@@ -163,7 +178,7 @@ def test_the_running_cost_of_an_interval_is_its_own_where_the_effort_jumps(name)
         duration_s=2.0, running_cost=squared_effort,
     )  # fmt: skip
     motion = OdeTrajectory(
-        breaks_s=np.array([0.0, 0.5, 2.0]), state=np.zeros((2, 2, 1)), effort=np.array([3.0, -1.0])[None, :, None], n_x=1
+        breaks_s=np.array([0.0, 0.5, 2.0]), state=np.zeros((2, 2, 1)), effort=np.array([3.0, -1.0])[None, :, None]
     )
     assert running_cost(problem, motion, scheme(name)) == pytest.approx([9.0 * 0.5, 1.0 * 1.5], rel=1e-9)
 
@@ -185,9 +200,7 @@ def test_an_effort_is_refused_by_the_most_that_one_exceeds_its_limits(limits, ex
     )
     state = np.array([[0.0], [SPEED * DURATION_S]])[:, :, None]
     effort = np.array([SPEED, 0.0])[: len(limits)].reshape(1, 1, -1)
-    certificate = certify_ode(
-        problem, OdeTrajectory(breaks_s=np.array([0.0, DURATION_S]), state=state, effort=effort, n_x=1)
-    )
+    certificate = certify_ode(problem, OdeTrajectory(breaks_s=np.array([0.0, DURATION_S]), state=state, effort=effort))
     assert certificate.effort_excess == pytest.approx(excess)
     assert any("an effort exceeds its limit" in failure for failure in certificate.failures) == (excess > 0)
 

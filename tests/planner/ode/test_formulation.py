@@ -1,10 +1,12 @@
 """Units and starts of a differential equation's problem, from what the user gave."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from linkplan.planner.ode.formulation import depends_on_time, formulate_ode, start_of, units_of
-from linkplan.planner.ode.problem import CompletedGuess, OdeProblem
+from linkplan.planner.ode.formulation import depends_on_time, formulate_ode, guesses_of, start_from, units_of
+from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.transcription.formulation import Units
 from tests.support.ode import INF, NAN, squared_effort
 
@@ -22,7 +24,8 @@ def chain(n: int = 1, **given) -> OdeProblem:
 
 def units(state: np.ndarray, effort: np.ndarray, **given) -> Units:
     """Return the units for a guess of states (n, n_x) and efforts (n, 1)."""
-    return units_of(chain(np.shape(state)[1], **given), CompletedGuess(state=state, effort=effort, duration_s=T))
+    problem = chain(np.shape(state)[1], **given, guesses=[StateGuess(state=state, effort=effort)])
+    return units_of(problem, guesses_of(problem)[0])
 
 
 @pytest.mark.parametrize(
@@ -81,12 +84,13 @@ def timed() -> OdeProblem:
 
 def test_time_is_a_state_of_its_own_where_something_depends_on_it():
     """Its unit is the duration; starts carry it, and the rate of time is one."""
-    guess = CompletedGuess(state=np.array([[0.0], [6.0]]), effort=np.ones((2, 1)), duration_s=T)
-    for problem, is_timed in ((timed(), True), (chain(), False)):
+    given = [StateGuess(state=[[0.0], [6.0]], effort=np.ones((2, 1)))]
+    for problem, is_timed in ((replace(timed(), guesses=given), True), (chain(guesses=given), False)):
+        guess = guesses_of(problem)[0]
         assert depends_on_time(problem) == is_timed
         found = units_of(problem, guess)
         assert found.state == pytest.approx([6.0, T] if is_timed else [6.0])
-        start, at = start_of(guess, found), np.array([0.5, 1.5])
+        start, at = start_from(guess, found), np.array([0.5, 1.5])
         clock = [[0.25], [0.75]] if is_timed else np.zeros((2, 0))
         assert start.states(at) == pytest.approx(np.hstack([[[0.25], [0.75]], clock]))
         assert start.nodes(at)[1] == pytest.approx(np.ones((2, 1 + is_timed)))

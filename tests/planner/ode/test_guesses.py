@@ -1,18 +1,15 @@
 """What a guess lacks, its duration and efforts; and which rows a formulation has where no node stands."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
-from linkplan.planner.ode.formulation import _open_end_path, completed, units_of
+from linkplan.planner.ode.formulation import _open_end_path, guesses_of, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
-from linkplan.planner.ode.solve_ocp import plan_ode
-from linkplan.planner.problem.settings import SolverSettings
+from linkplan.planner.ode.trajectory import OdeTrajectory
 from tests.support.ode import squared_effort
 
 
-def problem(duration: object, effort_limit: list[list[float]]) -> OdeProblem:
+def problem(duration: object, effort_limit: list[list[float]], *guesses: StateGuess) -> OdeProblem:
     return OdeProblem(
         name="straight",
         rate=lambda x, u, p, t: [u[0]],  # noqa: ARG005
@@ -21,7 +18,13 @@ def problem(duration: object, effort_limit: list[list[float]]) -> OdeProblem:
         effort_limit=effort_limit,
         duration_s=duration,
         final_cost=lambda x0, xT, T, p: T,  # noqa: ARG005
+        guesses=guesses,
     )
+
+
+def completed(duration: object, effort_limit: list[list[float]], **guess) -> OdeTrajectory:
+    """Return the motion of a guess, with what it lacks."""
+    return guesses_of(problem(duration, effort_limit, StateGuess(**guess)))[0]
 
 
 @pytest.mark.parametrize(
@@ -38,16 +41,24 @@ def problem(duration: object, effort_limit: list[list[float]]) -> OdeProblem:
     ],
 )
 def test_a_guess_lasts_as_long_as_it_says_and_may_and_else_a_second_or_the_middle(bounds, given, duration):
-    guess = StateGuess(state=np.array([[0.0], [1.0]]), duration_s=given)
-    assert completed(problem(bounds, [[-1.0, 1.0]]), guess).duration_s == pytest.approx(duration, rel=1e-12)
+    guess = completed(bounds, [[-1.0, 1.0]], state=[[0.0], [1.0]], duration_s=given)
+    assert guess.duration_s == pytest.approx(duration, rel=1e-12)
 
 
 @pytest.mark.parametrize(
     ("limit", "effort"), [([-1.0, 3.0], 1.0), ([-np.inf, 3.0], 3.0), ([-2.0, np.inf], -2.0), ([-np.inf, np.inf], 0.0)]
 )
 def test_an_effort_that_a_guess_lacks_is_the_middle_of_its_limits_or_their_finite_end(limit, effort):
-    guess = completed(problem(1.0, [limit]), StateGuess(state=np.array([[0.0], [0.5], [1.0]])))
-    assert guess.effort == pytest.approx(np.full((3, 1), effort))
+    guess = completed(1.0, [limit], state=[[0.0], [0.5], [1.0]])
+    assert guess.effort_at(np.array([0.0, 0.7, 1.0])) == pytest.approx(np.full((3, 1), effort))
+
+
+@pytest.mark.parametrize(("state", "effort"), [([0.0, 4.0, 0.0], [1.0, 3.0]), ([0.0, 4.0, 0.0], [1.0, 5.0, 0.0, 3.0, 3.0])])
+def test_a_guess_is_straight_between_its_rows_of_states_and_of_efforts(state, effort):
+    guess = completed(2.0, [[-9.0, 9.0]], state=np.array(state)[:, None], effort=np.array(effort)[:, None])
+    time = 2.0 * np.linspace(0.0, 1.0, 5)
+    assert guess.state_at(time)[:, 0] == pytest.approx(np.interp(time, np.linspace(0.0, 2.0, len(state)), state))
+    assert guess.effort_at(time)[:, 0] == pytest.approx(np.interp(time, np.linspace(0.0, 2.0, len(effort)), effort))
 
 
 @pytest.mark.parametrize(
@@ -55,9 +66,8 @@ def test_an_effort_that_a_guess_lacks_is_the_middle_of_its_limits_or_their_finit
     [([-4.0, 3.0], 0.0, 4.0), ([-4.0, 3.0], 0.5, 0.5), ([-4.0, 3.0], 7.0, 4.0), ([-np.inf, np.inf], 7.0, 7.0)],
 )
 def test_the_unit_of_an_effort_is_the_guess_s_within_the_limits(limit, guessed, unit):
-    asked = problem(1.0, [limit])
-    guess = StateGuess(state=np.array([[0.0], [0.5], [1.0]]), effort=np.full((3, 1), guessed))
-    assert units_of(asked, completed(asked, guess)).effort == pytest.approx([unit])
+    guess = completed(1.0, [limit], state=[[0.0], [0.5], [1.0]], effort=np.full((3, 1), guessed))
+    assert units_of(problem(1.0, [limit]), guess).effort == pytest.approx([unit])
 
 
 def test_rows_where_no_node_stands_are_those_of_inequalities_with_an_effort():
@@ -74,11 +84,3 @@ def test_rows_where_no_node_stands_are_those_of_inequalities_with_an_effort():
         running_cost=squared_effort,
     )
     assert _open_end_path(asked) == (1,)
-
-
-@pytest.mark.parametrize("starts", [1, 3])
-def test_as_many_starts_are_solved_as_are_asked_for(starts):
-    asked = replace(problem(1.0, [[-5.0, 5.0]]), final_cost=None, running_cost=squared_effort)
-    plan = plan_ode(replace(asked, solver=SolverSettings(starts=starts)))
-    assert plan.objective == pytest.approx(1.0, rel=1e-6)
-    assert len([step for step in plan.history if step.what.startswith(("first solve", "start"))]) == starts

@@ -21,7 +21,7 @@ def straight(ends: list[float], breaks_s: np.ndarray, n_x: int = 1) -> OdeTrajec
     """Return a motion that goes straight from one value to the next; a second state rests at 1."""
     state = np.array([ends[:-1], ends[1:]])[:, :, None]
     state = np.concatenate([state, np.ones_like(state)], axis=2)[:, :, :n_x]
-    return OdeTrajectory(breaks_s=breaks_s, state=state, effort=np.zeros((1, len(ends) - 1, 1)), n_x=n_x)
+    return OdeTrajectory(breaks_s=breaks_s, state=state, effort=np.zeros((1, len(ends) - 1, 1)))
 
 
 def restarts(problem: OdeProblem) -> int:

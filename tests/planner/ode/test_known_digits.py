@@ -8,10 +8,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from linkplan.planner.ode.case import OdeCase
+from linkplan.planner.ode.formulation import guesses_of, start_from, units_of
 from linkplan.planner.ode.plan import OdePlan, known_digits, plan_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
-from linkplan.planner.ode.solve_ocp import _first_solutions, _refined, plan_ode
-from linkplan.planner.problem.settings import SolverSettings
+from linkplan.planner.ode.solve_ocp import plan_ode
+from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.decision import refine
+from linkplan.planner.transcription.mesh import uniform
 from tests.support.ode import (
     FREE_EFFORT,
     FREE_STATE,
@@ -179,8 +183,11 @@ def shuttle() -> OdeProblem:
 
 
 @pytest.mark.long
-def test_a_shuttle_comes_down_from_perturbed_guesses():
-    plan = solved(replace(shuttle(), solver=SolverSettings(starts=4)))
+def test_a_shuttle_comes_down_as_published_from_a_guess_of_its_turn():
+    asked = shuttle()
+    last = [80000, 30 * DEG, 30 * DEG, 2500, -5 * DEG, 0]
+    turn = StateGuess(state=[asked.start[:, 0], last], effort=[[-75 * DEG, 0], [-75 * DEG, 0]], duration_s=2000)
+    plan = solved(replace(asked, guesses=[turn]))
     assert plan.objective == pytest.approx(-34.1412, abs=5e-5)
     assert plan.objective_error < 1e-6 * abs(plan.objective)
 
@@ -204,8 +211,10 @@ def test_the_straight_line_is_a_start_beside_guesses_that_lead_nowhere():
 
 def test_a_plan_whose_objective_is_known_on_one_mesh_only_says_that_its_error_is_not_known():
     problem = bryson_denham(0.1, None)
-    refined = _refined(problem, _first_solutions(problem)[0])
-    plan = plan_of(problem, replace(refined, objective_error=INF))
+    guess = guesses_of(problem)[0]
+    case = OdeCase(problem, problem, units_of(problem, guess))
+    found = attempt(case, start_from(guess, case.units), uniform(40), np.array([1.0]), "first solve")
+    plan = plan_of(problem, replace(refine(case, found), objective_error=INF))
     assert plan.status == "optimal"
     assert plan.objective_error is None
     assert plan.message.startswith("optimum 4.44 in 1 s; the error of the objective is not known")

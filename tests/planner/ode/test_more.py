@@ -1,5 +1,7 @@
 """More textbook optima by `plan_ode` at its default settings: angles that wind, ways that bend, arcs that are singular."""
 
+from dataclasses import replace
+
 import casadi as ca
 import numpy as np
 import pytest
@@ -7,8 +9,8 @@ from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq, fsolve
 
 from linkplan.planner.ode.certificate import LIMIT_SLACK, OVERRUN_SHARE
-from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.problem.settings import SolverSettings
+from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from linkplan.planner.ode.solve_ocp import plan_ode
 from tests.support.ode import FREE_EFFORT, INF, NAN, double_integrator, duration, solved
 from tests.support.tolerances_planner import (
     BOOK_TIME,
@@ -133,20 +135,27 @@ def shortest_dubins(x: float, y: float, heading: float) -> float:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("goal", [(5, 1, -np.pi / 3), (-3, 2, 0.0)], ids=["right", "behind"])
-def test_dubins_car_takes_the_shortest_arcs_and_line(goal):
-    plan = solved(
-        OdeProblem(
-            name="Dubins' car",
-            solver=SolverSettings(starts=5),
-            rate=lambda x, u, p, t: [ca.cos(x[2]), ca.sin(x[2]), u[0]],  # noqa: ARG005
-            start=[0, 0, 0],
-            goal=goal,
-            effort_limit=[[-1, 1]],
-            duration_s=(0.1, 50),
-            final_cost=duration,
-        )
+@pytest.mark.parametrize(
+    ("goal", "on_the_way"),
+    [((5, 1, -np.pi / 3), ()), ((-3, 2, 0.0), [(0, 2, np.pi), (-3, 2, np.pi)])],
+    ids=["right", "behind"],
+)
+def test_dubins_car_takes_the_shortest_arcs_and_line(goal, on_the_way):
+    problem = OdeProblem(
+        name="Dubins' car",
+        rate=lambda x, u, p, t: [ca.cos(x[2]), ca.sin(x[2]), u[0]],  # noqa: ARG005
+        start=[0, 0, 0],
+        goal=goal,
+        effort_limit=[[-1, 1]],
+        duration_s=(0.1, 50),
+        final_cost=duration,
+        guesses=[StateGuess(state=[(0, 0, 0), *on_the_way, goal], duration_s=10.0)] if on_the_way else [],
     )
+    if on_the_way:
+        failed = plan_ode(replace(problem, guesses=[]))
+        assert failed.status == "failed"
+        assert "no start led to a solution" in failed.message
+    plan = solved(problem)
     assert plan.objective == pytest.approx(shortest_dubins(*goal), rel=ODE_PUBLISHED)
 
 
@@ -160,13 +169,13 @@ def test_a_chain_hangs_in_its_catenary():
     plan = solved(
         OdeProblem(
             name="hanging chain",
-            solver=SolverSettings(starts=3),
             rate=lambda x, u, p, t: [u[0], ca.sqrt(1 + u[0] ** 2)],  # noqa: ARG005
             start=[1, 0],
             goal=[3, 4],
             effort_limit=FREE_EFFORT,
             duration_s=1.0,
             running_cost=lambda x, u, p, t: x[0] * ca.sqrt(1 + u[0] ** 2),  # noqa: ARG005
+            guesses=[StateGuess(state=[[1, 0], [3, 4]], effort=[[-4], [5]])],
         )
     )
     assert plan.objective == pytest.approx(exact, rel=ODE_INTEGRATED)
@@ -189,12 +198,12 @@ def test_an_aircraft_s_angle_of_attack_is_brought_to_zero_in_the_better_of_two_l
     plan = solved(
         OdeProblem(
             name="F-8",
-            solver=SolverSettings(starts=8),
             rate=rate,
             start=[0.4655, 0, 0],
             goal=[0, 0, 0],
             effort_limit=[[-0.05236, 0.05236]],
             duration_s=(0.1, 30),
+            guesses=[StateGuess(state=[[0.4655, 0, 0], [0, 0, 0]], duration_s=3.0)],
             final_cost=duration,
         )
     )

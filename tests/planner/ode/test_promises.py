@@ -46,10 +46,12 @@ def swing_up(limit: float = 0.5) -> OdeProblem:
 
 
 def test_the_longest_time_bounds_a_whole_plan():
+    """The refinement for so many digits takes minutes."""
     looks = itertools.count()  # a clock that goes on by a second each time that it is read: each solve reads it often
     deadline = Deadline(clock=lambda: float(next(looks)))
-    problem = replace(swing_up(), solver=SolverSettings(starts=100, max_time_s=500, deadline=deadline))
+    problem = replace(robbins(1e-12), solver=SolverSettings(max_time_s=100, deadline=deadline))
     plan = plan_ode(problem)
     assert plan.problem is problem
-    assert 1 <= len(plan.history) < 100  # all starts and their refinement take much longer
-    assert next(looks) < 1000
+    assert plan.status == "feasible"
+    assert "the plan ran out of its 100 s" in plan.message
+    assert next(looks) < 200

@@ -7,7 +7,7 @@ from linkplan.planner.ode.trajectory import OdeTrajectory
 
 MOTION = OdeTrajectory(
     breaks_s=np.array([1.0, 2.0, 4.0]), state=np.array([[[0.0], [2.0]], [[2.0], [-4.0]]]),
-    effort=np.array([2.0, -3.0])[None, :, None], n_x=1,
+    effort=np.array([2.0, -3.0])[None, :, None],
 )  # fmt: skip
 
 

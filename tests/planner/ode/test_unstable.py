@@ -69,7 +69,6 @@ def test_whether_a_motion_is_unstable_does_not_hang_on_its_mesh(n_intervals, cou
         breaks_s=np.linspace(0.0, LONG_S, n_intervals + 1),
         state=np.zeros((4, n_intervals, 2)),
         effort=np.zeros((3, n_intervals, 1)),
-        n_x=2,
     )
     assert (certify_ode(problem, still).integration_restarts > 0) == unstable
 
@@ -117,7 +116,7 @@ def test_along_a_constant_state_an_error_grows_by_the_pole_until_the_integration
     problem, n = beside_a_pole(duration_s), 60
     breaks, effort = np.linspace(0.0, duration_s, n + 1), np.full((1, n, 1), -POLE)
     effort[0, :n_off, 0] += off
-    still = OdeTrajectory(breaks_s=breaks, state=np.ones((2, n, 1)), effort=effort, n_x=1)
+    still = OdeTrajectory(breaks_s=breaks, state=np.ones((2, n, 1)), effort=effort)
     certificate = certify_ode(problem, still)
     most = max(RESTART_GROWTH, problem.tolerance / INTEGRATION_RTOL)
     until = breaks[np.flatnonzero(np.exp(POLE * breaks) > most)[0]]

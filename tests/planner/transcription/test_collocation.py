@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.ode.formulation import completed, formulate_ode, start_of, units_of
-from linkplan.planner.ode.problem import CompletedGuess, OdeProblem, StateGuess
+from linkplan.planner.ode.formulation import formulate_ode, guesses_of, start_from, units_of
+from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of, renumbered_with
 from linkplan.planner.transcription.mesh import uniform
 from linkplan.planner.transcription.schemes import scheme
@@ -26,21 +26,16 @@ def problem_of(**changes) -> OdeProblem:
     return OdeProblem(name="one", rate=lambda x, u, p, t: [u[0] + u[1]], **settings | changes)  # noqa: ARG005
 
 
-def guessed(efforts: tuple[float, float]) -> CompletedGuess:
-    """Return the straight line from 1 to 7 with constant efforts."""
-    state, effort = np.array([[1.0], [7.0]]), np.tile(efforts, (2, 1))
-    return completed(problem_of(), StateGuess(state=state, effort=effort, duration_s=DURATION_S))
-
-
 def transcribed(
     efforts: tuple[float, float] = (1.0, 1.0), name: str = "radau-3", *, least_limit: bool = False
 ) -> Transcribed:
-    problem, guess = problem_of(), guessed(efforts)
+    line = StateGuess(state=[[1.0], [7.0]], effort=np.tile(efforts, (2, 1)))
+    problem = problem_of(guesses=[line])
+    guess = guesses_of(problem)[0]
     units = units_of(problem, guess)
-    formulation = formulate_ode(problem, units, least_limit=least_limit)
     return collocate(
-        formulation, scheme(name), uniform(3), np.array([DURATION_S]), start_of(guess, units), compile_mode="never",
-        least_limit=least_limit,
+        formulate_ode(problem, units), scheme(name), uniform(3), np.array([DURATION_S]), start_from(guess, units),
+        compile_mode="never", least_limit=least_limit,
     )  # fmt: skip
 
 
