@@ -64,6 +64,8 @@ class MujocoPlant:
             substeps,
             loop.effort_limit,
             held_before(mechanism, reference),
+            line=loop.motor_line,
+            slowest=loop.rate_limit,
         )
         stepper = MujocoStepper(
             mechanism, plants, drives, substeps, base=base, pushes=pushing(machines, plants, mechanism, substeps),
@@ -144,7 +146,9 @@ class MujocoStepper:
         self._mechanism, self._substeps, self._pushes, self._drives = mechanism, substeps, pushes, drives
         self._servos = servo_inversion(mechanism)
         self._gains = np.zeros((1, self.n_u)) if gains is None else gains
-        self._batch = Batch(model, nsim=self.n, nthread=threads, persistent=self._servos is not None)
+        # A servo's ctrl and a motor's line need the actuators' speeds at the beginning of every step.
+        by_speed = self._servos is not None or drives.line is not None
+        self._batch = Batch(model, nsim=self.n, nthread=threads, persistent=by_speed)
         spread(self._batch, model, models)
         bind = self._batch.bind
         self._qpos, self._qvel, self._ctrl, self._speeds = map(bind, ("qpos", "qvel", "ctrl", "actuator_velocity"))
@@ -159,10 +163,10 @@ class MujocoStepper:
         self._first_qvel = np.array([mechanism.qvel_of(one.pose, one.rates) for one in plants])
         self._first = np.array([one.pose for one in plants])
         self._near, self._qpos[:], self._qvel[:] = self._first.copy(), self._first_qpos, self._first_qvel
-        changing = pushes is not None or self._servos is not None
+        changing = pushes is not None or by_speed
         self._stretches = [(j, 1) for j in range(substeps)] if changing else stretches(drives, substeps)
         self._stage = 0
-        if self._servos is not None:
+        if by_speed:
             self._stage = _STATE_KNOWN
             self._batch.forward(stage=_STATE_KNOWN)
         self.k = 0
@@ -199,14 +203,15 @@ class MujocoStepper:
         take(drives, k, command)
         beyond: np.ndarray | float = 0.0
         for j, count in self._stretches:
-            effort = ctrl = act(drives, k, j)
+            rate = self._speeds[:, self._outputs] if self._stage else None
+            effort = ctrl = act(drives, k, j, rate)
+            if self._stage and j == 0:  # a later step overwrites them
+                speed[...] = rate
             if servos is not None:
-                length, rate = self._lengths[:, self._outputs], self._speeds[:, self._outputs]
+                length = self._lengths[:, self._outputs]
                 at_the_end = rate + self._gains[min(k, len(self._gains) - 1)]
                 ctrl, effort = servos.controls(effort, length, at_the_end)
                 effort = np.minimum(np.maximum(effort, drives.clamp[..., 0]), drives.clamp[..., 1])
-                if j == 0:  # a later step overwrites them
-                    speed[...] = rate
             elif not self._direct:
                 ctrl = (effort - self._bias) * self._scale
             self._ctrl[:, self._channels] = ctrl
@@ -217,7 +222,7 @@ class MujocoStepper:
                 beyond = beyond + count * (effort - applied)
                 continue
             applied[...] = effort
-            if servos is None:
+            if not self._stage:
                 speed[...] = self._speeds[:, self._outputs]
         if len(self._stretches) > 1:  # a constant effort stays exact
             applied += beyond / self._substeps

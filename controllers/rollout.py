@@ -24,11 +24,15 @@ def divergence_expected() -> Iterator[None]:
 class ControlLoop:
     """The feedback loop's properties between a tracker and the mechanism.
 
-    `effort_limit` (n_u, 2) [N.m or N] saturates commands. A command acts after `delay_periods`, which may be a fraction.
-    `mass_factor` multiplies the payload's mass and inertia, or those of all moving bodies if there is no payload.
+    `effort_limit` (n_u, 2) [N.m or N] saturates commands. `motor_line` (n_u, 2) are stall efforts and no-load speeds, which
+    limit efforts at every speed, and `rate_limit` (n_u,) [per second] their changes; infinite without a limit. A command
+    acts after `delay_periods`, which may be a fraction. `mass_factor` multiplies the payload's mass and inertia, or those of
+    all moving bodies if there is no payload.
     """
 
     effort_limit: np.ndarray
+    motor_line: np.ndarray | None = None
+    rate_limit: np.ndarray | None = None
     delay_periods: float = 0
     mass_factor: float = 1.0
 

@@ -19,12 +19,14 @@ class DriveState:
     `queue` (n, p, n_u) holds the last p = `n_queued` commands; slot k mod p holds the command of instant k. A command acts
     after `whole` periods, `late` simulator steps and a `fraction` of a step. `left` is the share of an initial difference
     that a lag leaves after a step, `mean` its mean share over the step, `most` the largest change in a step and `output`
-    the lagged effort. `punctual`: all commands act at the beginning of a period. `together`: the common whole delay, or
-    None if delays differ. `take` and `act` change `queue` and `output` only.
+    the lagged effort. `line` (n_u, 2) are the stall efforts and no-load speeds of motors, or None. `punctual`: all commands
+    act at the beginning of a period. `together`: the common whole delay, or None if delays differ. `take` and `act` change
+    `queue` and `output` only.
     """
 
     low: np.ndarray
     high: np.ndarray
+    line: np.ndarray | None
     resolution: np.ndarray
     factor: np.ndarray
     whole: np.ndarray
@@ -55,6 +57,9 @@ def driving(
     substeps: int,
     limit: np.ndarray,
     held: np.ndarray | None = None,
+    *,
+    line: np.ndarray | None = None,
+    slowest: np.ndarray | None = None,
 ) -> DriveState:
     """Return the drives of machines (n,).
 
@@ -65,6 +70,8 @@ def driving(
         substeps: simulator steps per period.
         limit: (n_u, 2) [N.m or N].
         held: (n_u,) efforts before the first command, at which lags and rate limits begin; zero by default.
+        line: (n_u, 2) stall efforts and no-load speeds, infinite without a torque-speed line.
+        slowest: (n_u,) rates that no drive exceeds, besides its own [per second].
     """
     n_u = len(limit)
     held = np.zeros(n_u) if held is None else np.clip(held, limit[:, 0], limit[:, 1])
@@ -76,7 +83,7 @@ def driving(
     whole = np.floor(steps / substeps).astype(int)
     late = np.floor(steps - substeps * whole).astype(int)
     fraction = steps - substeps * whole - late
-    bandwidth, rate = of_all("bandwidth_hz"), of_all("rate_limit")
+    bandwidth, rate = of_all("bandwidth_hz"), np.minimum(of_all("rate_limit"), np.inf if slowest is None else slowest)
     each = zip(bandwidth, timesteps_s, strict=True)
     phases = np.array([[2 * np.pi * f * h for f in row] for row, h in each]).reshape(len(drives), n_u)
     left = np.array([[float(np.exp(-x)) for x in row] for row in phases]).reshape(phases.shape)
@@ -87,6 +94,7 @@ def driving(
     return DriveState(
         low=np.array(limit[:, 0], dtype=float),
         high=np.array(limit[:, 1], dtype=float),
+        line=line if line is not None and np.isfinite(line).any() else None,
         resolution=resolution,
         factor=factor,
         whole=whole,
@@ -111,7 +119,7 @@ def stretches(drives: DriveState, substeps: int) -> list[tuple[int, int]]:
 
     The first step of a period is a run of its own, because the log records values at its beginning.
     """
-    if drives.lagged or np.any(drives.fraction):
+    if drives.lagged or drives.line is not None or np.any(drives.fraction):
         return [(j, 1) for j in range(substeps)]
     begins = sorted({0, 1, *drives.late.tolist()} - {substeps})
     return [(j, after - j) for j, after in zip(begins, [*begins[1:], substeps], strict=True)]
@@ -130,8 +138,8 @@ def take(drives: DriveState, k: int, command: np.ndarray) -> None:
         drives.queue[:] = slot[:, None].copy()
 
 
-def act(drives: DriveState, k: int, j: int) -> np.ndarray:
-    """Return the mean efforts (n, n_u) over simulator step j of period k."""
+def act(drives: DriveState, k: int, j: int, speed: np.ndarray | None = None) -> np.ndarray:
+    """Return the mean efforts (n, n_u) over simulator step j of period k; `speed` (n, n_u) [rad/s or m/s] is for lines."""
     effort = arrived(drives, k)
     if not drives.punctual:
         before = arrived(drives, k - 1)
@@ -144,6 +152,9 @@ def act(drives: DriveState, k: int, j: int) -> np.ndarray:
         mean = effort + (start - effort) * drives.mean
         effort = np.where(end == settled, mean, 0.5 * (start + end))
         drives.output[:] = end
+    if drives.line is not None and speed is not None:
+        stall, share = drives.line[:, 0], speed / drives.line[:, 1]
+        effort = np.minimum(np.maximum(effort, -stall * (1.0 + share)), stall * (1.0 - share))
     return effort * drives.factor if drives.scaled else effort
 
 

@@ -300,7 +300,7 @@ def _enough(case: MechanismCase, worst: np.ndarray) -> np.ndarray:
     return np.clip(np.ceil(finite ** (1.0 / order)), 1, _MAX_PIECES).astype(int)
 
 
-def jumps_of(case: MechanismCase, found: Iterate[Trajectory]) -> np.ndarray:
+def jumps_of(case: MechanismCase, found: Iterate) -> np.ndarray:
     """Return the times (n,) [s] at which efforts jump or arcs along limits on acceleration and jerk end, increasing."""
     motion, jumps = found.motion, effort_jumps(case, found.motion)
     arcs = own_arcs(found.solution.transcribed, found.solution.x, ("acceleration", "jerk"))

@@ -1,7 +1,7 @@
 """The study behind `linkplan compare` and `track`: trackers on one plan, with the modelled and a changed mechanism."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from linkplan.planner.keys.kinds import Delay
 from linkplan.planner.keys.reading import read
 from linkplan.planner.plan import Plan
 from linkplan.planner.planning import silent
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import Tracking, number, to_toml_types
 from linkplan.studies.compare.lqr_weights import scaled, unit_effort
 from linkplan.studies.compare.run_time import RunTime, run_time
@@ -223,12 +224,23 @@ def compare(
 
 def _plant(plan: Plan, mismatch: Mismatch | None) -> MujocoPlant:
     problem = plan.problem
-    loop = ControlLoop(
-        effort_limit=np.array(problem.limits.actuators_effort),
+    loop = replace(
+        control_loop(problem),
         delay_periods=problem.tracking.delay_periods + (mismatch.delay_periods if mismatch else 0),
         mass_factor=mismatch.mass_factor if mismatch else 1.0,
     )
     return MujocoPlant(mechanism=problem.mechanism, loop=loop)
+
+
+def control_loop(problem: Problem) -> ControlLoop:
+    """Return a problem's drives: limits on effort, motors' torque-speed lines, limits on the rate of efforts."""
+    lines = [None if motor is None else motor.line for motor in problem.motors]
+    return ControlLoop(
+        effort_limit=np.array(problem.limits.actuators_effort),
+        motor_line=np.array([(np.inf, np.inf) if line is None else line for line in lines]),
+        rate_limit=np.abs(problem.limits.effort_rate).max(axis=1),
+        delay_periods=int(problem.tracking.delay_periods),
+    )
 
 
 @np.errstate(over="ignore", invalid="ignore")  # a diverged run has infinite errors

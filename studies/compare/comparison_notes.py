@@ -8,7 +8,6 @@ from linkplan.models.errors import listed
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import exclusion
 from linkplan.planner.certificate.further_checks import geom_names
-from linkplan.planner.limits.samples import actuator_speeds
 from linkplan.planner.plan import Plan
 from linkplan.studies.check.holding import why_no_loop
 from linkplan.studies.check.softness import gap_sentence, softness_error
@@ -59,7 +58,6 @@ def comparison_notes(comparison: Comparison) -> list[str]:
         *ended_early(comparison),
         *default_gains(comparison),
         *lost_notes(comparison),
-        *line_notes(comparison),
     ]
     return [*told, *pushed[:1], *servos, *soft]
 
@@ -106,24 +104,6 @@ def lost_notes(comparison: Comparison) -> list[str]:
                 f"the motion, which travels {travel:.3g} {unit}, is not followed: the largest errors are {said};"
                 " 'stable' only means that a run stays finite, without a limit cycle between the effort limits"
             )
-    return notes
-
-
-def line_notes(comparison: Comparison) -> list[str]:
-    """Return a sentence for each motor whose torque-speed line runs overstep: the plan keeps it, simulated drives do not."""
-    problem, notes = comparison.plan.problem, []
-    for j, motor in enumerate(problem.motors):
-        if motor is None or motor.line is None:
-            continue
-        over = []
-        for case, runs in comparison.cases:
-            for name, run in runs.items():
-                speeds = actuator_speeds(problem, run.pose_rad, run.velocity_rad_s)[:, j]
-                share = float(np.abs(run.applied[:, j] / motor.line[0] + speeds / motor.line[1]).max())
-                over += [f"{name}, {case}, reaches {share:.3g} of it"] if round(share, 2) > 1 else []
-        if over:
-            actuator = problem.mechanism.actuators[j].name
-            notes.append(f"the torque-speed line of {actuator} limits the plan and no simulated drive: {'; '.join(over)}")
     return notes
 
 

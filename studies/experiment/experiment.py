@@ -25,7 +25,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import versions
 from linkplan.planner.problem.imperfections import ImperfectionFactors, imperfections_of
 from linkplan.planner.problem.settings import number, whole
-from linkplan.studies.compare.compare import tracking_reference
+from linkplan.studies.compare.compare import control_loop, tracking_reference
 from linkplan.studies.compare.user_tracker import TrackerLike, known_tracker
 from linkplan.studies.experiment.design import DESIGNS, MOST_SAMPLES, machines_by_design
 from linkplan.studies.experiment.machines import machine_of
@@ -176,9 +176,7 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     if tracking.duration_s is None and ends:
         tracking = tracking.replace(duration_s=1.25 * trajectory.duration_s)  # so that errors can settle
     reference = tracking_reference(replace(plan, problem=replace(problem, tracking=tracking)))
-    loop = ControlLoop(
-        effort_limit=np.array(problem.limits.actuators_effort), delay_periods=int(problem.tracking.delay_periods)
-    )
+    loop = control_loop(problem)
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     passive = ~mechanism.actuated  # uncontrollable
     middle = np.median(values, axis=0)

@@ -302,6 +302,35 @@ def test_a_command_that_is_no_number_does_not_pass_for_a_good_run(effort):
     assert not rollout.stable
 
 
+# Drives.
+
+
+def test_a_motor_at_full_command_approaches_its_no_load_speed_as_its_line_says():
+    """I w' = stall (1 - w / no_load): w = no_load (1 - exp(-stall t / (I no_load)))."""
+    n, stall, no_load = 400, 3.0, 10.0
+    rollout = hinge_run(np.full((n, 1), 1e3), motor_line=np.array([[stall, no_load]]))
+    time, inertia = rollout.time_s, HINGE_INERTIA
+    exact = no_load * (1.0 - np.exp(-stall * time / (inertia * no_load)))
+    assert exact[-1] > 0.9 * no_load
+    assert np.abs(rollout.velocity_rad_s[:, 0] - exact).max() < 0.01 * no_load
+    share = rollout.applied[:, 0] / stall + rollout.velocity_rad_s[:, 0] / no_load
+    assert share.max() < 1.0 + 1e-9
+
+
+def test_a_motor_beyond_its_no_load_speed_brakes():
+    rollout = hinge_run(np.full((40, 1), 5.0), motor_line=np.array([[5.0, 1e-3]]))
+    assert rollout.applied.min() < 0.0
+    assert np.abs(rollout.velocity_rad_s).max() < 0.5
+
+
+def test_efforts_change_no_faster_than_the_drive_s_rate():
+    efforts = np.concatenate([np.zeros((1, 1)), np.full((60, 1), 3.0)])
+    rollout = hinge_run(efforts, rate_limit=np.array([100.0]))
+    period = rollout.time_s[1]
+    assert np.diff(rollout.applied[:, 0]).max() <= 100.0 * period * (1 + 1e-9)
+    assert rollout.applied[-1, 0] == pytest.approx(3.0)
+
+
 # Delay.
 
 
