@@ -16,10 +16,10 @@ from linkplan.controllers.imperfections.driving import arrived, driving, take
 from linkplan.controllers.imperfections.imperfections import Drives, Imperfections
 from linkplan.controllers.imperfections.plant import start_of
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.trackers.closing import MAX_LOOP_GAP_M
 from linkplan.controllers.trackers.prediction import runge_kutta
+from linkplan.models.compiled.functions import evaluated, mapped
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import evaluated, mapped
+from linkplan.models.reduction.closing import MAX_LOOP_GAP_M, corrected, gap_at
 
 LOST = "the rigid loop was driven to where it cannot be closed"
 
@@ -103,9 +103,5 @@ def _onward(mechanism: Mechanism, steps: int) -> ca.Function:
     x = state
     for _ in range(steps):
         x = one(x, u, duration)
-    q, gap = x[:n_q], ca.MX(0)
-    dependent = mechanism.dependent.tolist()
-    if dependent:
-        q[dependent] += dynamics.closure_step(q)[1]
-        gap = ca.norm_inf(dynamics.independent_closure(q))
-    return ca.Function("onward", [state, u, duration], [ca.vertcat(q, x[n_q:]), gap])
+    q = corrected(dynamics, x[:n_q], 1)
+    return ca.Function("onward", [state, u, duration], [ca.vertcat(q, x[n_q:]), gap_at(dynamics, q)])

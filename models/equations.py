@@ -14,8 +14,9 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.errors import AssemblyError, ModelError, ProblemError, choose
+from linkplan.models.reduction.closing import STEP_RAD, Closing, continued
 from linkplan.models.reduction.reduced import ReducedDynamics
-from linkplan.models.tree.joints import Joint
+from linkplan.models.tree.joints import Joint, unit_steps
 
 _POSE, _VELOCITY, _ACCELERATION, _EFFORT = "pose_rad", "velocity_rad_s", "acceleration_rad_s2", "effort"
 # The inputs and the output of every equation by name.
@@ -29,8 +30,6 @@ EQUATIONS = {
     "forward_dynamics": ((_POSE, _VELOCITY, _EFFORT), "acceleration_rad_s2"),
     "closure_force": ((_POSE, _VELOCITY, _ACCELERATION, _EFFORT), "force_n"),
 }
-# The steps [rad or m of an extent] of the path from one closed pose to another.
-_PATH_STEP = math.radians(2.0)
 
 
 @functools.lru_cache(maxsize=256)
@@ -92,7 +91,7 @@ class Equations:
     joints: tuple[Joint, ...]
     home: np.ndarray
     independent: np.ndarray
-    dependent: np.ndarray
+    extent_m: float  # the size of the moving bodies
 
     def function(self, name: str) -> ca.Function:
         """Return an equation of the closed chain as a CasADi function: for numbers, SX and MX, and for C code (`generate`).
@@ -182,16 +181,9 @@ class Equations:
         return values(self.function("closure_force"), pose_rad, velocity_rad_s, acceleration_rad_s2, effort)
 
     def _closed_at(self, goal: np.ndarray) -> np.ndarray:
-        """Return the closed pose with independent joints at `goal` (n_s,), by Newton's method along a straight path."""
-        q, free = np.array(self.home, dtype=float), self.independent
-        start, steps = q[free].copy(), 1 + int(np.abs(goal - q[free]).max(initial=0.0) / _PATH_STEP)
-        for share in np.arange(1, steps + 1) / steps:
-            q[free] = start + share * (goal - start)
-            for _ in range(30):
-                step = np.array(self.dynamics.closure_step(q)[1]).ravel()
-                q[self.dependent] += step
-                if not np.abs(step).max(initial=0.0) > 1e-13 * (1.0 + np.abs(q).max()):
-                    break
-            if not np.linalg.norm(np.array(self.dynamics.closure(q))) < 1e-8:
-                raise AssemblyError(f"the kinematic loop opens on the way to {np.round(goal, 6).tolist()} rad or m")
+        """Return the closed pose with independent joints at `goal` (n_s,), on the branch of home along a straight path."""
+        rules = Closing(dynamics=self.dynamics, step_size=STEP_RAD * unit_steps(self.joints, self.extent_m))
+        q = [self.home, *(pose for _, (pose,) in continued(rules, self.home[None], goal[None]))][-1]
+        if np.any(q[self.independent] != goal) or not np.linalg.norm(np.array(self.dynamics.closure(q))) < 1e-8:
+            raise AssemblyError(f"the kinematic loop opens on the way to {np.round(goal, 6).tolist()} rad or m")
         return q

@@ -189,8 +189,8 @@ class Mechanism:
     @property
     def equations(self) -> Equations:
         """The equations of the closed chain, as functions of arrays and as CasADi functions."""
-        free, follow = self.independent, self.dependent
-        return Equations(dynamics=self.dynamics, joints=self.joints, home=self.home, independent=free, dependent=follow)
+        free, size = self.independent, self.extent_m
+        return Equations(dynamics=self.dynamics, joints=self.joints, home=self.home, independent=free, extent_m=size)
 
     def _repr_html_(self) -> str:
         return mechanism_html(self.name, self.dof, self.joints, self.independent, self.actuators, self.closure_names)

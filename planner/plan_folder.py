@@ -19,6 +19,7 @@ from linkplan.planner.certificate.further_checks import disagreements, with_cont
 from linkplan.planner.files.columns import ARRAYS, csv_bytes, parquet_bytes, read_trajectory
 from linkplan.planner.files.folders import complete, plain_record, write_json
 from linkplan.planner.files.tables import apply_override
+from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
 from linkplan.planner.limits.limit import Margin
 from linkplan.planner.plan import Plan, motion_table, not_honoured
 from linkplan.planner.plan_record import PLAN_FORMAT, PlanRecord, extra_records, history_of, read_plan_record
@@ -61,7 +62,7 @@ def record(plan: Plan) -> dict:
             "effort_limit": dict(zip(names, problem.limits.effort, strict=True)),
             "effort_unit": {actuator.name: actuator.unit for actuator in mechanism.actuators},
             "demands": _demands(plan),
-            "certificate": None if certificate is None else certificate_record(problem, certificate),
+            "certificate": None if certificate is None else certificate_record(certificate),
             "proof": None if plan.proof is None else plan.proof.record(),
             "mesh": {"scheme": plan.scheme, "intervals": plan.intervals},
             "time_s": {
@@ -90,10 +91,14 @@ def _demands(plan: Plan) -> list[dict] | None:
         return None
 
 
-def certificate_record(problem: Problem, certificate: Certificate) -> dict:
+def certificate_record(certificate: Certificate) -> dict:
     """Return a certificate's values by name, with units in the names."""
-    joints = problem.mechanism.joints
-    margins = list(zip(joints, certificate.position_margin_rad, certificate.speed_margin_rad_s, strict=True))
+
+    def of_joints(what: str, unit: str) -> dict[str, float]:
+        return {margin.name: margin.left for margin in certificate.margins if (margin.what, margin.unit) == (what, unit)}
+
+    of_joint = (RangeLimit, SpeedLimit)
+    when = {m.bound.removeprefix("the "): m.time_s for m in certificate.margins if isinstance(m.of, of_joint)}
     return {
         "passed": certificate.passed,
         "failures": list(certificate.failures),
@@ -107,14 +112,14 @@ def certificate_record(problem: Problem, certificate: Certificate) -> dict:
         "integration_error_deg": certificate.integration_error_deg,
         "integration_error_m": certificate.integration_error_m,
         "integration_restarts": certificate.integration_restarts,
-        "joint_margin_deg": {j.name: j.shown(m) for j, m, _ in margins if j.kind == "hinge" and np.isfinite(m)},
-        "joint_margin_m": {j.name: m for j, m, _ in margins if j.kind == "slide" and np.isfinite(m)},
-        "speed_margin_deg_s": {j.name: j.shown(m) for j, _, m in margins if j.kind == "hinge" and np.isfinite(m)},
-        "speed_margin_m_s": {j.name: m for j, _, m in margins if j.kind == "slide" and np.isfinite(m)},
+        "joint_margin_deg": of_joints("position", "deg"),
+        "joint_margin_m": of_joints("position", "m"),
+        "speed_margin_deg_s": of_joints("speed", "deg/s"),
+        "speed_margin_m_s": of_joints("speed", "m/s"),
         "singularity_ratio": certificate.singularity_ratio,
         "contacts": [_contact_record(meeting) for meeting in certificate.contacts],
-        "margins": [_margin_record(margin) for margin in certificate.margins],
-        "worst_time_s": certificate.worst_time_s,
+        "margins": [_margin_record(margin) for margin in certificate.margins if not isinstance(margin.of, of_joint)],
+        "worst_time_s": certificate.worst_time_s | when,
     }
 
 

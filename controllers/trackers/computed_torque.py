@@ -13,9 +13,9 @@ import casadi as ca
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.trackers.closing import MAX_LOOP_GAP_M, closed_near
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, mapped, sampled
+from linkplan.models.reduction.closing import MAX_LOOP_GAP_M, closed_near
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -73,6 +73,6 @@ def _law(mechanism: Mechanism) -> ca.Function:
     dynamics, n_s = mechanism.dynamics, mechanism.dof
     near = ca.MX.sym("near", mechanism.n_q)
     s, v, a = (ca.MX.sym(name, n_s) for name in "sva")
-    q, gap = closed_near(mechanism, near, s)
+    q, gap = closed_near(dynamics, near, s)
     effort = ca.pinv(dynamics.effort_map(q)) @ dynamics.inverse_dynamics(q, v, a)
     return ca.Function("computed_torque", [near, s, v, a], [effort, gap])

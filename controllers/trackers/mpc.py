@@ -19,13 +19,13 @@ import daqp
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.trackers.closing import MAX_LOOP_GAP_M
 from linkplan.controllers.trackers.lqr import Errors, Regulator, regulator
 from linkplan.controllers.trackers.prediction import Predictor, predictor
 from linkplan.controllers.trackers.tracker import times
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, sampled
+from linkplan.models.reduction.closing import MAX_LOOP_GAP_M
 
 # Number of blocks of constant corrections in the horizon.
 HORIZON_BLOCKS = 20

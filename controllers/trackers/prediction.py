@@ -8,9 +8,9 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from linkplan.controllers.trackers.closing import closed_near
 from linkplan.models.compiled.functions import compiled_as_asked, tools_hash
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.reduction.closing import closed_near
 
 # The exponential over a block is that over this power of one half of it, squared as often: near a singular pose the
 # derivatives are up to 2^5 per block.
@@ -57,7 +57,7 @@ def _interpreted(mechanism: Mechanism, kept: np.ndarray, blocks: int, block_s: f
     begins, owns = ca.MX.sym("begins", n_q + n_s, blocks), ca.MX.sym("owns", n_q + n_s, blocks)
     means, corrections = ca.MX.sym("means", n_u, blocks), ca.MX.sym("corrections", n_u, blocks)
     Q, R, P = ca.MX.sym("Q", m, m), ca.MX.sym("R", n_u, n_u), ca.MX.sym("P", m, m)
-    q, gap = closed_near(mechanism, near, s)
+    q, gap = closed_near(mechanism.dynamics, near, s)
     first = ca.vertcat(q, v) - begins[:, 0]
     errors, A, B = block.mapaccum(blocks)(first, begins, means, owns, corrections)
     chosen = [*mechanism.independent.tolist(), *range(n_q, n_q + n_s)]

@@ -66,6 +66,20 @@ def on_arrays(function: ca.Function, inputs: Sequence[np.ndarray], outputs: Sequ
     return call
 
 
+def evaluated(function: ca.Function, *arguments: np.ndarray, outputs: int | None = None) -> list[np.ndarray]:
+    """Return a function's first outputs (all by default), each (rows, columns); inputs and outputs are dense."""
+    given = [np.asarray(a, dtype=float).ravel(order="F") for a in arguments]
+    found = [np.empty(function.numel_out(k)) for k in range(function.n_out() if outputs is None else outputs)]
+    on_arrays(function, given, found)()
+    return [array.reshape(function.size_out(k), order="F") for k, array in enumerate(found)]
+
+
+@functools.lru_cache(maxsize=64)
+def mapped(function: ca.Function, n: int) -> ca.Function:
+    """Return a function mapped over n samples, cached because motions on the same mesh need the same ones."""
+    return function.map(n)
+
+
 # The functions of one library.
 CodeT = TypeVar("CodeT", bound="DataclassInstance")
 # -O1 compiles in half the time of -O2, and its straight-line code is as fast. Products and sums are not fused, so compiled

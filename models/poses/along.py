@@ -8,7 +8,7 @@ import functools
 import casadi as ca
 import numpy as np
 
-from linkplan.models.compiled.functions import on_arrays
+from linkplan.models.compiled.functions import evaluated, mapped
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.friction import frictions_of
 
@@ -20,12 +20,6 @@ _ZERO_ARM_SHARE = 1e-12
 HOLDING_TOLERANCE = 1e-9
 
 
-@functools.lru_cache(maxsize=64)
-def mapped(function: ca.Function, n: int) -> ca.Function:
-    """Return a function mapped over n samples, cached because motions on the same mesh need the same ones."""
-    return function.map(n)
-
-
 def sampled(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
     """Return a function's first output over samples: arguments (n, k), result (n, rows, columns)."""
     n = len(arguments[0])
@@ -33,14 +27,6 @@ def sampled(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
         return np.empty((0, *function.size_out(0)))
     (stacked,) = evaluated(mapped(function, n), *[a.T for a in arguments], outputs=1)
     return stacked.reshape(function.size1_out(0), n, function.size2_out(0)).transpose(1, 0, 2)
-
-
-def evaluated(function: ca.Function, *arguments: np.ndarray, outputs: int | None = None) -> list[np.ndarray]:
-    """Return a function's first outputs (all by default), each (rows, columns); inputs and outputs are dense."""
-    given = [np.asarray(a, dtype=float).ravel(order="F") for a in arguments]
-    found = [np.empty(function.numel_out(k)) for k in range(function.n_out() if outputs is None else outputs)]
-    on_arrays(function, given, found)()
-    return [array.reshape(function.size_out(k), order="F") for k, array in enumerate(found)]
 
 
 def joint_rates(mechanism: Mechanism, q: np.ndarray, v: np.ndarray) -> np.ndarray:

@@ -71,7 +71,7 @@ def _slowness(mechanism: Mechanism, coordinate: int, rates: np.ndarray) -> float
     unit, index = unit_steps(mechanism.joints, mechanism.extent_m), int(mechanism.independent[coordinate])
     share = rates * unit[index] / unit
     share[index] = 0.0
-    if not mechanism.joints[index].turns or not 0.0 < share.max(initial=0.0) < 1.0 or _matters(mechanism, index):
+    if not mechanism.joints[index].turns or not ROUNDING_SHARE < share.max(initial=0.0) < 1.0 or _matters(mechanism, index):
         return 1.0
     moving = share[mattering(mechanism)]
     return 1.0 / float(moving.max() if np.any(moving) else share.max())

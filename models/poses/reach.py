@@ -391,7 +391,7 @@ def _turning_points(mechanism: Mechanism, coordinate: int, poses: np.ndarray) ->
     def rate(x: np.ndarray) -> np.ndarray:
         s = poses[gaps][:, mechanism.independent]
         s[:, coordinate] = x
-        there = strides(mechanism, poses[gaps], s, step_sizes(mechanism))
+        there = strides(mechanism, poses[gaps], s)
         return sampled(mechanism.dynamics.velocity_map, there)[np.arange(len(gaps)), joints, coordinate]
 
     places = sign_change(rate, poses[gaps, index], poses[gaps + 1, index], xtol=1e-11)

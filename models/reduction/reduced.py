@@ -94,10 +94,12 @@ class ReducedDynamics:
     Generalised efforts (n_s,) are in [N.m] on a hinge and [N] on a slide.
     """
 
+    independent: tuple[int, ...]  # indices of s in q
+    dependent: tuple[int, ...]  # indices of z in q
     closure: ca.Function  # q -> phi (n_rows,) [m], every row
     independent_closure: ca.Function  # q -> E phi (rank,) [m], independent rows or normal equations
     closure_jacobian: ca.Function  # q -> J (n_rows, n_q)
-    closure_step: ca.Function  # q -> phi (rank,), Newton's step -J_z^-1 phi in z, Gamma, determinants of J_z's blocks
+    closure_step: ca.Function  # q -> Newton's step -J_z^-1 phi in z, Gamma, determinants of J_z's blocks
     velocity_map: ca.Function  # q -> Gamma (n_q, n_s)
     block_singularity: ca.Function  # q -> determinants of J_z's blocks, zero at a singular pose; a block has coupled loops
     orientation: ca.Function  # q_0, q -> products of block_singularity at q_0 and q: negative if a fold lies between
@@ -242,12 +244,12 @@ def reduce_tree(
         return ca.Function(name, inputs + further, [ca.densify(output) for output in outputs], names, results)
 
     return ReducedDynamics(
+        independent=tuple(int(i) for i in independent),
+        dependent=tuple(loops.dependent),
         closure=function("closure", [q], phi),
         independent_closure=function("independent_closure", [q], loops.independent_phi),
         closure_jacobian=function("closure_jacobian", [q], loops.jacobian),
-        closure_step=function(
-            "closure_step", [q], loops.independent_phi, -loops.solve(loops.independent_phi), gamma_map, dets
-        ),
+        closure_step=function("closure_step", [q], -loops.solve(loops.independent_phi), gamma_map, dets),
         velocity_map=function("velocity_map", [q], gamma_map),
         block_singularity=function("block_singularity", [q], dets),
         orientation=orientation,

@@ -37,10 +37,7 @@ class KnownPoses:
 
     def near(self, points: np.ndarray) -> np.ndarray:
         """Return the poses (n, n_q) that are one stride from a known pose, NaN for others."""
-        step_size, nearest = step_sizes(self.outputs.mechanism), self._nearest(points)
-        if self.outputs.mechanism.projected:  # overconstrained loops fold unseen in a single stride
-            return np.full((len(points), self.poses.shape[1]), np.nan)
-        return strides(self.outputs.mechanism, self.poses[nearest], self.outputs.independent(points), step_size)
+        return strides(self.outputs.mechanism, self.poses[self._nearest(points)], self.outputs.independent(points))
 
     def _nearest(self, points: np.ndarray) -> np.ndarray:
         """Return the indices (n,) of the known poses that are nearest to output positions (n, n_o)."""

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import demanded, joint_rates, least_effort, missed_rounding, sampled, whole_turns
+from linkplan.models.poses.along import demanded, least_effort, missed_rounding, sampled, whole_turns
 from linkplan.models.poses.contacts import Contact
 from linkplan.models.poses.controls import control_excess
 from linkplan.planner.certificate.flow import INTEGRATION_RTOL
@@ -29,7 +28,7 @@ from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, end_sizes
 from linkplan.planner.limits.joints import RANGE_SLACK
 from linkplan.planner.limits.kinds import margins
 from linkplan.planner.limits.limit import Margin
-from linkplan.planner.limits.samples import Samples, least_between, samples_of, singularity_ratios
+from linkplan.planner.limits.samples import Samples, samples_of, singularity_ratios
 from linkplan.planner.problem.extra import extras_not_finite, not_finite
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
@@ -50,8 +49,7 @@ DYNAMICS_SHARE = 0.02
 class Certificate:
     """Findings on one motion, with a list of failures that is empty if it passes.
 
-    Efforts are in the actuators' units. Margins are negative outside a limit and infinite without one. `worst_time_s` is the
-    time of each finding's worst value.
+    Efforts are in the actuators' units. `worst_time_s` is the time of each finding's worst value.
     """
 
     effort_excess: float
@@ -65,16 +63,12 @@ class Certificate:
     integration_error_deg: float
     integration_error_m: float
     integration_restarts: int  # restarts of the integration because of an unstable motion; 0 as a rule
-    position_margin_rad: np.ndarray  # (n_q,) [rad or m]
-    speed_margin_rad_s: np.ndarray  # (n_q,)
     singularity_ratio: float  # least det J_z along the motion, relative to home
     peak_effort: np.ndarray  # (n_u,)
     peak_motor_power: np.ndarray  # (n_u,) [W], mechanical, that the actuator gives
     peak_brake_power: np.ndarray  # (n_u,) [W], mechanical, that the actuator takes
     peak_closure_force: np.ndarray  # (n_closures,) [N]
-    margins: tuple[Margin, ...]  # of the limits other than effort, range and speed
-    speed_overrun: np.ndarray  # (n_q, n_intervals) overrun of each joint's speed limit, as a share of it
-    position_overrun: np.ndarray  # (n_q, n_intervals) overrun of each joint's range, as a share of its span
+    margins: tuple[Margin, ...]  # of the limits other than effort
     growth: np.ndarray  # (n_intervals,) growth of the integration error, as a share of the allowed total
     dynamics_allowed: float  # the largest dynamics residual that passes
     residual_share: np.ndarray  # (n_intervals,) dynamics residual, as a share of the allowed one
@@ -135,11 +129,8 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     dynamics_residual = peak("dynamics_residual", residual)
     closure_gap = peak("closure_gap_m", mechanism.gaps_m(q))
     closure_gaps = {unit: float(gap.max()) for unit, gap in mechanism.gaps_by_unit(q).items()}
-    (position_margin, position_overrun), (speed_margin, speed_overrun) = _margins(
-        mechanism, limits, trajectory, samples.points, q, v, time, worst
-    )
     ratio = float(singularity_ratios(problem, q).min())
-    others = margins(samples)
+    of_limits = margins(samples)
     # The speed of a motion that stands still is one at which it hardly leaves its place in its time.
     speed = max(float(np.abs(v).max()) or INTEGRATION_M / trajectory.duration_s, _MIN_SPAN / trajectory.duration_s)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
@@ -196,9 +187,8 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     if not np.all(np.isfinite(integrated.position)) and until.passed:
         failures.insert(0, f"its integration ran out of the plan's {problem.solver.max_time_s:g} s (solver.max_time_s)")
     failures += _integration_failures(in_deg, in_m)
-    failures += _range_failures(mechanism, position_margin, speed_margin, worst)
     unrepairable = [*unknown, *_ctrl_failures(samples)]
-    failures += unrepairable + [margin.sentence() for margin in others if not margin.kept]
+    failures += unrepairable + [margin.sentence() for margin in of_limits if not margin.kept]
     return Certificate(
         effort_excess=effort_excess,
         inverse_dynamics_excess=inverse_excess,
@@ -211,16 +201,12 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         integration_error_deg=in_deg,
         integration_error_m=in_m,
         integration_restarts=integrated.restarts,
-        position_margin_rad=position_margin,
-        speed_margin_rad_s=speed_margin,
         singularity_ratio=ratio,
         peak_effort=np.abs(u).max(axis=0),
         peak_motor_power=power.max(axis=0, initial=0.0),
         peak_brake_power=(-power).max(axis=0, initial=0.0),
         peak_closure_force=samples.closure_forces.max(axis=0, initial=0.0),
-        margins=others,
-        speed_overrun=speed_overrun,
-        position_overrun=position_overrun,
+        margins=of_limits,
         growth=growth,
         dynamics_allowed=allowed,
         residual_share=residual.reshape(len(growth), -1).max(axis=1) / allowed,
@@ -236,17 +222,6 @@ def _integration_failures(in_deg: float, in_m: float) -> list[str]:
     apart = f"{in_m:.3g} m (allowed: {INTEGRATION_M:g} m)" if not in_m <= INTEGRATION_M else ""
     apart = f"{in_deg:.3g} deg (allowed: {INTEGRATION_DEG:g} deg)" if not in_deg <= INTEGRATION_DEG else apart
     return [f"the state integrated under the planned effort ends {apart} from the planned state"] if apart else []
-
-
-def _range_failures(mechanism: Mechanism, position: np.ndarray, speed: np.ndarray, worst: dict[str, float]) -> list[str]:
-    """Return a sentence for each joint whose least margin (n_q,) of position or speed is negative."""
-    return [
-        f"joint {joint.name} leaves its {what} by {-joint.shown(value):.3g} {joint.unit}{per} at t ="
-        f" {worst[f'{what} of {joint.name}']:.4g} s"
-        for what, per, margin in (("range", "", position), ("speed limit", "/s", speed))
-        for joint, value in zip(mechanism.joints, margin, strict=True)
-        if value < -RANGE_SLACK
-    ]
 
 
 def _turn_error(problem: Problem, q: np.ndarray) -> float:
@@ -272,31 +247,6 @@ def _ctrl_failures(samples: Samples) -> list[str]:
             " give the planned effort"
         )
     return failures
-
-
-def _margins(mechanism: Mechanism, limits, trajectory: Trajectory, points, q, v, time, worst):
-    """Return, for positions and for speeds, every joint's least distance (n_q,) to its limits, negative outside.
-
-    The overruns (n_q, n_intervals) follow, as shares of the range's span or of the speed limit. Between samples, the
-    Bernstein coefficients of independent joints bound the distance.
-    """
-    rates = joint_rates(mechanism, q, v)
-    found = []
-    position, speed = (q, limits.position, trajectory.position), (rates, limits.speed, trajectory.velocity)
-    for what, (values, bounds, coefficients) in (("range", position), ("speed limit", speed)):
-        inside = np.minimum(values - bounds[:, 0], bounds[:, 1] - values)
-        for joint, column in zip(mechanism.joints, inside.T, strict=True):
-            worst[f"{what} of {joint.name}"] = float(time[int(np.argmin(column))])
-        least = least_between(inside.T, points).reshape(inside.shape[1], -1)
-        of = list(mechanism.independent)
-        hull = np.minimum(coefficients - bounds[of, 0], bounds[of, 1] - coefficients).min(axis=0).T
-        least[of] = np.maximum(least[of], hull)
-        if what == "range":
-            size = np.where(np.isfinite(bounds).all(axis=1), bounds[:, 1] - bounds[:, 0], 0.0)
-        else:
-            size = np.where(np.isfinite(bounds), np.abs(bounds), 0.0).max(axis=1)
-        found.append((least.min(axis=1), np.maximum(0.0, -least) / np.where(size > 0, size, 1.0)[:, None]))
-    return found
 
 
 def end_state_error(problem: Problem, trajectory: Trajectory, speed: float) -> float:

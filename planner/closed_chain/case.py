@@ -25,7 +25,7 @@ from linkplan.planner.closed_chain.prescribed import (
 )
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
-from linkplan.planner.limits.joints import RANGE_SLACK
+from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
 from linkplan.planner.plan import Plan, tracking_errors
 from linkplan.planner.problem.extra import as_no_number
 from linkplan.planner.problem.problem import Problem
@@ -84,21 +84,19 @@ class MechanismCase:
 
     def error_report(self, certificate: Certificate) -> ErrorReport:
         """Return the certificate's findings that refinement needs."""
-        over = [certificate.speed_overrun, certificate.position_overrun]
-        over += [margin.overrun[None] for margin in certificate.margins if margin.of.facts.tightened is not None]
-        least = min(certificate.position_margin_rad.min(), certificate.speed_margin_rad_s.min())
+        over = [margin.overrun for margin in certificate.margins if margin.of.facts.tightened is not None]
         return ErrorReport(
             exact=is_exact(self.asked, certificate),
             repairable=certificate.repairable,
-            leaves_positions=bool(np.any(certificate.position_margin_rad < 0)),
-            overruns=bool(least < -RANGE_SLACK) or not all(margin.kept for margin in certificate.margins),
-            overrun=np.vstack(over).max(axis=0),
+            leaves_positions=any(isinstance(margin.of, RangeLimit) and margin.left < 0 for margin in certificate.margins),
+            overruns=not all(margin.kept for margin in certificate.margins),
+            overrun=np.max([np.zeros(len(certificate.growth)), *over], axis=0),
             integration_error_deg=certificate.integration_error_deg,
         )
 
     def tightened(self, certificate: Certificate, motion: Trajectory) -> "MechanismCase":
         """Return the case with limits tightened by the amounts that the motion overran."""
-        further = tightenings_of(certificate.margins, certificate.speed_overrun, motion.breaks_s)
+        further = tightenings_of(certificate.margins, motion.breaks_s)
         further = evened(further) if self.enclosed else further
         everywhere = self.n_tightenings >= 1  # after the first time overruns are small and move between intervals
         problem = _tightened(self.problem, certificate, speeds=everywhere)
@@ -165,18 +163,14 @@ def is_exact(problem: Problem, certificate: Certificate) -> bool:
 
 def _tightened(problem: Problem, certificate: Certificate, *, speeds: bool) -> Problem:
     """Return a problem with ranges, effort rates and optionally speeds tightened by 1.1 times the overrun."""
-    limits = problem.limits
-    changed: dict = {}
-    inward = 1.1 * np.maximum(0.0, -certificate.position_margin_rad)[:, None] * np.array([1.0, -1.0])
-    changed["position"] = limits.position + inward
-    if speeds:
-        over = 1.1 * np.maximum(0.0, -certificate.speed_margin_rad_s)[:, None]
-        changed["speed"] = limits.speed + over * np.array([1.0, -1.0])
-    problem = replace(problem, limits=replace(limits, **changed))
+    bounds = {"position": problem.limits.position.copy(), "speed": problem.limits.speed.copy()}
     for margin in certificate.margins:
-        if margin.of.facts.tightened is None and not margin.kept and np.isfinite(margin.left):
+        if isinstance(margin.of, RangeLimit) or (speeds and isinstance(margin.of, SpeedLimit)):
+            over = max(0.0, -margin.left) / problem.mechanism.joints[margin.item].shown(1.0)
+            bounds[margin.what][margin.item] += 1.1 * over * np.array([1.0, -1.0])
+        elif margin.of.facts.tightened is None and not margin.kept and np.isfinite(margin.left):
             problem = margin.of.relaxed(problem, 1.0 + 1.1 * margin.left / margin.size)
-    return problem
+    return replace(problem, limits=replace(problem.limits, **bounds))
 
 
 def slow_share(mechanism: Mechanism, trajectory: Trajectory) -> tuple[float, str] | None:

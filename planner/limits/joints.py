@@ -1,9 +1,9 @@
 """Limits on the pose: positions and speeds of joints, ranges of balls and tendons, pin forces, singular poses.
 
-The certificate lists the margins of positions and speeds by joint. Positions and speeds of independent joints are
-polynomials of the program, with bounded coefficients at every instant. Dependent positions are unknowns at nodes, and
-dependent speeds are rows at nodes. The row of a ball joint of angle alpha is sin^2(alpha / 2), as a share of its
-value at the largest angle. The row of a tendon is its length in units of its range's width.
+Positions and speeds of independent joints are polynomials of the program, with bounded coefficients at every instant.
+Dependent positions are unknowns at nodes, and dependent speeds are rows at nodes. The row of a ball joint of angle alpha is
+sin^2(alpha / 2), as a share of its value at the largest angle. The row of a tendon is its length in units of its range's
+width.
 
 Pin forces are rows at nodes, or at every instant by Bernstein coefficients of the force's square. Rows at nodes alone allow
 efforts that jump to exceed the limit between nodes, as for powers. At every instant the force is an algebraic unknown, a
@@ -175,7 +175,12 @@ class RangeLimit(Limit):
 
     key: ClassVar[str] = "position"
     facts: ClassVar[Facts] = Facts(
-        kind=key, words="joint {}", verb="stands at", tightened=Tightened.IN_UNITS, of_position=True
+        kind=key,
+        words="joint {}",
+        bound="the range of {}",
+        verb="stands at",
+        tightened=Tightened.IN_PROBLEM,
+        of_position=True,
     )
     item: int
     column: int | None
@@ -194,9 +199,9 @@ class RangeLimit(Limit):
         return tuple(problem.limits.position[self.item] / (1.0 if self.column is None else scales.position[self.column]))
 
     def measured(self, at: Poses) -> Measured:
-        joint = at.problem.mechanism.joints[self.item]
-        unit, values, bounds = joint.shown(1.0), at.q[:, self.item], at.problem.limits.position[self.item]
-        return Measured(joint.name, unit * values, unit * bounds, joint.unit, unit)
+        bounds = at.problem.limits.position[self.item]
+        span = float(bounds[1] - bounds[0])
+        return _of_joint(at, self.item, "position", at.q, bounds, span if np.isfinite(span) else 0.0)
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
         joint = problem.mechanism.joints[self.item]
@@ -220,7 +225,7 @@ class SpeedLimit(Limit):
     """The speed of one joint; `column` is its index among the independent joints, None for a dependent one."""
 
     key: ClassVar[str] = "speed"
-    facts: ClassVar[Facts] = Facts(kind=key, words="the speed of joint {}")
+    facts: ClassVar[Facts] = Facts(kind=key, words="the speed of joint {}", bound="the speed limit of {}")
     item: int
     column: int | None = None
 
@@ -243,9 +248,8 @@ class SpeedLimit(Limit):
         return tuple(limit / (scales.position[self.column] / scales.time_s))
 
     def measured(self, at: Samples) -> Measured:
-        joint, bounds = at.problem.mechanism.joints[self.item], at.problem.limits.speed[self.item]
-        unit = joint.shown(1.0)
-        return Measured(joint.name, unit * at.joint_rates[:, self.item], unit * bounds, f"{joint.unit}/s")
+        bounds = at.problem.limits.speed[self.item]
+        return _of_joint(at, self.item, "velocity", at.joint_rates, bounds)
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
         joint = problem.mechanism.joints[self.item]
@@ -261,6 +265,21 @@ class SpeedLimit(Limit):
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
         return with_limits(problem, speed=times(problem.limits.speed, factor))
+
+
+def _of_joint(at: Poses, item: int, name: str, values: np.ndarray, bounds: np.ndarray, size: float = 0.0) -> Measured:
+    """Return the positions or velocities (n, n_q) of a joint as measured, in its unit."""
+    joint, per, coefficients = at.problem.mechanism.joints[item], "/s" * (name == "velocity"), at.coefficients(name, item)
+    unit = joint.shown(1.0)
+    return Measured(
+        joint.name,
+        unit * values[:, item],
+        unit * bounds,
+        joint.unit + per,
+        size=unit * size,
+        slack=unit * RANGE_SLACK,
+        coefficients=None if coefficients is None else unit * coefficients,
+    )
 
 
 def own_column(mechanism: Mechanism, j: int) -> int | None:

@@ -79,13 +79,9 @@ def relaxed_kinds(problem: Problem) -> list[type[Limit]]:
     return [kind for kind in RELAXED if kind.of(problem)]
 
 
-# The certificate lists the margins of these by actuator and joint.
-_BY_JOINT = (EffortLimit, RangeLimit, SpeedLimit)
-
-
 def margins(samples: Samples) -> tuple[Margin, ...]:
-    """Return the margins of all limits along a motion, except those that the certificate lists by actuator and joint."""
-    return tuple(limit_margin(limit, samples) for limit in limits_of(samples.problem) if not isinstance(limit, _BY_JOINT))
+    """Return the margins of all limits along a motion but those of efforts, which the certificate compares with needs."""
+    return tuple(limit_margin(limit, samples) for limit in limits_of(samples.problem) if not isinstance(limit, EffortLimit))
 
 
 def without(kind: type[Limit], problem: Problem) -> Problem:

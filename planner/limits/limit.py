@@ -56,6 +56,7 @@ class Tightened(Enum):
     BY_SHARE = "of the bound"
     SQUARED = "of the bound, whose square the row is"
     IN_UNITS = "of the row's unit: a place or a length has no natural size"
+    IN_PROBLEM = "of the problem, whose limit moves inwards"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +67,7 @@ class Facts:
         kind: of its margin and of its tightening.
         row_kind: of its row at a node; by default its kind.
         words: a title with {} for a name.
+        bound: words on its bounds with {} for a name; by default the limit on its title.
         verb: of a sentence on its value at a pose.
         beyond: the word for an overrun.
         tightened: how its row is tightened if it is overrun between the nodes; None if its rows hold at every instant.
@@ -78,6 +80,7 @@ class Facts:
     kind: str
     row_kind: str | None = None
     words: str = "{}"
+    bound: str | None = None
     verb: str = "is"
     beyond: str = "beyond"
     tightened: Tightened | None = Tightened.BY_SHARE
@@ -115,8 +118,9 @@ class Measured:
     """A limited quantity at poses or along a motion: its `values` (n,), their bounds [low, high], and their unit.
 
     `name` is that of the limit's actuator, joint, closure, tendon or site. Overruns are shares of `size`, by default of the
-    limit itself. Intervals with a `bent` sample (n,) have a kink. `at_times` gives the values at other instants (m,) [s]
-    where samples and parabolas are not fine enough, next to the limit.
+    limit itself. Overruns up to `slack` are rounding, by default a share of the limit. Intervals with a `bent` sample (n,)
+    have a kink. `coefficients` (n_nodes, n_intervals) are the Bernstein coefficients of values that are polynomials.
+    `at_times` gives the values at other instants (m,) [s] where samples and parabolas are too coarse, next to the limit.
     """
 
     name: str
@@ -124,7 +128,9 @@ class Measured:
     bounds: Sequence[float] | np.ndarray
     unit: str = ""
     size: float | None = None
+    slack: float | None = None
     bent: np.ndarray | None = None
+    coefficients: np.ndarray | None = None
     at_times: Callable[[np.ndarray], np.ndarray] | None = None
 
 
@@ -170,6 +176,7 @@ class Margin:
     overrun: np.ndarray  # (n_intervals,) overrun in each interval as a share of the limit, 0 if it is kept
     upper: bool  # whether the limit is an upper one
     size: float  # of which overruns are shares
+    slack: float = 0.0  # the overrun that is rounding
 
     @property
     def what(self) -> str:
@@ -184,12 +191,18 @@ class Margin:
     @property
     def kept(self) -> bool:
         """Whether the limit is kept, except for rounding."""
-        return self.left >= -ROUNDING_SHARE * max(1.0, abs(self.limit))
+        return self.left >= -self.slack
 
     @property
     def title(self) -> str:
         """The limited quantity in words."""
         return self.of.facts.words.format(self.name)
+
+    @property
+    def bound(self) -> str:
+        """Its limit in words."""
+        words = self.of.facts.bound
+        return f"the limit on {self.title}" if words is None else words.format(self.name)
 
     def sentence(self, verb: str = "comes to") -> str:
         """Return a sentence with the worst value, its time and its limit."""
@@ -299,7 +312,8 @@ def limit_margin(limit: Limit, samples: Samples) -> Margin:
 def margin_of(of: Limit, measured: Measured, samples: Samples) -> Margin:
     """Return the margin of a quantity along a motion.
 
-    The least margin of an interval with a kink is that of the samples, without interpolation by parabolas.
+    The least margin of an interval with a kink is that of the samples, without interpolation by parabolas. Bernstein
+    coefficients bound the margin from below.
     """
     (low, high), points = measured.bounds, samples.points
     values, bent = measured.values, measured.bent
@@ -310,6 +324,9 @@ def margin_of(of: Limit, measured: Measured, samples: Samples) -> Margin:
     if bent is not None:
         rows, kinked = inside.reshape(-1, len(points)), bent.reshape(-1, len(points)).any(axis=1)
         least = np.where(kinked, rows.min(axis=1), least)
+    if measured.coefficients is not None:
+        hull = np.minimum(measured.coefficients - low, high - measured.coefficients).min(axis=0)
+        least = np.maximum(least, hull)
     left = float(least.min())
     value = values[at] if not np.isfinite(left) else limit - left if limit == high else limit + left
     size = float(measured.size or abs(limit) or 1.0)
@@ -324,6 +341,7 @@ def margin_of(of: Limit, measured: Measured, samples: Samples) -> Margin:
         overrun=np.maximum(0.0, -least) / size,
         upper=bool(limit == high),
         size=size,
+        slack=ROUNDING_SHARE * max(1.0, abs(limit)) if measured.slack is None else measured.slack,
     )
     return margin if measured.at_times is None else _sampled_finely(margin, measured, samples)
 

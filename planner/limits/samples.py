@@ -23,6 +23,10 @@ class Poses:
         """Return a column (n, rows) of the reduced dynamics that depends on the pose only."""
         return sampled(getattr(self.problem.mechanism.dynamics, name), self.q)[:, :, 0]
 
+    def coefficients(self, name: str, joint: int) -> np.ndarray | None:
+        """Return the Bernstein coefficients (n_nodes, n_intervals) of a joint's position or velocity, if they are known."""
+        del name, joint  # of a motion only
+
     @cached_property
     def block_ratios(self) -> np.ndarray:
         """The determinants (n, n_blocks) of J_z's blocks (loops that close together), relative to home."""
@@ -49,6 +53,11 @@ class Samples(Poses):
         motion = self.trajectory
         for name, of in (("v", motion.velocity_at), ("a", motion.acceleration_at), ("u", motion.effort_at)):
             object.__setattr__(self, name, of(self.time))
+
+    def coefficients(self, name: str, joint: int) -> np.ndarray | None:
+        """Return the Bernstein coefficients (n_nodes, n_intervals) of an independent joint's position or velocity."""
+        columns = np.flatnonzero(self.problem.mechanism.independent == joint)
+        return getattr(self.trajectory, name)[:, :, columns[0]] if len(columns) else None
 
     @cached_property
     def actuator_speeds(self) -> np.ndarray:

@@ -68,32 +68,14 @@ def tightened_share(overrun: np.ndarray) -> np.ndarray:
     return np.where(overrun > 0, _OVERRUN_FACTOR * overrun + _MIN_TIGHTENING, 0.0)
 
 
-def tightenings_of(margins: tuple[Margin, ...], speed_overrun: np.ndarray, breaks_s: np.ndarray) -> tuple[Tightening, ...]:
-    """Return the tightening of each limit after a motion.
-
-    Args:
-        margins: what is left of the limits.
-        speed_overrun: (n_q, n_intervals) by how much of itself a joint's speed limit is overrun.
-        breaks_s: (n + 1,) of the motion [s].
-    """
+def tightenings_of(margins: tuple[Margin, ...], breaks_s: np.ndarray) -> tuple[Tightening, ...]:
+    """Return the tightening of each limit that a motion with breaks (n + 1,) [s] overruns, by its margin."""
     relative = (breaks_s - breaks_s[0]) / (breaks_s[-1] - breaks_s[0])
-    found = [
-        Tightening(what="speed", item=joint, breaks=relative, share=tightened_share(overrun))
-        for joint, overrun in enumerate(speed_overrun)
-        if overrun.max(initial=0.0) > 0
-    ]
-    for margin in margins:
-        if margin.of.facts.tightened is not None and not margin.kept:
-            found.append(
-                Tightening(
-                    what=margin.what,
-                    item=margin.item,
-                    breaks=relative,
-                    share=tightened_share(margin.overrun),
-                    upper=margin.upper,
-                )
-            )
-    return tuple(found)
+    return tuple(
+        Tightening(what=one.what, item=one.item, breaks=relative, share=tightened_share(one.overrun), upper=one.upper)
+        for one in margins
+        if one.of.facts.tightened not in (None, Tightened.IN_PROBLEM) and not one.kept
+    )
 
 
 def evened(tightenings: tuple[Tightening, ...]) -> tuple[Tightening, ...]:

@@ -5,13 +5,13 @@ import numpy as np
 from msgspec import Struct
 
 from linkplan.controllers.rollout import Rollout
-from linkplan.controllers.trackers.closing import CLOSING_CALLS
 from linkplan.controllers.trackers.computed_torque import ComputedTorque
 from linkplan.controllers.trackers.integral_lqr import IntegralLQR
 from linkplan.controllers.trackers.mpc import HORIZON_BLOCKS, MPC
 from linkplan.controllers.trackers.prediction import condensing
 from linkplan.controllers.trackers.tracker import AnyTracker, StateFeedback, steps_of
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.reduction.closing import calls_near
 
 
 class RunTime(Struct, frozen=True, kw_only=True):
@@ -57,8 +57,7 @@ def _counted(tracker: AnyTracker, mechanism: Mechanism) -> tuple[int | None, int
         n_i = len(tracker.integrated)
         free = state + 2 * n_u * (state + n_i) + 2 * n_i + 2 * n_u
         return state + n_u + n_u * (state + n_i), free, free
-    closing = sum(calls * _size(getattr(dynamics, name)) for name, calls in CLOSING_CALLS.items())
-    closing = closing if len(mechanism.dependent) else 0
+    closing = sum(calls * _size(function) for function, calls in calls_near(dynamics))
     if isinstance(tracker, ComputedTorque):
         free = 7 * n_s + closing + _size(dynamics.effort_map) + _size(dynamics.inverse_dynamics) + 2 * n_u * n_s
         return state + n_s + n_q, free, free

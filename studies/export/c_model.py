@@ -57,7 +57,7 @@ def model_code(mechanism: Mechanism) -> ModelCode:
     ratio, inertia = dynamics.effort_map(q).T, dynamics.reduced_inertia(q)
     effort = dynamics.inverse_dynamics(q, v, a)
     slopes = ca.jtimes(effort, q, gamma), ca.jacobian(effort, v)
-    _, step, _, determinants = dynamics.closure_step(q)
+    step, _, determinants = dynamics.closure_step(q)
     phi = dynamics.closure(q)
     size = ca.sum1(ca.fabs(phi)) if phi.numel() else ca.SX(0)  # not the largest: C's fmax leaves out what is no number
     inner = [

@@ -12,12 +12,11 @@ from linkplan.planner.certificate.certificate import (
 )
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.keys.kinds import INTEGRATION_DEG
-from linkplan.planner.limits.joints import RANGE_SLACK
+from linkplan.planner.limits.limit import Margin
 from linkplan.planner.plan import Plan
 from linkplan.studies.output.document import Checklist, Item
 from linkplan.studies.output.draw_plan import LEAST_SHOWN, Motion
 from linkplan.studies.output.numbers import significant
-from linkplan.studies.output.plan_blocks import joint_margins
 
 # The first words of the certificate's sentence on the velocity. The verdict also uses the integrated velocity, so the
 # residual alone does not decide it.
@@ -30,7 +29,6 @@ def certificate_list(plan: Plan, motion: Motion, group: str) -> Checklist:
     assert certificate is not None  # of a motion
     items = [
         *_efforts(plan, motion),
-        *_ranges(plan, motion),
         *_margins(certificate),
         *_numerics(plan, certificate),
         *_contacts(plan, certificate),
@@ -54,26 +52,15 @@ def _efforts(plan: Plan, motion: Motion) -> list[Item]:
     return items
 
 
-def _ranges(plan: Plan, motion: Motion) -> list[Item]:
-    """Return the joints' ranges and speed limits: the value nearest to its limit, and that limit."""
-    along, items = {"": motion.pose, "/s": motion.rates}, []
-    for title, per, k, (low, high), margin in joint_margins(plan):
-        joint, values = plan.problem.mechanism.joints[k], along[per][:, k]
-        at = int(np.argmin(np.minimum(values - low, high - values)))
-        upper = high - values[at] <= values[at] - low
-        limit = high if upper else low
-        value = _seen(limit - margin if upper else limit + margin)
-        shown, bound = (joint.shown(float(x)) for x in (value, limit))
-        when = plan.certificate.worst_time_s.get(title)
-        items.append(_item(title, margin >= -RANGE_SLACK, shown, bound, f"{joint.unit}{per}", when))
-    return items
-
-
 def _margins(certificate: Certificate) -> list[Item]:
     return [
-        _item(margin.title, margin.kept, _seen(margin.value), margin.limit, margin.unit, margin.time_s)
+        _item(_label(margin), margin.kept, _seen(margin.value), margin.limit, margin.unit, margin.time_s)
         for margin in certificate.margins
     ]
+
+
+def _label(margin: Margin) -> str:
+    return margin.title if margin.of.facts.bound is None else margin.bound.removeprefix("the ")
 
 
 def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:

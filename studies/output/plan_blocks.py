@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.certificate.certificate import Certificate, integration_rtol
+from linkplan.planner.limits.joints import RangeLimit
 from linkplan.planner.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, Proof
@@ -198,18 +199,6 @@ def _integration_rows(plan: Plan) -> list[list]:
     return [[what, figure(error, 2), unit] for kind, (error, unit) in errors.items() if kind in kinds]
 
 
-def joint_margins(plan: Plan) -> Iterator[tuple[str, str, int, tuple[float, float], float]]:
-    """Yield each finite margin of a joint to its range, then to its speed limit: title, "" or "/s", joint, ends, margin."""
-    limits, certificate = plan.problem.limits, plan.certificate
-    for what, per, bounds, margins in (
-        ("range", "", limits.position, certificate.position_margin_rad),
-        ("speed limit", "/s", limits.speed, certificate.speed_margin_rad_s),
-    ):
-        for k, (joint, (low, high)) in enumerate(zip(plan.problem.mechanism.joints, bounds, strict=True)):
-            if np.isfinite(margins[k]):
-                yield f"{what} of {joint.name}", per, k, (low, high), float(margins[k])
-
-
 def least_margin(plan: Plan) -> tuple[str, str]:
     """Return the margin that is least as a share of its limit, efforts apart, with its place and instant."""
     share, words, at = min(_margins(plan), default=(None, "no other limit", ""))
@@ -218,28 +207,18 @@ def least_margin(plan: Plan) -> tuple[str, str]:
 
 def _margins(plan: Plan) -> Iterator[tuple[float, str, str]]:
     """Yield every margin as a share of its limit or range, in words, and the words on its instant."""
-    joints, certificate = plan.problem.mechanism.joints, plan.certificate
-    for title, per, k, (low, high), margin in joint_margins(plan):
-        whole = high - low if np.isfinite(high - low) else max(abs(x) for x in (low, high) if np.isfinite(x))
-        when = certificate.worst_time_s.get(title)
-        words = f"{joints[k].shown(margin):.4g} {joints[k].unit}{per} to the {title}"
-        yield margin / (whole or 1.0), words, "" if when is None else f", at {when:.4g} s"
-    for one in certificate.margins:
-        words = f"{one.left:.4g} {one.unit}".rstrip() + f" to the limit on {one.title}"
-        yield one.left / (abs(one.limit) or abs(one.value) or 1.0), words, f", at {one.time_s:.4g} s"
+    for one in plan.certificate.margins:
+        whole = one.size if isinstance(one.of, RangeLimit) else abs(one.limit) or abs(one.value) or 1.0
+        yield one.left / whole, f"{one.left:.4g} {one.unit}".rstrip() + f" to {one.bound}", f", at {one.time_s:.4g} s"
 
 
 def _margin_rows(plan: Plan, certificate: Certificate) -> list[list]:
     """Return the rows of the certificate's margins, largest closure forces and powers."""
     motion, mechanism = plan.problem.motion, plan.problem.mechanism
-    rows: list[list] = [
-        [f"margin to the {title}", mechanism.joints[k].shown(margin), f"{mechanism.joints[k].unit}{per}"]
-        for title, per, k, _, margin in joint_margins(plan)
-    ]
+    rows: list[list] = [[f"margin to {one.bound}", one.left, one.unit or "1"] for one in certificate.margins]
     if motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints):
         rows.append(["error of sites at start, waypoints and goal", figure(certificate.site_error_m, 2), "m"])
     rows.append(["least det J_z, relative to home", certificate.singularity_ratio, "1"])
-    rows += [[f"margin to the limit on {m.title}", m.left, m.unit or "1"] for m in certificate.margins]
     forces = zip(mechanism.closure_names, certificate.peak_closure_force, strict=True)
     rows += [[f"largest closure force of {name}", force, "N"] for name, force in forces]
     powers = zip(mechanism.actuators, certificate.peak_motor_power, certificate.peak_brake_power, strict=True)

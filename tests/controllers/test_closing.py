@@ -4,10 +4,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.controllers.trackers.closing import closed_near
 from linkplan.controllers.trackers.computed_torque import ComputedTorque
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
+from linkplan.models.reduction.closing import closed_near
 from tests.support.machines import reach
 
 
@@ -15,7 +15,7 @@ from tests.support.machines import reach
 def test_a_pose_is_closed_on_the_branch_of_one_far_away(by):
     mechanism = load_mechanism("optimus-knee")
     near, s = ca.MX.sym("near", mechanism.n_q), ca.MX.sym("s", 1)
-    close = ca.Function("close", [near, s], list(closed_near(mechanism, near, s)))
+    close = ca.Function("close", [near, s], list(closed_near(mechanism.dynamics, near, s)))
     position = mechanism.home[mechanism.independent] + by
     q, gap = (np.array(value).ravel() for value in close(mechanism.home, position))
     way = mechanism.home[mechanism.independent] + by * np.linspace(0.0, 1.0, 50)[:, None]

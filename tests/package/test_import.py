@@ -150,6 +150,6 @@ def test_positions_and_velocities_state_their_unit_in_their_names():
         for name in names
         if re.search(r"\.(pose|position|velocity|speed|acceleration|error|reference)[a-z_0-9]*$", name)
     ]
-    shares = {"Certificate.velocity_residual", "Certificate.position_overrun", "Certificate.speed_overrun"}
+    shares = {"Certificate.velocity_residual"}
     assert len(quantities) > 30
     assert {name for name in quantities if not re.search(r"_(rad|deg)(_s2?)?$", name)} == shares

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.poses.period import turn_of
+from linkplan.models.poses.period import travel_scales, turn_of
 from linkplan.models.poses.reach import reach
+from tests.support.linkages import RSSR
 
 CRANK_M, ROD_M = 0.1, 0.3
 
@@ -93,3 +94,13 @@ def test_studies_examine_a_geared_crank_over_its_whole_turn():
     assert np.ptp(looked.positions) == pytest.approx(20 * 2 * np.pi * 6 / 7)  # seven poses evenly over the period
     assert looked.line is not None
     assert looked.line.high - looked.line.low == pytest.approx(20 * 2 * np.pi)
+
+
+def test_a_rod_s_spin_about_its_axis_goes_no_further_than_other_hinges():
+    """Its rates of the other joints are zero but for rounding."""
+    mechanism = load_mechanism(RSSR)
+    spin = [joint.name for joint in mechanism.independent_joints].index("rod_rx")
+    rates = np.array(mechanism.dynamics.velocity_map(mechanism.home))[mechanism.dependent, spin]
+    assert np.abs(rates).max() < 1e-12
+    assert travel_scales(mechanism)[spin] == 1.0
+    assert reach(mechanism, spin).upper.reason == "full turn"

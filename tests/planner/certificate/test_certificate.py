@@ -14,6 +14,7 @@ from linkplan.planner.limits.samples import sample_points, samples_of
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, LIFT, body_problem
 from tests.support.fourbar import KNEE_PROBLEMS, SHANK, knee
+from tests.support.margins import margin_of
 from tests.support.plans import planned, problem_of
 from tests.support.random_motions import motion_of
 from tests.support.tolerances_planner import CLOSURE_M, EXCESS, EXTREME, PEAK_ON_A_GRID, SAME_FIGURE, SINGULARITY
@@ -94,9 +95,9 @@ def test_a_speed_that_only_touches_its_limit_is_not_said_to_overrun_it():
         start_pose=np.zeros(1),
         periodic=False,
     )
-    assert certify(problem, touching).speed_margin_rad_s[0] == 0.0
+    assert margin_of(certify(problem, touching), "speed", 0).left == 0.0
     beyond = replace(touching, velocity=(1 + 1e-9) * touching.velocity)
-    assert certify(problem, beyond).speed_margin_rad_s[0] == pytest.approx(-1e-9 * limit, rel=EXCESS)
+    assert margin_of(certify(problem, beyond), "speed", 0).left == pytest.approx(-1e-9 * 60.0, rel=EXCESS)
 
 
 def test_an_effort_that_is_another_motion_s_is_found_by_inverse_dynamics():
@@ -159,7 +160,7 @@ def test_a_motion_to_another_goal_does_not_pass():
 )
 def test_a_joint_that_leaves_its_range_is_named_with_its_excess(override, joint, by):
     certificate = found(motion(), override)
-    assert sentence(certificate, f"joint {joint} leaves its range by {by}", "deg at t =")
+    assert sentence(certificate, f"joint {joint} comes to ", f"{by} deg beyond its limit of")
 
 
 def test_a_joint_that_keeps_its_range_has_the_distance_as_its_margin():
@@ -167,7 +168,7 @@ def test_a_joint_that_keeps_its_range_has_the_distance_as_its_margin():
     least = knee().angles(motion().position_at(motion().dense_times(50))[:, 0])
     q_A = least[1] - least[0]
     assert certificate.passed
-    assert certificate.position_margin_rad[1] == pytest.approx(q_A.min() - np.radians(5), abs=SAME_FIGURE)
+    assert margin_of(certificate, "position", 1).left == pytest.approx(np.degrees(q_A.min()) - 5, abs=SAME_FIGURE)
 
 
 @pytest.mark.slow
@@ -176,9 +177,9 @@ def test_a_joint_that_is_too_fast_is_named_with_its_excess(joint):
     free = found(motion(), f"limits.speed_deg_s.{joint}=1e5")
     assert free.passed
     index = "OAC".index(joint)
-    fastest = 1e5 - np.degrees(free.speed_margin_rad_s[index])
+    fastest = 1e5 - margin_of(free, "speed", index).left
     certificate = found(motion(), f"limits.speed_deg_s.{joint}={fastest - 10}")
-    assert sentence(certificate, f"joint {joint} leaves its speed limit by 10 deg/s")
+    assert sentence(certificate, f"the speed of joint {joint} comes to", "10 deg/s beyond its limit of")
 
 
 def test_the_fastest_of_each_joint_agrees_with_the_closed_form():
@@ -187,13 +188,13 @@ def test_the_fastest_of_each_joint_agrees_with_the_closed_form():
     rates = fourbar.rates(s) * motion().velocity_at(time)[:, 0]
     expected = np.abs([rates[0], rates[1] - rates[0], rates[2]]).max(axis=1)
     certificate = found(motion(), *(f"limits.speed_deg_s.{joint}=1e5" for joint in "OAC"))
-    np.testing.assert_allclose(np.radians(1e5) - certificate.speed_margin_rad_s, expected, rtol=EXTREME)
+    fastest = [1e5 - margin_of(certificate, "speed", joint).left for joint in range(3)]
+    np.testing.assert_allclose(np.radians(fastest), expected, rtol=EXTREME)
 
 
-def test_what_nothing_limits_has_an_infinite_margin():
-    certificate = found(motion())
-    assert np.all(np.isinf(certificate.speed_margin_rad_s))
-    assert np.all(np.isfinite(certificate.position_margin_rad))
+def test_what_nothing_limits_has_no_margin():
+    kinds = [margin.what for margin in found(motion()).margins]
+    assert kinds == ["position"] * 3
 
 
 @pytest.mark.parametrize("joint", [0, 1, 2])

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from linkplan.planner.closed_chain.case import case_of
+from tests.support.margins import with_margin
 from tests.support.plans import optimal
 
 
 def test_a_range_and_a_speed_are_tightened_by_what_was_overrun():
-    plan = optimal("knee-reach")
+    plan = optimal("knee-reach", "limits.speed_deg_s.A=1e4")
     n_q, before = plan.problem.mechanism.n_q, plan.problem.limits
-    position, speed = np.full(n_q, 0.5), np.full(n_q, 3.0)
-    position[0], speed[1] = -0.01, -0.2
-    over = replace(plan.certificate, position_margin_rad=position, speed_margin_rad_s=speed)
+    over = with_margin(plan.certificate, "position", 0, left=np.degrees(-0.01))
+    over = with_margin(over, "speed", 1, left=np.degrees(-0.2))
     case = case_of(plan.problem)
     first = case.tightened(over, plan.trajectory)
     second = first.tightened(over, plan.trajectory)

@@ -7,6 +7,7 @@ import pytest
 import linkplan
 from linkplan import ExtraCost, ExtraLimit, Problem
 from linkplan.planner.certificate.certificate import certify
+from tests.support.margins import other_margins
 from tests.support.tolerances_planner import EXTRA_LIMIT, PEAK_ON_A_GRID, TIGHTENED_ANEW, TIGHTENED_TWICE
 
 REACH = {"start_deg": {"O": -20.0}, "goal_deg": {"O": 20.0}, "duration_s": 0.2}
@@ -98,7 +99,7 @@ def test_an_extra_limit_on_a_sites_place_is_certified_as_what_it_comes_to():
     wide = problem.replace(limits={"site": {"P": {"x": [-10.0, 10.0]}}})
     peak = float(linkplan.plan(wide).require().sample().site["P"][:, 0].max())
     limit = ExtraLimit(name="reach", expression=lambda at: at.site("P")[0], upper=peak + 1e-3, unit="m")
-    (margin,) = linkplan.plan(problem.replace(extra_limits=[limit])).require().certificate.margins
+    (margin,) = other_margins(linkplan.plan(problem.replace(extra_limits=[limit])).require().certificate)
     assert margin.kept
     assert margin.value == pytest.approx(peak, rel=PEAK_ON_A_GRID)
 
@@ -106,7 +107,7 @@ def test_an_extra_limit_on_a_sites_place_is_certified_as_what_it_comes_to():
 def test_the_certificate_of_a_motion_says_how_far_it_is_beyond_an_extra_limit_between_the_nodes(knee, free):
     problem = Problem.reach(knee, **REACH, extra_limits=[speed_limit(SPEED)])
     certificate = certify(problem, free.trajectory)
-    (margin,) = certificate.margins
+    (margin,) = other_margins(certificate)
     time = np.linspace(0.0, 0.2, 20001)
     peak = float(np.radians(free.sample(time).speed_deg_s["O"]).max())
     assert not certificate.passed

@@ -24,6 +24,7 @@ from linkplan.planner.problem.sites import SiteLimit, site_limits_of
 from linkplan.planner.replan import Replanner, structure
 from linkplan.planner.search.starts import other_limits
 from tests.support.arms import LOWER, UPPER, arm, foot_of
+from tests.support.margins import other_margins
 from tests.support.refusals import assert_names, refusal
 from tests.support.sites import ABOVE, BELOW, arm_of, places_along, plan_of, site_problem
 from tests.support.tolerances_planner import OUT_OF_REACH_M, SITE_BINDS_M, SITE_M, TIGHTENED_ANEW
@@ -63,7 +64,7 @@ def test_a_motion_that_would_cut_through_a_wall_goes_along_it(name):
     plan = plan_of(arm_of(UPPER, LOWER), PAST, LIMITS[name])
     nearest = float(places_along(plan)[:, 0].min())
     assert WALL - 1e-9 <= nearest < WALL + SITE_BINDS_M
-    (margin,) = plan.certificate.margins
+    (margin,) = other_margins(plan.certificate)
     assert margin.kept
     assert margin.unit == "m"
     assert margin.left == pytest.approx(nearest - WALL, abs=1e-7)
@@ -76,7 +77,7 @@ def test_a_motion_keeps_to_its_tube():
     plan = plan_of(arm_of(UPPER, LOWER), PAST, TUBE)
     furthest = float(apart(places_along(plan, per_interval=10)).max())
     assert RADIUS - 100 * SITE_BINDS_M < furthest < RADIUS + 1e-8
-    (margin,) = plan.certificate.margins
+    (margin,) = other_margins(plan.certificate)
     assert (margin.what, margin.unit) == ("tube", "m")
     assert margin.value == pytest.approx(furthest, abs=1e-6)
     assert plan.objective > 1.05 * unlimited().objective
@@ -87,7 +88,7 @@ def test_a_certificate_says_how_far_and_when_a_wall_is_cut(name):
     plan = unlimited()
     found = certify(site_problem(arm_of(UPPER, LOWER), PAST, LIMITS[name]), plan.trajectory)
     nearest = float(places_along(plan, per_interval=400)[:, 0].min())
-    (margin,) = found.margins
+    (margin,) = other_margins(found)
     assert not found.passed
     assert not margin.kept
     assert margin.left == pytest.approx(nearest - WALL, abs=1e-8)
@@ -99,7 +100,7 @@ def test_a_certificate_says_how_far_and_when_a_wall_is_cut(name):
 
 def test_a_certificate_says_how_far_a_tube_is_left():
     found = certify(site_problem(arm_of(UPPER, LOWER), PAST, TUBE), unlimited().trajectory)
-    (margin,) = found.margins
+    (margin,) = other_margins(found)
     assert margin.value == pytest.approx(apart(places_along(unlimited(), per_interval=100)).max(), abs=1e-5)
     assert any("the distance of site foot from its path" in failure for failure in found.failures)
 
@@ -108,7 +109,7 @@ def test_between_the_nodes_a_limit_is_looked_at_closely():
     """The foot of a pendulum touches its circle's rim and goes no further: no sampling says that it does."""
     plan = plan_of(arm_of(0.3), {"start_deg": {"J1": 60}, "goal_deg": {"J1": -55}, "duration_s": 0.5})
     touching = site_problem(arm_of(0.3), {"start_deg": {"J1": 60}, "goal_deg": {"J1": -55}, "duration_s": 0.5}, RIM)
-    (margin,) = certify(touching, plan.trajectory).margins
+    (margin,) = other_margins(certify(touching, plan.trajectory))
     assert margin.kept
     assert abs(margin.left) < 1e-9
 
@@ -299,7 +300,7 @@ def example() -> dict:
 def test_the_example_of_the_documents_is_planned_along_its_wall():
     plan = plan_motion(Problem.from_tables("example", example()))
     assert plan.status == "optimal", plan.message
-    assert len(plan.certificate.margins) == 4
+    assert len(other_margins(plan.certificate)) == 4
     assert 0.25 - 1e-9 < places_along(plan)[:, 0].min() < 0.25 + SITE_BINDS_M
     free = Problem.from_tables("example", {key: table for key, table in example().items() if key != "limits"})
     assert places_along(plan_motion(free))[:, 0].min() < 0.2
@@ -319,4 +320,4 @@ def test_a_saved_plan_is_read_with_its_open_ends(tmp_path):
     again = read_plan(tmp_path)
     assert again.status == "optimal"
     assert (again.problem.limits.site[0].low, again.problem.limits.site[0].high) == (-np.inf, 0.3)
-    assert len(again.certificate.margins) == 1
+    assert len(other_margins(again.certificate)) == 1

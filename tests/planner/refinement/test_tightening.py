@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.limits.limit import Tightened
+from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
+from linkplan.planner.limits.limit import Margin, Tightened
 from linkplan.planner.refinement.marking import (
     TightenedRow,
     Tightening,
@@ -14,10 +15,24 @@ from linkplan.planner.refinement.marking import (
 )
 
 
+def speed_margin(joint: int, overrun: list[float]) -> Margin:
+    """Return a joint's margin to a speed limit of 1 that it overruns on intervals."""
+    most = max(overrun)
+    given = {"name": "J", "unit": "rad/s", "time_s": 0.0, "upper": True, "size": 1.0, "limit": 1.0}
+    return Margin(of=SpeedLimit(joint), value=1.0 + most, left=-most, overrun=np.array(overrun), **given)
+
+
+def test_a_range_is_tightened_in_the_problem_and_not_on_intervals():
+    given = {"name": "J", "unit": "rad", "time_s": 0.0, "upper": True, "size": 1.0, "limit": 1.0}
+    over = Margin(of=RangeLimit(0, None), value=1.1, left=-0.1, overrun=np.full(3, 0.1), **given)
+    assert not over.kept
+    assert tightenings_of((over,), np.arange(4.0)) == ()
+
+
 @pytest.mark.parametrize("begin_s", [0.0, 2.0])
 def test_a_speed_limit_is_tightened_on_the_intervals_where_it_is_overrun_at_shares_of_the_duration(begin_s):
-    overrun = np.array([[0.0, 0.0], [0.0, 1e-3]])
-    (found,) = tightenings_of((), overrun, begin_s + np.array([0.0, 1.0, 4.0]))
+    margins = (speed_margin(0, [0.0, 0.0]), speed_margin(1, [0.0, 1e-3]))
+    (found,) = tightenings_of(margins, begin_s + np.array([0.0, 1.0, 4.0]))
     assert (found.what, found.item) == ("speed", 1)
     np.testing.assert_allclose(found.breaks, [0.0, 0.25, 1.0])
     assert found.share[0] == 0.0
@@ -32,7 +47,7 @@ def test_a_tightening_exceeds_the_overrun_that_it_removes():
 
 @pytest.mark.parametrize(("overrun", "is_even"), [(1e-6, True), (1e-4, False)])
 def test_a_little_tightening_is_the_same_on_all_intervals(overrun, is_even):
-    (found,) = evened(tightenings_of((), np.array([[0.0, overrun, 0.0]]), np.arange(4.0)))
+    (found,) = evened(tightenings_of((speed_margin(0, [0.0, overrun, 0.0]),), np.arange(4.0)))
     assert found.share.max() == pytest.approx(tightened_share(np.array([overrun]))[0])
     assert bool(np.ptp(found.share) == 0) is is_even
 

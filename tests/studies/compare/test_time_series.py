@@ -171,7 +171,7 @@ def test_gears_that_give_way_are_off_by_an_angle_and_by_no_length():
     assert "[um]" not in text
     (row,) = (line for line in text_of(plan_blocks(plan)).splitlines() if line.startswith("closure gap"))
     assert row.endswith("rad")
-    assert certificate_record(plan.problem, plan.certificate)["closure_gap_rad"] == 0
+    assert certificate_record(plan.certificate)["closure_gap_rad"] == 0
 
 
 def test_a_loop_that_gapes_wide_is_off_by_all_of_it():

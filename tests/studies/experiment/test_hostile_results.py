@@ -205,7 +205,7 @@ def test_a_part_of_other_machines_is_refused_and_the_parts_are_kept(whole, tmp_p
     source = {"name": "knee-reach"}
     with parts.working(left, plain_record(request_of(source, None, SETTINGS, {})), "an experiment"):
         keep_plan(left, plan())
-        conduct(left, SETTINGS, {}, {}, plan, here, silent)
+        conduct(left, SETTINGS, {}, {}, plan, serial, silent)
     one = parts.part(left, 0, "parquet")
     parquet.write_table(column("sample", first(5))(parquet.read_table(one)), one)
     with pytest.raises(PlanFileError, match=r"part-00000\.parquet' holds no results of this experiment"):

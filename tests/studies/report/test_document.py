@@ -17,6 +17,7 @@ from linkplan.studies.output.document import Animation, Checklist, Plane, Plot, 
 from linkplan.studies.output.plan_sections import plan_report
 from linkplan.studies.output.report_file import document_json, report_html
 from tests.support.linkages import RSSR
+from tests.support.margins import margin_of, with_margin
 from tests.support.plans import LIMIT, optimal
 from tests.support.reports import blocks, texts
 
@@ -74,7 +75,7 @@ def test_the_checklist_s_worst_numbers_are_the_certificate_s(report):
     assert abs(items["effort of act_O"].worst) == pytest.approx(certificate.peak_effort[0], rel=1e-5)
     assert items["gap of the kinematic loops"].worst == pytest.approx(certificate.closure_gap_m, rel=1e-5)
     assert items["range of A"].limit - items["range of A"].worst == pytest.approx(
-        np.degrees(certificate.position_margin_rad[1]), rel=1e-4
+        margin_of(certificate, "position", 1).left, rel=1e-4
     )
     assert all(item.passed for item in items.values())
     instants = [item.instant_s for item in items.values() if item.instant_s is not None]
@@ -102,9 +103,7 @@ def test_notes_that_differ_in_a_number_are_counted_first_and_stand_whole_with_th
 
 def test_rounding_errors_are_zero_in_the_checklist():
     plan = optimal("knee-reach")
-    position = plan.certificate.position_margin_rad.copy()
-    position[0] = plan.problem.limits.position[0][1] - 1e-12
-    at_zero = replace(plan, certificate=replace(plan.certificate, position_margin_rad=position))
+    at_zero = replace(plan, certificate=with_margin(plan.certificate, "position", 0, value=1e-12))
     assert {item.label: item.worst for item in certificate_items(at_zero)}["range of O"] == 0.0
     assert certificate_items(plan)[0].worst == pytest.approx(plan.certificate.peak_effort[0], rel=1e-4)
 
