@@ -162,7 +162,10 @@ def _write_film(path: Path, motion: Motion, instants, camera: Camera, settings: 
         if settings.suffix == ".mp4":
             write_mp4(place, reported(), settings.fps)
             return
-        some = instants[np.linspace(0, n - 1, min(n, 5)).astype(int)]
+        shown = np.unique(instants)
+        some = shown[np.linspace(0, len(shown) - 1, min(len(shown), 7)).astype(int)]
+        loads = np.abs(motion.shares[shown]).max(axis=1, initial=0.0)
+        some = np.append(some, shown[np.argmax(loads)])  # with the red of an effort at its limit
         write_gif(place, reported(), n, settings.fps, list(images(some)))
 
     write_file_whole(path, SUFFIXES, write)
