@@ -14,7 +14,7 @@ from linkplan.models.tree.coordinates import joint_label
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.sites import SiteLimit
-from linkplan.studies.output.figure import GREY, SERIES, outside_legend
+from linkplan.studies.output.figure import GREY, PIN_NAME, SERIES, outside_legend
 from linkplan.studies.output.numbers import direction_name
 
 _PAYLOAD_COLOUR = "#8D8273"
@@ -92,7 +92,8 @@ def name_pins(axes, mechanism: Mechanism, pose: np.ndarray) -> None:
         if len(found) > _MAX_NAMES_AT_PINS:  # names at the pins would cover one another
             axes.annotate(words, (x, y), xytext=(1.02, (k + 0.5) / len(found)), fontsize=7, zorder=5, **beside)
         else:
-            axes.annotate(words, (x, y), xytext=(5, 5 if k % 2 else -11), textcoords="offset points", fontsize=7.5, zorder=5)
+            look = {"textcoords": "offset points", "fontsize": 7.5, "zorder": 5, "gid": PIN_NAME}
+            axes.annotate(words, (x, y), xytext=(5, 5 if k % 2 else -11), **look)
 
 
 def _fill(axes, edges: np.ndarray, colour: str, alpha: float, layer: float) -> None:
