@@ -7,6 +7,7 @@ import textwrap
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from io import BytesIO
 from itertools import chain, zip_longest
 from pathlib import Path
 
@@ -64,6 +65,15 @@ _AROUND_PIN = ((5, 5), (5, -11), (-14, 5), (-14, -11), (-4, 10), (-4, -16), (9, 
 _BAR_SHARE = 0.76
 
 
+class ShownFigure(Figure):
+    """A figure that a notebook shows as it is, without pyplot and its choice of a backend."""
+
+    def _repr_png_(self) -> bytes:
+        picture = BytesIO()
+        self.savefig(picture, format="png")
+        return picture.getvalue()
+
+
 @contextmanager
 def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, float] = (8.0, 5.0), **layout) -> Iterator:
     """Yield a figure's axes (rows, columns); when the block ends, save the figure at `path` if it is given."""
@@ -71,7 +81,7 @@ def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, 
         matplotlib.rcdefaults()  # without the user's settings, which may need TeX
         matplotlib.rcParams.update(_STYLE)  # pyright: ignore[reportCallIssue, reportArgumentType]  its keys are text
         # A figure without pyplot needs no screen and leaves nothing open.
-        figure = Figure(figsize=size, layout="constrained")
+        figure = ShownFigure(figsize=size, layout="constrained")
         yield figure.subplots(rows, columns, squeeze=False, **layout)
         for axes in figure.axes:
             low, high = axes.get_ylim()

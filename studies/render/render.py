@@ -1,6 +1,8 @@
 """A plan's tracked motion as an MP4, a GIF or a PNG (`linkplan render`)."""
 
+import base64
 import contextlib
+import html
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,6 +23,9 @@ from linkplan.studies.render.gl import GL
 from linkplan.studies.render.motion import Motion, frame_times, own_slowness, tracked_motion
 from linkplan.studies.render.scenes import Scene, all_points, coloured_model, film_scenes, stroboscopic_scene
 from linkplan.studies.render.settings import SUFFIXES, RenderSettings
+
+# A notebook keeps the film that it shows, a third larger than the file.
+_LARGEST_SHOWN_BYTES = 30_000_000
 
 Paint = Callable[[Scene], np.ndarray]
 
@@ -45,6 +50,15 @@ class Rendered:
     def to_dict(self) -> dict:
         """Return all values by name."""
         return asdict(self)
+
+    def _repr_html_(self) -> str | None:
+        path = Path(self.file)
+        if not path.is_file() or path.stat().st_size > _LARGEST_SHOWN_BYTES:
+            return None
+        data = base64.b64encode(path.read_bytes()).decode("ascii")
+        if path.suffix == ".mp4":
+            return f'<video controls loop src="data:video/mp4;base64,{data}"></video>'
+        return f'<img alt="{html.escape(self.sentence)}" src="data:image/{path.suffix[1:]};base64,{data}">'
 
     @property
     def sentence(self) -> str:
