@@ -1,7 +1,7 @@
 """The bodies of a mechanism in the plane of a drawing, the paths of its sites along a plan, and forbidden regions."""
 
 import numpy as np
-from matplotlib.colors import to_rgb
+from matplotlib.colors import to_hex, to_rgb
 from matplotlib.patches import Polygon
 
 from linkplan.models.errors import listed
@@ -14,6 +14,7 @@ from linkplan.models.tree.coordinates import joint_label
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.sites import SiteLimit
+from linkplan.studies.output.body_colours import body_colours
 from linkplan.studies.output.figure import GREY, PIN_NAME, SERIES, outside_legend
 from linkplan.studies.output.numbers import direction_name
 
@@ -43,11 +44,11 @@ def draw_bodies(axes, mechanism: Mechanism, poses: np.ndarray, alphas: np.ndarra
     shapes = solids(mechanism)
     places, turns = body_frames(mechanism, poses)
     towards = np.cross(right, up)
-    moving = [name for name, stick in drawn.items() if not stick.fixed]
-    colours = dict(zip(moving, SERIES * (1 + len(moving) // len(SERIES)), strict=False))
+    of_body = body_colours(mechanism)
+    colours = {body_name(mechanism.model, body): to_hex(rgba) for body, rgba in of_body.items() if body}
     for depth, (name, stick) in enumerate(drawn.items()):
         own = [solid for solid in shapes if body_name(mechanism.model, solid.body) == name]
-        colour = colours.get(name, GREY)
+        colour = GREY if stick.fixed else colours.get(name, GREY)
         bare = not any(solid.kind == "geom" for solid in own)
         for k, alpha in enumerate(alphas):
             if stick.fixed and k < len(alphas) - 1:

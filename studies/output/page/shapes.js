@@ -24,9 +24,26 @@ function placed(body, frame, dimension) {
   };
 }
 
-/** Return the colour of a shape of the k-th moving body; k is -1 for the ground. */
-function shapeColour(shape, k) {
-  return theme.colour(shape.look === "payload" ? "payload" : k < 0 ? "fixed" : `c${k % BODY_COLOURS}`);
+/** Return the name of a body's colour in the style sheet, or the model's own colour; documents of 1.0 have neither. */
+function colourName(body) {
+  return body.fixed ? "fixed" : body.colour || "c0";
+}
+
+/** Return a body's colour: the model's own, or that of the page's series by its name. */
+function bodyColour(body) {
+  return colourName(body).startsWith("#") ? body.colour : theme.colour(colourName(body));
+}
+
+/** Return the sign of a body in a legend. */
+function signOf(body) {
+  const sign = make("span", { class: `sign ${colourName(body)}` }, "■");
+  if (colourName(body).startsWith("#")) sign.style.color = body.colour;
+  return sign;
+}
+
+/** Return the colour of a body's shape. */
+function shapeColour(shape, body) {
+  return shape.look === "payload" ? theme.colour("payload") : bodyColour(body);
 }
 
 /** Tell if a body has a shape of its own, so that no stick stands for it. */
