@@ -146,7 +146,7 @@ class Session:
         motion, joints = self.first.to_dict()["motion"], self.first.mechanism.independent_joints
         tables = {unit: motion.get(f"{end}_{unit}", {}) for unit in ("deg", "m")}
         own = {unit: {joint.name: of[joint.name] for joint in joints if joint.name in of} for unit, of in tables.items()}
-        named = {f"motion.{end}_{unit}": own[unit] for unit in own if own[unit] != tables[unit]}
+        named: dict[str, object] = {f"motion.{end}_{unit}": own[unit] for unit in own if own[unit] != tables[unit]}
         return named | {f"motion.{key}": value}
 
     def report(self, values: Mapping[str, object], objective: str | None) -> tuple[Report, dict]:

@@ -44,7 +44,13 @@ def colour_name(rgba: tuple[float, ...]) -> str:
     for k, one in enumerate(BODY_SERIES):
         if np.abs(np.subtract(rgba[:3], to_rgba(one)[:3])).max() < 0.02:
             return f"c{k}"
-    return to_hex(rgba[:3])
+    return hex_of(rgba)
+
+
+def hex_of(rgba: tuple[float, ...]) -> str:
+    """Return a colour as "#rrggbb"."""
+    red, green, blue = rgba[:3]
+    return to_hex((red, green, blue))
 
 
 def _series_colour(k: int) -> tuple[float, ...]:

@@ -1,7 +1,7 @@
 """The bodies of a mechanism in the plane of a drawing, the paths of its sites along a plan, and forbidden regions."""
 
 import numpy as np
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import to_rgb
 from matplotlib.patches import Polygon
 
 from linkplan.models.errors import listed
@@ -14,7 +14,7 @@ from linkplan.models.tree.coordinates import joint_label
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.sites import SiteLimit
-from linkplan.studies.output.body_colours import body_colours
+from linkplan.studies.output.body_colours import body_colours, hex_of
 from linkplan.studies.output.figure import GREY, PIN_NAME, SERIES, outside_legend
 from linkplan.studies.output.numbers import direction_name
 
@@ -45,7 +45,7 @@ def draw_bodies(axes, mechanism: Mechanism, poses: np.ndarray, alphas: np.ndarra
     places, turns = body_frames(mechanism, poses)
     towards = np.cross(right, up)
     of_body = body_colours(mechanism)
-    colours = {body_name(mechanism.model, body): to_hex(rgba) for body, rgba in of_body.items() if body}
+    colours = {body_name(mechanism.model, body): hex_of(rgba) for body, rgba in of_body.items() if body}
     for depth, (name, stick) in enumerate(drawn.items()):
         own = [solid for solid in shapes if body_name(mechanism.model, solid.body) == name]
         colour = GREY if stick.fixed else colours.get(name, GREY)

@@ -151,9 +151,9 @@ def _number_log_axis(axis, low: float, high: float) -> None:
     at = np.outer(decades, digits).ravel()
     at = at[(at >= low) & (at <= high)]
     if len(at) < 3:
-        at = MaxNLocator(nbins=5, steps=[1, 2, 5, 10]).tick_values(low, high)
+        at = np.array(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]).tick_values(low, high))
         axis.set_minor_locator(NullLocator())
-    axis.set_major_locator(FixedLocator(at[at > 0]))
+    axis.set_major_locator(FixedLocator(at[at > 0].tolist()))
     axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
     axis.set_minor_formatter(NullFormatter())
 
