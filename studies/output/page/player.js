@@ -6,6 +6,7 @@ const SHOWN_S = 4; // a motion is shown in about as many seconds
 
 /** Return the figure of an animation. */
 function showAnimation(block) {
+  colourBodies(block.bodies);
   const cursor = cursorOf(block.group);
   cursor.reach(block.times[0], block.times.at(-1));
   cursor.animated = true;

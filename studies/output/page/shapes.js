@@ -24,20 +24,22 @@ function placed(body, frame, dimension) {
   };
 }
 
-/** Return the name of a body's colour in the style sheet, or the model's own colour; documents of 1.0 have neither. */
-function colourName(body) {
-  return body.fixed ? "fixed" : body.colour || "c0";
+/** Give the moving bodies of a document of 1.0, which names no colours, those of the series. */
+function colourBodies(bodies) {
+  bodies.filter((body) => !body.fixed).forEach((body, k) => (body.colour ||= `c${k % BODY_COLOURS}`));
 }
 
-/** Return a body's colour: the model's own, or that of the page's series by its name. */
+/** Return a body's colour: the model's own, or that of the style sheet by its name. */
 function bodyColour(body) {
-  return colourName(body).startsWith("#") ? body.colour : theme.colour(colourName(body));
+  if (body.fixed) return theme.colour("fixed");
+  return body.colour.startsWith("#") ? body.colour : theme.colour(body.colour);
 }
 
 /** Return the sign of a body in a legend. */
 function signOf(body) {
-  const sign = make("span", { class: `sign ${colourName(body)}` }, "■");
-  if (colourName(body).startsWith("#")) sign.style.color = body.colour;
+  const own = body.colour.startsWith("#");
+  const sign = make("span", { class: own ? "sign" : `sign ${body.colour}` }, "■");
+  if (own) sign.style.color = body.colour;
   return sign;
 }
 
