@@ -1,6 +1,9 @@
 """The site: `make docs` builds it from this folder into build/site, notebooks executed, warnings as errors."""
 
+import re
 from importlib import metadata
+
+from docutils import nodes
 
 project = "linkplan"
 author = "the linkplan authors"
@@ -45,3 +48,15 @@ html_theme_options = {
 }
 html_static_path = ["static"]
 html_css_files = ["site.css"]
+
+
+def mark_sentences(_app, doctree: nodes.document, _page: str) -> None:
+    """Mark printed texts without columns as sentences, whose lines may be folded (static/site.css)."""
+    for block in doctree.findall(nodes.literal_block):
+        if block.get("language") == "text" and not re.search(r"\S {2,}\S", block.astext()):
+            block["classes"].append("sentences")
+
+
+def setup(app) -> None:
+    """Connect what this site does to its pages."""
+    app.connect("doctree-resolved", mark_sentences)

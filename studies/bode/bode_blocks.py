@@ -167,12 +167,16 @@ def responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> dic
         ends = (-40.0, 20.0) if quantity != "loop" else None
         limit = Limit(name="crossover at", value=0.0) if quantity == "loop" else Limit(name="bandwidth at", value=-3.0)
         gain, phase, off_db, off_deg = [], [], [], []
+        drawn: list[tuple[np.ndarray, np.ndarray]] = []
         for k, entry in enumerate(entries):
             ideal, look = _curve(entry, quantity, sampled=False), line_style(k)
             frequency, db, deg = _curve(entry, quantity)
+            deg = phase_near(frequency, deg, drawn)
+            drawn.append((frequency, deg))
+            ideal_deg = phase_near(ideal[0], ideal[2], drawn[-1:])
             beside = look | {"look": "dots", "width": 0.9}
             gain += [(_name(entry), frequency, db, look), ("", ideal[0], ideal[1], beside)]
-            phase += [(_name(entry), frequency, deg, look), ("", ideal[0], ideal[2], beside)]
+            phase += [(_name(entry), frequency, deg, look), ("", ideal[0], ideal_deg, beside)]
             response = entry.responses.get(quantity)
             if response is None:
                 continue
@@ -351,6 +355,19 @@ def shifted_phase(phase: np.ndarray, gain: np.ndarray, quantity: str) -> np.ndar
         return phase - 360.0 * np.round(phase[0] / 360.0)
     crossing = int(np.argmin(np.abs(np.log(np.abs(gain)))))
     return phase - 360.0 * np.round((phase[crossing] + 180.0) / 360.0)
+
+
+def phase_near(frequency_hz: np.ndarray, phase: np.ndarray, others: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Return a phase (n,) [deg] shifted by full turns to the most similar of others, each as frequencies [Hz] and phases.
+
+    A phase near 0 or -360 deg at the crossover has a shift of its own that differs from that of a nearly equal pose.
+    """
+    shifted = []
+    for frequency, other in others:
+        off = np.interp(np.log(frequency_hz), np.log(frequency), other) - phase
+        shift = 360.0 * np.round(np.median(off) / 360.0)
+        shifted.append((float(np.median(np.abs(off - shift))), shift))
+    return phase + min(shifted)[1] if shifted else phase
 
 
 def measured_phase(response: Response, frequency_hz: np.ndarray, phase: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from linkplan.models.poses.reach import Reach, toggles
 from linkplan.models.tree.joints import Joint
 from linkplan.studies.check.check_report import ratio_unit
 from linkplan.studies.check.inspection import Inspection
-from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, measure, most_poses, thinned
+from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, measure, most_poses, swept, thinned
 from linkplan.studies.output.document import Axis, Plot
 from linkplan.studies.output.draw_bodies import draw_poses
 from linkplan.studies.output.figure import GREY, RED
@@ -58,8 +58,9 @@ def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
     reaches = (steered or found.reaches)[:MAX_FIGURES]
     rows: list[list] = []
     for can in reaches:
-        swept = measure(mechanism, thinned(can.poses, most_poses(mechanism)), "reach", coordinate=can.coordinate)
-        plots_of_reach = [plot for plot in path_plots(swept) if plot.title.startswith(_OF_REACH)]
+        poses = thinned(swept(mechanism, can), most_poses(mechanism))
+        path_of_reach = measure(mechanism, poses, "reach", coordinate=can.coordinate)
+        plots_of_reach = [plot for plot in path_plots(path_of_reach) if plot.title.startswith(_OF_REACH)]
         rows.append([lambda axes, can=can: draw_poses(axes, mechanism, _drawn_poses(mechanism, can))])
         rows[-1] += [_marked(plot, mechanism, can) for plot in plots_of_reach]
     names = [mechanism.joints[mechanism.independent[can.coordinate]].name for can in reaches]

@@ -1,5 +1,6 @@
 """An explored problem: its sliders, and the report of the plan at their values."""
 
+import dataclasses
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -10,6 +11,8 @@ from msgspec.structs import replace
 
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import RANGE_ROUNDING
+from linkplan.models.poses.assembly import advance, steps_to
 from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import reach
 from linkplan.planner.plan import Plan
@@ -29,6 +32,8 @@ OBJECTIVES = ("effort", "time", "work")
 Save = Callable[[Problem], str]
 # Sliders of duration and payload go from a quarter to four times of what the problem has.
 _SLIDER_FACTOR = 4.0
+# Sliders end this share of their length before the loop opens, where rounding decides if it closes.
+_INSIDE_SHARE = 2e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,7 +83,7 @@ class Session:
             for column, joint in enumerate(problem.mechanism.independent_joints):
                 value = motion.get(f"{end}_{joint.unit}", {}).get(joint.name)
                 if value is not None:
-                    low, high = _range(problem.mechanism, column, float(value))
+                    low, high = _range(problem, end, column, float(value))
                     key = f"{end}_{joint.unit}.{joint.name}"
                     found.append(
                         Slider(key=key, label=f"{end} {joint.name}", unit=joint.unit, low=low, high=high, value=float(value))
@@ -112,6 +117,18 @@ class Session:
             settings["motion.duration_s"] = "free"
         return self.first.with_settings(settings)
 
+    def described(self) -> Problem:
+        """Return the last planned problem; if it is not the first, its description says so, in place of the first's."""
+        first, last = self.first.to_dict(), self.current.to_dict()
+        if last == first:
+            return self.current
+        duration = last["motion"].get("duration_s")
+        length = f"in {duration:g} s" if isinstance(duration, int | float) else "in free time"
+        goal = last.get("objective", {}).get("minimize", "effort")
+        with_ = f" with {'least ' if goal in OBJECTIVES else 'the objective '}{goal}" if isinstance(goal, str) else ""
+        text = f"a reach {length}{with_}, from exploring {self.first.name}"
+        return dataclasses.replace(self.current, source=last | {"description": text})
+
     def _setting(self, key: str, value: float, slider: Slider) -> dict[str, object]:
         """Return the settings that a slider's value changes; none if the slider was not moved."""
         if value == slider.value and key in ("effort_percent", "payload_kg"):
@@ -122,7 +139,15 @@ class Session:
         if key == "payload_kg":
             payload = self.first.mechanism.payload
             return {"mechanism.payload": payload.scaled(value / payload.mass_kg).table()}
-        return {f"motion.{key}": value}
+        end = key.partition("_")[0]
+        if end not in ("start", "goal") or value == slider.value:
+            return {f"motion.{key}": value}
+        # Positions of dependent joints, which the file may name to be checked, belong to the value that was.
+        motion, joints = self.first.to_dict()["motion"], self.first.mechanism.independent_joints
+        tables = {unit: motion.get(f"{end}_{unit}", {}) for unit in ("deg", "m")}
+        own = {unit: {joint.name: of[joint.name] for joint in joints if joint.name in of} for unit, of in tables.items()}
+        named: dict[str, object] = {f"motion.{end}_{unit}": own[unit] for unit in own if own[unit] != tables[unit]}
+        return named | {f"motion.{key}": value}
 
     def report(self, values: Mapping[str, object], objective: str | None) -> tuple[Report, dict]:
         """Return the report at values of the sliders, and the verdict with the times that plan and tracking took [s].
@@ -151,18 +176,46 @@ def _tracked(plan: Plan, tracker: str) -> Report:
     return explored_report(plan, found)
 
 
-def _range(mechanism: Mechanism, column: int, value: float) -> tuple[float, float]:
+def _range(problem: Problem, end: str, column: int, value: float) -> tuple[float, float]:
     """Return the ends of a coordinate's slider: its reach, or half a period or half a metre about a value without an end.
 
-    The reach of one of several freedoms depends on the others, so their joints' own ranges are taken.
+    The reach of one of several freedoms is that from the pose at this end of the motion, the other coordinates as they are.
     """
+    mechanism = problem.mechanism
     joint = mechanism.independent_joints[column]
     half = 0.5 * joint.shown(turn_of(mechanism, column)) if joint.kind == "hinge" else 0.5
     low, high = joint.shown(joint.lower), joint.shown(joint.upper)
     if mechanism.dof == 1 and not (can := reach(mechanism)).turns_fully:
         low, high = (joint.shown(end.position) for end in (can.lower, can.upper))
     low, high = (low if np.isfinite(low) else value - half), (high if np.isfinite(high) else value + half)
+    if mechanism.dof > 1 and (pose := _pose_at(problem, end)) is not None:
+        low, high = (joint.shown(_closed_until(mechanism, pose, column, joint.read(far))) for far in (low, high))
+    inside = _INSIDE_SHARE * (high - low)
+    low += 0.0 if np.isclose(low, joint.shown(joint.lower)) else inside
+    high -= 0.0 if np.isclose(high, joint.shown(joint.upper)) else inside
     return min(low, value), max(high, value)
+
+
+def _pose_at(problem: Problem, end: str) -> np.ndarray | None:
+    """Return the pose at the start or the goal of a motion; None for a goal that is out of reach."""
+    start = problem.start_pose()
+    if end == "start":
+        return start
+    pose, arrived = advance(problem.mechanism, start, np.asarray(problem.motion.goal))
+    return pose if arrived else None
+
+
+def _closed_until(mechanism: Mechanism, pose: np.ndarray, column: int, far: float) -> float:
+    """Return the position of a coordinate towards `far` up to which the loops close within the ranges of all joints."""
+    target = pose[mechanism.independent].copy()
+    target[column] = far
+    ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])
+    last = pose
+    for reached in steps_to(mechanism, pose, target):
+        if np.any(reached < ranges[:, 0] - RANGE_ROUNDING) or np.any(reached > ranges[:, 1] + RANGE_ROUNDING):
+            break
+        last = reached
+    return float(last[mechanism.independent[column]])
 
 
 def _about(key: str, label: str, unit: str, value: float) -> Slider:

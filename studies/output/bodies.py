@@ -10,6 +10,7 @@ from linkplan.models.kinematics import data_at
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.skeleton import Stick, body_name, sticks
 from linkplan.models.poses.solids import Solid, body_frames, cut_pins, faces, outline, solids, visible_sites
+from linkplan.studies.output.body_colours import body_colours, colour_name
 from linkplan.studies.output.document import Body, Numbers, Shape
 from linkplan.studies.output.numbers import rounded
 
@@ -54,7 +55,7 @@ def bodies_of(drawing: Drawing, poses: np.ndarray, *, shaped: bool = True) -> li
     places, turns = body_frames(mechanism, poses)
     drawn = {stick.body: stick for stick in sticks(mechanism, poses)}
     roots = sorted({int(root) for root in model.body_weldid if _is_drawn(drawing, int(root), drawn)})
-    found = []
+    found, colours = [], body_colours(mechanism)
     for root in roots:
         name = body_name(model, root)
         pins = np.zeros((len(poses), 0, 3)) if name not in drawn else drawn[name].places
@@ -63,6 +64,7 @@ def bodies_of(drawing: Drawing, poses: np.ndarray, *, shaped: bool = True) -> li
             Body(
                 name=name,
                 fixed=root == 0,
+                colour=colour_name(colours[root]) if root else "",
                 n_pins=pins.shape[1],
                 points=rounded((pins @ drawing.frame.T).reshape(len(poses), -1)),
                 places=_places(drawing, root, places[:, root], turns[:, root]),

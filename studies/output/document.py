@@ -247,11 +247,12 @@ class Body(Struct, frozen=True, kw_only=True, eq=False):
 
     `places` has the body's frame at every frame of the animation, or once for a body at rest: position [m], then cosine and
     sine of its angle in a plane, or its quaternion in space. Bodies of larger `depth` [m] are nearer to the eye.
-    `sites` are points in the body's frame by name.
+    `sites` are points in the body's frame by name. `colour` is "c0" to "c9" of the page's series, or "#rrggbb".
     """
 
     name: str
     fixed: bool
+    colour: str = ""
     n_pins: int
     points: Sequence[Numbers]
     places: Sequence[Numbers] = ()

@@ -14,7 +14,8 @@ from linkplan.models.tree.coordinates import joint_label
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.sites import SiteLimit
-from linkplan.studies.output.figure import GREY, SERIES, outside_legend
+from linkplan.studies.output.body_colours import body_colours, hex_of
+from linkplan.studies.output.figure import GREY, PIN_NAME, SERIES, outside_legend
 from linkplan.studies.output.numbers import direction_name
 
 _PAYLOAD_COLOUR = "#8D8273"
@@ -43,11 +44,11 @@ def draw_bodies(axes, mechanism: Mechanism, poses: np.ndarray, alphas: np.ndarra
     shapes = solids(mechanism)
     places, turns = body_frames(mechanism, poses)
     towards = np.cross(right, up)
-    moving = [name for name, stick in drawn.items() if not stick.fixed]
-    colours = dict(zip(moving, SERIES * (1 + len(moving) // len(SERIES)), strict=False))
+    of_body = body_colours(mechanism)
+    colours = {body_name(mechanism.model, body): hex_of(rgba) for body, rgba in of_body.items() if body}
     for depth, (name, stick) in enumerate(drawn.items()):
         own = [solid for solid in shapes if body_name(mechanism.model, solid.body) == name]
-        colour = colours.get(name, GREY)
+        colour = GREY if stick.fixed else colours.get(name, GREY)
         bare = not any(solid.kind == "geom" for solid in own)
         for k, alpha in enumerate(alphas):
             if stick.fixed and k < len(alphas) - 1:
@@ -92,7 +93,8 @@ def name_pins(axes, mechanism: Mechanism, pose: np.ndarray) -> None:
         if len(found) > _MAX_NAMES_AT_PINS:  # names at the pins would cover one another
             axes.annotate(words, (x, y), xytext=(1.02, (k + 0.5) / len(found)), fontsize=7, zorder=5, **beside)
         else:
-            axes.annotate(words, (x, y), xytext=(5, 5 if k % 2 else -11), textcoords="offset points", fontsize=7.5, zorder=5)
+            look = {"textcoords": "offset points", "fontsize": 7.5, "zorder": 5, "gid": PIN_NAME}
+            axes.annotate(words, (x, y), xytext=(5, 5 if k % 2 else -11), **look)
 
 
 def _fill(axes, edges: np.ndarray, colour: str, alpha: float, layer: float) -> None:

@@ -7,14 +7,18 @@ import textwrap
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from io import BytesIO
 from itertools import chain, zip_longest
 from pathlib import Path
 
 import matplotlib
 import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
-from matplotlib.text import Text
-from matplotlib.ticker import FuncFormatter
+from matplotlib.patheffects import withStroke
+from matplotlib.text import Annotation, Text
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
+from matplotlib.transforms import Bbox
 
 from linkplan.studies.output.document import MEASURED, Axis, Bars, Block, Limit, Numbers, Plane, Plot, Series
 
@@ -52,8 +56,22 @@ _STYLES = {
 _TITLE_LETTERS_PER_INCH = 10
 # Letters of a panel's title and of its legend on an inch of its width.
 _PANEL_LETTERS_PER_INCH, _LEGEND_LETTERS_PER_INCH = 12, 15
+# Letters of a bar's label on a line, letters of labels and of notes on an inch, and the least width of bars [inch].
+_BAR_LABEL_LETTERS, _LABEL_LETTERS_PER_INCH, _NOTE_LETTERS_PER_INCH, _LEAST_BARS_IN = 32, 12, 16, 1.5
+# The name of annotations that may move around their pin, and the offsets [pt] of those places.
+PIN_NAME = "name of a pin"
+_AROUND_PIN = ((5, 5), (5, -11), (-14, 5), (-14, -11), (-4, 10), (-4, -16), (9, -3), (-20, -3))
 # The share of a bar's place that its spans take.
 _BAR_SHARE = 0.76
+
+
+class ShownFigure(Figure):
+    """A figure that a notebook shows as it is, without pyplot and its choice of a backend."""
+
+    def _repr_png_(self) -> bytes:
+        picture = BytesIO()
+        self.savefig(picture, format="png")
+        return picture.getvalue()
 
 
 @contextmanager
@@ -63,7 +81,7 @@ def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, 
         matplotlib.rcdefaults()  # without the user's settings, which may need TeX
         matplotlib.rcParams.update(_STYLE)  # pyright: ignore[reportCallIssue, reportArgumentType]  its keys are text
         # A figure without pyplot needs no screen and leaves nothing open.
-        figure = Figure(figsize=size, layout="constrained")
+        figure = ShownFigure(figsize=size, layout="constrained")
         yield figure.subplots(rows, columns, squeeze=False, **layout)
         for axes in figure.axes:
             low, high = axes.get_ylim()
@@ -73,24 +91,71 @@ def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, 
         for text in figure.findobj(Text):
             if "$" in text.get_text() and "\\math" not in text.get_text():
                 text.set_parse_math(False)  # names may have dollar signs
-        if path is not None:
-            with warnings.catch_warnings():
-                warnings.filterwarnings("ignore", "Glyph", UserWarning)  # missing glyphs are drawn as boxes
-                figure.get_layout_engine().execute(figure)
-                figure.set_layout_engine(None)  # a figure that has an engine is drawn twice when it is saved
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Glyph", UserWarning)  # missing glyphs are drawn as boxes
+            _lay_out(figure)
+            if path is not None:
                 figure.savefig(path)
 
 
+def _lay_out(figure: Figure) -> None:
+    """Place axes and texts, once and for all: a figure that has a layout engine is laid out again when it is saved.
+
+    Axes of equal units become narrower or lower while they are placed, and take their places at the second time.
+    """
+    equal = any(axes.get_aspect() != "auto" for axes in figure.axes)
+    for _ in range(2 if equal else 1):
+        figure.get_layout_engine().execute(figure)
+    figure.set_layout_engine(None)
+    separate_names(figure)
+
+
+def separate_names(figure: Figure) -> None:
+    """Move each name at a pin to the first of eight places around it at which it lies on no other name."""
+    names = [text for text in figure.findobj(Annotation) if text.get_gid() == PIN_NAME]
+    renderer = FigureCanvasAgg(figure).get_renderer() if names else None
+    taken: dict[int, list[Bbox]] = {}
+    for name in names:
+        others = taken.setdefault(id(name.axes), [])
+        best = np.inf
+        for place in [name.get_position(), *_AROUND_PIN]:
+            name.set_position(place)
+            box = name.get_window_extent(renderer).padded(1.5)
+            covered = sum(_area(Bbox.intersection(box, other)) for other in others)
+            if covered < best:
+                best, chosen, own = covered, place, box
+        name.set_position(chosen)
+        others.append(own)
+
+
+def _area(box: Bbox | None) -> float:
+    return 0.0 if box is None else box.width * box.height
+
+
 def _few_ticks(axes) -> None:
-    """Widen an axis of a constant, and label a logarithmic axis of less than two decades at 1, 2 and 5 only."""
+    """Widen an axis of a constant, and give a logarithmic axis of few decades more numbers than its powers of ten."""
     for axis in (axes.xaxis, axes.yaxis):
         low, high = sorted(axis.get_view_interval())
         size = max(abs(low), abs(high))
         if high - low < 1e-6 * size:  # a constant: rounding errors are not resolved
             axis.axes.set(**{f"{axis.axis_name}lim": (low - 0.1 * size, high + 0.1 * size)})
-        if axis.get_scale() == "log" and high < 80 * low:
-            axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
-            axis.set_minor_formatter(FuncFormatter(lambda x, _: f"{x:g}" if f"{x:e}"[0] in "25" else ""))
+        if axis.get_scale() == "log" and low > 0:
+            _number_log_axis(axis, low, high)
+
+
+def _number_log_axis(axis, low: float, high: float) -> None:
+    """Label an axis with less than three powers of ten at 1, 2 and 5; if that is less than three, at round numbers."""
+    digits, decades = np.array([1, 2, 5]), 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
+    if np.sum((decades >= low) & (decades <= high)) >= 3:
+        return
+    at = np.outer(decades, digits).ravel()
+    at = at[(at >= low) & (at <= high)]
+    if len(at) < 3:
+        at = np.array(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]).tick_values(low, high))
+        axis.set_minor_locator(NullLocator())
+    axis.set_major_locator(FixedLocator(at[at > 0].tolist()))
+    axis.set_major_formatter(FuncFormatter(lambda x, _: f"{x:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def wrapped(text: str, most: int) -> str:
@@ -165,13 +230,31 @@ def figure_of(
                 panel(axis)
             else:
                 _DRAWERS[type(panel)](axis, panel)
-            head = _legend(axis, axis.get_title() if callable(panel) else panel.title, named, panel_in[0])
+            width = _width_of(panel, panel_in[0])
+            head = _legend(axis, axis.get_title() if callable(panel) else panel.title, named, width)
             heads_in[k // columns] = max(heads_in[k // columns], head)
         figure = axes.flat[0].figure
         figure.set_size_inches(size[0], max(size[1], float(heads_in.sum()) + 1.2 * rows))  # titles leave room for curves
         if title:
             figure.suptitle(wrapped(title, int(_TITLE_LETTERS_PER_INCH * size[0])), fontsize=11)
     return figure
+
+
+def _width_of(panel: Panel, width_in: float) -> float:
+    """Return the width [inch] of a panel's axes: bars have labels at their left and notes at their right."""
+    if not isinstance(panel, Bars):
+        return width_in
+    lines = [line for row in panel.rows for line in _bar_label(row.label).splitlines()]
+    notes = [row.note for row in panel.rows]
+    beside = (
+        max(map(len, lines), default=0) / _LABEL_LETTERS_PER_INCH + max(map(len, notes), default=0) / _NOTE_LETTERS_PER_INCH
+    )
+    return max(_LEAST_BARS_IN, width_in - beside)
+
+
+def _bar_label(label: str) -> str:
+    """Return a bar's label in lines, broken between words only."""
+    return "\n".join(textwrap.wrap(label, _BAR_LABEL_LETTERS, break_long_words=False))
 
 
 def _legend(axis, title: str, named: list[list], width_in: float) -> float:
@@ -235,10 +318,11 @@ def draw_bars(axis, bars: Bars) -> None:
                 axis.errorbar(span.end, at, xerr=off, fmt="none", ecolor=GREY, elinewidth=0.9, capsize=1.5)
         axis.annotate(row.note, (1.01, k), xycoords=axis.get_yaxis_transform(), va="center", fontsize=7.5)
     axis.axvline(bars.line, color=BLACK, linewidth=0.9, label=bars.line_name or None)
-    axis.set_yticks(range(len(bars.rows)), [row.label for row in bars.rows])
+    axis.set_yticks(range(len(bars.rows)), [_bar_label(row.label) for row in bars.rows])
     axis.set_ylim(len(bars.rows) - 0.4, -0.6)
     axis.grid(visible=False, axis="y")
     axis.tick_params(axis="y", length=0)
+    axis.xaxis.get_major_locator().set_params(nbins=5)
     axis.set_xlabel(_labelled(bars.axis))
 
 
@@ -260,7 +344,8 @@ def _draw_limits(axis, limits: Sequence[Limit]) -> None:
     for limit in limits:
         axis.axhline(limit.value, color=GREY, linestyle=":", linewidth=1.2)
         place = {"transform": axis.get_yaxis_transform(), "ha": "right", "va": "bottom"}
-        axis.text(0.995, limit.value, f"{limit.name} {limit.value:.4g}", color=GREY, fontsize=7, **place)
+        text = axis.text(0.995, limit.value, f"{limit.name} {limit.value:.4g}", color="#595959", fontsize=7, **place)
+        text.set_path_effects([withStroke(linewidth=2.5, foreground="white")])  # read before curves, too
 
 
 def _set_axes(axis, *both: Axis) -> None:

@@ -24,6 +24,8 @@ from linkplan.studies.output.document import Report, Section
 _PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "bars", "shapes", "animation", "player", "blocks", "main")
 # A file with these words in its first 1,000 bytes is a report, which a new one may replace.
 _OURS = b'<meta name="generator" content="linkplan">'
+# The height of a page in a notebook.
+_SHOWN_HEIGHT_PX = 640
 
 
 def document_json(report: Report) -> bytes:
@@ -62,14 +64,27 @@ def _hash(text: str) -> str:
     return base64.b64encode(hashlib.sha256(text.encode("utf-8")).digest()).decode("ascii")
 
 
-def write_report(report: Report, path: Path) -> None:
-    """Write a report's HTML file. An earlier report at this path is replaced, any other file is refused.
+class WrittenPage(type(Path())):
+    """The path of a report, which a notebook shows as its page."""
+
+    __slots__ = ()
+
+    def _repr_html_(self) -> str | None:
+        if self.suffix != ".html" or not self.is_file():  # the path's parents, or a page that was moved
+            return None
+        text = html.escape(self.read_text(encoding="utf-8"))
+        return f'<iframe srcdoc="{text}" title="{html.escape(self.name)}" width="100%" height="{_SHOWN_HEIGHT_PX}"></iframe>'
+
+
+def write_report(report: Report, path: Path) -> WrittenPage:
+    """Write a report's HTML file and return its path. An earlier report there is replaced, any other file is refused.
 
     Raises:
         PlanFileError: if another file exists at this path, or the file cannot be written.
     """
     refuse_other_files(path)
     write_over(path, report_html(report).encode("utf-8", "replace"))
+    return WrittenPage(path)
 
 
 def refuse_other_files(path: Path) -> None:

@@ -45,8 +45,7 @@ def report(
     place, say = path_of(path, "path"), listener(progress)
     refuse_other_files(place)
     say(f"reading {result}" if isinstance(result, str | Path) else "writing the report")
-    write_report(_document(result), place)
-    return place
+    return write_report(_document(result), place)
 
 
 def _document(result: object) -> Report:

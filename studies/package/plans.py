@@ -273,9 +273,7 @@ class Plan(planned.Plan):
         """
         from linkplan.studies.output.report_file import write_report
 
-        place = path_of(path, "path")
-        write_report(self.document(), place)
-        return place
+        return write_report(self.document(), path_of(path, "path"))
 
     def document(self) -> Report:
         """Return the report as a document."""

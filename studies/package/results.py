@@ -77,9 +77,7 @@ class Result(ABC):
         """
         from linkplan.studies.output.report_file import write_report
 
-        place = path_of(path, "path")
-        write_report(self.document(), place)
-        return place
+        return write_report(self.document(), path_of(path, "path"))
 
     def _repr_html_(self) -> str:
         from linkplan.studies.output.text import html_of, in_brief

@@ -11,8 +11,9 @@ from matplotlib.patches import Circle, Polygon
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.solids import geom_solids, outline, thickened
+from linkplan.studies.output.body_colours import body_colours
 from linkplan.studies.render.framing import FOOT_MARGIN, SIDE_MARGIN, axes_of
-from linkplan.studies.render.scenes import Figure, Scene, body_colours, place_bodies
+from linkplan.studies.render.scenes import Figure, Scene, place_bodies
 from linkplan.studies.render.shapes import GHOST, Shape
 
 _DOTS_PER_INCH = 100.0

@@ -13,12 +13,13 @@ from linkplan.models.poses.solids import solids
 from linkplan.planner.plan import Plan
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.compare.compare import lqr_settings, tracking_reference
+from linkplan.studies.output.body_colours import body_colours
 from linkplan.studies.render.caption import effort_lines
 from linkplan.studies.render.efforts import effort_shapes
 from linkplan.studies.render.framing import axes_of, framed, own_direction
 from linkplan.studies.render.motion import Motion, tracked_motion
 from linkplan.studies.render.mujoco_painter import add_figure, add_shapes
-from linkplan.studies.render.scenes import Figure, all_points, beside_geoms, body_colours, place_bodies, rod_radius
+from linkplan.studies.render.scenes import Figure, all_points, beside_geoms, place_bodies, rod_radius
 from linkplan.studies.render.shapes import bones, ghostly
 
 

@@ -1,6 +1,8 @@
 """A plan's tracked motion as an MP4, a GIF or a PNG (`linkplan render`)."""
 
+import base64
 import contextlib
+import html
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -21,6 +23,9 @@ from linkplan.studies.render.gl import GL
 from linkplan.studies.render.motion import Motion, frame_times, own_slowness, tracked_motion
 from linkplan.studies.render.scenes import Scene, all_points, coloured_model, film_scenes, stroboscopic_scene
 from linkplan.studies.render.settings import SUFFIXES, RenderSettings
+
+# A notebook keeps the film that it shows, a third larger than the file.
+_LARGEST_SHOWN_BYTES = 30_000_000
 
 Paint = Callable[[Scene], np.ndarray]
 
@@ -45,6 +50,15 @@ class Rendered:
     def to_dict(self) -> dict:
         """Return all values by name."""
         return asdict(self)
+
+    def _repr_html_(self) -> str | None:
+        path = Path(self.file)
+        if not path.is_file() or path.stat().st_size > _LARGEST_SHOWN_BYTES:
+            return None
+        data = base64.b64encode(path.read_bytes()).decode("ascii")
+        if path.suffix == ".mp4":
+            return f'<video controls loop src="data:video/mp4;base64,{data}"></video>'
+        return f'<img alt="{html.escape(self.sentence)}" src="data:image/{path.suffix[1:]};base64,{data}">'
 
     @property
     def sentence(self) -> str:
@@ -162,7 +176,10 @@ def _write_film(path: Path, motion: Motion, instants, camera: Camera, settings: 
         if settings.suffix == ".mp4":
             write_mp4(place, reported(), settings.fps)
             return
-        some = instants[np.linspace(0, n - 1, min(n, 5)).astype(int)]
+        shown = np.unique(instants)
+        some = shown[np.linspace(0, len(shown) - 1, min(len(shown), 7)).astype(int)]
+        loads = np.abs(motion.shares[shown]).max(axis=1, initial=0.0)
+        some = np.append(some, shown[np.argmax(loads)])  # with the red of an effort at its limit
         write_gif(place, reported(), n, settings.fps, list(images(some)))
 
     write_file_whole(path, SUFFIXES, write)

@@ -10,10 +10,11 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.skeleton import pins_in_space, tendon_lines
 from linkplan.models.poses.solids import Solid, body_frames, solids, visible_geoms
+from linkplan.studies.output.body_colours import body_colours, plain_geoms
 from linkplan.studies.render.efforts import effort_shapes
 from linkplan.studies.render.framing import axes_of, corners
 from linkplan.studies.render.motion import Motion
-from linkplan.studies.render.shapes import PAYLOAD, Shape, bones, faded, ghostly, series_colour
+from linkplan.studies.render.shapes import PAYLOAD, Shape, bones, faded, ghostly
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -33,23 +34,6 @@ class Scene:
 
     figures: tuple[Figure, ...]
     efforts: tuple[Shape, ...]
-
-
-def plain_geoms(model: mujoco.MjModel) -> np.ndarray:
-    """Return the mask (n_geom,) of moving geoms without a colour: MuJoCo's default grey, and no material."""
-    grey = np.all(np.isclose(model.geom_rgba, (0.5, 0.5, 0.5, 1.0)), axis=1)
-    return grey & (model.geom_matid < 0) & (model.body_weldid[model.geom_bodyid] != 0)
-
-
-def body_colours(mechanism: Mechanism) -> dict[int, tuple[float, ...]]:
-    """Return the rgba of each body: that of its first visible coloured geom, else of a series; the ground is grey."""
-    model = mechanism.model
-    coloured = visible_geoms(model) & ~plain_geoms(model) & (model.geom_matid < 0)
-    colours: dict[int, tuple[float, ...]] = {0: (0.35, 0.35, 0.35, 1.0)}
-    for body in range(1, model.nbody):
-        own = np.flatnonzero((model.body_weldid[model.geom_bodyid] == body) & coloured)
-        colours[body] = (*map(float, model.geom_rgba[own[0], :3]), 1.0) if len(own) else series_colour(len(colours) - 1)
-    return colours
 
 
 def coloured_model(mechanism: Mechanism) -> mujoco.MjModel:

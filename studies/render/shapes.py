@@ -5,9 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from matplotlib.colors import to_rgba
-
-from linkplan.studies.output.figure import SERIES
 
 # The colours of zero effort and of an effort at its limit; they also differ in lightness.
 _IDLE, _AT_LIMIT = np.array([0.62, 0.62, 0.62]), np.array([0.78, 0.02, 0.09])
@@ -66,8 +63,3 @@ def load_colour(share: float) -> tuple[float, ...]:
     part = min(abs(share), 1.0)
     red, green, blue = (1 - part) * _IDLE + part * _AT_LIMIT
     return float(red), float(green), float(blue), 1.0
-
-
-def series_colour(k: int) -> tuple[float, ...]:
-    """Return the rgba of the k-th body of a mechanism without colours."""
-    return to_rgba(SERIES[k % len(SERIES)])

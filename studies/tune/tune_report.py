@@ -83,7 +83,7 @@ def tune_figure(tuning: Tuning, path: Path | None = None) -> "Figure":
     for channel, joint in zip(tuning.mechanism.channels, joints, strict=True):
         loops = [loop for loop in tuning.points if loop.channel == channel]
         columns.append(tune_plots(tuning, loops, "" if len(joints) == 1 else f", loop of {joint.name}"))
-    size, title = (7.5 if len(joints) == 1 else 4.5, 2.5), f"{tuning.mechanism.name}: {tuning.message}"
+    size, title = (7.5 if len(joints) == 1 else 4.5, 2.5), f"{tuning.mechanism.name}: {tuning.message.split(': ')[0]}"
     return figure_of(side_by_side(*columns), path, title=title, columns=len(columns), panel_in=size)
 
 

@@ -1,5 +1,6 @@
 """What a notebook does, against `import linkplan` alone: a linkage of one's own, from MJCF text to its loop's margins."""
 
+import base64
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -112,6 +113,25 @@ README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
 TEN_LINES = README.split("```python\n")[1].split("```")[0]
 
 
+# Cells, of which the last four show something.
+SHOWN = (
+    "import linkplan; plan = linkplan.plan('knee-reach')",
+    "plan.plot()",
+    "linkplan.check('slider-crank').plot('slider-crank.png')",
+    "linkplan.render(plan, 'reach.gif', size_px=(160, 120), fps=5.0)",
+    "linkplan.report(plan, 'reach.html')",
+)
+
+
+def outputs_of(cells, folder: Path) -> list:
+    """Return what the cells of a notebook show as their results, by kind, in a kernel of its own."""
+    nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed")
+    nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed")
+    notebook = nbformat.v4.new_notebook(cells=[nbformat.v4.new_code_cell(cell) for cell in cells])
+    nbclient.NotebookClient(notebook, kernel_name="python3", resources={"metadata": {"path": str(folder)}}).execute()
+    return [output.data for cell in notebook.cells for output in cell.outputs if output.output_type == "execute_result"]
+
+
 @pytest.mark.slow
 def test_the_ten_lines_run_in_a_jupyter_kernel_and_do_what_they_say(tmp_path):
     nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed")
@@ -129,3 +149,15 @@ def test_the_ten_lines_run_in_a_jupyter_kernel_and_do_what_they_say(tmp_path):
     assert (tmp_path / "reach.png").is_file()
     for words in ("'A': ", "rms error [deg]", "payload +20 %", "Stable at all 5 poses: lqr"):
         assert words in said
+
+
+@pytest.mark.slow
+def test_figures_films_and_pages_show_themselves_in_a_fresh_kernel(tmp_path):
+    """Without `%matplotlib inline`, which would choose a backend for every figure."""
+    shown = outputs_of(SHOWN, tmp_path)
+    assert [set(data) - {"text/plain"} for data in shown] == [{"image/png"}, {"image/png"}, {"text/html"}, {"text/html"}]
+    assert base64.b64decode(shown[0]["image/png"]).startswith(b"\x89PNG")
+    assert shown[2]["text/html"].startswith("<img ")
+    assert "data:image/gif;base64," in shown[2]["text/html"]
+    assert shown[3]["text/html"].startswith("<iframe srcdoc=")
+    assert (tmp_path / "reach.html").is_file()

@@ -23,6 +23,18 @@ function showAgain(report) {
   if (Cursor.active) Cursor.active.move(at * Cursor.active.high);
 }
 
+/** Tell why there is no plan at the present values: the plan before them stays as a faint picture, without its verdict. */
+function refuse(said, why) {
+  said.textContent = why;
+  said.className = "said bad";
+  const page = document.querySelector(".page");
+  page.classList.add("stale");
+  const verdict = page.querySelector(".verdict");
+  if (!verdict) return;
+  verdict.className = "verdict bad";
+  verdict.textContent = `Not of these values: ${why}`;
+}
+
 /** Plan at the present values; while a plan is made, only the last change waits. */
 async function planAgain(said) {
   explored.due = true;
@@ -33,13 +45,14 @@ async function planAgain(said) {
     said.textContent = "planning ...";
     try {
       const answer = await ask("plan", { values: explored.values, objective: explored.objective });
-      if (answer.refused) said.textContent = answer.refused;
+      if (answer.refused) refuse(said, answer.refused);
       else {
         showAgain(answer.document);
+        said.className = "said";
         said.textContent = `${answer.said.message}; planned in ${said2(answer.said.plan_s)}, with tracking ${said2(answer.said.all_s)}`;
       }
     } catch (error) {
-      said.textContent = `no answer: ${error.message}`;
+      refuse(said, `no answer: ${error.message}`);
     }
   }
   explored.busy = false;

@@ -282,7 +282,7 @@ function drivesShown(block, shown) {
 /** Draw the bodies with their shapes: the ghost behind them, the nearest last. */
 function drawBodies(ctx, view, block, frame, ghost) {
   const moving = block.bodies.filter((body) => !body.fixed);
-  const colours = new Map(block.bodies.map((body) => [body, (shape) => shapeColour(shape, moving.indexOf(body))]));
+  const colours = new Map(block.bodies.map((body) => [body, (shape) => shapeColour(shape, body)]));
   if (!view.flat) {
     const pieces = block.bodies.filter((body) => body.shapes.length).flatMap((body) => body.shapes.flatMap((shape) => piecesOf(view, shape, placed(body, frame, 3), colours.get(body)(shape))));
     paintPieces(ctx, pieces);
@@ -296,7 +296,7 @@ function drawBodies(ctx, view, block, frame, ghost) {
     for (const body of ordered) drawFlatShapes(ctx, view, body, placed(body, frame, 2), colours.get(body));
   }
   for (const body of [...moving].reverse()) {
-    if (!isShaped(body)) drawBody(ctx, view, body, frame, block.dimension, theme.colour(`c${moving.indexOf(body) % BODY_COLOURS}`), 4);
+    if (!isShaped(body)) drawBody(ctx, view, body, frame, block.dimension, bodyColour(body), 4);
   }
 }
 

@@ -6,6 +6,7 @@ const SHOWN_S = 4; // a motion is shown in about as many seconds
 
 /** Return the figure of an animation. */
 function showAnimation(block) {
+  colourBodies(block.bodies);
   const cursor = cursorOf(block.group);
   cursor.reach(block.times[0], block.times.at(-1));
   cursor.animated = true;
@@ -84,7 +85,7 @@ function effortSaid(drive, frame, planned) {
 /** Return what the drawing's lines and signs mean. */
 function keyOf(block) {
   const moving = block.bodies.filter((body) => !body.fixed);
-  const swatches = moving.slice(0, BODY_COLOURS).map((body, k) => make("li", {}, make("span", { class: `sign c${k % BODY_COLOURS}` }, "■"), body.name));
+  const swatches = moving.slice(0, BODY_COLOURS).map((body) => make("li", {}, signOf(body), body.name));
   if (moving.length > BODY_COLOURS) swatches.push(make("li", {}, `and ${moving.length - BODY_COLOURS} more bodies`));
   if (block.bodies.some((body) => body.shapes.some((shape) => shape.look === "payload"))) swatches.push(make("li", {}, make("span", { class: "sign payload" }, "■"), "payload, as a uniform rod"));
   if (block.ghosts.length) swatches.push(make("li", {}, make("span", { class: "sign ghost" }, "╌"), `ghost: as tracked; solid: ${block.planned}`));

@@ -24,9 +24,28 @@ function placed(body, frame, dimension) {
   };
 }
 
-/** Return the colour of a shape of the k-th moving body; k is -1 for the ground. */
-function shapeColour(shape, k) {
-  return theme.colour(shape.look === "payload" ? "payload" : k < 0 ? "fixed" : `c${k % BODY_COLOURS}`);
+/** Give the moving bodies of a document of 1.0, which names no colours, those of the series. */
+function colourBodies(bodies) {
+  bodies.filter((body) => !body.fixed).forEach((body, k) => (body.colour ||= `c${k % BODY_COLOURS}`));
+}
+
+/** Return a body's colour: the model's own, or that of the style sheet by its name. */
+function bodyColour(body) {
+  if (body.fixed) return theme.colour("fixed");
+  return body.colour.startsWith("#") ? body.colour : theme.colour(body.colour);
+}
+
+/** Return the sign of a body in a legend. */
+function signOf(body) {
+  const own = body.colour.startsWith("#");
+  const sign = make("span", { class: own ? "sign" : `sign ${body.colour}` }, "■");
+  if (own) sign.style.color = body.colour;
+  return sign;
+}
+
+/** Return the colour of a body's shape. */
+function shapeColour(shape, body) {
+  return shape.look === "payload" ? theme.colour("payload") : bodyColour(body);
 }
 
 /** Tell if a body has a shape of its own, so that no stick stands for it. */

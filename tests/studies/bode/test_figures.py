@@ -1,5 +1,6 @@
 """Figures of feedback loops: every pose is seen and told from the others, and no legend lies on a curve."""
 
+import itertools
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -9,7 +10,10 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+import linkplan
+from linkplan.studies.bode import bode_blocks
 from linkplan.studies.cli.main import main
+from tests.support.figure_texts import text_faults
 from tests.support.figures import curves, saved_figures
 
 pytestmark = pytest.mark.slow
@@ -26,6 +30,7 @@ def drawn(what: str, *options: str) -> dict[str, Figure]:
 
 # Poses asked for are not scanned between: no margins.png, and quick.
 POSES = [f"--at-deg=O={angle}" for angle in (-80, -60, -40, -20, 0, 20, 40, 76)]
+MAPPED = ("optimus-knee", "--kp", "1", "--kd", "1e-5", "--map", "--at-deg=O=0")
 
 
 def test_the_open_loop_of_an_unstable_gain_is_in_its_frame_and_named():
@@ -57,6 +62,12 @@ def test_no_legend_lies_on_an_axes_and_no_page_grows_wider_for_one(name):
                 assert not axes.bbox.shrunk(0.99, 0.99).overlaps(box), (file, axes.get_ylabel())
 
 
+@pytest.mark.parametrize("options", [("optimus-knee", *POSES), ("optimus-knee",), ("five-bar-reach",), MAPPED], ids=str)
+def test_all_texts_of_a_feedback_loop_s_figures_can_be_read(options):
+    for file, figure in drawn(*options).items():
+        assert not text_faults(figure), file
+
+
 def test_dots_are_named_only_where_there_are_some():
     figures = drawn("optimus-knee", *POSES)
     said = [text.get_text() for figure in figures.values() for text in figure.findobj(lambda one: hasattr(one, "get_text"))]
@@ -72,9 +83,21 @@ def test_the_highest_margin_is_below_the_top_of_its_axes():
 
 
 def test_gains_far_from_the_border_are_on_the_map_too():
-    axes = drawn("optimus-knee", "--kp", "1", "--kd", "1e-5", "--map", "--at-deg=O=0")["map.png"].axes[0]
+    axes = drawn(*MAPPED)["map.png"].axes[0]
     ((x,), (y,)) = curves(axes)["these gains"]
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
     assert (x, y) == pytest.approx((1e-5, 1.0))
     assert left < x < right
     assert low < y < high
+
+
+def test_phases_of_nearly_equal_poses_are_drawn_beside_each_other(monkeypatch):
+    """A phase near 0 deg at the crossover was shifted by a turn at one pose and not at the next."""
+    study = linkplan.bode("optimus-knee", measure=False, at_deg=[{"O": 0.0}, {"O": 1.0}]).study
+    turns = itertools.count()
+    monkeypatch.setattr(bode_blocks, "shifted_phase", lambda phase, _gain, _quantity: phase + 360.0 * next(turns))
+    for plots in bode_blocks.responses(study, study.points, "").values():
+        (phase,) = [plot for plot in plots if plot.title.endswith("phase")]
+        assert len(phase.series) == 4
+        first = [series.y[0] for series in phase.series]
+        assert np.ptp(first) < 30.0, phase.title

@@ -6,6 +6,7 @@ import tomllib
 import numpy as np
 import pytest
 
+from tests.support.figure_texts import text_faults
 from tests.support.figures import curves, dots, labels, saved_figures
 from tests.support.oscillators import mass_on_a_spring
 from tests.support.tolerances_loops import DECAY, KNEE_DB, LONGEST_PERIOD
@@ -69,8 +70,8 @@ def test_bode_of_an_unstable_loop_says_so_and_measures_nothing(ask):
 
 
 @pytest.mark.slow
-def test_bode_maps_goes_past_the_limit_and_along_the_motion(ask, tmp_path):
-    folder = tmp_path / "whole"
+def test_bode_maps_goes_past_the_limit_and_along_the_motion(ask, tmp_path, monkeypatch):
+    folder, figures = tmp_path / "whole", saved_figures(monkeypatch)
     command = ["bode", "knee-sine", "--tracker", "pd+ff", "--no-measure", "--map", "--large", "--along", "--json"]
     code, out, _ = ask(*command, "-o", str(folder))
     assert code == 0
@@ -85,6 +86,7 @@ def test_bode_maps_goes_past_the_limit_and_along_the_motion(ask, tmp_path):
         said["along"]["floquet"]["log_left_predicted"], rel=DECAY
     )
     assert {path.name for path in folder.glob("*.png")} >= {"map.png", "large.png", "along.png", "bode.png"}
+    assert not {file: faults for file, figure in figures.items() if (faults := text_faults(figure))}
 
 
 @pytest.mark.slow

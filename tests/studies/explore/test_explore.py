@@ -78,4 +78,14 @@ def test_a_browser_moves_a_slider_and_saves(served, folder):
         page.get_by_text("saved problem.toml").wait_for()
         assert errors == []
         assert violations(page) == []
+        # A value that is refused leaves no verdict on another motion, until there is a plan again.
+        page.evaluate("explored.values.duration_s = 1000; planAgain(document.querySelector('output.said'))")
+        page.locator(".said.bad").wait_for()
+        assert page.locator(".said").inner_text().startswith("duration_s is from 0.04 to 0.64 s, got 1000")
+        assert page.locator(".page .good.verdict").count() == 0
+        assert page.locator(".verdict.bad").inner_text().startswith("Not of these values: duration_s is from")
+        slider.fill("0.24")
+        page.locator(".verdict.good").wait_for()
+        assert page.locator(".stale, .said.bad").count() == 0
     assert load_problem(folder / "problem.toml").motion.duration_s == 0.25
+    assert "0.16 s" not in (folder / "problem.toml").read_text(encoding="utf-8")

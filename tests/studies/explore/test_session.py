@@ -1,8 +1,10 @@
 """An explored problem: its sliders, the problem at their values, and the reports that follow."""
 
+import numpy as np
 import pytest
 
 from linkplan.models.errors import ProblemError
+from linkplan.models.poses.assembly import advance
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.studies.explore.session import Session
@@ -25,6 +27,31 @@ def test_the_sliders_are_those_of_the_problem(session):
     )
     assert found["payload_kg"].value == 4.0
     assert session.controls()["objective"] == "effort"
+
+
+@pytest.mark.parametrize("name", ["knee-reach", "knee-linear-reach", "five-bar-reach", "gripper-close"])
+def test_the_sliders_of_a_motion_s_ends_lead_to_poses_that_close(name):
+    """They ran to the ends of the joints' ranges: most of a five-bar's sliders was refused, and all of a linear knee's."""
+    session = Session(first=load_problem(name))
+    ends = [slider for slider in session.sliders() if slider.key.startswith(("start", "goal"))]
+    assert len(ends) >= 2
+    for slider in ends:
+        assert slider.low < slider.value < slider.high
+        for value in (slider.low, slider.high):
+            problem = session.problem_at({slider.key: value}, None)
+            if slider.key.startswith("goal"):
+                goal = np.asarray(problem.motion.goal)
+                assert advance(problem.mechanism, problem.start_pose(), goal)[1], slider.key
+
+
+def test_a_problem_of_other_values_is_not_described_as_the_first():
+    session = Session(first=load_problem("knee-reach"))
+    assert session.described().to_toml() == session.first.to_toml()
+    session.current = session.problem_at({"duration_s": 0.2}, "work")
+    assert "0.16 s" not in session.described().to_toml()
+    assert session.described().to_dict()["description"] == "a reach in 0.2 s with least work, from exploring knee-reach"
+    session.current = session.problem_at({}, "time")
+    assert session.described().to_dict()["description"] == "a reach in free time with least time, from exploring knee-reach"
 
 
 def test_values_are_those_of_the_planned_problem(session):

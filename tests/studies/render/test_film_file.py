@@ -3,10 +3,13 @@
 import av
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from PIL import Image, ImageSequence
 
 from linkplan.planner.files.single_file import MADE_BY
+from linkplan.studies.output.figure import SERIES
 from linkplan.studies.render.film_file import write_gif, write_mp4, write_png
+from linkplan.studies.render.shapes import GHOST, load_colour
 
 WIDTH, HEIGHT, MANY = 96, 64, 30
 
@@ -49,6 +52,25 @@ def test_a_gif_has_the_frames_goes_on_for_ever_and_lasts_as_long(tmp_path):
     assert len(shown) == MANY
     assert sum(duration for _, duration in shown) == pytest.approx(1000 * MANY / 15.0, abs=10)
     assert [at for at, _ in shown] == pytest.approx([square(image) for image in frames()], abs=0.5)
+
+
+def test_a_gif_keeps_the_colours_of_thin_rods_before_a_shaded_floor(tmp_path):
+    height, width = 240, 320
+    y, x = np.mgrid[:height, :width]
+    floor = 120 + 90 * y / height + 20 * np.sin(x / 9.0) * np.cos(y / 7.0)  # hundreds of greys, as under MuJoCo's headlight
+    image = np.repeat(floor[..., None], 3, axis=2) + np.array([0.0, 2.0, 9.0])
+    inks = [*SERIES, GHOST[:3], load_colour(1.0)[:3]]
+    for k, ink in enumerate(inks):
+        image[20 + 22 * k : 24 + 22 * k, 40:100] = 255 * np.array(to_rgb(ink))
+    image = image.astype(np.uint8)
+    path = tmp_path / "film.gif"
+    write_gif(path, [image, image], 2, 15.0, [image])
+    with Image.open(path) as film:
+        found = np.array(film.convert("RGB")).astype(int)
+    for k, ink in enumerate(inks):
+        off = np.abs(found[22 + 22 * k, 70] - image[22 + 22 * k, 70]).max()
+        assert off < 25, f"{ink} is off by {off} of 255 levels"
+    assert np.abs(found - image).mean() < 6  # the floor is still one
 
 
 def test_a_png_is_the_image_itself(tmp_path):

@@ -3,11 +3,15 @@
 import mujoco
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.studies.output.animation import animation
+from linkplan.studies.output.body_colours import BODY_SERIES, body_colours
 from linkplan.studies.output.document import Animation
+from linkplan.studies.output.draw_bodies import draw_bodies
 from tests.support.linkages import loaded
 
 # Rounding of a page's numbers, of a mechanism of about a metre [m].
@@ -94,3 +98,20 @@ def test_the_body_at_rest_has_one_place():
     (ground,) = (body for body in shown.bodies if body.fixed)
     assert len(ground.places) == 1
     assert ground.depth == pytest.approx(-0.011, abs=1e-3)  # the thigh, a capsule behind the links, and the ball D
+
+
+@pytest.mark.parametrize("name", ["optimus-knee", "slider-crank", "andrews-squeezer", "rssr"])
+def test_a_body_has_the_same_colour_on_a_page_in_a_figure_and_in_a_film(name):
+    """Crank and coupler had exchanged their colours between the page and the film."""
+    mechanism = loaded(name) if name == "rssr" else load_mechanism(name)
+    shown, _ = moved(mechanism, 0.05)
+    in_film = {mechanism.model.body(k).name: rgba[:3] for k, rgba in body_colours(mechanism).items()}
+    axes = Figure().subplots()
+    draw_bodies(axes, mechanism, mechanism.home[None], np.ones(1), named=True)
+    in_figure = {line.get_label(): to_rgb(line.get_color()) for line in axes.lines if not line.get_label().startswith("_")}
+    bodies = [body for body in shown.bodies if not body.fixed]
+    assert len(bodies) > 2
+    for body in bodies:
+        on_page = BODY_SERIES[int(body.colour[1:])] if body.colour.startswith("c") else body.colour
+        assert to_rgb(on_page) == pytest.approx(in_film[body.name], abs=0.02), body.name
+        assert in_figure[body.name] == pytest.approx(in_film[body.name], abs=0.005), body.name

@@ -262,6 +262,21 @@ def test_what_is_drawn_is_no_wider_than_the_paper(browser, path):
     assert opened.ask(wide) > PAPER
 
 
+def test_the_mechanism_is_drawn_to_the_width_that_it_has_on_paper(browser, tmp_path):
+    """It was 1.7 times too wide: drawn beside the facts, and printed above them."""
+    write_report(plan_report(optimal("knee-reach")), tmp_path / "plan.html")
+    opened = Opened(browser, tmp_path / "plan.html")
+    assert opened.page.locator(".lead canvas.stage").count() == 1
+    opened.build()
+    size = "(({ width, height }) => width / height)(document.querySelector('canvas.stage').getBoundingClientRect())"
+    opened.ask("dispatchEvent(new Event('beforeprint'))")
+    drawn = opened.ask(size)
+    opened.page.emulate_media(media="print")
+    opened.page.set_viewport_size({"width": PAPER, "height": 990})
+    assert opened.ask(size) == pytest.approx(drawn, rel=0.05)
+    assert opened.ask("getComputedStyle(document.querySelector('canvas.stage')).objectFit") == "contain"
+
+
 def test_the_arc_is_the_effort_that_the_shown_ghost_s_tracker_applied(browser, path):
     opened = Opened(browser, path)
     opened.build()

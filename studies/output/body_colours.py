@@ -1,0 +1,57 @@
+"""The colours of bodies, the same in figures, pages and films: a model's own, else those of a series."""
+
+import mujoco
+import numpy as np
+from matplotlib.colors import to_hex, to_rgba
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.solids import visible_geoms
+from linkplan.studies.output.figure import SERIES
+
+# Beyond the seven colours of lines: bodies are told apart by their shapes, too. The page has the same (`BODY_COLOURS`).
+BODY_SERIES = (*SERIES, "#5b6ee1", "#8a9a00", "#c0392b")
+_GROUND = (0.35, 0.35, 0.35, 1.0)
+
+
+def plain_geoms(model: mujoco.MjModel) -> np.ndarray:
+    """Return the mask (n_geom,) of moving geoms without a colour: MuJoCo's default grey, and no material."""
+    grey = np.all(np.isclose(model.geom_rgba, (0.5, 0.5, 0.5, 1.0)), axis=1)
+    return grey & (model.geom_matid < 0) & (model.body_weldid[model.geom_bodyid] != 0)
+
+
+def body_colours(mechanism: Mechanism) -> dict[int, tuple[float, ...]]:
+    """Return the rgba of each body: that of its first visible coloured geom, else of a series; the ground is grey.
+
+    Bodies that are welded together have the colour of the first.
+    """
+    model = mechanism.model
+    coloured = visible_geoms(model) & ~plain_geoms(model) & (model.geom_matid < 0)
+    colours: dict[int, tuple[float, ...]] = {0: _GROUND}
+    moving = 0
+    for body in range(1, model.nbody):
+        root = int(model.body_weldid[body])
+        if root != body:
+            colours[body] = colours[root]
+            continue
+        own = np.flatnonzero((model.body_weldid[model.geom_bodyid] == body) & coloured)
+        colours[body] = (*map(float, model.geom_rgba[own[0], :3]), 1.0) if len(own) else _series_colour(moving)
+        moving += 1
+    return colours
+
+
+def colour_name(rgba: tuple[float, ...]) -> str:
+    """Return a colour as a page knows it: "c0" to "c9" of its series, which differ in the dark, else as "#rrggbb"."""
+    for k, one in enumerate(BODY_SERIES):
+        if np.abs(np.subtract(rgba[:3], to_rgba(one)[:3])).max() < 0.02:
+            return f"c{k}"
+    return hex_of(rgba)
+
+
+def hex_of(rgba: tuple[float, ...]) -> str:
+    """Return a colour as "#rrggbb"."""
+    red, green, blue = rgba[:3]
+    return to_hex((red, green, blue))
+
+
+def _series_colour(k: int) -> tuple[float, ...]:
+    return to_rgba(BODY_SERIES[k % len(BODY_SERIES)])

@@ -1,0 +1,152 @@
+"""Every figure that linkplan writes: no text lies on another one, none is cut off, and no axis lacks its numbers.
+
+Figures of feedback loops are in `bode/test_figures.py`.
+"""
+
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+
+import linkplan
+from linkplan.models.mechanism import load_mechanism
+from linkplan.plans import Plan
+from linkplan.studies.check.inspection import inspect
+from linkplan.studies.check.path_plots import inspection_figure
+from linkplan.studies.output.document import Axis, Bar, Bars, Plane, Plot, Series, Span
+from linkplan.studies.output.draw_bodies import draw_poses
+from linkplan.studies.output.figure import figure_of
+from tests.support.figure_texts import text_faults
+from tests.support.figures import curves, saved_figures
+from tests.support.mechanism_checks import mechanism_of
+from tests.support.plans import optimal
+
+SHORT = "tracking.duration_s=0.01"
+RANGES = (
+    "imperfections.payload_mass_factor=[0.9, 1.1]",
+    "imperfections.torque_constant_factor={ act_O = [0.9412, 1.059] }",
+    "imperfections.coulomb_friction={ O = [0.0, 2.0] }",
+)
+
+
+def plan(*overrides: str) -> Plan:
+    """Return the plan of the knee's reach, planned once for each set of overrides."""
+    return Plan.of(optimal("knee-reach", *overrides))
+
+
+def experiment(folder: Path, design: str, samples: int, *overrides: str) -> None:
+    linkplan.experiment(plan(SHORT, *overrides), samples=samples, design=design, folder=folder)
+
+
+# What is saved, and the names of its figures.
+STUDIES = {
+    "plan": (lambda folder: plan().save(folder), ["plan"]),
+    "check": (lambda folder: linkplan.check("optimus-knee-linear").save(folder), ["mechanism", "loop-1"]),
+    "check of a motion": (lambda folder: linkplan.check("knee-reach").save(folder), ["mechanism", "loop-1"]),
+    "compare": (lambda folder: linkplan.compare(plan()).save(folder), ["compare"]),
+    "tune": (lambda folder: linkplan.tune("five-bar", bandwidth_hz=3).save(folder), ["tune"]),
+    "experiment": (partial(experiment, design="latin-hypercube", samples=4), ["experiment"]),
+    "one at a time": (lambda folder: experiment(folder, "one-at-a-time", 12, *RANGES), ["sensitivity"]),
+    "morris": (lambda folder: experiment(folder, "morris", 40, *RANGES), ["sensitivity"]),
+    "decompose": (lambda folder: linkplan.decompose(plan(SHORT), samples=1).save(folder), ["decompose"]),
+    "transfer": (lambda folder: linkplan.transfer("optimus-knee", joints=["C"]).save(folder), ["transfer"]),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("study", STUDIES)
+def test_a_study_s_figures_have_all_texts_and_each_can_be_read(study, tmp_path, monkeypatch):
+    figures, (save, names) = saved_figures(monkeypatch), STUDIES[study]
+    save(tmp_path / "saved")
+    assert {f"{name}.png" for name in names} <= set(figures)
+    for file, figure in figures.items():
+        assert not text_faults(figure), file
+
+
+@pytest.mark.parametrize("name", ["optimus-knee", "five-bar", "andrews-squeezer", "parallel-gripper", "cart-pole"])
+def test_names_at_pins_lie_on_no_other_text(name):
+    mechanism = mechanism_of(name)
+    figure = figure_of([lambda axes: draw_poses(axes, mechanism, mechanism.home[None])], title=name)
+    assert not text_faults(figure)
+
+
+def bare_plot(**more) -> Plot:
+    """Return a plot of one line over 0 to 1."""
+    axes = {"x_axis": Axis(label="time", unit="s"), "y_axis": Axis(label="position", unit="deg")}
+    return Plot(
+        **{"title": "Position", "group": "", "x": [0.0, 1.0], "series": [Series(name="", y=[1.0, 2.0])]} | axes | more
+    )
+
+
+def spoilt(how: str) -> Figure:
+    """Return a figure with one fault."""
+    figure = figure_of([bare_plot()], title="Title")
+    axes = figure.axes[0]
+    if how == "lies on":
+        axes.text(0.5, 0.5, "one", transform=axes.transAxes)
+        axes.text(0.51, 0.5, "other", transform=axes.transAxes)
+    elif how == "cut off":
+        axes.set_title("a long title " * 12)
+    elif how == "a log axis":
+        axes.set(yscale="log", ylim=(50.0, 5_000.0))
+    elif how == "without a label":
+        axes.set_xlabel("")
+    elif how == "a title of 5 lines":
+        figure.suptitle("\n".join("abcde"))
+    return figure
+
+
+@pytest.mark.parametrize("how", ["lies on", "cut off", "a log axis", "without a label", "a title of 5 lines"])
+def test_a_spoilt_figure_has_its_fault_told(how):
+    assert not text_faults(spoilt("not at all"))
+    assert any(how in fault for fault in text_faults(spoilt(how)))
+
+
+def test_a_plane_of_equal_units_has_room_for_its_titles_and_its_labels():
+    """Heading and title of every Nyquist figure lay on each other, and the label below was cut off."""
+    curves_of = [Series(name=f"O = {k}.12 deg", x=[0.0, 1.0], y=[0.0, 1.0], colour=k) for k in range(9)]
+    ends = (-2.5, 2.5)
+    plane = Plane(
+        title="Nyquist curves of the open loop; least disk margin 0.585 at O = 62.45 deg (gain +-5.23 dB or phase 32.6 deg)",
+        x_axis=Axis(label="real part of L", unit="1", ends=ends),
+        y_axis=Axis(label="imaginary part of L", unit="1", ends=ends),
+        curves=curves_of,
+        equal=True,
+    )
+    title = "optimus-knee, pd: kp = 200 N.m/rad, kd = 1 N.m.s/rad sampled every 0.0001 s"
+    assert not text_faults(figure_of([plane], title=title, panel_in=(6.4, 7.0)))
+
+
+def test_a_legend_above_bars_with_long_labels_stays_on_the_page():
+    names = ("all in the middle, 0.153", "at the low end", "at the high end")
+    spans = [Span(name=name, start=0.0, end=0.387 + k, colour=k) for k, name in enumerate(names)]
+    rows = [Bar(label="torque_constant_factor.act_O, 0.9412 to 1.059", spans=spans, note="0.00697")] * 2
+    bars = Bars(title="pd+ff: what the rms error owes to each imperfection", axis=Axis(label="error", unit="deg"), rows=rows,
+                line=0.0, line_name="", note_name="")  # fmt: skip
+    assert not text_faults(figure_of([bars] * 3, columns=2, panel_in=(6.5, 2.4)))
+
+
+@pytest.mark.parametrize("ends", [(3.78, 5.99), (11.0, 950.0), (150.0, 3_000.0), (1e-4, 1e3), (0.2, 0.201)])
+def test_a_logarithmic_axis_has_three_numbers_at_least(ends):
+    plot = bare_plot(series=[Series(name="", y=list(ends))], y_axis=Axis(label="frequency", unit="Hz", log=True, ends=ends))
+    assert not text_faults(figure_of([plot]))
+
+
+@pytest.mark.slow
+def test_the_curves_over_a_slide_s_reach_are_those_of_the_table():
+    """A slide had one point in 17 mm: next to a singular pose the figure showed an effort fifty times the table's."""
+    mechanism = load_mechanism("optimus-knee-linear", payload="shank")
+    found = inspect(mechanism, [])
+    x, drawn = curves(inspection_figure(found).axes[2])["DB"]
+    positions = np.linspace(x[0], x[-1], 60)[1:-1]
+    inertia = [np.array(mechanism.dynamics.reduced_inertia(q))[0, 0] for q in poses_at(mechanism, positions)]
+    assert np.interp(positions, x, drawn) == pytest.approx(inertia, rel=0.02)
+
+
+def poses_at(mechanism, positions: np.ndarray) -> np.ndarray:
+    """Return the closed poses at positions (n,) of a mechanism's only coordinate."""
+    from linkplan.models.poses.assembly import follow
+
+    return follow(mechanism, positions[:, None], follow(mechanism, positions[:1, None])[0])
