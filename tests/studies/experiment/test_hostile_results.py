@@ -16,6 +16,7 @@ from linkplan.studies.experiment.conduct import conduct, keep_plan, read_results
 from linkplan.studies.experiment.experiment import Settings, request_of
 from linkplan.studies.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment, saved_outcome
 from linkplan.studies.tasks import unfinished as parts
+from linkplan.studies.tasks.engine import serial
 from tests.support.plans import optimal
 
 SETTINGS = Settings(trackers=("pd", "pd+ff"), samples=6)
