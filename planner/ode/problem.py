@@ -14,7 +14,7 @@ from msgspec import Meta
 from linkplan.models.errors import ProblemError, one_line
 from linkplan.planner.keys.reading import read
 from linkplan.planner.problem.limits import free_bounds
-from linkplan.planner.problem.settings import DERIVED, MeshSettings, SolverSettings, frozen, number, plain
+from linkplan.planner.problem.settings import DERIVED, MeshSettings, SolverSettings, frozen, number, to_toml_types
 
 # (x, u, p, t) -> a column; x (n_x,), u (n_u,), p (n_p,) and t are CasADi SX.
 AtInstant = Callable[[ca.SX, ca.SX, ca.SX, ca.SX], object]
@@ -152,7 +152,7 @@ class OdeProblem:
         share: Any = Annotated[float, Meta(gt=0, le=1)]
         for name in ("tolerance", "objective_tolerance"):
             if getattr(self, name) is not None or name == "tolerance":
-                read(share, plain(getattr(self, name)), name)
+                read(share, to_toml_types(getattr(self, name)), name)
         if self.running_cost is None and self.final_cost is None:
             raise ProblemError("a problem needs running_cost, final_cost or both: otherwise no motion is the best")
 
