@@ -137,7 +137,9 @@ def objective_value(problem: Problem, trajectory: Trajectory) -> tuple[float, fl
     q = follow(problem.mechanism, s, trajectory.start_pose)
     rate, _ = effort_rates(trajectory, time)
     wanted = s if reference is None else reference.derivative(time - trajectory.breaks_s[0])
-    columns = (q, v, a, u, rate, wanted, jerks(trajectory, time))
+    with np.errstate(over="ignore", invalid="ignore"):  # the duration in an edited file may be 1e-200 s
+        jerk = jerks(trajectory, time)
+    columns = (q, v, a, u, rate, wanted, jerk)
     values = sampled(ca.Function("objective", symbols, [ca.densify(integrands)]), *columns)[:, :, 0]
     peak = objective.weight("peak_effort") and objective.weight("peak_effort") * peak_share(problem, trajectory)
     return float(width @ values.sum(axis=1) + peak), float(width @ np.abs(values).sum(axis=1) + peak)

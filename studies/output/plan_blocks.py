@@ -101,7 +101,7 @@ def plan_blocks(plan: Plan) -> list[Block]:
         replace(block, brief=[]) if isinstance(block, Table) and block.title not in _OPEN_TITLES else block
         for block in proof_blocks(plan.proof, names)
     ]
-    return [*blocks, _verdict(plan, certificate), *_demands(plan), table, *proof, *notes]
+    return [*blocks, _verdict(plan, certificate), table, *_demands(plan), *proof, *notes]
 
 
 def _demands(plan: Plan) -> list[Block]:

@@ -3,7 +3,7 @@
 import mujoco
 import numpy as np
 import pytest
-from matplotlib.colors import to_hex
+from matplotlib.colors import to_hex, to_rgb
 
 from linkplan.models.catalogue import MODELS, built_in_text
 from linkplan.models.mechanism import load_mechanism
@@ -15,6 +15,7 @@ from linkplan.planner.files.tables import read_tables
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.demo.draw_cut_loop import PICTURE, cut_loop_figure
 from linkplan.studies.demo.draw_gallery import FOLDER, SHOWN, gallery_figure
+from linkplan.studies.output.body_colours import body_colours, hex_of
 from linkplan.studies.output.figure import SERIES
 from tests.support.data import ROOT
 from tests.support.figures import pixels_of, saved_figures
@@ -77,14 +78,16 @@ def test_the_gallery_is_drawn_where_the_readme_looks_for_it():
 @every_mechanism
 def test_the_gallery_s_picture_shows_every_body_in_its_colour_and_no_other(name):
     mechanism = mechanism_of(name)
-    bodies = [stick for stick in sticks(mechanism, mechanism.home[None]) if not stick.fixed]
-    colours = dict(zip(SERIES, bodies, strict=False))  # a seventh body begins the colours again
+    own = body_colours(mechanism)
+    bodies = {stick.body for stick in sticks(mechanism, mechanism.home[None]) if not stick.fixed}
+    colours = {hex_of(own[mechanism.model.body(body).id]): body for body in bodies}
     path, whole, drawing = SHOWN_IN / f"{name}.png", (slice(None), slice(None)), (slice(LEGEND, None), slice(None))
-    for colour in SERIES:
+    unused = [one for one in SERIES if min(np.abs(np.subtract(to_rgb(one), to_rgb(own))).max() for own in colours) > 0.02]
+    for colour in (*colours, *unused):
         assert (pixels_of(path, colour, whole) > STROKE) == (colour in colours), colour
         if colour in colours:
             shown = max(pixels_of(path, colour, drawing), pixels_of(path, half(colour), drawing, 1.5 / 255))
-            assert shown > STROKE, colours[colour].body
+            assert shown > STROKE, colours[colour]
 
 
 def half(colour: str) -> str:
@@ -101,17 +104,18 @@ def test_a_gallery_s_picture_is_drawn_from_a_plan(tmp_path, monkeypatch):
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "z [m]")
     assert set(axes.get_legend_handles_labels()[1]) == {"ground", "cart", "pole"}
     last, first = plan.trajectory.position_at([plan.trajectory.duration_s, 0.0])
+    own = body_colours(plan.problem.mechanism)
     shapes = {
-        colour: [patch.get_xy() for patch in axes.patches if to_hex(patch.get_edgecolor()) == colour.lower()]
-        for colour in SERIES[:2]
+        body: [patch.get_xy() for patch in axes.patches if to_hex(patch.get_edgecolor()) == hex_of(own[index])]
+        for index, body in ((plan.problem.mechanism.model.body(name).id, name) for name in ("cart", "pole"))
     }
-    carts = [0.5 * (xy[:, 0].min() + xy[:, 0].max()) for xy in shapes[SERIES[0]]]  # a box at each of nine instants
+    carts = [0.5 * (xy[:, 0].min() + xy[:, 0].max()) for xy in shapes["cart"]]  # a box at each of nine instants
     assert len(carts) == 9
     assert [carts[0], carts[-1]] == pytest.approx([first[0], last[0]], abs=DRAWN_M)
-    rod = shapes[SERIES[1]][16]  # a capsule and a ball at each instant; at the goal it stands upright on the cart
+    rod = shapes["pole"][16]  # a capsule and a ball at each instant; at the goal it stands upright on the cart
     assert 0.5 * (rod[:, 0].min() + rod[:, 0].max()) == pytest.approx(last[0], abs=DRAWN_M)
     assert np.ptp(rod[:, 1]) > 5 * np.ptp(rod[:, 0])
-    assert rod[:, 1].max() > shapes[SERIES[0]][8][:, 1].max()
+    assert rod[:, 1].max() > shapes["cart"][8][:, 1].max()
 
 
 @pytest.mark.slow

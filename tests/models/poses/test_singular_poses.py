@@ -29,7 +29,7 @@ def test_the_flat_pose_of_sarrus_linkage_is_found_though_its_determinant_changes
 def test_check_says_that_the_closure_loses_rank_where_it_does():
     notes = inspect(load_mechanism(sarrus(DRAWN)), []).notes
     assert any("rank falls from 4 to 2" in note for note in notes)
-    assert not any("dead centre of" in note for note in notes)
+    assert not any("is at a dead centre" in note for note in notes)
 
 
 def test_a_parallelogram_branches_where_it_lies_flat():
@@ -50,7 +50,7 @@ def test_a_dead_centre_of_the_coordinate_is_no_branching_pose(text):
     assert len(can.singular) == 2
     assert can.branching == ()
     notes = inspect(mechanism, []).notes
-    assert sum("dead centre of" in note for note in notes) == 2
+    assert sum("is at a dead centre" in note for note in notes) == 2
     assert not any("branch" in note for note in notes)
 
 

@@ -88,4 +88,4 @@ def test_a_gap_that_is_as_wide_as_the_mechanism_is_not_given_in_millimetres():
     strong = replace(mechanism, actuators=(replace(mechanism.actuators[0], lower=-1e4, upper=1e4),))
     note = softness_note(strong)
     assert note is not None
-    assert f"more than {10 * mechanism.extent_m:.2g} mm under act_O" in note
+    assert f"more than {10 * mechanism.extent_m:.2g} mm with act_O at its limit" in note

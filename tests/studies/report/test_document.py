@@ -114,7 +114,7 @@ def certificate_items(plan) -> list:
 
 
 def test_the_planned_speed_stays_below_the_limit_curves_of_the_phase_plane(report):
-    (plane,) = blocks(report, Plane)
+    plane = next(one for one in blocks(report, Plane) if one.title.startswith("Phase plane"))
     curves = {curve.name: curve for curve in plane.curves}
     planned = curves["planned"]
     assert len(plane.track_times) == len(planned.x)

@@ -13,6 +13,7 @@ from linkplan.studies.frequency.margins import margins
 from linkplan.studies.output.text import text_of
 from linkplan.studies.tune.requirements import Requirements
 from linkplan.studies.tune.tune import Tuning, tune
+from linkplan.studies.tune.tune_report import tune_blocks
 
 MASS_KG, LENGTH_M, ANGLE = 2.0, 0.5, np.radians(20.0)
 # A mass on a light rod that hangs: its weight gives the hinge a stiffness of m g l cos(angle).
@@ -69,7 +70,7 @@ def test_a_named_stiffness_replaces_the_response_at_rest():
     (loop,) = found.best.loops
     assert loop.stiffness_at_rest >= 20.0
     assert loop.response_at_rest < 0.95
-    assert "stiffness at rest" in found.message
+    assert "stiffness at rest" in text_of(tune_blocks(found))
 
 
 def test_a_stiffness_that_no_gain_gives_is_named():
