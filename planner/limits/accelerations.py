@@ -26,7 +26,7 @@ from linkplan.planner.limits.limit import (
     Scales,
     Tightened,
     Trajectory,
-    limited_rows,
+    limited_joints,
     times,
     with_limits,
 )
@@ -48,9 +48,7 @@ class AccelerationLimit(Limit):
 
     @classmethod
     def of(cls, problem: Problem, **_: bool) -> list[Self]:
-        limited, independent = limited_rows(problem.limits.acceleration), problem.mechanism.independent.tolist()
-        own = [cls(joint, column) for column, joint in enumerate(independent) if joint in limited]
-        return own + [cls(joint) for joint in limited if joint not in independent]
+        return [cls(*of) for of in limited_joints(problem, problem.limits.acceleration)]
 
     @property
     def facts(self) -> Facts:
@@ -102,10 +100,7 @@ class JerkLimit(Limit):
 
     @classmethod
     def of(cls, problem: Problem, **_: bool) -> list[Self]:
-        limited = limited_rows(problem.limits.jerk)
-        return [
-            cls(joint, column) for column, joint in enumerate(problem.mechanism.independent.tolist()) if joint in limited
-        ]
+        return [cls(joint, column) for joint, column in limited_joints(problem, problem.limits.jerk) if column is not None]
 
     @property
     def rows(self) -> Rows:

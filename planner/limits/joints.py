@@ -37,6 +37,7 @@ from linkplan.planner.limits.limit import (
     Scales,
     Tightened,
     Trajectory,
+    limited_joints,
     limited_rows,
     times,
     with_limits,
@@ -231,9 +232,7 @@ class SpeedLimit(Limit):
 
     @classmethod
     def of(cls, problem: Problem, **_: bool) -> list[Self]:
-        limited, independent = limited_rows(problem.limits.speed), problem.mechanism.independent.tolist()
-        own = [cls(joint, column) for column, joint in enumerate(independent) if joint in limited]
-        return own + [cls(joint) for joint in limited if joint not in independent]
+        return [cls(*of) for of in limited_joints(problem, problem.limits.speed)]
 
     @property
     def rows(self) -> Rows:

@@ -272,6 +272,13 @@ def limited_rows(bounds: np.ndarray) -> list[int]:
     return [int(j) for j in np.flatnonzero(np.isfinite(bounds).any(axis=1))]
 
 
+def limited_joints(problem: Problem, bounds: np.ndarray) -> list[tuple[int, int | None]]:
+    """Return the joints with a finite bound (n_q, 2), independent ones with their column first, then dependent ones."""
+    limited, independent = limited_rows(bounds), problem.mechanism.independent.tolist()
+    own = [(joint, column) for column, joint in enumerate(independent) if joint in limited]
+    return [*own, *((joint, None) for joint in limited if joint not in independent)]
+
+
 def overrun_margins(kind: type[Limit], problem: Problem, motion: Trajectory) -> list[Margin]:
     """Return the margins of one kind that a motion overruns."""
     samples = samples_of(problem, motion)

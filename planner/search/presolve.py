@@ -19,7 +19,7 @@ from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
 from linkplan.models.tree.joints import POSITION_ROUNDING
 from linkplan.planner.certificate.integration import POSE_SLACK
-from linkplan.planner.limits.joints import SingularMarginLimit
+from linkplan.planner.limits.joints import RangeLimit, SingularMarginLimit
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import Limit
 from linkplan.planner.limits.samples import Poses
@@ -219,8 +219,11 @@ def sentence_beyond(problem: Problem, limits: list[Limit], poses: np.ndarray, wh
         finite = np.isfinite(measured.values)  # what is not is no proof; the motion's certificate names it
         off = np.abs(np.where(finite, measured.values, 0.0) - np.where(finite, nearest, 0.0))
         k = int(np.argmax(off))
-        # Sites are as exact as the mechanism is large.
-        size = problem.mechanism.extent_m if isinstance(limit, SitePathLimit) else measured.size or abs(nearest[k]) or 1.0
+        size = measured.size or abs(nearest[k]) or 1.0
+        if isinstance(limit, SitePathLimit):  # sites are as exact as the mechanism is large
+            size = problem.mechanism.extent_m
+        elif isinstance(limit, RangeLimit):  # joints are exact to a share of a radian or a metre
+            size = problem.mechanism.joints[limit.item].shown(1.0)
         if off[k] > slack * size:
             unit, title = f" {measured.unit}".rstrip(), limit.facts.words.format(measured.name)
             value = measured.values[k] if abs(measured.values[k]) > POSITION_ROUNDING * size else 0.0

@@ -142,7 +142,7 @@ class Session:
         end = key.partition("_")[0]
         if end not in ("start", "goal") or value == slider.value:
             return {f"motion.{key}": value}
-        # Positions of dependent joints, which the file may name to be checked, belong to the value that was.
+        # The file may also name positions of dependent joints. They belong to the old value of the slider and are left out.
         motion, joints = self.first.to_dict()["motion"], self.first.mechanism.independent_joints
         tables = {unit: motion.get(f"{end}_{unit}", {}) for unit in ("deg", "m")}
         own = {unit: {joint.name: of[joint.name] for joint in joints if joint.name in of} for unit, of in tables.items()}

@@ -327,7 +327,8 @@ def test_efforts_change_no_faster_than_the_drive_s_rate():
     efforts = np.concatenate([np.zeros((1, 1)), np.full((60, 1), 3.0)])
     rollout = hinge_run(efforts, rate_limit=np.array([100.0]))
     period = rollout.time_s[1]
-    assert np.diff(rollout.applied[:, 0]).max() <= 1.05 * 100.0 * period  # means over periods
+    # The last simulator step of a ramp applies the command from its beginning: a fiftieth more in a period's mean.
+    assert np.diff(rollout.applied[:, 0]).max() <= 1.021 * 100.0 * period
     assert rollout.applied[2, 0] == pytest.approx(1.5 * 100.0 * period, rel=0.05)
     assert rollout.applied[-1, 0] == pytest.approx(3.0)
 

@@ -78,7 +78,7 @@ def test_a_browser_moves_a_slider_and_saves(served, folder):
         page.get_by_text("saved problem.toml").wait_for()
         assert errors == []
         assert violations(page) == []
-        # A value that is refused leaves no verdict on another motion, until there is a plan again.
+        # While a value is refused, the page shows no verdict of the motion before.
         page.evaluate("explored.values.duration_s = 1000; planAgain(document.querySelector('output.said'))")
         page.locator(".said.bad").wait_for()
         assert page.locator(".said").inner_text().startswith("duration_s is from 0.04 to 0.64 s, got 1000")

@@ -31,7 +31,7 @@ def test_the_sliders_are_those_of_the_problem(session):
 
 @pytest.mark.parametrize("name", ["knee-reach", "knee-linear-reach", "five-bar-reach", "gripper-close"])
 def test_the_sliders_of_a_motion_s_ends_lead_to_poses_that_close(name):
-    """They ran to the ends of the joints' ranges: most of a five-bar's sliders was refused, and all of a linear knee's."""
+    """Sliders that end at the joints' ranges ask for poses beyond the reach, which are refused."""
     session = Session(first=load_problem(name))
     ends = [slider for slider in session.sliders() if slider.key.startswith(("start", "goal"))]
     assert len(ends) >= 2
