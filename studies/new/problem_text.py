@@ -12,9 +12,9 @@ from linkplan.studies.new.first_motion import FirstMotion, relative_model_path
 # The largest width of lines, and the column of the comments after values.
 _LINE_WIDTH, _COMMENT_COLUMN = 100, 44
 _HEAD = """\
-# Keys that end in _deg are in degrees, those of slides (_m) in metres, all else is SI. Keys that are
-# not here keep their defaults. docs/problem-files.md describes every key. An editor that reads the
-# JSON schema of problem files offers them.
+# Keys that end in _deg are in degrees, those of slides (_m) in metres, all else is SI. Keys that
+# are not here keep their defaults. docs/problem-files.md describes every key. An editor that reads
+# the JSON schema of problem files offers them.
 """
 
 
