@@ -20,8 +20,8 @@ import numpy as np
 from linkplan.models.errors import PlanFileError, one_line
 from linkplan.models.extras import load_extra
 from linkplan.models.reading import MAX_FILE_BYTES, read_file
-from linkplan.planner.keys.kinds import MAX_INTERVALS
 from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.scheme_names import MAX_INTERVALS
 
 ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")
 # Twice the coefficients of the highest degree: on the largest mesh, more would need gigabytes.

@@ -9,3 +9,5 @@ NAMES = (
 )
 # The highest degree of an effort's polynomial on an interval.
 EFFORTS = {"constant": 0, "linear": 1, "polynomial": MAX_DEGREE}
+# Larger meshes take minutes and are probably typing errors.
+MAX_INTERVALS = 20_000
