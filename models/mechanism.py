@@ -142,8 +142,17 @@ class Mechanism:
 
     @property
     def channels(self) -> tuple[int, ...]:
-        """The indices of the actuated independent joints, each of which has a feedback loop."""
-        return tuple(np.flatnonzero(self.actuated).tolist())
+        """The indices of the independent joints that have a feedback loop.
+
+        With fewer actuators than freedoms these are the joints on which an actuator acts, the rest moves along.
+        """
+        held = np.flatnonzero(self.actuated).tolist()
+        if self.n_u >= len(held):
+            return tuple(held)
+        arms = np.abs(np.array(self.dynamics.effort_map(self.home)))[held]
+        column = {int(index): k for k, index in enumerate(self.independent)}
+        found = {column.get(actuator.joint, held[int(np.argmax(arms[:, k]))]) for k, actuator in enumerate(self.actuators)}
+        return tuple(sorted(found))
 
     @property
     def effort_limit(self) -> np.ndarray:

@@ -6,19 +6,14 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
 from linkplan.models.poses.assembly import close_at
+from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedoms
 from linkplan.models.tree.joints import where
 
 
 def require_actuated(mechanism: Mechanism) -> None:
-    """Refuse a mechanism that does not have one actuator for each degree of freedom."""
+    """Refuse a mechanism without an actuator."""
     if mechanism.n_u == 0:
         raise LinkplanError(f"a feedback loop needs an actuator; '{mechanism.name}' has no motor on a hinge or slide")
-    if mechanism.n_u != len(mechanism.channels):
-        names = ", ".join(mechanism.independent_joints[k].name for k in mechanism.channels)
-        raise LinkplanError(
-            f"frequency responses need one actuator for every degree of freedom; '{mechanism.name}' has {mechanism.n_u}"
-            f" ({', '.join(a.name for a in mechanism.actuators)}) for {len(mechanism.channels)} ({names})"
-        )
 
 
 def held_pose(
@@ -26,17 +21,23 @@ def held_pose(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the closed pose (n_q,) at independent positions (n_s,) [rad or m], and the effort (n_u,) that holds it.
 
+    Coordinates on springs, without an actuator, take the positions at which they rest where no effort holds them as given.
+
     Raises:
-        LinkplanError: if the mechanism does not have one actuator per degree of freedom, if its loops do not close, or if
-            no effort inside the limits (n_u, 2) holds the pose.
+        LinkplanError: if the mechanism has no actuator, if its loops do not close, or if no effort inside the limits
+            (n_u, 2) holds the pose.
     """
     require_actuated(mechanism)
-    pose = close_at(mechanism, np.atleast_1d(position))
-    still = np.zeros((1, mechanism.dof))
-    (hold,), missed = needed_effort(mechanism, pose[None], still, still)
+    position = np.atleast_1d(position)
+    pose, hold = _held(mechanism, position)
+    free = sprung_freedoms(mechanism)
+    if hold is None and free:
+        named = {k: float(x) for k, x in enumerate(position) if k not in free}
+        rest = spring_equilibrium(mechanism, named, free)
+        pose, hold = (pose, None) if rest is None else _held(mechanism, rest)
     channels = list(mechanism.channels)
     at = where([mechanism.independent_joints[k] for k in channels], pose[mechanism.independent][channels])
-    if not np.all(np.isfinite(hold)) or np.abs(missed).max() > HOLDING_TOLERANCE * max(1.0, np.abs(hold).max()):
+    if hold is None:
         raise LinkplanError(f"no effort holds '{mechanism.name}' at {at}")
     limit = mechanism.effort_limit if effort_limit is None else effort_limit
     for actuator, effort, (low, high) in zip(mechanism.actuators, hold, limit, strict=True):
@@ -50,6 +51,14 @@ def held_pose(
                 " the holding effort"
             )
     return pose, hold
+
+
+def _held(mechanism: Mechanism, position: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the closed pose (n_q,) at independent positions (n_s,), and the effort (n_u,) that holds it, or None."""
+    pose, still = close_at(mechanism, position), np.zeros((1, mechanism.dof))
+    (hold,), missed = needed_effort(mechanism, pose[None], still, still)
+    holds = np.all(np.isfinite(hold)) and np.abs(missed).max() <= HOLDING_TOLERANCE * max(1.0, np.abs(hold).max())
+    return pose, hold if holds else None
 
 
 def why_no_loop(mechanism: Mechanism, positions: np.ndarray, effort_limit: np.ndarray) -> str | None:

@@ -49,7 +49,7 @@ def tune(
     With several degrees of freedom every joint has PD gains of its own, found one loop at a time with the others closed.
 
     Args:
-        subject: a mechanism with one actuator for each degree of freedom, a `Problem` of one, or the name or path of either.
+        subject: a mechanism with an actuator, a `Problem` of one, or the name or path of either.
         bandwidth_hz: least bandwidth of every joint's loop [Hz]: the first frequency at which the complementary
             sensitivity is below -3 dB.
         phase_margin_deg: least phase margin [deg].

@@ -61,7 +61,8 @@ def bode(
     """Return a loop's frequency response, margins and sampled stability: predicted, and measured in MuJoCo.
 
     Args:
-        subject: a mechanism, a `Problem`, or the name or path of either; every degree of freedom has an actuator.
+        subject: a mechanism with an actuator, a `Problem`, or the name or path of either. Joints that no actuator drives
+            move along; `plant to JOINT` is the response to them.
         tracker: a linear feedback law: "pd", "pd+ff" or "lqr". The other trackers have no frequency response.
         kp: proportional gain of every joint [N.m/rad or N/m]; by default that of `tracking`. Likewise the next three.
         kd: derivative gain [N.m.s/rad or N.s/m].

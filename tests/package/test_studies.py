@@ -234,7 +234,7 @@ def test_gains_that_were_found_are_a_problems_tracking(problem):
         (lambda: linkplan.bode("optimus-knee", amplitude_deg=0), "amplitude_deg is a positive number, got 0"),
         (lambda: linkplan.bode("optimus-knee", tracking={"kp": 0, "kd": 0}), "there is no feedback"),
         (lambda: linkplan.bode("optimus-knee", tracking={"delay_periods": -1}), "tracking.delay_periods"),
-        (lambda: linkplan.bode("cart-pole"), "one actuator for every degree of freedom"),
+        (lambda: linkplan.bode("cart-pole", at_deg=[{"pole": 30.0}]), "no effort holds 'cart-pole' at cart = 0 m"),
         (lambda: linkplan.tune("optimus-knee", bandwidth_hz=-5), "bandwidth_hz is a positive number, got -5"),
         (lambda: linkplan.tune("optimus-knee", bandwidth_hz=10, phase_margin_deg=200), "0 to 180"),
         (lambda: linkplan.tune("optimus-knee", bandwidth_hz=6000), "Nyquist"),

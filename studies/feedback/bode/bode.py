@@ -25,12 +25,15 @@ from linkplan.studies.feedback.frequency.feedback_loops import (
     broken_at,
     label_differences,
     operating_point,
+    outputs_of,
+    plant_name,
     refuse_above_nyquist,
     sampled_law,
     with_lqr_errors,
 )
 from linkplan.studies.feedback.frequency.margins import Margins, margins
 from linkplan.studies.feedback.frequency.measure import measure
+from linkplan.studies.feedback.frequency.plant_modes import plant_modes
 from linkplan.studies.feedback.frequency.response import Response
 from linkplan.studies.feedback.frequency.trial import MAX_TRIAL_PERIODS, settle_trials
 
@@ -78,7 +81,7 @@ def bode_study(
     the reach of each coordinate.
 
     Args:
-        mechanism: with one actuator for each degree of freedom.
+        mechanism: with an actuator.
         positions: the poses.
         settings: gains, period and delay.
         effort_limit: (n_u, 2) [N.m or N].
@@ -150,8 +153,10 @@ def _point(
 ) -> BodePoint:
     """Return the loop of one joint at one pose; `taken` are its measured responses."""
     responses, predicted = {}, {}
+    along = {plant_name(loop.point.mechanism, channel, k): k for k in outputs_of(loop.point.mechanism, channel)[1:]}
     for name, response in (taken or {}).items():
-        predicted[name] = loop.response(name, response.frequency_hz, channel)
+        quantity = "plant" if name in along else name
+        predicted[name] = loop.response(quantity, response.frequency_hz, channel, along.get(name))
         db, deg = response.against(predicted[name])
         responses[name] = structs.replace(response, less_predicted_db=db, less_predicted_deg=deg)
     return BodePoint(
@@ -160,6 +165,7 @@ def _point(
         settles_in_mujoco=settles,
         continuous=margins(ideal, channel),
         measured=responses or UNSET,
+        plant=plant_modes(loop.point, channel) if along else UNSET,
         channel=channel,
         sampled=loop,
         ideal=ideal,

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from linkplan.models.tree.friction import frictions_of
 from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy
 from linkplan.studies.feedback.bode.scan import Scan, bounds_text
-from linkplan.studies.feedback.frequency.feedback_loops import operating_point
+from linkplan.studies.feedback.frequency.feedback_loops import operating_point, outputs_of, plant_name
 from linkplan.studies.feedback.frequency.margins import Margins, frequency_grid
 from linkplan.studies.feedback.frequency.response import Response
 from linkplan.studies.feedback.frequency.rest import LEAST_RESPONSE_AT_REST
@@ -57,7 +57,7 @@ def summary(study: BodeStudy, *, verdict: bool = True) -> list[Block]:
     scans = [Text(text=_worst_of(study, scan)) for scan in study.scans]
     notes = [*crossovers_of(study), study.contacts, study.softness, study.note]
     said = [Text(text=note, tone="note") for note in notes if note]
-    return [*blocks, Facts(rows=[*rows, *_measured(study)]), _margins(study), *scans, *said]
+    return [*blocks, Facts(rows=[*rows, *_measured(study)]), _margins(study), *_plant(study), *scans, *said]
 
 
 def _measured(study: BodeStudy) -> list[tuple[str, str]]:
@@ -103,6 +103,19 @@ def _margins(study: BodeStudy) -> Table:
         loop = f"{mechanism.independent_joints[entry.channel].name} at {name}" if several else name
         rows.append([loop, inertia, *verdicts, *figures])
     return table_of("Margins at every pose", heads, rows)
+
+
+def _plant(study: BodeStudy) -> list[Table]:
+    """Return the table of the plants' modes, where joints move along that no actuator drives."""
+    heads, rows = ["loop", "to", "anti-resonances [Hz]", "damping", "resonances [Hz]", "damping"], []
+    for entry in study.points:
+        for joint, modes in (entry.plant or {}).items():
+            row = [f"{entry.broken_at} at {entry.point.name}", joint]
+            for some in (modes.anti_resonances, modes.resonances):
+                row.append(", ".join(f"{mode.frequency_hz:.4g}" for mode in some) or "none")
+                row.append(", ".join(f"{mode.damping_ratio:.2g}" for mode in some))
+            rows.append(row)
+    return [table_of("Plant: where the joint stands still, and where it swings", heads, rows)] if rows else []
 
 
 def _less_gain_is_nearer(m: Margins) -> bool:
@@ -229,6 +242,31 @@ def _plot(title: str, what: str, unit: str, curves, group: str, limits: Sequence
         series=series,
         limits=limits,
     )
+
+
+def plants(entries: Sequence[BodePoint], group: str) -> list[Plot]:
+    """Return the plots of the plant from a loop's effort to its joint and to the joints that only move along."""
+    found, mechanism = [], entries[0].point.mechanism
+    for output in outputs_of(mechanism, entries[0].channel) if entries[0].plant else ():
+        name = plant_name(mechanism, entries[0].channel, output)
+        gain, phase, unit = [], [], ""
+        for k, entry in enumerate(entries):
+            grid, look = frequency_grid(entry.sampled.timing.period_s)[::2], line_style(k)
+            curve = entry.sampled.response("plant", grid[grid >= lowest_hz(entry)], entry.channel, output)
+            unit = curve.unit
+            gain.append((_name(entry), curve.frequency_hz, curve.gain_db, look))
+            phase.append((_name(entry), curve.frequency_hz, curve.phase_deg, look))
+            if (response := entry.responses.get(name)) is not None:
+                dots = {**look, "look": "points"}
+                gain.append((f"{entry.point.name}, measured", response.frequency_hz, response.gain_db, dots))
+                at = measured_phase(response, curve.frequency_hz, curve.phase_deg)
+                phase.append((f"{entry.point.name}, measured", response.frequency_hz, at, dots))
+        title = f"{entries[0].broken_at} to {mechanism.independent_joints[output].name}"
+        found += [
+            _plot(f"{title}: gain", "gain", f"dB of {unit}", gain, group),
+            _plot(f"{title}: phase", "phase", "deg", phase, group),
+        ]
+    return found
 
 
 def sensitivities(entries: Sequence[BodePoint], group: str) -> list[Plot]:

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from linkplan.studies.feedback.bode.bode_blocks import margins_along, nyquist, responses, sensitivities
+from linkplan.studies.feedback.bode.bode_blocks import margins_along, nyquist, plants, responses, sensitivities
 from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy
 
 if TYPE_CHECKING:
@@ -12,7 +12,10 @@ if TYPE_CHECKING:
 
 
 def save_bode(study: BodeStudy, place: Path) -> None:
-    """Draw every figure of a study into a folder: bode.png, nyquist.png, sensitivity.png and margins.png."""
+    """Draw every figure of a study into a folder: bode.png, nyquist.png, sensitivity.png and margins.png.
+
+    Where joints move along that no actuator drives, plant.png has the plant to the loop's joint and to those.
+    """
     from linkplan.studies.output.figure import figure_of
 
     joints, title = study.mechanism.independent_joints, f"{study.mechanism.name}, {study.law.name}: {study.loop_name}"
@@ -23,6 +26,8 @@ def save_bode(study: BodeStudy, place: Path) -> None:
         bode_figure(study, entries, place / f"bode{suffix}.png")
         figure_of([nyquist(study, entries)], place / f"nyquist{suffix}.png", title=title, panel_in=(6.4, 7.0))
         figure_of(sensitivities(entries, ""), place / f"sensitivity{suffix}.png", title=title, columns=3)
+        if moved := plants(entries, ""):
+            figure_of(moved, place / f"plant{suffix}.png", title=title, columns=2, panel_in=(6.0, 2.9))
     for scan in study.scans:
         panels = margins_along(study, scan, "")
         figure_of(panels, place / f"margins{suffixes[scan.channel]}.png", title=title, panel_in=(8.0, 3.5))

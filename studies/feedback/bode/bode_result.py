@@ -13,6 +13,7 @@ from linkplan.studies.feedback.frequency.describing import LargeSignals
 from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, OperatingPoint, SampledLaw
 from linkplan.studies.feedback.frequency.floquet import Floquet
 from linkplan.studies.feedback.frequency.margins import Margins
+from linkplan.studies.feedback.frequency.plant_modes import PlantModes
 from linkplan.studies.feedback.frequency.response import Response
 from linkplan.studies.feedback.frequency.stability_map import StabilityMap
 
@@ -21,14 +22,16 @@ class BodePoint(Margins, frozen=True, kw_only=True, eq=False):
     """The loop of one joint at one pose: its predicted margins, its stability trial in MuJoCo and its measured responses.
 
     A subclass of the sampled loop's margins, so that these are keys of the loop in the JSON. `measured` and `predicted` hold
-    the responses of `feedback_loops.QUANTITIES` at the same frequencies. Both are empty for an unstable loop, and if no
-    measurement was requested.
+    the responses of `feedback_loops.QUANTITIES` at the same frequencies, and "plant to JOINT" to each joint that only moves
+    along. Both are empty for an unstable loop, and if no measurement was requested. `plant` has the modes of the plant to
+    the loop's joint and to those that only move along, where there are any.
     """
 
     broken_at: str
     settles_in_mujoco: bool
     continuous: Margins
     measured: dict[str, Response] | UnsetType = UNSET
+    plant: dict[str, PlantModes] | UnsetType = UNSET
     channel: Beside[int] = NOT_READ
     sampled: Beside[FeedbackLoop] = NOT_READ
     ideal: Beside[FeedbackLoop] = NOT_READ

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from linkplan.studies.feedback.bode.bode_blocks import margins_along, nyquist, responses, sensitivities, summary
+from linkplan.studies.feedback.bode.bode_blocks import margins_along, nyquist, plants, responses, sensitivities, summary
 from linkplan.studies.feedback.bode.bode_result import BodeStudy
 from linkplan.studies.output.document import Block, Report, Section
 from linkplan.studies.output.report_file import report_of
@@ -22,7 +22,8 @@ def bode_sections(study: BodeStudy, name: str, *, verdict: bool = True) -> list[
         of = "" if len(channels) == 1 else f" of {joints[channel].name}"
         entries = [entry for entry in study.points if entry.channel == channel]
         plots = [plot for both in responses(study, entries, group).values() for plot in both]
-        found.append((f"Frequency response{of}", [*plots, nyquist(study, entries), *sensitivities(entries, group)]))
+        further = [nyquist(study, entries), *sensitivities(entries, group), *plants(entries, group)]
+        found.append((f"Frequency response{of}", [*plots, *further]))
     for scan in study.scans:
         joint = joints[scan.channel]
         of = "" if len(channels) == 1 else f" of the loop of {joint.name}"

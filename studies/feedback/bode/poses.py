@@ -41,14 +41,14 @@ def loop_poses(
     """Return the poses to analyse.
 
     Args:
-        mechanism: with one actuator for each degree of freedom.
+        mechanism: with an actuator.
         problem: the default poses cover its motion, if given.
         effort_limit: (n_u, 2) [N.m or N]; efforts within it must hold the default poses.
         asked: positions [rad or m] by joint for each pose, home for other joints; empty for the default poses.
 
     Raises:
         ProblemError: for a dependent joint, or a pose beyond reach.
-        LinkplanError: for a mechanism without one actuator per degree of freedom.
+        LinkplanError: for a mechanism without an actuator.
     """
     require_actuated(mechanism)
     if not asked:

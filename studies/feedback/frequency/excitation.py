@@ -17,6 +17,8 @@ from linkplan.models.errors import LinkplanError
 from linkplan.studies.feedback.frequency.feedback_loops import (
     FeedbackLoop,
     channel_effort,
+    outputs_of,
+    plant_name,
     quantity_unit,
     refuse_above_nyquist,
 )
@@ -158,10 +160,12 @@ def quantities(
         channel: the joint.
         excitation: a key of EXCITATIONS.
         frequency_hz: (n,).
-        signals: phasors (windows, n, 3 or more) of the added signal, the command and the position.
+        signals: phasors (windows, n, 4 or more) of the added signal, the command, the applied effort and the positions of
+            the loop's outputs.
         quality: coherence, distortion, residual and saturated (n,) of the same signals.
     """
-    W, U, Y = (signals[:, :, i] for i in range(3))
+    W, U, _, Y = (signals[:, :, i] for i in range(4))
+    mechanism = loop.point.mechanism
     by_quantity = {
         "plant": lambda: Y / U,
         "loop": lambda: (W - U) / U,
@@ -171,14 +175,17 @@ def quantities(
         "control": lambda: U / W,
         "reference+ff": lambda: Y / W,
     }
+    wanted = [(name, name, channel, by_quantity[name]()) for name in EXCITATIONS[excitation]]
+    if excitation == "effort":
+        for k, output in enumerate(outputs_of(mechanism, channel)[1:], start=4):
+            wanted.append((plant_name(mechanism, channel, output), "plant", output, signals[:, :, k] / U))
     found = {}
-    for name in EXCITATIONS[excitation]:
-        estimates = by_quantity[name]()
+    for name, quantity, output, estimates in wanted:
         spread = np.sqrt(np.mean(np.abs(estimates - estimates.mean(axis=0)) ** 2, axis=0) / (len(estimates) - 1))
         found[name] = Response(
             frequency_hz=frequency_hz,
             gain=estimates.mean(axis=0),
-            unit=quantity_unit(loop.point, name, channel),
+            unit=quantity_unit(loop.point, quantity, channel, output),
             origin=f"measured in MuJoCo, sinestream, {excitation}",
             uncertainty=spread,
             **quality,

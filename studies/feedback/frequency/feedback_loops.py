@@ -109,8 +109,8 @@ def operating_point(mechanism: Mechanism, position: np.ndarray, effort_limit: np
     """Return the mechanism held at independent positions (n_s,) [rad or m].
 
     Raises:
-        LinkplanError: if the mechanism does not have one actuator per degree of freedom, if its loops do not close, or if
-            no effort inside the limits (n_u, 2) holds the pose.
+        LinkplanError: if the mechanism has no actuator, if its loops do not close, or if no effort inside the limits
+            (n_u, 2) holds the pose.
     """
     pose, hold = held_pose(mechanism, position, effort_limit)
     told = tuple(mechanism.channels)
@@ -232,8 +232,11 @@ class FeedbackLoop:
             B = (self.B + self.B_late / at[:, None, None]) * back
         return np.linalg.solve(at[:, None, None] * np.eye(len(self.A)) - self.A, B)
 
-    def gains(self, quantity: str, frequency_hz: np.ndarray, channel: int = 0) -> np.ndarray:
-        """Return the complex gains (n,) of one of `QUANTITIES` at frequencies (n,) [Hz], for coordinate `channel`."""
+    def gains(self, quantity: str, frequency_hz: np.ndarray, channel: int = 0, output: int | None = None) -> np.ndarray:
+        """Return the complex gains (n,) of one of `QUANTITIES` at frequencies (n,) [Hz], for coordinate `channel`.
+
+        `output` is the coordinate to which the plant is meant; by default `channel` itself.
+        """
         choose("response", quantity, QUANTITIES, LinkplanError)
         n_s = self.point.mechanism.dof
         joint, (read, push) = channel, channel_effort(self.point, channel)
@@ -248,7 +251,7 @@ class FeedbackLoop:
         if quantity == "complementary":
             return 1.0 - own
         if quantity == "plant":
-            return (G @ S @ push)[:, joint] / own
+            return (G @ S @ push)[:, joint if output is None else output] / own
         omega = 2 * np.pi * np.asarray(frequency_hz)[:, None]
         to_state = np.zeros((len(omega), 2 * n_s), dtype=complex)
         to_state[:, joint], to_state[:, n_s + joint] = 1.0, 1j * omega[:, 0]
@@ -269,17 +272,20 @@ class FeedbackLoop:
         omega = 2 * np.pi * np.asarray(frequency_hz, dtype=float)
         still = (self.point.pose[None], self.point.velocity[None], self.point.hold[None])
         A, B = (matrix[0, n_s:] for matrix in linearise(self.point.mechanism, *still))
-        unit = np.eye(n_s)[joint]
-        need = -(omega[:, None] ** 2) * unit - A[:, :n_s] @ unit - 1j * omega[:, None] * (A[:, n_s:] @ unit)
+        w = omega[:, None, None]
+        resists = -(w**2) * np.eye(n_s) - A[:, :n_s] - 1j * w * A[:, n_s:]
+        along = np.setdiff1d(np.arange(n_s), self.point.mechanism.channels)  # coordinates that only move along
+        given = np.concatenate([np.broadcast_to(B, (len(w), *B.shape)), -resists[:, :, along]], axis=2)
+        needed = np.linalg.pinv(given) @ resists[:, :, joint, None]
         ahead = 0.0 if self.kind == CONTINUOUS else 0.5 * self.timing.period_s
-        return np.exp(1j * omega * ahead)[:, None] * (need @ np.linalg.pinv(B).T)
+        return np.exp(1j * omega * ahead)[:, None] * needed[:, : B.shape[1], 0]
 
-    def response(self, quantity: str, frequency_hz: np.ndarray, channel: int = 0) -> Response:
-        """Return a quantity's predicted response at frequencies (n,) [Hz]."""
+    def response(self, quantity: str, frequency_hz: np.ndarray, channel: int = 0, output: int | None = None) -> Response:
+        """Return a quantity's predicted response at frequencies (n,) [Hz]; the arguments are those of `gains`."""
         return Response(
             frequency_hz=frequency_hz,
-            gain=self.gains(quantity, frequency_hz, channel),
-            unit=quantity_unit(self.point, quantity, channel),
+            gain=self.gains(quantity, frequency_hz, channel, output),
+            unit=quantity_unit(self.point, quantity, channel, output),
             origin=f"predicted, {self.kind}",
         )
 
@@ -324,32 +330,44 @@ def feedback_loop(point: OperatingPoint, gain: np.ndarray, timing: Sampling, kin
 def channel_effort(point: OperatingPoint, channel: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows (n_u,) that measure and apply the effort at which a coordinate's loop is broken.
 
-    With one degree of freedom this is the actuator's effort. With several it is the effort on the coordinate: row i of E
-    measures it, and column i of E^-1 applies one unit to it and none to the other coordinates.
+    With one actuator this is the actuator's effort. With several it is the effort on the coordinate: row i of E measures it,
+    and column i of E^+ applies one unit to it, shared by its actuators, and none to the other coordinates with a loop.
     """
     channels = list(point.mechanism.channels)
-    if len(channels) == 1:
+    if point.mechanism.n_u == 1:
         return np.ones(1), np.ones(1)
     effort_map = np.array(point.mechanism.dynamics.effort_map(point.pose))[channels]
     i = channels.index(channel)
-    return effort_map[i], np.linalg.inv(effort_map)[:, i]
+    return effort_map[i], np.linalg.pinv(effort_map)[:, i]
 
 
 def channel_unit(point: OperatingPoint, channel: int) -> str:
     """Return the unit of the effort at which a coordinate's loop is broken."""
-    if len(point.mechanism.channels) == 1:
+    if point.mechanism.n_u == 1:
         return point.mechanism.actuators[0].unit
     return point.mechanism.independent_joints[channel].si_units[1]
 
 
 def broken_at(mechanism: Mechanism, channel: int) -> str:
     """Return the name of the effort at which a coordinate's loop is broken."""
-    single = len(mechanism.channels) == 1
-    return mechanism.actuators[0].name if single else f"the effort on {mechanism.independent_joints[channel].name}"
+    if mechanism.n_u == 1:
+        return mechanism.actuators[0].name
+    return f"the effort on {mechanism.independent_joints[channel].name}"
 
 
-def quantity_unit(point: OperatingPoint, quantity: str, channel: int) -> str:
+def outputs_of(mechanism: Mechanism, channel: int) -> tuple[int, ...]:
+    """Return the coordinates that a loop's plant is shown to: its own, and those that only move along."""
+    along = np.setdiff1d(np.flatnonzero(mechanism.actuated), mechanism.channels)
+    return (channel, *along.tolist())
+
+
+def plant_name(mechanism: Mechanism, channel: int, output: int) -> str:
+    """Return the name of the plant from a loop's effort to a coordinate, among the responses."""
+    return "plant" if output == channel else f"plant to {mechanism.independent_joints[output].name}"
+
+
+def quantity_unit(point: OperatingPoint, quantity: str, channel: int, output: int | None = None) -> str:
     """Return a quantity's unit, output over input."""
-    joint = point.mechanism.independent_joints[channel]
+    joint = point.mechanism.independent_joints[channel if output is None else output]
     unit = channel_unit(point, channel)
     return QUANTITIES[quantity].format(q=joint.si_units[0], u=f"({unit})")

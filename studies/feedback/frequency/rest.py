@@ -25,7 +25,7 @@ def at_rest(point: OperatingPoint, gains: np.ndarray, channel: int) -> tuple[np.
     over the steady error that it causes, while the other coordinates are free to give way. Both are meaningless for an
     unstable loop.
     """
-    n_s, steered = point.mechanism.dof, list(point.mechanism.channels)
+    n_s, steered = point.mechanism.dof, np.flatnonzero(point.mechanism.actuated).tolist()
     still = (point.pose[None], point.velocity[None], point.hold[None])
     A, B = (matrix[0, n_s:][steered] for matrix in linearise(point.mechanism, *still))
     A, K = A[:, steered], gains[:, :, steered]

@@ -16,7 +16,7 @@ from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import Sampling
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates
-from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, channel_effort
+from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, channel_effort, outputs_of
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -123,6 +123,7 @@ class ExcitedLoops:
     """Simulations (n,) of loops of one mechanism and one timing: every row (loop, excitation) `repeats` times.
 
     `hold` (n, n_u) [N.m or N] are the holding efforts; `read` (n, n_u) measures the effort where the loop is broken.
+    `outputs` are the coordinates that are measured, first the channel.
     """
 
     def __init__(
@@ -139,6 +140,7 @@ class ExcitedLoops:
         self.rows = tuple((loop, excitation) for loop in loops for excitation in excitations)
         points = [loop.point for loop, _ in self.rows]
         efforts = [channel_effort(point, channel) for point in points]
+        self.outputs = outputs_of(loops[0].point.mechanism, channel)
         self._channel, self._state = channel, of_rows([point.state for point in points])
         self.hold, self.read = of_rows([point.hold for point in points]), of_rows([read for read, _ in efforts])
         self._push = of_rows([push for _, push in efforts])
@@ -166,8 +168,8 @@ class ExcitedLoops:
             forward: feedforward efforts (t, r, n_u) in addition to the holding efforts [N.m or N].
 
         Returns:
-            The command (t, r) and the position (t, r) of the channel, both relative to the operating point, and all
-            commands (t, r, n_u).
+            The command (t, r) of the channel and the positions (t, r, n) of its outputs, relative to the operating point,
+            and all commands (t, r, n_u).
         """
         n_s = self._state.shape[1] // 2
         effort = self._effort[active]
@@ -178,4 +180,5 @@ class ExcitedLoops:
         feedforward += np.where(effort, signal, 0.0)[:, :, None] * self._push[active]
         x, commands = self.simulations.run(active, reference, feedforward)
         command = np.sum((commands - self.hold[active]) * self.read[active], axis=2)
-        return command, x[:, :, self._channel] - self._state[active, self._channel], commands
+        seen = list(self.outputs)
+        return command, x[:, :, seen] - self._state[active][:, seen], commands

@@ -73,7 +73,7 @@ def run(
         names = ("coherence", "distortion", "residual", "saturated")
         quality: dict[str, np.ndarray] = dict(zip(names, columns[at].T, strict=True))
         responses[place] |= quantities(loops[place], channel, excitation, frequency, signals, quality)
-        actuated[place][excitation] = signals[-1, :, 1], signals[-1, :, 3]
+        actuated[place][excitation] = signals[-1, :, 1], signals[-1, :, 2]
     return Measurement(
         responses=tuple(responses),
         simulated_steps=simulated_periods * timing.substeps,
@@ -118,7 +118,12 @@ def _simulate(
     low, high = effort_limit.T
     estimates = [
         _Estimate(
-            p=int(sinusoids.p[i]), N=int(sinusoids.N[i]), begin=int(sinusoids.ramp[i]), pole=float(pole[i]), setup=setup
+            n_signals=3 + len(excited.outputs),
+            p=int(sinusoids.p[i]),
+            N=int(sinusoids.N[i]),
+            begin=int(sinusoids.ramp[i]),
+            pole=float(pole[i]),
+            setup=setup,
         )
         for i in range(n)
     ]
@@ -127,11 +132,11 @@ def _simulate(
     active, k, simulated_periods = np.arange(n), 0, 0
     while active.size:
         signal, rate, forward = sinusoids.sampled(np.arange(k, k + _CHECK_PERIODS)[:, None], active)
-        command, position, commands = excited.run(active, signal, rate, forward)
+        command, positions, commands = excited.run(active, signal, rate, forward)
         cut = np.any((commands < low) | (commands > high), axis=2)
         applied = np.sum((np.clip(commands, low, high) - excited.hold[active]) * excited.read[active], axis=2)
         for r, i in enumerate(active):
-            estimates[i].add(k, np.stack([signal[:, r], command[:, r], position[:, r], applied[:, r]]), cut[:, r])
+            estimates[i].add(k, np.stack([signal[:, r], command[:, r], applied[:, r], *positions[:, r].T]), cut[:, r])
         k, before = k + _CHECK_PERIODS, simulated_periods
         simulated_periods += _CHECK_PERIODS * len(active)
         active = np.array([i for i in active if not estimates[i].finished(k - sinusoids.ramp[i] >= longest)], dtype=int)
@@ -141,9 +146,10 @@ def _simulate(
 
 
 class _Estimate:
-    """One simulation's phasors of (in, command, position, applied), window by window. Mutable."""
+    """One simulation's phasors of (in, command, applied, positions), window by window. Mutable."""
 
-    def __init__(self, *, p: int, N: int, begin: int, pole: float, setup: Setup) -> None:
+    def __init__(self, *, n_signals: int, p: int, N: int, begin: int, pole: float, setup: Setup) -> None:
+        self._n_signals = n_signals
         self.window = N * -(-_MIN_WINDOW_PERIODS // N)
         # Harmonics above half the sampling rate alias, also onto the fundamental: leave them out.
         orders = np.array([h for h in range(1, _DISTORTION_ORDER + 1) if h == 1 or 2 * h * p < N])
@@ -158,11 +164,12 @@ class _Estimate:
         self._clear()
 
     def _clear(self) -> None:
-        self._sums = np.zeros((4, self._waves.shape[1]), dtype=complex)
-        self._power, self._mean, self._cut, self._filled = np.zeros(4), np.zeros(4), 0.0, 0
+        n = self._n_signals
+        self._sums = np.zeros((n, self._waves.shape[1]), dtype=complex)
+        self._power, self._mean, self._cut, self._filled = np.zeros(n), np.zeros(n), 0.0, 0
 
     def add(self, k: int, signals: np.ndarray, cut: np.ndarray) -> None:
-        """Add samples of the four signals (4, t) that start at instant k. Samples of the ramp are skipped."""
+        """Add samples of the signals (n_signals, t) that start at instant k. Samples of the ramp are skipped."""
         at = max(0, self._begin - k)
         # The phase counts from instant 0. A window holds whole cycles, so the wave table is periodic in the window.
         while at < signals.shape[1]:

@@ -64,7 +64,7 @@ REFUSALS = [
     (["bode", "optimus-knee", "--delay-periods", "-1"], ["--delay-periods"]),
     (["bode", "{open_tree}"], ["actuator"]),
     (["bode", "optimus-knee-source"], ["cannot be held", "act_B_to_D would need 0 N", "0 to 0.2", "effort to both sides"]),
-    (["bode", "cart-pole"], ["one actuator for every degree of freedom"]),
+    (["bode", "cart-pole", "--at-deg", "pole=30"], ["no effort holds 'cart-pole' at cart = 0 m"]),
     (["bode", "optimus-knee", "--tracker", "mpc"], ["mpc", "pd, pd+ff, lqr"]),
     (["bode", "optimus-knee", "--frequency-hz", "20,6000"], ["6000 Hz", "Nyquist", "5000"]),
     (["bode", "optimus-knee", "--frequency-hz", "-1"], ["--frequency-hz"]),
