@@ -47,6 +47,11 @@ def test_the_open_loop_of_an_unstable_gain_is_in_its_frame_and_named():
     assert max(abs(x[np.nanargmin(np.hypot(x, y))]) for x, y in lines.values()) > 2.5  # beyond the frame as it was
 
 
+@pytest.mark.filterwarnings("error:All-NaN")
+def test_figures_of_a_loop_that_is_unstable_at_every_pose_bring_no_warning():
+    assert "margins.png" in drawn("knee-sine", "--set", "tracking.kd=10")
+
+
 @pytest.mark.parametrize("name", ["optimus-knee", "five-bar-reach"])
 def test_no_legend_lies_on_an_axes_and_no_page_grows_wider_for_one(name):
     figures = drawn(name)
