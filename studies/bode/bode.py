@@ -235,7 +235,8 @@ def _loop_name(mechanism: Mechanism, law: SampledLaw) -> str:
     name = "lqr" if law.name == "lqr" else settings.gains_text(mechanism.independent_joints)
     name += f" sampled every {settings.period_s:g} s"
     if timing.delay_steps:
-        name += f" with a delay of {timing.delay_s / settings.period_s:g} period(s)"
+        periods = timing.delay_s / settings.period_s
+        name += f" with a delay of {periods:g} period{'' if periods == 1 else 's'}"
     return name
 
 

@@ -34,7 +34,7 @@ def knee_figure(path: Path, turned_deg: float = 30.0) -> dict[str, float]:
         draw_bodies(axis, mechanism, poses[1:], np.ones(1), named=False)
         for name, stick in links.items():
             shown = "fixed thigh, O to C" if stick.fixed else name
-            _label(axis, f"{shown}: {1e3 * lengths[name]:.4g} mm", stick.pins[1].mean(axis=0), centre, size=10, gap=48)
+            _label(axis, f"{shown}: {1e3 * lengths[name]:.4g} mm", stick.pins[1].mean(axis=0), centre, size=10, gap=58)
         for name, at in pins.items():
             colour = RED if name == driven else BLACK
             axis.plot(*at, "o", color=colour, markerfacecolor="white", markersize=9, markeredgewidth=2, zorder=6)

@@ -20,6 +20,7 @@ from linkplan.studies.demo.draw_knee import knee_figure
 from linkplan.studies.output.body_colours import body_colours, hex_of
 from linkplan.studies.output.figure import SERIES
 from tests.support.data import ROOT
+from tests.support.figure_texts import text_faults
 from tests.support.figures import pixels_of, saved_figures
 from tests.support.mechanism_checks import mechanism_of, plan_of
 from tests.support.mechanisms import replaced
@@ -80,6 +81,7 @@ def test_the_sketch_of_the_knee_has_the_source_document_s_letters_and_lengths(tm
     assert {"O", "A", "B", "C"} <= set(texts)
     for pin, other, metres in (("O", "A", 0.057), ("A", "B", 0.0741), ("C", "B", 0.0855), ("O", "C", 0.057)):
         assert np.linalg.norm(np.subtract(texts[pin], texts[other])) == pytest.approx(metres, rel=0.02), (pin, other)
+    assert [fault for fault in text_faults(saved["sketch.png"]) if "lies on" in fault or "cut off" in fault] == []
     assert SKETCH.is_file()
 
 
