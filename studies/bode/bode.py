@@ -260,7 +260,13 @@ def _message(points: Sequence[BodePoint], disputed: Sequence[str], loop: str) ->
     text = f"stable at {'the pose' if counted == _counted(1) else f'all {counted}'}: {loop}"
     known = [(margin, p.point.name) for p in points if (margin := p.phase_margin_deg) is not None]
     if known:
-        text += ", phase margin {:.1f} deg at the worst ({})".format(*min(known))
+        least, where = min(known)
+        one = counted == _counted(1)
+        text += (
+            f", phase margin {least:.1f} deg"
+            if one
+            else f", least phase margin of these {counted} {least:.1f} deg ({where})"
+        )
     return text
 
 
