@@ -61,7 +61,7 @@ def _step(name: str, mechanism: Mechanism, settings: Tracking, colour: int, look
 
 def _draw_steps(axis, series: list[Series]) -> None:
     x_axis, y_axis = Axis(label="time", unit="s"), Axis(label="angle O", unit="deg")
-    draw_plot(axis, Plot(title="", group="step", x_axis=x_axis, y_axis=y_axis, x=None, series=series))
+    draw_plot(axis, Plot(title="", group="step", x_axis=x_axis, y_axis=y_axis, x=[], series=series))
     axis.set_title("Step of the reference by 1 deg")
 
 
