@@ -131,7 +131,7 @@ def along_blocks(found: AlongMotion) -> list[Block]:
             Line(name="predicted", values=shares[0], unit="1"),
             Line(name="measured in MuJoCo", values=shares[1], unit="1", look="dash"),
         ]
-        title = f"Remaining share of the worst disturbance; largest multiplier {cycle.multiplier_size[0]:.3g} a cycle"
+        title = f"Decay of the worst disturbance: it is multiplied by at most {cycle.multiplier_size[0]:.3g} per cycle"
         blocks += plots(title, "share", TIME, cycle.time_s, decay, log=True)
     return blocks
 

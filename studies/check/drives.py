@@ -105,7 +105,7 @@ def undriven(mechanism: Mechanism, column: int, *, steerable: bool) -> tuple[str
     """Return the sentence on an independent joint without an actuator, and True if it is a fault."""
     joint = mechanism.independent_joints[column]
     coasts = mechanism.independent[column] in mechanism.coasting_dofs
-    ends = "; a motion that does not name it ends where its momentum takes it" if coasts else ""
+    ends = "; if a motion gives no goal for it, it coasts on its momentum" if coasts else ""
     if steerable:
         return f"joint {joint.name} has no actuator: it is moved through the others only (underactuated){ends}", False
     if column in sprung_freedoms(mechanism):

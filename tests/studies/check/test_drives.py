@@ -85,7 +85,7 @@ def test_a_load_on_a_rope_is_moved_along_by_the_trolley_and_freely_across():
     assert freely == [f"joint load_{name} moves freely" for name in ("y", "rx", "rz")]
 
 
-COASTS = "; a motion that does not name it ends where its momentum takes it"
+COASTS = "; if a motion gives no goal for it, it coasts on its momentum"
 
 
 @pytest.mark.parametrize(("friction", "said"), [("", f" and nothing damps it{COASTS}"), ('frictionloss="0.1"', "")])
