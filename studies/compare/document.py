@@ -37,6 +37,7 @@ def document_runs(plan: Plan, say: Callable[[str], None]) -> DocumentRuns:
         plan: of the document's sinusoid.
         say: called with lines on the progress.
     """
+    assert plan.problem.reference is not None  # the document's sinusoid
     kp, kd = (float(gain[0]) for gain in plan.problem.tracking.gains(plan.problem.mechanism.independent_joints))
     gains = tuple(dict.fromkeys((*DOCUMENT_GAINS, (kp, kd))))
     return _printed_runs(plan.problem.reference, gains, say) | _corrected_runs(plan, gains, say)

@@ -60,7 +60,8 @@ def _draw_angle(axis, crank: np.ndarray, text: str) -> None:
     pivot = crank[1, 0]
     along = 1.5 * (crank[:, 1] - crank[:, 0])
     axis.plot(*np.stack([pivot, pivot + along[0]]).T, color=GREY, linestyle="dashed", linewidth=1.2, zorder=5)
-    angles = np.linspace(*np.arctan2(along[:, 1], along[:, 0]), 40)
+    start, end = np.arctan2(along[:, 1], along[:, 0])
+    angles = np.linspace(start, end, 40)
     arc = pivot + np.linalg.norm(along[0]) * np.stack([np.cos(angles), np.sin(angles)], axis=1)
     axis.plot(*arc[:-2].T, color=RED, linewidth=2, zorder=6)
     axis.annotate("", arc[-1], arc[-4], zorder=6, arrowprops={"arrowstyle": "-|>", "color": RED, "linewidth": 2})

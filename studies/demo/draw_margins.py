@@ -95,6 +95,7 @@ def _draw_phase(axis, entry: BodePoint, frequency_hz: np.ndarray) -> None:
     ]
     _draw(axis, "phase", "deg", series, frequency_hz, (-360.0, -60.0))
     axis.axhline(-180.0, color=GREY, linewidth=0.9)
+    assert entry.crossover_hz is not None  # the loop is stable
     ends = (-180.0, -180.0 + entry.phase_margin_deg)
     _arrow(axis, entry.crossover_hz, ends, GREEN, f"phase margin\n{entry.phase_margin_deg:.3g} deg")
     place = (entry.crossover_hz, -180.0)
