@@ -8,9 +8,9 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.bode import bode_study
-from linkplan.studies.bode.bode_result import BodePoint
 from linkplan.studies.demo.draw_gallery import FOLDER
+from linkplan.studies.feedback.bode.bode import bode_study
+from linkplan.studies.feedback.bode.bode_result import BodePoint
 from linkplan.studies.output.document import Axis, Plot, Series
 from linkplan.studies.output.figure import BLUE, GREEN, GREY, ORANGE, PURPLE, Panel, draw_plot, figure_of
 
