@@ -18,7 +18,7 @@ extensions = [
     "sphinx_copybutton",
     "sphinx-mathjax-offline",  # MathJax stands in the site: nothing is fetched from elsewhere
 ]
-exclude_patterns = ["conf.py"]
+exclude_patterns = ["conf.py", "notebooks/*.ipynb"]  # the site executes the notebooks' Python files
 
 myst_enable_extensions = ["dollarmath", "amsmath"]
 myst_heading_anchors = 3

@@ -150,7 +150,7 @@ class Mechanism:
         if self.n_u >= len(held):
             return tuple(held)
         arms = np.abs(np.array(self.dynamics.effort_map(self.home)))[held]
-        column = {int(index): k for k, index in enumerate(self.independent)}
+        column: dict[int | None, int] = {int(index): k for k, index in enumerate(self.independent)}
         found = {column.get(actuator.joint, held[int(np.argmax(arms[:, k]))]) for k, actuator in enumerate(self.actuators)}
         return tuple(sorted(found))
 

@@ -1,18 +1,20 @@
 """Every page of the documents, followed to the letter: each in its own empty folder, its blocks in order.
 
 `python -m tests.test_pages [--text] [PAGE.md ...]` draws the pages' pictures again from what their commands write, and with
---text also writes again what the pages show as printed, in today's words and figures: read the difference.
+--text also writes again what the pages show as printed, in today's words and figures: read the difference. A notebook's name
+(`NAME.py`) executes it and writes `NAME.ipynb`.
 """
 
 import os
 import re
-import runpy
 import sys
 import tempfile
 from pathlib import Path
 
+import nbformat
 import pytest
 
+from tests.support.notebooks import MOST_BYTES, cells_of, executed, pictures, printed
 from tests.support.pages import KINDS, Reader, as_printed, blocks, commands, compare_output, take_pictures
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -20,6 +22,8 @@ PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").r
 NOTEBOOKS = sorted((ROOT / "docs" / "notebooks").glob("*.py"))
 # What pages tell of already and is not merged yet: a command line, block or picture with one of these in it is left out.
 PENDING: tuple[str, ...] = ()
+# Times that a notebook printed, which differ from run to run.
+TIMES = re.compile(r"in \d[\d.]* s$", flags=re.MULTILINE)
 # Blocks that are shown and not run, over all pages.
 MOST_SHOWN = 12
 
@@ -66,13 +70,22 @@ def test_a_page_does_what_it_says(page, tmp_path, monkeypatch):
     Reader(page=page, pending=PENDING).follow()
 
 
+@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=name)
+def test_an_executed_notebook_has_the_cells_of_its_file_and_is_small(notebook):
+    saved = nbformat.read(notebook.with_suffix(".ipynb"), as_version=4)
+    assert [(cell.cell_type, cell.source) for cell in saved.cells] == cells_of(notebook)
+    assert len(saved.cells) > 8
+    assert sum(pictures(saved)) > 0
+    assert notebook.with_suffix(".ipynb").stat().st_size < MOST_BYTES
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("notebook", NOTEBOOKS, ids=name)
-def test_a_notebook_runs_from_top_to_bottom(notebook, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("MPLBACKEND", "Agg")
-    assert "# %%" in notebook.read_text(encoding="utf-8")
-    runpy.run_path(str(notebook), run_name="__notebook__")
+def test_a_notebook_runs_from_top_to_bottom_and_shows_what_is_saved(notebook, tmp_path):
+    saved, now = nbformat.read(notebook.with_suffix(".ipynb"), as_version=4), executed(notebook, tmp_path)
+    assert pictures(now) == pictures(saved)
+    for shown, said in zip(printed(saved), printed(now), strict=True):
+        compare_output(TIMES.sub("in ... s", shown), said)
 
 
 @pytest.mark.parametrize(
@@ -126,3 +139,7 @@ if __name__ == "__main__":
         kinds = {block.kind for block in blocks(page) if block.runs}
         if kinds & ({"picture", "text"} if "--text" in sys.argv else {"picture"}) and (not wanted or page.name in wanted):
             follow(page, rewrite="--text" in sys.argv)
+    for notebook in NOTEBOOKS:
+        if notebook.name in wanted:
+            with tempfile.TemporaryDirectory() as folder:
+                nbformat.write(executed(notebook, Path(folder)), notebook.with_suffix(".ipynb"))

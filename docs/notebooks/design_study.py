@@ -37,7 +37,7 @@ least = []
 for torque in torques:
     plan = planner.plan(quickest.replace(limits={"effort": {"act_O": [-torque, torque]}})).require()
     least.append(plan.duration_s)
-    print(f"{torque:4.0f} N.m: {1000 * plan.duration_s:6.2f} ms, {plan.certificate.peak_motor_power[0]:5.0f} W at the most")
+    print(f"{torque:4.0f} N.m: {1000 * plan.duration_s:6.2f} ms, at most {plan.certificate.peak_motor_power[0]:.0f} W")
 
 # %%
 figure, axes = plt.subplots(figsize=(7, 3.2), layout="constrained")

@@ -12,8 +12,8 @@
 # # Plan and track
 #
 # This page plans and tracks your own crank-rocker in Python: its model as text, a problem, a plan with its certificate, a
-# tracker of ten lines, and the margins of the feedback loop. The page is a Python file,
-# `docs/notebooks/plan_and_track.py`. Run it directly, or open it as a notebook with Jupyter and jupytext.
+# tracker of ten lines, and the margins of the feedback loop. `docs/notebooks/plan_and_track.py` is the page as a Python
+# file, which you can run directly; `plan_and_track.ipynb` is the executed notebook.
 
 # %%
 import numpy as np
@@ -89,7 +89,7 @@ plan.plot()
 weak = {"effort": {"drive": [-0.2, 0.2]}}
 quick = linkplan.plan(problem.replace(limits=weak, duration_s="free", minimize="time")).require()
 fastest = np.abs(quick.sample().speed_deg_s["C"]).max()
-print(f"{1000 * quick.duration_s:.1f} ms; the rocker turns at {fastest:.0f} deg/s at the most")
+print(f"{1000 * quick.duration_s:.1f} ms; the rocker turns at no more than {fastest:.0f} deg/s")
 
 # %% [markdown]
 # ## A tracker of one's own

@@ -151,6 +151,6 @@ def shut_balls(mechanism: Mechanism) -> str | None:
     if not names:
         return None
     return (
-        f'ball joint {", ".join(names)} may not turn: limited="true" with a range of 0 deg, which a default class gives to'
-        ' all joints; limited="false" at the joint, or a range, frees it'
+        f'ball joint {", ".join(names)} cannot turn: it has limited="true" and a range of 0 deg, perhaps from a default'
+        ' class. Set limited="false" at the joint, or give it a range'
     )

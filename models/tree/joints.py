@@ -49,9 +49,10 @@ def ball_turns(model: mujoco.MjModel, coordinates: Coordinates, q: ca.SX) -> ca.
     return ca.vertcat(ca.SX(0, 1), *turns)
 
 
-def inertia_unit_of(effort_unit: str) -> str:
-    """Return the unit of an inertia moved by an effort in "N.m" or "N"."""
-    return "kg m2" if effort_unit == "N.m" else "kg"
+def inertia_unit_of(effort_unit: str, coupled_unit: str | None = None) -> str:
+    """Return the unit of an inertia moved by an effort in "N.m" or "N", or of one that couples two joints' efforts."""
+    turning = sum(unit == "N.m" for unit in (effort_unit, coupled_unit or effort_unit))
+    return ("kg", "kg m", "kg m2")[turning]
 
 
 def gain_units_of(effort_unit: str) -> tuple[str, str]:

@@ -281,17 +281,17 @@ def plan_prescribed(problem: Problem, start_pose: np.ndarray) -> Plan:
         remedy = "no slower one keeps the limits"
         if frequency is not None:
             details["highest_frequency_hz"] = frequency
-            remedy = f"up to {rounded_down(frequency):g} Hz it keeps every limit"
+            remedy = f"up to {rounded_down(frequency):g} Hz it satisfies every limit"
         return Plan(
             problem=problem,
             status="infeasible",
             message=f"infeasible: {demand.sentence('following the reference exactly')}; at this amplitude {remedy};"
-            ' motion.kind = "periodic" plans the nearest motion that keeps them',
+            ' motion.kind = "periodic" plans the nearest motion that does',
             details=details,
         )
     trajectory = prescribe(problem, start_pose)
     certificate = certify(problem, trajectory)
-    return finished(problem, trajectory, certificate, 0.0, "the reference keeps every limit and is followed exactly")
+    return finished(problem, trajectory, certificate, 0.0, "the reference satisfies every limit and is followed exactly")
 
 
 def plan_hold(problem: Problem) -> Plan:

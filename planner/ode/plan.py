@@ -70,7 +70,7 @@ def plan_of(problem: OdeProblem, refined: Refined) -> OdePlan:
     estimate = estimate if known else "the error of the objective is not known, because only one mesh has a motion"
     message = {
         "optimal": f"optimum {value}; {estimate}{reason}",
-        "feasible": f"feasible: the best certified motion, {value}, keeps every limit, but {reason}; {estimate}",
+        "feasible": f"feasible: the best certified motion, {value}, satisfies every limit, but {reason}; {estimate}",
         "failed": f"failed: {reason}",
     }[status]
     return OdePlan(
@@ -93,7 +93,7 @@ def _verdict(problem: OdeProblem, refined: Refined) -> tuple[str, str]:
         return "failed", held_back
     if not certificate.passed:
         return "failed", f"the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}"
-    moved = f"; its objective changed by {refined.moved:.2g} of itself from mesh to mesh at the last" * bool(refined.moved)
+    moved = f"; on the last finer mesh its objective changed by {100 * refined.moved:.2g} %" * bool(refined.moved)
     if certificate.integration_error > tolerance:
         return "feasible", (
             f"the integrated state ends {certificate.integration_error:.3g} of its size from the solution, more than the"

@@ -145,7 +145,7 @@ def certified(
     # A plan whose objective changes by more than this share on a finer mesh is "feasible" and not "optimal".
     optimal = not len(against) and moved <= 5e-2
     plan = finished(problem, better.motion, better.certificate, objective, None, optimal=optimal)
-    said = f"; a finer mesh still changed its objective by {moved:.1g} of itself" if moved > REPORTED_CHANGE else ""
+    said = f"; on a finer mesh its objective still changed by {100 * moved:.1g} %" if moved > REPORTED_CHANGE else ""
     if len(against):
         said += (
             f"; the arc at t = {against[0]:.4g} s would rather leave its limit (Pontryagin's principle): not a local optimum"

@@ -49,7 +49,7 @@ def batch_from(tables: dict, folder: Path) -> BatchFile:
     if ("case" in tables) == ("sweep" in tables):
         raise ProblemError("a batch has [[case]] tables or a [sweep] table, one of the two")
     if len(asked.case) > MAX_CASES:
-        raise ProblemError(f"a batch has {MAX_CASES} cases at the most, got {len(asked.case)}")
+        raise ProblemError(f"a batch has at most {MAX_CASES} cases, got {len(asked.case)}")
     listed = [(case.name or f"case-{k + 1}", case.set) for k, case in enumerate(asked.case)] or _swept(asked.sweep)
     names = [name for name, _ in listed]
     for name in names:
@@ -96,7 +96,7 @@ def _swept(table: dict) -> list[tuple[str, list[str]]]:
     for axis in axes:
         total *= len(axis)
     if total > MAX_CASES:
-        raise ProblemError(f"a batch has {MAX_CASES} cases at the most, the sweep makes {total}")
+        raise ProblemError(f"a batch has at most {MAX_CASES} cases, the sweep makes {total}")
     cases = []
     for number, combination in enumerate(itertools.product(*axes)):
         settings = [f"{key}={inline(item)}" for key, item in combination]

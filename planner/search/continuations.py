@@ -79,8 +79,8 @@ def from_continuation(search: Search, budget: Budget) -> Plan | None:
         why = f"; the best within {at.longest_s:.5g} s: longer motions were lost on the way, better ones may exist"
         return only_feasible(plan, why)
     if at.enough:
-        last = f"; its last {DURATION_FACTOR - 1:.0%} of duration saved less than {MIN_SAVING:.1%}"
-        said = f"{last}, longer motions were not tried"
+        last = f"; the last {DURATION_FACTOR - 1:.0%} of its duration reduced the objective by less than {MIN_SAVING:.1%}"
+        said = f"{last}, so longer motions were not tried"
         return replace(plan, message=plan.message + said)
     return plan
 

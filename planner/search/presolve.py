@@ -156,8 +156,8 @@ def _branches_on_the_way(problem: Problem) -> str | None:
         if low < position < high and position not in can.single:
             return (
                 f"infeasible: between start and goal, at {joint.name} = {joint.text(position, 5)} {joint.unit}, the"
-                f" closure's rank falls from {len(mechanism.dependent)} to {rank}: the loops do not say how the mechanism"
-                " goes on there, and no effort of its actuators does"
+                f" closure's rank falls from {len(mechanism.dependent)} to {rank}: the loops do not determine the motion"
+                " beyond it, and no effort of the actuators does"
             )
     return None
 
@@ -277,6 +277,6 @@ def _beyond_ctrl(problem: Problem) -> str | None:
             if actuator.limits_control and (least > high or most < low) and not given:
                 return (
                     f"infeasible: {actuator.name} on {actuator.target} would need a ctrl of {nearest_ctrl:.4g} at the {name}"
-                    f" for any effort within its limits, beyond its ctrlrange of {low:g} to {high:g}"
+                    f" to give an effort within its limits; its ctrlrange is {low:g} to {high:g}"
                 )
     return None

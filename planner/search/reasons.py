@@ -81,7 +81,7 @@ def share_sentence(problem: Problem, factor: float, motion: Guess, *, at_all: bo
     if not at_all:
         return f"by the phase plane {need}, throughout"
     return (
-        f"by the phase plane no motion leads there in any time: {need}, to pass {joint.name} = {place:.4g} {joint.unit}"
+        f"by the phase plane no motion reaches the goal in any time: {need}, to pass {joint.name} = {place:.4g} {joint.unit}"
         f" at t = {time[at]:.3g} s"
     )
 
@@ -330,7 +330,9 @@ def _infeasible(search: Search, sentence: str, details: dict[str, float], *, sho
     message = sentence + (shortest_sentence(search, details) if shortest else "")
     known, asked = min((motion.duration_s for motion in search.known.motions), default=None), longest(problem)
     if known is not None and known <= asked * (1 + 1e-9):
-        return _failed(search, f"a motion of {known:.7g} s keeps every limit, one of {asked:.7g} s was not found", details)
+        return _failed(
+            search, f"a motion of {known:.7g} s satisfies every limit, one of {asked:.7g} s was not found", details
+        )
     return Plan(problem=problem, status="infeasible", message=message, history=recorded(), details=details)
 
 

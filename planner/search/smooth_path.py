@@ -45,7 +45,7 @@ def along_smooth_path(search: Search) -> Plan | None:
         objective, _ = objective_value(problem, motion)
         within = f" within {asked.solver.max_time_s:g} s" if search.stopped == OUT_OF_TIME else ""
         said = (
-            f"motion of {motion.duration_s:.6g} s along the smooth path, which keeps every limit; the solver found no"
+            f"motion of {motion.duration_s:.6g} s along the smooth path, which satisfies every limit; the solver found no"
             f" better one{within}"
         )
         plan = without_solving(problem, motion, objective, said)

@@ -63,8 +63,8 @@ def path_blocks(path: KinematicLoopPath, *, brief: bool = False) -> list[Block]:
     constant = [column.text() for column in columns if column.is_constant]
     if not acts(path).all():
         constant.append("all other ratios 0")
-    hold = "hold and force are" if path.mechanism.actuators else "force is"
-    weight = Text(text=f"weight alone is without springs; {hold} with everything at rest, weight and springs")
+    hold = "hold and force include" if path.mechanism.actuators else "force includes"
+    weight = Text(text=f"'weight alone' omits the springs; {hold} weight and springs, with everything at rest")
     same = [Facts(rows=[("the same at every pose", ", ".join(constant))])] if constant else []
     return [*table, weight, *same, *sentences]
 

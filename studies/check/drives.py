@@ -51,7 +51,7 @@ def joints_to_drive(mechanism: Mechanism) -> list[str]:
 def motors_hint(mechanism: Mechanism) -> str:
     """Return a phrase on how a mechanism without actuators gets motors."""
     if not drivable(mechanism).any():
-        return "its loops hold all but the spins of rods still"
+        return "its loops leave no joint free to move, except rods that spin about their own axes"
     names = json.dumps(joints_to_drive(mechanism), ensure_ascii=False)
     if names == "[]":
         return "none of its joints is a hinge or slide, on which mechanism.drive puts a motor"
@@ -83,7 +83,8 @@ def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
     unit, damped = joint.si_units[1], is_damped(mechanism, mechanism.home, column)
     moves = "turns" if joint.kind == "hinge" else "pushes"
     pushes = " and ".join(
-        f"{a.name}, on {a.target}, only {moves} it one way, by {_ends(found)} {unit} at home" for a, found in acting
+        f"{a.name}, on {a.target}, {moves} it in one direction only, with {_ends(found)} {unit} at home"
+        for a, found in acting
     )
     return (
         f"joint {joint.name} moves freely: no actuator is on it{'' if damped else ', nothing damps it'}, no spring or weight"
@@ -104,7 +105,7 @@ def undriven(mechanism: Mechanism, column: int, *, steerable: bool) -> tuple[str
     """Return the sentence on an independent joint without an actuator, and True if it is a fault."""
     joint = mechanism.independent_joints[column]
     coasts = mechanism.independent[column] in mechanism.coasting_dofs
-    ends = "; a motion that does not name it ends where its momentum takes it" if coasts else ""
+    ends = "; if a motion gives no goal for it, it coasts on its momentum" if coasts else ""
     if steerable:
         return f"joint {joint.name} has no actuator: it is moved through the others only (underactuated){ends}", False
     if column in sprung_freedoms(mechanism):

@@ -321,13 +321,14 @@ def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:
         at = f"singular pose at {joint.name} = {joint.text(position, 5)} {joint.unit}"
         if position in can.single:
             said.append(
-                f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}. Only one motion"
-                " passes this pose, so the branch cannot change; loop forces grow without bound there, with any coordinate"
+                f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}, for every choice"
+                " of coordinate. A single motion passes this pose, so the mechanism keeps its branch; the loop forces grow"
+                " without bound"
             )
         elif position in branching:
             said.append(
                 f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}. The mechanism may"
-                " change to another branch there, and loop forces grow without bound, with any coordinate"
+                " change to another branch there, and the loop forces grow without bound, for every choice of coordinate"
             )
         else:
             said.append(

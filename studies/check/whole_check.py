@@ -78,9 +78,10 @@ class WholeCheck(Inspection, frozen=True, kw_only=True, eq=False, dict=True):
         """Return the findings as a document, with brief tables for more than six coordinates."""
         brief = self.brief
         paths = [block for path in self.paths for block in path_blocks(path, brief=brief)]
+        rest = "all of them" if has_whole_records(self.mechanism) else "every pose"
         left_out = (
-            f"of {len(self.sweeps)} coordinates each has its own quantities above, at rest, where they change along its"
-            f" reach; the JSON record has {'all of them' if has_whole_records(self.mechanism) else 'every pose'}"
+            f"for each of the {len(self.sweeps)} coordinates, the tables above have only its own quantities that change"
+            f" along its reach, at rest; the JSON record has {rest}"
         )
         return [*inspection_blocks(self), *paths, *([Text(text=left_out)] if brief else [])]
 

@@ -10,7 +10,7 @@ from linkplan.controllers.rollout import Rollout
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.studies.compare.compare import Comparison, gap_units, run_figures, steered_by_unit, tracking_reference
 from linkplan.studies.compare.comparison_notes import comparison_notes
-from linkplan.studies.compare.document import DOCUMENT_KP, document_rows
+from linkplan.studies.compare.document import document_rows
 from linkplan.studies.output.document import Block, Plot, Table, Text, table_of
 from linkplan.studies.output.lines import TIME, TRACKER_COLOURS, Line, overlaid_width, plots, tracker_colour
 from linkplan.studies.output.text import brief_rows
@@ -220,8 +220,8 @@ def _colour(runs: Mapping[str, Rollout], name: str) -> int:
     return tracker_colour(name, left[others.index(name) % len(left)] if name in others else 0)
 
 
-def document_blocks(runs: Mapping[tuple[str, float], Rollout]) -> list[Block]:
-    """Return the source document's experiment, with runs by (model, KD): a table, and the desired and actual angles."""
+def document_blocks(runs: Mapping[tuple[str, float, float], Rollout]) -> list[Block]:
+    """Return the source document's experiment, with runs by (model, KP, KD): a table, and the desired and actual angles."""
     heads = ["model", "KP [N.m/rad]", "KD [N.m.s/rad]", "rms error [deg]", "closure gap, mean [um]"]
     heads += ["closure gap, largest [um]", "contacts", "at the limit [%]", "stable"]
     cells = []
@@ -230,12 +230,12 @@ def document_blocks(runs: Mapping[tuple[str, float], Rollout]) -> list[Block]:
         at_limit = 100 * row["at_limit_fraction"]
         error = row["rms_error_deg"]
         cells.append([row["model"], row["kp"], row["kd"], error, *gaps, row["contacts"], at_limit, row["stable"]])
-    table = table_of("The source document's experiment, as printed and on the mended model", heads, cells)
+    table = table_of("The source document's experiment, on its model as printed and on the corrected one", heads, cells)
     return [table, *_document_plots(runs)]
 
 
 def document_figure(blocks: Sequence[Block], path: Path) -> None:
-    """Draw the source document's figure, with a column for each model and a row for each KD, into an image file."""
+    """Draw the source document's figure, with a column for each model and a row for each pair of gains, into a file."""
     from linkplan.studies.output.figure import figure_of, panels_of, side_by_side
 
     panels = panels_of(blocks)
@@ -244,13 +244,13 @@ def document_figure(blocks: Sequence[Block], path: Path) -> None:
     figure_of(side_by_side(*columns), path, columns=len(columns))
 
 
-def _document_plots(runs: Mapping[tuple[str, float], Rollout]) -> list[Plot]:
+def _document_plots(runs: Mapping[tuple[str, float, float], Rollout]) -> list[Plot]:
     found = []
-    for (model, kd), run in runs.items():
+    for (model, kp, kd), run in runs.items():
         lines = [
             Line(name="actual", values=np.degrees(run.position_rad[:, 0]), unit="deg", look="line", colour=1),
             Line(name="desired", values=np.degrees(run.reference_rad[:, 0]), unit="deg", look="dash", colour=0),
         ]
-        title = f"{model}: KP = {DOCUMENT_KP:g} N.m/rad, KD = {kd:g} N.m.s/rad"
+        title = f"{model}: KP = {kp:g} N.m/rad, KD = {kd:g} N.m.s/rad"
         found += plots(title, "joint O", TIME, run.time_s, lines, group="time:document")
     return found

@@ -33,9 +33,8 @@ def contact_note(plan: Plan, rollout: Rollout) -> str | None:
     pairs = listed([geom_names(meeting).removeprefix("geoms ") for meeting in met], 3)
     exclusions = " ".join(dict.fromkeys(exclusion(meeting.bodies) for meeting in met[:3]))
     return (
-        f"contacts of {pairs} push in MuJoCo, at up to {rollout.contacts} points together; plans have no contact"
-        f" forces, and these forces open the kinematic loops; {exclusions} in the model's <contact> lets links pass side by"
-        " side"
+        f"{pairs} touch in MuJoCo, at up to {rollout.contacts} points at once. Plans have no contact forces, and these"
+        f" forces open the kinematic loops. {exclusions} in the model's <contact> lets links pass side by side"
     )
 
 

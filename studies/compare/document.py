@@ -1,6 +1,6 @@
 """The source document's experiment: a sinusoid under PD with two gain sets, on the printed and on the corrected model."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
@@ -14,10 +14,12 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.reference import Sine
 
-DOCUMENT_KP = 200.0
-KD = (1.0, 10.0)
+# The gains KP [N.m/rad] and KD [N.m.s/rad] of the document's two plots.
+DOCUMENT_GAINS = ((200.0, 1.0), (200.0, 10.0))
 _DURATION_S = 2.0
-AS_PRINTED, MENDED = "as printed", "mended"
+AS_PRINTED, CORRECTED = "as printed", "corrected"
+# Runs by (model, KP, KD).
+DocumentRuns = dict[tuple[str, float, float], Rollout]
 
 
 def is_the_documents(plan: Plan) -> bool:
@@ -26,19 +28,32 @@ def is_the_documents(plan: Plan) -> bool:
     return problem.mechanism.name == "optimus-knee" and problem.mechanism.payload is None and problem.motion.kind == "track"
 
 
-def mended_runs(plan: Plan, say: Callable[[str], None]) -> dict[tuple[str, float], Rollout]:
-    """Return the runs of the corrected model by (model, KD), on the plan of the document's sinusoid."""
+def document_runs(plan: Plan, say: Callable[[str], None]) -> DocumentRuns:
+    """Return the document's runs on the printed and on the corrected model, by (model, KP, KD).
+
+    The gains are the two pairs of the document and, if they differ, those of the plan's problem.
+
+    Args:
+        plan: of the document's sinusoid.
+        say: called with lines on the progress.
+    """
+    assert plan.problem.reference is not None  # the document's sinusoid
+    kp, kd = (float(gain[0]) for gain in plan.problem.tracking.gains(plan.problem.mechanism.independent_joints))
+    gains = tuple(dict.fromkeys((*DOCUMENT_GAINS, (kp, kd))))
+    return _printed_runs(plan.problem.reference, gains, say) | _corrected_runs(plan, gains, say)
+
+
+def _corrected_runs(plan: Plan, gains: Sequence[tuple[float, float]], say: Callable[[str], None]) -> DocumentRuns:
     mechanism, runs = plan.problem.mechanism, {}
     plant = MujocoPlant(mechanism=mechanism, loop=ControlLoop(effort_limit=plan.problem.limits.effort))
     reference = sample(mechanism, plan.require_motion("track"), float(mechanism.model.opt.timestep), _DURATION_S)
-    for kd in KD:
-        say(f"{MENDED}, KP = {DOCUMENT_KP:g}, KD = {kd:g}")
-        runs[MENDED, kd] = simulate_one(plant, pd(mechanism, reference, DOCUMENT_KP, kd), reference)
+    for kp, kd in gains:
+        say(f"{CORRECTED}, KP = {kp:g}, KD = {kd:g}")
+        runs[CORRECTED, kp, kd] = simulate_one(plant, pd(mechanism, reference, kp, kd), reference)
     return runs
 
 
-def printed_runs(sine: Sine, say: Callable[[str], None]) -> dict[tuple[str, float], Rollout]:
-    """Return the runs of the document's model as printed, by (model, KD)."""
+def _printed_runs(sine: Sine, gains: Sequence[tuple[float, float]], say: Callable[[str], None]) -> DocumentRuns:
     source, runs = load_mechanism("optimus-knee-source"), {}
     plant = PlantAsItStands(mechanism=source)
     period_s = float(source.model.opt.timestep)
@@ -49,24 +64,24 @@ def printed_runs(sine: Sine, say: Callable[[str], None]) -> dict[tuple[str, floa
         position_rad=sine.derivative(time, 0) * of_O, velocity_rad_s=sine.derivative(time, 1) * of_O,
         effort=np.stack([still, still + 0.1], axis=1),  # the document sets its second actuator to a constant 0.1 N
     )  # fmt: skip
-    for kd in KD:
-        say(f"{AS_PRINTED}, KP = {DOCUMENT_KP:g}, KD = {kd:g}")
-        gains = np.tile(pd_gain(np.diag(of_O), DOCUMENT_KP, kd), (reference.n, 1, 1))
-        law = StateFeedback(reference=reference, gains=gains, name="pd+ff", feedforward=True)
-        runs[AS_PRINTED, kd] = simulate_one(plant, law, reference)
+    for kp, kd in gains:
+        say(f"{AS_PRINTED}, KP = {kp:g}, KD = {kd:g}")
+        gain = np.tile(pd_gain(np.diag(of_O), kp, kd), (reference.n, 1, 1))
+        law = StateFeedback(reference=reference, gains=gain, name="pd+ff", feedforward=True)
+        runs[AS_PRINTED, kp, kd] = simulate_one(plant, law, reference)
     return runs
 
 
-def document_rows(runs: Mapping[tuple[str, float], Rollout]) -> list[dict]:
+def document_rows(runs: Mapping[tuple[str, float, float], Rollout]) -> list[dict]:
     """Return the runs' metrics: error, loop gap over the second half, contacts, share of the time at the limit."""
     rows = []
-    for (model, kd), rollout in runs.items():
+    for (model, kp, kd), rollout in runs.items():
         error = np.degrees(rollout.error_rad[:, 0])
         half = len(rollout.time_s) // 2
         rows.append(
             {
                 "model": model,
-                "kp": DOCUMENT_KP,
+                "kp": kp,
                 "kd": kd,
                 "rms_error_deg": float(np.sqrt(np.mean(error**2))),
                 "steady_gap_mean_m": float(rollout.gap_m[half:].mean()),

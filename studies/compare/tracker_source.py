@@ -99,7 +99,7 @@ def refuse_other_sources(hashes: Mapping[str, str]) -> None:
     for text, known in hashes.items():
         if source_hash(text) != known:
             raise LinkplanError(
-                f"tracker '{text}' has changed since the experiment began, or is another on {socket.gethostname()}"
+                f"tracker '{text}' has changed since the experiment began, or its file on {socket.gethostname()} differs"
             )
 
 

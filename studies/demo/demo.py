@@ -26,7 +26,7 @@ from linkplan.studies.compare.comparison_blocks import (
     document_figure,
 )
 from linkplan.studies.compare.comparison_figures import comparison_figures
-from linkplan.studies.compare.document import DOCUMENT_KP, document_rows, mended_runs, printed_runs
+from linkplan.studies.compare.document import DOCUMENT_GAINS, document_rows, document_runs
 from linkplan.studies.compare.tracking_sections import comparison_sections
 from linkplan.studies.feedback.bode.bode import bode_study
 from linkplan.studies.feedback.bode.bode_report import save_bode
@@ -223,7 +223,7 @@ def _loops(place: Path, said: dict, say: Say) -> list[Sections]:
         sections.append(bode_sections(study, f"kp = {gains.kp:g}, kd = {gains.kd:g} every {1e3 * gains.period_s:g} ms"))
         if gains is LOOPS[0]:
             found = map_study(study, lambda text: say(f"stability map: {text}"))
-            marked = [(f"the document's KP = {DOCUMENT_KP:g}, KD = {kd:g}", DOCUMENT_KP, kd) for kd in (1.0, 10.0)]
+            marked = [(f"the document's KP = {kp:g}, KD = {kd:g}", kp, kd) for kp, kd in DOCUMENT_GAINS]
             said["stability_map"], blocks = found, map_blocks(found, marked)
             figure_of(panels_of(blocks), place / "stability_map.png", columns=2, panel_in=(6.5, 5.0))
             sections[0].append(Section(title="Stability map", blocks=blocks, depth=2))
@@ -231,8 +231,7 @@ def _loops(place: Path, said: dict, say: Say) -> list[Sections]:
 
 
 def _document(place: Path, said: dict, plan: Plan, say: Say) -> list[Block]:
-    assert plan.problem.reference is not None  # the document's sinusoid
-    runs = printed_runs(plan.problem.reference, say) | mended_runs(plan, say)
+    runs = document_runs(plan, say)
     said["document"] = document_rows(runs)
     blocks = document_blocks(runs)
     document_figure(blocks, place / "desired_and_actual.png")

@@ -72,22 +72,11 @@ def draw_bodies(axes, mechanism: Mechanism, poses: np.ndarray, alphas: np.ndarra
 
 def name_pins(axes, mechanism: Mechanism, pose: np.ndarray) -> None:
     """Mark the joints and the pins that close loops at a pose (n_q,) by rings with their names."""
-    right, up = view(mechanism.model)
-    places, turns = body_frames(mechanism, pose[None])
-    joints = range(mechanism.model.njnt)
-    named = [(joint_label(mechanism.model, k), int(mechanism.model.jnt_bodyid[k])) for k in joints]
-    found: dict[tuple, list[str]] = {}
-    at_joints = [places[0, body] + turns[0, body] @ mechanism.model.jnt_pos[k] for k, (_, body) in enumerate(named)]
-    pins = [(name, place) for (name, _), place in zip(named, at_joints, strict=True)]
-    pins += [(pin.name, places[0, pin.body] + turns[0, pin.body] @ pin.point) for pin in cut_pins(mechanism)]
-    for name, place in pins:
-        at = tuple(np.round(np.array([place @ right, place @ up]) / mechanism.extent_m, 3))
-        if name not in found.setdefault(at, []):
-            found[at].append(name)
+    found = pins_by_place(mechanism, pose)
     line = {"arrowstyle": "-", "color": GREY, "linewidth": 0.5, "relpos": (0, 0.5), "shrinkA": 1}
     beside = {"textcoords": "axes fraction", "va": "center", "arrowprops": line}
     for k, (at, names) in enumerate(sorted(found.items(), key=lambda one: one[0][::-1])):
-        x, y = np.array(at) * mechanism.extent_m
+        x, y = at
         axes.plot([x], [y], marker="o", color="black", markerfacecolor="white", markersize=3.2, linestyle="", zorder=4)
         words = listed([name for name in names if name], 2)
         if len(found) > _MAX_NAMES_AT_PINS:  # names at the pins would cover one another
@@ -95,6 +84,23 @@ def name_pins(axes, mechanism: Mechanism, pose: np.ndarray) -> None:
         else:
             look = {"textcoords": "offset points", "fontsize": 7.5, "zorder": 5, "gid": PIN_NAME}
             axes.annotate(words, (x, y), xytext=(5, 5 if k % 2 else -11), **look)
+
+
+def pins_by_place(mechanism: Mechanism, pose: np.ndarray) -> dict[tuple[float, float], list[str]]:
+    """Return the names of the joints and of the pins that close loops at a pose (n_q,), by place (right, up) [m]."""
+    right, up = view(mechanism.model)
+    places, turns = body_frames(mechanism, pose[None])
+    joints = range(mechanism.model.njnt)
+    named = [(joint_label(mechanism.model, k), int(mechanism.model.jnt_bodyid[k])) for k in joints]
+    at_joints = [places[0, body] + turns[0, body] @ mechanism.model.jnt_pos[k] for k, (_, body) in enumerate(named)]
+    pins = [(name, place) for (name, _), place in zip(named, at_joints, strict=True)]
+    pins += [(pin.name, places[0, pin.body] + turns[0, pin.body] @ pin.point) for pin in cut_pins(mechanism)]
+    found: dict[tuple[float, float], list[str]] = {}
+    for name, place in pins:
+        x, y = np.round(np.array([place @ right, place @ up]) / mechanism.extent_m, 3) * mechanism.extent_m
+        if name not in found.setdefault((float(x), float(y)), []):
+            found[float(x), float(y)].append(name)
+    return found
 
 
 def _fill(axes, edges: np.ndarray, colour: str, alpha: float, layer: float) -> None:

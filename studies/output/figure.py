@@ -20,7 +20,7 @@ from matplotlib.text import Annotation, Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 from matplotlib.transforms import Bbox
 
-from linkplan.studies.output.document import MEASURED, Axis, Bars, Block, Limit, Numbers, Plane, Plot, Series
+from linkplan.studies.output.document import MEASURED, Axis, Bars, Block, Numbers, Plane, Plot, Series
 
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, GREY, BLACK = "#56B4E9", "#CC79A7", "#7F7F7F", "#000000"
@@ -63,6 +63,8 @@ PIN_NAME = "name of a pin"
 _AROUND_PIN = ((5, 5), (5, -11), (-14, 5), (-14, -11), (-4, 10), (-4, -16), (9, -3), (-20, -3))
 # The share of a bar's place that its spans take.
 _BAR_SHARE = 0.76
+# The share of an axis below a limit in which the limit's name has room.
+_ROOM_BELOW_LIMIT = 0.2
 
 
 class ShownFigure(Figure):
@@ -279,8 +281,8 @@ def draw_plot(axis, plot: Plot) -> None:
     """Draw the lines of a plot, and its limits as dotted lines with their names."""
     for one in plot.series:
         _draw_line(axis, one, plot.x if one.x is None else one.x)
-    _draw_limits(axis, plot.limits)
     _set_axes(axis, plot.x_axis, plot.y_axis)
+    _draw_limits(axis, plot)
 
 
 def draw_plane(axis, plane: Plane) -> None:
@@ -340,11 +342,16 @@ def _draw_line(axis, one: Series, x: Numbers | None) -> None:
     )
 
 
-def _draw_limits(axis, limits: Sequence[Limit]) -> None:
-    for limit in limits:
+def _draw_limits(axis, plot: Plot) -> None:
+    ends = [float(one.y[-1]) for one in plot.series if len(one.y) and one.y[-1] is not None]
+    for limit in plot.limits:
         axis.axhline(limit.value, color=GREY, linestyle=":", linewidth=1.2)
-        place = {"transform": axis.get_yaxis_transform(), "ha": "right", "va": "bottom"}
-        text = axis.text(0.995, limit.value, f"{limit.name} {limit.value:.4g}", color="#595959", fontsize=7, **place)
+        low, high = axis.get_ylim()
+        # The name stands above its line, or below if the curves end above it and there is room.
+        below = limit.value - low > _ROOM_BELOW_LIMIT * (high - low) and bool(ends) and min(ends) >= limit.value
+        place = {"xycoords": axis.get_yaxis_transform(), "ha": "right", "va": "top" if below else "bottom"}
+        place |= {"xytext": (0, -3 if below else 0), "textcoords": "offset points"}
+        text = axis.annotate(f"{limit.name} {limit.value:.4g}", (0.995, limit.value), color="#595959", fontsize=7, **place)
         text.set_path_effects([withStroke(linewidth=2.5, foreground="white")])  # read before curves, too
 
 

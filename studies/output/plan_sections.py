@@ -1,5 +1,6 @@
 """The sections of a plan: verdict, motion, limits, certificate, the solves before it, its problem."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -143,10 +144,23 @@ def _mesh(plan: Plan, group: str, period: float | None) -> Plot:
 
 def _problem(plan: Plan) -> list[Block]:
     try:
-        text = file_text(_without_none(plain_record(plan.problem.source)), plan.problem.extras)
+        tables, names = _without_folders(_without_none(plain_record(plan.problem.source)))
+        text = file_text(tables, plan.problem.extras)
     except ProblemError as error:
         return [Text(text=f"The problem has no form as a file: {error}", tone="note")]
-    return [Code(title="The problem as a file", text=text)]
+    beside = f"# Needs {' and '.join(names)} in its own folder.\n" if names else ""
+    return [Code(title="The problem as a file", text=beside + text)]
+
+
+def _without_folders(tables: dict) -> tuple[dict, list[str]]:
+    """Return a problem's tables with the names alone of the files that they name by absolute paths, and these names."""
+    found, names = dict(tables), []
+    for section, key in (("mechanism", "model"), ("reference", "plan")):
+        path = Path(found.get(section, {}).get(key, ""))
+        if path.is_absolute():
+            found[section] = found[section] | {key: path.name}
+            names.append(path.name)
+    return found, names
 
 
 def _without_none(value: Any) -> Any:

@@ -21,7 +21,7 @@ from linkplan.results import Result, saved
 from linkplan.studies.compare import compare as study
 from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure, document_blocks, document_figure
 from linkplan.studies.compare.comparison_figures import ComparisonFigures, comparison_figures
-from linkplan.studies.compare.document import document_rows, is_the_documents, mended_runs
+from linkplan.studies.compare.document import document_rows, document_runs, is_the_documents
 from linkplan.studies.compare.named_run import NamedRun
 from linkplan.studies.compare.time_series import save_time_series
 from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
@@ -137,9 +137,9 @@ def compare(
     factor, delay = _checked(mass_factor, delay_periods)
     answer = _to_track(plan, tracking, say)
     comparison = study.compare(answer, study.mismatch_of(answer, factor, delay), say, asked)
-    printed = mended_runs(answer, say) if is_the_documents(answer) else {}
-    figures = structs.replace(comparison_figures(comparison), document=document_rows(printed) if printed else None)
-    return TrackingResult(figures=figures, comparison=comparison, printed=printed)
+    experiment = document_runs(answer, say) if is_the_documents(answer) else {}
+    figures = structs.replace(comparison_figures(comparison), document=document_rows(experiment) if experiment else None)
+    return TrackingResult(figures=figures, comparison=comparison, document_runs=experiment)
 
 
 def _checked(mass_factor: object, delay_periods: object) -> tuple[float, float]:
@@ -161,13 +161,13 @@ def _to_track(plan: PlanLike, tracking: object, say: Listener) -> Plan:
 class TrackingResult(Result):
     """Trackers' runs on one plan. `str(result)` is the table; `to_dict()` has every value, with units in the names.
 
-    `printed` are the runs of the source document's experiment, if the plan is that.
+    `document_runs` are the runs of the source document's experiment by (model, KP, KD), if the plan is that.
     """
 
     figures: ComparisonFigures
     comparison: study.Comparison
     record_name: str = "compare"
-    printed: Mapping[tuple[str, float], Rollout] = field(default_factory=dict)
+    document_runs: Mapping[tuple[str, float, float], Rollout] = field(default_factory=dict)
 
     @property
     def passed(self) -> bool:
@@ -197,9 +197,10 @@ class TrackingResult(Result):
         return all(run.stable for run in (*self.comparison.nominal.values(), *self.comparison.mismatched.values()))
 
     def blocks(self) -> list[Block]:
-        """Return the table of errors and efforts, and the machine of an experiment's sample."""
+        """Return the tables of errors and efforts, and the source document's experiment or the machine of a sample."""
         if (sample := self.figures.sample) is None:
-            return comparison_blocks(self.comparison)
+            experiment = document_blocks(self.document_runs) if self.document_runs else []
+            return [*comparison_blocks(self.comparison), *experiment]
         from linkplan.studies.variations.experiment.experiment_sections import machine_section
 
         failure = sample["failure"]
@@ -213,16 +214,16 @@ class TrackingResult(Result):
 
         if self.figures.sample is not None:
             return replay_report(self.comparison, self.figures.sample)
-        title = "The source document, as printed and mended"
-        section = Section(title=title, blocks=document_blocks(self.printed)) if self.printed else None
+        title = "The source document, as printed and corrected"
+        section = Section(title=title, blocks=document_blocks(self.document_runs)) if self.document_runs else None
         return comparison_report(self.comparison, section)
 
     def draw(self, place: Path, *, parquet: bool = False) -> None:
         """Write every run's time series and the figures."""
         save_time_series(self.comparison, place, parquet=parquet)
         comparison_figure(self.comparison, place / f"{self.record_name}.png")
-        if self.printed:
-            document_figure(document_blocks(self.printed), place / "desired_and_actual.png")
+        if self.document_runs:
+            document_figure(document_blocks(self.document_runs), place / "desired_and_actual.png")
 
     def save(self, folder: str | Path, *, report: bool = False, parquet: bool = False) -> Path:
         """Write every run's time series into a folder, whole or not at all, with the record and the figure; return its path.

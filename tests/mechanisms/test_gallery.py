@@ -15,9 +15,12 @@ from linkplan.planner.files.tables import read_tables
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.demo.draw_cut_loop import PICTURE, cut_loop_figure
 from linkplan.studies.demo.draw_gallery import FOLDER, SHOWN, gallery_figure
+from linkplan.studies.demo.draw_knee import PICTURE as SKETCH
+from linkplan.studies.demo.draw_knee import knee_figure
 from linkplan.studies.output.body_colours import body_colours, hex_of
 from linkplan.studies.output.figure import SERIES
 from tests.support.data import ROOT
+from tests.support.figure_texts import text_faults
 from tests.support.figures import pixels_of, saved_figures
 from tests.support.mechanism_checks import mechanism_of, plan_of
 from tests.support.mechanisms import replaced
@@ -68,6 +71,18 @@ def test_the_drawing_of_the_cut_loop_has_the_gap_that_mujoco_finds(tmp_path):
     assert gap == pytest.approx(np.linalg.norm(data.efc_pos[tied]), rel=1e-9)
     assert (tmp_path / "cut.png").stat().st_size > 0
     assert PICTURE.is_file()
+
+
+def test_the_sketch_of_the_knee_has_the_source_document_s_letters_and_lengths(tmp_path, monkeypatch):
+    saved = saved_figures(monkeypatch)
+    lengths = knee_figure(tmp_path / "sketch.png")
+    assert lengths == pytest.approx({"crank": 0.057, "coupler": 0.0741, "rocker": 0.0855, "ground": 0.057}, abs=1e-9)
+    texts = {text.get_text(): text.xy for text in saved["sketch.png"].axes[0].texts if text.get_text()}
+    assert {"O", "A", "B", "C"} <= set(texts)
+    for pin, other, metres in (("O", "A", 0.057), ("A", "B", 0.0741), ("C", "B", 0.0855), ("O", "C", 0.057)):
+        assert np.linalg.norm(np.subtract(texts[pin], texts[other])) == pytest.approx(metres, rel=0.02), (pin, other)
+    assert [fault for fault in text_faults(saved["sketch.png"]) if "lies on" in fault or "cut off" in fault] == []
+    assert SKETCH.is_file()
 
 
 def test_the_gallery_is_drawn_where_the_readme_looks_for_it():

@@ -187,7 +187,7 @@ def _with_brief_search(found: FirstMotion, plan: Plan, took_s: float) -> FirstMo
     if is_large(found.mechanism):
         limit = max(limit, float(np.ceil(2 * took_s)))
     note = (
-        f"the smooth path keeps every limit: planning searches for a better motion for {limit:g} s of work and no longer"
+        f"the smooth path satisfies every limit: planning searches for a better motion for {limit:g} s of work and no longer"
         " (solver.max_time_s)"
     )
     tables = found.tables | {"solver": {"max_time_s": limit}}

@@ -241,7 +241,8 @@ def _loop_name(mechanism: Mechanism, law: SampledLaw) -> str:
     name = "lqr" if law.name == "lqr" else settings.gains_text(mechanism.independent_joints)
     name += f" sampled every {settings.period_s:g} s"
     if timing.delay_steps:
-        name += f" with a delay of {timing.delay_s / settings.period_s:g} period(s)"
+        periods = timing.delay_s / settings.period_s
+        name += f" with a delay of {periods:g} period{'' if periods == 1 else 's'}"
     return name
 
 
@@ -265,7 +266,13 @@ def _message(points: Sequence[BodePoint], disputed: Sequence[str], loop: str) ->
     text = f"stable at {'the pose' if counted == _counted(1) else f'all {counted}'}: {loop}"
     known = [(margin, p.point.name) for p in points if (margin := p.phase_margin_deg) is not None]
     if known:
-        text += ", phase margin {:.1f} deg at the worst ({})".format(*min(known))
+        least, where = min(known)
+        one = counted == _counted(1)
+        text += (
+            f", phase margin {least:.1f} deg"
+            if one
+            else f", least phase margin of these {counted} {least:.1f} deg ({where})"
+        )
     return text
 
 

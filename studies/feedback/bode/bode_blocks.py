@@ -345,7 +345,8 @@ def margins_along(study: BodeStudy, scan: Scan, name: str) -> list[Plot | Plane]
         Line(name="phase margin", values=scan.column("phase_margin_deg"), unit="deg"),
         Line(name="disk phase margin", values=scan.column("disk_phase_margin_deg"), unit="deg"),
     ]
-    highest = float(np.nanmax([line.values for line in margins], initial=0.0))
+    known = np.concatenate([line.values for line in margins])
+    highest = float(np.max(known[np.isfinite(known)], initial=0.0))  # none is known of a loop that is unstable everywhere
     lost = np.array([0.0 if not bounds.stable else np.nan for bounds in scan.margins])
     if np.isfinite(lost).any():
         margins.append(Line(name="unstable", values=lost, unit="deg", look="points", colour=4))

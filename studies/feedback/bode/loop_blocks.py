@@ -131,7 +131,7 @@ def along_blocks(found: AlongMotion) -> list[Block]:
             Line(name="predicted", values=shares[0], unit="1"),
             Line(name="measured in MuJoCo", values=shares[1], unit="1", look="dash"),
         ]
-        title = f"Remaining share of the worst disturbance; largest multiplier {cycle.multiplier_size[0]:.3g} a cycle"
+        title = f"Decay of the worst disturbance: it is multiplied by at most {cycle.multiplier_size[0]:.3g} per cycle"
         blocks += plots(title, "share", TIME, cycle.time_s, decay, log=True)
     return blocks
 
@@ -146,8 +146,8 @@ def large_blocks(signals: LargeSignals) -> list[Block]:
         deviation = np.abs(signals.describing[cut] / signals.describing_predicted[cut] - 1).max()
         off = np.abs(signals.gain_db[cut] - signals.predicted_db[cut]).max()
         said = (
-            f"past the limit ({int(cut.sum())} points) the measured describing function is within {100 * deviation:.2g} % of"
-            f" the saturation's, and the closed loop within {off:.2g} dB of harmonic balance"
+            f"beyond the effort limit, {int(cut.sum())} measured points differ by at most {100 * deviation:.2g} % from the"
+            f" describing function of a saturation, and the closed loop by at most {off:.2g} dB from harmonic balance"
         )
         texts.append(Text(text=said))
     places = list(zip(curve.amplitude, curve.frequency_hz, curve.reason, strict=True))

@@ -185,7 +185,7 @@ class FeedbackLoop:
     def steered_matrices(self) -> tuple[np.ndarray, np.ndarray]:
         """Return A (M, M) and B (M, n_u) of the open loop without passive spins."""
         kept = self.steered_entries
-        A, B, late = self.A[np.ix_(kept, kept)], self.B[kept], self.B_late[kept]
+        A, B, late = self.A[kept][:, kept], self.B[kept], self.B_late[kept]
         return (A, B) if self.kind == CONTINUOUS else augmented(A, B, late, self.timing)
 
     @property

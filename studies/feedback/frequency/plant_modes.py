@@ -40,7 +40,7 @@ def plant_modes(point: OperatingPoint, channel: int) -> dict[str, PlantModes]:
     kept = np.flatnonzero(np.tile(mechanism.actuated, 2))
     A, B = (found[0] for found in linearise(mechanism, point.pose[None], point.velocity[None], point.hold[None]))
     _, push = channel_effort(point, channel)
-    A, b = A[np.ix_(kept, kept)], (B[kept] @ push)[:, None]
+    A, b = A[kept][:, kept], (B[kept] @ push)[:, None]
     poles, found = np.linalg.eigvals(A), {}
     for output in outputs_of(mechanism, channel):
         c = (kept == output).astype(float)[None]
@@ -56,7 +56,7 @@ def _zeros(A: np.ndarray, b: np.ndarray, c: np.ndarray, largest: float) -> np.nd
     pencil, mass = np.block([[A, b], [c, np.zeros((1, 1))]]), np.zeros((n + 1, n + 1))
     mass[:n, :n] = np.eye(n)
     with np.errstate(divide="ignore", invalid="ignore"):
-        found = scipy.linalg.eigvals(pencil, mass)
+        found = np.asarray(scipy.linalg.eigvals(pencil, mass))
     return found[np.isfinite(found) & (np.abs(found) < largest)]
 
 

@@ -19,6 +19,8 @@ from linkplan.studies.feedback.tune.requirements import UNSTABLE_SHORTFALL, Requ
 _NATURAL_FREQUENCY_RANGE = (0.08, 4.0)
 _DAMPING_RATIO_RANGE = (0.15, 8.0)
 _GRID_LEVELS = 4
+# The least share of kd^2 that the velocity weight of an LQR causes: with less, it would be a number without an effect.
+_LEAST_EXTRA_DAMPING = 0.01
 # The search uses approximate margins, so it requires this factor more than the user.
 _SEARCH_RESERVE = 1.005
 # Rounds of searching gains: with the worst poses of a line added (at most two were needed in practice), and through the
@@ -135,7 +137,8 @@ def _with_weights(points, settings: Tracking, channel: int, inertia: float, omeg
     """
     kp, kd, joint = inertia * omega**2, 2 * damping * inertia * omega, points[0].mechanism.independent_joints[channel]
     limit = _effort_weight(points, channel)
-    extra = max(kd**2 - 2 * inertia * kp, (1e-4 * kd) ** 2)
+    # LQR damps with at least sqrt(2 J kp). For less damping, the velocity weight raises this by half a percent.
+    extra = max(kd**2 - 2 * inertia * kp, _LEAST_EXTRA_DAMPING * 2 * inertia * kp)
     position, velocity = (float(np.clip(joint.shown(x), *LQR_ERRORS)) for x in (limit / kp, limit / np.sqrt(extra)))
     return settings.replace(**{f"lqr_position_{joint.unit}": position, f"lqr_velocity_{joint.unit}_s": velocity})
 

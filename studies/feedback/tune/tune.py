@@ -162,7 +162,7 @@ def _reason(wanted: Requirements, best: EvaluatedGains) -> str:
     """Return the requirements that the best gains violate, as text."""
     unstable = [loop.point.name for loop in best.loops if not loop.stable]
     if unstable:
-        return f"no gains near that bandwidth are even stable at {unstable[0]}"
+        return f"no gains near that bandwidth are stable at {unstable[0]}"
     violated = []
     for name, words, unit, limit in (
         ("bandwidth_hz", "a bandwidth of", " Hz", wanted.bandwidth_hz),

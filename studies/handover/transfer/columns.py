@@ -12,6 +12,7 @@ from linkplan.models.transfer.polytope import (
     speed_alone,
     speed_box,
 )
+from linkplan.models.tree.joints import inertia_unit_of
 from linkplan.studies.handover.transfer.study import Transfer, carried_gains
 
 # What an array of the NPZ file is, by name; joints are in the order of the table's axes, motors in the file's order.
@@ -68,7 +69,7 @@ def arrays_of(transfer: Transfer) -> dict[str, np.ndarray]:
 
 
 def columns_of(transfer: Transfer) -> dict[str, np.ndarray]:
-    """Return the table as columns (n,); heads are like "inertia_pitch_roll [N.m.s2/rad]"."""
+    """Return the table as columns (n,); heads are like "inertia_pitch_roll [kg m2]"."""
     return {head: column for name, value in arrays_of(transfer).items() for head, column in _columns(transfer, name, value)}
 
 
@@ -123,20 +124,27 @@ def _columns(transfer: Transfer, name: str, value: np.ndarray) -> Iterator[tuple
             closed = outputs.mechanism.joints
             rows = [(closed[i].name, *closed[i].si_units) for i in transfer.serial.model.rubbing]
         stem, symmetric = _STEMS.get(name, name), name not in ("ratio", "ratio_slope", "friction_rate")
-        rate = _RATES.get(name.removesuffix("_slope").removesuffix("_rest"), "")
+        kind = name.removesuffix("_slope").removesuffix("_rest")
+        rate = _RATES.get(kind, "")
         for index in np.ndindex(value.shape[1:]):
             if len(index) > 1 and symmetric and index[1] < index[0]:
                 continue
             first, *others = (axis[i] for axis, i in zip((rows, columns, joints), index, strict=False))
             head = "_d_".join([f"{stem}_{'_'.join(one[0] for one in (first, *others[:1]))}", *(by[0] for by in others[1:])])
-            unit = "/".join([first[1 if name in _OF_POSITIONS else 2] + rate, *(other[1] for other in others)])
+            if kind in _INERTIAS:
+                coupled, *by_joints = others or [first]
+                units = [inertia_unit_of(first[2], coupled[2]), *(by[1] for by in by_joints)]
+            else:
+                units = [first[1 if name in _OF_POSITIONS else 2] + rate, *(other[1] for other in others)]
+            unit = "/".join(units)
             yield f"{head} [{unit}]", value[(slice(None), *index)]
 
 
 # The beginnings of heads that are not the quantity's name, what its unit has beside those of its joints and motors, and the
 # quantities whose unit begins with that of a position; the others begin with an effort.
 _STEMS = {"ratio": "G", "ratio_slope": "dG"}
-_RATES = {"inertia": ".s2", "armature": ".s2", "damping": ".s", "motor_kd": ".s", "joint_kd": ".s"}
+_INERTIAS = ("inertia", "armature")
+_RATES = {"damping": ".s", "motor_kd": ".s", "joint_kd": ".s"}
 _RATES |= {"speed_alone": "/s", "speed_box": "/s"}
 _OF_POSITIONS = ("joint_position", "motor_position", "speed_alone", "speed_box", "ratio", "ratio_slope", "friction_rate")
 

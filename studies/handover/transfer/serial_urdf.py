@@ -61,7 +61,7 @@ def urdf_notes(transfer: Transfer) -> list[str]:
     if _has_ball(model):
         return ["there is none: a URDF has no ball joint"]
     carried = [f"{one.name} {x:.6g} {one.inertia_unit}" for one, x in zip(joints, serial.model.armature, strict=True)]
-    armature = ", ".join(carried).replace("kg m2", "kg.m2")
+    armature = ", ".join(carried)
     found = [f"a URDF has no armature: give the joints {armature} where the simulator takes it"]
     if not reductions(transfer):
         ratio = table.grid.values["ratio"][table.known]
@@ -80,7 +80,7 @@ def urdf_notes(transfer: Transfer) -> list[str]:
     }
     found += [f"{what} are left out" for what, there in lacking.items() if there]
     if np.any(model.body_jntnum > 1):
-        found.append("a link of 1e-6 kg and 1e-9 kg.m2 stands between two joints of one body")
+        found.append("a link of 1e-6 kg and 1e-9 kg m2 stands between two joints of one body")
     return found
 
 

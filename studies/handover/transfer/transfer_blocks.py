@@ -6,6 +6,7 @@ import numpy as np
 
 from linkplan.models.transfer.polytope import effort_box, effort_corners
 from linkplan.models.transfer.table import REFINED
+from linkplan.models.tree.joints import inertia_unit_of
 from linkplan.studies.handover.transfer.serial_study import error_plots, serial_blocks
 from linkplan.studies.handover.transfer.serial_urdf import urdf_notes
 from linkplan.studies.handover.transfer.study import CONVENTION, Transfer, carried_gains
@@ -169,7 +170,7 @@ def _lines(transfer: Transfer, name: str, values: np.ndarray) -> list[Line]:
     if name == "inertia":
         pairs = [(j, k) for j in range(len(joints)) for k in range(j, len(joints))]
         return [Line(name=f"{joints[j][0]}" if j == k else f"{joints[j][0]} and {joints[k][0]}", values=values[:, j, k],
-                     unit=f"{joints[j][2]}.s2/{joints[k][1]}") for j, k in pairs]  # fmt: skip
+                     unit=inertia_unit_of(joints[j][2], joints[k][2])) for j, k in pairs]  # fmt: skip
     return [Line(name=joint, values=values[:, k], unit=effort) for k, (joint, _, effort) in enumerate(joints)]
 
 

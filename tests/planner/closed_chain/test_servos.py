@@ -34,7 +34,7 @@ def test_a_servo_that_cannot_hold_back_gently_at_its_goal_is_said_at_once():
     assert plan.status == "infeasible"
     assert plan.history == ()
     assert f"s on joint J would need a ctrl of {np.pi / 3 - 0.1:.4g} at the goal" in plan.message
-    assert "its ctrlrange of -0.5 to 0.5" in plan.message
+    assert "its ctrlrange is -0.5 to 0.5" in plan.message
 
 
 def test_a_joint_servos_plan_stays_within_the_ctrl_that_it_has():

@@ -5,6 +5,7 @@ import tempfile
 from functools import cache
 from pathlib import Path
 
+import control
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -12,6 +13,7 @@ from matplotlib.figure import Figure
 
 import linkplan
 from linkplan.studies.cli.main import main
+from linkplan.studies.demo.draw_margins import PICTURE, margins_figure
 from linkplan.studies.feedback.bode import bode_blocks
 from tests.support.figure_texts import text_faults
 from tests.support.figures import curves, saved_figures
@@ -45,6 +47,11 @@ def test_the_open_loop_of_an_unstable_gain_is_in_its_frame_and_named():
     for name, (x, y) in lines.items():
         assert np.any((x > left) & (x < right) & (y > low) & (y < high)), name
     assert max(abs(x[np.nanargmin(np.hypot(x, y))]) for x, y in lines.values()) > 2.5  # beyond the frame as it was
+
+
+@pytest.mark.filterwarnings("error:All-NaN")
+def test_figures_of_a_loop_that_is_unstable_at_every_pose_bring_no_warning():
+    assert "margins.png" in drawn("knee-sine", "--set", "tracking.kd=10")
 
 
 @pytest.mark.parametrize("name", ["optimus-knee", "five-bar-reach"])
@@ -101,3 +108,23 @@ def test_phases_of_nearly_equal_poses_are_drawn_beside_each_other(monkeypatch):
         assert len(phase.series) == 4
         first = [series.y[0] for series in phase.series]
         assert np.ptp(first) < 30.0, phase.title
+
+
+def test_the_picture_of_margins_shows_those_of_python_control_and_loops_that_nearly_use_them_up(tmp_path, monkeypatch):
+    saved = saved_figures(monkeypatch)
+    shown = margins_figure(tmp_path / "margins.png")
+    loop = linkplan.bode(
+        "knee-reach", kp=1039.4, kd=24.312, period_s=1e-3, delay_periods=1, at_deg=[{"O": 56.27}], measure=False
+    )
+    gain, phase, *_ = control.stability_margins(loop.frd("loop"))
+    assert shown.gain_margin_db == pytest.approx(20 * np.log10(gain), abs=0.05)
+    assert shown.phase_margin_deg == pytest.approx(phase, abs=0.1)
+    figure = saved["margins.png"]
+    assert text_faults(figure) == []
+    (steps,) = [axes for axes in figure.axes if axes.get_xlabel() == "time [s]"]
+    for name, (_, angle) in curves(steps).items():
+        # the loop itself has settled; with nearly a whole margin used up it swings on at the end
+        swing = np.ptp(angle[-60:])
+        assert angle[-60:].mean() == pytest.approx(1.0, abs=0.05), name
+        assert (swing > 0.1) == ("delay" in name), name
+    assert PICTURE.is_file()

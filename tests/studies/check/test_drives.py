@@ -31,7 +31,7 @@ def test_the_source_s_linear_actuator_is_told_for_what_it_is():
     mujoco.mju_sparse2dense(moment, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
     at_most = 0.2 * moment[1, mechanism.model.joint("D").id]
     assert 1e-3 < at_most < 1e-2
-    assert f"act_B_to_D, on slider-crank s2-sD, only turns it one way, by 0 to {at_most:.3g} N.m at home" in on_d
+    assert f"act_B_to_D, on slider-crank s2-sD, turns it in one direction only, with 0 to {at_most:.3g} N.m at home" in on_d
     assert any(
         "act_B_to_D adds almost nothing on joint O" in note and "against 100 of act_O" in note for note in found.notes
     )
@@ -40,8 +40,8 @@ def test_the_source_s_linear_actuator_is_told_for_what_it_is():
 def test_a_motor_that_only_pushes_says_so_unless_a_spring_brings_its_joint_back():
     loose = pushed_one_way(load_mechanism(TWO.format(b="")), 1)
     assert loose == (
-        "joint b moves freely: on_b, on joint b, only turns it one way, by 0 to 2 N.m at home, and no spring or weight"
-        " brings it back"
+        "joint b moves freely: on_b, on joint b, turns it in one direction only, with 0 to 2 N.m at home, and no spring"
+        " or weight brings it back"
     )
     assert pushed_one_way(load_mechanism(TWO.format(b='stiffness="1"')), 1) is None
     assert pushed_one_way(load_mechanism(TWO.format(b="")), 0) is None
@@ -85,7 +85,7 @@ def test_a_load_on_a_rope_is_moved_along_by_the_trolley_and_freely_across():
     assert freely == [f"joint load_{name} moves freely" for name in ("y", "rx", "rz")]
 
 
-COASTS = "; a motion that does not name it ends where its momentum takes it"
+COASTS = "; if a motion gives no goal for it, it coasts on its momentum"
 
 
 @pytest.mark.parametrize(("friction", "said"), [("", f" and nothing damps it{COASTS}"), ('frictionloss="0.1"', "")])
@@ -139,6 +139,8 @@ def test_a_truss_in_which_a_rod_spins_is_said_to_be_held_still():
     truss = load_mechanism(text)
     assert truss.dof == 1
     assert joints_to_drive(truss) == []
-    assert "its loops hold all but the spins of rods still" in str(inspect(truss, []).problems)
+    assert "its loops leave no joint free to move, except rods that spin about their own axes" in str(
+        inspect(truss, []).problems
+    )
     with pytest.raises(ProblemError, match="no degree of freedom but the spins of rods"):
         first_motion({"model": text}, print)

@@ -41,7 +41,7 @@ def test_of_few_coordinates_all_quantities_are_said(wholes):
 def test_of_many_each_has_its_own(wholes):
     text = text_of(wholes[9].blocks())
     assert "the same at every pose" not in text
-    assert "of 9 coordinates each has its own quantities above" in text
+    assert "for each of the 9 coordinates, the tables above have only its own quantities" in text
     own = next(part for part in text.split("\n\n") if part.startswith("along the reach of j7"))
     head = own.splitlines()[1]
     assert "weight alone j7 [N.m]" in head

@@ -179,19 +179,26 @@ def test_a_saved_plan_is_tracked_and_compared(ask_json, tmp_path):
 
 
 @pytest.mark.slow
-def test_compare_of_the_sine_draws_the_documents_figure_for_both_gain_sets(ask_json, tmp_path, monkeypatch):
+def test_compare_of_the_sine_draws_the_documents_figure_for_its_gains_and_those_asked_for(ask_json, tmp_path, monkeypatch):
     saved = saved_figures(monkeypatch)
-    code, said = ask_json("compare", "knee-sine", "-o", str(tmp_path / "sine"))
+    own = ("--set", "tracking.kp=300", "--mass-factor", "1", "--delay-periods", "0")
+    code, said = ask_json("compare", "knee-sine", "-o", str(tmp_path / "sine"), *own)
     assert code == 0
     assert said["trackers"]["pd"]["rms_error_deg"] < SINE_RMS_DEG
-    assert [row["kd"] for row in said["document"]] == [1.0, 10.0]
-    assert [row["stable"] for row in said["document"]] == [True, False]
+    rows = {(row["model"], row["kp"], row["kd"]): row for row in said["document"]}
+    gains, models = [(200.0, 1.0), (200.0, 10.0), (300.0, 1.0)], ("as printed", "corrected")
+    assert list(rows) == [(model, *pair) for model in models for pair in gains]
+    assert [row["stable"] for row in rows.values()] == [True, False, True] * 2
+    assert [row["contacts"] > 0 for row in rows.values()] == [True] * 3 + [False] * 3
+    # the own run and the tracker's run are the same experiment, made by two routes
+    again = rows["corrected", 300.0, 1.0]["rms_error_deg"]
+    assert again == pytest.approx(said["trackers"]["pd"]["rms_error_deg"], rel=1e-6)
     figure = saved["desired_and_actual.png"]
     assert {path.name for path in (tmp_path / "sine").iterdir()} >= {"desired_and_actual.png", "compare.png"}
-    assert [axes.get_ylabel() for axes in figure.axes] == ["joint O [deg]"] * 2
+    assert [axes.get_ylabel() for axes in figure.axes] == ["joint O [deg]"] * 6
     assert figure.axes[-1].get_xlabel() == "time [s]"
     cells = [axes.get_title() for axes in figure.axes]
-    assert cells == [f"mended: KP = 200 N.m/rad, KD = {kd} N.m.s/rad" for kd in ("1", "10")]
+    assert cells == [f"{model}: KP = {kp:g} N.m/rad, KD = {kd:g} N.m.s/rad" for kp, kd in gains for model in models]
     for cell, axes in zip(cells, figure.axes, strict=True):
         drawn = curves(axes)
         assert set(drawn) == {"actual", "desired"}
@@ -199,7 +206,7 @@ def test_compare_of_the_sine_draws_the_documents_figure_for_both_gain_sets(ask_j
         assert (time.min(), time.max()) == pytest.approx((0.0, 2.0), abs=LAST_SAMPLE_S)
         assert desired == pytest.approx(3.6 + 52.67 * np.sin(2 * np.pi * 4 * time), abs=1e-3)
         off = np.sqrt(np.mean((drawn["actual"][1] - desired) ** 2))
-        assert (off < SINE_RMS_DEG) == ("KD = 1 " in cell)
+        assert (off < SINE_RMS_DEG) == (cell.startswith("corrected") and "KD = 1 " in cell)
 
 
 @pytest.mark.slow

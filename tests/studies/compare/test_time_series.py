@@ -196,7 +196,7 @@ TOUCHING = """<mujoco model="drawn"><worldbody>
 
 def test_contacts_that_act_in_a_run_are_said_with_the_line_that_leaves_them_out():
     (note,) = comparison_notes(compared(TOUCHING.format(contact="")))
-    assert note.startswith("contacts of geom 0 of base and geom 1 of crank push in MuJoCo")
+    assert note.startswith("geom 0 of base and geom 1 of crank touch in MuJoCo")
     (line,) = re.findall(r"<exclude [^>]*/>", note)
     (advised,) = contact_findings(*_reached(TOUCHING.format(contact="")), None, "refuse")[0]
     assert line in advised

@@ -318,10 +318,10 @@ def test_a_ball_joint_that_a_default_limits_to_0_deg_is_named(tmp_path, ask):
     (tmp_path / "rod.xml").write_text(rod, encoding="utf-8")
     code, out, _ = ask("check", str(tmp_path / "rod.xml"))
     assert code == 1
-    assert "PROBLEM: ball joint socket may not turn" in out
+    assert "PROBLEM: ball joint socket cannot turn" in out
     code, _, err = ask("new", str(tmp_path / "rod.xml"), "-o", str(tmp_path / "first.toml"))
     assert code == 2
-    assert "ball joint socket may not turn" in err
+    assert "ball joint socket cannot turn" in err
 
 
 def test_forces_that_are_not_honoured_are_no_shut_way_but_left_out_and_named(tmp_path, ask):

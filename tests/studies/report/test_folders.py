@@ -5,9 +5,11 @@ import re
 
 import pytest
 
+import linkplan
+from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import PlanFileError
 from linkplan.studies.cli.main import main
-from linkplan.studies.output.document import Checklist, Report, Table, Text
+from linkplan.studies.output.document import Checklist, Code, Report, Table, Text
 from linkplan.studies.output.plan_sections import plan_report
 from linkplan.studies.output.report_file import DOCUMENT, document_json, save_report, write_report
 from linkplan.studies.report.reading import folder_report
@@ -31,6 +33,23 @@ def test_a_saved_document_is_read_again(tmp_path):
     again = folder_report(tmp_path)
     assert isinstance(again, Report)
     assert json.loads(document_json(again)) == json.loads(document_json(report))
+
+
+@pytest.mark.slow
+def test_the_problem_of_a_page_plans_for_its_receiver_who_has_the_model_beside_it(tmp_path):
+    sender, receiver = tmp_path / "sender", tmp_path / "receiver"
+    sender.mkdir()
+    receiver.mkdir()
+    model = built_in_text("optimus-knee")
+    (sender / "leg.xml").write_text(model)
+    problem = linkplan.Problem.reach(str(sender / "leg.xml"), start_deg={"O": -10}, goal_deg={"O": 10}, duration_s=0.2)
+    (code,) = [one for one in blocks(plan_report(linkplan.plan(problem)), Code) if "problem" in one.title]
+    assert "# Needs leg.xml in its own folder." in code.text
+    assert str(tmp_path) not in code.text
+    (receiver / "leg.xml").write_text(model)
+    (receiver / "received.toml").write_text(code.text)
+    (sender / "leg.xml").unlink()
+    assert linkplan.plan(linkplan.Problem.from_file(receiver / "received.toml")).status == "optimal"
 
 
 def test_a_folder_of_an_earlier_version_shows_its_figures_and_says_what_lacks(tmp_path):

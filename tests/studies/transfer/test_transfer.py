@@ -40,7 +40,7 @@ def test_every_head_has_a_unit_and_every_column_is_of_the_arrays(ankle):
     assert sum(np.prod(value.shape[1:], dtype=int) for value in ankle.arrays.values()) >= len(columns)
     G = ankle.arrays["ratio"]
     np.testing.assert_array_equal(columns["G_right_ankle_roll [rad/rad]"], G[:, 1, 1])
-    np.testing.assert_array_equal(columns["inertia_ankle_pitch_ankle_roll [N.m.s2/rad]"], ankle.arrays["inertia"][:, 0, 1])
+    np.testing.assert_array_equal(columns["inertia_ankle_pitch_ankle_roll [kg m2]"], ankle.arrays["inertia"][:, 0, 1])
     np.testing.assert_array_equal(columns["motor_kp_left_right [N.m/rad]"], ankle.arrays["motor_kp"][:, 0, 1])
     np.testing.assert_array_equal(columns["speed_box_ankle_roll [rad/s]"], ankle.arrays["speed_box"][:, 1])
 
@@ -49,7 +49,7 @@ def test_units_follow_a_slide():
     table = linkplan.transfer(linkplan.load_mechanism("slider-crank", home_deg={"O": 60}), ["B"], tolerance=0.05)
     heads = list(columns_of(table.found))
     assert heads[:3] == ["joint_position_B [m]", "motor_position_act_O [rad]", "G_act_O_B [rad/m]"]
-    assert {"inertia_B_B [N.s2/m]", "gravity_B [N]", "effort_largest_B [N]"} <= set(heads)
+    assert {"inertia_B_B [kg]", "gravity_B [N]", "effort_largest_B [N]"} <= set(heads)
 
 
 def test_gains_carried_there_are_the_gains_asked_for(ankle):

@@ -47,6 +47,15 @@ def test_gains_found_do_what_is_wanted_at_every_angle(payload, law, bandwidth, p
 
 
 @pytest.mark.slow
+def test_a_velocity_weight_of_an_lqr_that_is_found_has_an_effect():
+    found = tuned("shank", "lqr", 30.0, 60.0, 1e-4)
+    settings, limit, point = found.best.law.settings, found.mechanism.effort_limit, found.points[0].point
+    stiffer = settings.replace(lqr_velocity_deg_s=settings.lqr_velocity_deg_s / 3)
+    damping, more = (law_gain(point, "lqr", one, limit)[0, 1] for one in (settings, stiffer))
+    assert more > 1.02 * damping
+
+
+@pytest.mark.slow
 def test_a_sensitivity_peak_is_kept():
     loose, tight = tuned(None, "pd", 60.0, 30.0, 1e-3), tuned(None, "pd", 60.0, 30.0, 1e-3, peak=1.4)
     assert tight.found
