@@ -11,7 +11,7 @@ from msgspec import Meta
 from linkplan.models.catalogue import MODELS
 from linkplan.planner.keys import kinds
 from linkplan.planner.keys.imperfections import ImperfectionsSection
-from linkplan.planner.keys.motion_and_limits import LimitsSection, MotionSection, MotorTable, ReferenceSection, RobustSection
+from linkplan.planner.keys.motion_and_limits import LimitsSection, MotionSection, MotorTable, ReferenceTable, RobustSection
 from linkplan.planner.keys.section import Section, by_joint, by_name, key, required
 
 # Each case has a folder with its name, next to the JSON records of results: so names have no separators, wildcards or
@@ -179,7 +179,7 @@ class ProblemFile(Section, frozen=True, kw_only=True):
     description: str = key("the problem in a sentence", otherwise="none", default="")
     mechanism: MechanismSection = required("the machine")
     motion: MotionSection = required("the motion")
-    reference: ReferenceSection = key("the sinusoid to follow exactly or approximately", otherwise="none")
+    reference: ReferenceTable = key("the sinusoid or table to follow exactly or approximately", otherwise="none")
     objective: ObjectiveSection = key("what to minimise", otherwise="by the kind of motion", default=ObjectiveSection())
     limits: LimitsSection = key("limits at every instant", otherwise="the model's own", default=LimitsSection())
     robust: RobustSection = key(

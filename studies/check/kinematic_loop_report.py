@@ -26,7 +26,7 @@ from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import Reach
 from linkplan.models.reduction.reduced import ReducedDynamics, is_regular, singular_inertia_text
 from linkplan.models.tree.joints import where
-from linkplan.planner.closed_chain.guess import GUESS_SAMPLES, first_guess, poses_along
+from linkplan.planner.closed_chain.guess import GUESS_SAMPLES, first_guess, follows_reference, poses_along
 from linkplan.planner.problem.problem import Problem
 
 
@@ -256,11 +256,10 @@ def motion_path(problem: Problem) -> KinematicLoopPath:
         ProblemError: if start, goal or reference are out of reach.
         AssemblyError: if the loops do not close along the path.
     """
-    mechanism, motion = problem.mechanism, problem.motion
+    mechanism = problem.mechanism
     guess = first_guess(problem, problem.start_pose())
     time = np.linspace(0.0, guess.duration_s, GUESS_SAMPLES)
-    follows = not motion.ends_at_goal and problem.reference is not None and not motion.waypoints
-    title = f"the {'reference' if follows else 'smooth path'} of {problem.name}"
+    title = f"the {'reference' if follows_reference(problem) else 'smooth path'} of {problem.name}"
     poses = poses_along(mechanism, guess, time)
     return measure(mechanism, poses, title, time_s=time, limit=problem.limits.effort)
 
