@@ -174,4 +174,6 @@ Efforts = Annotated[dict[str, Interval], Meta(extra=_ACTUATORS | {"of": "actuato
 ActuatorLimits = Annotated[dict[str, Positive | Interval], Meta(extra=_ACTUATORS)]
 ClosureLimits = Annotated[dict[str, Positive], Meta(extra={"of": "closure = newtons", "noun": "closure"})]
 SiteLimits = Annotated[dict[str, Positive], Meta(extra={"of": "site = metres per second squared", "noun": "site"})]
+Force = Annotated[list[Number], Meta(min_length=3, max_length=3, extra={"said": "[x, y, z] in newtons", "numbered": True})]
+Forces = Annotated[dict[str, Force], Meta(extra={"of": "site = [x, y, z] in newtons"})]
 Places = Annotated[dict[str, Place], Meta(extra={"of": "site = [x, y, z] in metres", "noun": "site"})]

@@ -83,6 +83,9 @@ class MechanismSection(Section, frozen=True):
     lock_spin: kinds.BallJoints = key(
         "ball joints of rods that do not spin about their own line", otherwise="none", default=[]
     )
+    force: kinds.Forces = by_name(
+        "constant forces [x, y, z] in the world's axes by site: a load on a foot or hook", "N", "none"
+    )
     closure_tolerance_m: kinds.Positive = key(
         "the largest gap of a loop that counts as rounding of the model", "m", "by the mechanism's size"
     )

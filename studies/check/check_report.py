@@ -64,7 +64,7 @@ def path_blocks(path: KinematicLoopPath, *, brief: bool = False) -> list[Block]:
     if not acts(path).all():
         constant.append("all other ratios 0")
     hold = "hold and force are" if path.mechanism.actuators else "force is"
-    weight = Text(text=f"weight alone is without springs; {hold} with everything at rest, weight and springs")
+    weight = Text(text=f"weight alone is without springs; {hold} with everything at rest: weight, springs, constant forces")
     same = [Facts(rows=[("the same at every pose", ", ".join(constant))])] if constant else []
     return [*table, weight, *same, *sentences]
 

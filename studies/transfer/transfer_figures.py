@@ -13,7 +13,7 @@ from linkplan.studies.transfer.serial_urdf import reductions, urdf_notes
 from linkplan.studies.transfer.study import CONVENTION, Transfer, carried_gains
 from linkplan.studies.transfer.transfer_blocks import notes
 
-_AT_HOME = ("motor_position", "ratio", "inertia", "armature", "damping", "friction", "gravity")
+_AT_HOME = ("motor_position", "ratio", "inertia", "armature", "damping", "friction", "gravity", "hold")
 
 
 class TransferFigures(Struct, frozen=True, kw_only=True, eq=False):

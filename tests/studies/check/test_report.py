@@ -348,7 +348,10 @@ def test_the_table_tells_weight_alone_from_what_holds_weight_and_springs():
     actuator = mechanism.actuators[0].name
     assert path.ratio[:, 0, 0] * columns[f"hold {actuator}"] == pytest.approx(both, rel=1e-9, abs=1e-12)
     text = text_of(path_blocks(path))
-    assert "weight alone is without springs; hold and force are with everything at rest, weight and springs" in text
+    assert (
+        "weight alone is without springs; hold and force are with everything at rest: weight, springs, constant forces"
+        in text
+    )
 
 
 def test_an_angle_that_is_rounding_of_zero_is_said_as_zero():
