@@ -316,7 +316,8 @@ def test_the_table_says_once_what_does_not_change():
     (path,) = swept_paths("optimus-knee")
     text = text_of(path_blocks(path))
     assert "the same at every pose: act_O->O 1, available O -100 to 100 N.m" in text
-    assert len([row for row in text.splitlines() if row[:1].isdigit() or (row.startswith("-") and row[1].isdigit())]) == 9
+    rows = [row for row in text.splitlines() if row[:1].isdigit() or (row.startswith("-") and row[1].isdigit())]
+    assert len(rows) == 2 * 9, "nine poses, and the sites at these poses"
 
 
 @pytest.mark.slow
