@@ -23,7 +23,8 @@ AS_PRINTED, MENDED = "as printed", "mended"
 def is_the_documents(plan: Plan) -> bool:
     """Return True if a plan is the document's experiment: its sinusoid, tracked exactly, on the knee without a payload."""
     problem = plan.problem
-    return problem.mechanism.name == "optimus-knee" and problem.mechanism.payload is None and problem.motion.kind == "track"
+    tracked = problem.motion.kind == "track" and isinstance(problem.reference, Sine)
+    return problem.mechanism.name == "optimus-knee" and problem.mechanism.payload is None and tracked
 
 
 def mended_runs(plan: Plan, say: Callable[[str], None]) -> dict[tuple[str, float], Rollout]:

@@ -6,6 +6,7 @@ import pytest
 import scipy
 
 from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.plan_folder import read_plan, write_plan
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.prove import prove
@@ -154,3 +155,13 @@ def test_a_followed_table_is_proved_and_a_motion_beside_it_refuted():
     other = gait()
     (finding,) = [one for one in prove(other, plan.trajectory).findings if one.name == finding.name]
     assert finding.answer == "refuted", "at another speed it is another motion"
+
+
+def test_a_saved_motion_at_the_highest_speed_is_read_back_as_the_one_asked_for(tmp_path):
+    plan = plan_motion(gait(duration_s="free"))
+    (tmp_path / "gait").mkdir()
+    write_plan(plan, tmp_path / "gait")
+    again = read_plan(tmp_path / "gait")
+    assert again.status == "optimal", again.message
+    assert again.trajectory.duration_s == plan.trajectory.duration_s < 0.5 * PERIOD_S
+    np.testing.assert_array_equal(again.problem.reference.knots_s, plan.problem.reference.knots_s)
