@@ -60,9 +60,8 @@ def prescribe(problem: Problem, start_pose: np.ndarray) -> Trajectory:
     T, period_s = guess.duration_s, reference.period_s
     knots = np.concatenate([[0.0], reference.inner_times(T), [T]])
     least = max(problem.mesh.intervals / period_s, 8 / T) * np.diff(knots)
-    parts = [
-        np.linspace(*ends, int(np.ceil(n - 1e-9)), endpoint=False) for *ends, n in zip(knots, knots[1:], least, strict=False)
-    ]
+    counts = np.ceil(least - 1e-9).astype(int)
+    parts = [np.linspace(knots[k], knots[k + 1], int(n), endpoint=False) for k, n in enumerate(counts)]
     motion = motion_along(problem, guess, np.append(np.concatenate(parts), T))
     return replace(motion, periodic=reference.periodic and is_whole(T / period_s))
 

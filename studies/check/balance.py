@@ -5,6 +5,7 @@ stable where dt/ds > 0.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -44,7 +45,7 @@ def balances(mechanism: Mechanism, poses: np.ndarray, needed: np.ndarray, coordi
         if not ROUNDING_SHARE * largest < ends.max():  # along a whole stretch nothing is needed
             continue
 
-        def effort(share: np.ndarray, low: np.ndarray = low, high: np.ndarray = high, begin: np.ndarray = poses[k]) -> float:
+        def effort(share: Any, low: np.ndarray = low, high: np.ndarray = high, begin: np.ndarray = poses[k]) -> float:
             return _needed(mechanism, low + float(share) * (high - low), begin)[coordinate]
 
         try:

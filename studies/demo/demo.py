@@ -13,6 +13,7 @@ from linkplan.planner.plan import Plan
 from linkplan.planner.plan_folder import record, versions
 from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.problem.reference import Sine
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.bode.bode import bode_study
 from linkplan.studies.bode.bode_report import save_bode
@@ -231,7 +232,7 @@ def _loops(place: Path, said: dict, say: Say) -> list[Sections]:
 
 
 def _document(place: Path, said: dict, plan: Plan, say: Say) -> list[Block]:
-    assert plan.problem.reference is not None  # the document's sinusoid
+    assert isinstance(plan.problem.reference, Sine)  # the document's
     runs = printed_runs(plan.problem.reference, say) | mended_runs(plan, say)
     said["document"] = document_rows(runs)
     blocks = document_blocks(runs)
