@@ -87,7 +87,10 @@ def reference_of(
         if rows:
             raise ProblemError(f"reference.{rows[0]} belongs to a table of rows: give reference.file or reference.time_s")
         if section.frequency_hz is None:
-            raise ProblemError("reference needs frequency_hz, for a sinusoid, or rows: file or time_s; got none of them")
+            raise ProblemError(
+                "[reference] needs reference.frequency_hz, a positive number, for a sinusoid, or rows: reference.file or"
+                " reference.time_s; got none of them"
+            )
         return sine_of(section, mechanism), []
     if waves:
         raise ProblemError(f"reference.time_s and reference.{waves[0]} are two references; keep one")

@@ -123,7 +123,7 @@ REFUSED = [
     (("reference.time_s=[0.0, 0.2, 0.2]", ANGLES), "reference.time_s increases from row to row, got 0.2 after 0.2 s"),
     (("reference.time_s=[0.0, 0.2, 0.3]", ANGLES), "reference has 3 times in time_s and as many values of J, got 4"),
     ((ANGLES,), "reference.position_deg belongs to a table of rows: give reference.file or reference.time_s"),
-    (("reference.phase_deg.J=3",), "reference needs frequency_hz, for a sinusoid, or rows: file or time_s; got none"),
+    (("reference.phase_deg.J=3",), "[reference] needs reference.frequency_hz, a positive number, for a sinusoid, or rows"),
     ((ROWS, ANGLES, "reference.frequency_hz=2"), "reference.time_s and reference.frequency_hz are two references; keep one"),
     ((ROWS,), "reference.position_deg names every independent joint (J), and not J"),
     ((ROWS, "reference.position_m.J=[1, 2, 3, 4]"), "joint 'J' is a hinge; use reference.position_deg"),
