@@ -16,9 +16,9 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.files.columns import read_csv
 from linkplan.planner.files.tables import Tables, resolve_path
-from linkplan.planner.keys.kinds import MAX_INTERVALS
-from linkplan.planner.keys.motion_and_limits import ReferenceSection
-from linkplan.planner.keys.reading import checked
+from linkplan.planner.problem.keys.kinds import MAX_INTERVALS
+from linkplan.planner.problem.keys.motion_and_limits import ReferenceSection
+from linkplan.planner.problem.keys.reading import checked
 from linkplan.planner.problem.settings import frozen, joint_values
 from linkplan.planner.problem.sites import AXES, SitePoint, pose_at
 

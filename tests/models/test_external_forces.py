@@ -16,9 +16,9 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.selected_model import whole_model_text
 from linkplan.models.selection import Selection
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.prove import prove
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.compare.compare import build_tracker, tracking_reference
 
 # A rack along y, a tie rod and a knuckle at K: the rod's ends are P = (-0.15, 0.3 + s) and A = K + R(theta) ARM.

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.plan import motion_table, tracking_errors
+from linkplan.planner.plan.plan import motion_table, tracking_errors
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE
 

@@ -6,10 +6,10 @@ import pytest
 import scipy
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.plan_folder import read_plan, write_plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.prove import prove
+from linkplan.planner.search.planning import plan_motion
 from tests.support.bodies import HINGE, HINGE_INERTIA, body_plan
 
 PERIOD_S = 1.2
