@@ -183,8 +183,9 @@ def base_of(model: mujoco.MjModel, body: int) -> int:
 
 
 def actuated(model: mujoco.MjModel, transmission: mujoco.mjtTrn) -> list[int]:
-    """Return the joints, sites or tendons that actuators act on."""
-    return model.actuator_trnid[model.actuator_trntype == transmission, 0].tolist()
+    """Return the joints, sites or tendons that actuators with a gain act on."""
+    commanded = (model.actuator_gaintype != int(mujoco.mjtGain.mjGAIN_FIXED)) | (model.actuator_gainprm[:, 0] != 0)
+    return model.actuator_trnid[(model.actuator_trntype == transmission) & commanded, 0].tolist()
 
 
 def bodies_of_tendon(model: mujoco.MjModel, tendon: int) -> set[int]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from linkplan.models.deletion import delete_users, leave_the_ground
 from linkplan.models.errors import ModelError, choose, listed
+from linkplan.models.external_forces import add_forces
 from linkplan.models.kinematics import (
     BALL,
     FREE,
@@ -152,7 +153,8 @@ class Selection:
     that are locked, in degrees on hinges and in metres on slides. `keyframe`: the name of the keyframe that gives the home
     pose and the positions of a fixed base; by default "home", else the model's reference pose. `exclude_contacts`: pairs of
     names of bodies whose geoms pass through each other. `drive`: names of joints that get a motor, within the effort limit
-    of the joint. `lock_spin`: names of ball joints of rods that do not spin about their own line.
+    of the joint. `lock_spin`: names of ball joints of rods that do not spin about their own line. `force`: constant forces
+    (3,) [N] in the world's axes by the name of the site on which they act.
     """
 
     keep: Sequence[str] = ()
@@ -162,6 +164,7 @@ class Selection:
     exclude_contacts: Sequence[Sequence[str]] = ()
     drive: Sequence[str] = ()
     lock_spin: Sequence[str] = ()
+    force: Mapping[str, Sequence[float]] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
         return bool(self.table())
@@ -170,7 +173,7 @@ class Selection:
         """Return what is selected as keys of the [mechanism] table."""
         asked = {"keep": list(self.keep), "fix_base": self.fix_base, "lock": dict(self.lock), "keyframe": self.keyframe}
         asked |= {"exclude_contacts": [list(pair) for pair in self.exclude_contacts], "drive": list(self.drive)}
-        asked["lock_spin"] = list(self.lock_spin)
+        asked |= {"lock_spin": list(self.lock_spin), "force": {site: list(of) for site, of in self.force.items()}}
         return {key: value for key, value in asked.items() if value}
 
 
@@ -214,6 +217,7 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     notes += _exclude(spec, asked.exclude_contacts)
     still = {model.joint(j).name for j in locked}  # a joint that is locked needs no motor
     notes += add_motors(spec, [name for name in asked.drive if name not in still])
+    add_forces(spec, asked.force)
     if model.nkey:
         small = spec.compile()
         home = np.array(small.qpos0)

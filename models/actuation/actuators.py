@@ -148,7 +148,8 @@ def _unusable_force(model: mujoco.MjModel, index: int) -> str | None:
     if not dc_motor and (gain not in (FIXED, AFFINE) or bias not in (NO_BIAS, AFFINE_BIAS)):
         return "its gain or bias is not affine"
     if is_gas_spring(model, index):
-        return "it has no gain: a passive force, as a gas spring's"
+        of = "a constant force" if kind == TRN_SITE else "a passive force, as a gas spring's"
+        return f"it has no gain: {of}"
     if _coefficients(model, index)[0][0] == 0.0:
         return "its gain vanishes at rest"
     if not np.any(gear_of(model, index)):
@@ -194,7 +195,8 @@ def is_idle_at_zero(model: mujoco.MjModel, index: int) -> bool:
     if int(model.actuator_plugin[index]) >= 0:
         return switched_off(model, index)
     if is_gas_spring(model, index):
-        return passive_terms_modelled(model, index)
+        on_site = int(model.actuator_trntype[index]) == int(TRN_SITE)
+        return passive_terms_modelled(model, index) or (on_site and not has_passive_terms(model, index))
     gain, bias = int(model.actuator_gaintype[index]), int(model.actuator_biastype[index])
     affine = gain in (FIXED, AFFINE) and (
         bias == NO_BIAS or (bias == AFFINE_BIAS and not any(_coefficients(model, index)[1]))

@@ -76,7 +76,7 @@ class Transmission:
     n_o), `ratio_slope` dG/ds (n, n_m, n_o, n_o): G' = dG/ds v, summed over its last axis. `inertia` (n, n_o, n_o) is all
     that the outputs move, `armature` the part of rotors and other joint armatures, `damping` (n, n_o, n_o) the viscous
     losses. `friction` (n, n_o) is dry friction while one output slides alone, `gravity` (n, n_o) the effort that balances
-    gravity.
+    gravity, `hold` (n, n_o) the effort at rest: gravity, springs and constant forces.
     """
 
     motor_position: np.ndarray
@@ -87,6 +87,7 @@ class Transmission:
     damping: np.ndarray
     friction: np.ndarray
     gravity: np.ndarray
+    hold: np.ndarray
 
 
 def output_map(mechanism: Mechanism, names: Sequence[str]) -> OutputMap:
@@ -140,6 +141,7 @@ def transmission(outputs: OutputMap, q: np.ndarray) -> Transmission:
     slope, loss = _slopes(outputs)
     gamma = sampled(dynamics.velocity_map, q)[:, :, columns]
     speeds = np.stack([mechanism.qvel_of(q, gamma[:, :, k]) for k in range(n_o)], axis=-1)  # (n, nv, n_o)
+    still = np.zeros((n, mechanism.dof))
     block = (slice(None), *np.ix_(columns, columns))
     return Transmission(
         motor_position=motor_position,
@@ -150,4 +152,5 @@ def transmission(outputs: OutputMap, q: np.ndarray) -> Transmission:
         damping=np.einsum("nqi,nqp,npj->nij", gamma, sampled(loss, q), gamma),
         friction=np.stack([sliding_friction(mechanism, q, column) for column in columns], axis=1),
         gravity=sampled(dynamics.gravity_effort, q)[:, columns, 0],
+        hold=sampled(dynamics.inverse_dynamics, q, still, still)[:, columns, 0],
     )

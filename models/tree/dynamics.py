@@ -147,7 +147,7 @@ def build_tree(
     if not coordinates.trivial:
         joint_force = T.T @ joint_force
     tendon_force, tendon_energy = tendon_passive(model, lengths, q, qd)
-    gas_force, gas_energy = gas_springs(model, lengths, q, qd)
+    gas_force, gas_energy = gas_springs(model, frames, lengths, q, qd)
     compensation_energy = _compensation_energy(model, frames, gravity)
     compensation = -ca.jacobian(compensation_energy, q).T
     mass_matrix = ca.jacobian(tau, qdd)

@@ -2,11 +2,13 @@
 
 A spring's force is -(a x + b x^2 + c x^3) with x measured from its rest position. A damper's force is
 -(a v + b v|v| + c v^3) (MuJoCo, Computation, "Polynomial forces"). An actuator's own coefficients are multiplied by gear^2.
-An actuator without gain is a passive force, as a gas spring's: its bias, an affine function of length and speed.
+An actuator without gain is a passive force: its bias, an affine function of length and speed, as a gas spring's, or a
+constant force on a site along axes that stand still.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 import casadi as ca
 import mujoco
@@ -15,6 +17,9 @@ import numpy as np
 from linkplan.models.tree.coordinates import HINGE, SLIDE
 
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
+
+
+SITE_TRANSMISSION = int(mujoco.mjtTrn.mjTRN_SITE)
 
 
 def disabled(model: mujoco.MjModel, *bits: mujoco.mjtDisableBit) -> bool:
@@ -73,9 +78,16 @@ def switched_off(model: mujoco.MjModel, actuator: int) -> bool:
 
 
 def is_gas_spring(model: mujoco.MjModel, actuator: int) -> bool:
-    """Return True if an actuator on a hinge, slide or tendon has a bias but no gain: no control changes its force."""
+    """Return True if an actuator on a hinge, slide, tendon or site has a bias but no gain: no control changes its force.
+
+    On a site, the force is constant and its axes are those of a site that stands still.
+    """
     kind, target = int(model.actuator_trntype[actuator]), int(model.actuator_trnid[actuator, 0])
-    if kind == int(mujoco.mjtTrn.mjTRN_TENDON):
+    if kind == SITE_TRANSMISSION:
+        if not _is_constant_in_world(model, actuator):
+            return False
+        clamped = clamped_joints(model, target)
+    elif kind == int(mujoco.mjtTrn.mjTRN_TENDON):
         clamped = model.tendon_actfrclimited[target]
     elif kind in JOINT_TRANSMISSIONS and int(model.jnt_type[target]) in (HINGE, SLIDE):
         clamped = model.jnt_actfrclimited[target]
@@ -88,11 +100,46 @@ def is_gas_spring(model: mujoco.MjModel, actuator: int) -> bool:
     return law and int(model.actuator_plugin[actuator]) < 0 and not clamped and not switched_off(model, actuator)
 
 
-def gas_springs(model: mujoco.MjModel, lengths: Sequence, q: ca.SX, qd: ca.SX) -> tuple[ca.SX, ca.SX]:
+def clamped_joints(model: mujoco.MjModel, site: int) -> list[int]:
+    """Return the joints that move a site and whose actuatorfrcrange would clamp a force on it with their motors' efforts."""
+    body, found = int(model.site_bodyid[site]), []
+    while body:
+        joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+        found += [joint for joint in joints if model.jnt_actfrclimited[joint]]
+        body = int(model.body_parentid[body])
+    return found
+
+
+def _is_constant_in_world(model: mujoco.MjModel, actuator: int) -> bool:
+    """Return True if an actuator on a site gives a constant force, and no torque, along the axes of a site at rest."""
+    axes = int(model.actuator_trnid[actuator, 1])
+    at_rest = axes >= 0 and model.body_weldid[model.site_bodyid[axes]] == 0
+    turning = model.actuator_gear[model.actuator_outadr[actuator], 3:]
+    return bool(at_rest and not np.any(turning) and not np.any(model.actuator_biasprm[actuator, 1:3]))
+
+
+def _site_forces(model: mujoco.MjModel, frames: Sequence[Any]) -> Iterator[tuple[ca.DM, ca.SX]]:
+    """Yield the constant forces (3,) [N] of actuators without gain, with the place (3,) [m] of their site."""
+    for actuator in range(model.nactuator):
+        if int(model.actuator_trntype[actuator]) != SITE_TRANSMISSION or not is_gas_spring(model, actuator):
+            continue
+        site, axes = (int(i) for i in model.actuator_trnid[actuator])
+        size = float(model.actuator_biasprm[actuator, 0])
+        if model.actuator_forcelimited[actuator]:
+            size = float(np.clip(size, *model.actuator_forcerange[actuator]))
+        still = mujoco.MjData(model)
+        mujoco.mj_kinematics(model, still)
+        force = still.site_xmat[axes].reshape(3, 3) @ (size * model.actuator_gear[model.actuator_outadr[actuator], :3])
+        frame = frames[int(model.site_bodyid[site])]
+        yield ca.DM(force), frame.p_world_B + frame.R_world_B @ ca.DM(model.site_pos[site])
+
+
+def gas_springs(model: mujoco.MjModel, frames: Sequence[Any], lengths: Sequence, q: ca.SX, qd: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Return the generalised force (n_q,) of actuators without gain, within their forceranges, and their energy [J] at rest.
 
     The force along a length l is F = clip(b0 + b1 l + b2 l'). At rest, with l1 the length inside the range that has the same
-    force, the energy is -(b0 l1 + b1 l1^2 / 2 + F (l - l1)).
+    force, the energy is -(b0 l1 + b1 l1^2 / 2 + F (l - l1)). That of a constant force on a site at p is -F . p. `frames` are
+    the bodies', of `models.tree.dynamics`.
     """
     force, energy = ca.SX.zeros(model.nv), ca.SX(0)
     on_tendons = [(a, gear * lengths[t]) for t, gear, a in _tendon_actuators(model) if lengths[t] is not None]
@@ -108,6 +155,9 @@ def gas_springs(model: mujoco.MjModel, lengths: Sequence, q: ca.SX, qd: ca.SX) -
         inside = (still - b0) / b1 if b1 else length
         energy -= b0 * inside + b1 * inside**2 / 2 + still * (length - inside)
         force += arm.T * push
+    for constant, place in _site_forces(model, frames):
+        energy -= ca.dot(constant, place)
+        force += ca.jacobian(place, q).T @ constant
     return force, energy
 
 

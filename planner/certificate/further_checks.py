@@ -46,8 +46,6 @@ def disagreements(problem: Problem, trajectory: Trajectory, objective: float | N
     low, high = motion.min_duration_s or 0.0, longest
     if motion.duration_s is not None:
         low = high = motion.duration_s
-    elif motion.kind == "track" and problem.reference is not None:
-        low = high = problem.reference.period_s
     rounding = 1e-8  # durations are unknowns of the program, found to rounding and saved in full
     if not low * (1 - rounding) <= duration <= high * (1 + rounding):
         asked = f"{low:.9g} s" if low == high else f"{low:.9g} to {high:.9g} s"
@@ -60,9 +58,10 @@ def disagreements(problem: Problem, trajectory: Trajectory, objective: float | N
 
 def _off_states(problem: Problem, trajectory: Trajectory) -> list[str]:
     motion, span = problem.motion, max(float(np.ptp(trajectory.position)), 1e-9)
-    if motion.kind == "track" and problem.reference is not None:
+    reference = problem.reference_over(trajectory.duration_s)
+    if motion.kind == "track" and reference is not None:
         time = trajectory.dense_times(_QUADRATURE_POINTS)
-        off = np.abs(trajectory.position_at(time) - problem.reference.derivative(time - trajectory.breaks_s[0])).max()
+        off = np.abs(trajectory.position_at(time) - reference.derivative(time - trajectory.breaks_s[0])).max()
         # The polynomials of an exactly followed reference miss it by less than 1e-8 of its span, with forty in a period.
         return [f"the reference is missed by {off / span:.3g} of its range"] if not off <= BOUNDARY_SHARE * span else []
     if motion.kind != "periodic":
@@ -128,7 +127,7 @@ def objective_value(problem: Problem, trajectory: Trajectory) -> tuple[float, fl
     nodes, weights = np.polynomial.legendre.leggauss(_QUADRATURE_POINTS)
     time = trajectory.times_at(0.5 + 0.5 * nodes)
     width = (np.diff(trajectory.breaks_s)[:, None] * 0.5 * weights).ravel()
-    objective, reference = problem.objective, problem.reference
+    objective, reference = problem.objective, problem.reference_over(trajectory.duration_s)
     at, symbols = free_instant(problem.mechanism, motor_losses(problem.motors))
     integrands = ca.vertcat(*(objective.weight(name) * term.integrand(at) for name, term in objective.terms.items()))
     s, v, a, u = (

@@ -16,11 +16,14 @@ from linkplan.planner.certificate.further_checks import objective_value, with_co
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
 from linkplan.planner.closed_chain.guess import Guess, motion_of
 from linkplan.planner.closed_chain.prescribed import (
-    highest_frequency,
+    at_rate,
+    highest_rate,
     holding_at,
     prescribe,
+    rate_margins,
     reference_demand,
     rounded_down,
+    rounded_up,
     unheld,
 )
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
@@ -29,6 +32,7 @@ from linkplan.planner.plan.plan import Plan, tracking_errors
 from linkplan.planner.problem.extra import as_no_number
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.reference import Sine
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
 from linkplan.planner.refinement.history import progress, recorded
@@ -270,28 +274,73 @@ def _failure(plan: Plan) -> str | None:
     )
 
 
+# Rates at which a reference is tried, against its own, if the problem bounds no free duration.
+_LOWEST_RATE, _HIGHEST_RATE = 1e-3, 1e3
+
+
 def plan_prescribed(problem: Problem, start_pose: np.ndarray) -> Plan:
-    """Return the plan of a reference that must be followed exactly."""
+    """Return the plan of a reference that must be followed exactly, in a free duration in the least that limits allow."""
+    if problem.motion.duration_s is None:
+        return _plan_fastest(problem, start_pose)
     progress("following the reference")
     demand = reference_demand(problem, start_pose)
     if demand is not None:
-        progress("looking for the highest feasible frequency")
-        frequency = highest_frequency(problem, start_pose)
         details = {"needed": demand.needed, "limit": demand.limit, "time_s": demand.time_s}
-        remedy = "no slower one keeps the limits"
-        if frequency is not None:
-            details["highest_frequency_hz"] = frequency
-            remedy = f"up to {rounded_down(frequency):g} Hz it satisfies every limit"
-        return Plan(
-            problem=problem,
-            status="infeasible",
-            message=f"infeasible: {demand.sentence('following the reference exactly')}; at this amplitude {remedy};"
-            ' motion.kind = "periodic" plans the nearest motion that does',
-            details=details,
-        )
+        return _too_fast(problem, start_pose, demand.sentence("following the reference exactly"), details)
     trajectory = prescribe(problem, start_pose)
     certificate = certify(problem, trajectory)
+    over = [margin for margin in certificate.margins if not margin.kept]
+    if over and set(certificate.failures) <= {margin.sentence() for margin in over}:
+        worst = max(over, key=lambda margin: -margin.left / margin.size)
+        details = {"needed": worst.value, "limit": worst.limit, "time_s": worst.time_s}
+        return _too_fast(problem, start_pose, f"on the reference {worst.sentence()}", details)
     return finished(problem, trajectory, certificate, 0.0, "the reference satisfies every limit and is followed exactly")
+
+
+def _too_fast(problem: Problem, start_pose: np.ndarray, sentence: str, details: dict[str, float]) -> Plan:
+    """Return the answer that a reference breaks a limit, with the highest rate at which it breaks none."""
+    progress("looking for the highest feasible rate")
+    rate, reference = highest_rate(problem, start_pose, _LOWEST_RATE, 1.0), problem.reference
+    at = "at this amplitude" if isinstance(reference, Sine) else "along these positions"
+    remedy = "no slower one keeps the limits"
+    if rate is not None:
+        details["least_duration_s"] = reference.period_s / rate
+        remedy = f"in {rounded_up(reference.period_s / rate):g} s or more it satisfies every limit"
+    if rate is not None and isinstance(reference, Sine):
+        details["highest_frequency_hz"] = rate * reference.frequency_hz
+        remedy = f"up to {rounded_down(rate * reference.frequency_hz):g} Hz it satisfies every limit"
+    kind = "periodic" if reference.periodic else "reach"
+    return Plan(
+        problem=problem,
+        status="infeasible",
+        message=f'infeasible: {sentence}; {at} {remedy}; motion.kind = "{kind}" plans the nearest motion that does',
+        details=details,
+    )
+
+
+def _plan_fastest(problem: Problem, start_pose: np.ndarray) -> Plan:
+    """Return the plan of a reference in the least duration at which every limit is kept."""
+    progress("looking for the least duration of the reference")
+    motion, own_s = problem.motion, problem.reference.period_s
+    slowest = own_s / motion.max_duration_s if motion.max_duration_s else _LOWEST_RATE
+    fastest = own_s / motion.min_duration_s if motion.min_duration_s else _HIGHEST_RATE
+    rate = highest_rate(problem, start_pose, slowest, fastest)
+    if rate is None:
+        margins = rate_margins(problem, start_pose, slowest)
+        worst = min(margins, key=lambda margin: margin.left / margin.size)
+        sentence = f"infeasible: even in {own_s / slowest:.4g} s, on the reference {worst.sentence()}"
+        return Plan(problem=problem, status="infeasible", message=sentence)
+    if rate == fastest and motion.min_duration_s is None:
+        message = f"failed: no limit is reached {fastest:g} times as fast as the reference; give motion.min_duration_s"
+        return Plan(problem=problem, status="failed", message=message)
+    trajectory = prescribe(at_rate(problem, rate), start_pose)
+    binding = min(rate_margins(problem, start_pose, rate), key=lambda margin: margin.left / margin.size)
+    said = (
+        f"the reference in {own_s / rate:.6g} s, {rate:.4g} times as fast as its own {own_s:.6g} s:"
+        f" {'the shortest that motion.min_duration_s allows' if rate == fastest else binding.bound + ' allows no more'}"
+    )
+    plan = finished(problem, trajectory, certify(problem, trajectory), 0.0, said)
+    return replace(plan, details={**plan.details, "rate": rate, "least_duration_s": own_s / rate})
 
 
 def plan_hold(problem: Problem) -> Plan:

@@ -64,8 +64,9 @@ def first_guess(problem: Problem, start_pose: np.ndarray) -> Guess:
     A free duration is the shortest that the effort limits allow on this path.
     """
     motion = problem.motion
-    if not motion.ends_at_goal and problem.reference is not None and not motion.waypoints:
+    if follows_reference(problem):
         reference = problem.reference
+        assert reference is not None  # of a motion that follows it
         return Guess(
             position=lambda t: reference.derivative(t, 0),
             velocity=lambda t: reference.derivative(t, 1),
@@ -80,6 +81,19 @@ def first_guess(problem: Problem, start_pose: np.ndarray) -> Guess:
     if motion.waypoints and not closes(problem, guess):
         return guess_along(_smooth_path(problem, duration, rests=True), duration, start_pose, boundaries)
     return guess
+
+
+def follows_reference(problem: Problem) -> bool:
+    """Check whether a problem's first guess is its reference: it has no waypoints, and the ends of the reference."""
+    motion, reference = problem.motion, problem.reference
+    if reference is None or motion.waypoints:
+        return False
+    if not motion.ends_at_goal:
+        return True
+    assert motion.start is not None  # of a reach
+    assert motion.goal is not None
+    first, last = reference.derivative(np.array([0.0, motion.duration_s or reference.period_s]))
+    return bool(np.allclose(motion.start, first) and np.allclose(motion.goal, last))
 
 
 def perturbed_guesses(problem: Problem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:

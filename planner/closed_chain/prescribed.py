@@ -7,6 +7,9 @@ import numpy as np
 from linkplan.models.poses.along import demanded, effort_within, joint_rates, least_effort, missed_rounding, needed_effort
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.planner.closed_chain.guess import Guess, first_guess, poses_along
+from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.limit import Margin, limit_margin
+from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.objective import motor_losses
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.reference import is_whole
@@ -49,11 +52,18 @@ def _figure(value: float) -> str:
 
 
 def prescribe(problem: Problem, start_pose: np.ndarray) -> Trajectory:
-    """Return the reference as a trajectory with efforts by inverse dynamics."""
-    guess, period_s = first_guess(problem, start_pose), problem.reference.period_s
-    n = max(8, int(np.ceil(problem.mesh.intervals * guess.duration_s / period_s)))
-    motion = motion_along(problem, guess, np.linspace(0.0, guess.duration_s, n + 1))
-    return replace(motion, periodic=is_whole(guess.duration_s / period_s))
+    """Return the reference as a trajectory with efforts by inverse dynamics.
+
+    A period has the intervals asked for, and the motion eight, or more: the reference is a polynomial or smooth on each.
+    """
+    guess, reference = first_guess(problem, start_pose), problem.reference
+    T, period_s = guess.duration_s, reference.period_s
+    knots = np.concatenate([[0.0], reference.inner_times(T), [T]])
+    least = max(problem.mesh.intervals / period_s, 8 / T) * np.diff(knots)
+    counts = np.ceil(least - 1e-9).astype(int)
+    parts = [np.linspace(knots[k], knots[k + 1], int(n), endpoint=False) for k, n in enumerate(counts)]
+    motion = motion_along(problem, guess, np.append(np.concatenate(parts), T))
+    return replace(motion, periodic=reference.periodic and is_whole(T / period_s))
 
 
 def motion_along(problem: Problem, guess: Guess, breaks_s: np.ndarray) -> Trajectory:
@@ -100,32 +110,41 @@ def rounded_down(value: float) -> float:
     return float(np.floor(value / unit) * unit)
 
 
-def highest_frequency(problem: Problem, start_pose: np.ndarray) -> float | None:
-    """Return the highest frequency [Hz] at which the reference keeps every limit at its amplitude; None if there is none.
+def rounded_up(value: float) -> float:
+    """Return a positive number rounded up to four digits."""
+    return 1.0 / rounded_down(1.0 / value)
 
-    The frequency is found by bisection between the asked frequency, which is too high, and a thousandth of it.
+
+def at_rate(problem: Problem, rate: float) -> Problem:
+    """Return a problem whose reference is followed `rate` times as fast, over as many periods."""
+    given = problem.motion.duration_s
+    motion = replace(problem.motion, duration_s=None if given is None else given / rate)
+    return replace(problem, reference=problem.reference.stretched(1.0 / rate), motion=motion)
+
+
+def rate_margins(problem: Problem, start_pose: np.ndarray, rate: float) -> list[Margin]:
+    """Return the margins of all limits along the reference, followed `rate` times as fast."""
+    faster = at_rate(problem, rate)
+    samples = samples_of(faster, prescribe(faster, start_pose))
+    return [limit_margin(limit, samples) for limit in limits_of(faster)]
+
+
+def highest_rate(problem: Problem, start_pose: np.ndarray, slowest: float, fastest: float) -> float | None:
+    """Return the highest rate at which the reference keeps every limit, found by bisection; None if there is none.
+
+    Rates are between `slowest` and `fastest`; those up to a rate that is kept are taken to be kept. If weight needs more at
+    rest than in motion, `slowest` is not kept; the bisection then begins at the reference's own speed.
     """
-    mechanism, reference, limits = problem.mechanism, problem.reference, problem.limits
-    time = np.linspace(0.0, reference.period_s, 721)  # misses peaks between samples by less than 1e-5 of their height
-    # Poses are the same at every frequency.
-    poses = follow(mechanism, reference.derivative(time), start_pose, problem.solver.deadline)
-    v, a = reference.derivative(time, 1), reference.derivative(time, 2)
-    if not np.all((limits.position[:, 0] <= poses) & (poses <= limits.position[:, 1])):
-        return None
 
-    def keeps(frequency_hz: float) -> bool:
-        faster = frequency_hz / reference.frequency_hz
-        effort, _ = needed_effort(mechanism, poses, faster * v, faster**2 * a)
-        rates = joint_rates(mechanism, poses, faster * v)
-        inside = [(x >= bound[:, 0]) & (x <= bound[:, 1]) for x, bound in ((effort, limits.effort), (rates, limits.speed))]
-        return bool(np.all(inside[0]) and np.all(inside[1]))
+    def keeps(rate: float) -> bool:
+        return all(margin.kept for margin in rate_margins(problem, start_pose, rate))
 
-    high = problem.reference.frequency_hz
-    low = high / 1000.0
-    if not keeps(low):
-        return None
-    while high - low > 1e-7 * high:
-        middle = 0.5 * (low + high)
+    if keeps(fastest):
+        return fastest
+    low = next((rate for rate in (slowest, 1.0) if slowest <= rate < fastest and keeps(rate)), None)
+    high = fastest
+    while low is not None and high > (1 + 1e-7) * low:
+        middle = float(np.sqrt(low * high))
         low, high = (middle, high) if keeps(middle) else (low, middle)
     return low
 
@@ -139,7 +158,7 @@ def reference_demand(problem: Problem, start_pose: np.ndarray) -> Demand | None:
 
     mechanism, reference, limits = problem.mechanism, problem.reference, problem.limits
     duration = problem.motion.duration_s or reference.period_s
-    time = np.linspace(0.0, duration, 2001)
+    time = np.sort(np.append(np.linspace(0.0, duration, 2001), reference.inner_times(duration)))
     poses = follow(mechanism, reference.derivative(time), start_pose, problem.solver.deadline)
 
     def evaluate(t: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

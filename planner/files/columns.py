@@ -17,7 +17,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from linkplan.models.errors import PlanFileError, one_line
+from linkplan.models.errors import PlanFileError, ProblemError, one_line, shown
 from linkplan.models.extras import load_extra
 from linkplan.models.reading import MAX_FILE_BYTES, read_file
 from linkplan.planner.trajectory import Trajectory
@@ -120,6 +120,36 @@ def csv_bytes(columns: Mapping[str, np.ndarray]) -> bytes:
     writer.writerow([f"'{head}" if head[:1] in "=+-@" else head for head in columns])
     writer.writerows([[f"{value:.12g}" for value in row] for row in np.column_stack(list(columns.values()))])
     return text.getvalue().encode("utf-8")
+
+
+def read_csv(path: Path, what: str) -> dict[str, np.ndarray]:
+    """Return the columns (n,) of a CSV file of numbers by their heads; empty lines and lines from # on are skipped.
+
+    Raises:
+        ProblemError: if it cannot be read, or a row is not a number for each head, with the line's number.
+    """
+    try:
+        text = read_file(path, what, MAX_FILE_BYTES).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ProblemError(f"{what} is not UTF-8 text") from error
+    lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")]
+    heads = [head.strip() for head in next(csv.reader([lines[0][1]]))] if lines else []
+    if len(heads) < 2 or len(set(heads)) < len(heads) or len(lines) < 3:
+        raise ProblemError(
+            f"{what} is a line of different heads, separated by commas, and two or more rows of numbers; got"
+            f" {shown(', '.join(heads) or 'nothing')} and {max(0, len(lines) - 1)} rows"
+        )
+    rows = []
+    for number, line in lines[1:]:
+        cells = next(csv.reader([line]))
+        try:
+            row = [float(cell) for cell in cells]
+        except ValueError:
+            row = []
+        if len(row) != len(heads) or not np.all(np.isfinite(row)):
+            raise ProblemError(f"{what}, line {number}, has {len(heads)} finite numbers, got '{shown(line)}'")
+        rows.append(row)
+    return dict(zip(heads, np.array(rows).T, strict=True))
 
 
 def parquet_bytes(columns: Mapping[str, np.ndarray], about: Mapping[str, str]) -> bytes:

@@ -371,7 +371,8 @@ def not_honoured(plan: Plan) -> tuple[str, ...]:
 
 def tracking_errors(plan: Plan) -> tuple[float, float] | None:
     """Return the rms and largest distance [rad or m] of a plan from its reference, or None without one."""
-    reference, trajectory = plan.problem.reference, plan.trajectory
+    trajectory = plan.trajectory
+    reference = None if trajectory is None else plan.problem.reference_over(trajectory.duration_s)
     if reference is None or trajectory is None:
         return None
     time = trajectory.dense_times(16)

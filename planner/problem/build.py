@@ -34,7 +34,7 @@ from linkplan.planner.problem.keys.sections import MechanismSection, MotionSecti
 from linkplan.planner.problem.limits import actuator_index, closure_index, limits_of, motors_of
 from linkplan.planner.problem.motion import motion_of
 from linkplan.planner.problem.objective import Objective, objective_from
-from linkplan.planner.problem.reference import Sine, guess_of, guess_place, sine_of
+from linkplan.planner.problem.reference import Reference, guess_of, guess_place, reference_of
 from linkplan.planner.problem.settings import (
     DEFAULT_PERIOD_S,
     MeshSettings,
@@ -45,6 +45,7 @@ from linkplan.planner.problem.settings import (
     other_coordinates,
     to_toml_types,
 )
+from linkplan.planner.problem.table_reference import read_reference_file
 
 # Arguments that are whole tables of a problem file, those that are keys of a table, and those that no file holds.
 _SECTIONS = ("reference", "limits", "motors", "guess", "mesh", "solver", "tracking", "robust", "imperfections")
@@ -70,17 +71,18 @@ def problem_arguments(
             f"mechanism '{mechanism.name}' has no usable actuator; a plan needs one"
             + "".join(f"; {item.text}" for item in audit(mechanism.model))
         )
+    read_reference_file(tables, mechanism, folder)
     asked = _sections(tables, mechanism)
     notes = []
     others = other_coordinates(tables, mechanism)
     if others is not None:
         notes.append(coordinates_note(mechanism, others))
         mechanism = _in_coordinates(tables, mechanism, others, folder)
-    reference = None if asked.reference is None else sine_of(asked.reference, mechanism)
-    follows = asked.motion.kind == "track" or (asked.motion.kind == "periodic" and reference is not None)
+    limits = limits_of(asked.limits, mechanism)
+    reference, reference_notes = reference_of(asked.reference, mechanism, limits.position)
+    follows = asked.motion.kind == "track" or reference is not None
     minimize = tables.get("objective", {}).get("minimize", "tracking" if follows else "effort")
     objective = objective_from(minimize, extra_costs)
-    limits = limits_of(asked.limits, mechanism)
     place = guess_place(asked.guess, folder)
     if place is not None:
         tables["guess"]["plan"] = str(place.resolve())
@@ -99,7 +101,7 @@ def problem_arguments(
         "solver": SolverSettings(**tables.get("solver", {})),
         "tracking": _tracking(tables.get("tracking", {}), mechanism),
         "source": tables,
-        "notes": (*notes, *_duration_notes(asked.motion, objective, reference)),
+        "notes": (*notes, *reference_notes, *_duration_notes(asked.motion, objective, reference)),
     }
 
 
@@ -185,7 +187,7 @@ def _in_coordinates(tables: Tables, mechanism: Mechanism, named: list[str], fold
         ) from error
 
 
-def _duration_notes(motion: MotionSection, objective: Objective, reference: Sine | None) -> list[str]:
+def _duration_notes(motion: MotionSection, objective: Objective, reference: Reference | None) -> list[str]:
     """Return a note if the duration is free by default."""
     is_given = any(value is not None for value in (motion.duration_s, motion.min_duration_s, motion.max_duration_s))
     if is_given or reference is not None or objective.has("time"):

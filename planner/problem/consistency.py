@@ -19,7 +19,7 @@ from linkplan.planner.problem.keys.motion_and_limits import Motor
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.objective import Objective
-from linkplan.planner.problem.reference import GuessedPath, Sine
+from linkplan.planner.problem.reference import GuessedPath, Reference
 from linkplan.planner.problem.settings import MeshSettings
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.scheme_names import MAX_INTERVALS
@@ -27,7 +27,7 @@ from linkplan.planner.transcription.schemes import scheme
 
 
 def start_pose(
-    mechanism: Mechanism, motion: Motion, limits: Limits, reference: Sine | None, deadline: Deadline
+    mechanism: Mechanism, motion: Motion, limits: Limits, reference: Reference | None, deadline: Deadline
 ) -> np.ndarray:
     """Return the closed pose (n_q,) at the start of a motion.
 
@@ -49,7 +49,7 @@ def start_pose(
             _check_turns(mechanism, motion, pose, deadline)
         return pose
     first = reference.derivative(np.zeros(1))[0]
-    period = np.linspace(0.0, reference.period_s, 181)
+    period = np.sort(np.append(np.linspace(0.0, reference.period_s, 181), reference.inner_times(reference.period_s)))
     values = reference.derivative(period)
     for extreme in (np.argmin, np.argmax):
         for column in range(mechanism.dof):
@@ -186,7 +186,7 @@ def _falsifying(mechanism: Mechanism) -> tuple[str, ...]:
     return tuple(item.text for item in audit(mechanism.model) if item.falsifies)
 
 
-def check_motion(motion: Motion, objective: Objective, reference: Sine | None) -> None:
+def check_motion(motion: Motion, objective: Objective, reference: Reference | None) -> None:
     """Refuse a motion whose kind does not fit its ends, its reference or its objective."""
     if motion.kind == "periodic":
         _check_periodic(motion, objective, reference)
@@ -198,6 +198,8 @@ def check_motion(motion: Motion, objective: Objective, reference: Sine | None) -
         raise ProblemError("motion.kind 'hold' needs a start, motion.start_deg or motion.start_at, and a motion.duration_s")
     if motion.kind == "hold" and reference is not None:
         raise ProblemError("motion.kind 'hold' stays at its start: it takes no [reference]")
+    if motion.kind == "track" and reference is not None and not reference.periodic:
+        _check_length(motion, reference)
     if motion.kind == "track" and reference is None:
         raise ProblemError("motion.kind 'track' needs a [reference]")
     if motion.kind == "track" and list(objective.weights) != ["tracking"]:
@@ -208,10 +210,24 @@ def check_motion(motion: Motion, objective: Objective, reference: Sine | None) -
         )
 
 
-def _check_periodic(motion: Motion, objective: Objective, reference: Sine | None) -> None:
+def _check_length(motion: Motion, reference: Reference) -> None:
+    """Refuse to track a reference that does not repeat for another time than its own."""
+    if motion.duration_s is not None and abs(motion.duration_s - reference.period_s) > 1e-9 * reference.period_s:
+        raise ProblemError(
+            f"motion.duration_s of a reference that does not repeat is its own, {reference.period_s:g} s, or 'free' for"
+            f" the least that the limits allow, got {motion.duration_s:g}"
+        )
+
+
+def _check_periodic(motion: Motion, objective: Objective, reference: Reference | None) -> None:
     """Refuse a periodic motion without a cause to move, or with unsuitable ends."""
     if motion.waypoints and motion.goal is not None:
         raise ProblemError("motion.kind 'periodic' with motion.waypoints ends where it starts: it takes no motion.goal_deg")
+    if reference is not None and not reference.periodic:
+        raise ProblemError(
+            "motion.kind 'periodic' needs a reference that repeats (reference.spline or reference.period_s); kind 'reach'"
+            " follows one that does not"
+        )
     turns = motion.turns is not None
     one_end = (motion.start is None) != (motion.goal is None) and not (turns and motion.goal is None)
     if not motion.waypoints and one_end:
@@ -254,11 +270,11 @@ def _check_turning_joints(motion: Motion, mechanism: Mechanism, limits: Limits) 
             )
 
 
-def check_periods(motion: Motion, reference: Sine | None, mesh: MeshSettings) -> None:
+def check_periods(motion: Motion, reference: Reference | None, mesh: MeshSettings) -> None:
     """Refuse a motion over more periods of its reference than the finest mesh can resolve."""
     if reference is None or motion.duration_s is None:
         return
-    periods = motion.duration_s * reference.frequency_hz
+    periods = motion.duration_s / reference.period_s
     if periods * mesh.intervals > MAX_INTERVALS:
         raise ProblemError(
             f"motion.duration_s = {motion.duration_s:g} s is {periods:.6g} periods of the reference; with"
@@ -295,7 +311,7 @@ def lacking_parts(
     motion: Motion,
     mechanism: Mechanism,
     motors: Sequence[Motor | None],
-    reference: Sine | None,
+    reference: Reference | None,
     mesh: MeshSettings,
     limits: Limits,
 ) -> dict[str, str | None]:
@@ -310,7 +326,7 @@ def lacking_parts(
     return {
         "reference": "a [reference]" if reference is None else None,
         "free duration": None if given is None else f'motion.duration_s = "free", got {given:g}',
-        "fixed duration": "a fixed motion.duration_s, got 'free'" if given is None else None,
+        "fixed duration": "a fixed motion.duration_s, got 'free'" if given is None and motion.kind != "track" else None,
         "motors": motors_lack if unknown else None,
         "closures": None if mechanism.closure_names else f"a closure; '{mechanism.name}' has none",
         "changing efforts": "mesh.effort linear or polynomial, got constant" if mesh.effort == "constant" else None,

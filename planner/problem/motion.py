@@ -11,7 +11,7 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import lock_words, rests_on_stops, spring_equilibrium, sprung_freedoms, stop_sentence
 from linkplan.planner.problem.keys.motion_and_limits import MotionSection, WaypointSection
 from linkplan.planner.problem.limits import Limits
-from linkplan.planner.problem.reference import Sine, is_whole
+from linkplan.planner.problem.reference import Reference, is_whole
 from linkplan.planner.problem.settings import DERIVED, frozen, joint_values
 from linkplan.planner.problem.sites import SitePoint, points_of, pose_at
 
@@ -159,14 +159,14 @@ class Motion:
 _POSE_TOLERANCE = np.radians(0.05)
 
 
-def motion_of(section: MotionSection, mechanism: Mechanism, reference: Sine | None, limits: Limits) -> Motion:
+def motion_of(section: MotionSection, mechanism: Mechanism, reference: Reference | None, limits: Limits) -> Motion:
     """Return the motion of a [motion] table; poses found from sites' places keep the limits if possible."""
     kind, duration = section.kind, section.duration_s
     if duration is None and reference is not None:
         duration = reference.period_s
     duration = None if duration == "free" else duration
     repeats = kind == "periodic" and reference is not None and duration is not None
-    if repeats and not is_whole(duration * reference.frequency_hz):
+    if repeats and not is_whole(duration / reference.period_s):
         raise ProblemError(
             f"motion.duration_s of a periodic motion is a whole number of the reference's periods of"
             f" {reference.period_s:g} s, got {duration:g}"
@@ -175,6 +175,14 @@ def motion_of(section: MotionSection, mechanism: Mechanism, reference: Sine | No
     begin = mechanism.home if start is None else _closed(mechanism, start)
     _check_hold(section)
     goal, goal_at, goal_rows = _end(section, "goal", kind, mechanism, limits, begin)
+    speeds = [_state(section, f"{name}_speed_s", mechanism, 0.0) for name in ("start", "goal")]
+    goal_named = np.isin(mechanism.independent, list(_goal_joints(section, mechanism)))
+    if kind == "reach" and reference is not None and duration is not None:  # ends that are not given are the reference's
+        ends = [reference.derivative(np.array([0.0, duration]), order) for order in (0, 1)]
+        given = zip((start, goal), speeds, ends[1], strict=True)
+        speeds = [own if s is None and v is None else v for s, v, own in given]
+        goal_named |= goal is None
+        start, goal = (ends[0][k] if s is None else s for k, s in enumerate((start, goal)))
     motion = Motion(
         kind=kind,
         start=start,
@@ -182,14 +190,14 @@ def motion_of(section: MotionSection, mechanism: Mechanism, reference: Sine | No
         start_at=start_at,
         goal_at=goal_at,
         goal_rows=goal_rows,
-        start_speed=_state(section, "start_speed_s", mechanism, 0.0),
-        goal_speed=_state(section, "goal_speed_s", mechanism, 0.0),
+        start_speed=speeds[0],
+        goal_speed=speeds[1],
         duration_s=duration,
         min_duration_s=section.min_duration_s,
         max_duration_s=section.max_duration_s,
         waypoints=_waypoints(section.waypoints, mechanism, limits, begin),
         turns=_turns(section.turns, mechanism),
-        goal_named=tuple(np.flatnonzero(np.isin(mechanism.independent, list(_goal_joints(section, mechanism)))).tolist()),
+        goal_named=tuple(np.flatnonzero(goal_named).tolist()),
     )
     _check_poses(section, mechanism, motion)
     return motion

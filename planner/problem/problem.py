@@ -22,7 +22,7 @@ from linkplan.planner.problem.keys.motion_and_limits import Motor
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.objective import Objective, objective_from
-from linkplan.planner.problem.reference import GuessedPath, Sine
+from linkplan.planner.problem.reference import GuessedPath, Reference
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.trajectory import Trajectory
 
@@ -49,7 +49,9 @@ class Problem:
         turns: whole turns by joint that a periodic motion makes in a period, {"O": 1}; their sign is the direction.
         minimize: effort, time, tracking, work, copper_loss, effort_rate, jerk, peak_effort, closure_force, or a table of
             weights.
-        reference: a sinusoid: `amplitude_deg`, `bias_deg`, `phase_deg` by joint, and `frequency_hz`.
+        reference: a sinusoid, `amplitude_deg`, `bias_deg`, `phase_deg` by joint and `frequency_hz`; or rows, `time_s` with
+            `position_deg`, `position_m` by joint or `at`, {"foot": {"x": [...], "z": [...]}}, or the `file` of a table;
+            with `period_s` and `spline`.
         limits: `effort`, `range_deg`, `speed_deg_s`, `acceleration_deg_s2`, `jerk_deg_s3`, `effort_rate`, `power_w`,
             `closure_force`, `site_acceleration_m_s2`, each by name, and `singular_margin`, `contacts`; `site`, boxes
             {"foot": {"z": [0.0, inf]}}, walls {"normal": n, "at": p} and tubes {"along": points, "radius_m": r}, one or a
@@ -85,7 +87,7 @@ class Problem:
     extra_limits: Sequence[ExtraLimit] = ()
     robust: Robust = field(default_factory=Robust)
     motors: tuple[Motor | None, ...] = ()
-    reference: Sine | None = None
+    reference: Reference | None = None
     guess: GuessedPath | Trajectory | None = None
     unhonoured: str = "refuse"  # a model with forces that plans neglect, or "note" these forces
     contacts: str = "refuse"  # a plan along which geoms collide, or "note" the contacts and neglect their forces
@@ -204,6 +206,12 @@ class Problem:
         """Return this problem if the mechanism reaches its poses."""
         self.start_pose()
         return self
+
+    def reference_over(self, duration_s: float) -> Reference | None:
+        """Return the reference of a motion of a duration [s]; one that is tracked in a free duration is stretched to it."""
+        if self.reference is None or self.motion.kind != "track" or self.motion.duration_s is not None:
+            return self.reference
+        return self.reference.stretched(duration_s / self.reference.period_s)
 
     @property
     def free_at_end(self) -> np.ndarray:

@@ -4,7 +4,7 @@ A guess is a table of positions at equidistant times, or a saved plan's motion.
 """
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +16,7 @@ from linkplan.planner.files.tables import resolve_path
 from linkplan.planner.problem.keys.motion_and_limits import ReferenceSection
 from linkplan.planner.problem.keys.sections import GuessSection
 from linkplan.planner.problem.settings import frozen, joint_values
+from linkplan.planner.problem.table_reference import Spline, spline_of
 from linkplan.planner.trajectory import Trajectory
 
 
@@ -41,16 +42,61 @@ class Sine:
         """The period [s]."""
         return 1.0 / self.frequency_hz
 
+    @property
+    def periodic(self) -> bool:
+        """Whether it repeats."""
+        return True
+
     def derivative(self, time_s: np.ndarray, order: int = 0) -> np.ndarray:
         """Return the reference's derivative of an order at times (n,), as (n, n_s) [rad/s^order or m/s^order]."""
         omega = 2 * np.pi * self.frequency_hz
         angle = omega * np.asarray(time_s, dtype=float)[:, None] + self.phase + order * np.pi / 2
         return (self.bias if order == 0 else 0.0) + self.amplitude * omega**order * np.sin(angle)
 
+    def inner_times(self, _: float) -> np.ndarray:
+        """Return the times at which a derivative jumps: none."""
+        return np.empty(0)
+
+    def stretched(self, factor: float) -> "Sine":
+        """Return the reference that takes `factor` times as long."""
+        return replace(self, frequency_hz=self.frequency_hz / factor)
+
+
+Reference = Sine | Spline
+
 
 def is_whole(number: float) -> bool:
     """Check if a ratio is a whole number, except for the rounding of decimal input."""
     return round(number) >= 1 and abs(number - round(number)) < 1e-9 * max(1.0, number)
+
+
+def reference_of(
+    section: ReferenceSection | None, mechanism: Mechanism, ranges: np.ndarray
+) -> tuple[Reference | None, list[str]]:
+    """Return the reference of a [reference] table, and the note on a spline that the table leaves open.
+
+    Raises:
+        ProblemError: for a table that is neither a sinusoid nor rows, or both.
+    """
+    if section is None:
+        return None, []
+    wave_keys = ("frequency_hz", "amplitude_deg", "amplitude_m", "bias_deg", "bias_m", "phase_deg")
+    waves = [key for key in wave_keys if getattr(section, key)]
+    if section.time_s is None:
+        rows = [key for key in ("position_deg", "position_m", "at", "period_s", "spline") if getattr(section, key)]
+        if rows:
+            raise ProblemError(f"reference.{rows[0]} belongs to a table of rows: give reference.file or reference.time_s")
+        if section.frequency_hz is None:
+            raise ProblemError(
+                "[reference] needs reference.frequency_hz, a positive number, for a sinusoid, or rows: reference.file or"
+                " reference.time_s; got none of them"
+            )
+        return sine_of(section, mechanism), []
+    if waves:
+        raise ProblemError(f"reference.time_s and reference.{waves[0]} are two references; keep one")
+    spline, kind = spline_of(section, mechanism, ranges)
+    words = f"reference: a {kind} cubic spline through {len(section.time_s)} rows (reference.spline)"
+    return spline, [] if section.spline else [words]
 
 
 def sine_of(section: ReferenceSection, mechanism: Mechanism) -> Sine:

@@ -37,7 +37,7 @@ from linkplan.planner.problem.keys.sections import MeshSection, SolverSection, T
 # The default of a field that __post_init__ sets: readers of the field find its type, and never None.
 DERIVED: Any = None
 # Keys with tables of joint = value in [motion], its waypoints and [reference].
-_STATES = ("start", "goal", "start_speed", "goal_speed", "at", "speed", "amplitude", "bias")
+_STATES = ("start", "goal", "start_speed", "goal_speed", "at", "speed", "amplitude", "bias", "position")
 # The control period [s] of a model whose timestep is no longer; else a period is one timestep: the model runs as it is.
 DEFAULT_PERIOD_S = 1e-4
 # Control periods in which the whole effort limit reaches a default LQR error from rest. With 4, 13 of 400 light machines

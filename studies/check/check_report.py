@@ -5,8 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.models.tree.dynamics import site_names
 from linkplan.models.tree.joints import Joint, where
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts
+from linkplan.studies.check.spring_ratios import sprung_tendons
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
 
 
@@ -56,7 +58,7 @@ def path_blocks(path: KinematicLoopPath, *, brief: bool = False) -> list[Block]:
         columns = _own(path, columns)
     table = _pose_table(path, columns)
     changing = brief and path.coordinate != 0
-    said = [*weight_sentences(path, changing=changing), *unheld_sentences(path, changing=changing)]
+    said = [*weight_sentences(path, changing=changing), *unheld_sentences(path, changing=changing), *balance_sentences(path)]
     sentences = [Text(text=text, tone="note") for text in said]
     if brief:
         return [*table, *sentences] if table or sentences else []
@@ -64,13 +66,31 @@ def path_blocks(path: KinematicLoopPath, *, brief: bool = False) -> list[Block]:
     if not acts(path).all():
         constant.append("all other ratios 0")
     hold = "hold and force include" if path.mechanism.actuators else "force includes"
-    weight = Text(text=f"'weight alone' omits the springs; {hold} weight and springs, with everything at rest")
+    weight = Text(
+        text=f"'weight alone' omits the springs; {hold} weight, springs and constant forces, with everything at rest"
+    )
     same = [Facts(rows=[("the same at every pose", ", ".join(constant))])] if constant else []
-    return [*table, weight, *same, *sentences]
+    return [*table, weight, *same, *_site_table(path), *sentences]
 
 
 def _pose_table(path: KinematicLoopPath, columns: list[Column]) -> list[Table]:
     """Return the table of a path; an empty list if no column changes."""
+    return _table(path, columns, f"along {path.title}, at rest")
+
+
+def _site_table(path: KinematicLoopPath) -> list[Table]:
+    """Return the table of the sites' coordinates that change along a path."""
+    model, scale = path.mechanism.model, path.mechanism.extent_m
+    columns = [
+        Column(head=f"{name} {axis}", unit="m", values=path.places[:, row, model.site(name).id], scale=scale)
+        for name in site_names(model)
+        for row, axis in enumerate("xyz")
+    ]
+    return _table(path, columns, f"sites along {path.title}")
+
+
+def _table(path: KinematicLoopPath, columns: list[Column], title: str) -> list[Table]:
+    """Return the table of the columns that change, at nine poses; an empty list if none does."""
     at = np.unique(np.linspace(0, len(path.poses) - 1, num=9).astype(int))
     shown = [column for column in columns if not column.is_constant]
     if not shown:
@@ -82,8 +102,8 @@ def _pose_table(path: KinematicLoopPath, columns: list[Column]) -> list[Table]:
     ]
     shown = [*positions, *shown]
     rows = [[column.cell(k) for column in shown] for k in at]
-    title = f"along {path.title}, at rest ({len(at)} of {len(path.poses)} poses)"
-    return [table_of(title, [(column.head, column.unit) for column in shown], rows)]
+    heads = [(column.head, column.unit) for column in shown]
+    return [table_of(f"{title} ({len(at)} of {len(path.poses)} poses)", heads, rows)]
 
 
 def _own(path: KinematicLoopPath, columns: list[Column]) -> list[Column]:
@@ -123,6 +143,10 @@ def quantities(path: KinematicLoopPath) -> list[Column]:
         rows += [(f"available {j.name}", j.si_units[1], path.available_effort[:, i], available) for i, j in independent]
     if len(mechanism.dependent):
         rows.append(("det J_z/home", "1", path.singularity, _scale(path.singularity)))
+    for t, name in enumerate(sprung_tendons(mechanism.model)):
+        rows.append((f"length {name}", "m", path.spring_length[:, t], mechanism.extent_m))
+        scale = _scale(path.spring_ratio)
+        rows += [(f"{name} per {j.name}", ratio_unit(j, "N"), path.spring_ratio[:, t, i], scale) for i, j in independent]
     force = _scale(path.closure_force)
     rows += [(f"force {name}", "N", path.closure_force[:, c], force) for c, name in enumerate(mechanism.closure_names)]
     return [Column(head=head, unit=unit, values=values, scale=scale) for head, unit, values, scale in rows]
@@ -155,6 +179,15 @@ def _pose(path: KinematicLoopPath, k: int) -> str:
     """Return the position of the swept coordinate or, for a motion, of all coordinates."""
     leading = slice(None) if path.coordinate is None else slice(path.coordinate, path.coordinate + 1)
     return where(path.mechanism.independent_joints[leading], path.positions[k][leading])
+
+
+def balance_sentences(path: KinematicLoopPath) -> list[str]:
+    """Return a sentence on the poses of a coordinate's path at which it needs no effort."""
+    if path.coordinate is None or not path.balances:
+        return []
+    joint = path.mechanism.independent_joints[path.coordinate]
+    at = [f"{joint.text(one.position, 5)} {joint.unit} ({'' if one.stable else 'un'}stable)" for one in path.balances]
+    return [f"in balance, without effort on {joint.name}, at {joint.name} = {', '.join(at)}"]
 
 
 def weight_sentences(path: KinematicLoopPath, *, changing: bool = False) -> list[str]:

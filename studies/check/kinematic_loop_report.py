@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -25,9 +26,12 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import Reach
 from linkplan.models.reduction.reduced import ReducedDynamics, is_regular, singular_inertia_text
+from linkplan.models.tree.dynamics import site_names
 from linkplan.models.tree.joints import where
-from linkplan.planner.closed_chain.guess import GUESS_SAMPLES, first_guess, poses_along
+from linkplan.planner.closed_chain.guess import GUESS_SAMPLES, first_guess, follows_reference, poses_along
 from linkplan.planner.problem.problem import Problem
+from linkplan.studies.check.balance import Balance, balances
+from linkplan.studies.check.spring_ratios import spring_motion, sprung_tendons
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -67,6 +71,10 @@ class PathFigures(Struct, frozen=True, kw_only=True, eq=False):
     available_effort: dict[str, np.ndarray]
     singularity_ratio: np.ndarray
     closure_force_n: dict[str, np.ndarray]
+    site_m: dict[str, np.ndarray]
+    spring_length_m: dict[str, np.ndarray]
+    spring_motion_ratio: dict[str, dict[str, np.ndarray]]
+    balance: list[dict[str, Any]]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -89,6 +97,15 @@ class KinematicLoopPath(Sweep):
     limit: np.ndarray  # (n_u, 2) of the actuators' efforts
     singularity: np.ndarray  # (n,) least determinant of J_z's blocks relative to home; 0 at a singular pose
     closure_force: np.ndarray  # (n, n_closures) [N] norm of each closure's force while weight and springs are held
+    places: np.ndarray  # (n, 3, n_sites) [m] of the model's sites
+    spring_length: np.ndarray  # (n, n_t) [m] of the tendons with springs, in the order of `sprung_tendons`
+    spring_ratio: np.ndarray  # (n, n_t, n_s) their motion ratios: speed per speed of a coordinate
+    balances: tuple[Balance, ...]  # along a coordinate's path
+
+    @property
+    def needed(self) -> np.ndarray:
+        """The effort (n, n_s) on each coordinate that holds the pose at rest."""
+        return np.einsum("ksu,ku->ks", self.ratio, self.holding_effort) + self.unheld_effort
 
     @property
     def figures(self) -> PathFigures:
@@ -118,6 +135,16 @@ class KinematicLoopPath(Sweep):
             available_effort=by(independent, self.available_effort[:, of]),
             singularity_ratio=self.singularity,
             closure_force_n=by(list(mechanism.closure_names), self.closure_force),
+            site_m={name: self.places[:, :, mechanism.model.site(name).id] for name in site_names(mechanism.model)},
+            spring_length_m=by(list(sprung_tendons(mechanism.model)), self.spring_length),
+            spring_motion_ratio={
+                name: by(independent, self.spring_ratio[:, t, of]) for t, name in enumerate(sprung_tendons(mechanism.model))
+            },
+            balance=[
+                {"position": joint.shown(one.position), "unit": joint.unit, "stable": one.stable}
+                for one in self.balances
+                for joint in [mechanism.independent_joints[own or 0]]
+            ],
         )
 
 
@@ -139,6 +166,8 @@ def measure(
     holding = least_effort(weight, ratio)
     unheld = weight - np.einsum("ksu,ku->ks", ratio, holding)
     force = sampled(dynamics.closure_force, poses, still, still, holding)[:, :, 0]
+    rates = sampled(dynamics.velocity_map, poses)
+    spring_length, spring_ratio = spring_motion(mechanism, poses, rates)
     sizes = [np.linalg.norm(force[:, mechanism.closure_slice(c)], axis=1) for c in range(len(mechanism.closure_names))]
     return KinematicLoopPath(
         mechanism=mechanism,
@@ -147,7 +176,7 @@ def measure(
         time_s=time_s,
         poses=poses,
         ratio=ratio,
-        rates=sampled(dynamics.velocity_map, poses),
+        rates=rates,
         reduced_inertia=inertia,
         reflected_inertia=_reflected(ratio, inertia),
         gravity_effort=sampled(dynamics.gravity_effort, poses)[:, :, 0],
@@ -157,6 +186,10 @@ def measure(
         limit=limit,
         singularity=_singularity(mechanism, poses),
         closure_force=np.array(sizes).T.reshape(len(poses), -1),
+        places=sampled(dynamics.site_places, poses),
+        spring_length=spring_length,
+        spring_ratio=spring_ratio,
+        balances=() if coordinate is None else balances(mechanism, poses, weight[:, coordinate], coordinate),
     )
 
 
@@ -256,11 +289,10 @@ def motion_path(problem: Problem) -> KinematicLoopPath:
         ProblemError: if start, goal or reference are out of reach.
         AssemblyError: if the loops do not close along the path.
     """
-    mechanism, motion = problem.mechanism, problem.motion
+    mechanism = problem.mechanism
     guess = first_guess(problem, problem.start_pose())
     time = np.linspace(0.0, guess.duration_s, GUESS_SAMPLES)
-    follows = not motion.ends_at_goal and problem.reference is not None and not motion.waypoints
-    title = f"the {'reference' if follows else 'smooth path'} of {problem.name}"
+    title = f"the {'reference' if follows_reference(problem) else 'smooth path'} of {problem.name}"
     poses = poses_along(mechanism, guess, time)
     return measure(mechanism, poses, title, time_s=time, limit=problem.limits.effort)
 

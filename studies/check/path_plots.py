@@ -14,6 +14,7 @@ from linkplan.models.tree.joints import Joint
 from linkplan.studies.check.check_report import ratio_unit
 from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, measure, most_poses, swept, thinned
+from linkplan.studies.check.spring_ratios import sprung_tendons
 from linkplan.studies.output.document import Axis, Plot
 from linkplan.studies.output.draw_bodies import draw_poses
 from linkplan.studies.output.figure import GREY, RED
@@ -118,7 +119,7 @@ def path_plots(path: KinematicLoopPath, group: str = "") -> list[Plot]:
     def own(values: np.ndarray, suffix: str = "") -> list[Line]:
         return [_line(f"{joint.name}{suffix}", values[:, i], joint.si_units[1]) for i, joint in joints]
 
-    needed = np.einsum("ksu,ku->ks", path.ratio, path.holding_effort) + path.unheld_effort
+    needed = path.needed
     rounding = ROUNDING_SHARE * max(np.abs(needed).max(), np.finfo(float).tiny)
     needed = np.where(np.abs(needed) > rounding, needed, 0.0)
     weights = own(needed)
@@ -136,6 +137,11 @@ def path_plots(path: KinematicLoopPath, group: str = "") -> list[Plot]:
     singular = [_line("least of J_z's blocks", path.singularity, "1")] if mechanism.closure_names else []
     followers = [_line(j.name, j.shown(1.0) * path.poses[:, k], j.unit) for k, j in dependent]
     forces = [_line(name, path.closure_force[:, c], "N") for c, name in enumerate(mechanism.closure_names)]
+    springs = [
+        _line(f"{name} per {joint.name}", path.spring_ratio[:, t, i], ratio_unit(joint, "N"))
+        for t, name in enumerate(sprung_tendons(mechanism.model))
+        for i, joint in joints
+    ]
     kinds: Sequence[tuple[str, str, list[Line], bool]] = (
         ("Dependent joints", "position", followers, False),
         ("Transmission ratio", "ratio", ratios, False),
@@ -145,6 +151,7 @@ def path_plots(path: KinematicLoopPath, group: str = "") -> list[Plot]:
         ("Effort within the actuators' limits", "effort", available, False),
         ("Distance from a singular pose", "det J_z over that at home", singular, False),
         ("Closure force at rest", "force", forces, False),
+        ("Motion ratio of springs", "d length / d coordinate", springs, False),
     )
     found = []
     for title, what, lines, may_grow in kinds:

@@ -25,7 +25,8 @@ DocumentRuns = dict[tuple[str, float, float], Rollout]
 def is_the_documents(plan: Plan) -> bool:
     """Return True if a plan is the document's experiment: its sinusoid, tracked exactly, on the knee without a payload."""
     problem = plan.problem
-    return problem.mechanism.name == "optimus-knee" and problem.mechanism.payload is None and problem.motion.kind == "track"
+    tracked = problem.motion.kind == "track" and isinstance(problem.reference, Sine)
+    return problem.mechanism.name == "optimus-knee" and problem.mechanism.payload is None and tracked
 
 
 def document_runs(plan: Plan, say: Callable[[str], None]) -> DocumentRuns:
@@ -37,7 +38,7 @@ def document_runs(plan: Plan, say: Callable[[str], None]) -> DocumentRuns:
         plan: of the document's sinusoid.
         say: called with lines on the progress.
     """
-    assert plan.problem.reference is not None  # the document's sinusoid
+    assert isinstance(plan.problem.reference, Sine)  # the document's
     kp, kd = (float(gain[0]) for gain in plan.problem.tracking.gains(plan.problem.mechanism.independent_joints))
     gains = tuple(dict.fromkeys((*DOCUMENT_GAINS, (kp, kd))))
     return _printed_runs(plan.problem.reference, gains, say) | _corrected_runs(plan, gains, say)

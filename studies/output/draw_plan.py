@@ -92,7 +92,7 @@ def time_plots(plan: Plan, motion: Motion, group: str = "", period: float | None
     """Return the plots of a plan's motion over time, by what they show."""
     mechanism, limits, time = plan.problem.mechanism, plan.problem.limits, motion.time_s
     independent, dependent = list(mechanism.independent), list(mechanism.dependent)
-    reference = plan.problem.reference
+    reference = plan.problem.reference_over(time[-1] - time[0])
 
     def joints(which: Sequence[int], values: np.ndarray, bounds: np.ndarray, per: str) -> list[Line]:
         return [

@@ -42,6 +42,7 @@ def load_mechanism(
     exclude_contacts: Sequence[Sequence[str]] = (),
     drive: Sequence[str] | None = None,
     lock_spin: Sequence[str] | None = None,
+    force: Mapping[str, Sequence[float]] | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, with closed loops.
 
@@ -67,6 +68,7 @@ def load_mechanism(
         exclude_contacts: pairs of names of bodies whose geoms pass through each other.
         drive: names of joints that get a motor, within the effort limit that the joint has; a URDF often names none.
         lock_spin: names of ball joints of rods that do not spin about their own line: universal joints take their places.
+        force: constant forces (3,) [N] in the world's axes by site: a load on a foot, a weight on a hook.
 
     Raises:
         LinkplanError: if the model cannot be used (`ModelError`), its loops do not close at the given pose
@@ -87,6 +89,7 @@ def load_mechanism(
         "exclude_contacts": exclude_contacts or None,
         "drive": drive,
         "lock_spin": lock_spin,
+        "force": force,
     }
     table = {"model": path_or_name} | {key: value for key, value in said.items() if value is not None}
     return mechanism_from_tables({"mechanism": to_toml_types(table)})

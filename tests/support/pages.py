@@ -25,7 +25,7 @@ from linkplan.planner.search.batch_file import read_batch
 from linkplan.studies.cli.main import main
 
 # What may stand in a page, and is run or read. Directives ("{toctree}") are the site's own.
-KINDS = ("sh", "text", "python", "toml", "xml")
+KINDS = ("sh", "text", "python", "toml", "xml", "csv")
 _FENCE = re.compile(r"^( *)(`{3,}|:{3,})(\S*)[^`]*$")
 _MARK = re.compile(r"^<!-- (file|part of|exit|shown|from): (.+?) -->$")
 _PICTURE = re.compile(r"^!\[[^\]]*\]\(([^)\s]+)\)")

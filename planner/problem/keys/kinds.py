@@ -73,6 +73,7 @@ Kind = Literal["reach", "hold", "periodic", "track"]
 Contacts = Literal["refuse", "note"]
 Refine = Literal["both", "intervals", "degree"]
 Compile = Literal["auto", "always", "never"]
+Spline = Literal["periodic", "clamped", "natural"]
 Axis = Literal["x", "y", "z"]
 Term = Literal["effort", "time", "tracking", "work", "copper_loss", "effort_rate", "jerk", "peak_effort", "closure_force"]
 
@@ -112,6 +113,20 @@ Coordinates = Annotated[
 ]
 Place = Point | Coordinates
 Path = Annotated[list[Number], Meta(min_length=2, extra={"said": "a list of two or more positions"})]
+PlaceColumns = Annotated[
+    dict[
+        str,
+        Annotated[
+            dict[Axis, Path],
+            Meta(
+                min_length=1,
+                extra={"said": "a table of lists such as { x = [0.1, 0.2], z = [0.3, 0.3] }"},
+                extra_json_schema={"propertyNames": {"enum": list(get_args(Axis))}},
+            ),
+        ],
+    ],
+    Meta(extra={"of": "site = { x = [...], y = [...], z = [...] } in metres", "noun": "site"}),
+]
 Breaks = Annotated[
     list[Number],
     Meta(
@@ -157,4 +172,6 @@ Efforts = Annotated[dict[str, Interval], Meta(extra=_ACTUATORS | {"of": "actuato
 ActuatorLimits = Annotated[dict[str, Positive | Interval], Meta(extra=_ACTUATORS)]
 ClosureLimits = Annotated[dict[str, Positive], Meta(extra={"of": "closure = newtons", "noun": "closure"})]
 SiteLimits = Annotated[dict[str, Positive], Meta(extra={"of": "site = metres per second squared", "noun": "site"})]
+Force = Annotated[list[Number], Meta(min_length=3, max_length=3, extra={"said": "[x, y, z] in newtons", "numbered": True})]
+Forces = Annotated[dict[str, Force], Meta(extra={"of": "site = [x, y, z] in newtons"})]
 Places = Annotated[dict[str, Place], Meta(extra={"of": "site = [x, y, z] in metres", "noun": "site"})]

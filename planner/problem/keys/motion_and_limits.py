@@ -66,12 +66,30 @@ _EACH = "none: each joint needs one"
 
 
 class ReferenceSection(Section, frozen=True):
-    """A sinusoid for each independent joint: bias + amplitude sin(2 pi frequency t + phase)."""
+    """A sinusoid for each independent joint, bias + amplitude sin(2 pi frequency t + phase), or a table of rows."""
 
-    frequency_hz: kinds.Frequency = required("common to all joints; its period is the motion's", "Hz")
+    frequency_hz: kinds.Frequency = key("common to all joints; its period is the motion's", "Hz", "none: rows are given")
     amplitude_deg: kinds.Angles = by_joint("hinges' amplitudes", "deg", _EACH)
     bias_deg: kinds.Angles = by_joint("hinges' mean angles", "deg", "0")
     phase_deg: kinds.Phases = by_name("phases by joint", "deg", "0")
+    file: str = key(
+        "a CSV file with a column time_s and columns of joints (O_deg, slide_m) or of sites (foot_x_m)", "", "none"
+    )
+    time_s: kinds.Path = key("the rows' times, in place of a file", "s", "none")
+    position_deg: kinds.Paths = by_joint("hinges' angles in every row", "deg", "none")
+    at: kinds.PlaceColumns = by_name("sites' coordinates in every row, in place of joints", "m", "none")
+    period_s: kinds.Positive = key(
+        "the time after which the first row follows the last", "s", "the last row is the first one again, or no period"
+    )
+    spline: kinds.Spline = key(
+        "of the cubic spline through the rows: periodic, clamped (at rest at both ends) or natural (no acceleration there)",
+        "",
+        "periodic if the last row equals the first, else clamped",
+    )
+
+
+_ONE_OF = [{"required": [key]} for key in ("frequency_hz", "file", "time_s")]
+ReferenceTable = Annotated[ReferenceSection, Meta(extra_json_schema={"anyOf": _ONE_OF})]
 
 
 class Box(Section, frozen=True):

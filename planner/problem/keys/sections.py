@@ -15,7 +15,7 @@ from linkplan.planner.problem.keys.motion_and_limits import (
     LimitsSection,
     MotionSection,
     MotorTable,
-    ReferenceSection,
+    ReferenceTable,
     RobustSection,
 )
 from linkplan.planner.problem.keys.section import Section, by_joint, by_name, key, required
@@ -88,6 +88,9 @@ class MechanismSection(Section, frozen=True):
     )
     lock_spin: kinds.BallJoints = key(
         "ball joints of rods that do not spin about their own line", otherwise="none", default=[]
+    )
+    force: kinds.Forces = by_name(
+        "constant forces [x, y, z] in the world's axes by site: a load on a foot or hook", "N", "none"
     )
     closure_tolerance_m: kinds.Positive = key(
         "the largest gap of a loop that counts as rounding of the model", "m", "by the mechanism's size"
@@ -185,7 +188,7 @@ class ProblemFile(Section, frozen=True, kw_only=True):
     description: str = key("the problem in a sentence", otherwise="none", default="")
     mechanism: MechanismSection = required("the machine")
     motion: MotionSection = required("the motion")
-    reference: ReferenceSection = key("the sinusoid to follow exactly or approximately", otherwise="none")
+    reference: ReferenceTable = key("the sinusoid or table to follow exactly or approximately", otherwise="none")
     objective: ObjectiveSection = key("what to minimise", otherwise="by the kind of motion", default=ObjectiveSection())
     limits: LimitsSection = key("limits at every instant", otherwise="the model's own", default=LimitsSection())
     robust: RobustSection = key(

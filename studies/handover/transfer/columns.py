@@ -26,6 +26,7 @@ MEANINGS = {
     "damping": "reflected viscous damping",
     "friction": "dry friction on each joint while it slides alone",
     "gravity": "effort that balances gravity",
+    "hold": "effort at rest: gravity, springs and constant forces",
     "effort_box": "least and largest effort on each joint",
     "effort_corners": "joint efforts at the corners of the motors' limits, motors counted in binary, last one first",
     "speed_alone": "largest speed of each joint while the others rest",
@@ -38,7 +39,7 @@ MEANINGS = {
     "inertia_rest_slope": "its derivatives by the joint positions, along the last axis",
     "damping_rest": "damping that it lacks",
     "friction_rate": "rates of the linkage's joints with dry friction, over those of the output joints",
-    "effort_rest": "effort at rest that it lacks: weight and springs",
+    "effort_rest": "effort at rest that it lacks: weight, springs and constant forces",
     "status": "0: on the map; 1: the loops do not close; 2: next to a singular pose; 3: beside the map, for interpolation at"
     " the edge of the way back; 100 + k: joint k is beyond its range",
 }

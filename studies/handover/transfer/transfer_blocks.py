@@ -96,13 +96,13 @@ def _home_table(transfer: Transfer):
     box = effort_box(home.ratio, transfer.effort_limit)[0]
     heads: list = ["output joint", "unit of effort"]
     heads += [(f"G of {motor.name}", f"{motor.si_units[0]} per joint unit") for motor in outputs.actuators]
-    heads += ["inertia", "of it armature", "damping", "dry friction", "gravity", "least effort", "largest effort"]
+    heads += ["inertia", "of it armature", "damping", "dry friction", "gravity", "hold", "least effort", "largest effort"]
     rows = []
     for k, joint in enumerate(outputs.joints):
         position, effort = joint.si_units
         rows.append(
             [f"{joint.name} [{position}]", effort, *home.ratio[0, :, k], home.inertia[0, k, k], home.armature[0, k, k],
-             home.damping[0, k, k], home.friction[0, k], home.gravity[0, k], *box[k]]
+             home.damping[0, k, k], home.friction[0, k], home.gravity[0, k], home.hold[0, k], *box[k]]
         )  # fmt: skip
     return table_of(
         "At home, each joint's own share (inertia over acceleration, damping over velocity)", heads, rows, digits=5

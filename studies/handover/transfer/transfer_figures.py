@@ -13,7 +13,7 @@ from linkplan.studies.handover.transfer.serial_urdf import reductions, urdf_note
 from linkplan.studies.handover.transfer.study import CONVENTION, Transfer, carried_gains
 from linkplan.studies.handover.transfer.transfer_blocks import notes
 
-_AT_HOME = ("motor_position", "ratio", "inertia", "armature", "damping", "friction", "gravity")
+_AT_HOME = ("motor_position", "ratio", "inertia", "armature", "damping", "friction", "gravity", "hold")
 
 
 class TransferFigures(Struct, frozen=True, kw_only=True, eq=False):

@@ -280,7 +280,7 @@ def test_the_distance_from_a_reference_is_that_of_its_sine():
     """bias + amplitude sin(2 pi f t + phase), in the joint's own angle."""
     asked = "reference.frequency_hz=1.5", "reference.phase_deg.O=25.0", "reference.bias_deg.O=-4.0"
     problem = problem_of("knee-sine", *asked)
-    (claim,) = reference_claims(problem, SimpleNamespace(position=np.array([-1.0, 1.0])))
+    (claim,) = reference_claims(problem, SimpleNamespace(position=np.array([-1.0, 1.0]), duration_s=2 / 3))
     reference, time, angle = problem.reference, 0.37, 0.2
     exact = angle - (reference.bias[0] + reference.amplitude[0] * np.sin(2 * np.pi * 1.5 * time + np.radians(25.0)))
     (value,) = claim.values(SimpleNamespace(s=[arb(angle)], time=arb(time)))

@@ -316,7 +316,8 @@ def test_the_table_says_once_what_does_not_change():
     (path,) = swept_paths("optimus-knee")
     text = text_of(path_blocks(path))
     assert "the same at every pose: act_O->O 1, available O -100 to 100 N.m" in text
-    assert len([row for row in text.splitlines() if row[:1].isdigit() or (row.startswith("-") and row[1].isdigit())]) == 9
+    rows = [row for row in text.splitlines() if row[:1].isdigit() or (row.startswith("-") and row[1].isdigit())]
+    assert len(rows) == 2 * 9, "nine poses, and the sites at these poses"
 
 
 @pytest.mark.slow
@@ -348,7 +349,7 @@ def test_the_table_tells_weight_alone_from_what_holds_weight_and_springs():
     actuator = mechanism.actuators[0].name
     assert path.ratio[:, 0, 0] * columns[f"hold {actuator}"] == pytest.approx(both, rel=1e-9, abs=1e-12)
     text = text_of(path_blocks(path))
-    assert "'weight alone' omits the springs; hold and force include weight and springs, with everything at rest" in text
+    assert "'weight alone' omits the springs; hold and force include weight, springs and constant forces" in text
 
 
 def test_an_angle_that_is_rounding_of_zero_is_said_as_zero():

@@ -1,0 +1,206 @@
+"""References that are tables: times with positions of joints or places of sites, and the cubic spline through them.
+
+The spline goes through independent joints. Places of sites become poses by inverse kinematics, row by row, each the nearest
+to the one before.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.assembly import close_at
+from linkplan.models.tree.dynamics import site_index
+from linkplan.planner.files.columns import read_csv
+from linkplan.planner.files.tables import Tables, resolve_path
+from linkplan.planner.problem.keys.kinds import MAX_INTERVALS
+from linkplan.planner.problem.keys.motion_and_limits import ReferenceSection
+from linkplan.planner.problem.keys.reading import checked
+from linkplan.planner.problem.settings import frozen, joint_values
+from linkplan.planner.problem.sites import AXES, SitePoint, pose_at
+
+# Ends of a table that differ by less than this share of its span are equal: files round to six digits or more.
+_EQUAL_ENDS = 1e-6
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Spline:
+    """A cubic spline over time for each independent joint, repeated if it is `periodic`, else at rest beyond its ends.
+
+    `knots_s` (n + 1,) [s] begin at 0; `coefficients` (4, n, n_s) multiply (t - knot)^3, ..., 1, in rad or m and seconds.
+    """
+
+    knots_s: np.ndarray
+    coefficients: np.ndarray
+    periodic: bool
+
+    def __post_init__(self) -> None:
+        for name in ("knots_s", "coefficients"):
+            object.__setattr__(self, name, frozen(getattr(self, name)))
+
+    @property
+    def period_s(self) -> float:
+        """The time of its last row, or after which it repeats [s]."""
+        return float(self.knots_s[-1])
+
+    def derivative(self, time_s: np.ndarray, order: int = 0) -> np.ndarray:
+        """Return the derivative of an order at times (n,), as (n, n_s) [rad/s^order or m/s^order]."""
+        time = np.asarray(time_s, dtype=float)
+        inside = time % self.period_s if self.periodic else np.clip(time, 0.0, self.period_s)
+        k = np.clip(np.searchsorted(self.knots_s, inside, side="right") - 1, 0, len(self.knots_s) - 2)
+        after = (inside - self.knots_s[k])[:, None]
+        value = np.zeros((len(time), self.coefficients.shape[2]))
+        for power in range(3, order - 1, -1):
+            factor = np.prod(np.arange(power - order + 1, power + 1))
+            value = value * after + factor * self.coefficients[3 - power, k]
+        rests = order > 0 and not self.periodic
+        return np.where(((time < 0) | (time > self.period_s))[:, None], 0.0, value) if rests else value
+
+    def inner_times(self, duration_s: float) -> np.ndarray:
+        """Return the times [s] within a duration at which its third derivative jumps."""
+        periods = np.arange(np.ceil(duration_s / self.period_s) if self.periodic else 1)
+        times = (periods[:, None] * self.period_s + self.knots_s[:-1]).ravel()
+        return times[(times > 1e-9 * self.period_s) & (times < duration_s - 1e-9 * self.period_s)]
+
+    def stretched(self, factor: float) -> "Spline":
+        """Return the reference that takes `factor` times as long."""
+        powers = np.array([3, 2, 1, 0])[:, None, None]
+        return Spline(knots_s=factor * self.knots_s, coefficients=self.coefficients / factor**powers, periodic=self.periodic)
+
+
+def read_reference_file(tables: Tables, mechanism: Mechanism, folder: Path | None) -> None:
+    """Replace `reference.file` by the rows of the CSV file that it names, so that a saved problem needs no other file.
+
+    Raises:
+        ProblemError: if the file cannot be read, or a column is no time, joint or site.
+    """
+    section = tables.get("reference")
+    if not isinstance(section, Mapping) or "file" not in section:
+        return
+    also = [key for key in ("time_s", "position_deg", "position_m", "at") if key in section]
+    if also:
+        raise ProblemError(f"reference.file and reference.{also[0]} are two tables; keep one")
+    name = checked("reference.file", section["file"])
+    columns = read_csv(resolve_path(name, folder), f"reference.file '{name}'")
+    if "time_s" not in columns:
+        raise ProblemError(f"reference.file '{name}' has a column time_s, got {', '.join(columns)}")
+    found = {key: value for key, value in section.items() if key != "file"} | {"time_s": columns.pop("time_s").tolist()}
+    for head, values in columns.items():
+        path = _key_of(head, mechanism)
+        if path is None:
+            joints = ", ".join(f"{joint.name}_{joint.unit}" for joint in mechanism.joints)
+            raise ProblemError(
+                f"reference.file '{name}' has columns time_s, of joints ({joints}) or of sites (NAME_x_m, NAME_y_m,"
+                f" NAME_z_m), got {head}"
+            )
+        table = found
+        for part in path[:-1]:
+            table = table.setdefault(part, {})
+        table[path[-1]] = values.tolist()
+    tables["reference"] = found
+
+
+def _key_of(head: str, mechanism: Mechanism) -> tuple[str, ...] | None:
+    """Return the keys below [reference] of a column, as plans name columns: O_deg, slide_m, foot_x_m or site_foot_x_m."""
+    name, _, unit = head.rpartition("_")
+    if unit in ("deg", "m") and name in [joint.name for joint in mechanism.joints]:
+        return f"position_{unit}", name
+    site, _, axis = name.removeprefix("site_").rpartition("_")
+    return ("at", site, axis) if unit == "m" and axis in AXES else None
+
+
+def spline_of(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarray) -> tuple[Spline, str]:
+    """Return the reference of a [reference] table with rows, and the kind of its spline.
+
+    Args:
+        section: with `time_s`.
+        mechanism: whose independent joints the rows determine.
+        ranges: of all joints (n_q, 2), which poses of sites' places keep.
+
+    Raises:
+        ProblemError: for times that do not increase, rows that do not fit them, or ends that are not those of a period.
+    """
+    import scipy
+
+    time = _times(section)
+    s = _positions(section, mechanism, ranges, len(time))
+    if section.period_s is not None:
+        if not section.period_s > time[-1] - time[0]:
+            raise ProblemError(
+                f"reference.period_s is after the last row, at {time[-1] - time[0]:g} s from the first, got"
+                f" {section.period_s:g}"
+            )
+        time, s = np.append(time, time[0] + section.period_s), np.vstack([s, s[:1]])
+    apart = np.abs(s[-1] - s[0])
+    returns = bool(np.all(apart <= _EQUAL_ENDS * np.ptp(s, axis=0)))
+    ends = section.spline or ("periodic" if returns else "clamped")
+    if ends == "periodic" and not returns:
+        joint = mechanism.independent_joints[int(np.argmax(apart))]
+        raise ProblemError(
+            f"reference.spline 'periodic' ends where it begins (or give reference.period_s), got {joint.name} ="
+            f" {joint.text(s[0, int(np.argmax(apart))], 6)} first and {joint.text(s[-1, int(np.argmax(apart))], 6)}"
+            f" {joint.unit} last"
+        )
+    if ends == "periodic":
+        s[-1] = s[0]
+    through = scipy.interpolate.CubicSpline(time - time[0], s, bc_type=ends)
+    return Spline(knots_s=through.x, coefficients=through.c, periodic=ends == "periodic"), ends
+
+
+def _times(section: ReferenceSection) -> np.ndarray:
+    """Return the rows' times (n,) [s]."""
+    time = np.array(section.time_s, dtype=float)
+    if len(time) > MAX_INTERVALS:
+        raise ProblemError(f"reference.time_s has at most {MAX_INTERVALS} rows, got {len(time)}")
+    back = np.flatnonzero(np.diff(time) <= 0)
+    if len(back):
+        k = int(back[0])
+        raise ProblemError(f"reference.time_s increases from row to row, got {time[k + 1]:g} after {time[k]:g} s")
+    return time
+
+
+def _positions(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarray, n_rows: int) -> np.ndarray:
+    """Return the independent joints' positions (n_rows, n_s) [rad or m]."""
+    rows = joint_values(section, "position", "reference", mechanism)
+    named = {mechanism.joints[index].name: values for index, values in rows.items()}
+    named |= {f"{site}.{axis}": values for site, places in section.at.items() for axis, values in places.items()}
+    for name, values in named.items():
+        if len(values) != n_rows:
+            raise ProblemError(f"reference has {n_rows} times in time_s and as many values of {name}, got {len(values)}")
+    if rows and section.at:
+        raise ProblemError("reference.at and reference.position_deg both say where the motion is; keep one")
+    if section.at:
+        return _poses(section, mechanism, ranges, n_rows)
+    independent = ", ".join(joint.name for joint in mechanism.independent_joints)
+    for index in mechanism.independent.tolist():
+        if index not in rows:
+            joint = mechanism.joints[index]
+            raise ProblemError(
+                f"reference.position_{joint.unit} names every independent joint ({independent}), and not {joint.name}; or"
+                " reference.at names sites"
+            )
+    others = [mechanism.joints[index].name for index in rows if index not in mechanism.independent]
+    if others:
+        raise ProblemError(f"reference.position_deg of joint {others[0]}: it follows from {independent}; name those alone")
+    pairs = zip(mechanism.independent.tolist(), mechanism.independent_joints, strict=True)
+    return np.array([[joint.read(value) for value in rows[index]] for index, joint in pairs]).T
+
+
+def _poses(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarray, n_rows: int) -> np.ndarray:
+    """Return the independent joints' positions (n_rows, n_s) with sites at their places."""
+    sites = {name: site_index(mechanism.model, name, "reference.at", ProblemError) for name in section.at}
+    begin, found = np.array(mechanism.home), []
+    for k in range(n_rows):
+        places = {name: [of[axis][k] if axis in of else np.nan for axis in AXES] for name, of in section.at.items()}
+        points = tuple(SitePoint(site=name, index=sites[name], point=np.array(place)) for name, place in places.items())
+        s, open_rows = pose_at(points, f"reference.at (row {k + 1})", mechanism, ranges, (), begin)
+        if open_rows:
+            raise ProblemError(
+                f"reference.at leaves freedoms of '{mechanism.name}' open, which has {mechanism.dof}: name more coordinates"
+            )
+        begin = close_at(mechanism, s)
+        found.append(s)
+    return np.array(found)
