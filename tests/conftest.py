@@ -5,6 +5,10 @@ import signal
 
 import pytest
 
+from tests.support.loaded import changed_models, share_mechanisms
+
+share_mechanisms()  # before a test module or the product imports `load_mechanism` by its name
+
 
 def pytest_addoption(parser):
     parser.addoption("--long", action="store_true", help="run the tests marked long, too")
@@ -32,6 +36,14 @@ def own_cache(tmp_path_factory):
     patch.setattr("linkplan.models.compiled.functions.compile_in_background", lambda _key, _functions: None)
     yield
     patch.undo()
+
+
+@pytest.fixture(autouse=True, scope="module")
+def unchanged_models():
+    """Make sure that a module's tests change no model of a mechanism that others get, too."""
+    yield
+    changed = changed_models()
+    assert not changed, f"tests changed the models of {changed}, which are shared: copy.copy(model) is one's own"
 
 
 @pytest.fixture
