@@ -38,6 +38,15 @@ def own_cache(tmp_path_factory):
     patch.undo()
 
 
+@pytest.fixture(autouse=True, scope="session")
+def time_for_proofs():
+    """Give the proof that comes with a plan a minute: on a slow machine it would be skipped, and a note says so."""
+    patch = pytest.MonkeyPatch()
+    patch.setattr("linkplan.plans._PROOF_SECONDS", 60.0)
+    yield
+    patch.undo()
+
+
 @pytest.fixture(autouse=True, scope="module")
 def unchanged_models():
     """Make sure that a module's tests change no model of a mechanism that others get, too."""
