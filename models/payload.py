@@ -75,7 +75,7 @@ BUILT_IN: Mapping[str, Payload] = dict(zip(PAYLOADS, (SHANK,), strict=True))
 def payload_from(value: Payload | str | Mapping | None) -> Payload | None:
     """Return the payload of a problem file's `mechanism.payload`: a built-in name, a table, or "none".
 
-    The file's reader has checked the table's keys and their types (`planner.keys`).
+    The file's reader has checked the table's keys and their types (`planner.problem.keys`).
     """
     if value is None or value == "none":
         return None

@@ -9,7 +9,7 @@ import pytest
 import yaml
 
 import linkplan
-from linkplan.studies.export.formats import FORMATS
+from linkplan.studies.handover.export.formats import FORMATS
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = [*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")]

@@ -23,13 +23,13 @@ from linkplan.planner.certificate.integration import (
     waypoint_off_m,
     waypoint_times,
 )
-from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, end_sizes
 from linkplan.planner.limits.joints import RANGE_SLACK
 from linkplan.planner.limits.kinds import margins
 from linkplan.planner.limits.limit import Margin
 from linkplan.planner.limits.samples import Samples, samples_of, singularity_ratios
 from linkplan.planner.problem.extra import extras_not_finite, not_finite
+from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory

@@ -24,10 +24,10 @@ from linkplan.planner.closed_chain.prescribed import (
     unheld,
 )
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
-from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
-from linkplan.planner.plan import Plan, tracking_errors
+from linkplan.planner.plan.plan import Plan, tracking_errors
 from linkplan.planner.problem.extra import as_no_number
+from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.refinement.case import ErrorReport, RefinementTarget

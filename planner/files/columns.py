@@ -20,7 +20,7 @@ import numpy as np
 from linkplan.models.errors import PlanFileError, one_line
 from linkplan.models.extras import load_extra
 from linkplan.models.reading import MAX_FILE_BYTES, read_file
-from linkplan.planner.keys.kinds import MAX_INTERVALS
+from linkplan.planner.problem.keys.kinds import MAX_INTERVALS
 from linkplan.planner.trajectory import Trajectory
 
 ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")

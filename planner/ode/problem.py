@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import Meta
 
 from linkplan.models.errors import ProblemError, one_line
-from linkplan.planner.keys.reading import read
+from linkplan.planner.problem.keys.reading import read
 from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.settings import DERIVED, MeshSettings, SolverSettings, frozen, number, to_toml_types
 

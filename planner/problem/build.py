@@ -1,6 +1,6 @@
 """From the tables of a problem file to the arguments of a `Problem`, with every key and value checked.
 
-Builders, files and saved plans all make tables. The sections of `planner.keys` are their specification, and each section
+Builders, files and saved plans all make tables. The sections of `planner.problem.keys` are their specification, and each section
 becomes the value of one field here. Angles are in degrees with `_deg` in the key, positions of slides in metres with `_m`;
 all else is SI.
 
@@ -26,11 +26,11 @@ from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.selection import Selection
 from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.files.tables import Tables, resolve_path, set_key, toml_text
-from linkplan.planner.keys.reading import KEYS, read, refuse_unknown_keys
-from linkplan.planner.keys.sections import MechanismSection, MotionSection, ProblemFile
 from linkplan.planner.problem.extra import Extra, ExtraCost, extras_text
 from linkplan.planner.problem.imperfections import imperfections_of
 from linkplan.planner.problem.instant import Robust
+from linkplan.planner.problem.keys.reading import KEYS, read, refuse_unknown_keys
+from linkplan.planner.problem.keys.sections import MechanismSection, MotionSection, ProblemFile
 from linkplan.planner.problem.limits import actuator_index, closure_index, limits_of, motors_of
 from linkplan.planner.problem.motion import motion_of
 from linkplan.planner.problem.objective import Objective, objective_from

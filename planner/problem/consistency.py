@@ -14,9 +14,9 @@ from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls, whole_turn
 from linkplan.models.poses.assembly import close_at, continue_to, follow, step_sizes
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.reach import Reach, reach
-from linkplan.planner.keys.kinds import MAX_INTERVALS
-from linkplan.planner.keys.motion_and_limits import Motor
 from linkplan.planner.problem.instant import Robust, corner_out_of_reach
+from linkplan.planner.problem.keys.kinds import MAX_INTERVALS
+from linkplan.planner.problem.keys.motion_and_limits import Motor
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.objective import Objective

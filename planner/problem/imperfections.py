@@ -9,8 +9,8 @@ from typing import Any
 
 from linkplan.models.errors import ProblemError, nearest
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.keys.imperfections import FORMS, QUANTITIES, WORDS, Quantity
-from linkplan.planner.keys.reading import refuse_unknown_keys
+from linkplan.planner.problem.keys.imperfections import FORMS, QUANTITIES, WORDS, Quantity
+from linkplan.planner.problem.keys.reading import refuse_unknown_keys
 from linkplan.planner.problem.settings import number
 
 

@@ -24,7 +24,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_acceleration, sampled, site_motion
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.tree.joints import unit_steps
-from linkplan.planner.keys.motion_and_limits import RobustSection
+from linkplan.planner.problem.keys.motion_and_limits import RobustSection
 
 # More corners would give too many rows at every node.
 MAX_CORNERS = 64

@@ -8,7 +8,7 @@ import numpy as np
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.dynamics import site_index
-from linkplan.planner.keys.motion_and_limits import LimitsSection, Motor
+from linkplan.planner.problem.keys.motion_and_limits import LimitsSection, Motor
 from linkplan.planner.problem.settings import DERIVED, frozen, interval, joint_values
 from linkplan.planner.problem.sites import SiteLimit, site_limits_of
 

@@ -11,10 +11,10 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.errors import ProblemError, nearest
-from linkplan.planner.keys.kinds import Term as TermName
-from linkplan.planner.keys.motion_and_limits import Motor
 from linkplan.planner.problem.extra import ExtraCost, checked_extras, expressed
 from linkplan.planner.problem.instant import Instant, Scales
+from linkplan.planner.problem.keys.kinds import Term as TermName
+from linkplan.planner.problem.keys.motion_and_limits import Motor
 
 Motors = Sequence[Motor | None]
 

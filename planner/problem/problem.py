@@ -14,11 +14,11 @@ from linkplan.models.audit import audit
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import Tables, apply_override, read_tables
-from linkplan.planner.keys.motion_and_limits import Motor
 from linkplan.planner.problem import build, consistency
 from linkplan.planner.problem.consistency import start_pose
 from linkplan.planner.problem.extra import Extra, ExtraCost, ExtraLimit, checked_extras, uses
 from linkplan.planner.problem.instant import Robust
+from linkplan.planner.problem.keys.motion_and_limits import Motor
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.objective import Objective, objective_from

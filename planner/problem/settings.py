@@ -21,7 +21,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.equilibrium import sprung_freedoms
 from linkplan.models.tree.joints import Joint
-from linkplan.planner.keys.kinds import (
+from linkplan.planner.problem.keys.kinds import (
     BREAKS,
     LQR_ERRORS,
     MAX_DELAY,
@@ -30,9 +30,9 @@ from linkplan.planner.keys.kinds import (
     Number,
     Positive,
 )
-from linkplan.planner.keys.reading import KEYS, checked, kind_of, read
-from linkplan.planner.keys.section import Section
-from linkplan.planner.keys.sections import MeshSection, SolverSection, TrackingSection
+from linkplan.planner.problem.keys.reading import KEYS, checked, kind_of, read
+from linkplan.planner.problem.keys.section import Section
+from linkplan.planner.problem.keys.sections import MeshSection, SolverSection, TrackingSection
 
 # The default of a field that __post_init__ sets: readers of the field find its type, and never None.
 DERIVED: Any = None

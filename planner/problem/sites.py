@@ -14,8 +14,8 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.inverse_kinematics import SiteTargets, independent_rows_of, places_of, site_pose
 from linkplan.models.tree.dynamics import site_index
-from linkplan.planner.keys.motion_and_limits import SITE_LIMITS, Box, Tube, Wall
-from linkplan.planner.keys.reading import read
+from linkplan.planner.problem.keys.motion_and_limits import SITE_LIMITS, Box, Tube, Wall
+from linkplan.planner.problem.keys.reading import read
 from linkplan.planner.problem.settings import frozen, interval
 
 AXES = Box.__struct_fields__

@@ -30,7 +30,7 @@ from flint import arb, arb_poly, arb_series, ctx
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.certificate.certificate import INTEGRATION_M
 from linkplan.planner.certificate.integration import VELOCITY_SHARE
-from linkplan.planner.keys.kinds import INTEGRATION_DEG
+from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.proof.branch import krawczyk, pose_of, series_of
 from linkplan.planner.proof.contraction import LinearBox, contracted, size_of
 from linkplan.planner.proof.finding import OWN_MOTION, Finding, no_motion

@@ -17,7 +17,7 @@ from linkplan.planner.closed_chain.case import MechanismCase, case_of, finished,
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.closed_chain.transcribe import own_objective
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.decision import refine

@@ -12,7 +12,7 @@ import numpy as np
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, motion_of, poses_along, stretched
 from linkplan.planner.limits.samples import singularity_ratios
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.decision import refine

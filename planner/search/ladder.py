@@ -1,7 +1,7 @@
 """The search for a motion: methods, the continuation along a parameter, and the state that a mechanism's methods share.
 
 A method is one way to search for a motion: a start, or a continuation. Each has a condition, a budget and one function. It
-returns a plan, whether its certificate passes or not, or None if it found no motion. `planner.planning` lists the methods
+returns a plan, whether its certificate passes or not, or None if it found no motion. `planner.search.planning` lists the methods
 and the repairs.
 
 Continuation follows motions along a parameter, each the start of the next: motions of ever longer duration, of ever smaller
@@ -20,7 +20,7 @@ import numpy as np
 from linkplan.models.deadline import Deadline, OutOfTimeError, check
 from linkplan.planner.closed_chain.guess import Guess, first_guess, users_guess
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.refinement.case import Iterate

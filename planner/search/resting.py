@@ -7,9 +7,9 @@ import numpy as np
 from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.guess import stretched
 from linkplan.planner.closed_chain.prescribed import Holding, holding_at, motion_along
-from linkplan.planner.keys.kinds import MIN_INTERVAL_SHARE
 from linkplan.planner.phase_plane.cheapest_legs import cheapest_legs, legs_apply
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.keys.kinds import MIN_INTERVAL_SHARE
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress
 from linkplan.planner.search.attempts import without_solving

@@ -17,7 +17,7 @@ from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
 from linkplan.planner.closed_chain.formulate import FIRST_TIE_WEIGHT, TIE_WEIGHT, tie_weights
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, stretched
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.history import progress

@@ -16,7 +16,7 @@ from linkplan.planner.certificate.further_checks import negligible_objective, ob
 from linkplan.planner.closed_chain.case import finished
 from linkplan.planner.closed_chain.guess import even_poses
 from linkplan.planner.closed_chain.prescribed import SQUARES_AT_REST, holding_at, motion_along
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress
 from linkplan.planner.search.attempts import without_solving

@@ -22,7 +22,7 @@ from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, 
 from linkplan.planner.phase_plane.cheapest_motion import cheapest_guess
 from linkplan.planner.phase_plane.leg_field import knows_lines, knows_speeds, supports_pin_limits
 from linkplan.planner.phase_plane.legs_motion import LEGS_SCHEME, legs_motion
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.search.attempts import certified, only_feasible, plan_from, without_solving

@@ -10,8 +10,8 @@ import numpy as np
 
 from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.guess import motion_of, stretched
-from linkplan.planner.keys.kinds import MIN_INTERVAL_SHARE
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.keys.kinds import MIN_INTERVAL_SHARE
 from linkplan.planner.search.attempts import certified, without_solving
 from linkplan.planner.search.continuations import DURATION_FACTOR
 from linkplan.planner.search.ladder import Budget, Search

@@ -19,12 +19,12 @@ from linkplan.controllers.trackers.pd import pd, scheduled_pd
 from linkplan.controllers.trackers.tracker import AnyTracker, StateFeedback, with_feedforward
 from linkplan.models.errors import GainError, ProblemError, choose
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.keys.kinds import Delay
-from linkplan.planner.keys.reading import read
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import silent
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.keys.kinds import Delay
+from linkplan.planner.problem.keys.reading import read
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import Tracking, number, to_toml_types
+from linkplan.planner.search.planning import silent
 from linkplan.studies.compare.lqr_weights import scaled, unit_effort
 from linkplan.studies.compare.run_time import RunTime, run_time
 from linkplan.studies.compare.user_tracker import TrackerLike, users_tracker

@@ -8,7 +8,7 @@ from linkplan.models.errors import listed
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import exclusion
 from linkplan.planner.certificate.further_checks import geom_names
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.studies.check.holding import why_no_loop
 from linkplan.studies.check.softness import gap_sentence, softness_error
 from linkplan.studies.compare.compare import Comparison, error_figures, steered_by_unit

@@ -11,7 +11,7 @@ from linkplan.controllers.simulate import simulate_one
 from linkplan.controllers.trackers.pd import pd, pd_gain
 from linkplan.controllers.trackers.tracker import StateFeedback
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.reference import Sine
 
 DOCUMENT_KP = 200.0

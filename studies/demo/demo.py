@@ -9,16 +9,11 @@ from msgspec.structs import replace
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.files.folders import write_json, write_whole
-from linkplan.planner.plan import Plan
-from linkplan.planner.plan_folder import record, versions
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.folder import record, versions
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.bode import bode_study
-from linkplan.studies.bode.bode_report import save_bode
-from linkplan.studies.bode.bode_sections import bode_sections
-from linkplan.studies.bode.loop_blocks import map_blocks
-from linkplan.studies.bode.map_study import map_study
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.check.check_sections import check_sections
 from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.path_plots import inspection_figure
@@ -33,7 +28,12 @@ from linkplan.studies.compare.comparison_blocks import (
 from linkplan.studies.compare.comparison_figures import comparison_figures
 from linkplan.studies.compare.document import DOCUMENT_KP, document_rows, mended_runs, printed_runs
 from linkplan.studies.compare.tracking_sections import comparison_sections
-from linkplan.studies.frequency.excitation import Setup
+from linkplan.studies.feedback.bode.bode import bode_study
+from linkplan.studies.feedback.bode.bode_report import save_bode
+from linkplan.studies.feedback.bode.bode_sections import bode_sections
+from linkplan.studies.feedback.bode.loop_blocks import map_blocks
+from linkplan.studies.feedback.bode.map_study import map_study
+from linkplan.studies.feedback.frequency.excitation import Setup
 from linkplan.studies.output.document import Block, Section, Text, table_of
 from linkplan.studies.output.draw_plan import save_plan
 from linkplan.studies.output.figure import figure_of, panels_of

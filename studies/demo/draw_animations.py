@@ -8,9 +8,9 @@ import sys
 from pathlib import Path
 
 from linkplan.models.errors import LinkplanError
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.demo.draw_gallery import FOLDER, SHOWN
 from linkplan.studies.render.gl import GL, find_gl
 from linkplan.studies.render.render import render

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.output.draw_bodies import draw_poses
 from linkplan.studies.output.figure import outside_legend, page
 

@@ -15,10 +15,10 @@ from linkplan.models.poses.along import RANGE_ROUNDING
 from linkplan.models.poses.assembly import advance, steps_to
 from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import reach
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import number
-from linkplan.planner.replan import Replanner
+from linkplan.planner.search.replan import Replanner
 from linkplan.studies.compare.compare import Comparison, compare
 from linkplan.studies.compare.tracking_sections import comparison_sections
 from linkplan.studies.output.document import Animation, Report, Section

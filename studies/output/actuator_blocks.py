@@ -3,7 +3,7 @@
 import numpy as np
 
 from linkplan.planner.certificate.demands import demands_of, operating_points, shown_speed
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.studies.output.document import Axis, Block, Plane, Series, Table, table_of
 from linkplan.studies.output.numbers import drawn_rows, rounded
 

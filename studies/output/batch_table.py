@@ -2,8 +2,8 @@
 
 from collections.abc import Sequence
 
-from linkplan.planner.keys.sections import CaseSection
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.keys.sections import CaseSection
 from linkplan.studies.output.document import Block, Text, table_of
 from linkplan.studies.output.plan_blocks import figure, known_digits, objective_unit
 

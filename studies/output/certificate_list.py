@@ -11,9 +11,9 @@ from linkplan.planner.certificate.certificate import (
     Certificate,
 )
 from linkplan.planner.certificate.further_checks import geom_names
-from linkplan.planner.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.limits.limit import Margin
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.studies.output.document import Checklist, Item
 from linkplan.studies.output.draw_plan import LEAST_SHOWN, Motion
 from linkplan.studies.output.numbers import significant

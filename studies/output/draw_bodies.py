@@ -11,7 +11,7 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.skeleton import Stick, body_name, sticks, view
 from linkplan.models.poses.solids import body_frames, cut_pins, outline, solids, thickened
 from linkplan.models.tree.coordinates import joint_label
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.sites import SiteLimit
 from linkplan.studies.output.body_colours import body_colours, hex_of

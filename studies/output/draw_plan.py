@@ -12,8 +12,8 @@ from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.limits.samples import actuator_speeds, closure_forces
-from linkplan.planner.plan import Plan
-from linkplan.planner.plan_folder import write_plan
+from linkplan.planner.plan.folder import write_plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.studies.output.document import Plot
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.pin_forces import pin_forces

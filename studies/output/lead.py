@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.studies.output.document import Facts
 from linkplan.studies.output.draw_plan import Motion
 from linkplan.studies.output.plan_blocks import figure, known_digits, least_margin, objective_unit

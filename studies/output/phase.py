@@ -5,7 +5,7 @@ import numpy as np
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.phase_plane.grid import Plane as PhaseGrid
 from linkplan.planner.phase_plane.grid import grid_of, plane_of
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.studies.output.document import Axis, Plane, Series
 from linkplan.studies.output.draw_plan import Motion
 from linkplan.studies.output.numbers import drawn_rows, rounded, times

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.certificate.certificate import Certificate, integration_rtol
 from linkplan.planner.limits.joints import RangeLimit
-from linkplan.planner.plan import Plan, not_honoured
+from linkplan.planner.plan.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, Proof
 from linkplan.studies.output.actuator_blocks import demand_table

@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import plain_record
-from linkplan.planner.plan import Plan, not_honoured
+from linkplan.planner.plan.plan import Plan, not_honoured
 from linkplan.planner.problem.build import file_text
 from linkplan.studies.output.actuator_blocks import demand_blocks
 from linkplan.studies.output.animation import animation, frames_of

@@ -17,7 +17,7 @@ from linkplan.models.errors import PlanFileError
 from linkplan.models.reading import MAX_FILE_BYTES, read_head
 from linkplan.planner.files.manifest import read_record
 from linkplan.planner.files.single_file import write_over
-from linkplan.planner.plan_folder import versions
+from linkplan.planner.plan.folder import versions
 from linkplan.studies.output.document import Report, Section
 
 # Each script uses only those before it.

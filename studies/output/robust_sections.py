@@ -4,9 +4,9 @@ import math
 
 import numpy as np
 
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import saved_price
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.instant import corner_efforts_along
+from linkplan.planner.search.planning import saved_price
 from linkplan.studies.output.document import Block, Facts, Plot, Section, Table, Text
 from linkplan.studies.output.draw_plan import Motion
 from linkplan.studies.output.lines import TIME, Line, plots

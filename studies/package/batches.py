@@ -12,10 +12,10 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
-from linkplan.studies.batch.study import Outcome, run_batch
 from linkplan.studies.output.batch_table import batch_blocks
 from linkplan.studies.output.document import Block, Report, Section
-from linkplan.studies.tasks.cluster import engine_of
+from linkplan.studies.variations.batch.study import Outcome, run_batch
+from linkplan.studies.variations.tasks.cluster import engine_of
 
 
 def batch(
@@ -46,7 +46,7 @@ def batch(
 
         linkplan.batch({"problem": "knee-reach", "sweep": {"motion.duration_s": [0.16, 0.2]}})
     """
-    from linkplan.planner.files.batch_file import batch_from, read_batch
+    from linkplan.planner.search.batch_file import batch_from, read_batch
 
     engine = engine_of(workers, cluster)
     if isinstance(cases, Mapping):

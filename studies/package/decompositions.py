@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.inputs import PlanLike, listed, plan_of, with_imperfections
 from linkplan.paths import drawn
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import whole
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
 from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
-from linkplan.studies.decompose import decompose as study
-from linkplan.studies.decompose.decomposition import Decomposition
-from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks
 from linkplan.studies.output.document import Block, Report
+from linkplan.studies.variations.decompose import decompose as study
+from linkplan.studies.variations.decompose.decomposition import Decomposition
+from linkplan.studies.variations.decompose.decomposition_blocks import decomposition_blocks
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -79,7 +79,7 @@ class DecompositionResult(Result):
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of every tracker's parts as bars, saved at `path` if it is given."""
-        from linkplan.studies.decompose.decomposition_blocks import decomposition_figure
+        from linkplan.studies.variations.decompose.decomposition_blocks import decomposition_figure
 
         return drawn(path, lambda place: decomposition_figure(self.decomposition, place))
 
@@ -89,7 +89,7 @@ class DecompositionResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.decompose.decomposition_blocks import decomposition_report
+        from linkplan.studies.variations.decompose.decomposition_blocks import decomposition_report
 
         return decomposition_report(self.decomposition, self.plan)
 

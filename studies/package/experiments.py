@@ -14,20 +14,20 @@ from linkplan.controllers.trackers.names import LINEAR
 from linkplan.inputs import PlanLike, listed, plan_of, problem_of, with_imperfections
 from linkplan.models.errors import ProblemError, choose
 from linkplan.paths import drawn, path_of
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import whole
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
 from linkplan.studies.compare.named_run import NamedRun
 from linkplan.studies.compare.user_tracker import TrackerLike, name_of, refuse_unpicklable
-from linkplan.studies.experiment.block import replay
-from linkplan.studies.experiment.experiment import Settings, plan_digest
-from linkplan.studies.experiment.experiment_blocks import outcome_blocks, sensitivity
-from linkplan.studies.experiment.sensitivity import Sensitivity
-from linkplan.studies.experiment.statistics import Estimate
-from linkplan.studies.experiment.study import Outcome, experiment_figure, run_experiment
 from linkplan.studies.output.document import Block, Report
-from linkplan.studies.tasks.cluster import engine_of
+from linkplan.studies.variations.experiment.block import replay
+from linkplan.studies.variations.experiment.experiment import Settings, plan_digest
+from linkplan.studies.variations.experiment.experiment_blocks import outcome_blocks, sensitivity
+from linkplan.studies.variations.experiment.sensitivity import Sensitivity
+from linkplan.studies.variations.experiment.statistics import Estimate
+from linkplan.studies.variations.experiment.study import Outcome, experiment_figure, run_experiment
+from linkplan.studies.variations.tasks.cluster import engine_of
 from linkplan.typed_commands import sample_again
 
 if TYPE_CHECKING:
@@ -157,7 +157,7 @@ class ExperimentResult(Result):
 
     def document(self) -> Report:
         """Return the report; with a folder, it has the commands that run samples again."""
-        from linkplan.studies.experiment.experiment_sections import experiment_report
+        from linkplan.studies.variations.experiment.experiment_sections import experiment_report
 
         return experiment_report(self.outcome, None if self.folder is None else functools.partial(sample_again, self.folder))
 
@@ -200,13 +200,13 @@ class SensitivityResult(Result):
 
     def draw(self, place: Path) -> None:
         """Write the chart of each rms error."""
-        from linkplan.studies.experiment.sensitivity_blocks import save_tornados
+        from linkplan.studies.variations.experiment.sensitivity_blocks import save_tornados
 
         save_tornados(self.outcome.name, self.found, place)
 
     def plot(self, path: str | Path | None = None, metric: str | None = None) -> Figure:
         """Return the tornado chart of a metric, with a panel for each tracker, saved at `path` if it is given."""
-        from linkplan.studies.experiment.sensitivity_blocks import tornado_figure
+        from linkplan.studies.variations.experiment.sensitivity_blocks import tornado_figure
 
         _, asked = self._asked(next(iter(self.found.trackers)), metric)
         return drawn(path, lambda place: tornado_figure(self.outcome.name, self.found, asked, place))

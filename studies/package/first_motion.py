@@ -49,8 +49,8 @@ def new(
         print(first.text)
     """
     from linkplan.planner.files.single_file import write_new
-    from linkplan.studies.new.first_motion import first_motion
-    from linkplan.studies.new.problem_text import file_tables, first_text
+    from linkplan.studies.check.new.first_motion import first_motion
+    from linkplan.studies.check.new.problem_text import file_tables, first_text
 
     source = source_of(model)
     target = None if path is None else file_to_write(path)

@@ -15,13 +15,13 @@ from linkplan.paths import drawn
 from linkplan.planner.problem.settings import number
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
-from linkplan.studies.bode.poses import loop_poses
-from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
+from linkplan.studies.feedback.bode.poses import loop_poses
+from linkplan.studies.feedback.frequency.feedback_loops import operating_point, sampled_law
+from linkplan.studies.feedback.tune import tune as tuning
+from linkplan.studies.feedback.tune import tune_report
+from linkplan.studies.feedback.tune.requirements import LEAST_DAMPING_RATIO, Requirements
+from linkplan.studies.feedback.tune.tuning import Tuning
 from linkplan.studies.output.document import Block, Report
-from linkplan.studies.tune import tune as tuning
-from linkplan.studies.tune import tune_report
-from linkplan.studies.tune.requirements import LEAST_DAMPING_RATIO, Requirements
-from linkplan.studies.tune.tuning import Tuning
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -129,7 +129,7 @@ class TuneResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.tune import tune_sections
+        from linkplan.studies.feedback.tune import tune_sections
 
         return tune_sections.tune_report(self.tuning)
 

@@ -10,15 +10,15 @@ from linkplan.models.errors import InfeasibleError, ModelError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import Tables, apply_override, read_tables, refuse_saved_plan
-from linkplan.planner.keys.motion_and_limits import WaypointSection
-from linkplan.planner.keys.reading import read
-from linkplan.planner.plan import Plan
-from linkplan.planner.plan_folder import read_plan, unchecked
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.folder import read_plan, unchecked
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.imperfections import imperfections_of
+from linkplan.planner.problem.keys.motion_and_limits import WaypointSection
+from linkplan.planner.problem.keys.reading import read
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import joint_values, number, to_toml_types
+from linkplan.planner.search.planning import plan_motion
 from linkplan.reporting import Listener
 
 

@@ -20,18 +20,18 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import Tracking, number
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
-from linkplan.studies.bode.along_motion import along_motion
-from linkplan.studies.bode.bode import bode_study
-from linkplan.studies.bode.bode_blocks import summary
-from linkplan.studies.bode.bode_report import bode_figure, save_bode
-from linkplan.studies.bode.bode_result import BodePoint, BodeStudy
-from linkplan.studies.bode.large_study import large_study
-from linkplan.studies.bode.loop_blocks import along_blocks, large_blocks, map_blocks
-from linkplan.studies.bode.map_study import map_study
-from linkplan.studies.bode.poses import loop_poses
-from linkplan.studies.frequency.excitation import Setup
-from linkplan.studies.frequency.feedback_loops import QUANTITIES, refuse_several_freedoms
-from linkplan.studies.frequency.margins import frequency_grid
+from linkplan.studies.feedback.bode.along_motion import along_motion
+from linkplan.studies.feedback.bode.bode import bode_study
+from linkplan.studies.feedback.bode.bode_blocks import summary
+from linkplan.studies.feedback.bode.bode_report import bode_figure, save_bode
+from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy
+from linkplan.studies.feedback.bode.large_study import large_study
+from linkplan.studies.feedback.bode.loop_blocks import along_blocks, large_blocks, map_blocks
+from linkplan.studies.feedback.bode.map_study import map_study
+from linkplan.studies.feedback.bode.poses import loop_poses
+from linkplan.studies.feedback.frequency.excitation import Setup
+from linkplan.studies.feedback.frequency.feedback_loops import QUANTITIES, refuse_several_freedoms
+from linkplan.studies.feedback.frequency.margins import frequency_grid
 from linkplan.studies.output.document import Block, Report, Section
 
 if TYPE_CHECKING:
@@ -238,7 +238,7 @@ class BodeResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.bode.bode_sections import bode_report
+        from linkplan.studies.feedback.bode.bode_sections import bode_report
 
         return bode_report(self.study, list(self._further.values()))
 

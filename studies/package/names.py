@@ -5,7 +5,7 @@ from linkplan.controllers.trackers.names import LINEAR, TRACKERS
 from linkplan.models.catalogue import MODELS, PAYLOADS
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.transcription.scheme_names import NAMES as SCHEMES
-from linkplan.studies.export.formats import C_TRACKERS, FOLDER_FORMATS, FORMATS
+from linkplan.studies.handover.export.formats import C_TRACKERS, FOLDER_FORMATS, FORMATS
 
 __all__ = [
     "C_TRACKERS",
@@ -38,7 +38,7 @@ def problem_descriptions() -> dict[str, str]:
 
 def problem_keys() -> tuple[str, ...]:
     """Return the keys of problem files, as section.key."""
-    from linkplan.planner.keys.reading import KEYS
+    from linkplan.planner.problem.keys.reading import KEYS
 
     return tuple(f"{section}.{key}" for section, keys in KEYS.items() for key in keys)
 
@@ -57,6 +57,6 @@ def schema(file: str = "problem") -> dict:
         print(linkplan.schema()["title"])
     """
     from linkplan.models.errors import ProblemError, choose
-    from linkplan.planner.keys.key_table import FILES, json_schema
+    from linkplan.planner.problem.keys.key_table import FILES, json_schema
 
     return json_schema(choose("kind of file", file, FILES, ProblemError))

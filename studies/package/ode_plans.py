@@ -11,12 +11,12 @@ import numpy as np
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.extras import load_extra
 from linkplan.paths import drawn, path_of
-from linkplan.planner import plan as planned
 from linkplan.planner.files.columns import csv_bytes
 from linkplan.planner.files.folders import plain_record, write_json, write_whole
 from linkplan.planner.ode import plan as ode_planned
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import plan_ode
+from linkplan.planner.plan import plan as planned
 from linkplan.reporting import Progress, listener
 
 if TYPE_CHECKING:

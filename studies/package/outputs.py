@@ -12,7 +12,7 @@ from linkplan.inputs import PlanLike, Source, Subject, plan_of, source_of, subje
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.paths import file_to_write, path_of
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.reporting import Listener, Progress, listener
 from linkplan.results import Result
 from linkplan.typed_commands import sample_again
@@ -159,7 +159,7 @@ def export(
 
         linkplan.export(linkplan.plan("knee-reach"), "reach.yaml", "ros", every_s=0.001)
     """
-    from linkplan.studies.export.formats import FOLDER_FORMATS, FORMATS
+    from linkplan.studies.handover.export.formats import FOLDER_FORMATS, FORMATS
 
     choose("format", str(to), (*FORMATS, *FOLDER_FORMATS), ProblemError)
     say, names = listener(progress), list(joints)
@@ -171,7 +171,7 @@ def export(
         if given:
             raise ProblemError(f"{key} is for code in C, got to = '{to}'")
     from linkplan.planner.files.single_file import write_new
-    from linkplan.studies.export.export import exported
+    from linkplan.studies.handover.export.export import exported
 
     place = file_to_write(path)
     if isinstance(plan, Mechanism):
@@ -198,7 +198,7 @@ class Exported:
 
     def blocks(self) -> list[Block]:
         """Return the description as a document."""
-        from linkplan.studies.export.c_files import cost_blocks
+        from linkplan.studies.handover.export.c_files import cost_blocks
         from linkplan.studies.output.document import Text
 
         return [Text(text=self.text)] if self.text else cost_blocks(self.said, self.path)
@@ -216,14 +216,14 @@ def _exported_c(
     """Write a model's dynamics or a plan's control law as C into a folder."""
     from linkplan.paths import folder_to_write
     from linkplan.planner.files.folders import write_json, write_whole
-    from linkplan.studies.export.formats import C_TRACKERS
+    from linkplan.studies.handover.export.formats import C_TRACKERS
 
     choose("tracker for C", tracker, C_TRACKERS, ProblemError)
     target, said, passed = folder_to_write(path, "export.json"), {}, True
     asked = _plan_in(subject)
     if asked is not None:
-        from linkplan.studies.export.c_law import write_law
-        from linkplan.studies.export.law_tables import law_tables
+        from linkplan.studies.handover.export.c_law import write_law
+        from linkplan.studies.handover.export.law_tables import law_tables
 
         if joints:
             raise ProblemError("joints is for ros, and for a model in C; a plan's law has the plan's own coordinates")
@@ -236,9 +236,9 @@ def _exported_c(
             said.update(write_law(tables, place) | {"plan": plan.problem.name})
             write_json(place / "export.json", said)
     else:
-        from linkplan.studies.export.c_files import write_model
-        from linkplan.studies.export.c_model import model_code
-        from linkplan.studies.export.output_joints import with_outputs
+        from linkplan.studies.handover.export.c_files import write_model
+        from linkplan.studies.handover.export.c_model import model_code
+        from linkplan.studies.handover.export.output_joints import with_outputs
 
         if tolerance is not None:
             raise ProblemError("tolerance is for the tables of a plan's law in C; a model's code has none")

@@ -83,7 +83,7 @@ def _is_a_schema(place: Path) -> bool:
     """Tell if a file is empty or a schema that linkplan wrote, which may be replaced."""
     from linkplan.models.errors import LinkplanError
     from linkplan.models.reading import MOST_TOML_BYTES, read_file
-    from linkplan.planner.keys.key_table import DIALECT, FILES
+    from linkplan.planner.problem.keys.key_table import DIALECT, FILES
 
     try:
         text = read_file(place, f"'{place}'", MOST_TOML_BYTES).decode("utf-8")  # refuses devices, whose content never ends

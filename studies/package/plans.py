@@ -13,13 +13,13 @@ from linkplan.inputs import PlanLike, Source, plan_of, source_of, with_motion
 from linkplan.models.deadline import NO_DEADLINE, OutOfTimeError
 from linkplan.models.errors import ProblemError
 from linkplan.paths import drawn, path_of
-from linkplan.planner import plan as planned
-from linkplan.planner import plan_folder
 from linkplan.planner.files.folders import plain_record, write_whole
-from linkplan.planner.planning import plan_motion, price_of, saved_price, with_price
+from linkplan.planner.plan import folder as plan_folder
+from linkplan.planner.plan import plan as planned
 from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.replan import NextMotion, Replanner
+from linkplan.planner.search.planning import plan_motion, price_of, saved_price, with_price
+from linkplan.planner.search.replan import NextMotion, Replanner
 from linkplan.reporting import LOG, Listener, Progress, listener
 from linkplan.results import Result
 

@@ -13,7 +13,7 @@ from linkplan.controllers.rollout import Rollout
 from linkplan.inputs import PlanLike, Source, listed, plan_of, source_of, tracking_table
 from linkplan.models.errors import ProblemError
 from linkplan.paths import drawn
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.planner.problem.settings import number, whole
 from linkplan.reporting import Listener, Progress, listener
@@ -93,8 +93,8 @@ def track(
 
 def _replayed(place: str, tracker: TrackerLike, sample: int) -> TrackingResult:
     """Return the run of a tracker on a machine of an experiment's folder."""
-    from linkplan.studies.experiment.block import replay
-    from linkplan.studies.experiment.study import refuse_changed_tracker, saved_experiment
+    from linkplan.studies.variations.experiment.block import replay
+    from linkplan.studies.variations.experiment.study import refuse_changed_tracker, saved_experiment
 
     folder, name = Path(place), str(tracker)
     experiment = saved_experiment(folder)
@@ -200,7 +200,7 @@ class TrackingResult(Result):
         """Return the table of errors and efforts, and the machine of an experiment's sample."""
         if (sample := self.figures.sample) is None:
             return comparison_blocks(self.comparison)
-        from linkplan.studies.experiment.experiment_sections import machine_section
+        from linkplan.studies.variations.experiment.experiment_sections import machine_section
 
         failure = sample["failure"]
         lost = [Text(text=failure, tone="bad")] if failure else []
@@ -209,7 +209,7 @@ class TrackingResult(Result):
     def document(self) -> Report:
         """Return the report."""
         from linkplan.studies.compare.tracking_sections import comparison_report
-        from linkplan.studies.experiment.experiment_sections import replay_report
+        from linkplan.studies.variations.experiment.experiment_sections import replay_report
 
         if self.figures.sample is not None:
             return replay_report(self.comparison, self.figures.sample)

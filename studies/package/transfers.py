@@ -16,10 +16,10 @@ from linkplan.paths import drawn
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result, saved
-from linkplan.studies.transfer.columns import arrays_of
-from linkplan.studies.transfer.serial_study import Serial
-from linkplan.studies.transfer.study import Transfer, transfer_study
-from linkplan.studies.transfer.transfer_figures import TransferFigures, transfer_figures
+from linkplan.studies.handover.transfer.columns import arrays_of
+from linkplan.studies.handover.transfer.serial_study import Serial
+from linkplan.studies.handover.transfer.study import Transfer, transfer_study
+from linkplan.studies.handover.transfer.transfer_figures import TransferFigures, transfer_figures
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -157,7 +157,7 @@ class TransferResult(Result):
         Raises:
             LinkplanError: if the linkage has none, with the reason.
         """
-        from linkplan.studies.transfer.serial_urdf import urdf_notes, urdf_text
+        from linkplan.studies.handover.transfer.serial_urdf import urdf_notes, urdf_text
 
         self._serial()
         text = urdf_text(self.found)
@@ -176,7 +176,7 @@ class TransferResult(Result):
             Arrays (n, n_joints): "effort" that the motion needs, and the errors of the "static map" (a tree without anything
             reflected), of the "serial equivalent", and of the "serial with table".
         """
-        from linkplan.studies.transfer.serial_study import errors_along, motion_of_samples
+        from linkplan.studies.handover.transfer.serial_study import errors_along, motion_of_samples
 
         table, serial = self.found.table, self._serial()
         found = errors_along(table, serial.model, serial.rest, motion_of_samples(table.outputs, time_s, position_rad))
@@ -210,19 +210,19 @@ class TransferResult(Result):
 
     def blocks(self) -> list[Block]:
         """Return the table and the curves."""
-        from linkplan.studies.transfer.transfer_blocks import transfer_blocks
+        from linkplan.studies.handover.transfer.transfer_blocks import transfer_blocks
 
         return transfer_blocks(self.found)
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.transfer.transfer_blocks import transfer_report
+        from linkplan.studies.handover.transfer.transfer_blocks import transfer_report
 
         return transfer_report(self.found)
 
     def draw(self, place: Path, *, parquet: bool = False) -> None:
         """Write the tables (CSV, NPZ, with `parquet` Parquet too), the serial equivalent and the figure."""
-        from linkplan.studies.transfer.files import write_files
+        from linkplan.studies.handover.transfer.files import write_files
 
         write_files(self.found, place, parquet=parquet)
 
@@ -241,7 +241,7 @@ class TransferResult(Result):
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of the curves over each joint's range, saved at `path` if it is given."""
-        from linkplan.studies.transfer.files import transfer_figure
+        from linkplan.studies.handover.transfer.files import transfer_figure
 
         return drawn(path, lambda place: transfer_figure(self.found, place))
 

@@ -135,8 +135,8 @@ def _problem(subject: Subject, say: Listener) -> Problem:
     """Return the problem of a file or a built-in name, or the first motion of a model."""
     if isinstance(subject, Problem):
         return subject
-    from linkplan.studies.new.first_motion import first_motion
-    from linkplan.studies.new.problem_text import file_tables
+    from linkplan.studies.check.new.first_motion import first_motion
+    from linkplan.studies.check.new.problem_text import file_tables
 
     if isinstance(subject, Mechanism):
         model, section, further = str(subject.source["model"]), dict(subject.source), {}

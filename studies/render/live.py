@@ -10,7 +10,7 @@ from linkplan.controllers.controls import Controls
 from linkplan.controllers.playback import Rows, Shown
 from linkplan.models.poses.skeleton import pins_in_space
 from linkplan.models.poses.solids import solids
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.compare.compare import lqr_settings, tracking_reference
 from linkplan.studies.output.body_colours import body_colours

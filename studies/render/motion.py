@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.controllers.reference import SampledReference
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.studies.compare.compare import track, tracking_reference
 from linkplan.studies.render.efforts import load_shares
 

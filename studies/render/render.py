@@ -12,8 +12,8 @@ import numpy as np
 from linkplan.models.deadline import check
 from linkplan.models.errors import ProblemError
 from linkplan.planner.files.single_file import write_file_whole
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import silent
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.search.planning import silent
 from linkplan.studies.render.camera import Camera, camera_from
 from linkplan.studies.render.caption import INK, effort_lines, frame_lines, head_share, written
 from linkplan.studies.render.film_file import write_gif, write_mp4, write_png

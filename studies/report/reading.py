@@ -9,18 +9,18 @@ from typing import Any
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import complete
 from linkplan.planner.files.manifest import RECORDS, read_record
-from linkplan.planner.plan import Plan
-from linkplan.planner.plan_folder import read_plan, unchecked
-from linkplan.planner.plan_record import read_plan_record
+from linkplan.planner.plan.folder import read_plan, unchecked
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.plan.record import read_plan_record
 from linkplan.planner.proof.finding import OWN_MOTION
-from linkplan.studies.batch.study import RECORD as BATCH
-from linkplan.studies.batch.study import read_cases
-from linkplan.studies.experiment.experiment_sections import experiment_report
-from linkplan.studies.experiment.study import RECORD as EXPERIMENT
-from linkplan.studies.experiment.study import saved_outcome
 from linkplan.studies.output.document import Block, Facts, Report, Section, Table, Text
 from linkplan.studies.output.plan_sections import plan_report
 from linkplan.studies.output.report_file import DOCUMENT, read_document, report_of
+from linkplan.studies.variations.batch.study import RECORD as BATCH
+from linkplan.studies.variations.batch.study import read_cases
+from linkplan.studies.variations.experiment.experiment_sections import experiment_report
+from linkplan.studies.variations.experiment.study import RECORD as EXPERIMENT
+from linkplan.studies.variations.experiment.study import saved_outcome
 
 
 def folder_report(folder: Path, again: Callable[[Path, str, int], str] | None = None) -> Report:

@@ -18,8 +18,8 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import accelerations, sampled
-from linkplan.studies.export.c_files import write_model
-from linkplan.studies.export.c_model import model_code, random_states
+from linkplan.studies.handover.export.c_files import write_model
+from linkplan.studies.handover.export.c_model import model_code, random_states
 from linkplan.studies.output.text import table
 from tests.bench.timing import medians_s, say
 from tests.support import parallel_ankle

@@ -23,8 +23,8 @@ from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
 from linkplan.models.errors import LinkplanError
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.fourbar import FourBar, Lump
 
 # Durations of the least efforts, as multiples of the least time. Below 1 there must be no motion.

@@ -15,8 +15,8 @@ from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.simulate import simulate
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.compare.compare import build_tracker, tracking_reference
 from linkplan.studies.output.text import table
 from tests.bench.timing import say

@@ -3,8 +3,8 @@
 import statistics
 import time
 
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.explore.session import Session
 from linkplan.studies.output.text import table
 from tests.bench.timing import median_s, say

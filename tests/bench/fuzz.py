@@ -90,7 +90,7 @@ def mutated(rng: random.Random, text: str, pattern: str, values: tuple[str, ...]
 def mutated_toml(rng: random.Random) -> bytes:
     """Return a problem file with values replaced and a key of any section added."""
     from linkplan.planner.files.tables import built_in_text, inline
-    from linkplan.planner.keys.key_table import key_table
+    from linkplan.planner.problem.keys.key_table import key_table
 
     text = built_in_text(rng.choice(PROBLEMS))
     row = rng.choice([row for row in key_table() if row.section])

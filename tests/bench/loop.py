@@ -5,8 +5,8 @@ import mujoco
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.simulate import simulate_one
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.compare.compare import build_tracker, tracking_reference
 from linkplan.studies.output.text import table
 from tests.bench.timing import median_s, say

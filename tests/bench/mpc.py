@@ -11,8 +11,8 @@ import numpy as np
 
 from linkplan.controllers.trackers.mpc import HORIZON_BLOCKS, MPC
 from linkplan.controllers.trackers.prediction import predictor
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.compare.compare import build_tracker, tracking_reference
 from linkplan.studies.output.text import table
 from tests.bench.timing import say

@@ -14,9 +14,9 @@ import numpy as np
 
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.files.tables import BUILT_IN
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
-from linkplan.planner.replan import Replanner
+from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.replan import Replanner
 from linkplan.studies.output.text import table
 from tests.bench.packages import installed
 from tests.bench.shares import timed_solves

@@ -18,8 +18,8 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.transcribe import trajectory_of
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.solvers.solve import build_solver, run_solver
 from linkplan.planner.transcription.schemes import MAX_DEGREE, NAMES, scheme
 from linkplan.studies.output.figure import BLACK, BLUE, GREEN, ORANGE, PURPLE, RED, page

@@ -24,8 +24,8 @@ from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.felt_inertia import equality_jacobian
 from linkplan.models.tree.passive import simulated_gas_springs
-from linkplan.planner.plan import Plan
-from linkplan.planner.plan_folder import read_plan
+from linkplan.planner.plan.folder import read_plan
+from linkplan.planner.plan.plan import Plan
 
 # Processor time [s] after which a command is ended.
 _MOST_TIME_S = 60

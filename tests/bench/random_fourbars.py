@@ -16,9 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.models.errors import LinkplanError
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.fourbar_problems import KINDS, Case, kind_of, random_case
 
 # A least time against the phase plane's, relative: both sides' own errors are below 1e-7.

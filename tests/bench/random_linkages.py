@@ -7,8 +7,8 @@ motions without linkplan.
 import sys
 import time
 
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.linkage_problems import LinkageProblem, drawn
 
 

@@ -6,8 +6,8 @@ The best motions are known without linkplan (`tests.support.sliders`).
 import sys
 import time
 
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.sliders import drawn
 
 # An answer against the best, relative.

@@ -69,8 +69,8 @@ def turning_answer(number: str, change: float = 0.0) -> dict:
 
 def tables_answer(tables: dict, change: float = 0.0) -> dict:
     """Return the answer to the problem of some tables, with every number changed by a share of it."""
-    from linkplan.planner.planning import plan_motion
     from linkplan.planner.problem.problem import Problem
+    from linkplan.planner.search.planning import plan_motion
 
     return answer_of(plan_motion(Problem.from_tables("recorded", changed(tables, change))))
 

@@ -13,7 +13,7 @@ import numpy as np
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.case import finished
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.solvers import solve as solving

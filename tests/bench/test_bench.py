@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.solvers import solve as solving
 from linkplan.planner.solvers.solve import build_solver, run_solver
 from tests.bench import c_code

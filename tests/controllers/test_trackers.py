@@ -15,7 +15,7 @@ from linkplan.controllers.trackers.pd import pd
 from linkplan.controllers.trackers.tracker import StateFeedback, with_feedforward
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from tests.support.bodies import HINGE, HINGE_INERTIA
 from tests.support.fourbar import SHANK, knee
 from tests.support.plans import optimal

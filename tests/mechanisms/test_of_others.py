@@ -8,8 +8,8 @@ import pytest
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedoms
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.compare.compare import track
 from tests.support.data import DATA

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.compare.compare import run_figures, track
 from tests.support.spins import BUSH, DRAGGING, FIXED_BUSH, ON_A_BALL, ROUND, SPINS, TWO_BALLS, WISHBONE, WISHBONE_WITHOUT
 

@@ -10,8 +10,8 @@ import casadi as ca
 import pytest
 
 from linkplan.models.deadline import asked, check, ended_by, listening, shielded
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.solvers import solve
 
 pytestmark = [

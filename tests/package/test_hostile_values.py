@@ -5,7 +5,7 @@ import pytest
 
 import linkplan
 from linkplan.models.errors import LinkplanError
-from linkplan.planner.replan import NextMotion
+from linkplan.planner.search.replan import NextMotion
 from tests.support.plans import optimal
 from tests.support.refusals import refusal
 

@@ -135,9 +135,9 @@ def test_positions_and_velocities_state_their_unit_in_their_names():
     from linkplan.controllers.trackers.tracker import TrackerWithMemory
     from linkplan.models.equations import Equations
     from linkplan.planner.certificate.certificate import Certificate
-    from linkplan.planner.plan import MotionTable
+    from linkplan.planner.plan.plan import MotionTable
     from linkplan.planner.problem.extra import NamedInstant
-    from linkplan.planner.replan import NextMotion
+    from linkplan.planner.search.replan import NextMotion
     from linkplan.transfers import TransferResult
 
     arrays = (SampledReference, Rollout, MotionTable, Certificate, NextMotion, NamedInstant)

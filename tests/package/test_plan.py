@@ -10,8 +10,8 @@ from matplotlib.figure import Figure
 
 import linkplan
 from linkplan.models.errors import InfeasibleError, LinkplanError, PlanFileError, ProblemError
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 
 
 @pytest.fixture(scope="module")

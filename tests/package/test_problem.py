@@ -11,7 +11,7 @@ import linkplan
 from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError
 from linkplan.planner.files.tables import BUILT_IN
-from linkplan.planner.keys.section import Section
+from linkplan.planner.problem.keys.section import Section
 from linkplan.planner.problem.problem import Problem
 
 REACH = {"start_deg": {"O": -49.07}, "goal_deg": {"O": 56.27}, "duration_s": 0.2}

@@ -5,9 +5,9 @@ import pytest
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.replan import structure
+from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.replan import structure
 from tests.support.plans import problem_of
 
 GANTRY = """<mujoco><option gravity="0 0 0"/>

@@ -9,9 +9,9 @@ from scipy.interpolate import BPoly
 
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.data import KNEE_TABLE
 from tests.support.fourbar import KNEE_PROBLEMS, SHANK, FourBar, Lump, Swing, knee, random_swing, rate_of
 from tests.support.plans import GOAL, LIMIT, START, optimal

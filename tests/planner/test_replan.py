@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner import replan
 from linkplan.planner.closed_chain.case import finished
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
-from linkplan.planner.replan import Replanner, structure
+from linkplan.planner.search import replan
+from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.replan import Replanner, structure
 from tests.support.tolerances_planner import SAME_FIGURE, TIGHTENED_ANEW
 
 
@@ -214,7 +214,7 @@ def test_a_program_with_a_limit_that_was_not_asked_for_is_not_solved_again():
 SHARED = """
 import sys, threading
 from linkplan.planner.problem.problem import load_problem
-from linkplan.planner.replan import Replanner
+from linkplan.planner.search.replan import Replanner
 shared, statuses = Replanner(), []
 def run(first):
     planner = shared if sys.argv[1] == "one" else Replanner()

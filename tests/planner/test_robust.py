@@ -16,9 +16,9 @@ from linkplan.models.payload import SHANK
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.planning import plan_motion, price_of
 from linkplan.planner.problem.instant import Corner, Robust, corner_efforts_along
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion, price_of
 from linkplan.studies.compare.compare import build_tracker
 from tests.support.machines import run_alone
 from tests.support.mechanisms import FIVE_BAR

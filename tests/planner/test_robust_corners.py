@@ -11,7 +11,7 @@ from linkplan.models.library import compile_model
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.payload import SHANK
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.instant import Corner, corner_efforts_along
 from tests.support.plans import optimal
 

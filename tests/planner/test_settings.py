@@ -6,9 +6,9 @@ import pytest
 from linkplan.models.compiled import functions
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import ProblemError
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
+from linkplan.planner.search.planning import plan_motion
 
 # Settings that cannot be used, what sets the same in a problem file (None where no file can say it), words of the answer.
 REFUSED = [

@@ -9,7 +9,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.closed_chain.transcribe import transcribe
 from linkplan.planner.problem.problem import Problem, load_problem
-from linkplan.planner.replan import Replanner, motion_step
+from linkplan.planner.search.replan import Replanner, motion_step
 from linkplan.planner.solvers.newton import NewtonStep, Optimum
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.tolerances_planner import SOLVERS_OWN_EFFORT, SOLVERS_OWN_POSITION

@@ -6,10 +6,10 @@ import pytest
 from linkplan.controllers.sampling import sampling
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.poses import loop_poses
-from linkplan.studies.frequency.excitation import Setup, signal_amplitude
-from linkplan.studies.frequency.feasible import default_amplitudes
-from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
+from linkplan.studies.feedback.bode.poses import loop_poses
+from linkplan.studies.feedback.frequency.excitation import Setup, signal_amplitude
+from linkplan.studies.feedback.frequency.feasible import default_amplitudes
+from linkplan.studies.feedback.frequency.feedback_loops import feedback_loop, law_gain, operating_point
 
 CART = """<mujoco><statistic extent="{extent}"/><option gravity="0 0 0" timestep="1e-3"/><worldbody><body name="cart">
 <joint name="X" type="slide" axis="1 0 0"/><geom type="box" size="0.1 0.1 0.1" mass="1"/></body></worldbody>

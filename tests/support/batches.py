@@ -2,7 +2,7 @@
 
 import json
 
-from linkplan.planner.keys.sections import BatchFile, CaseSection
+from linkplan.planner.problem.keys.sections import BatchFile, CaseSection
 
 
 def swept(n):

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.search.planning import plan_motion
 
 # Without gravity: an inertia [kg m2], and the angle [rad] that it is turned by.
 HINGE = """<mujoco><option gravity="0 0 0"/><worldbody><body name="arm"><joint name="J" type="hinge" axis="0 1 0"/>

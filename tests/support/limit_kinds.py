@@ -11,11 +11,11 @@ import numpy as np
 from linkplan.models.poses.along import accelerations, joint_rates, sampled, site_motion
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.planner.keys.motion_and_limits import Motor
 from linkplan.planner.limits.accelerations import jerks
 from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, effort_rates
 from linkplan.planner.limits.samples import Samples
 from linkplan.planner.problem.instant import Robust
+from linkplan.planner.problem.keys.motion_and_limits import Motor
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.trajectory import Trajectory

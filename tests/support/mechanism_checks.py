@@ -7,9 +7,9 @@ import numpy as np
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.compare.compare import track
 from tests.support.mechanisms import derivative, simulated
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.limits.samples import actuator_speeds
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from tests.support.mechanisms import simulated
 
 

@@ -20,8 +20,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import linkplan
-from linkplan.planner.files.batch_file import read_batch
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.batch_file import read_batch
 from linkplan.studies.cli.main import main
 
 # What may stand in a page, and is run or read. Directives ("{toctree}") are the site's own.

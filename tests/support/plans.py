@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 
 from linkplan.planner.files.folders import write_whole
-from linkplan.planner.plan import Plan
-from linkplan.planner.plan_folder import write_plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.folder import write_plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.search.planning import plan_motion
 
 # Where the knee's reach begins and ends [rad], and its motor's limit [N.m].
 START, GOAL = np.radians([-49.07, 56.27])

@@ -8,9 +8,9 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.arms import arm
 
 # Past the hip from above to below it: the shortest way leads through a place that walls may keep clear of.

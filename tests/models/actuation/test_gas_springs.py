@@ -11,8 +11,8 @@ from linkplan.controllers.simulate import simulate_one
 from linkplan.models.audit import audit
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.tree.dynamics import build_tree
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.compare.compare import build_tracker, tracking_reference
 from tests.support.tolerances_planner import ROUNDING
 

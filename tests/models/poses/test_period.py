@@ -84,8 +84,8 @@ def test_a_lead_screw_reaches_over_the_whole_travel_of_its_nut():
 
 
 def test_studies_examine_a_geared_crank_over_its_whole_turn():
-    from linkplan.studies.bode.poses import loop_poses
     from linkplan.studies.check.kinematic_loop_report import swept
+    from linkplan.studies.feedback.bode.poses import loop_poses
 
     mechanism = geared(20.0)
     crank = mechanism.joint_index("crank")

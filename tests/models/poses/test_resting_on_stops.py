@@ -7,7 +7,7 @@ import linkplan
 from linkplan.models.errors import ProblemError
 from linkplan.models.poses.equilibrium import rests_on_stops
 from linkplan.studies.check.drives import pressed_joints, sprung_stops
-from linkplan.studies.new.changes import changed_mechanism
+from linkplan.studies.check.new.changes import changed_mechanism
 
 STIFFNESS, REST_DEG = 3.0, -30.0
 LEG = """<mujoco><worldbody><body pos="0 0 1"><joint name="A" axis="0 1 0" damping=".1"/>

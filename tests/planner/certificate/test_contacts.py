@@ -14,10 +14,10 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import meetings
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.case import finished
-from linkplan.planner.plan import Plan
-from linkplan.planner.plan_folder import read_plan, record, write_plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.folder import read_plan, record, write_plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.cli.main import main
 from tests.support.tolerances_planner import TOUCHING
 

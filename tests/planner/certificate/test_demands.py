@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.plans import planned
 
 SCREW = """<mujoco><option gravity="0 0 0"/>

@@ -6,9 +6,9 @@ import pytest
 
 from linkplan.models.errors import CertificateError
 from linkplan.planner.certificate.further_checks import negligible_objective
-from linkplan.planner.plan_folder import read_plan, write_plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 
 ARM = """
 <mujoco model="arm">

@@ -9,14 +9,14 @@ import pytest
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.integration import RESTART_GROWTH, integrate
 from linkplan.planner.closed_chain.guess import first_guess, motion_of
-from linkplan.planner.keys.kinds import INTEGRATION_DEG
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import continuations
 from linkplan.planner.search.continuations import MIN_SAVING, continued, from_continuation
 from linkplan.planner.search.ladder import FULL_BUDGET, KnownMotions, Path, Search
+from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.starts import least_time_motion
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, body_plan, body_problem
 from tests.support.fourbar_problems import random_case

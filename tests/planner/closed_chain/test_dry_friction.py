@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.compare.compare import track
 
 # An arm of inertia 0.1 kg m2 on its axis, rubbed by 0.5 N.m, driven by 2: (2 - 0.5) / 0.1 and (2 + 0.5) / 0.1 rad/s2.

@@ -11,8 +11,8 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import slopes_at_rest, spring_equilibrium, sprung_freedoms
 from linkplan.models.selection import Selection
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.fourbar import G
 from tests.support.tolerances_planner import SAME_FIGURE
 

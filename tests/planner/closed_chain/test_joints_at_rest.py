@@ -8,7 +8,7 @@ import pytest
 from linkplan.planner.certificate.integration import integrate
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.closed_chain.transcribe import choose_scales
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from tests.support.bodies import body_plan, body_problem
 
 INERTIA = 0.02

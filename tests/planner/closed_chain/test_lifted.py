@@ -6,10 +6,10 @@ import pytest
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.planner.closed_chain import mechanics
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.hexapod import hexapod
 from tests.support.tolerances_planner import ROWS, SAME_FIGURE
 

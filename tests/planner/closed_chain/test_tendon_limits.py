@@ -8,9 +8,9 @@ import linkplan
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.check.inspection import inspect
 from tests.support.mechanisms import replaced
 from tests.support.refusals import refusal

@@ -6,7 +6,7 @@ import pytest
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.closed_chain.guess import first_guess
-from linkplan.planner.diagnosis.reasons import path_effort
+from linkplan.planner.search.reasons import path_effort
 from tests.support.bodies import HINGE, PENDULUM, body_problem
 from tests.support.data import KNEE_TABLE
 from tests.support.plans import GOAL, LIMIT, START, planned, problem_of

@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 from linkplan.models.errors import InfeasibleError, LinkplanError, ProblemError
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from tests.support.data import KNEE_TABLE
 from tests.support.fourbar import SHANK, knee
 from tests.support.plans import GOAL, LIMIT, START, planned

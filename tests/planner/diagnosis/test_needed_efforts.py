@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from linkplan.planner.closed_chain.guess import Guess, motion_of
-from linkplan.planner.diagnosis.reasons import effort_sentence, far_too_short, path_effort, share_sentence
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.least_limit import LeastLimit
+from linkplan.planner.search.reasons import effort_sentence, far_too_short, path_effort, share_sentence
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, QUARTER_TURN, TURN, body_problem

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from linkplan.planner.diagnosis import reasons
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.search import reasons
 from linkplan.planner.search.ladder import Search
+from linkplan.planner.search.planning import plan_motion
 from tests.support.bodies import LIFT, body_problem
 from tests.support.fourbar import G
 from tests.support.fourbar_problems import random_case

@@ -1,8 +1,8 @@
 """Reasons without a motion: what is proved infeasible, and what a known motion or enough effort contradicts."""
 
 from linkplan.models import deadline
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 
 
 def test_a_search_that_runs_out_of_time_names_the_effort_that_the_smooth_path_lacks():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from linkplan.planner.closed_chain.guess import Guess
-from linkplan.planner.diagnosis.reasons import share_sentence
+from linkplan.planner.search.reasons import share_sentence
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 
 DURATION_S, SLOWEST_S = 2.0, 1.3

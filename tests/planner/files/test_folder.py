@@ -16,9 +16,9 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import to_json_types, write_json, write_whole
 from linkplan.planner.files.manifest import MANIFEST
 from linkplan.planner.files.tables import read_tables
-from linkplan.planner.plan import motion_table
-from linkplan.planner.plan_folder import read_plan, record, write_plan
-from linkplan.planner.plan_record import PLAN_FORMAT
+from linkplan.planner.plan.folder import read_plan, record, write_plan
+from linkplan.planner.plan.plan import motion_table
+from linkplan.planner.plan.record import PLAN_FORMAT
 from linkplan.planner.problem.problem import Problem
 from tests.support.fourbar import KNEE_PROBLEMS
 from tests.support.plans import optimal, planned, saved_plan
@@ -358,7 +358,7 @@ def test_a_plan_that_could_not_be_used_once_it_is_saved_is_not_saved(tmp_path):
 def test_a_plan_that_reads_back_the_same_is_not_certified_again(tmp_path, monkeypatch):
     """Its certificate is the same: of a leg's plan it took a quarter of the time."""
     plan = optimal("knee-reach")
-    monkeypatch.setattr("linkplan.planner.plan_folder.certify", lambda *_: pytest.fail("certified again"))
+    monkeypatch.setattr("linkplan.planner.plan.folder.certify", lambda *_: pytest.fail("certified again"))
     write_whole(tmp_path / "plan", lambda new: write_plan(plan, new))
 
 

@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.batch import plan_cases
-from linkplan.planner.files.batch_file import read_batch
 from linkplan.planner.files.tables import read_tables
-from linkplan.planner.plan import Plan
-from linkplan.planner.plan_folder import record
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.folder import record
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.search.batch import plan_cases
+from linkplan.planner.search.batch_file import read_batch
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.output.plan_blocks import plan_blocks
 from linkplan.studies.output.text import text_of
 

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.payload import SHANK
 from linkplan.planner.files.tables import BUILT_IN, built_in_text
-from linkplan.planner.keys.kinds import MAX_INTERVALS
-from linkplan.planner.keys.reading import KEYS
+from linkplan.planner.problem.keys.kinds import MAX_INTERVALS
+from linkplan.planner.problem.keys.reading import KEYS
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem, load_problem

@@ -10,7 +10,7 @@ from linkplan.models.errors import PlanFileError
 from linkplan.planner.files import folders, work_folders
 from linkplan.planner.files.folders import check_target, write_json, write_whole
 from linkplan.planner.files.single_file import write_over
-from linkplan.planner.plan_folder import read_plan
+from linkplan.planner.plan.folder import read_plan
 from linkplan.studies.output.report_file import refuse_other_files
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from linkplan.models.errors import PlanFileError, ProblemError
-from linkplan.planner.plan_folder import read_plan
+from linkplan.planner.plan.folder import read_plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.cli.main import main
 

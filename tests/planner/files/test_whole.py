@@ -9,7 +9,7 @@ import pytest
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import check_target, write_json, write_whole
 from linkplan.planner.files.manifest import MANIFEST, RECORDS
-from linkplan.planner.plan_folder import read_plan, write_plan
+from linkplan.planner.plan.folder import read_plan, write_plan
 from tests.support.plans import optimal, planned
 
 

@@ -7,13 +7,13 @@ import pytest
 from msgspec import Meta
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.keys import kinds
-from linkplan.planner.keys.imperfections import QUANTITIES
-from linkplan.planner.keys.key_table import _range, key_table
-from linkplan.planner.keys.motion_and_limits import MotionSection
-from linkplan.planner.keys.reading import checked, read
-from linkplan.planner.keys.refusals import fault, words
-from linkplan.planner.keys.section import Section, by_joint, key, required
+from linkplan.planner.problem.keys import kinds
+from linkplan.planner.problem.keys.imperfections import QUANTITIES
+from linkplan.planner.problem.keys.key_table import _range, key_table
+from linkplan.planner.problem.keys.motion_and_limits import MotionSection
+from linkplan.planner.problem.keys.reading import checked, read
+from linkplan.planner.problem.keys.refusals import fault, words
+from linkplan.planner.problem.keys.section import Section, by_joint, key, required
 
 BOUNDS = [
     (kinds.Number, 1e15, 1.01e15),

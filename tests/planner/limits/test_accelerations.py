@@ -14,9 +14,9 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.limits.accelerations import JerkLimit, jerks
 from linkplan.planner.limits.limit import limit_margin
 from linkplan.planner.limits.samples import samples_of
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 
 MASS = """<mujoco><option gravity="0 0 0"/>
   <worldbody><body><joint name="X" type="slide" axis="1 0 0"/><geom type="box" size=".1 .1 .1" mass="2"/></body></worldbody>

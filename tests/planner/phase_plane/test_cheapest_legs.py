@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from linkplan.planner.phase_plane.cheapest_legs import cheapest_legs
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_problem
 
 # The legs' cost against a closed form: cells, and a reserve of a hundredth of the limits.

@@ -9,8 +9,8 @@ from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.phase_plane import cheapest_motion
 from linkplan.planner.phase_plane.bang_bang_motions import Part, least_time_guess
 from linkplan.planner.phase_plane.cheapest_motion import _followed, _guess, _least_costs, _States, _Steps, cheapest_guess
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from tests.bench.contradictions import weak_case
 from tests.support.even_plane import even_plane
 

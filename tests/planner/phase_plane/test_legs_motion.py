@@ -7,11 +7,11 @@ import pytest
 
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.phase_plane.legs_motion import _inside, legs_motion
-from linkplan.planner.planning import SEARCH_METHODS, plan_motion
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search import starts
 from linkplan.planner.search.ladder import Search
+from linkplan.planner.search.planning import SEARCH_METHODS, plan_motion
 from tests.support.least_time import least_time
 
 # What is left of limits for what polynomials do between their nodes, of the least time; and of the power along its limit.

@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 
 # A panel that a slow motor tilts: inertia about its axis, weight out of the axis, a damper.
 PANEL = """

@@ -7,9 +7,9 @@ import pytest
 
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.phase_plane.grid import grid_of, plane_of
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_problem
 from tests.support.fourbar_problems import random_case
 from tests.support.tolerances_planner import MINIMUM_TIME, ROUNDING, SAME_FIGURE

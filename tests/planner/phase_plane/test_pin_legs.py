@@ -9,8 +9,8 @@ from linkplan.planner.limits.samples import closure_forces
 from linkplan.planner.phase_plane.leg_field import AT_FORCE
 from linkplan.planner.phase_plane.legs_motion import legs_motion
 from linkplan.planner.phase_plane.power_legs import power_legs
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.sliders import drawn_with_a_pin
 
 # Against the exact least time, relative; of the legs' own integration.

@@ -11,8 +11,8 @@ from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.phase_plane.leg_field import AT_FORCE, VelocityCurve
 from linkplan.planner.phase_plane.legs_motion import legs_motion
 from linkplan.planner.phase_plane.power_legs import power_legs
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.bodies import HINGE, HINGE_INERTIA, body_problem
 from tests.support.fourbar_problems import random_case
 

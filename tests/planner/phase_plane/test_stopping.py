@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.presolve import no_way_to_stop
 
 # A mass of 2 kg on a rail, pushed by at most 6 N: it stops from 0.3 m/s within 0.015 m.

@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 from linkplan.models.errors import ProblemError
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.limits.samples import actuator_speeds, singularity_ratios
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_plan, hinge
 from tests.support.margins import other_margins
 from tests.support.mechanisms import CRANK_ROCKER

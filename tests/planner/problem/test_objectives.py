@@ -7,7 +7,7 @@ import pytest
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from tests.support.bodies import HINGE_INERTIA, LIFT, TURN, body_plan, hinge
 from tests.support.mechanisms import simulated
 from tests.support.motions import effort_rate, pin_forces, power

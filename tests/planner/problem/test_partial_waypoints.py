@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.search.planning import plan_motion
 from tests.support.plans import optimal, problem_of
 from tests.support.tolerances_planner import WAYPOINT_DEG
 

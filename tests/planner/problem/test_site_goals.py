@@ -8,8 +8,8 @@ import pytest
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.planning import plan_motion
-from linkplan.planner.replan import Replanner
+from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.replan import Replanner
 from tests.support.arms import LOWER, UPPER, angles_at, foot_of
 from tests.support.refusals import assert_names, refusal
 from tests.support.sites import ABOVE, BELOW, arm_of, places_along, plan_of, site_problem

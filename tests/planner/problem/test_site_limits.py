@@ -15,13 +15,13 @@ import linkplan
 from linkplan.models.errors import ProblemError
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.limits.site import SitePathLimit
-from linkplan.planner.plan import Plan
-from linkplan.planner.plan_folder import read_plan, write_plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.folder import read_plan, write_plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import SiteLimit, site_limits_of
-from linkplan.planner.replan import Replanner, structure
+from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.replan import Replanner, structure
 from linkplan.planner.search.starts import other_limits
 from tests.support.arms import LOWER, UPPER, arm, foot_of
 from tests.support.margins import other_margins

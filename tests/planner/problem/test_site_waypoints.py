@@ -11,9 +11,9 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
-from linkplan.planner.replan import Replanner, structure
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.replan import Replanner, structure
 from tests.support.arms import LOWER, UPPER, arm, foot_of
 from tests.support.refusals import assert_names, refusal
 from tests.support.sites import ABOVE, BELOW, arm_of, plan_of, site_problem

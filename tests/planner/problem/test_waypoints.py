@@ -5,7 +5,7 @@ import pytest
 from scipy.optimize import minimize
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_plan
 from tests.support.plans import optimal, planned
 from tests.support.tolerances_planner import (

@@ -13,7 +13,6 @@ import linkplan
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.limits.efforts import share_of
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.proof.branch import newton
 from linkplan.planner.proof.claim import Record, claim_of, finding_of_claim, rounding_of
@@ -22,6 +21,7 @@ from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import TAYLOR_ORDER, prove, states_of
 from linkplan.planner.proof.taylor import TaylorForm
 from linkplan.planner.proof.walk import blocks_of
+from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.trajectory import Trajectory
 from tests.support.arms import LOWER, UPPER
 from tests.support.four_bars import random_bars

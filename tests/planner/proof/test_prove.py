@@ -9,8 +9,7 @@ import pytest
 from linkplan.models.deadline import NO_DEADLINE, Deadline, OutOfTimeError
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.branch import newton
 from linkplan.planner.proof.finding import Proof
@@ -18,6 +17,7 @@ from linkplan.planner.proof.motion import end_findings
 from linkplan.planner.proof.prove import _Sweep
 from linkplan.planner.proof.prove import prove as prove_all
 from linkplan.planner.proof.walk import blocks_of
+from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import body_plan
 from tests.support.linkages import RSSR

@@ -5,7 +5,6 @@ import pytest
 
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.constrained_arcs import (
@@ -15,6 +14,7 @@ from linkplan.planner.refinement.constrained_arcs import (
 )
 from linkplan.planner.refinement.switch_search import settle_switch_times
 from linkplan.planner.refinement.switches import find_switch_times
+from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.solving import first_mesh
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.schemes import NAMES, scheme

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 
 # A five-bar of ten tonnes with two motors, whose pin is not to rise above the higher of its ends by more than 23 mm. Drawn
 # at random; rounded, its limit is touched at a node and nothing is tightened.

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.constrained_arcs import arcs_against_their_limits, limits_bind
 from linkplan.planner.refinement.state import Refined
+from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.bodies import HINGE, QUARTER_TURN, body_plan, body_problem
 from tests.support.held_arcs import held

@@ -6,8 +6,8 @@ from scipy.interpolate import CubicSpline
 
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.limits.samples import closure_forces
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.least_time import Curves, curves_of, least_time, least_time_within
 from tests.support.mechanisms import FLAT_PARALLELOGRAM
 

@@ -8,7 +8,7 @@ from scipy.optimize import brentq
 from linkplan.models.errors import ProblemError
 from linkplan.planner.certificate import flow, integration
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_plan
 from tests.support.plans import planned
 from tests.support.tolerances_planner import ROUNDING, SATURATED, SATURATED_ROUGHLY, STILL

@@ -1,7 +1,7 @@
 """A solution that collides far deeper than it is exact: no finer mesh frees it, and none is solved."""
 
 import linkplan
-from linkplan.planner.planning import SEARCH_METHODS, plan_motion
+from linkplan.planner.search.planning import SEARCH_METHODS, plan_motion
 
 # A two-link arm that swings its hand through a post.
 ARM = """<mujoco><option gravity="0 0 0"/><default><geom type="capsule" size="0.02"/></default><worldbody>

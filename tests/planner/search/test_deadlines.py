@@ -8,10 +8,10 @@ import pytest
 from linkplan.models.deadline import Deadline, OutOfTimeError
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.ode.solve_ocp import plan_ode
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
-from linkplan.planner.replan import Replanner
 from linkplan.planner.search.ladder import FULL_BUDGET, SearchMethod
+from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.replan import Replanner
 from linkplan.planner.solvers.solve import OF_TIME
 from tests.support.ode import robbins
 

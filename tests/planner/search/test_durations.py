@@ -2,8 +2,8 @@
 
 import pytest
 
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.tolerances_planner import BEST_DURATION, LEAST_EFFORT, LONGEST_DURATION
 
 ARM = """<mujoco model="arm">

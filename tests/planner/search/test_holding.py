@@ -5,8 +5,8 @@ import pytest
 
 import linkplan
 from linkplan.models.errors import ProblemError
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 
 G, MASS_KG, ARM_M = 9.81, 0.5, 0.4
 STICK_ON_SLIDER = f"""

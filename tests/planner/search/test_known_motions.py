@@ -5,9 +5,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.search.planning import plan_motion
 from tests.bench.contradictions import rotary_answer, weak_answer, weak_case
 
 # A weak four-bar: the smoothest path leads to a local optimum of 0.879 s, swings to the least time. It begins at a stable

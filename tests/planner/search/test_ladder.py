@@ -8,13 +8,13 @@ import pytest
 from linkplan.models.deadline import Deadline, processor_time_s
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.planning import DIAGNOSES, SEARCH_METHODS, plan_motion
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import attempts
 from linkplan.planner.search.ladder import Budget, Search, SearchMethod, Steps, followed, run_search
+from linkplan.planner.search.planning import DIAGNOSES, SEARCH_METHODS, plan_motion
 from linkplan.planner.search.solving import first_mesh
 from linkplan.planner.search.starts import from_first_starts, no_time
 from linkplan.planner.solvers.solve import OUT_OF_TIME

@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.ladder import FULL_BUDGET, Search, SearchMethod
 from linkplan.planner.search.least_limit import least_limit_of_starts
+from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.starts import at_a_distance, may_near_singular
 from tests.bench.contradictions import weak_case
 

@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from linkplan.planner.diagnosis import reasons
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.search import reasons
 from linkplan.planner.search.ladder import Search
+from linkplan.planner.search.planning import plan_motion
 from tests.bench.contradictions import weak_case
 from tests.support import fourbar_problems
 from tests.support.tolerances_planner import MINIMUM_TIME

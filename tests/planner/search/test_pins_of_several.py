@@ -6,9 +6,9 @@ import pytest
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.limits.joints import ClosureForceLimit
 from linkplan.planner.limits.samples import closure_forces
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.marking import Tightening, evened
+from linkplan.planner.search.planning import plan_motion
 from tests.support.five_bar_reach import five_bar_reach
 
 # A force may exceed its limit by what rounding makes of it, as a share.

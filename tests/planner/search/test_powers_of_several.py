@@ -5,8 +5,8 @@ import pytest
 
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.limits.actuators import PowerLimit
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.digger import DIGGER, POWERS
 from tests.support.five_bar_reach import five_bar_reach
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from tests.bench.random_fourbars import judge
 from tests.support.fourbar import random_swing, rate_of
 from tests.support.fourbar_problems import KINDS, Case, random_case

@@ -12,13 +12,13 @@ import pytest
 import linkplan
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.formulate import FIRST_TIE_WEIGHT, tie_weights
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import several_motors
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, at_a_distance, effort_jumps, of_several
 from linkplan.planner.search.ladder import FULL_BUDGET, Search
+from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.several_motors import _margin_kept, from_several_starts
 from tests.support.data import DATA
 

@@ -6,12 +6,12 @@ import pytest
 from linkplan.models import deadline
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.diagnosis.reasons import nothing_found
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search import smooth_path
 from linkplan.planner.search.ladder import SHORT_BUDGET, Search, SearchMethod
+from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.reasons import nothing_found
 from linkplan.planner.search.smooth_path import _is_carried
 from tests.support.plans import optimal
 

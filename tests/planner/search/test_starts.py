@@ -9,11 +9,11 @@ from scipy.optimize import brentq, minimize_scalar
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.closed_chain.guess import first_guess
-from linkplan.planner.plan import Plan
-from linkplan.planner.plan_folder import write_plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.folder import write_plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search import least_limit
+from linkplan.planner.search.planning import plan_motion
 from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, QUARTER_TURN, TURN, body_plan
 from tests.support.plans import optimal, planned
 from tests.support.tolerances_planner import (

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 from tests.support.bodies import PENDULUM
 from tests.support.tolerances_planner import BOUNDARY_DEG
 

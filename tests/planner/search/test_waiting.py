@@ -8,10 +8,10 @@ from scipy.integrate import quad
 
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.planning import REPAIRS, plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import resting, waiting
 from linkplan.planner.search.ladder import FULL_BUDGET, Search
+from linkplan.planner.search.planning import REPAIRS, plan_motion
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import PENDULUM, body_problem
 

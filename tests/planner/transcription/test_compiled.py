@@ -13,8 +13,8 @@ from linkplan.models.compiled.functions import cached, compiled, compiler
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.limits.actuators import PowerLimit
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.transcription.interval import ChainFunctions, IntervalRows, build_chain
 from linkplan.planner.transcription.program import chain_key, node_key
 from linkplan.planner.transcription.schemes import scheme

@@ -17,9 +17,9 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.transcription.bernstein import bernstein_gram, bernstein_integral, bernstein_matrix
 from linkplan.planner.transcription.mesh import uniform

@@ -9,13 +9,13 @@ import pytest
 from msgspec.structs import replace
 
 from linkplan.models.errors import PlanFileError
-from linkplan.planner.plan_folder import write_plan
-from linkplan.planner.planning import silent
-from linkplan.studies.batch import study
-from linkplan.studies.batch.block import Planned, case_blocks, packed, unpacked
-from linkplan.studies.batch.study import run_batch
-from linkplan.studies.tasks.engine import processes
-from linkplan.studies.tasks.unfinished import PARTS, unfinished
+from linkplan.planner.plan.folder import write_plan
+from linkplan.planner.search.planning import silent
+from linkplan.studies.variations.batch import study
+from linkplan.studies.variations.batch.block import Planned, case_blocks, packed, unpacked
+from linkplan.studies.variations.batch.study import run_batch
+from linkplan.studies.variations.tasks.engine import processes
+from linkplan.studies.variations.tasks.unfinished import PARTS, unfinished
 from tests.support.batches import same_plans, swept
 from tests.support.plans import optimal
 

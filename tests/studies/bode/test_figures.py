@@ -11,8 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import linkplan
-from linkplan.studies.bode import bode_blocks
 from linkplan.studies.cli.main import main
+from linkplan.studies.feedback.bode import bode_blocks
 from tests.support.figure_texts import text_faults
 from tests.support.figures import curves, saved_figures
 

@@ -13,13 +13,13 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.bode import bode_study
-from linkplan.studies.bode.bode_blocks import summary
-from linkplan.studies.bode.poses import loop_poses
-from linkplan.studies.frequency.excitation import Setup
-from linkplan.studies.frequency.feedback_loops import SIMULATED, feedback_loop, law_gain, operating_point
-from linkplan.studies.frequency.margins import margins
-from linkplan.studies.frequency.measure import measure
+from linkplan.studies.feedback.bode.bode import bode_study
+from linkplan.studies.feedback.bode.bode_blocks import summary
+from linkplan.studies.feedback.bode.poses import loop_poses
+from linkplan.studies.feedback.frequency.excitation import Setup
+from linkplan.studies.feedback.frequency.feedback_loops import SIMULATED, feedback_loop, law_gain, operating_point
+from linkplan.studies.feedback.frequency.margins import margins
+from linkplan.studies.feedback.frequency.measure import measure
 from linkplan.studies.output.text import text_of
 from tests.support.tolerances_loops import (
     AT_NYQUIST_DB,

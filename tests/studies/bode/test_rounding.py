@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.tree.joints import where
-from linkplan.studies.bode.scan import coordinate_line
+from linkplan.studies.feedback.bode.scan import coordinate_line
 from tests.support.mechanism_checks import mechanism_of
 
 # What a loop's closing leaves of zero [rad].

@@ -4,19 +4,19 @@ import control
 import numpy as np
 import pytest
 
-import linkplan.studies.bode.bode as bode_module
+import linkplan.studies.feedback.bode.bode as bode_module
 from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.sampling import sampling
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.bode import bode_study
-from linkplan.studies.bode.bode_blocks import summary
-from linkplan.studies.bode.poses import loop_poses
-from linkplan.studies.frequency.feedback_loops import CONTINUOUS, feedback_loop, law_gain, operating_point
-from linkplan.studies.frequency.margins import margins
-from linkplan.studies.frequency.measure import Setup, measure
+from linkplan.studies.feedback.bode.bode import bode_study
+from linkplan.studies.feedback.bode.bode_blocks import summary
+from linkplan.studies.feedback.bode.poses import loop_poses
+from linkplan.studies.feedback.frequency.feedback_loops import CONTINUOUS, feedback_loop, law_gain, operating_point
+from linkplan.studies.feedback.frequency.margins import margins
+from linkplan.studies.feedback.frequency.measure import Setup, measure
 from linkplan.studies.output.text import text_of
 from tests.support.tolerances_loops import CROSSOVER, MARGIN, MEASURED_DB, MEASURED_DEG
 

@@ -7,9 +7,9 @@ import numpy as np
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.bode import BodeStudy, bode_study
-from linkplan.studies.bode.bode_blocks import summary
-from linkplan.studies.frequency.excitation import Setup
+from linkplan.studies.feedback.bode.bode import BodeStudy, bode_study
+from linkplan.studies.feedback.bode.bode_blocks import summary
+from linkplan.studies.feedback.frequency.excitation import Setup
 from linkplan.studies.output.text import text_of
 from tests.support.drawn_by_others import HOEKEN, MOTOR
 

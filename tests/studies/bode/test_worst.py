@@ -9,16 +9,16 @@ from scipy.optimize import brentq
 from linkplan.controllers.sampling import sampling
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.bode import bode_study
-from linkplan.studies.bode.bode_blocks import _less_gain_is_nearer, summary
-from linkplan.studies.bode.poses import loop_poses
-from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
-from linkplan.studies.frequency.margins import _roots as crossings
-from linkplan.studies.frequency.margins import margins
-from linkplan.studies.frequency.stability_map import critical_kd
-from linkplan.studies.frequency.worst import local_minima
+from linkplan.studies.feedback.bode.bode import bode_study
+from linkplan.studies.feedback.bode.bode_blocks import _less_gain_is_nearer, summary
+from linkplan.studies.feedback.bode.poses import loop_poses
+from linkplan.studies.feedback.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
+from linkplan.studies.feedback.frequency.margins import _roots as crossings
+from linkplan.studies.feedback.frequency.margins import margins
+from linkplan.studies.feedback.frequency.stability_map import critical_kd
+from linkplan.studies.feedback.frequency.worst import local_minima
+from linkplan.studies.feedback.tune.tune import Requirements, tune
 from linkplan.studies.output.text import text_of
-from linkplan.studies.tune.tune import Requirements, tune
 from tests.support.tolerances_loops import ON_A_GRID
 
 # The largest kd that is stable at kp = 200 and 0.1 ms at every angle of the knee, where MuJoCo settles below and not above.

@@ -8,7 +8,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.check.drives import feeble_drives, joints_to_drive, pushed_one_way
 from linkplan.studies.check.inspection import inspect
-from linkplan.studies.new.first_motion import first_motion
+from linkplan.studies.check.new.first_motion import first_motion
 from tests.support.linkages import ROD
 from tests.support.mechanisms import replaced
 

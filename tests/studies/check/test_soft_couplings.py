@@ -6,8 +6,8 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.selected_model import whole_model_text
+from linkplan.studies.check.new.first_motion import first_motion
 from linkplan.studies.check.softness import soft_closures, softness_note
-from linkplan.studies.new.first_motion import first_motion
 
 LEAD_M_PER_RAD, MASS_KG, OFFSET_M = 0.0016, 3.0, 0.02
 # A nut that carries a weight, written as the nut's position over the motor's.

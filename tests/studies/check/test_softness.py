@@ -11,8 +11,8 @@ from linkplan.models.catalogue import built_in_text
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.studies.check.inspection import inspect
+from linkplan.studies.check.new.loop_gap import home_gap
 from linkplan.studies.check.softness import soft_closures, softness_note
-from linkplan.studies.new.loop_gap import home_gap
 from tests.support.tolerances_loops import SETTLED_SPEED, STIFFEST
 
 STIFF = built_in_text("optimus-knee")

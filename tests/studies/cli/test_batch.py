@@ -5,10 +5,10 @@ import json
 import pytest
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.batch import check_batch, plan_cases
-from linkplan.planner.files.batch_file import read_batch
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.batch import check_batch, plan_cases
+from linkplan.planner.search.batch_file import read_batch
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.cli.main import main
 from tests.support.tolerances_planner import SAME_FIGURE
 

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.plan_folder import read_plan
+from linkplan.planner.plan.folder import read_plan
 from tests.support.data import ROOT
 from tests.support.figures import curves, saved_figures
 from tests.support.plans import planned

@@ -7,11 +7,11 @@ import sys
 
 import pytest
 
-from linkplan.planner.keys.key_table import FILES
+from linkplan.planner.problem.keys.key_table import FILES
 from linkplan.studies.cli.command_line import SHELLS, build_parser
 from linkplan.studies.cli.completion_command import completion_script
-from linkplan.studies.experiment.design import DESIGNS
-from linkplan.studies.frequency.feedback_loops import LAW_NAMES
+from linkplan.studies.feedback.frequency.feedback_loops import LAW_NAMES
+from linkplan.studies.variations.experiment.design import DESIGNS
 
 # What is typed, and what must be among the answers.
 TYPED = [

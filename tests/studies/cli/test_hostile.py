@@ -14,7 +14,7 @@ from linkplan.models.errors import CertificateError, LinkplanError, ModelError, 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.files import tables
-from linkplan.planner.plan_folder import read_plan
+from linkplan.planner.plan.folder import read_plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.cli import main as program
 from linkplan.studies.output.figure import page

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 from linkplan.models.deadline import ended_by
-from linkplan.planner.plan import Plan
-from linkplan.planner.plan_folder import read_plan
+from linkplan.planner.plan.folder import read_plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.cli import commands
 from tests.support.plans import optimal

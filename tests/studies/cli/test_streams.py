@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from linkplan.planner.plan_folder import read_plan
+from linkplan.planner.plan.folder import read_plan
 from linkplan.studies.cli.printing import put
 
 FULL = Path("/dev/full")

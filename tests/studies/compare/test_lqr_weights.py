@@ -10,9 +10,9 @@ from linkplan.controllers.trackers.lqr import Errors, lqr
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.felt_inertia import felt_inertia
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.settings import Tracking
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.compare.compare import compare
 from linkplan.studies.compare.comparison_notes import servo_note
 from linkplan.studies.compare.lqr_weights import scaled

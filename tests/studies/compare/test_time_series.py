@@ -14,9 +14,9 @@ from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.contacts import contact_pairs
 from linkplan.models.poses.reach import reach
-from linkplan.planner.plan_folder import certificate_record
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.folder import certificate_record
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.softness import soft_closures, softness_error
 from linkplan.studies.compare.compare import Comparison, run_figures, track

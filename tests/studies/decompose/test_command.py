@@ -5,7 +5,7 @@ import json
 import pytest
 
 import linkplan
-from linkplan.studies.decompose.ladder import CAUSES
+from linkplan.studies.variations.decompose.ladder import CAUSES
 from tests.support.tolerances_planner import SAME_FIGURE
 
 SHORT = ("--set", "tracking.duration_s=0.005", "--trackers", "pd+ff")

@@ -13,16 +13,20 @@ from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.simulate import simulate
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.studies.compare.compare import build_tracker, default_mismatch, track, tracking_reference
-from linkplan.studies.decompose.decompose import decompose
-from linkplan.studies.decompose.decomposition import Decomposition
-from linkplan.studies.decompose.decomposition_blocks import decomposition_blocks, decomposition_figure, decomposition_report
-from linkplan.studies.decompose.ladder import CAUSES
-from linkplan.studies.experiment.block import run_block
-from linkplan.studies.experiment.experiment import Settings, experiment_of
 from linkplan.studies.output.document import Table
 from linkplan.studies.output.text import text_of
+from linkplan.studies.variations.decompose.decompose import decompose
+from linkplan.studies.variations.decompose.decomposition import Decomposition
+from linkplan.studies.variations.decompose.decomposition_blocks import (
+    decomposition_blocks,
+    decomposition_figure,
+    decomposition_report,
+)
+from linkplan.studies.variations.decompose.ladder import CAUSES
+from linkplan.studies.variations.experiment.block import run_block
+from linkplan.studies.variations.experiment.experiment import Settings, experiment_of
 from tests.support.plans import optimal, problem_of
 from tests.support.tolerances_planner import SAME_FIGURE
 

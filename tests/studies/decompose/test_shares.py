@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from linkplan.studies.decompose.decompose import ErrorParts, error_parts
+from linkplan.studies.variations.decompose.decompose import ErrorParts, error_parts
 from tests.support.tolerances_planner import ROUNDING
 
 SIZES = st.tuples(st.integers(1, 7), st.integers(1, 9), st.integers(1, 4), st.integers(1, 3))

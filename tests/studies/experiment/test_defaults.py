@@ -1,6 +1,6 @@
 """The imperfections of a careful build: sizes are the machine's, whatever a plan leaves to feedback."""
 
-from linkplan.studies.experiment.experiment import default_imperfections
+from linkplan.studies.variations.experiment.experiment import default_imperfections
 from tests.support.plans import optimal
 
 

@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from linkplan.studies.experiment.distributions import distributions
-from linkplan.studies.experiment.metrics import Metric
+from linkplan.studies.variations.experiment.distributions import distributions
+from linkplan.studies.variations.experiment.metrics import Metric
 
 
 def drawn(values: list[float], unit: str):

@@ -14,14 +14,14 @@ from msgspec import structs
 
 import linkplan
 from linkplan.models.errors import LinkplanError, PlanFileError, ProblemError
-from linkplan.planner.planning import silent
 from linkplan.planner.problem.problem import load_problem
-from linkplan.studies.experiment import block as blocks
-from linkplan.studies.experiment import conduct as conducting
-from linkplan.studies.experiment.block import replay
-from linkplan.studies.experiment.experiment import Settings, experiment_of, fall_note
-from linkplan.studies.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment
-from linkplan.studies.tasks import unfinished as parts
+from linkplan.planner.search.planning import silent
+from linkplan.studies.variations.experiment import block as blocks
+from linkplan.studies.variations.experiment import conduct as conducting
+from linkplan.studies.variations.experiment.block import replay
+from linkplan.studies.variations.experiment.experiment import Settings, experiment_of, fall_note
+from linkplan.studies.variations.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment
+from linkplan.studies.variations.tasks import unfinished as parts
 from tests.support.data import ROOT
 from tests.support.plans import optimal
 
@@ -93,7 +93,7 @@ def command(*more: str) -> list[str]:
 ENDLESS = """
 import sys, time
 from linkplan.__main__ import main
-from linkplan.studies.experiment import study
+from linkplan.studies.variations.experiment import study
 if __name__ == "__main__":
     study.finish = lambda *_: time.sleep(600)
     main()

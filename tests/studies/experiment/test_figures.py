@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from linkplan.studies.experiment.distributions import distributions
-from linkplan.studies.experiment.metrics import Metric
 from linkplan.studies.output.figure import figure_of
+from linkplan.studies.variations.experiment.distributions import distributions
+from linkplan.studies.variations.experiment.metrics import Metric
 
 
 @pytest.mark.parametrize("slowest", [600.0, 9e5])

@@ -11,12 +11,12 @@ import pytest
 
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import plain_record
-from linkplan.planner.planning import silent
-from linkplan.studies.experiment.conduct import conduct, keep_plan, read_results
-from linkplan.studies.experiment.experiment import Settings, request_of
-from linkplan.studies.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment, saved_outcome
-from linkplan.studies.tasks import unfinished as parts
-from linkplan.studies.tasks.engine import serial
+from linkplan.planner.search.planning import silent
+from linkplan.studies.variations.experiment.conduct import conduct, keep_plan, read_results
+from linkplan.studies.variations.experiment.experiment import Settings, request_of
+from linkplan.studies.variations.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment, saved_outcome
+from linkplan.studies.variations.tasks import unfinished as parts
+from linkplan.studies.variations.tasks.engine import serial
 from tests.support.plans import optimal
 
 SETTINGS = Settings(trackers=("pd", "pd+ff"), samples=6)

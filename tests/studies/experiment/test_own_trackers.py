@@ -4,14 +4,14 @@ import numpy as np
 import pytest
 
 from linkplan.models.errors import LinkplanError, PlanFileError, ProblemError
-from linkplan.planner.planning import silent
+from linkplan.planner.search.planning import silent
 from linkplan.studies.compare.tracker_source import source_files, source_hash
 from linkplan.studies.compare.user_tracker import tracker_named
-from linkplan.studies.experiment import block
-from linkplan.studies.experiment import conduct as conducting
-from linkplan.studies.experiment.block import replay
-from linkplan.studies.experiment.experiment import Settings
-from linkplan.studies.experiment.study import RESULTS, refuse_changed_tracker, run_experiment, saved_experiment
+from linkplan.studies.variations.experiment import block
+from linkplan.studies.variations.experiment import conduct as conducting
+from linkplan.studies.variations.experiment.block import replay
+from linkplan.studies.variations.experiment.experiment import Settings
+from linkplan.studies.variations.experiment.study import RESULTS, refuse_changed_tracker, run_experiment, saved_experiment
 from tests.support.plans import optimal
 
 SHORT = "tracking.duration_s=0.005"

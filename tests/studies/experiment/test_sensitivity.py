@@ -8,13 +8,13 @@ import pytest
 import linkplan
 from linkplan.models.errors import ProblemError
 from linkplan.planner.files.folders import plain_record
-from linkplan.planner.planning import silent
-from linkplan.studies.experiment.block import replay
-from linkplan.studies.experiment.experiment import Settings, experiment_of
-from linkplan.studies.experiment.experiment_blocks import sensitivity
-from linkplan.studies.experiment.sensitivity_blocks import tornado_figure
-from linkplan.studies.experiment.study import RECORD, run_experiment, saved_outcome
+from linkplan.planner.search.planning import silent
 from linkplan.studies.output.text import text_of
+from linkplan.studies.variations.experiment.block import replay
+from linkplan.studies.variations.experiment.experiment import Settings, experiment_of
+from linkplan.studies.variations.experiment.experiment_blocks import sensitivity
+from linkplan.studies.variations.experiment.sensitivity_blocks import tornado_figure
+from linkplan.studies.variations.experiment.study import RECORD, run_experiment, saved_outcome
 from tests.support.plans import optimal
 
 SHORT, START = "tracking.duration_s=0.01", "tracking.duration_s=0.05"

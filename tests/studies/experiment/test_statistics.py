@@ -6,9 +6,9 @@ import scipy.stats
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.imperfections import Factor, Spread, spread_of
-from linkplan.studies.experiment.design import N_HYPERCUBES, machines_by_design, replicate_of
-from linkplan.studies.experiment.experiment_blocks import estimated
-from linkplan.studies.experiment.statistics import Estimate, mean_of, pair_of, share_of
+from linkplan.studies.variations.experiment.design import N_HYPERCUBES, machines_by_design, replicate_of
+from linkplan.studies.variations.experiment.experiment_blocks import estimated
+from linkplan.studies.variations.experiment.statistics import Estimate, mean_of, pair_of, share_of
 
 REPEATS = 500
 # The share of intervals that cover, of 500: its own standard deviation is 1 %.

@@ -5,8 +5,8 @@ import pytest
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.poses.assembly import advance
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.explore.session import Session
 from linkplan.studies.output.document import Animation, Facts
 from tests.support.reports import blocks

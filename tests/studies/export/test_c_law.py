@@ -13,13 +13,13 @@ from linkplan.controllers.reference import SampledReference
 from linkplan.models.errors import ProblemError
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.cli.main import main
 from linkplan.studies.compare.compare import build_tracker, track, tracking_reference
-from linkplan.studies.export.c_law import write_law
-from linkplan.studies.export.law_tables import LawTables, law_tables
+from linkplan.studies.handover.export.c_law import write_law
+from linkplan.studies.handover.export.law_tables import LawTables, law_tables
 from tests.support.compiled import library, needs_gcc
 from tests.support.plans import optimal
 

@@ -18,13 +18,13 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import advance, follow
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.studies.cli.main import main
-from linkplan.studies.export import c_files
-from linkplan.studies.export.c_files import cost_blocks, write_model
-from linkplan.studies.export.c_model import ModelCode, header_text, model_code, random_states
-from linkplan.studies.export.c_operations import in_single_precision, operations
-from linkplan.studies.export.c_source import function_of, identifier
-from linkplan.studies.export.output_joints import with_outputs
-from linkplan.studies.export.ros import checked_outputs
+from linkplan.studies.handover.export import c_files
+from linkplan.studies.handover.export.c_files import cost_blocks, write_model
+from linkplan.studies.handover.export.c_model import ModelCode, header_text, model_code, random_states
+from linkplan.studies.handover.export.c_operations import in_single_precision, operations
+from linkplan.studies.handover.export.c_source import function_of, identifier
+from linkplan.studies.handover.export.output_joints import with_outputs
+from linkplan.studies.handover.export.ros import checked_outputs
 from linkplan.studies.output.text import text_of
 from tests.support import parallel_ankle
 from tests.support.compiled import called, library, needs_gcc, symbols

@@ -15,10 +15,10 @@ from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import ProblemError
 from linkplan.models.library import compile_model
 from linkplan.models.payload import BUILT_IN as PAYLOADS
-from linkplan.planner.plan import Plan
-from linkplan.studies.export.export import exported
-from linkplan.studies.export.formats import FORMATS
-from linkplan.studies.export.samples import samples_of
+from linkplan.planner.plan.plan import Plan
+from linkplan.studies.handover.export.export import exported
+from linkplan.studies.handover.export.formats import FORMATS
+from linkplan.studies.handover.export.samples import samples_of
 from tests.support.plans import optimal
 
 # What MuJoCo's own soft loops and steps make of a planned motion that is replayed without feedback [deg].

@@ -7,10 +7,10 @@ import pytest
 
 from linkplan.controllers.sampling import sampling
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.frequency.feedback_loops import EXACT, SIMULATED, feedback_loop, operating_point
-from linkplan.studies.frequency.margins import delay_margin, margins
-from linkplan.studies.frequency.quick import quick_loops
-from linkplan.studies.frequency.stability_map import (
+from linkplan.studies.feedback.frequency.feedback_loops import EXACT, SIMULATED, feedback_loop, operating_point
+from linkplan.studies.feedback.frequency.margins import delay_margin, margins
+from linkplan.studies.feedback.frequency.quick import quick_loops
+from linkplan.studies.feedback.frequency.stability_map import (
     critical_kd,
     longest_period,
     pd_gains,
@@ -18,7 +18,7 @@ from linkplan.studies.frequency.stability_map import (
     radii,
     stability_map,
 )
-from linkplan.studies.frequency.trial import settle_trials
+from linkplan.studies.feedback.frequency.trial import settle_trials
 from tests.support.oscillators import inertia_alone
 from tests.support.tolerances_loops import CRITICAL_KD, DELAY_MARGIN, LONGEST_PERIOD, MARGIN, QUICK, QUICK_DEG, RADIUS
 

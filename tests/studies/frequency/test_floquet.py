@@ -8,11 +8,11 @@ import pytest
 from linkplan.controllers.reference import sample
 from linkplan.controllers.sampling import sampling
 from linkplan.models.errors import LinkplanError
-from linkplan.planner.planning import plan_motion
 from linkplan.planner.problem.problem import load_problem
-from linkplan.studies.bode.along_motion import along_motion
+from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.compare.compare import build_tracker
-from linkplan.studies.frequency.floquet import floquet, frozen_radii, linear_law
+from linkplan.studies.feedback.bode.along_motion import along_motion
+from linkplan.studies.feedback.frequency.floquet import floquet, frozen_radii, linear_law
 from tests.support.tolerances_loops import DECAY, LIOUVILLE
 
 

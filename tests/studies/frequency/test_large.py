@@ -8,9 +8,9 @@ from linkplan.controllers.sampling import sampling
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.frequency.describing import balance, large_signals, saturation
-from linkplan.studies.frequency.feasible import feasible_curve
-from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
+from linkplan.studies.feedback.frequency.describing import balance, large_signals, saturation
+from linkplan.studies.feedback.frequency.feasible import feasible_curve
+from linkplan.studies.feedback.frequency.feedback_loops import feedback_loop, law_gain, operating_point
 from tests.support.fourbar import SHANK, knee
 from tests.support.oscillators import inertia_alone, pendulum
 from tests.support.tolerances_loops import NUMERICAL_SATURATION, ON_A_GRID, SATURATION, SMALL_COMMAND, UNSATURATED

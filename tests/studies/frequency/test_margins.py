@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.frequency.feedback_loops import CONTINUOUS, operating_point
-from linkplan.studies.frequency.margins import Margins, margins
+from linkplan.studies.feedback.frequency.feedback_loops import CONTINUOUS, operating_point
+from linkplan.studies.feedback.frequency.margins import Margins, margins
 from tests.support.oscillators import inertia_alone
 
 CROSSOVER_HZ = 5.0

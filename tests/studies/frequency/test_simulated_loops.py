@@ -9,8 +9,8 @@ from linkplan.controllers.sampling import sampling
 from linkplan.controllers.trackers.pd import pd, pd_gain
 from linkplan.controllers.trackers.tracker import with_feedforward
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.frequency.feedback_loops import operating_point
-from linkplan.studies.frequency.simulated_loops import SimulatedLoops
+from linkplan.studies.feedback.frequency.feedback_loops import operating_point
+from linkplan.studies.feedback.frequency.simulated_loops import SimulatedLoops
 from tests.support.machines import run_alone
 
 # States and commands against rollout's own, where the order of sums differs. Measured 1e-16 and 3e-15.

@@ -8,11 +8,11 @@ from linkplan.controllers.sampling import Sampling, sampling
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.bode import bode_study
-from linkplan.studies.frequency.excitation import Setup, whole_samples
-from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point
-from linkplan.studies.frequency.measure import measure
-from linkplan.studies.frequency.response import Response
+from linkplan.studies.feedback.bode.bode import bode_study
+from linkplan.studies.feedback.frequency.excitation import Setup, whole_samples
+from linkplan.studies.feedback.frequency.feedback_loops import feedback_loop, law_gain, operating_point
+from linkplan.studies.feedback.frequency.measure import measure
+from linkplan.studies.feedback.frequency.response import Response
 from tests.support.mechanisms import FIVE_BAR
 from tests.support.tolerances_loops import COUPLED_DB, COUPLED_DEG, NEAREST_WHOLE, PRINTED_DB
 
@@ -100,7 +100,7 @@ def test_each_joints_loop_is_predicted_and_measured_with_the_others_closed():
 
 
 def test_the_study_has_a_loop_for_every_joint():
-    from linkplan.studies.bode.bode_blocks import summary
+    from linkplan.studies.feedback.bode.bode_blocks import summary
     from linkplan.studies.output.text import text_of
 
     mechanism, _, settings = five_bar_loops()

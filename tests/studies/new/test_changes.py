@@ -10,8 +10,8 @@ from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.new.changes import changed_mechanism, raised_limits
-from linkplan.studies.new.hanging import hanging_columns
+from linkplan.studies.check.new.changes import changed_mechanism, raised_limits
+from linkplan.studies.check.new.hanging import hanging_columns
 from tests.support.data import DATA
 from tests.support.linkages import ROD
 from tests.support.parallel_ankle import ankle_text, soft_ankle

@@ -9,11 +9,11 @@ import pytest
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.plan import Plan
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.new.changes import changed_mechanism
-from linkplan.studies.new.first_motion import FirstMotion, first_motion
-from linkplan.studies.new.hanging import at_gravity_equilibrium, at_rest, hanging_columns, hanging_pose, is_equilibrium
+from linkplan.studies.check.new.changes import changed_mechanism
+from linkplan.studies.check.new.first_motion import FirstMotion, first_motion
+from linkplan.studies.check.new.hanging import at_gravity_equilibrium, at_rest, hanging_columns, hanging_pose, is_equilibrium
 from tests.support.drawn_by_others import arm, ring
 
 
@@ -30,7 +30,7 @@ def not_found(text: str, why: str, monkeypatch, tmp_path, **selected) -> tuple[F
         tried.append(problem)
         return Plan(problem=problem, status="failed", message=f"failed: {why}")
 
-    monkeypatch.setattr("linkplan.studies.new.first_motion.plan_motion", nothing)
+    monkeypatch.setattr("linkplan.studies.check.new.first_motion.plan_motion", nothing)
     (tmp_path / "model.xml").write_text(text, encoding="utf-8")
     return first_motion({"model": str(tmp_path / "model.xml"), **selected}, lambda _: None), tried
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.new.changes import changed_mechanism
-from linkplan.studies.new.first_motion import first_motion
-from linkplan.studies.new.hanging import at_gravity_equilibrium
+from linkplan.studies.check.new.changes import changed_mechanism
+from linkplan.studies.check.new.first_motion import first_motion
+from linkplan.studies.check.new.hanging import at_gravity_equilibrium
 from tests.support.drawn_by_others import arm
 
 # A rod between ball joints whose rocker is pinned at two points: the coordinate of the rod's spin is an angle of ball_b.

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.studies.new.first_motion import first_motion
-from linkplan.studies.new.loop_gap import SOFT_IN_MOTION, home_gap, planned_gap, travel
+from linkplan.studies.check.new.first_motion import first_motion
+from linkplan.studies.check.new.loop_gap import SOFT_IN_MOTION, home_gap, planned_gap, travel
 
 # A light driven joint turns a heavy one by a coupling with constant impedance; no weight acts about vertical axes.
 LIGHT, HEAVY, IMPEDANCE, TIME_CONSTANT_S = 0.01, 1.0, 0.9, 0.02

@@ -13,13 +13,13 @@ import linkplan
 from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.plan import Plan
-from linkplan.planner.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.new.clear_way import obstacle_on_way
-from linkplan.studies.new.first_motion import FirstMotion, first_motion, moves_of
-from linkplan.studies.new.problem_text import problem_text
+from linkplan.planner.search.planning import plan_motion
+from linkplan.studies.check.new.clear_way import obstacle_on_way
+from linkplan.studies.check.new.first_motion import FirstMotion, first_motion, moves_of
+from linkplan.studies.check.new.problem_text import problem_text
 from tests.support.data import DATA
 from tests.support.drawn_by_others import HOEKEN, MOTOR, ring
 
@@ -86,7 +86,7 @@ def tried_of(model: str) -> list[Motion]:
         return Plan(problem=problem, status="failed", message="failed: as told")
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("linkplan.studies.new.first_motion.plan_motion", nothing)
+        patch.setattr("linkplan.studies.check.new.first_motion.plan_motion", nothing)
         found = first_motion({"model": model}, print)
     assert not found.planned
     assert found.why.startswith("failed: as told")
@@ -137,7 +137,7 @@ def test_a_sprung_leg_has_a_first_motion_at_once(monkeypatch):
         tried.append(problem)
         return plan_motion(replace(problem, solver=problem.solver.replace(max_time_s=60.0)), *rest)
 
-    monkeypatch.setattr("linkplan.studies.new.first_motion.plan_motion", noted)
+    monkeypatch.setattr("linkplan.studies.check.new.first_motion.plan_motion", noted)
     found = first_motion({"model": str(DATA / "sprung_leg.xml")}, print)
     assert found.planned, found.why
     assert len(tried) == 1
@@ -299,7 +299,7 @@ def test_a_joint_outside_its_range_at_home_begins_inside():
 
 def test_where_the_smooth_path_is_the_plan_of_a_small_mechanism_planning_searches_no_longer_either(monkeypatch):
     smooth = replace(begun("five-bar").plan, solved=None)
-    monkeypatch.setattr("linkplan.studies.new.first_motion.plan_motion", lambda *_: smooth)
+    monkeypatch.setattr("linkplan.studies.check.new.first_motion.plan_motion", lambda *_: smooth)
     found = first_motion({"model": "five-bar"}, print)
     assert found.tables["solver"]["max_time_s"] > 0
     assert any("planning searches for a better motion" in change for change in found.changes)

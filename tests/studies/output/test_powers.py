@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import linkplan
-from linkplan.planner.plan_folder import record
+from linkplan.planner.plan.folder import record
 from linkplan.studies.output.plan_blocks import plan_blocks
 from linkplan.studies.output.text import text_of
 

@@ -3,11 +3,11 @@
 import msgspec
 import pytest
 
-from linkplan.studies.decompose.decomposition import Decomposition
-from linkplan.studies.decompose.decomposition_blocks import decomposition_charts
-from linkplan.studies.experiment.sensitivity import Sensitivity
-from linkplan.studies.experiment.sensitivity_blocks import sensitivity_charts
 from linkplan.studies.output.document import Bars
+from linkplan.studies.variations.decompose.decomposition import Decomposition
+from linkplan.studies.variations.decompose.decomposition_blocks import decomposition_charts
+from linkplan.studies.variations.experiment.sensitivity import Sensitivity
+from linkplan.studies.variations.experiment.sensitivity_blocks import sensitivity_charts
 
 PARTS = {"plan": "discretisation of the plan", "sampling": "sampling and delay", "model": "model error: masses, lengths"}
 SHARES = {"rms_error": 0.5, "parts": {"plan": 0.1, "sampling": -0.05, "model": 0.45}}

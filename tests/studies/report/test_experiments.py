@@ -5,14 +5,14 @@ import json
 import numpy as np
 import pytest
 
-from linkplan.planner.planning import silent
+from linkplan.planner.search.planning import silent
 from linkplan.studies.cli.main import main
-from linkplan.studies.experiment.experiment import Settings
-from linkplan.studies.experiment.experiment_blocks import estimated
-from linkplan.studies.experiment.experiment_sections import experiment_report
-from linkplan.studies.experiment.study import RESULTS, run_experiment
 from linkplan.studies.output.document import Code, Plot, Table
 from linkplan.studies.report.reading import folder_report
+from linkplan.studies.variations.experiment.experiment import Settings
+from linkplan.studies.variations.experiment.experiment_blocks import estimated
+from linkplan.studies.variations.experiment.experiment_sections import experiment_report
+from linkplan.studies.variations.experiment.study import RESULTS, run_experiment
 from tests.support.plans import optimal
 from tests.support.reports import blocks
 
@@ -33,7 +33,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def outcome(folder):
-    from linkplan.studies.experiment.study import saved_outcome
+    from linkplan.studies.variations.experiment.study import saved_outcome
 
     return saved_outcome(folder)
 

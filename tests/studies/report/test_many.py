@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.planning import Price, with_price
+from linkplan.planner.search.planning import Price, with_price
 from linkplan.studies.compare import comparison_blocks, tracking_sections
 from linkplan.studies.compare.compare import compare
 from linkplan.studies.output.document import Plot, Table, Text

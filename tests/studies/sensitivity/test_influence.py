@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from linkplan.models.errors import LinkplanError, ProblemError
-from linkplan.studies.sensitivity.influence import influence_of
-from linkplan.studies.sensitivity.scheme import MORRIS_LEVELS, SENSITIVE, scheme_of
+from linkplan.studies.variations.sensitivity.influence import influence_of
+from linkplan.studies.variations.sensitivity.scheme import MORRIS_LEVELS, SENSITIVE, scheme_of
 
 SLOPES = np.array([3.0, -2.0, 1.0, 0.0])
 # Ishigami and Homma, First international symposium on uncertainty modelling and analysis (1990); a = 7, b = 0.1.

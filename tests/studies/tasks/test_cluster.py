@@ -6,13 +6,13 @@ import signal
 import pytest
 
 from linkplan.models.errors import LinkplanError
-from linkplan.planner.planning import silent
-from linkplan.studies.batch.study import run_batch
-from linkplan.studies.experiment.experiment import Settings
-from linkplan.studies.experiment.study import RECORD, RESULTS, run_experiment
-from linkplan.studies.tasks.cluster import cluster
-from linkplan.studies.tasks.engine import serial
-from linkplan.studies.tasks.streaming import streamed
+from linkplan.planner.search.planning import silent
+from linkplan.studies.variations.batch.study import run_batch
+from linkplan.studies.variations.experiment.experiment import Settings
+from linkplan.studies.variations.experiment.study import RECORD, RESULTS, run_experiment
+from linkplan.studies.variations.tasks.cluster import cluster
+from linkplan.studies.variations.tasks.engine import serial
+from linkplan.studies.variations.tasks.streaming import streamed
 from tests.support.batches import same_plans, swept
 from tests.support.plans import optimal
 

@@ -10,14 +10,14 @@ import sys
 import pytest
 
 from linkplan.models.errors import LinkplanError, ProblemError
-from linkplan.planner.plan_folder import versions
-from linkplan.planner.planning import silent
-from linkplan.studies.tasks import cluster as dask_cluster
-from linkplan.studies.tasks import streaming
-from linkplan.studies.tasks.cluster import cluster
-from linkplan.studies.tasks.engine import Pool, processes, serial
-from linkplan.studies.tasks.site import Refused, at_site
-from linkplan.studies.tasks.streaming import Progress, complete, streamed
+from linkplan.planner.plan.folder import versions
+from linkplan.planner.search.planning import silent
+from linkplan.studies.variations.tasks import cluster as dask_cluster
+from linkplan.studies.variations.tasks import streaming
+from linkplan.studies.variations.tasks.cluster import cluster
+from linkplan.studies.variations.tasks.engine import Pool, processes, serial
+from linkplan.studies.variations.tasks.site import Refused, at_site
+from linkplan.studies.variations.tasks.streaming import Progress, complete, streamed
 
 
 def squared(task, threads):

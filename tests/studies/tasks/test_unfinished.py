@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from linkplan.planner.files.folders import write_json, write_whole
-from linkplan.studies.tasks.unfinished import PLAN, part, remove, remove_left, working
+from linkplan.studies.variations.tasks.unfinished import PLAN, part, remove, remove_left, working
 
 REQUEST = {"format": 1}
 

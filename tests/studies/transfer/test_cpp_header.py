@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import linkplan
-from linkplan.studies.transfer.cpp_header import cpp_header
+from linkplan.studies.handover.transfer.cpp_header import cpp_header
 from tests.support import parallel_ankle
 
 needs_gxx = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++")

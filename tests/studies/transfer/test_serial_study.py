@@ -11,7 +11,7 @@ import linkplan
 from linkplan.models.errors import LinkplanError
 from linkplan.models.transfer.rest import OutputMotion
 from linkplan.studies.cli.main import main
-from linkplan.studies.transfer.serial_study import motion_of_plan
+from linkplan.studies.handover.transfer.serial_study import motion_of_plan
 from tests.support import parallel_ankle
 from tests.support.plans import optimal
 

@@ -9,7 +9,7 @@ import pytest
 
 import linkplan
 from linkplan.models.errors import LinkplanError
-from linkplan.studies.transfer.serial_urdf import reductions, urdf_notes, urdf_text
+from linkplan.studies.handover.transfer.serial_urdf import reductions, urdf_notes, urdf_text
 from tests.support import parallel_ankle
 
 # A crank moves a lever of the same length by a rod, so that both turn alike. The gear of the motor is -3. The joint of the

@@ -10,7 +10,7 @@ import pytest
 import linkplan
 from linkplan.models.errors import LinkplanError
 from linkplan.studies.cli.main import main
-from linkplan.studies.transfer.columns import columns_of
+from linkplan.studies.handover.transfer.columns import columns_of
 from tests.support import parallel_ankle
 
 ANKLE = ["ankle_pitch", "ankle_roll"]

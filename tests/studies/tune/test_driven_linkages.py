@@ -8,9 +8,9 @@ import scipy.linalg
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.reach import reach
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
-from linkplan.studies.tune.requirements import Requirements
-from linkplan.studies.tune.tune import tune
+from linkplan.studies.feedback.frequency.feedback_loops import operating_point, sampled_law
+from linkplan.studies.feedback.tune.requirements import Requirements
+from linkplan.studies.feedback.tune.tune import tune
 from tests.support.driven_linkages import MODELS, Linkage
 
 PERIOD_S = 1e-3

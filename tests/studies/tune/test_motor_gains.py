@@ -5,10 +5,10 @@ import pytest
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
-from linkplan.studies.tune.requirements import Requirements
-from linkplan.studies.tune.tune import Tuning, tune
-from linkplan.studies.tune.tune_report import gain_lines
+from linkplan.studies.feedback.frequency.feedback_loops import operating_point, sampled_law
+from linkplan.studies.feedback.tune.requirements import Requirements
+from linkplan.studies.feedback.tune.tune import Tuning, tune
+from linkplan.studies.feedback.tune.tune_report import gain_lines
 from tests.support.parallel_ankle import ankle_text
 
 RAD_PER_M = 2000.0

@@ -6,14 +6,14 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.bode.bode import bode_study
-from linkplan.studies.bode.bode_blocks import summary
-from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
-from linkplan.studies.frequency.margins import margins
+from linkplan.studies.feedback.bode.bode import bode_study
+from linkplan.studies.feedback.bode.bode_blocks import summary
+from linkplan.studies.feedback.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
+from linkplan.studies.feedback.frequency.margins import margins
+from linkplan.studies.feedback.tune.requirements import Requirements
+from linkplan.studies.feedback.tune.tune import Tuning, tune
+from linkplan.studies.feedback.tune.tune_report import tune_blocks
 from linkplan.studies.output.text import text_of
-from linkplan.studies.tune.requirements import Requirements
-from linkplan.studies.tune.tune import Tuning, tune
-from linkplan.studies.tune.tune_report import tune_blocks
 
 MASS_KG, LENGTH_M, ANGLE = 2.0, 0.5, np.radians(20.0)
 # A mass on a light rod that hangs: its weight gives the hinge a stiffness of m g l cos(angle).

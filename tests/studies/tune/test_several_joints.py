@@ -13,11 +13,11 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.frequency.feedback_loops import operating_point, sampled_law
+from linkplan.studies.feedback.frequency.feedback_loops import operating_point, sampled_law
+from linkplan.studies.feedback.tune.requirements import Requirements
+from linkplan.studies.feedback.tune.tune import tune
+from linkplan.studies.feedback.tune.tune_report import tracking_table, tune_blocks, tune_figure
 from linkplan.studies.output.text import text_of
-from linkplan.studies.tune.requirements import Requirements
-from linkplan.studies.tune.tune import tune
-from linkplan.studies.tune.tune_report import tracking_table, tune_blocks, tune_figure
 from tests.support.parallel_ankle import ankle
 from tests.support.tolerances_loops import MARGIN
 

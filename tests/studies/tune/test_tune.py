@@ -7,12 +7,12 @@ from linkplan.controllers.sampling import augmented
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
-from linkplan.studies.frequency.margins import damping_ratio, margins, settling_time_s
+from linkplan.studies.feedback.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
+from linkplan.studies.feedback.frequency.margins import damping_ratio, margins, settling_time_s
+from linkplan.studies.feedback.tune.requirements import Requirements
+from linkplan.studies.feedback.tune.tune import tune
+from linkplan.studies.feedback.tune.tune_report import tune_blocks, tune_figure
 from linkplan.studies.output.text import text_of
-from linkplan.studies.tune.requirements import Requirements
-from linkplan.studies.tune.tune import tune
-from linkplan.studies.tune.tune_report import tune_blocks, tune_figure
 from tests.support.oscillators import inertia_alone, mass_on_a_spring
 from tests.support.tolerances_loops import GAINS_SCALED
 

@@ -1,0 +1,224 @@
+"""The sections of problem and batch files, one struct each, with the type, default and meaning of every key in order.
+
+The reader, the JSON Schema and the table of keys are derived from them. Angles are in degrees with `_deg` in the key, slides
+in metres with `_m`; all else is SI.
+"""
+
+from typing import Annotated, Any
+
+from msgspec import Meta
+
+from linkplan.models.catalogue import MODELS
+from linkplan.planner.problem.keys import kinds
+from linkplan.planner.problem.keys.imperfections import ImperfectionsSection
+from linkplan.planner.problem.keys.motion_and_limits import (
+    LimitsSection,
+    MotionSection,
+    MotorTable,
+    ReferenceSection,
+    RobustSection,
+)
+from linkplan.planner.problem.keys.section import Section, by_joint, by_name, key, required
+
+# Each case has a folder with its name, next to the JSON records of results: so names have no separators, wildcards or
+# unprintable characters, and do not end in .json.
+_FOLDER_NAME = Meta(
+    pattern=r"""^(?!.*\.[jJ][sS][oO][nN]$)[^./\\:*?"<>|\x00-\x1f\x7f][^/\\:*?"<>|\x00-\x1f\x7f]*$""",
+    max_length=99,
+    extra={"said": "a word that can name a folder, without .json at its end"},
+)
+_PROBLEM = Meta(min_length=1, extra={"said": "a built-in name or a TOML file"})
+_CASES = Meta(min_length=1, extra={"said": "a list of tables ([[case]])"})
+_SWEEP = Meta(min_length=1, extra={"said": "a table of key = list of values", "of": "key = list of values"})
+_MODEL = Meta(
+    min_length=1, extra={"said": "a built-in name or a path to an MJCF file"}, extra_json_schema={"examples": list(MODELS)}
+)
+_PAYLOAD = Meta(extra={"said": f"a built-in name ({', '.join(kinds.PAYLOADS)}, none) or a table"})
+_SWITCH = Meta(extra={"said": "true or false"})
+_PLAN = Meta(extra={"said": "a saved plan's folder"})
+_MOTORS = Meta(extra={"of": "actuator = its motor", "noun": "actuator of [motors]"})
+
+
+class PayloadSection(Section, frozen=True):
+    """A rigid payload welded to a body of the model."""
+
+    body: str = required("the body that carries it")
+    mass_kg: kinds.Mass = required("its mass", "kg")
+    com_m: kinds.Centre = required("its centre of mass in the body's frame", "m")
+    inertia_kgm2: kinds.Moments = key(
+        "moments about axes parallel to the body's through the centre of mass", "kg m2", "0, a point mass"
+    )
+
+
+class MechanismSection(Section, frozen=True):
+    """The machine: its model, its assembly and its payload."""
+
+    model: Annotated[str, _MODEL] = required("a built-in name, a path to an MJCF file, or MJCF text")
+    payload: Annotated[kinds.PayloadName | PayloadSection, _PAYLOAD] = key(
+        "a built-in payload's name, or a table",
+        otherwise="none",
+    )
+    home_deg: kinds.HomeAngles = by_joint(
+        "hinges' angles for the assembly, which determine the branch",
+        "deg",
+        "the model's keyframe home",
+    )
+    independent: kinds.Names = key(
+        "the joints in which the motion is planned",
+        otherwise="the driven joints, or those that the motion names",
+    )
+    keep: kinds.Kept = key(
+        "bodies or joints: of a larger robot, only these are read, with what hangs on them and the loops over them",
+        otherwise="the whole model",
+    )
+    fix_base: Annotated[bool, _SWITCH] = key(
+        "whether what lies between the world and the kept bodies is locked, and a base that nothing drives",
+        otherwise="false",
+    )
+    lock: kinds.Locks = by_name("positions of joints that do not move", "deg, m on slides", "none")
+    keyframe: str = key("the model's keyframe that gives the home pose", otherwise="home, or the reference pose")
+    exclude_contacts: kinds.BodyPairs = key(
+        "pairs of bodies that pass through each other in simulation and in the search for contacts",
+        otherwise="none",
+        default=[],
+    )
+    drive: kinds.Names = key(
+        "joints that get a motor, within their effort limits",
+        otherwise="none: the model's actuators",
+    )
+    lock_spin: kinds.BallJoints = key(
+        "ball joints of rods that do not spin about their own line", otherwise="none", default=[]
+    )
+    closure_tolerance_m: kinds.Positive = key(
+        "the largest gap of a loop that counts as rounding of the model", "m", "by the mechanism's size"
+    )
+    solref: kinds.Softness = key("closures as stiff in simulation as the timestep admits", "", "the model's own")
+    friction_transition_deg_s: kinds.Positive = key(
+        "the speed v_0 of dry friction f tanh(v / v_0); for slides and tendons as many rad/s times the mechanism's size",
+        "deg/s",
+        "2",
+    )
+
+
+class ObjectiveSection(Section, frozen=True):
+    """The quantity that the motion minimises."""
+
+    minimize: kinds.Term | kinds.Weights = key(
+        "a term, or a weighted sum of terms: squared effort, duration, distance from the reference, positive work, copper"
+        " loss, squared effort rate, squared closure force",
+        otherwise="effort; tracking if there is a reference to follow",
+    )
+
+
+class GuessSection(Section, frozen=True):
+    """The initial guess: positions at equidistant times, or a saved plan's motion."""
+
+    plan: Annotated[str, _PLAN] = key("a saved plan's folder, whose motion is the guess", "", "none")
+    path_deg: kinds.Paths = by_joint("hinges' angles at equidistant times", "deg", "none")
+    duration_s: kinds.Duration = key("the duration of the guess", "s", "the motion's own, or guessed")
+
+
+class MeshSection(Section, frozen=True):
+    """The discretisation: the transcription and the first mesh."""
+
+    scheme: kinds.Scheme = key("the transcription", default="radau-3")
+    intervals: kinds.Intervals = key("the initial number of equal intervals", default=40)
+    effort: kinds.EffortForm = key(
+        "the shape of efforts on an interval",
+        otherwise="polynomial; for least work constant, or linear if limits.effort_rate is given",
+        default="polynomial",
+    )
+    tolerance_deg: kinds.Tolerance = key("of the integrated state", "deg", "1e-6 while the mesh stays small")
+    refine: kinds.Refine = key(
+        "the refinement of a mesh that is too coarse", otherwise="both; intervals if a scheme is named", default="both"
+    )
+    breaks: kinds.Breaks = key("ends of the first mesh's intervals as shares of the duration", "", "equal intervals")
+
+
+class SolverSection(Section, frozen=True):
+    """Settings of the solver."""
+
+    compile: kinds.Compile = key(
+        "C functions, of mpc too, from the cache or compiled beside the second use; or always; or never", default="auto"
+    )
+    max_time_s: kinds.SolveTime = key(
+        "limit on the processor time of a whole plan: search, refinement, certificate", "s", default=600.0
+    )
+    starts: kinds.Starts = key("number of motions to start from; the best answer is kept", default=1)
+
+
+_MORE_IF_LIGHT = "or more: what six control periods at the whole limit reach from rest"
+
+
+class TrackingSection(Section, frozen=True):
+    """The tracking of the plan in simulation: gains, sampling, delay."""
+
+    kp: kinds.Gain | kinds.Gains = key(
+        "proportional gain on the independent joints, for all or by joint", "N.m/rad, N/m", default=200.0
+    )
+    kd: kinds.Gain | kinds.Gains = key("derivative gain, for all or by joint", "N.m.s/rad, N.s/m", default=1.0)
+    period_s: kinds.Period = key("the control period", "s", "1e-4, or the model's timestep if that is longer")
+    delay_periods: kinds.Delay = key(
+        "control periods from a measurement to its effort, a whole number in tracking", default=0
+    )
+    duration_s: kinds.Duration = key("the duration of the run", "s", "the plan's own, and a rest")
+    lqr_position_deg: kinds.LqrError | kinds.LqrErrors = key(
+        "a hinge's position error with the weight of the whole effort limit, for all or by joint",
+        "deg",
+        f"1, {_MORE_IF_LIGHT}",
+        twin=(("1,", "0.01,"),),
+    )
+    lqr_velocity_deg_s: kinds.LqrError | kinds.LqrErrors = key(
+        "a hinge's speed error with that weight", "deg/s", f"100, {_MORE_IF_LIGHT}", twin=(("100", "1"),)
+    )
+    bandwidth_hz: kinds.Positive = key("natural frequency of the errors under ct and gs-pd+ff", "Hz", default=20.0)
+    damping_ratio: kinds.Positive = key("damping ratio of the errors under ct and gs-pd+ff", default=1.0)
+    integral_time_s: kinds.Positive = key(
+        "lqi: time in which a position error's integral gains the weight of the error", "s", default=0.05
+    )
+    horizon_s: kinds.Positive = key("mpc: the horizon over which efforts keep their limits", "s", default=0.1)
+
+
+class ProblemFile(Section, frozen=True, kw_only=True):
+    """A problem: a motion of a mechanism that minimises an objective within limits."""
+
+    description: str = key("the problem in a sentence", otherwise="none", default="")
+    mechanism: MechanismSection = required("the machine")
+    motion: MotionSection = required("the motion")
+    reference: ReferenceSection = key("the sinusoid to follow exactly or approximately", otherwise="none")
+    objective: ObjectiveSection = key("what to minimise", otherwise="by the kind of motion", default=ObjectiveSection())
+    limits: LimitsSection = key("limits at every instant", otherwise="the model's own", default=LimitsSection())
+    robust: RobustSection = key(
+        "machines for which one motion keeps every effort limit", otherwise="the nominal machine", default=RobustSection()
+    )
+    motors: Annotated[dict[str, MotorTable], _MOTORS] = by_name(
+        "the motor behind an actuator, by the actuator's name",
+        otherwise="unknown",
+    )
+    guess: GuessSection = key("the initial guess", otherwise="found by the planner", default=GuessSection())
+    mesh: MeshSection = key("the discretisation", otherwise="chosen", default=MeshSection())
+    solver: SolverSection = key("the solver's settings", otherwise="chosen", default=SolverSection())
+    tracking: TrackingSection = key("the plan's tracking", otherwise="PD", default=TrackingSection())
+    imperfections: ImperfectionsSection = key(
+        "imperfections of the machines that an experiment simulates",
+        otherwise="those of a careful build",
+        default=ImperfectionsSection(),
+    )
+
+
+class CaseSection(Section, frozen=True):
+    """One problem of a batch."""
+
+    name: Annotated[str, _FOLDER_NAME] = key("names its folder", otherwise="its number", default="")
+    set: kinds.Settings = key('settings on the problem, "section.key=value"', otherwise="none", default=[])
+
+
+class BatchFile(Section, frozen=True):
+    """Many variations of one problem: a list of cases, or every combination of a sweep."""
+
+    problem: Annotated[str, _PROBLEM] = required("the problem that is varied: a built-in name or a TOML file")
+    set: kinds.Settings = key("settings for all cases", otherwise="none", default=[])
+    case: Annotated[list[CaseSection], _CASES] = key("the cases", otherwise="those of the sweep", default=[])
+    sweep: Annotated[dict[str, Any], _SWEEP] = by_name(
+        "lists of values by key; every combination is a case", otherwise="none"
+    )

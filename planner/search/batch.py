@@ -1,0 +1,68 @@
+"""Planning of many variations of a problem in turn, with warm starts if only numbers differ."""
+
+import copy
+import hashlib
+from collections.abc import Iterator, Sequence
+
+from linkplan.models.deadline import check
+from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.files.tables import apply_override, read_tables
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.keys.sections import BatchFile, CaseSection
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.refinement.history import Say, silent
+from linkplan.planner.search.replan import Replanner
+
+
+def check_batch(batch: BatchFile) -> str:
+    """Check every case of a batch, and return the hash of everything that its plans depend on.
+
+    Raises:
+        ProblemError: for a case whose settings cannot be used, naming it.
+        ModelError: when a named mechanism cannot be used.
+    """
+    digest, last = hashlib.sha256(), None
+    # Ten thousand problems take gigabytes, so each is built, checked and discarded, and built again for planning.
+    for case, problem in _problems(batch, batch.case):
+        check()
+        if problem.mechanism is not last:
+            digest.update(problem.mechanism.fingerprint().encode())
+            last = problem.mechanism
+        digest.update(f"{case.name}: {problem.source!r}\n".encode())
+    return digest.hexdigest()
+
+
+def plan_cases(batch: BatchFile, cases: Sequence[CaseSection], say: Say = silent) -> Iterator[tuple[CaseSection, Plan]]:
+    """Yield the cases of a batch with their plans, in order; if only numbers differ, the last solution is the start.
+
+    Raises:
+        ProblemError: for a case whose settings cannot be used, naming it.
+        ModelError: when a named mechanism cannot be used.
+    """
+    planner = Replanner()
+    for case, problem in _problems(batch, cases):
+        say(case.name)
+        yield case, planner.plan(problem)
+
+
+def _problems(batch: BatchFile, cases: Sequence[CaseSection]) -> Iterator[tuple[CaseSection, Problem]]:
+    """Yield each case with its problem; consecutive cases with equal [mechanism] tables share one mechanism."""
+    name, common, folder = read_tables(batch.problem)
+    asked: object = None
+    mechanism: Mechanism | None = None
+    for case in cases:
+        tables = copy.deepcopy(common)
+        try:
+            for setting in (*batch.set, *case.set):
+                apply_override(tables, setting)
+            wanted = copy.deepcopy(tables.get("mechanism"))
+            # Coordinates chosen for one case's motion do not apply to the next case.
+            chosen = mechanism is not None and "independent" in mechanism.source and "independent" not in (wanted or {})
+            same = mechanism is not None and wanted == asked and not chosen
+            problem = Problem.from_tables(f"{name}/{case.name}", tables, folder, mechanism if same else None)
+            problem.start_pose()  # refuses a goal beyond reach before any case is planned
+        except ProblemError as error:
+            raise ProblemError(f"case '{case.name}': {error}") from error
+        asked, mechanism = wanted, problem.mechanism
+        yield case, problem

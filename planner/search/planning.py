@@ -1,0 +1,315 @@
+"""From a planning problem to a certified plan: attempts, then the reason if none gives a motion; a plan's robustness.
+
+The three tables below are the whole strategy, in order. A method is tried if its condition holds, within its budget. The
+first plan that passes ends the search, unless the phase plane knows a motion that may be better. Repairs are applied to a
+motion whose certificate fails, before the next method. Diagnoses give the reason why there is no motion, and never return
+one. A new method is one function, `(Search, Budget) -> Plan | None`, and one row.
+"""
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from linkplan.models.deadline import OutOfTimeError, one_thread_at_a_time
+from linkplan.planner.closed_chain.case import LOCALLY, plan_hold, plan_prescribed
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.instant import Robust
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
+from linkplan.planner.refinement.state import REPORTED_CHANGE
+from linkplan.planner.search import attempts, continuations, reasons, resting, starts, waiting
+from linkplan.planner.search.finer_meshes import of_several
+from linkplan.planner.search.ladder import FULL_BUDGET, SHORT_BUDGET, Budget, Repair, Search, SearchMethod, run_search
+from linkplan.planner.search.several_motors import from_several_starts
+from linkplan.planner.search.smooth_path import along_smooth_path, at_rest
+from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
+
+__all__ = ["DIAGNOSES", "REPAIRS", "SEARCH_METHODS", "Say", "plan_motion", "silent"]
+SearchFunction = Callable[[Search, Budget], Plan | None]
+# The key of the nominal plan's objective in a plan's details, in the objective's SI unit.
+_DETAIL = "objective_as_modelled"
+
+
+def _with_time_to_wait(start: SearchFunction) -> SearchFunction:
+    """Return an attempt that gets half of the time left where several driven freedoms may wait, else all of it.
+
+    The first start of a swing-up may otherwise use up all the time in refinement.
+    """
+
+    def run_search(search: Search, budget: Budget) -> Plan | None:
+        spare = search.problem.mechanism.dof > 1 and waiting.may_wait(search)
+        return start(search, replace(budget, share_of_time=0.5) if spare else budget)
+
+    return run_search
+
+
+def _is_worth_a_start(search: Search) -> bool:
+    """True if the first starts are tried one after another: not for several motors, whose own search has tried them."""
+    return starts.one_start_is_worth_it(search) and not of_several(search.problem)
+
+
+def _first_starts(search: Search, budget: Budget) -> Plan | None:
+    """Return the plan of the first starts: of as many as the problem asks for, or of the given guess and the smooth path."""
+    several = search.problem.solver.starts > 1
+    return (starts.best_of_several if several else _with_time_to_wait(starts.from_first_starts))(search, budget)
+
+
+_FIRST: tuple[SearchMethod, ...] = (
+    SearchMethod(
+        name="the guess given, then a smooth path; or the best of several starts (multistart)",
+        tried=lambda search: search.problem.solver.starts > 1 or _is_worth_a_start(search),
+        run=_first_starts,
+        budget=FULL_BUDGET,
+    ),
+    SearchMethod(
+        name="the phase plane: dynamic programming, then bang efforts",
+        tried=starts.phase_plane_may_help,
+        run=starts.from_the_phase_plane,
+        budget=SHORT_BUDGET,
+    ),
+)
+_SWINGS = SearchMethod(
+    name="swings",
+    tried=lambda search: starts.one_start_is_worth_it(search) and not starts.no_time(search),
+    run=_with_time_to_wait(starts.from_swings),
+    budget=SHORT_BUDGET,
+)
+_LONGER = SearchMethod(
+    name="continuation in the duration",
+    tried=lambda search: (
+        not search.solved
+        and all(attempts.unsound(plan) for plan in search.plans[:1])
+        and not search.only_time_counts
+        and not of_several(search.problem)
+        and continuations.may_be_lengthened(search)
+        and not waiting.far_beyond(search)
+    ),
+    run=continuations.from_continuation,
+    budget=FULL_BUDGET,
+)
+
+SEARCH_METHODS: tuple[SearchMethod, ...] = (
+    SearchMethod(
+        name="the phase plane along its limits",
+        tried=starts.may_be_along_limits,
+        run=starts.along_limits,
+        budget=SHORT_BUDGET,
+    ),
+    SearchMethod(
+        name="several motors: cheap first solves, the best refined",
+        tried=lambda search: of_several(search.problem) and search.problem.solver.starts == 1,
+        run=from_several_starts,
+        budget=Budget(share_of_time=0.7),
+    ),
+    *_FIRST,
+    SearchMethod(
+        name="the cheapest legs of the phase plane, where meshes over time led to false motions",
+        tried=lambda search: bool(search.plans) and resting.legs_may_help(search),
+        run=resting.from_legs,
+        budget=SHORT_BUDGET,
+    ),
+    SearchMethod(
+        name="at a distance from singular poses",
+        tried=starts.may_near_singular,
+        run=lambda search, budget: starts.at_a_distance(search, budget, (*_FIRST, _SWINGS, _LONGER)),
+        budget=FULL_BUDGET,
+    ),
+    _SWINGS,
+    _LONGER,
+    SearchMethod(
+        name="the least time, and waiting",
+        tried=lambda search: not search.solved and waiting.may_wait(search),
+        run=waiting.from_waiting,
+        budget=FULL_BUDGET,
+    ),
+    SearchMethod(
+        name="the cheapest legs of the phase plane",
+        tried=resting.legs_may_help,
+        run=resting.from_legs,
+        budget=SHORT_BUDGET,
+    ),
+)
+
+REPAIRS: tuple[Repair, ...] = (
+    Repair(
+        name="limits on power and pin force kept at every instant",
+        tried=attempts.may_be_enclosed,
+        repair=attempts.enclosed,
+    ),
+    Repair(
+        name="finer meshes begun next to the coarser one's answer",
+        tried=lambda _problem, plan: attempts.unsound(plan),
+        repair=attempts.from_next_to_it,
+        always=False,
+    ),
+)
+
+Diagnosis = Callable[[Search], Plan | None]
+# In this order: the first diagnosis that applies gives the reason.
+DIAGNOSES: tuple[Diagnosis, ...] = (
+    reasons.solver_stopped,
+    reasons.one_limit,
+    reasons.efforts_contradicted,
+    reasons.efforts_without_proof,
+    reasons.efforts,
+    reasons.efforts_without_other_limits,
+    reasons.ranges,
+    reasons.efforts_by_the_phase_plane,
+    reasons.less_than_least_time,
+    reasons.nothing_found,
+)
+
+
+@one_thread_at_a_time
+def plan_motion(
+    problem: Problem,
+    say: Say = silent,
+    methods: Sequence[SearchMethod] = SEARCH_METHODS,
+    diagnoses: Sequence[Diagnosis] = DIAGNOSES,
+) -> Plan:
+    """Return the plan of a problem; `message` gives the reason if it has no motion.
+
+    Args:
+        problem: the problem; `solver.max_time_s` limits the whole of planning.
+        say: called with a line of progress from time to time.
+        methods: the attempts, in order.
+        diagnoses: the searches for the reason why there is no motion, in order; the last one has a reason for every problem.
+
+    Raises:
+        ProblemError: when start, goal or reference contradict the mechanism.
+    """
+    begun, plans = replace(problem, solver=problem.solver.begun()), []
+    with recording(_with_the_best(say, plans)):
+        try:
+            plan = _planned(begun, methods, diagnoses, plans)
+        except OutOfTimeError:
+            message = f"failed: {why_stopped(OUT_OF_TIME, problem.solver.max_time_s)}"
+            plan = Plan(problem=problem, status="failed", message=message, history=recorded())
+    return replace(plan, problem=problem)
+
+
+def _planned(problem: Problem, methods: Sequence[SearchMethod], diagnoses: Sequence[Diagnosis], plans: list[Plan]) -> Plan:
+    """Return the plan of a problem with a deadline; plans of the methods are appended to `plans`.
+
+    Raises:
+        OutOfTimeError: when the deadline passes before anything is known.
+    """
+    start_pose = problem.start_pose()
+    if problem.motion.kind == "track":
+        return plan_prescribed(problem, start_pose)
+    search = Search(problem=problem, start_pose=start_pose, repairs=REPAIRS, plans=plans)
+    excluded = reasons.contradicted(search) or reasons.too_short(search)
+    held = problem.motion.kind == "hold"
+    plan = excluded or (plan_hold(problem) if held else _found_or_smooth(search, methods))
+    if plan is not None and plan.status == "failed" and reasons.less_than_least_time in diagnoses:
+        with contextlib.suppress(OutOfTimeError):
+            return reasons.less_than_least_time(search) or plan
+    return plan or _diagnosed(search, diagnoses)
+
+
+def _found_or_smooth(search: Search, methods: Sequence[SearchMethod]) -> Plan | None:
+    """Return the plan of the methods or a rest that costs less; if none passes, the smooth path that does, or None."""
+    rest = at_rest(search)
+    if rest is not None and rest.status == "optimal":
+        return rest
+    plan, most = _found_by(search, methods), float("inf") if rest is None else (1 + REPORTED_CHANGE) * rest.objective
+    if plan is not None and plan.passed and plan.objective <= most:
+        return plan
+    if rest is not None:
+        return rest
+    with contextlib.suppress(OutOfTimeError):
+        plan = along_smooth_path(search) or plan
+    return plan
+
+
+def _found_by(search: Search, methods: Sequence[SearchMethod]) -> Plan | None:
+    """Return the plan of the methods, or None; its message says "locally optimal" unless the phase plane proves more."""
+    plan = run_search(search, methods)
+    if plan is None or plan.status != "optimal" or not starts.judged_by_the_phase_plane(search)[0]:
+        return plan
+    return replace(plan, message=plan.message.removeprefix(LOCALLY))
+
+
+def _with_the_best(say: Say, plans: Sequence[Plan]) -> Say:
+    """Return a progress function that appends the objective of the best passing plan so far."""
+
+    def say_with_best(text: str) -> None:
+        passed = [plan.objective for plan in plans if plan.passed and plan.objective is not None]
+        say(f"{text}; best certified {min(passed):.6g}" if passed else text)
+
+    return say_with_best
+
+
+def _diagnosed(search: Search, diagnoses: Sequence[Diagnosis]) -> Plan:
+    """Return the plan with the reason why no motion was found."""
+    progress("no motion found; looking for the limit that forbids one")
+    with contextlib.suppress(OutOfTimeError):
+        return next(plan for diagnosis in diagnoses if (plan := diagnosis(search)) is not None)
+    return reasons.nothing_found(search)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Price:
+    """The objectives of a plan with a reserve or corners and of the nominal plan, in the objective's unit."""
+
+    objective: float
+    nominal: float
+    unit: str
+    name: str
+
+    @property
+    def share(self) -> float:
+        """The relative increase of the objective over the nominal one."""
+        return self.objective / self.nominal - 1 if self.nominal else float("inf")
+
+    def sentence(self) -> str:
+        """Return the price as a sentence."""
+        unit = f" {self.unit}" if self.unit else ""
+        dearer = f"{100 * self.share:+.3g} %" if self.share < 2.0 else f"{1 + self.share:.3g} times as much"
+        return (
+            f"price of robustness: {self.name} {self.objective:.6g}{unit} against {self.nominal:.6g}{unit} of the machine as"
+            f" modelled within its whole limits, {dearer}"
+        )
+
+
+def nominal_of(problem: Problem) -> Problem | None:
+    """Return a problem without its ranges and its reserve; None if it has neither."""
+    limits = problem.limits
+    if not problem.robust.corners and not limits.reserve:
+        return None
+    source = {section: table for section, table in problem.source.items() if section != "robust"}
+    return replace(
+        problem, robust=Robust(), limits=replace(limits, effort=limits.actuators_effort, reserve=0.0), source=source
+    )
+
+
+def price_of(plan: Plan, say: Callable[[str], None] = silent) -> Price | None:
+    """Return the price of a plan's ranges and reserve; None if it has none, or one of the two plans has no motion."""
+    nominal = nominal_of(plan.problem) if plan.trajectory is not None else None
+    if nominal is None:
+        return None
+    say("the machine as modelled, for the price")
+    cheaper = plan_motion(nominal, say)
+    if cheaper.trajectory is None or cheaper.objective is None or plan.objective is None:
+        return None
+    # The plan itself is a motion of the nominal machine, so the nominal optimum cannot be dearer.
+    return _price(plan, min(cheaper.objective, plan.objective))
+
+
+def with_price(plan: Plan, price: Price | None) -> Plan:
+    """Return a plan with its price in the details, which are saved."""
+    return plan if price is None else replace(plan, details={**plan.details, _DETAIL: price.nominal})
+
+
+def saved_price(plan: Plan) -> Price | None:
+    """Return the price in a plan's details; None if there is none."""
+    nominal = plan.details.get(_DETAIL)
+    if plan.objective is None or not isinstance(nominal, int | float):
+        return None
+    return _price(plan, float(nominal))
+
+
+def _price(plan: Plan, nominal: float) -> Price:
+    objective = plan.problem.objective
+    assert plan.objective is not None  # that of a motion that passes
+    return Price(objective=plan.objective, nominal=nominal, unit=objective.unit, name=objective.name)

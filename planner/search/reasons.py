@@ -1,0 +1,395 @@
+"""Diagnoses: functions that return a plan with a reason why a problem has no motion, or None if their reason does not apply.
+
+None of them returns a motion. They compute how far limits would have to be relaxed, on motions planned without them.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from linkplan.models.errors import AssemblyError
+from linkplan.models.poses.along import demanded, least_effort, needed_effort, sampled
+from linkplan.planner.closed_chain.guess import Guess, even_poses, motion_of
+from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
+from linkplan.planner.limits.actuators import ControlLimit
+from linkplan.planner.limits.joints import RangeLimit
+from linkplan.planner.limits.kinds import relaxed_kinds, without
+from linkplan.planner.limits.limit import Limit, factor_of, violation
+from linkplan.planner.phase_plane.bang_bang_motions import least_share
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.extra import extras_not_finite
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.refinement.history import progress, record, recorded, step_of
+from linkplan.planner.search.ladder import SHORT_BUDGET, Search
+from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts
+from linkplan.planner.search.presolve import plain_contradiction
+from linkplan.planner.search.solving import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, first_mesh, longest, may_swing, solve_from
+from linkplan.planner.search.starts import enough_time, least_time_plan, no_time, shortest_motion
+from linkplan.planner.solvers.solve import INVALID, build_solver, run_solver, solve, why_stopped
+from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.mesh import Mesh
+
+# A duration below this share of the shortest motion's is surely infeasible: least times found are local, but within
+# percents.
+_INFEASIBLE_DURATION_SHARE = 0.1
+
+
+def effort_sentence(problem: Problem, least: LeastLimit) -> tuple[str, dict[str, float]]:
+    """Return a sentence on the efforts that a motion would need, and its numbers."""
+    limit, trajectory = problem.limits.effort, least.trajectory
+    time = trajectory.dense_times(8)
+    u = trajectory.effort_at(time)
+    # The motion of least effort is bang-bang: name the actuator with the largest excess, at its first such time.
+    over = np.maximum(u - limit[:, 1], limit[:, 0] - u)
+    column = int(np.argmax(over.max(axis=0)))
+    at = int(np.flatnonzero(over[:, column] > 0.999 * over[:, column].max())[0])
+    actuator = problem.mechanism.actuators[column]
+    needed, bound = float(u[at, column]), float(limit[column, 1] if u[at, column] > 0 else limit[column, 0])
+    sentence = (
+        f"{actuator.name} on {actuator.target} would have to give"
+        f" {abs(needed):.4g} {actuator.unit} at t = {time[at]:.3g} s, {abs(needed - bound):.4g} {actuator.unit} beyond its"
+        f" limit of {abs(bound):.4g}"
+    )
+    return sentence, {"needed_effort": abs(needed), "needed_limit_factor": least.factor}
+
+
+def share_sentence(problem: Problem, factor: float, motion: Guess, *, at_all: bool) -> str:
+    """Return a sentence on the factor by which effort limits are too small, for the phase plane's motion at that factor.
+
+    Args:
+        problem: with one degree of freedom.
+        factor: on all effort limits.
+        motion: the motion with that factor.
+        at_all: no motion of any duration keeps the limits; the sentence then names the pose that this one barely passes.
+    """
+    (joint,) = problem.mechanism.independent_joints
+    time = np.linspace(0.0, motion.duration_s, 2001)[1:-1]
+    # The motion rests at both ends; 2 % of the duration there are not searched.
+    velocity, ends = motion.velocity(time)[:, 0], 0.02 * motion.duration_s
+    speed, inside = np.abs(velocity), (time > ends) & (time < motion.duration_s - ends)
+    # The critical pose is one that the motion barely passes: its speed is least there, and it does not turn back.
+    least = np.concatenate([[False], speed[1:-1] <= np.minimum(speed[:-2], speed[2:]), [False]])
+    passing = inside & least & (np.gradient(np.sign(velocity)) == 0)
+    at = int(np.argmin(np.where(passing if passing.any() else inside, speed, np.inf)))
+    place = joint.shown(float(motion.position(time[at : at + 1])[0, 0]))
+    if problem.mechanism.n_u == 1 and motion.effort is not None:
+        actuator, needed = problem.mechanism.actuators[0], float(motion.effort(time[at : at + 1])[0, 0])
+        need = f"{actuator.name} on {actuator.target} would have to give {needed:.4g} {actuator.unit}"
+        need += f", {factor:.4g} times its limit of {needed / factor:.4g}"
+    else:
+        need = f"all efforts would have to be {factor:.4g} times their limits"
+    if not at_all:
+        return f"by the phase plane {need}, throughout"
+    return (
+        f"by the phase plane no motion leads there in any time: {need}, to pass {joint.name} = {place:.4g} {joint.unit}"
+        f" at t = {time[at]:.3g} s"
+    )
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class PathEffort:
+    """The smooth path's largest excess over an effort limit: the factor, the factor without gravity, and a sentence."""
+
+    factor: float
+    inertial_factor: float
+    sentence: str
+
+
+def far_too_short(search: Search) -> tuple[str, dict[str, float]] | None:
+    """Return a sentence and its numbers if a reach is given only a small share of its least duration; else None.
+
+    With one degree of freedom the phase plane gives the shortest motion at once. With several
+    degrees of freedom it is planned only if the smooth path needs far more effort than allowed.
+    """
+    problem, asked = search.problem, longest(search.problem)
+    motion = problem.motion
+    if motion.kind != "reach" or motion.stays or not np.isfinite(asked) or not np.all(np.isfinite(problem.limits.effort)):
+        return None
+    if any(waypoint.time_s is not None for waypoint in motion.waypoints):
+        return None
+    path = path_effort(problem, search.smooth)
+    # Efforts of inertia grow with the square of the pace.
+    if path is None or path.inertial_factor < 1 / _INFEASIBLE_DURATION_SHARE**2:
+        return None
+    shortest, about = _shortest(search)
+    if shortest is None or asked > _INFEASIBLE_DURATION_SHARE * shortest:
+        return None
+    sentence = (
+        f"infeasible: {asked:.4g} s is {shortest / asked:.3g} times too short: {path.sentence};"
+        f" the shortest feasible duration is {about}{shortest:.4g} s"
+    )
+    return sentence, {"shortest_duration_s": shortest, "smooth_path_limit_factor": path.factor}
+
+
+def _shortest(search: Search) -> tuple[float | None, str]:
+    """Return the least known duration [s], or None, and the word "about " if it is approximate."""
+    if search.quickest is not None and search.quickest.boundaries_s is None:
+        return search.quickest.duration_s, "about "
+    found = shortest_motion(search)
+    return (None, "") if found is None else (found.trajectory.duration_s, "")
+
+
+def path_effort(problem: Problem, guess: Guess) -> PathEffort | None:
+    """Return the largest effort that a path needs relative to its limit, and undriven efforts; None if loops open."""
+    mechanism, limit = problem.mechanism, problem.limits.effort
+    try:
+        time, q = even_poses(problem, guess)
+    except AssemblyError:
+        return None
+    v, a = guess.velocity(time), guess.acceleration(time)
+    tau, maps = demanded(mechanism, q, v, a)
+    effort = least_effort(tau, maps)
+    missed = tau - np.einsum("ksu,ku->ks", maps, effort)
+    held = least_effort(sampled(mechanism.dynamics.inverse_dynamics, q, 0 * v, 0 * a)[:, :, 0], maps)
+    bound = np.where(effort > 0, np.maximum(limit[:, 1], 0.0), np.minimum(limit[:, 0], 0.0))
+    widest = np.abs(limit).max(axis=1)  # the scale if an actuator gives nothing in the needed direction
+    factors = np.abs(effort) / np.where(bound == 0, widest, np.abs(bound))
+    inertial = np.abs(effort - held) / widest
+    at, column = np.unravel_index(int(np.argmax(factors)), factors.shape)
+    actuator = mechanism.actuators[column]
+    sentence = (
+        f"along the smooth path from start to goal {actuator.name} on {actuator.target} would have to give"
+        f" {effort[at, column]:.4g} {actuator.unit} at t = {time[at]:.3g} s,"
+    )
+    if bound[at, column] == 0:
+        sentence += " a direction in which it gives nothing"
+    else:
+        sentence += f" {factors[at, column]:.4g} times its limit of {bound[at, column]:.4g}"
+    k, row = np.unravel_index(int(np.argmax(np.abs(missed))), missed.shape)
+    if abs(missed[k, row]) > 1e-6 * np.abs(effort).max():
+        joint = mechanism.independent_joints[row]
+        sentence += (
+            f", and no actuator gives the {missed[k, row]:.4g} {'N.m' if joint.kind == 'hinge' else 'N'} on {joint.name}"
+        )
+    return PathEffort(factor=float(factors.max()), inertial_factor=float(inertial.max()), sentence=sentence)
+
+
+def contradicted(search: Search) -> Plan | None:
+    """Return the plan that names a limit which no motion can keep, if this is clear without solving."""
+    problem = search.problem
+    sentence = plain_contradiction(problem)
+    if sentence is None:
+        return None
+    details: dict[str, float] = {}
+    longer_would_do = plain_contradiction(replace(problem, motion=replace(problem.motion, duration_s=None))) is None
+    return _infeasible(search, sentence, details, shortest=longer_would_do)
+
+
+def too_short(search: Search) -> Plan | None:
+    """Return the plan that says that a duration is far below the shortest, if this is clear without a search."""
+    found = far_too_short(search)
+    return None if found is None else _infeasible(search, *found, shortest=False)
+
+
+def less_than_least_time(search: Search) -> Plan | None:
+    """Return the plan that says that a duration is below the least time, to which the phase plane leads."""
+    if not no_time(search):
+        return None
+    known = least_time_plan(search, SHORT_BUDGET)
+    if known is None or known.trajectory is None or not known.passed:
+        return None
+    asked, shortest = longest(search.problem), known.trajectory.duration_s
+    sentence = f"infeasible: {asked:.7g} s is too short; the shortest feasible duration is {shortest:.7g} s"
+    return _infeasible(search, sentence, {"shortest_duration_s": shortest}, shortest=False)
+
+
+def solver_stopped(search: Search) -> Plan | None:
+    """Return the plan with the reason why the solver stopped before a result."""
+    reason = why_stopped(search.stopped or "", search.problem.solver.max_time_s)
+    if search.stopped == INVALID:
+        reason = "; ".join(_extras_not_finite(search)) or reason
+    return None if reason is None else _failed(search, reason + _needs_of_smooth_path(search))
+
+
+def _extras_not_finite(search: Search) -> list[str]:
+    """Return the sentences on extra limits and costs that are not finite along the smooth path."""
+    problem, path = search.problem, search.smooth
+    if not problem.extras:
+        return []
+    times, poses = even_poses(problem, path)
+    v, a = path.velocity(times), path.acceleration(times)
+    effort, _ = needed_effort(problem.mechanism, poses, v, a)
+    found = extras_not_finite(problem.extras, problem.mechanism, times, poses, v, a, effort)
+    return [f"{sentence} along the smooth path" for sentence in found]
+
+
+def one_limit(search: Search) -> Plan | None:
+    """Return the plan that names the limit without which there is a motion, and the least feasible value of it."""
+    found = (_without(search, kind) for kind in relaxed_kinds(search.problem))
+    return next((plan for plan in found if plan is not None), None)
+
+
+def efforts_contradicted(search: Search) -> Plan | None:
+    """Return the plan that says that the solver missed a motion of the phase plane."""
+    if _over(search) is None or not enough_time(search) or ControlLimit.of(search.problem) or search.quickest is None:
+        return None
+    known = search.quickest.duration_s
+    return _failed(search, f"by the phase plane a motion of {known:.5g} s keeps the effort limits, but it was not found")
+
+
+def efforts_without_proof(search: Search) -> Plan | None:
+    """Return the plan that names the least efforts found, for problems with swings that no start has tried."""
+    over = _over(search)
+    if over is None or not may_swing(search.problem):
+        return None
+    sentence, _ = effort_sentence(search.problem, over)
+    return _failed(search, f"no motion was found; on the motion of least effort found, {sentence}; this is no proof")
+
+
+def efforts(search: Search) -> Plan | None:
+    """Return the plan that names the efforts that a motion would need."""
+    over = _over(search)
+    if over is None:
+        return None
+    sentence, details = effort_sentence(search.problem, over)
+    return _infeasible(search, f"infeasible: {sentence}", details)
+
+
+def efforts_without_other_limits(search: Search) -> Plan | None:
+    """Return the plan that names the efforts that are missing even without the other limits."""
+    problem = search.within(SHORT_BUDGET)
+    kinds, bare = relaxed_kinds(problem), problem
+    if not kinds:
+        return None
+    for kind in kinds:
+        bare = without(kind, bare)
+    least = least_limit_of_starts(bare, search.smooth)
+    if least is None or least.factor <= 1.0:
+        return None
+    sentence, details = effort_sentence(bare, least)
+    return _infeasible(search, f"infeasible: even without its other limits, {sentence}", details)
+
+
+def ranges(search: Search) -> Plan | None:
+    """Return the plan that names the joint whose range forbids the motion."""
+    return _without(search, RangeLimit) if RangeLimit.of(search.problem) else None
+
+
+def efforts_by_the_phase_plane(search: Search) -> Plan | None:
+    """Return the plan that names the factor by which efforts are too small, for one degree of freedom.
+
+    The phase plane ignores all limits except effort, speed and range, so whatever it excludes is infeasible.
+    """
+    least = least_share(search.problem, search.start_pose, longest(search.problem))
+    if least is None or least[0] <= GRID_ERROR_FACTOR_AT_SPEED_LIMIT:
+        return None
+    sentence = share_sentence(search.problem, *least, at_all=search.quickest is None)
+    details = {"needed_limit_factor": least[0]}
+    return _infeasible(search, f"infeasible: {sentence}", details, shortest=search.quickest is not None)
+
+
+def nothing_found(search: Search) -> Plan:
+    """Return the plan that says that neither a motion nor a reason was found."""
+    stopped = solver_stopped(search)  # while looking for a reason
+    if stopped is not None:
+        return stopped
+    if unknown := _extras_not_finite(search):
+        return _failed(search, "; ".join(unknown))
+    status = recorded()[-1].solver_status if recorded() else "no initial guess closes the kinematic loops"
+    needs = _needs_of_smooth_path(search)
+    return _failed(search, f"the solver found neither a motion nor a limit that forbids one ({status}){needs}")
+
+
+def _needs_of_smooth_path(search: Search) -> str:
+    """Return the phrase on the effort limit that the smooth path exceeds most; empty if it exceeds none."""
+    if not np.all(np.isfinite(search.problem.limits.effort)):
+        return ""
+    path = path_effort(search.problem, search.smooth)
+    return "" if path is None or path.factor <= 1 else f"; {path.sentence}"
+
+
+def _over(search: Search) -> LeastLimit | None:
+    """Return the least limit where it is more than the one asked for."""
+    least = search.named_limit
+    return least if least is not None and least.factor > 1.0 else None
+
+
+def _without(search: Search, kind: type[Limit]) -> Plan | None:
+    """Return the plan that says by how much a motion planned without a limit violates it; None if it keeps the limit."""
+    problem, guess = search.within(SHORT_BUDGET), search.smooth
+    mesh, durations = first_mesh(problem, guess)
+    word = f"without limits on {kind.key}"
+    found = solve_from(without(kind, problem), guess, mesh, durations, word)
+    if found is None:
+        return None
+    motion = found.motion
+    if kind in relaxed_kinds(problem) and violation(kind, problem, motion) is not None:
+        progress(f"looking for the least limit on {kind.key} that admits a motion")
+        durations = np.bincount(mesh.segment, np.diff(motion.breaks_s))
+        motion = least_of(problem, kind, motion, mesh, durations)
+    sentence = violation(kind, problem, motion)
+    return None if sentence is None else _infeasible(search, f"infeasible: {sentence}", {})
+
+
+def _infeasible(search: Search, sentence: str, details: dict[str, float], *, shortest: bool = True) -> Plan:
+    """Return the plan that says that no motion keeps the limits.
+
+    If a motion of at most the given duration is known, the problem is not proved infeasible and the status is "failed".
+    """
+    problem: Problem = search.problem
+    message = sentence + (shortest_sentence(search, details) if shortest else "")
+    known, asked = min((motion.duration_s for motion in search.known.motions), default=None), longest(problem)
+    if known is not None and known <= asked * (1 + 1e-9):
+        return _failed(search, f"a motion of {known:.7g} s keeps every limit, one of {asked:.7g} s was not found", details)
+    return Plan(problem=problem, status="infeasible", message=message, history=recorded(), details=details)
+
+
+def _failed(search: Search, reason: str, details: dict[str, float] | None = None) -> Plan:
+    message = f"failed: {reason}"
+    return Plan(problem=search.problem, status="failed", message=message, history=recorded(), details=details or {})
+
+
+def shortest_sentence(search: Search, details: dict[str, float]) -> str:
+    """Return a phrase on the shortest feasible duration, if it can be found, and add its value to the details."""
+    problem, motion = search.problem, search.problem.motion
+    if motion.kind != "reach" or motion.stays or not np.isfinite(longest(problem)):
+        return ""
+    if any(w.time_s is not None for w in motion.waypoints) or not np.all(np.isfinite(problem.limits.effort)):
+        return ""
+    quickest = shortest_motion(search)
+    if quickest is None:
+        return ""
+    details["shortest_duration_s"] = quickest.trajectory.duration_s
+    return f"; the shortest feasible duration is {quickest.trajectory.duration_s:.5g} s"
+
+
+def least_of(
+    problem: Problem,
+    kind: type[Limit],
+    motion: Trajectory,
+    mesh: Mesh,
+    durations: np.ndarray,
+) -> Trajectory:
+    """Return the motion with the least relaxation of a limit, by bisection of a common factor with warm solves.
+
+    Args:
+        problem: a problem without a motion.
+        kind: the kind of limit.
+        motion: a motion planned without the limit; returned if no motion is closer to the limit.
+        mesh: of the solves.
+        durations: of the mesh's segments in the motion [s].
+    """
+    factor = factor_of(kind, problem, motion)
+    if factor is None:
+        return motion
+    near, far = 1.0, factor
+    transcribed = transcribe(kind.relaxed(problem, far), motion_of(motion), mesh, durations)
+    best = solve(transcribed, problem.solver)
+    record(step_of(f"least {kind.key}", transcribed, best))
+    if not best.converged:
+        return motion
+    solver = build_solver(transcribed.program, problem.solver, warm=True)
+    for _ in range(13):  # resolves the factor to four digits of its range
+        if problem.solver.deadline.passed:
+            break
+        middle = 0.5 * (near + far)
+        trial = run_solver(solver, renumbered(best.transcribed, kind.relaxed(problem, middle), best.x))
+        if trial.converged:
+            best, far = trial, middle
+        else:
+            near = middle
+    record(step_of(f"least {kind.key}", best.transcribed, best))
+    try:
+        return trajectory_of(best.transcribed, best.x, problem.limits.effort)
+    except AssemblyError:
+        return motion

@@ -1,0 +1,313 @@
+"""What a first motion changes of a model that has none as it is, each with a sentence for the user.
+
+A base that floats is fixed where it stands, since nothing holds it. Joints that weight and springs press onto their
+stops are locked there, since a stop's force is not planned for, and so are joints that their own ranges fix, or that
+nothing drives and dry friction holds. Of a rod that spins while all else rests, a hinge is locked: nothing drives the
+spin, and its equations are too small beside the others for the solver. Of a rod between ball joints, a universal joint
+takes the place of one. Dry friction of a robot's leg sets in over a wider range of speeds: joints that hardly move would
+have a mesh as fine as the default range asks for. Links that overlap by construction, as an exporter leaves them on
+their pins, pass through each other. A drive whose limit is below the weight at home gets twice the effort that holds it:
+exporters often write a placeholder.
+"""
+
+import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import mujoco
+import numpy as np
+
+from linkplan.models.actuation.actuators import label
+from linkplan.models.audit import audit
+from linkplan.models.errors import LinkplanError, UnassembledError, listed
+from linkplan.models.kinematics import STIFF
+from linkplan.models.library import compile_model
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import demanded, effort_within
+from linkplan.models.poses.contacts import Contact, ContactPair, contact_pairs
+from linkplan.models.selection import floating_joints, floating_words
+from linkplan.models.tree.coordinates import joint_label
+from linkplan.models.urdf_loops import FILTERS
+from linkplan.planner.problem.build import mechanism_from_tables, model_from_tables
+from linkplan.studies.check.new.locks import (
+    HOLD_MULTIPLE,
+    dropped,
+    fixed_by_range,
+    held_by_friction,
+    pressed,
+    rods_on_balls,
+    spins,
+)
+from linkplan.studies.check.new.loop_gap import SOFT_GAP, home_gap
+from linkplan.studies.check.new.pace import is_large
+from linkplan.studies.check.softness import STIFF_KEY
+from linkplan.studies.check.summary import grouped
+
+# Keys of the [mechanism] table that a change sets, and the sentence on it.
+Change = tuple[dict[str, object], str]
+
+
+def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str, ...]]:
+    """Return a model's mechanism with what a first motion changes of it, and a sentence on each change.
+
+    Args:
+        table: the [mechanism] table.
+
+    Raises:
+        ModelError: if the model cannot be used.
+    """
+    source, selection = model_from_tables({"mechanism": dict(table)})
+    notes = []
+    if not selection.fix_base and (fixed := _base_fixed(compile_model(source, selection=selection)[1])) is not None:
+        table, notes = {**table, **fixed[0]}, [fixed[1]]
+    mechanism = _assembled(table)
+    for change in _CHANGES:
+        if (found := change(mechanism, table)) is not None:
+            keys, note = found
+            table = {**table, **keys}
+            mechanism = _assembled(table, mechanism)
+            notes.append(note)
+    # MuJoCo scales the stiffness of a loop by the inertia of its bodies: links without mass let go of what they hold.
+    if "solref" not in table and home_gap(mechanism) > SOFT_GAP:
+        mechanism = _assembled({**table, "solref": STIFF}, mechanism)
+        notes.append(
+            "the model's own loops are too soft to carry its weight in simulation, where they would open by more than"
+            f" 1 % of its size, or 0.01 rad, at rest: they are as stiff as its timestep admits ({STIFF_KEY}), which"
+            f" leaves {home_gap(mechanism):.1g} of its size or rad"
+        )
+    if moved := sorted(mechanism.source.keys() & {"home_deg", "home_m"} - table.keys()):
+        notes.append(
+            "the loops are open or singular at the model's own pose: home is the nearest closed pose that was found, on one"
+            f" of the branches that meet there ({' and '.join(f'mechanism.{key}' for key in moved)})"
+        )
+    return mechanism, (*notes, *mechanism.faults)
+
+
+def _base_fixed(model: mujoco.MjModel) -> Change | None:
+    floats = sorted(floating_joints(model))
+    if not 0 < len(floats) < model.njnt:
+        return None
+    what, joints = floating_words(model), [joint_label(model, j) for j in floats]
+    return {"fix_base": True}, (
+        f"{what}, and nothing holds what floats or is loose: it is fixed where it stands at home"
+        f" (mechanism.fix_base = true; joints {listed(joints, 4)})"
+    )
+
+
+def _ball_rods_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
+    rods = rods_on_balls(mechanism) if _moves(mechanism) else []
+    if not rods:
+        return None
+    given = table.get("lock_spin")
+    return {"lock_spin": [*(given if isinstance(given, list) else []), *rods]}, (
+        "rods between ball joints spin about their own lines, which nothing drives and which moves nothing else: a"
+        f" universal joint takes the place of a ball joint of each (mechanism.lock_spin: {', '.join(rods)})"
+    )
+
+
+def _filters_left_out(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
+    model, given = mechanism.model, table.get("drive")
+    driven = list(given) if isinstance(given, list) else []
+    filtered = np.isin(model.actuator_dyntype, FILTERS) & (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)
+    on_joints = {model.joint(int(model.actuator_trnid[a, 0])).name: label(model, int(a)) for a in np.flatnonzero(filtered)}
+    named = {joint: actuator for joint, actuator in on_joints.items() if joint}
+    if not named:
+        return None
+    return {"drive": [*driven, *named]}, (
+        f"actuators with filters, whose states no plan has, act without them, in simulation too: {', '.join(named.values())}"
+        f" (mechanism.drive: {', '.join(named)})"
+    )
+
+
+def _overlaps_excluded(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
+    pairs = _not_on_ground(contact_pairs(mechanism, mechanism.home[None])) if mechanism.dof else []
+    return (with_exclusions(table, pairs), overlap_sentence(pairs)) if pairs else None
+
+
+def _friction_widened(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
+    rubs = max(mechanism.model.dof_frictionloss.max(initial=0.0), mechanism.model.tendon_frictionloss.max(initial=0.0)) > 0
+    if not rubs or not is_large(mechanism) or "friction_transition_deg_s" in table:
+        return None
+    # With the default of 2 deg/s, xArm's first motion takes 16 s of processor time. With 10 it takes 2 s, and its tracking
+    # error doubles.
+    default, wide = float(np.degrees(mechanism.friction_transition)), 10.0
+    return {"friction_transition_deg_s": wide}, (
+        f"dry friction sets in over {wide:g} deg/s in place of {default:g}, which large mechanisms"
+        " need fine meshes for: slow joints are planned with too little of it (mechanism.friction_transition_deg_s)"
+    )
+
+
+def _locked(
+    find: Callable[[Mechanism], dict[str, float]], why: str, mechanism: Mechanism, table: Mapping[str, object]
+) -> Change | None:
+    """Return the locks of joints [deg or m] that `find` finds beside those that a table has; None without any."""
+    found = _with_coupled(mechanism, find(mechanism) if _moves(mechanism) else {})
+    locks = {name: round(place, 9) + 0.0 for name, place in found.items()}  # homes are assembled to 1e-15
+    if not locks:
+        return None
+    given, said = table.get("lock"), ", ".join(f"{name} = {value:g}" for name, value in locks.items())
+    whole = {**(given if isinstance(given, Mapping) else {}), **locks}
+    return {"lock": whole}, why.replace("{locks}", f"mechanism.lock: {said}")
+
+
+def _with_coupled(mechanism: Mechanism, locks: dict[str, float]) -> dict[str, float]:
+    """Return locks of joints with those of the joints that couplings move with them, which rest at home too [deg or m]."""
+    model, found = mechanism.model, dict(locks)
+    couplings = np.flatnonzero((model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_obj2id >= 0) & model.eq_active0)
+    tied = [{joint_label(model, int(j)) for j in (model.eq_obj1id[k], model.eq_obj2id[k])} for k in couplings]
+    for _ in tied:
+        names = set().union(*(pair for pair in tied if not pair.isdisjoint(found)))
+        homes = zip(mechanism.joints, mechanism.home, strict=True)
+        found = {joint.name: joint.shown(float(x)) + 0.0 for joint, x in homes if joint.name in names} | found
+    return found
+
+
+def _moves(mechanism: Mechanism) -> bool:
+    return mechanism.dof > 0 and mechanism.n_u > 0
+
+
+def with_exclusions(table: Mapping[str, object], pairs: Sequence[list[str]]) -> dict[str, object]:
+    """Return a [mechanism] table that also excludes the contacts of pairs of bodies."""
+    given = table.get("exclude_contacts")
+    return {**table, "exclude_contacts": [*(given if isinstance(given, list) else []), *pairs]}
+
+
+def raised_limits(mechanism: Mechanism) -> dict[str, list[float]]:
+    """Return effort limits [N.m or N] by actuator, for those that are too weak to hold the weight at home.
+
+    Actuators with the same limits are the same motor, or the same default of an exporter: their limits are raised together.
+    """
+    still = np.zeros((1, mechanism.dof))
+    hold = effort_within(*demanded(mechanism, mechanism.home[None], still, still), 1e9 * mechanism.effort_limit)[0]
+    limits = [tuple(float(x) for x in ends) for ends in mechanism.effort_limit]
+    factors: dict[tuple[float, ...], float] = {}
+    for effort, ends in zip(hold, limits, strict=True):
+        end = ends[1] if effort > 0 else ends[0]
+        if abs(effort) > abs(end) > 0:
+            factors[ends] = max(factors.get(ends, 0.0), HOLD_MULTIPLE * abs(effort) / abs(end))
+    return {
+        actuator.name: [float(f"{x * factors[ends]:.3g}") for x in ends]
+        for actuator, ends in zip(mechanism.actuators, limits, strict=True)
+        if ends in factors
+    }
+
+
+def raised_notes(mechanism: Mechanism, tables: Mapping[str, Mapping]) -> list[str]:
+    """Return a sentence on the effort limits of a problem's tables that are larger than the model's, if there are some."""
+    limits = tables.get("limits", {}).get("effort", {})
+    if not limits:
+        return []
+    said = ", ".join(
+        f"{actuator.name} {limits[actuator.name]} in place of {[float(f'{x:.4g}') for x in ends]} {actuator.unit}"
+        for actuator, ends in zip(mechanism.actuators, mechanism.effort_limit, strict=True)
+        if actuator.name in limits
+    )
+    return [
+        f"actuators, or others with the same limits, are too weak to hold the weight at home: limits.effort takes {said};"
+        " replace them by your motors' limits"
+    ]
+
+
+@functools.lru_cache(maxsize=4)
+def left_out(mechanism: Mechanism) -> tuple[str, ...]:
+    """Return the forces in a model that plans do not honour, each as a phrase."""
+    return tuple(element.text for element in audit(mechanism.model) if element.falsifies)
+
+
+def left_out_notes(mechanism: Mechanism) -> list[str]:
+    """Return a sentence on the forces that a first motion is planned without, if there are some."""
+    forces = left_out(mechanism)
+    said = f"{len(forces)} forces" if len(forces) > 1 else "forces"
+    what = "; ".join(grouped(mechanism, forces)[:3])
+    return [
+        f"plans do not honour {said} that act in the simulation, and are made without them: {what}"
+        ' (limits.unhonoured = "note"; by default such a problem is refused)'
+    ] * bool(forces)
+
+
+def overlapping_bodies(contacts: Iterable[Contact]) -> list[list[str]]:
+    """Return the pairs of links that overlap by construction in a plan's contacts; contacts with the ground are kept."""
+    return _not_on_ground(meeting for meeting in contacts if meeting.since is None)
+
+
+def _not_on_ground(contacts: Iterable[Contact | ContactPair]) -> list[list[str]]:
+    """Return the pairs of bodies of contacts, without those that touch the ground in one of them."""
+    pairs: dict[tuple[str, str], bool] = {}
+    for contact in contacts:
+        pairs[contact.bodies] = pairs.get(contact.bodies, False) or contact.on_ground
+    return [list(pair) for pair, on_ground in pairs.items() if not on_ground]
+
+
+def overlap_sentence(pairs: Sequence[Sequence[str]]) -> str:
+    """Return the sentence on the contacts of overlapping links."""
+    return (
+        "links overlap at home, or on a pin that they share, and would push each other off in simulation: the contacts of"
+        f" {', '.join(f'{first} and {second}' for first, second in pairs)} are excluded (mechanism.exclude_contacts)"
+    )
+
+
+def _assembled(table: Mapping[str, object], before: Mechanism | None = None) -> Mechanism:
+    """Return a model's mechanism, assembled at the nearest closed pose if the model's pose is open.
+
+    The search for that pose is not repeated if `before`, the mechanism without the last change, was assembled there and
+    the change leaves its joints.
+    """
+    tables = {"mechanism": dict(table)}
+    if before is not None and (home := _home_found(table, before)):
+        try:
+            return mechanism_from_tables({"mechanism": {**table, **home}})
+        except LinkplanError:
+            pass
+    try:
+        return mechanism_from_tables(tables)
+    except UnassembledError as error:
+        if not error.home:
+            raise
+        tables["mechanism"] |= error.home
+        try:
+            return mechanism_from_tables(tables)
+        except LinkplanError:
+            raise error from None
+
+
+def _home_found(table: Mapping[str, object], before: Mechanism) -> dict[str, object]:
+    """Return the home before a change, for [mechanism] tables without one, without joints that the table locks."""
+    locked = table.get("lock")
+    names = set(locked) if isinstance(locked, Mapping) else set()
+    homes = {key: before.source[key] for key in ("home_deg", "home_m") if key in before.source and key not in table}
+    left = {
+        key: {n: x for n, x in home.items() if n not in names} for key, home in homes.items() if isinstance(home, Mapping)
+    }
+    return {key: home for key, home in left.items() if home}
+
+
+# In this order: what is fixed and locked decides what overlaps and how large the mechanism is.
+_CHANGES: tuple[Callable[[Mechanism, Mapping[str, object]], Change | None], ...] = (
+    _filters_left_out,
+    functools.partial(_locked, fixed_by_range, "ranges let these joints move nowhere: they are locked there ({locks})"),
+    functools.partial(
+        _locked,
+        pressed,
+        "weight and springs press joints onto their stops: they are locked there ({locks}); a motion on which they would"
+        " leave their stops is another mechanism's",
+    ),
+    functools.partial(
+        _locked,
+        dropped,
+        "weight drops joints that nothing drives onto their stops or into a contact, and their forces are not planned for:"
+        " they are locked where they stand at home ({locks}); a motion in which they fall is another mechanism's",
+    ),
+    functools.partial(
+        _locked,
+        held_by_friction,
+        "dry friction holds joints that nothing drives: they are locked where they stand ({locks}); a motion that slides"
+        " them is another mechanism's",
+    ),
+    _ball_rods_locked,
+    functools.partial(
+        _locked,
+        spins,
+        "rods or wheels spin about a line while all else rests, which nothing drives: a hinge of each is locked ({locks})",
+    ),
+    _overlaps_excluded,
+    _friction_widened,
+)

@@ -1,0 +1,162 @@
+"""What shuts the straight way from a motion's start to its goal, and why no motion was found or is sought, in words."""
+
+import numpy as np
+
+from linkplan.models.audit import audit
+from linkplan.models.errors import AssemblyError, ProblemError, listed, one_line
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import (
+    RANGE_ROUNDING,
+    beyond_balls,
+    demanded,
+    effort_within,
+    least_effort,
+    sampled,
+    shut_balls,
+)
+from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
+from linkplan.models.poses.controls import control_excess
+from linkplan.models.poses.equilibrium import lock_words
+from linkplan.models.selection import floating_sentence
+from linkplan.models.tree.joints import Joint
+from linkplan.planner.certificate.further_checks import geom_names
+from linkplan.planner.limits.samples import singularity_ratios
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.problem import Problem
+from linkplan.studies.check.drives import drivable, motors_hint
+from linkplan.studies.check.new.hanging import driven_columns, hanging_columns
+from linkplan.studies.check.summary import grouped
+
+
+def obstacle_on_way(problem: Problem) -> str | None:
+    """Return what shuts the straight way from start to goal at one of 61 poses; None if it is clear.
+
+    On a clear way the loops close, the ranges are kept, det J_z stays above a quarter of its value at home, no geoms
+    collide, and the actuators can hold every pose, if they act on all coordinates.
+    """
+    mechanism, start, goal = problem.mechanism, problem.motion.start, problem.motion.goal
+    assert start is not None  # a reach has both
+    assert goal is not None
+    shares = np.linspace(0.0, 1.0, 61)
+
+    def position_at(at: np.ndarray) -> np.ndarray:
+        return start + np.asarray(at)[:, None] * (goal - start)
+
+    try:
+        home = mechanism.home[mechanism.independent]
+        lead = follow(mechanism, np.linspace(home, start, len(shares)), mechanism.home)
+        poses = follow(mechanism, position_at(shares), lead[-1])
+    except AssemblyError as error:
+        return one_line(error)
+    ranges = np.array([[joint.lower, joint.upper] for joint in mechanism.joints])
+    outside = np.any((poses < ranges[:, 0] - RANGE_ROUNDING) | (poses > ranges[:, 1] + RANGE_ROUNDING), axis=0)
+    if outside.any():
+        joint = mechanism.joints[int(np.argmax(outside))]
+        return f"joint {joint.name} is outside its range {_range_words(joint)}"
+    turned = np.any(beyond_balls(mechanism, poses) > RANGE_ROUNDING, axis=0)
+    if turned.any():
+        return f"ball joint {mechanism.balls[int(np.argmax(turned))].name} is outside its range"
+    if mechanism.tendons and not (kept := tendons_kept(mechanism, poses)).all():
+        return f"tendon {mechanism.tendons[int(np.argmin(kept.all(axis=0)))].name} is outside its range"
+    if np.min(singularity_ratios(problem, poses)) < 0.25:
+        return "a singular pose is near"
+    if (sentence := _too_weak(problem, poses)) is not None or not may_collide(mechanism.model):
+        return sentence
+    met = new_meetings(meetings(mechanism, shares, poses, position_at))
+    return f"{geom_names(met[0])} collide" if met else None
+
+
+def why_stuck(mechanism: Mechanism) -> str:
+    """Return why the driven joints cannot leave home; if a joint is outside its range at home, that joint is named."""
+    for joint, x in zip(mechanism.joints, mechanism.home.tolist(), strict=True):
+        if not joint.lower - RANGE_ROUNDING <= x <= joint.upper + RANGE_ROUNDING:
+            said = f"{joint.text(x)} {joint.unit} at home, outside its range {_range_words(joint)}"
+            return f"joint {joint.name} stands at {said}; mechanism.home_deg and home_m name another pose"
+    return "the joints cannot leave home"
+
+
+def _range_words(joint: Joint) -> str:
+    return f"[{joint.text(joint.lower)}, {joint.text(joint.upper)}] {joint.unit}"
+
+
+def why_not(answer: Plan, within_s: float | None) -> str:
+    """Return why an answer is no motion: its message, or what the last one fails if time [s] was up; and what hangs."""
+    mechanism, said = answer.problem.mechanism, answer.message
+    if within_s is not None:
+        failures = () if answer.certificate is None else answer.certificate.failures
+        last = f"; of the last one, {failures[0]}" if failures else ""
+        said = f"no motion was found within {within_s:g} s of work{last}; planning it without that bound may find one"
+    coasting = np.flatnonzero(np.isin(mechanism.independent, mechanism.coasting_dofs)).tolist()
+    loose = [
+        (mechanism.independent_joints[k], float(mechanism.home[mechanism.independent[k]]))
+        for k in sorted({*hanging_columns(mechanism), *coasting})
+    ]
+    locked = [(joint, x) for joint, x in loose if joint.chart is None]
+    names = listed([joint.name for joint, _ in loose], 8)
+    held = f"{lock_words(locked, mechanism.selection.lock)} holds them"  # with what `new` has locked, which goes with it
+    remedy = held if locked else f"start and goal are to be poses at which {names} hang at rest"
+    return f"{said}; nothing drives these joints, which swing or coast as the others move: {remedy}" if loose else said
+
+
+def tendons_kept(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
+    """Return a mask (n, n_tendons) of the limited tendons whose lengths are within their ranges at poses (n, n_q)."""
+    low, high = np.array([(tendon.low, tendon.high) for tendon in mechanism.tendons]).reshape(-1, 2).T
+    lengths = sampled(mechanism.dynamics.tendon_length, poses)[:, :, 0]
+    return (lengths >= low - RANGE_ROUNDING) & (lengths <= high + RANGE_ROUNDING)
+
+
+def servos_hold(mechanism: Mechanism, poses: np.ndarray, column: int) -> np.ndarray:
+    """Return a mask (n,) of the poses (n, n_q) at which servos on a coordinate hold the weight within their ctrlranges."""
+    still = np.zeros((len(poses), mechanism.dof))
+    tau, maps = demanded(mechanism, poses, still, still)
+    servos = np.array([actuator.limits_control for actuator in mechanism.actuators], dtype=bool)
+    acting = servos & np.any(maps[:, column] != 0, axis=0)
+    if not acting.any():
+        return np.ones(len(poses), dtype=bool)
+    excess = control_excess(mechanism, poses, still, effort_within(tau, maps, mechanism.effort_limit))
+    return ~np.any(excess[:, acting] > 0, axis=1)
+
+
+def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
+    """Return the sentence on an actuator that cannot hold the weight at one of the poses (n, n_q), or None.
+
+    Nothing is said of a weight on coordinates that no actuator moves.
+    """
+    mechanism, still = problem.mechanism, np.zeros((len(poses), problem.mechanism.dof))
+    (tau, maps), limit = demanded(mechanism, poses, still, still), problem.limits.effort
+    free, hold = least_effort(tau, maps), effort_within(tau, maps, limit)
+    missing, lacking = (np.abs(tau - np.einsum("ksu,ku->ks", maps, effort)).max() for effort in (free, hold))
+    if missing >= 1e-9 * np.abs(tau).max():
+        return None
+    names = [actuator.name for actuator in mechanism.actuators]
+    if lacking > 1e-6 * np.abs(tau).max():
+        weak = np.any((free < limit[:, 0]) | (free > limit[:, 1]), axis=0)
+        return f"actuator {names[int(np.argmax(weak))]} is too weak to hold the weight"
+    servos = np.array([actuator.limits_control for actuator in mechanism.actuators], dtype=bool)
+    short = servos & np.any(control_excess(mechanism, poses, still, hold) > 0, axis=0)
+    return f"servo {names[int(np.argmax(short))]} cannot hold the weight within its ctrlrange" if short.any() else None
+
+
+def refuse_undriven(mechanism: Mechanism) -> None:
+    """Refuse a mechanism that nothing moves, or whose ball joints may not turn; the text names the remedy."""
+    joint = mechanism.joints[0]  # the first joint is on the world, where drives usually are
+    force = "100" if joint.kind == "slide" else "10"
+    line = f'<actuator><motor name="act_{joint.name}" joint="{joint.name}" ctrlrange="-{force} {force}"/></actuator>'
+    if joint.chart is None and joint.name not in [mechanism.model.joint(j).name for j in range(mechanism.model.njnt)]:
+        line = f'name="{joint.name}" to its first joint, which has no name, and {line}'
+    if not drivable(mechanism).any():
+        but = " but the spins of rods" if mechanism.dof else ""
+        raise ProblemError(f"mechanism '{mechanism.name}' has no degree of freedom{but}: its loops hold it still")
+    if (shut := shut_balls(mechanism)) is not None:
+        raise ProblemError(f"mechanism '{mechanism.name}': {shut}")
+    if (floats := floating_sentence(mechanism.model)) is not None:
+        raise ProblemError(f"mechanism '{mechanism.name}': {floats}")
+    if mechanism.n_u == 0:
+        unusable = "".join(f"; {text}" for text in grouped(mechanism, (item.text for item in audit(mechanism.model))))
+        raise ProblemError(
+            f"mechanism '{mechanism.name}' has no usable actuator, so that nothing moves it; {motors_hint(mechanism)};"
+            f" or add for example {line} to its model, with the effort that the drive has{unusable}"
+        )
+    if not len(driven_columns(mechanism)):
+        raise ProblemError(f"the actuators of mechanism '{mechanism.name}' move none of its joints at home; add {line}")

@@ -1,0 +1,343 @@
+"""The study behind `linkplan bode`: a tracker's loop at several poses, predicted and measured, and the worst case."""
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from msgspec import UNSET, structs
+
+from linkplan.controllers.sampling import Sampling
+from linkplan.models.mechanism import Joint, Mechanism
+from linkplan.models.poses.contacts import contact_pairs
+from linkplan.models.poses.reach import reach
+from linkplan.planner.problem.settings import Tracking
+from linkplan.planner.search.planning import silent
+from linkplan.studies.check.softness import gap_sentence, held_gap
+from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy, PoseLoops, WorstMargins
+from linkplan.studies.feedback.bode.scan import Line, Scan, coordinate_line, scan_line
+from linkplan.studies.feedback.bode.touching import contact_sentence, touched
+from linkplan.studies.feedback.frequency.excitation import EXCITATIONS, Setup
+from linkplan.studies.feedback.frequency.feedback_loops import (
+    CONTINUOUS,
+    FeedbackLoop,
+    SampledLaw,
+    broken_at,
+    label_differences,
+    operating_point,
+    refuse_above_nyquist,
+    sampled_law,
+    with_lqr_errors,
+)
+from linkplan.studies.feedback.frequency.margins import Margins, margins
+from linkplan.studies.feedback.frequency.measure import measure
+from linkplan.studies.feedback.frequency.response import Response
+from linkplan.studies.feedback.frequency.trial import MAX_TRIAL_PERIODS, settle_trials
+
+# Default poses as shares of the reach: five evenly, and one close to each end, where gains are extreme. The end itself may
+# be singular.
+REACH_SHARES = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)
+SCAN_POSITIONS = 41
+# A worst pose closer than this share of the line to a chosen pose is that pose.
+SAME_POSE_SHARE = 1e-3
+# Trial periods of loops with contacts. A simulated contact takes about ten times the time.
+_CONTACT_TRIAL_PERIODS = 4_000
+# The margins whose least values over a line are stated, and the responses whose measured deviation is.
+LEAST_MARGINS = ("gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg", "disk_margin", "bandwidth_hz")
+CLOSED_LOOPS = ("complementary", "reference")
+
+
+def inner_reach(mechanism: Mechanism, coordinate: int) -> tuple[float, float]:
+    """Return a joint's reach [rad or m] without 1 % at each end; for an unlimited joint, a period about home."""
+    can = reach(mechanism, coordinate)
+    low, high = can.once
+    if can.turns_fully and mechanism.independent_joints[coordinate].kind == "slide":
+        return can.home - 0.5 * mechanism.extent_m, can.home + 0.5 * mechanism.extent_m
+    if can.turns_fully:
+        return low, high
+    return low + REACH_SHARES[0] * (high - low), low + REACH_SHARES[-1] * (high - low)
+
+
+def bode_study(
+    mechanism: Mechanism,
+    positions: np.ndarray,
+    settings: Tracking,
+    effort_limit: np.ndarray,
+    say: Callable[[str], None] = silent,
+    *,
+    law: str = "pd",
+    setup: Setup | None = None,
+    frequency_hz: np.ndarray | None = None,
+    scanned: int = SCAN_POSITIONS,
+    line: Line | None = None,
+    note: str | None = None,
+) -> BodeStudy:
+    """Return a tracker's loops at independent positions (n, n_s) [rad or m].
+
+    Margins are also scanned along continuous lines: along `line`, whose worst pose is then added to the positions, or over
+    the reach of each coordinate.
+
+    Args:
+        mechanism: with one actuator for each degree of freedom.
+        positions: the poses.
+        settings: gains, period and delay.
+        effort_limit: (n_u, 2) [N.m or N].
+        say: receives progress messages.
+        law: pd, pd+ff or lqr.
+        setup: settings of the measurement; None measures nothing.
+        frequency_hz: (m,) to measure at; None for twenty around the crossover.
+        scanned: positions of the coarse scan of a line; 0 for none.
+        line: the motion or reach that the positions sample; None if the user gave the poses.
+        note: on the choice of the positions, for the report.
+
+    Raises:
+        LinkplanError: for a pose that cannot be held, or frequencies above the Nyquist frequency.
+    """
+    positions = np.atleast_2d(positions)
+    chosen = sampled_law(mechanism, law, settings, effort_limit)
+    if frequency_hz is not None:
+        refuse_above_nyquist(np.asarray(frequency_hz, dtype=float), settings.period_s)
+    points = [operating_point(mechanism, s, effort_limit) for s in positions]  # or refuses a pose, before any work
+    if law == "lqr":
+        chosen = replace(chosen, settings=with_lqr_errors(settings, mechanism, points, effort_limit))
+    lines = _scan_lines(mechanism, positions, line) if scanned else []
+    scans = tuple(_scans(mechanism, lines, chosen, scanned, say))
+    if line is not None:
+        positions = _with_worst(positions, scans)
+    loops, ideal = _predicted(mechanism, positions, chosen, say)
+    pairs = contact_pairs(mechanism, np.array([loop.point.pose for loop in loops]))
+    in_contact = touched(pairs, len(loops))
+    trials = _settles(loops, in_contact, effort_limit)
+    stable = [i for i, loop in enumerate(loops) if loop.stable and not in_contact[i]]
+    found, steps, conditions = [], 0, {}
+    for channel in mechanism.channels:
+        bounds = [margins(loop, channel) for loop in loops]
+        measured: dict[int, dict[str, Response]] = {}
+        if setup is not None and stable:
+            at = default_frequencies([bounds[i] for i in stable], chosen.timing) if frequency_hz is None else frequency_hz
+            taken = measure([loops[i] for i in stable], at, effort_limit, setup, channel=channel, say=say)
+            steps, conditions = steps + taken.simulated_steps, taken.conditions
+            measured = dict(zip(stable, taken.responses, strict=True))
+        found += [
+            _point(loop, ideal[i], channel, bounds[i], bool(trials[i]), measured.get(i)) for i, loop in enumerate(loops)
+        ]
+    joints, name = mechanism.independent_joints, _loop_name(mechanism, chosen)
+    disputed = tuple(dict.fromkeys(point.point.name for point in found if point.stable != point.settles_in_mujoco))
+    return BodeStudy(
+        mechanism_name=mechanism.name,
+        stable=all(point.stable and point.settles_in_mujoco for point in found),
+        message=_message(found, disputed, name),
+        tracker=law,
+        gains={name: getattr(chosen.settings, name) for name in (*_gain_names(law, joints[0]), "period_s", "delay_periods")},
+        disputed=disputed,
+        softness=_softness(loops),
+        contacts=contact_sentence(pairs, len(loops)),
+        poses=_by_pose(mechanism, law, found),
+        worst={joints[scan.channel].name: _worst(mechanism, scan) for scan in scans},
+        measurement=_measurement(found, steps, conditions) if steps else None,
+        note=note,
+        mechanism=mechanism,
+        law=chosen,
+        points=tuple(found),
+        scans=scans,
+        is_measured=setup is not None,
+        loop_name=name,
+    )
+
+
+def _point(
+    loop: FeedbackLoop, ideal: FeedbackLoop, channel: int, bounds: Margins, settles: bool, taken: dict[str, Response] | None
+) -> BodePoint:
+    """Return the loop of one joint at one pose; `taken` are its measured responses."""
+    responses, predicted = {}, {}
+    for name, response in (taken or {}).items():
+        predicted[name] = loop.response(name, response.frequency_hz, channel)
+        db, deg = response.against(predicted[name])
+        responses[name] = structs.replace(response, less_predicted_db=db, less_predicted_deg=deg)
+    return BodePoint(
+        **structs.asdict(bounds),
+        broken_at=broken_at(loop.point.mechanism, channel),
+        settles_in_mujoco=settles,
+        continuous=margins(ideal, channel),
+        measured=responses or UNSET,
+        channel=channel,
+        sampled=loop,
+        ideal=ideal,
+        predicted=predicted,
+    )
+
+
+def _by_pose(mechanism: Mechanism, law: str, points: Sequence[BodePoint]) -> list[PoseLoops]:
+    """Return the loops of all joints at each pose, by the law and, if there are several, the joint."""
+    found: dict[bytes, PoseLoops] = {}
+    for entry in points:
+        at, joints = entry.point, list(zip(mechanism.joints, entry.point.pose, strict=True))
+        row = PoseLoops(
+            q_deg={joint.name: joint.shown(x) for joint, x in joints if joint.kind == "hinge"},
+            q_m={joint.name: float(x) for joint, x in joints if joint.kind != "hinge"},
+            reduced_inertia_kgm2=float(at.inertia[0, 0]) if mechanism.dof == 1 else at.inertia.tolist(),
+            holding_effort={a.name: float(u) for a, u in zip(mechanism.actuators, at.hold, strict=True)},
+            loops={},
+        )
+        several = len(mechanism.channels) > 1
+        name = f"{law} {mechanism.independent_joints[entry.channel].name}" if several else law
+        found.setdefault(at.pose.tobytes(), row).loops[name] = entry
+    return list(found.values())
+
+
+def _worst(mechanism: Mechanism, scan: Scan) -> WorstMargins:
+    """Return the worst margins of a scan, and the least value of each."""
+    joint, line = mechanism.independent_joints[scan.channel], scan.line
+    key = f"position_{joint.unit}" if line.name == joint.name else "time_s"
+    place: dict[str, Any] = {key: line.shown(scan.positions[scan.worst])}
+    least = {name: found for name in LEAST_MARGINS if (found := scan.least(name)) is not None}
+    return WorstMargins(
+        **structs.asdict(scan.margins[scan.worst]),
+        **place,
+        least={name: {"value": value, key: line.shown(scan.positions[k])} for name, (value, k) in least.items()},
+    )
+
+
+def _measurement(points: Sequence[BodePoint], steps: int, conditions: dict) -> dict[str, Any]:
+    """Return the method, the largest difference between measured and predicted closed loops, and the conditions."""
+    off_db, off_deg = [], []
+    for response in [point.responses[name] for point in points for name in CLOSED_LOOPS if name in point.responses]:
+        coherent = response.coherence > 0.99
+        off_db.append(float(np.abs(response.less_predicted_db[coherent]).max(initial=0.0)))
+        off_deg.append(float(np.abs(response.less_predicted_deg[coherent]).max(initial=0.0)))
+    return {
+        "method": "sinestream",
+        "excitations": list(EXCITATIONS),
+        "simulated_steps": steps,
+        "closed_loop_deviation_db": max(off_db, default=None),
+        "closed_loop_deviation_deg": max(off_deg, default=None),
+        **conditions,
+    }
+
+
+def _gain_names(law: str, joint: Joint) -> tuple[str, str]:
+    """Return the keys of a law's two gains."""
+    if law != "lqr":
+        return "kp", "kd"
+    return ("lqr_position_m", "lqr_velocity_m_s") if joint.kind == "slide" else ("lqr_position_deg", "lqr_velocity_deg_s")
+
+
+def _softness(loops: Sequence[FeedbackLoop]) -> str | None:
+    """Return the sentence on the closure gap at the poses, or None if it is small."""
+    mechanism = loops[0].point.mechanism
+    gaps = [held_gap(mechanism, loop.point.pose, loop.point.hold) for loop in loops]
+    return gap_sentence(mechanism, max(gaps), error=" while the poses are held")
+
+
+def _loop_name(mechanism: Mechanism, law: SampledLaw) -> str:
+    """Return the tracker with its gains, period and delay, as text."""
+    settings, timing = law.settings, law.timing
+    name = "lqr" if law.name == "lqr" else settings.gains_text(mechanism.independent_joints)
+    name += f" sampled every {settings.period_s:g} s"
+    if timing.delay_steps:
+        name += f" with a delay of {timing.delay_s / settings.period_s:g} period(s)"
+    return name
+
+
+def _message(points: Sequence[BodePoint], disputed: Sequence[str], loop: str) -> str:
+    """Return the verdict as a sentence."""
+    mechanism = points[0].point.mechanism
+    joint, counted = mechanism.independent_joints[0], _counted(len({p.point.name for p in points}))
+    if bad := list(dict.fromkeys(p.point.name for p in points if not p.stable)):
+        where = "; ".join(bad)
+        if mechanism.dof == 1:
+            numbers = ", ".join(name.split(" = ", 1)[1].removesuffix(f" {joint.unit}") for name in bad)
+            where = f"{joint.name} = {numbers} {joint.unit}"
+        settled = dict.fromkeys(p.point.name for p in points if p.settles_in_mujoco and not p.stable)
+        dispute = f"; MuJoCo's own run settles at {'; '.join(settled)}" if settled else ""
+        return f"unstable at {where} ({len(bad)} of {counted}): {loop}{dispute}"
+    if disputed:
+        return (
+            f"stable by the sampled model and not in MuJoCo at {'; '.join(disputed)} ({len(disputed)} of {counted}), because"
+            f" the model omits soft closures, contacts and limits: {loop}"
+        )
+    text = f"stable at {'the pose' if counted == _counted(1) else f'all {counted}'}: {loop}"
+    known = [(margin, p.point.name) for p in points if (margin := p.phase_margin_deg) is not None]
+    if known:
+        text += ", phase margin {:.1f} deg at the worst ({})".format(*min(known))
+    return text
+
+
+def _counted(n: int) -> str:
+    return "1 pose" if n == 1 else f"{n} poses"
+
+
+def _predicted(
+    mechanism: Mechanism, positions: np.ndarray, law: SampledLaw, say: Callable[[str], None]
+) -> tuple[list[FeedbackLoop], list[FeedbackLoop]]:
+    """Return the sampled and the continuous loops at positions (n, n_s)."""
+    loops, ideal = [], []
+    for point in label_differences([operating_point(mechanism, position, law.effort_limit) for position in positions]):
+        say(f"predicted at {point.name}")
+        loops.append(law.loop(point))
+        ideal.append(law.loop(point, CONTINUOUS))
+    return loops, ideal
+
+
+def _settles(loops: Sequence[FeedbackLoop], in_contact: np.ndarray, effort_limit: np.ndarray) -> np.ndarray:
+    """Return True for each loop (n,) that settles in MuJoCo. Loops in contact never come to rest: their trial is short."""
+    settles = np.zeros(len(loops), dtype=bool)
+    for chosen, periods in ((~in_contact, MAX_TRIAL_PERIODS), (in_contact, _CONTACT_TRIAL_PERIODS)):
+        if chosen.any():
+            tried = [loops[i] for i in np.flatnonzero(chosen).tolist()]
+            settles[chosen] = settle_trials(tried, effort_limit, periods)
+    return settles
+
+
+def _scans(
+    mechanism: Mechanism,
+    lines: Sequence[tuple[int | None, Line]],
+    law: SampledLaw,
+    count: int,
+    say: Callable[[str], None],
+) -> Iterator[Scan]:
+    """Yield the margins along lines: a coordinate's line for that coordinate's loop, a motion's line for all loops."""
+    for coordinate, line in lines:
+        say(f"margins over {line.name} from {line.text(line.low, 4)} to {line.text(line.high, 4)} {line.unit}")
+        for channel in mechanism.channels if coordinate is None else [coordinate]:
+            if (found := scan_line(mechanism, line, law, channel, count)) is not None:
+                yield found
+
+
+def _scan_lines(mechanism: Mechanism, positions: np.ndarray, line: Line | None) -> list[tuple[int | None, Line]]:
+    """Return the lines to scan, with their coordinate or None for a motion.
+
+    By default there is a line for each coordinate over its reach and all positions (n, n_s). The other coordinates are as
+    in the first position.
+    """
+    if line is not None:
+        return [(0 if mechanism.dof == 1 else None, line)]
+    lines: list[tuple[int | None, Line]] = []
+    for channel in mechanism.channels:
+        low, high = inner_reach(mechanism, channel)
+        low, high = min(low, float(positions[:, channel].min())), max(high, float(positions[:, channel].max()))
+        lines.append((channel, coordinate_line(mechanism, channel, low, high, positions[0])))
+    return lines
+
+
+def _with_worst(positions: np.ndarray, scans: Sequence[Scan]) -> np.ndarray:
+    """Return positions (n, n_s) with the worst of each scan added, unless it is already present."""
+    for scan in scans:
+        s = scan.line.at(scan.positions[scan.worst])
+        if np.abs(positions - s).max(axis=1).min() > SAME_POSE_SHARE * max(1e-9, np.ptp(scan.line.states, axis=0).max()):
+            positions = np.vstack([positions, s])
+    if positions.shape[1] == 1:
+        positions = positions[np.argsort(positions[:, 0])]
+    return positions
+
+
+def default_frequencies(bounds: Sequence[Margins], timing: Sampling) -> np.ndarray:
+    """Return twenty frequencies [Hz] from 1/20 to 40 times the loops' crossovers, up to 0.45 of the sampling rate.
+
+    They start at 1 Hz or below.
+    """
+    crossings = [f for m in bounds if m.crossover_hz for f in (m.crossover_hz, *m.other_crossovers_hz)]
+    crossings = crossings or [0.05 / timing.period_s]
+    high = min(0.45 / timing.period_s, 40.0 * max(crossings))
+    low = min(max(min(crossings) / 20, min(1.0, min(crossings) / 4)), 0.1 * high)
+    return np.geomspace(low, high, 20)

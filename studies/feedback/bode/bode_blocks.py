@@ -1,0 +1,391 @@
+"""A feedback loop as a document: margins, responses predicted and measured, Nyquist curves, margins along a line."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from msgspec.structs import replace
+
+from linkplan.models.tree.friction import frictions_of
+from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy
+from linkplan.studies.feedback.bode.scan import Scan, bounds_text
+from linkplan.studies.feedback.frequency.feedback_loops import operating_point
+from linkplan.studies.feedback.frequency.margins import Margins, frequency_grid
+from linkplan.studies.feedback.frequency.response import Response
+from linkplan.studies.feedback.frequency.rest import LEAST_RESPONSE_AT_REST
+from linkplan.studies.output.document import (
+    Axis,
+    Block,
+    Facts,
+    Heat,
+    Limit,
+    Plane,
+    Plot,
+    Series,
+    Table,
+    Text,
+    table_of,
+)
+from linkplan.studies.output.lines import Line, line_style, plots
+from linkplan.studies.output.numbers import drawn_rows, rounded
+from linkplan.studies.output.plan_blocks import radius_figure
+
+# Half the width of the Nyquist plane in units of |L| for stable loops, and the largest gain that is drawn. The critical
+# point is at -1.
+_NYQUIST_HALF_WIDTH, _MAX_NYQUIST_GAIN = 2.5, 30.0
+# Responses of less coherence are measured badly.
+LEAST_COHERENCE = 0.99
+_FREQUENCY = Axis(label="frequency", unit="Hz", log=True)
+
+
+def summary(study: BodeStudy, *, verdict: bool = True) -> list[Block]:
+    """Return the margins at every pose, the worst case over the reach, and the agreement with the measurement.
+
+    The verdict is left out where the page's header shows it.
+    """
+    message = study.message[:1].upper() + study.message[1:]
+    blocks: list[Block] = [Text(text=message, tone="good" if study.stable else "bad")] if verdict else []
+    rows = [("mechanism", study.mechanism.name), ("tracker", study.law.name), ("feedback loop", study.loop_name)]
+    if shared := study.points[0].point.shared_coordinates:
+        rows.append(("at every pose", shared))
+    if len(study.mechanism.channels) > 1:
+        names = ", ".join(study.mechanism.independent_joints[k].name for k in study.mechanism.channels)
+        text = (
+            f"each loop is broken at the effort on its coordinate ({names}), made by"
+            f" {', '.join(actuator.name for actuator in study.mechanism.actuators)} together; the others' loops are closed"
+        )
+        blocks.append(Text(text=text))
+    scans = [Text(text=_worst_of(study, scan)) for scan in study.scans]
+    notes = [*crossovers_of(study), study.contacts, study.softness, study.note]
+    said = [Text(text=note, tone="note") for note in notes if note]
+    return [*blocks, Facts(rows=[*rows, *_measured(study)]), _margins(study), *scans, *said]
+
+
+def _measured(study: BodeStudy) -> list[tuple[str, str]]:
+    """Return the agreement of measurement and prediction, or the reason why nothing was measured."""
+    if (c := study.measurement) is not None:
+        solref = ", ".join(f"{x[0]:g} {x[1]:g}" for x in c["solref"]) or "none"
+        how = f"sinestream, {c['simulated_steps']} steps of {c['timestep_s']:g} s in MuJoCo {c['mujoco']}"
+        off_db, off_deg = c["closed_loop_deviation_db"], c["closed_loop_deviation_deg"]
+        differ = f"differ from the prediction by at most {off_db:.2g} dB and {off_deg:.2g} deg"
+        text = f"{differ} ({how}, {c['integrator']}, closure constraints' solref {solref})"
+        if any(frictions_of(study.mechanism.model)):
+            text += "; dry friction, which the prediction leaves out, damps small motions: a larger test signal comes closer"
+        return [("measured closed-loop responses", text)]
+    if not study.is_measured:
+        return []
+    why = "an unstable feedback loop holds no operating point"
+    if any(point.stable for point in study.points):
+        why = "contacts push at the poses where the feedback loop is stable"
+    return [("not measured", why)]
+
+
+def _margins(study: BodeStudy) -> Table:
+    mechanism = study.mechanism
+    several = len(mechanism.channels) > 1
+    inertias = " or ".join(dict.fromkeys(joint.inertia_unit for joint in mechanism.independent_joints))
+    heads = ["loop" if several else "pose", f"inertia [{inertias}]", "stable", "settles in MuJoCo"]
+    heads += ["largest pole", "gain margin [dB]", "phase margin [deg]", "delay margin [ms]", "disk margin", "crossover [Hz]"]
+    heads += ["bandwidth [Hz]", "resonance [dB]", "peak of |S|"]
+    lowered = any(_less_gain_is_nearer(entry) for entry in study.points)
+    heads += ["gain reduction margin [dB]"] if lowered else []
+    pulled = any(_is_pulled_away(entry) for entry in study.points)
+    heads += ["response at rest"] if pulled else []
+    rows = []
+    for entry in study.points:
+        m, name = entry, entry.point.name
+        delay = None if m.delay_margin_s is None else 1e3 * m.delay_margin_s
+        figures = [m.gain_margin_db, m.phase_margin_deg, delay, m.disk_margin]
+        figures += [m.crossover_hz, m.bandwidth_hz, m.resonance_db, m.sensitivity_peak]
+        figures += [m.gain_reduction_margin_db] if lowered else []
+        figures += [m.response_at_rest] if pulled else []
+        inertia = entry.point.inertia[entry.channel, entry.channel]
+        verdicts = [bool(m.stable), bool(entry.settles_in_mujoco), radius_figure(m.spectral_radius)]
+        loop = f"{mechanism.independent_joints[entry.channel].name} at {name}" if several else name
+        rows.append([loop, inertia, *verdicts, *figures])
+    return table_of("Margins at every pose", heads, rows)
+
+
+def _less_gain_is_nearer(m: Margins) -> bool:
+    """Tell if less gain loses the stability before more gain does. The record has the margin anyway."""
+    less, more = m.gain_reduction_margin_db, m.gain_margin_db
+    return less is not None and (more is None or less < more)
+
+
+def _is_pulled_away(m: Margins) -> bool:
+    """Tell if a small step settles farther from its reference than `tune` allows. The record has the response anyway."""
+    return m.response_at_rest is not None and abs(1.0 - m.response_at_rest) > 1.0 - LEAST_RESPONSE_AT_REST
+
+
+_LEAST_MARGINS = (
+    ("gain_margin_db", "gain margin", "dB"),
+    ("gain_reduction_margin_db", "gain reduction margin", "dB"),
+    ("phase_margin_deg", "phase margin", "deg"),
+)
+
+
+def _worst_of(study: BodeStudy, scan: Scan) -> str:
+    line, joints = scan.line, study.mechanism.independent_joints
+    ends = f"{line.text(scan.positions[0], 4)} to {line.text(scan.positions[-1], 4)} {line.unit}"
+    of_loop = "" if len(joints) == 1 else f" of the loop of {joints[scan.channel].name}"
+    worst = f"{line.place(scan.positions[scan.worst])}: {bounds_text(scan.margins[scan.worst])}"
+    text = f"over {line.name} from {ends} the worst{of_loop} is {worst}"
+    lowered = any(map(_less_gain_is_nearer, scan.margins))
+    for name, words, unit in _LEAST_MARGINS:
+        told = all(m.stable for m in scan.margins) and (lowered or name != "gain_reduction_margin_db")
+        least = scan.least(name) if told else None
+        if least is not None:
+            text += f"; least {words} {least[0]:.3g} {unit} at {line.place(scan.positions[least[1]])}"
+    return text
+
+
+def crossovers_of(study: BodeStudy) -> list[str]:
+    """Return the sentence on feedback loops whose gain crosses 1 several times; none without any."""
+    several = [entry for entry in study.points if entry.other_crossovers_hz]
+    if not several:
+        return []
+    others = [f for entry in several for f in entry.other_crossovers_hz]
+    low, high = (f"{of(others):.4g}" for of in (min, max))
+    at = low if low == high else f"{low} to {high}"
+    where = f"in {len(several)} of {len(study.points)} loops" if len(several) > 1 else f"at {several[0].point.name}"
+    return [f"{where} the gain also crosses 1 at {at} Hz; the phase margin shown is the smallest of all crossings"]
+
+
+def _name(entry: BodePoint) -> str:
+    return entry.point.name + ("" if entry.stable else " (unstable)")
+
+
+def responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> dict[str, list[Plot]]:
+    """Return the plots of the open loop, and of the reference to the position: gain, phase, measured less predicted.
+
+    Lines are predictions of the sampled loop, dots measurements; the dotted lines are those of continuous time.
+    """
+    reference = "reference" if study.law.name == "pd" else "reference+ff"
+    titles = {"loop": "Open loop L", reference: f"{reference.replace('+', ' with ')} to position"}
+    found: dict[str, list[Plot]] = {}
+    for quantity, title in titles.items():
+        title = title[:1].upper() + title[1:]
+        ends = (-40.0, 20.0) if quantity != "loop" else None
+        limit = Limit(name="crossover at", value=0.0) if quantity == "loop" else Limit(name="bandwidth at", value=-3.0)
+        gain, phase, off_db, off_deg = [], [], [], []
+        drawn: list[tuple[np.ndarray, np.ndarray]] = []
+        for k, entry in enumerate(entries):
+            ideal, look = _curve(entry, quantity, sampled=False), line_style(k)
+            frequency, db, deg = _curve(entry, quantity)
+            deg = phase_near(frequency, deg, drawn)
+            drawn.append((frequency, deg))
+            ideal_deg = phase_near(ideal[0], ideal[2], drawn[-1:])
+            beside = look | {"look": "dots", "width": 0.9}
+            gain += [(_name(entry), frequency, db, look), ("", ideal[0], ideal[1], beside)]
+            phase += [(_name(entry), frequency, deg, look), ("", ideal[0], ideal_deg, beside)]
+            response = entry.responses.get(quantity)
+            if response is None:
+                continue
+            dots = {**look, "look": "points"}
+            gain.append((f"{entry.point.name}, measured", response.frequency_hz, response.gain_db, dots))
+            phase.append(
+                (f"{entry.point.name}, measured", response.frequency_hz, measured_phase(response, frequency, deg), dots)
+            )
+            less_db, less_deg = response.against(entry.predicted[quantity])
+            for off, less in ((off_db, less_db), (off_deg, less_deg)):  # a line through coherent ones, a dot for each
+                coherent = np.where(response.coherence > LEAST_COHERENCE, less, np.nan)
+                off += [(entry.point.name, response.frequency_hz, coherent, look), ("", response.frequency_hz, less, dots)]
+        limits = {"gain": [limit], "phase": [Limit(name="phase", value=-180.0)] if quantity == "loop" else []}
+        found[quantity] = [
+            _plot(f"{title}: gain", "gain", "dB", gain, group, limits["gain"], ends),
+            _plot(f"{title}: phase", "phase", "deg", phase, group, limits["phase"]),
+        ]
+        if off_db:
+            found[quantity] += [
+                _plot(f"{title}: gain, measured less predicted", "difference", "dB", off_db, group),
+                _plot(f"{title}: phase, measured less predicted", "difference", "deg", off_deg, group),
+            ]
+    return found
+
+
+def _curve(entry: BodePoint, quantity: str, *, sampled: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return frequencies (n,) [Hz], gain [dB] and phase [deg] of a predicted response, thinned."""
+    loop = entry.sampled if sampled else entry.ideal
+    curve = loop.response(quantity, frequency_grid(loop.timing.period_s)[::2], entry.channel)
+    shown = curve.frequency_hz >= lowest_hz(entry)
+    frequency, db = curve.frequency_hz[shown], curve.gain_db[shown]
+    phase = shifted_phase(curve.phase_deg[shown], curve.gain[shown], quantity)
+    rows = drawn_rows(np.column_stack([db, phase]), most=220)
+    return frequency[rows], db[rows], phase[rows]
+
+
+def _plot(title: str, what: str, unit: str, curves, group: str, limits: Sequence[Limit] = (), ends=None) -> Plot:
+    """Return a plot over frequency of curves: name, frequencies, values, look."""
+    series = [
+        Series(name=name, x=rounded(frequency, log=True), y=rounded(values), **look)
+        for name, frequency, values, look in curves
+    ]
+    lowest, highest = min(float(c[1][0]) for c in curves), max(float(c[1][-1]) for c in curves)
+    return Plot(
+        title=title,
+        group=group,
+        x_axis=_FREQUENCY,
+        y_axis=Axis(label=what, unit=unit, ends=ends),
+        x=rounded(np.array([lowest, highest]), log=True),
+        series=series,
+        limits=limits,
+    )
+
+
+def sensitivities(entries: Sequence[BodePoint], group: str) -> list[Plot]:
+    """Return the plots of |S| with its peaks, |T| and the response of the effort."""
+    found = []
+    for quantity, title in (
+        ("sensitivity", "Sensitivity |S|"),
+        ("complementary", "Complementary sensitivity |T|"),
+        ("control", "Reference to effort"),
+    ):
+        curves, unit = [], "dB"
+        for k, entry in enumerate(entries):
+            frequency, db, _ = _curve(entry, quantity)
+            look = line_style(k)
+            curves.append((_name(entry), frequency, db, look))
+            if quantity == "sensitivity":
+                peak = int(np.argmax(db))
+                curves.append(("", frequency[peak : peak + 1], db[peak : peak + 1], look | {"look": "points"}))
+            if quantity == "control":
+                unit = f"dB of {entry.sampled.response(quantity, np.array([frequency[0]]), entry.channel).unit}"
+            if quantity in entry.responses:
+                response = entry.responses[quantity]
+                dots = {**look, "look": "points"}
+                curves.append((f"{entry.point.name}, measured", response.frequency_hz, response.gain_db, dots))
+        ends = None if quantity == "control" else (-50.0, 25.0)
+        limits = [] if quantity == "control" else [Limit(name="gain one,", value=0.0)]
+        found.append(_plot(title, "gain", unit, curves, group, limits, ends))
+    return found
+
+
+def nyquist(study: BodeStudy, entries: Sequence[BodePoint]) -> Plane:
+    """Return the open loops in the complex plane, with the critical point and the disk of the least disk margin."""
+    turn = np.exp(1j * np.linspace(0.0, 2 * np.pi, 121))
+    title = f"Nyquist curves of the open loop{'; dots measured' if any(entry.responses for entry in entries) else ''}"
+    curves = [Series(name="unit circle", x=rounded(turn.real), y=rounded(turn.imag), look="dots", colour=None, width=1.0)]
+    stable = [(margin, k) for k, entry in enumerate(entries) if (margin := entry.disk_margin) is not None]
+    if stable:
+        least_margin, k = min(stable)
+        alpha = min(least_margin, 1.999)
+        disk = 1.0 / (0.5 + turn / alpha) - 1.0  # the disk that L does not enter: |S - 1/2| = 1 / alpha
+        least = entries[k]
+        gain = least.disk_gain_margin_db or np.inf
+        phase = least.disk_phase_margin_deg
+        title += f"; least disk margin {alpha:.3g} at {least.point.name} (gain +-{gain:.3g} dB or phase {phase:.3g} deg)"
+        curves.append(Series(name="least disk margin", x=rounded(disk.real), y=rounded(disk.imag), look="area", colour=4))
+    half_width, grid = _NYQUIST_HALF_WIDTH, frequency_grid(study.law.timing.period_s)[::3]
+    for k, entry in enumerate(entries):
+        gain = entry.sampled.gains("loop", grid, entry.channel)
+        # The plane has the part of every curve that is closest to the origin.
+        half_width = max(half_width, 1.3 * min(float(np.abs(gain).min()), _MAX_NYQUIST_GAIN))
+        gain = np.where(np.abs(gain) < _MAX_NYQUIST_GAIN, gain, np.nan)  # no straight line across a resonance
+        curves.append(Series(name=_name(entry), x=rounded(gain.real), y=rounded(gain.imag), **line_style(k)))
+        if "loop" in entry.responses:
+            points = entry.responses["loop"].gain
+            points = points[np.abs(points) < _MAX_NYQUIST_GAIN]
+            dots = {**line_style(k), "look": "points"}
+            curves.append(Series(name="", x=rounded(points.real), y=rounded(points.imag), **dots))
+    curves.append(Series(name="critical point -1", x=[-1.0], y=[0.0], look="cross", colour=None, width=2.0))
+    ends = (-half_width, half_width)
+    return Plane(
+        title=title,
+        x_axis=Axis(label="real part of L", unit="1", ends=ends),
+        y_axis=Axis(label="imaginary part of L", unit="1", ends=ends),
+        curves=curves,
+        equal=True,
+    )
+
+
+def margins_along(study: BodeStudy, scan: Scan, name: str) -> list[Plot | Plane]:
+    """Return the sensitivity and the margins over a line of positions; the title names the position of the worst margin."""
+    line = scan.line
+    x = np.array([line.shown(position) for position in scan.positions])
+    axis = Axis(label=line.name if line.name != "t" else "time", unit=line.unit)
+    group = f"along:{name}"
+    margins = [
+        Line(name="phase margin", values=scan.column("phase_margin_deg"), unit="deg"),
+        Line(name="disk phase margin", values=scan.column("disk_phase_margin_deg"), unit="deg"),
+    ]
+    highest = float(np.nanmax([line.values for line in margins], initial=0.0))
+    lost = np.array([0.0 if not bounds.stable else np.nan for bounds in scan.margins])
+    if np.isfinite(lost).any():
+        margins.append(Line(name="unstable", values=lost, unit="deg", look="points", colour=4))
+    crossings = [
+        Line(name="crossover", values=scan.column("crossover_hz"), unit="Hz"),
+        Line(name="bandwidth", values=scan.column("bandwidth_hz"), unit="Hz"),
+    ]
+    title = f"Margins; the worst is at {line.place(scan.positions[scan.worst])}"
+    return [
+        _map(study, scan, axis, x),
+        *plots(title, "margin", axis, x, margins, group=group, ends=(0.0, max(10.0, 1.08 * highest))),
+        *plots("Crossover and bandwidth", "frequency", axis, x, crossings, group=group, log=True),
+    ]
+
+
+def _map(study: BodeStudy, scan: Scan, axis: Axis, x: np.ndarray) -> Plane:
+    grid, heat = sensitivity_along(study, scan)
+    return Plane(
+        title="Sensitivity |S| over position and frequency",
+        x_axis=replace(axis, ends=(float(x[0]), float(x[-1])) if len(x) > 1 else None),
+        y_axis=Axis(label="frequency", unit="Hz", log=True, ends=(float(grid[0]), float(grid[-1]))),
+        curves=[Series(name="crossover", x=rounded(x), y=rounded(scan.column("crossover_hz"), log=True), colour=None)],
+        heat=Heat(
+            name="|S|, blank where it is unstable; red amplifies",
+            unit="dB",
+            x=rounded(x),
+            y=rounded(grid, log=True),
+            values=rounded(heat, digits=3),
+            ends=(-12.0, 12.0),
+        ),
+    )
+
+
+def lowest_hz(entry: BodePoint) -> float:
+    """Return the lowest frequency [Hz] drawn: a fifth of the lowest measured one, or a hundredth of the crossover."""
+    if entry.responses:
+        return float(next(iter(entry.responses.values())).frequency_hz[0]) / 5.0
+    crossing = entry.crossover_hz or entry.continuous.crossover_hz
+    return (crossing or 0.05 / entry.sampled.timing.period_s) / 100.0
+
+
+def shifted_phase(phase: np.ndarray, gain: np.ndarray, quantity: str) -> np.ndarray:
+    """Return a phase [deg] shifted by full turns: within half a turn of -180 deg at an open loop's crossover, else of 0."""
+    if quantity != "loop":
+        return phase - 360.0 * np.round(phase[0] / 360.0)
+    crossing = int(np.argmin(np.abs(np.log(np.abs(gain)))))
+    return phase - 360.0 * np.round((phase[crossing] + 180.0) / 360.0)
+
+
+def phase_near(frequency_hz: np.ndarray, phase: np.ndarray, others: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Return a phase (n,) [deg] shifted by full turns to the most similar of others, each as frequencies [Hz] and phases.
+
+    A phase near 0 or -360 deg at the crossover has a shift of its own that differs from that of a nearly equal pose.
+    """
+    shifted = []
+    for frequency, other in others:
+        off = np.interp(np.log(frequency_hz), np.log(frequency), other) - phase
+        shift = 360.0 * np.round(np.median(off) / 360.0)
+        shifted.append((float(np.median(np.abs(off - shift))), shift))
+    return phase + min(shifted)[1] if shifted else phase
+
+
+def measured_phase(response: Response, frequency_hz: np.ndarray, phase: np.ndarray) -> np.ndarray:
+    """Return a measured phase [deg], shifted by full turns to the predicted phase (m,) at frequencies (m,) [Hz]."""
+    near = np.interp(np.log(response.frequency_hz), np.log(frequency_hz), phase)
+    measured = np.degrees(np.angle(response.gain))
+    return measured + 360.0 * np.round((near - measured) / 360.0)
+
+
+def sensitivity_along(study: BodeStudy, scan: Scan) -> tuple[np.ndarray, np.ndarray]:
+    """Return frequencies (m,) [Hz] and |S| (m, n) [dB] at a scan's n positions; NaN where the loop is unstable."""
+    grid = frequency_grid(study.law.timing.period_s)[::16]
+    grid = grid[grid >= min((lowest_hz(entry) for entry in study.points), default=grid[0])]
+    free = np.array([[-np.inf, np.inf]] * len(study.law.effort_limit))
+    heat = np.full((len(grid), len(scan.positions)), np.nan)
+    for column, (position, bounds) in enumerate(zip(scan.positions, scan.margins, strict=True)):
+        if not bounds.stable:  # an unstable loop has no sensitivity
+            continue
+        loop = study.law.loop(operating_point(study.mechanism, scan.line.at(position), free))
+        heat[:, column] = 20 * np.log10(np.abs(loop.gains("sensitivity", grid, scan.channel)))
+    return grid, heat

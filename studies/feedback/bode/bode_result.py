@@ -1,0 +1,147 @@
+"""The result of a loop's frequency response, whose fields are the record `bode.json`."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from msgspec import UNSET, Struct, UnsetType, field
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.files.structs import NOT_READ, Beside
+from linkplan.studies.feedback.bode.scan import Scan, stability
+from linkplan.studies.feedback.frequency.describing import LargeSignals
+from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, OperatingPoint, SampledLaw
+from linkplan.studies.feedback.frequency.floquet import Floquet
+from linkplan.studies.feedback.frequency.margins import Margins
+from linkplan.studies.feedback.frequency.response import Response
+from linkplan.studies.feedback.frequency.stability_map import StabilityMap
+
+
+class BodePoint(Margins, frozen=True, kw_only=True, eq=False):
+    """The loop of one joint at one pose: its predicted margins, its stability trial in MuJoCo and its measured responses.
+
+    A subclass of the sampled loop's margins, so that these are keys of the loop in the JSON. `measured` and `predicted` hold
+    the responses of `feedback_loops.QUANTITIES` at the same frequencies. Both are empty for an unstable loop, and if no
+    measurement was requested.
+    """
+
+    broken_at: str
+    settles_in_mujoco: bool
+    continuous: Margins
+    measured: dict[str, Response] | UnsetType = UNSET
+    channel: Beside[int] = NOT_READ
+    sampled: Beside[FeedbackLoop] = NOT_READ
+    ideal: Beside[FeedbackLoop] = NOT_READ
+    predicted: Beside[dict[str, Response]] = NOT_READ
+
+    @property
+    def point(self) -> OperatingPoint:
+        """The operating point."""
+        return self.sampled.point
+
+    @property
+    def responses(self) -> dict[str, Response]:
+        """The measured responses, if there are any."""
+        return self.measured or {}
+
+
+class PoseLoops(Struct, frozen=True, kw_only=True, eq=False):
+    """The loops at one pose by name, the pose, the reduced inertia, a matrix with several coordinates, and the effort."""
+
+    q_deg: dict[str, float]
+    q_m: dict[str, float]
+    reduced_inertia_kgm2: float | list[list[float]]
+    holding_effort: dict[str, float]
+    loops: dict[str, BodePoint]
+
+
+class WorstMargins(Margins, frozen=True, kw_only=True, eq=False):
+    """The worst margins over a line, where they are, and the `least` value of each margin with its place."""
+
+    position_deg: float | UnsetType = UNSET
+    position_m: float | UnsetType = UNSET
+    time_s: float | UnsetType = UNSET
+    least: dict[str, dict[str, float]]
+
+
+class MapStudy(Struct, frozen=True, kw_only=True, eq=False):
+    """A stability map: gains kp (n,), kd (m,), the largest pole `radius` (n, m), and the longest control period [s].
+
+    `critical_kd`: at each pose the stable kd, `least` to `largest` (null if no kd is too large), at the study's kp, and
+    whether MuJoCo settles just below and above the largest. `tried`: gains simulated in MuJoCo, `as_predicted` of them like
+    the model. `gains` are the study's kp and kd, `critical` (n, 2) the stable kd with NaN if there is none.
+    `longest_s` is None if the gains are unstable at any period, and infinite if they are stable at any period.
+    """
+
+    kp: np.ndarray
+    kd: np.ndarray
+    radius: np.ndarray
+    critical_kd: Sequence[dict[str, float | bool | None]]
+    longest_period_s: float | None
+    tried: Sequence[dict[str, float | str | bool]]
+    as_predicted: int
+    tried_count: int
+    found: Beside[StabilityMap] = NOT_READ
+    gains: Beside[tuple[float, float]] = NOT_READ
+    critical: Beside[np.ndarray] = NOT_READ
+    settles_near_border: Beside[np.ndarray] = NOT_READ  # (n, 2): MuJoCo settles just below and above the largest stable kd
+    longest_s: Beside[float | None] = NOT_READ
+    longest_at: Beside[OperatingPoint | None] = NOT_READ
+
+
+class FrozenMargins(Margins, frozen=True, kw_only=True, eq=False):
+    """The margins of the worst loop, that of `joint`, at an instant of the motion."""
+
+    time_s: float
+    joint: str
+
+
+class AlongMotion(Struct, frozen=True, kw_only=True, eq=False):
+    """A tracker along a plan: frozen margins at instants, the largest frozen pole of all samples, the multipliers.
+
+    The instants are evenly spaced, plus the local worst ones between them. `n_loops` is the number of coordinates.
+    """
+
+    plan: str
+    tracker: str
+    frozen: tuple[FrozenMargins, ...]
+    largest_frozen_pole: float
+    floquet: Floquet | None
+    n_loops: Beside[int] = NOT_READ
+
+    @property
+    def worst(self) -> FrozenMargins:
+        """The margins with the smallest disk margin; unstable ones come first."""
+        return min(self.frozen, key=stability)
+
+
+class BodeStudy(Struct, frozen=True, kw_only=True, eq=False, omit_defaults=True):
+    """A tracker's loops at several poses, and the margins over the whole reach.
+
+    It is stable if the sampled loop is stable at every pose, by the model and in MuJoCo; at the `disputed` poses the two
+    differ. `worst` has the worst margins by joint. `measurement` has the method, the largest difference between measured and
+    predicted closed loops at coherent frequencies, and the simulator's settings. `map`, `large` and `along` are further
+    studies that were asked for.
+    """
+
+    mechanism_name: str = field(name="mechanism")
+    stable: bool
+    message: str
+    tracker: str
+    gains: dict[str, Any]
+    disputed: tuple[str, ...]
+    softness: str | None
+    contacts: str | None
+    poses: list[PoseLoops] = field(name="points")
+    worst: dict[str, WorstMargins]
+    measurement: dict[str, Any] | None
+    note: str | None  # on the choice of the poses
+    map: MapStudy | None = None
+    large: LargeSignals | None = None
+    along: AlongMotion | None = None
+    mechanism: Beside[Mechanism] = field(default=NOT_READ, name="(mechanism)")
+    law: Beside[SampledLaw] = NOT_READ
+    points: Beside[tuple[BodePoint, ...]] = field(default=NOT_READ, name="(points)")
+    scans: Beside[tuple[Scan, ...]] = NOT_READ
+    is_measured: Beside[bool] = NOT_READ
+    loop_name: Beside[str] = NOT_READ  # the tracker with its gains, period and delay, as text

@@ -1,0 +1,101 @@
+"""The study behind `linkplan bode --map`: stable gains at all poses, checked in MuJoCo, and the longest control period."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from linkplan.models.errors import LinkplanError
+from linkplan.planner.search.planning import silent
+from linkplan.studies.feedback.bode.bode_result import BodeStudy, MapStudy
+from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, operating_point, refuse_several_freedoms
+from linkplan.studies.feedback.frequency.stability_map import (
+    critical_kd,
+    longest_period,
+    pd_loop,
+    stability_map,
+)
+from linkplan.studies.feedback.frequency.trial import settle_trials
+from linkplan.studies.feedback.frequency.worst import local_minima
+
+# Gains simulated in MuJoCo lie this share above and below the stability boundary.
+TRIAL_GAIN_SHARE = 0.02
+_GRID_POINTS = 48
+
+
+def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy:
+    """Return the map around a bode study's gains, at nine positions from its first pose to its last.
+
+    Positions between them with a local minimum of the largest stable kd are added.
+
+    Raises:
+        LinkplanError: for a mechanism of more than one degree of freedom.
+    """
+    mechanism, law = study.mechanism, study.law
+    refuse_several_freedoms(mechanism, "a stability map")
+    own_kp, own_kd = (float(gain[0]) for gain in law.settings.gains(mechanism.independent_joints))
+    at = [float(entry.point.state[0]) for entry in study.points]
+    positions = np.linspace(min(at), max(at), 9 if len(at) > 1 else 1)
+
+    def point_at(x: float) -> OperatingPoint:
+        return operating_point(mechanism, np.array([x]), law.effort_limit)
+
+    def largest(x: float) -> float:
+        try:
+            return critical_kd(point_at(x), own_kp, law.timing)[1]
+        except LinkplanError:  # poses between two held ones may not be held
+            return np.inf
+
+    if len(positions) > 1:
+        positions = np.sort([*positions, *local_minima(largest, positions)])
+    points = [point_at(x) for x in positions]
+    critical = np.array([critical_kd(point, own_kp, law.timing) for point in points])
+    inertia = np.array([float(point.inertia[0, 0]) for point in points])
+    # 2 J / T is the largest stable kd without delay, and J / T^2 the natural scale of kp.
+    largest_kd = 2 * inertia.max() / law.timing.period_s
+    scale = inertia / law.timing.period_s**2
+    kp, kd = (
+        np.geomspace(min([*own, low]) / 3, 2 * max([*own, high]), _GRID_POINTS)
+        for own, low, high in (
+            ([own_kp] if own_kp > 0 else [], 1e-4 * scale.min(), 5 * scale.max()),
+            ([own_kd] if own_kd > 0 else [], 3e-3 * largest_kd, 2 * largest_kd),
+        )
+    )
+    found = stability_map(points, law.timing, kp, kd, law.effort_limit, say)
+    delay = law.timing.delay_steps / law.timing.substeps
+    longest, where = longest_period(points, own_kp, own_kd, delay, law.timing.period_s)
+    say("gains on both sides of the stability boundary at every pose, in MuJoCo")
+    settles = _settles_near_border(points, own_kp, critical[:, 1], law.timing, law.effort_limit)
+    joint, tried = mechanism.independent_joints[0], list(zip(found.tried, found.settles.tolist(), strict=True))
+    ends = zip(points, np.nan_to_num(critical, nan=0.0, posinf=np.inf).tolist(), settles.tolist(), strict=True)
+    return MapStudy(
+        kp=found.kp,
+        kd=found.kd,
+        radius=found.radius,
+        critical_kd=[
+            {
+                f"position_{joint.unit}": joint.shown(point.state[0]),
+                "least": low,
+                "largest": high,
+                "settles_below_in_mujoco": below,
+                "settles_above_in_mujoco": above,
+            }
+            for point, (low, high), (below, above) in ends
+        ],
+        longest_period_s=longest,
+        tried=[{"kp": kp, "kd": kd, "pose": points[i].name, "settles_in_mujoco": at} for (kp, kd, i), at in tried],
+        as_predicted=sum(pd_loop(points[i], kp, kd, law.timing).stable == at for (kp, kd, i), at in tried),
+        tried_count=len(tried),
+        found=found,
+        gains=(own_kp, own_kd),
+        critical=critical,
+        settles_near_border=settles,
+        longest_s=longest,
+        longest_at=where,
+    )
+
+
+def _settles_near_border(points, kp: float, critical: np.ndarray, timing, effort_limit: np.ndarray) -> np.ndarray:
+    """Return whether MuJoCo settles (n, 2) just below and just above the critical kd (n,); kd = 1 if there is none."""
+    kd = np.where(np.isfinite(critical), critical, 1.0)[:, None] * np.array([1 - TRIAL_GAIN_SHARE, 1 + TRIAL_GAIN_SHARE])
+    loops = [pd_loop(point, kp, value, timing) for point, pair in zip(points, kd, strict=True) for value in pair]
+    return settle_trials(loops, effort_limit).reshape(-1, 2)

@@ -1,0 +1,168 @@
+"""Margins along a continuous line: a scan, with every local minimum of the disk, gain and phase margin refined."""
+
+import functools
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.models.errors import LinkplanError
+from linkplan.models.mechanism import Mechanism
+from linkplan.studies.feedback.frequency.feedback_loops import SampledLaw, operating_point
+from linkplan.studies.feedback.frequency.margins import Margins, margins
+from linkplan.studies.feedback.frequency.worst import local_minima
+from linkplan.studies.output.plan_blocks import radius_figure
+
+# A parameter below this share of its line is shown as zero: a minimum is only found to the square root of rounding.
+_ZERO_SHARE = 1e-6
+# Share of its effort range that an actuator keeps in reserve at a default pose, so that the loop can respond.
+_EFFORT_RESERVE = 0.05
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Line:
+    """A continuous line of positions s (n_s,) [rad or m]. Its parameter is a coordinate's position or the time [s]."""
+
+    name: str
+    unit: str
+    factor: float  # from the line's parameter to the shown number in `unit`
+    low: float
+    high: float
+    nodes: np.ndarray  # (m,) parameters, increasing
+    states: np.ndarray  # (m, n_s)
+
+    def at(self, x: float) -> np.ndarray:
+        """Return the independent positions (n_s,) at a parameter."""
+        return np.array([np.interp(x, self.nodes, column) for column in self.states.T])
+
+    def shown(self, x: float) -> float:
+        """Return a parameter in the line's display unit."""
+        return float(self.factor * x)
+
+    def text(self, x: float, digits: int = 4) -> str:
+        """Return a parameter as text, with rounding errors of zero shown as zero."""
+        return f"{0.0 if abs(x) < _ZERO_SHARE * (self.high - self.low) else self.shown(x):.{digits}g}"
+
+    def place(self, x: float) -> str:
+        """Return a parameter as text with name and unit."""
+        return f"{self.name} = {self.text(x, 4)} {self.unit}"
+
+
+def coordinate_line(mechanism: Mechanism, channel: int, low: float, high: float, others: np.ndarray) -> Line:
+    """Return the line of a coordinate from low to high [rad or m], with the other coordinates as in `others` (n_s,)."""
+    joint = mechanism.independent_joints[channel]
+    states = np.tile(np.asarray(others, dtype=float), (2, 1))
+    states[:, channel] = low, high
+    return Line(
+        name=joint.name,
+        unit=joint.unit,
+        factor=joint.shown(1.0),
+        low=low,
+        high=high,
+        nodes=np.array([low, high]),
+        states=states,
+    )
+
+
+def motion_line(time_s: np.ndarray, positions: np.ndarray) -> Line:
+    """Return the line of a motion: positions (m, n_s) at times (m,) [s]."""
+    low, high = float(time_s[0]), float(time_s[-1])
+    return Line(name="t", unit="s", factor=1.0, low=low, high=high, nodes=np.array(time_s), states=np.array(positions))
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Scan:
+    """Margins of one coordinate's loop along a line at parameters (n,), which include every local minimum."""
+
+    channel: int
+    line: Line
+    positions: np.ndarray
+    margins: tuple[Margins, ...]
+
+    def column(self, name: str) -> np.ndarray:
+        """Return one figure (n,) of the margins, NaN where it is None."""
+        return figures(self.margins, name)
+
+    @property
+    def worst(self) -> int:
+        """The index of the worst margins: unstable ones first, then the smallest disk margin."""
+        return int(np.argmin([stability(m) for m in self.margins]))
+
+    def least(self, name: str) -> tuple[float, int] | None:
+        """Return the smallest value of a figure along the line and its index, or None if there is no value."""
+        values = np.where(np.isnan(self.column(name)), np.inf, self.column(name))
+        k = int(np.argmin(values))
+        return (float(values[k]), k) if np.isfinite(values[k]) else None
+
+
+def figures(bounds: Sequence[Margins], name: str) -> np.ndarray:
+    """Return one figure (n,) of margins, NaN where it is None."""
+    return np.array([getattr(one, name) for one in bounds], dtype=float)
+
+
+def stability(found: Margins | None) -> float:
+    """Return the disk margin of a stable loop, or 1 - |pole| < 0 of an unstable one. Both are zero at the border.
+
+    The result is infinite for `None` and for a stable loop without a disk margin.
+    """
+    if found is None:
+        return np.inf
+    if found.stable:
+        return np.inf if found.disk_margin is None else found.disk_margin
+    return 1.0 - (found.spectral_radius or 2.0)
+
+
+def scan_line(mechanism: Mechanism, line: Line, law: SampledLaw, channel: int, count: int) -> Scan | None:
+    """Return the margins of a coordinate's loop along a line, where efforts hold the mechanism; None if nowhere.
+
+    `count` parameters are evenly spaced. The others are the local minima of `stability` and, if all loops are stable, of
+    the gain and the phase margin.
+    """
+    judge = judge_of(mechanism, line, law, [channel])
+
+    def at(x: float) -> Margins | None:
+        found = judge(x)
+        return found[0] if found else None
+
+    def figure(name: str, x: float) -> float:
+        value = getattr(at(x), name, None)
+        return np.inf if value is None else value
+
+    even = np.linspace(line.low, line.high, count)
+    places = {float(x) for x in even} | set(local_minima(lambda x: stability(at(x)), even))
+    if all(bounds is None or bounds.stable for bounds in map(at, places)):
+        for name in ("gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg"):
+            places |= set(local_minima(functools.partial(figure, name), even))
+    known = {x: bounds for x in sorted(places) if (bounds := at(x)) is not None}
+    if not known:
+        return None
+    return Scan(channel=channel, line=line, positions=np.array([*known]), margins=tuple(known.values()))
+
+
+def reduced_limits(effort_limit: np.ndarray) -> np.ndarray:
+    """Return effort limits (n_u, 2) reduced by a reserve at both ends; infinite limits stay."""
+    limit = np.array(effort_limit, dtype=float)
+    reserve = _EFFORT_RESERVE * np.diff(limit, axis=1).ravel()
+    return limit + np.outer(np.where(np.isfinite(reserve), reserve, 0.0), [1.0, -1.0])
+
+
+def bounds_text(bounds: Margins) -> str:
+    """Return the disk margin of a stable loop or the largest pole of an unstable one, as text."""
+    if bounds.stable:
+        return f"disk margin {bounds.disk_margin:.3g}"
+    return f"unstable, largest pole {radius_figure(bounds.spectral_radius)}"
+
+
+def judge_of(mechanism: Mechanism, line: Line, law: SampledLaw, channels: Sequence[int]) -> Callable[[float], list[Margins]]:
+    """Return the function from a line's parameter to the margins of the channels' loops; none where no effort holds it."""
+    inside = reduced_limits(law.effort_limit)
+
+    @functools.cache
+    def judge(x: float) -> list[Margins]:
+        try:
+            loop = law.loop(operating_point(mechanism, line.at(x), inside))
+            return [margins(loop, channel, refine=False) for channel in channels]
+        except LinkplanError:  # the pose cannot be held, or LQR has no stabilising gain
+            return []
+
+    return judge

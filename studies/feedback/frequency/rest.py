@@ -1,0 +1,53 @@
+"""Feedback loops at rest: the answer to a small step of the reference, and the stiffness against a steady effort.
+
+About an operating point at rest, with gains K on the positions' errors, A of the accelerations by the positions and B by the
+efforts, small steps r of the reference and steady efforts d on the coordinates move the mechanism until
+
+    (B K - A) s = B K r + M^-1 d
+
+so weight and springs (A) weaken or strengthen what the gains hold.
+"""
+
+import numpy as np
+
+from linkplan.controllers.linearisation import linearise
+from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, channel_effort
+
+# A joint is held well that settles this near to a small step of its reference, though weight or springs pull it away.
+LEAST_RESPONSE_AT_REST = 0.95
+
+
+def at_rest(point: OperatingPoint, gains: np.ndarray, channel: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the response and the stiffness at rest (n,) of a coordinate's loop for gains (n, n_u, 2 n_s).
+
+    The loops of the other coordinates are closed. The response is the complementary sensitivity at frequency zero: 0.95
+    means that the joint settles at 95 % of a small step. The stiffness [N.m/rad or N/m] is a steady effort on the coordinate
+    over the steady error that it causes, while the other coordinates are free to give way. Both are meaningless for an
+    unstable loop.
+    """
+    n_s, steered = point.mechanism.dof, list(point.mechanism.channels)
+    still = (point.pose[None], point.velocity[None], point.hold[None])
+    A, B = (matrix[0, n_s:][steered] for matrix in linearise(point.mechanism, *still))
+    A, K = A[:, steered], gains[:, :, steered]
+    read, push = channel_effort(point, channel)
+    i, inertia = steered.index(channel), point.inertia[np.ix_(steered, steered)]
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        inverse = _inverses(B @ K - A)
+        response = np.einsum("u,nus,ns->n", read, K, inverse @ (B @ push))
+        stiffness = 1.0 / (inverse @ np.linalg.inv(inertia))[:, i, i]
+    return response, stiffness
+
+
+def passive_stiffness(point: OperatingPoint) -> np.ndarray:
+    """Return the stiffness (n_s, n_s) [N.m/rad or N/m] that weight and springs give the coordinates about a point."""
+    n_s = point.mechanism.dof
+    A, _ = linearise(point.mechanism, point.pose[None], point.velocity[None], point.hold[None])
+    return -point.inertia @ A[0, n_s:, :n_s]
+
+
+def _inverses(matrices: np.ndarray) -> np.ndarray:
+    """Return the inverses of matrices (n, m, m), infinite for one that is singular: nothing holds the mechanism there."""
+    regular = np.abs(np.linalg.det(matrices)) > 0.0
+    found = np.full(matrices.shape, np.inf)
+    found[regular] = np.linalg.inv(matrices[regular])
+    return found

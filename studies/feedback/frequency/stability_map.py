@@ -1,0 +1,171 @@
+"""The PD gains that keep a sampled feedback loop stable at all poses: boundary, margins and the longest control period.
+
+Stability follows from the closed-loop poles of the sampled model in MuJoCo's own steps. The map also holds the smallest
+phase margin.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from linkplan.controllers.sampling import Sampling, closed, sampling, spectral_radius
+from linkplan.controllers.trackers.pd import pd, pd_gain
+from linkplan.planner.search.planning import silent
+from linkplan.studies.feedback.frequency.feedback_loops import SIMULATED, FeedbackLoop, OperatingPoint, feedback_loop
+from linkplan.studies.feedback.frequency.quick import quick_loops
+from linkplan.studies.feedback.frequency.trial import settle_trials
+from linkplan.studies.feedback.frequency.worst import last_good
+
+# Points along each axis of the grid that the boundary is drawn from.
+_BORDER_GRID_POINTS = 240
+# Relative tolerance of a bisected stability boundary.
+_BORDER_TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class StabilityMap:
+    """The loop over grids of gains kp (n,) and kd (m,): at each pair of gains, the worst over all points.
+
+    `radius` (n, m): the largest pole. `phase_margin_deg` (n, m) is NaN where the loop is unstable. `border` (kp, kd,
+    radius): the radius on a finer grid. `tried`: gains (kp, kd, index of the point) simulated in MuJoCo; `settles` (tried,):
+    whether they settle there.
+    """
+
+    points: tuple[OperatingPoint, ...]
+    timing: Sampling
+    kp: np.ndarray
+    kd: np.ndarray
+    radius: np.ndarray
+    phase_margin_deg: np.ndarray
+    border: tuple[np.ndarray, np.ndarray, np.ndarray]
+    tried: tuple[tuple[float, float, int], ...]
+    settles: np.ndarray
+
+
+def effort_map(point: OperatingPoint) -> np.ndarray:
+    """Return the map (n_u, n_s) from PD's joint efforts to actuator efforts."""
+    return np.hsplit(pd(point.mechanism, point.constant(1.0), 1.0, 0.0).gains[0], 2)[0]
+
+
+def pd_loop(point: OperatingPoint, kp: float, kd: float, timing: Sampling, kind: str = SIMULATED) -> FeedbackLoop:
+    """Return the PD loop of gains [N.m/rad, N.m.s/rad] about a point."""
+    return feedback_loop(point, pd_gain(effort_map(point), kp, kd), timing, kind)
+
+
+def radii(point: OperatingPoint, kp: np.ndarray, kd: np.ndarray, timing: Sampling) -> np.ndarray:
+    """Return the largest pole's size (...,) of PD loops of gains kp, kd (...,) about a point."""
+    loop = feedback_loop(point, pd_gain(effort_map(point), 1.0, 1.0), timing)
+    return spectral_radius(closed(*loop.steered_matrices(), pd_gains(point, kp, kd)))
+
+
+def pd_gains(point: OperatingPoint, kp: np.ndarray, kd: np.ndarray) -> np.ndarray:
+    """Return K (..., n_u, 2 n_s) of gains (...,)."""
+    kp, kd = np.broadcast_arrays(np.asarray(kp, dtype=float), np.asarray(kd, dtype=float))
+    return pd_gain(effort_map(point), kp[..., None, None], kd[..., None, None])
+
+
+def critical_kd(point: OperatingPoint, kp: float, timing: Sampling) -> tuple[float, float]:
+    """Return the smallest and the largest kd at which the sampled loop is stable with the given kp, NaN if none is."""
+    scale = float(np.max(np.linalg.eigvalsh(np.atleast_2d(point.inertia)))) / timing.period_s
+    kd = np.concatenate([[0.0], np.geomspace(1e-6 * scale, 10 * scale, 3600)])
+    stable = radii(point, np.full_like(kd, kp), kd, timing) < 1.0
+    if not np.any(stable):
+        return np.nan, np.nan
+    inside = np.flatnonzero(stable)
+
+    def border(good: float, bad: float) -> float:
+        return last_good(unstable, good, bad, True, _BORDER_TOLERANCE)[0]
+
+    def unstable(kd: float) -> bool | None:
+        return bool(radii(point, np.array(kp), np.array(kd), timing) >= 1.0) or None
+
+    first, last = int(inside[0]), int(inside[-1])
+    kd = kd.tolist()
+    low = 0.0 if first == 0 else border(kd[first], kd[first - 1])
+    low = low if low > _BORDER_TOLERANCE * kd[last] else 0.0
+    return low, border(kd[last], kd[last + 1]) if last + 1 < len(kd) else np.inf
+
+
+def longest_period(
+    points: Sequence[OperatingPoint], kp: float, kd: float, delay_periods: float, begin_s: float
+) -> tuple[float | None, OperatingPoint | None]:
+    """Return the longest control period [s] at which PD is stable at every point, and the point that limits it.
+
+    The period is None if PD is unstable at any, and infinite if it is stable at any.
+
+    Args:
+        points: operating points of one mechanism.
+        kp: gain [N.m/rad or N/m].
+        kd: gain [N.m.s/rad or N.s/m].
+        delay_periods: computing delay in periods.
+        begin_s: the first period to try [s]; it is halved while unstable, then increased.
+    """
+
+    def unstable(period: float) -> OperatingPoint | None:
+        timing = sampling(points[0].mechanism, period, delay_periods)
+        return next((point for point in points if not pd_loop(point, kp, kd, timing).stable), None)
+
+    good = begin_s
+    for _ in range(40):
+        if unstable(good) is None:
+            break
+        good *= 0.5
+    else:
+        return None, None
+    bad, culprit = good, None
+    while culprit is None and bad < 1e6 * begin_s:
+        good, bad = bad, 1.05 * bad
+        culprit = unstable(bad)
+    if culprit is None:
+        return np.inf, None
+    return last_good(unstable, good, bad, culprit, 1e-4)
+
+
+def stability_map(
+    points: Sequence[OperatingPoint],
+    timing: Sampling,
+    kp: np.ndarray,
+    kd: np.ndarray,
+    effort_limit: np.ndarray,
+    say: Callable[[str], None] = silent,
+) -> StabilityMap:
+    """Return the map over gains kp (n,) and kd (m,); gains on both sides of the border are simulated, too.
+
+    `effort_limit` (n_u, 2) [N.m or N] is that of MuJoCo's actuators.
+    """
+    shape = len(kp), len(kd)
+    radius, margin = np.zeros(shape), np.full(shape, np.inf)
+    fine_kp, fine_kd = (np.geomspace(axis[0], axis[-1], _BORDER_GRID_POINTS) for axis in (kp, kd))
+    fine = np.zeros((_BORDER_GRID_POINTS, _BORDER_GRID_POINTS))
+    for point in points:
+        say(f"gains at {point.name}")
+        fine = np.maximum(fine, radii(point, fine_kp[:, None], fine_kd[None, :], timing))
+        radius = np.maximum(radius, radii(point, kp[:, None], kd[None, :], timing))
+        quick = [quick_loops(point, pd_gains(point, np.full(len(kd), p), kd), timing, [0])[0] for p in kp]
+        margin = np.minimum(margin, [one.phase_margin_deg for one in quick])
+    tried = border_points(points, timing, kp)
+    say(f"{len(tried)} gains on both sides of the stability boundary, in MuJoCo")
+    loops = [pd_loop(points[index], p, d, timing) for p, d, index in tried]
+    return StabilityMap(
+        points=tuple(points),
+        timing=timing,
+        kp=np.array(kp),
+        kd=np.array(kd),
+        radius=radius,
+        phase_margin_deg=np.where(radius >= 1.0, np.nan, margin),
+        border=(fine_kp, fine_kd, fine),
+        tried=tuple(tried),
+        settles=settle_trials(loops, effort_limit) if loops else np.zeros(0, dtype=bool),
+    )
+
+
+def border_points(points: Sequence[OperatingPoint], timing: Sampling, kp: np.ndarray) -> list[tuple[float, float, int]]:
+    """Return gains (kp, kd, point index) on both sides of the upper border, for the point that determines it at each kp."""
+    found, share = [], 0.03
+    for gain in np.geomspace(kp[0] if kp[0] > 0 else kp[1], kp[-1], 7).tolist():
+        largest = [critical_kd(point, gain, timing)[1] for point in points]
+        kd, index = min((0.0 if np.isnan(kd) else kd, index) for index, kd in enumerate(largest))
+        if 0 < kd < np.inf:
+            found += [(gain, kd * (1 - share), index), (gain, kd * (1 + share), index)]
+    return found

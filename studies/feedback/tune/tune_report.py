@@ -1,0 +1,168 @@
+"""The output of `linkplan tune`: the [tracking] table of a problem file, and the result as a document."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from linkplan.models.tree.joints import Joint
+from linkplan.planner.files.tables import inline
+from linkplan.studies.feedback.bode.scan import figures
+from linkplan.studies.feedback.tune.requirements import JudgedLoop
+from linkplan.studies.feedback.tune.tuning import Tuning, joint_gains
+from linkplan.studies.output.document import Axis, Block, Facts, Limit, Plot, Series, Table, Text, table_of
+from linkplan.studies.output.numbers import rounded
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def gain_lines(tuning: Tuning) -> list[tuple[str, str]]:
+    """Return PD gains as pairs of a heading and a text, with units: at each joint, and at each motor of one joint."""
+    lines = []
+    gains = joint_gains(tuning.best, tuning.mechanism)
+    for joint in tuning.joints:
+        (kp, kd), per = gains[joint.name], joint.gain_units
+        where = f"the joint {joint.name}" if len(tuning.mechanism.channels) == 1 else joint.name
+        lines.append((f"at {where}", f"kp = {kp:.5g} {per[0]}, kd = {kd:.5g} {per[1]}"))
+    for motor in tuning.motors:
+        over = "" if motor.is_constant else ", over the poses below"
+        lines.append((f"at the motor {motor.actuator}, {motor.ratio_text()}", f"{motor.gains_text()}{over}"))
+    alone = {motor.actuator for motor in tuning.motors}
+    if shared := [actuator.name for actuator in tuning.mechanism.actuators if actuator.name not in alone]:
+        text = "no gains of its own, because it moves several joints; linkplan transfer has the gains as matrices"
+        lines.append((f"at the motor {' and '.join(shared)}", text))
+    return lines
+
+
+def places(tuning: Tuning, loops: Sequence[JudgedLoop]) -> tuple[np.ndarray, str, str]:
+    """Return the places (n,) of one joint's loops on an axis, its name and unit: the position, or the pose's number."""
+    joints = tuning.joints
+    if len(joints) > 1:
+        return np.arange(1.0, len(loops) + 1), "pose", ""
+    at = [joints[0].shown(loop.point.state[loop.channel]) for loop in loops]
+    return np.array(at), joints[0].name, joints[0].unit
+
+
+def tune_plots(tuning: Tuning, loops: Sequence[JudgedLoop], of: str) -> list[Plot]:
+    """Return the plots of one joint's margins over the position or the pose, with the requirements; `of` ends the titles."""
+    (at, place, unit), wanted = places(tuning, loops), tuning.wanted
+    order, found = np.argsort(at), []
+    margins = [loops[k] for k in order.tolist()]
+    lost = at[order][[not one.stable for one in margins]]
+    for name, what, per, limit, words in (
+        ("bandwidth_hz", "bandwidth", "Hz", wanted.bandwidth_hz, "wanted at least"),
+        ("phase_margin_deg", "phase margin", "deg", wanted.phase_margin_deg, "wanted at least"),
+        ("sensitivity_peak", "peak of |S|", "1", wanted.largest_peak, "wanted at most"),
+    ):
+        values, asked = figures(margins, name), [limit] if np.isfinite(limit) and limit > 0 else []
+        series = [Series(name=what, y=rounded(values)), Series(name="looked at", y=rounded(values), look="points")]
+        if len(lost):
+            series.append(Series(name="unstable", x=rounded(lost), y=[0.0] * len(lost), look="points", colour=4))
+        highest = max([*values[np.isfinite(values)].tolist(), *asked], default=0.0)
+        found.append(
+            Plot(
+                title=f"{what[:1].upper()}{what[1:]} over the {place if of else 'position'}{of}",
+                group="along:tune",
+                x_axis=Axis(label=place, unit=unit or "1"),
+                y_axis=Axis(label=what, unit=per, ends=(0.0, 1.12 * highest or 1.0)),
+                x=rounded(at[order]),
+                series=series,
+                limits=[Limit(name=words, value=float(x)) for x in asked],
+            )
+        )
+    return found
+
+
+def tune_figure(tuning: Tuning, path: Path | None = None) -> "Figure":
+    """Return the figure of every joint's margins over the poses, saved at `path` if given."""
+    from linkplan.studies.output.figure import figure_of, side_by_side
+
+    joints, columns = tuning.joints, []
+    for channel, joint in zip(tuning.mechanism.channels, joints, strict=True):
+        loops = [loop for loop in tuning.points if loop.channel == channel]
+        columns.append(tune_plots(tuning, loops, "" if len(joints) == 1 else f", loop of {joint.name}"))
+    size, title = (7.5 if len(joints) == 1 else 4.5, 2.5), f"{tuning.mechanism.name}: {tuning.message.split(': ')[0]}"
+    return figure_of(side_by_side(*columns), path, title=title, columns=len(columns), panel_in=size)
+
+
+def tracking_table(tuning: Tuning) -> str:
+    """Return the gains as the text of the [tracking] table of a problem file."""
+    lines = [f"# {tuning.message}", "[tracking]"]
+    for key, value in tuning.tracking.items():
+        rounded = {name: float(f"{gain:.6g}") for name, gain in value.items()} if isinstance(value, dict) else None
+        lines.append(f"{key} = {value:.6g}" if rounded is None else f"{key} = {inline(rounded, key)}")
+    return "\n".join(lines) + "\n"
+
+
+def tune_blocks(tuning: Tuning, *, verdict: bool = True) -> list[Block]:
+    """Return the gains in the joints' and the motor's units, and the margins of every loop at every pose.
+
+    The verdict is left out where the page's header shows it.
+    """
+    joints = tuning.joints
+    blocks: list[Block] = [Text(text=tuning.message)] if verdict else []
+    if tuning.tracker == "lqr":
+        (position_key, position), (velocity_key, velocity) = list(tuning.tracking.items())[:2]
+        weights = f"{position_key} = {position:.5g}, {velocity_key} = {velocity:.5g}"
+        blocks.append(Text(text=f"{weights} (errors weighted like the full effort limit)"))
+    else:
+        blocks.append(Facts(rows=gain_lines(tuning)))
+    if tuning.found:
+        blocks.append(_worst(tuning))
+    if shared := tuning.points[0].point.shared_coordinates:
+        blocks.append(Facts(rows=[("at every pose", shared)]))
+    for channel, joint in zip(tuning.mechanism.channels, joints, strict=True):
+        loops = [loop for loop in tuning.points if loop.channel == channel]
+        blocks += [
+            _table(loops, joint, len(joints) > 1),
+            *tune_plots(tuning, loops, "" if len(joints) == 1 else f", loop of {joint.name}"),
+        ]
+    if len(joints) > 1:
+        blocks.append(Text(text="settling and damping belong to the poles that all loops share"))
+    return blocks if tuning.note is None else [*blocks, Text(text=tuning.note, tone="note")]
+
+
+def _worst(tuning: Tuning) -> Table:
+    """Return what was asked, the worst value over all loops and poses, and where it is."""
+    best, wanted = tuning.best, tuning.wanted
+    farthest, (stiffness, softest) = best.farthest_at_rest(), best.worst("stiffness_at_rest")
+    unit = tuning.mechanism.independent_joints[softest.channel].gain_units[0]
+    rows: list[list] = []
+    for words, asked, (value, at) in (
+        ("bandwidth -3 dB [Hz]", wanted.bandwidth_hz, best.worst("bandwidth_hz")),
+        ("phase margin [deg]", wanted.phase_margin_deg, best.worst("phase_margin_deg")),
+        ("peak of |S|", wanted.sensitivity_peak, best.worst("sensitivity_peak", largest=True)),
+        ("time to settle to 2 % [s]", None, best.worst("settling_s", largest=True)),
+        ("a small step settles at [%]", None, (100 * farthest.response_at_rest, farthest)),
+        (f"stiffness at rest [{unit}]", None, (stiffness, softest)),
+    ):
+        if value is not None:
+            rows.append([words, "" if asked is None else asked, value, at.name])
+    return table_of("Worst over all positions", ["quantity", "asked", "worst", "at"], rows)
+
+
+def _table(loops: Sequence[JudgedLoop], joint: Joint, several: bool) -> Table:
+    """Return the margins of one joint's loop at every pose as a table, with the positions that differ."""
+    shown, coordinates = loops[0].point.told, loops[0].point.mechanism.independent_joints
+    rows = [
+        [
+            *(coordinates[k].text(loop.point.state[k], 5) for k in shown),
+            loop.stable,
+            loop.bandwidth_hz,
+            loop.phase_margin_deg,
+            loop.gain_margin_db,
+            loop.sensitivity_peak,
+            loop.settling_s,
+            loop.damping_ratio,
+            loop.response_at_rest,
+            loop.stiffness_at_rest,
+        ]
+        for loop in loops
+    ]
+    heads: list = [(coordinates[k].name, coordinates[k].unit) for k in shown]
+    heads += ["stable", "bandwidth -3 dB [Hz]", "phase margin [deg]", "gain margin [dB]", "peak of |S|"]
+    heads += ["settling [s]", "damping", "response at rest", f"stiffness [{joint.gain_units[0]}]"]
+    of = f", the loop of {joint.name}, the others closed" if several else ""
+    return table_of(f"At every position looked at{of}", heads, rows)

@@ -1,0 +1,152 @@
+"""A mechanism's C code as a folder, with its cost: operations, error in float, flash and stack where compilers exist."""
+
+import re
+import shutil
+import subprocess
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.studies.handover.export.c_model import (
+    DERIVATIVES,
+    MAX_NEWTON_STEPS,
+    ModelCode,
+    header_text,
+    random_states,
+    source_text,
+    test_text,
+)
+from linkplan.studies.handover.export.c_operations import in_single_precision, operations
+from linkplan.studies.handover.export.c_text import cmake_text
+from linkplan.studies.output.document import Block, Text, table_of
+
+# States at which the error of single precision is measured, and the factor from what was seen to what is stated.
+_FLOAT_STATES, _FLOAT_MARGIN = 2000, 4.0
+# The compilers that flash and stack are measured with, where they are installed: names and options.
+COMPILERS = {
+    "gcc": ["-O2"],
+    "arm-none-eabi-gcc": ["-O2", "-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"],
+}
+# A compiler needs a second for a linkage, ten for the 30,000 operations of two legs, and minutes for a whole robot. Longer
+# code is measured when that is asked for. Where the derivatives make it longer, it is measured without them.
+_COMPILE_SECONDS, MOST_MEASURED_OPERATIONS = 120, 8_000
+
+
+def costs(code: ModelCode) -> list[dict]:
+    """Return each function's operations by kind, and the bound on its error in float as a share of its largest value.
+
+    Functions of more than 10,000 operations are evaluated at fewer of the states, at least at a quarter of them.
+    """
+    every = random_states(code.mechanism, _FLOAT_STATES, seed=2)
+    found = []
+    for one in code.interface:
+        n = int(_FLOAT_STATES * np.clip(1e4 / max(1, one.function.n_instructions()), 0.25, 1.0))
+        states = {name: values[:n] for name, values in every.items()}
+        rounded = in_single_precision(one.function, *[states[name] for name in one.inputs])
+        worst = 0.0
+        for single, wanted in zip(rounded, one.values(states), strict=True):
+            worst = max(worst, float(np.abs(single - wanted).max(initial=0.0) / (np.abs(wanted).max(initial=0.0) or 1.0)))
+        found.append({"function": one.name, "operations": operations(one.function), "float_error": _FLOAT_MARGIN * worst})
+    for one in code.inner:
+        found.append({"function": f"{one.name} (in close)", "operations": operations(one.function), "float_error": None})
+    return found
+
+
+def write_model(code: ModelCode, place: Path, *, compiled: bool | None = None) -> dict:
+    """Write header, source, test and CMake file into a folder, and return what the code costs.
+
+    `compiled` says whether sizes are measured; by default those of code that compiles within seconds.
+    """
+    cost = costs(code)
+    lengths = {row["function"]: sum(row["operations"].values()) for row in cost}
+    whole = compiled or sum(lengths.values()) <= MOST_MEASURED_OPERATIONS
+    if compiled is None:
+        compiled = sum(lengths.values()) - lengths[f"{code.prefix}_{DERIVATIVES}"] <= MOST_MEASURED_OPERATIONS
+    flags = [] if whole else [f"-D{code.prefix.upper()}_WITHOUT_DERIVATIVES"]
+    lines = [
+        "Operations of a call, and the bound on the error in float (share of the largest value, at 500 to 2000 states):"
+    ]
+    for row in cost:
+        said = ", ".join(f"{n} {kind}" for kind, n in row["operations"].items()) or "none"
+        error = "" if row["float_error"] is None else f"; float {row['float_error']:.1e}"
+        lines.append(f"  {row['function']}: {said}{error}")
+    texts = {
+        f"{code.prefix}.h": header_text(code, lines),
+        f"{code.prefix}.c": source_text(code),
+        f"{code.prefix}_test.c": test_text(code),
+        "CMakeLists.txt": cmake_text(code.prefix),
+    }
+    for name, text in texts.items():
+        (place / name).write_text(text, encoding="utf-8")
+    return {
+        "mechanism": code.mechanism.name,
+        "format": "c",
+        "files": sorted(texts),
+        "model_hash": code.mechanism.fingerprint(),
+        "max_newton_steps": MAX_NEWTON_STEPS,
+        "functions": cost,
+        "sizes": sizes(place, f"{code.prefix}.c", code.prefix.upper(), flags) if compiled else [],
+        "sizes_without": [] if whole else [f"{code.prefix}_{DERIVATIVES}"],
+    }
+
+
+def sizes(place: Path, source: str, upper: str, flags: Sequence[str] = ()) -> list[dict]:
+    """Return flash and largest stack frame [bytes] of a source file, by compiler and precision; empty without a compiler.
+
+    `flags` are further options of the compilers.
+    """
+    found = []
+    for compiler, options in COMPILERS.items():
+        if shutil.which(compiler) is None:
+            continue
+        for real, chosen in (("double", []), ("float", [f"-D{upper}_FLOAT"])):
+            measured = _size(place, source, [compiler, *options, *flags, *chosen])
+            if measured is not None:
+                found.append({"compiler": " ".join([compiler, *options]), "real": real, **measured})
+    return found
+
+
+def _size(place: Path, source: str, command: Sequence[str]) -> dict | None:
+    """Return text and data, and the largest stack frame, of an object file; None where the compiler fails."""
+    size = command[0].removesuffix("gcc") + "size"
+    with tempfile.TemporaryDirectory() as folder:
+        words = [*command, "-std=c99", "-c", "-fstack-usage", f"-I{place.resolve()}", str((place / source).resolve())]
+        try:
+            subprocess.run(words, check=True, capture_output=True, timeout=_COMPILE_SECONDS, cwd=folder)
+            target = str(Path(folder) / source.replace(".c", ".o"))
+            said = subprocess.run([size, target], check=True, capture_output=True, text=True, timeout=60).stdout
+        except (OSError, subprocess.SubprocessError):
+            return None
+        text, data, bss = (int(word) for word in said.splitlines()[1].split()[:3])
+        frames = [int(n) for use in Path(folder).glob("*.su") for n in re.findall(r"\t(\d+)\t", use.read_text())]
+    return {"flash_bytes": text + data, "ram_bytes": data + bss, "stack_bytes": max(frames, default=0)}
+
+
+def cost_blocks(record: dict, target: Path) -> list[Block]:
+    """Return the record of an export to C as blocks."""
+    found: list[Block] = [Text(text=f"{target}: {', '.join(record['files'])}", tone="good")]
+    if "functions" in record:
+        kinds = list(dict.fromkeys(kind for row in record["functions"] for kind in row["operations"]))
+        rows = [
+            [row["function"], *(row["operations"].get(kind, 0) for kind in kinds), row["float_error"]]
+            for row in record["functions"]
+        ]
+        heads = ["operations of one call", *kinds, "error in float, share of the largest value"]
+        found.append(table_of("", heads, rows, digits=2))
+    else:
+        ends = "repeats" if record["periodic"] else "holds start and goal"
+        text = f"{record['tracker']} over {record['duration_s']:g} s in {record['instants']} rows, {record['table_numbers']}"
+        text += f" numbers; it {ends}"
+        found.append(Text(text=text))
+    if not record["sizes"]:
+        text = "flash and stack are not measured: neither gcc nor arm-none-eabi-gcc is installed, or the code is too long:"
+        text += " it is measured where sizes are asked for, in up to minutes"
+        found.append(Text(text=text, tone="note"))
+    rows = [[row["compiler"], row["real"], row["flash_bytes"], row["stack_bytes"]] for row in record["sizes"]]
+    if rows:
+        without = f", without {', '.join(record['sizes_without'])}" if record.get("sizes_without") else ""
+        heads = ["compiler", "numbers", "flash [byte]", "largest stack frame [byte]"]
+        found.append(table_of(f"Object code{without}", heads, rows))
+    return found

@@ -1,0 +1,125 @@
+"""The unit of work of a batch: a block of consecutive cases, each planned from the previous case's solution.
+
+The blocks depend on the number of cases only, so that every plan is reproducible.
+"""
+
+import io
+import tempfile
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from msgspec import Struct, field
+from msgspec.structs import replace
+
+from linkplan.models.errors import PlanFileError, one_line
+from linkplan.models.reading import MAX_FILE_BYTES
+from linkplan.planner.files.columns import read_member, read_trajectory
+from linkplan.planner.plan.folder import record, write_plan
+from linkplan.planner.plan.record import read_plan_record
+from linkplan.planner.problem.keys.sections import BatchFile, CaseSection
+from linkplan.planner.refinement.history import Say
+from linkplan.planner.search.batch import plan_cases
+from linkplan.studies.output.batch_table import case_row
+from linkplan.studies.variations.tasks.streaming import blocks_of
+
+# A block is a sixteenth of the cases within these bounds. Short blocks spread over workers and are soon redone; long blocks
+# reuse more solutions.
+_MIN_BLOCK_CASES, _MAX_BLOCK_CASES = 8, 64
+_CASES = "cases.json"
+_FILES = ("plan.json", "trajectory.npz", "trajectory.csv", "trajectory.parquet")
+
+
+class Planned(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """One case's answer: its row of the table, its record, the reason if there is no plan, and the plan's files by name."""
+
+    name: str
+    row: list[str | None]
+    record: dict[str, Any]
+    failure: str | None
+    files: dict[str, bytes] = field(default_factory=dict)
+
+
+def case_blocks(n: int) -> list[range]:
+    """Return the cases of each block of a batch of n."""
+    return blocks_of(n, min(_MAX_BLOCK_CASES, max(_MIN_BLOCK_CASES, -(-n // 16))))
+
+
+def plan_block(batch: BatchFile, block: int, target: Path | None, parquet: bool, say: Say) -> list[Planned]:
+    """Return the answers of a block's cases.
+
+    Args:
+        batch: the batch.
+        block: index of the block.
+        target: the final folder of the plans; None if they are not kept.
+        parquet: write a trajectory.parquet for every plan.
+        say: receives the name of each case.
+    """
+    part, found = case_blocks(len(batch.case))[block], []
+    cases = [batch.case[i] for i in part]
+    for case, plan in plan_cases(batch, cases, lambda name: say(f"{part[len(found)] + 1} of {len(batch.case)}: {name}")):
+        files = {}
+        if plan.passed and target is not None:
+            with tempfile.TemporaryDirectory(prefix="linkplan-") as place:
+                write_plan(plan, Path(place), target / case.name, parquet=parquet)
+                files = {path.name: path.read_bytes() for path in sorted(Path(place).iterdir())}
+        failure = None if plan.passed else f"{case.name}: {plan.message}"
+        said = {"settings": list(case.set), **record(plan)}
+        answer = Planned(name=case.name, row=case_row(case, plan), record=said, failure=failure, files=files)
+        found.append(answer)
+    return found
+
+
+def packed(answers: list[Planned]) -> bytes:
+    """Return the answers of a block as one archive."""
+    records = msgspec.json.encode([replace(answer, files={}) for answer in answers])
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w") as archive:
+        archive.writestr(zipfile.ZipInfo(_CASES), records)  # without date: zip has no dates before 1980
+        for answer in answers:
+            for name, content in answer.files.items():
+                archive.writestr(zipfile.ZipInfo(f"{answer.name}/{name}"), content)
+    return buffer.getvalue()
+
+
+def unpacked(path: Path, cases: Sequence[CaseSection], place: Path | None) -> list[Planned]:
+    """Return the answers of a block from its archive, and write their files into folders at `place` if given.
+
+    Raises:
+        PlanFileError: if the archive is damaged, belongs to other cases, or holds an invalid plan.
+    """
+    if not path.is_file():
+        raise PlanFileError(f"'{path}' is not a file; remove it, and the same command plans its cases again")
+    try:
+        with zipfile.ZipFile(path) as archive:
+            answers = msgspec.json.decode(read_member(archive, _CASES, MAX_FILE_BYTES), type=list[Planned])
+            if [one.name for one in answers] != [case.name for case in cases]:
+                raise ValueError("its cases are not those of the batch")
+            if place is not None:
+                _unpack(archive, answers, place)
+    except Exception as error:  # the zip parser raises many kinds of errors on damaged files
+        why = one_line(error) or type(error).__name__
+        raise PlanFileError(f"'{path}' is damaged: {why}; remove it, and the same command plans its cases again") from error
+    return answers
+
+
+def _unpack(archive: zipfile.ZipFile, answers: Sequence[Planned], place: Path) -> None:
+    """Write the files of plans into a folder for each case, and check that the plans can be read.
+
+    Raises:
+        ValueError: if a member is not a file of a case's plan, or too large.
+        PlanFileError: if a plan's files are damaged.
+    """
+    planned = [one.name for one in answers if one.failure is None]
+    legal = {f"{name}/{file}" for name in planned for file in _FILES}
+    if others := sorted(set(archive.namelist()) - legal - {_CASES}):
+        raise ValueError(f"'{others[0][:100]}' is no file of its plans")
+    for name in archive.namelist():
+        if name != _CASES:
+            (place / name).parent.mkdir(exist_ok=True)
+            (place / name).write_bytes(read_member(archive, name, MAX_FILE_BYTES))
+    for name in planned:
+        read_plan_record(place / name)
+        read_trajectory(place / name / "trajectory.npz")

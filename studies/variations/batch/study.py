@@ -1,0 +1,135 @@
+"""A complete batch: an engine plans its blocks, each block's results are stored, and the end result is a folder of plans."""
+
+import functools
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from msgspec import Struct
+
+from linkplan.models.reading import MAX_FILE_BYTES
+from linkplan.planner.files.folders import check_target, write_json
+from linkplan.planner.files.manifest import read_record
+from linkplan.planner.files.structs import NOT_READ, Beside
+from linkplan.planner.files.work_folders import replace_file
+from linkplan.planner.plan.folder import versions
+from linkplan.planner.problem.keys.sections import BatchFile
+from linkplan.planner.refinement.history import silent
+from linkplan.planner.search.batch import check_batch
+from linkplan.studies.variations.batch.block import Planned, case_blocks, packed, plan_block, unpacked
+from linkplan.studies.variations.tasks.engine import Engine, Say, serial
+from linkplan.studies.variations.tasks.streaming import complete
+from linkplan.studies.variations.tasks.unfinished import finish, part, parts_folder, working
+
+RECORD = "batch.json"
+
+
+class Outcome(Struct, frozen=True, kw_only=True, eq=False):
+    """The results of a batch: the record of each case, rows of the table, a sentence for each case without a plan."""
+
+    cases: dict[str, dict[str, Any]]
+    rows: Beside[list[list]] = NOT_READ
+    failures: Beside[list[str]] = NOT_READ
+
+
+def run_batch(
+    batch: BatchFile,
+    target: Path | None,
+    say: Say,
+    *,
+    engine: Engine = serial,
+    parquet: bool = False,
+    keep_records: bool = True,
+) -> Outcome:
+    """Return the outcome of a batch, and write its plans into a folder if one is given.
+
+    Args:
+        batch: the problem and its cases.
+        target: the folder, written in one step at the end; until then the parts are kept next to it.
+        say: receives progress messages.
+        engine: runs the blocks.
+        parquet: write a trajectory.parquet for every plan.
+        keep_records: include the cases' records in the outcome; for ten thousand cases they are large.
+
+    Raises:
+        LinkplanError: for an invalid case, before any case is planned.
+        PlanFileError: if the folder holds something else, or cannot be written.
+    """
+    asked = _asked(batch, target, parquet)
+    if target is not None:
+        check_target(target, RECORD)
+    outcomes = []
+    work = functools.partial(_work, batch, target, parquet, say if engine is serial else None)
+    with parts_folder(target) as folder, working(folder, asked, "a batch"):
+
+        def write(block: int, answers: list[Planned]) -> None:
+            replace_file(part(folder, block, "zip"), functools.partial(Path.write_bytes, data=packed(answers)))
+
+        def save(place: Path) -> None:
+            outcomes.append(_outcome(folder, batch, place, True))
+            write_json(place / RECORD, outcomes[0])
+
+        complete(folder, case_blocks(len(batch.case)), "cases", engine, work, write, say)
+        if target is None:
+            return _outcome(folder, batch, None, keep_records)
+        finish(folder, target, save, RECORD)
+    return outcomes[0]
+
+
+def _asked(batch: BatchFile, target: Path | None, parquet: bool) -> dict:
+    """Return all inputs of a batch's files."""
+    cases = {case.name: list(case.set) for case in batch.case}
+    return {
+        "problem": batch.problem,
+        "set": list(batch.set),
+        "cases": cases,
+        "meaning": check_batch(batch),
+        "place": None if target is None else str(target.resolve()),
+        "parquet": parquet,
+        "versions": versions(),
+    }
+
+
+def _work(batch: BatchFile, target: Path | None, parquet: bool, say: Say | None, block: int, threads: int) -> list[Planned]:
+    """Return a block's answers; runs in any worker process, with one thread."""
+    del threads
+    return plan_block(batch, block, target, parquet, say or silent)
+
+
+def _outcome(folder: Path, batch: BatchFile, place: Path | None, keep_records: bool) -> Outcome:
+    rows, failures, cases = [], [], {}
+    for block, numbers in enumerate(case_blocks(len(batch.case))):
+        cases_here = [batch.case[i] for i in numbers]
+        for answer in unpacked(part(folder, block, "zip"), cases_here, place):
+            rows.append(answer.row)
+            failures += [] if answer.failure is None else [answer.failure]
+            if keep_records:
+                cases[answer.name] = answer.record
+    return Outcome(rows=rows, failures=failures, cases=cases)
+
+
+class CaseRecord(Struct, frozen=True):
+    """A case: its settings and its result."""
+
+    settings: list[str]
+    status: str
+    message: str
+    objective: float | None = None
+    objective_kind: str = ""
+    duration_s: float | None = None
+    notes: list[str] = []
+
+
+class BatchRecord(Struct, frozen=True):
+    """The cases of a batch by name."""
+
+    cases: dict[str, CaseRecord]
+
+
+def read_cases(path: Path) -> dict:
+    """Return the part of a batch's record that a report shows, in JSON types.
+
+    Raises:
+        PlanFileError: if the file is damaged, or is not a batch's record.
+    """
+    return msgspec.to_builtins(read_record(path, BatchRecord, MAX_FILE_BYTES))

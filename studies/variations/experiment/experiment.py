@@ -1,0 +1,265 @@
+"""The definition of an experiment: trackers, machines and the criterion of success; its default imperfections.
+
+The default imperfections, for a problem file without any, are those of a carefully built machine: a driven joint with an
+absolute encoder of 19 bits, a current loop of some hundred hertz and a controller with about one period of delay.
+docs/experiments.md has the table.
+"""
+
+import hashlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from msgspec import Struct
+
+from linkplan.controllers.imperfections.imperfections import Imperfections
+from linkplan.controllers.imperfections.plant import plant
+from linkplan.controllers.reference import SampledReference
+from linkplan.controllers.rollout import ControlLoop
+from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.models.errors import ProblemError, choose
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.files.folders import plain_record
+from linkplan.planner.plan.folder import versions
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.imperfections import ImperfectionFactors, imperfections_of
+from linkplan.planner.problem.settings import number, whole
+from linkplan.studies.compare.compare import control_loop, tracking_reference
+from linkplan.studies.compare.user_tracker import TrackerLike, known_tracker
+from linkplan.studies.variations.experiment.design import DESIGNS, MOST_SAMPLES, machines_by_design
+from linkplan.studies.variations.experiment.machines import machine_of
+from linkplan.studies.variations.sensitivity.scheme import MORRIS, SOBOL, Scheme, salib_version
+
+
+def default_imperfections(plan: Plan) -> dict:
+    """Return the table [imperfections] of a carefully built machine for the plan's mechanism."""
+    mechanism = plan.problem.mechanism
+    limit = np.abs(plan.problem.limits.actuators_effort).max(axis=1)
+    peak = np.asarray(plan.certificate.peak_effort, dtype=float)
+    size = np.where(np.isfinite(limit), limit, np.maximum(peak, 1e-9))
+    table: dict = {
+        "period_factor": {"normal": [1.0, 1e-4]},
+        "delay_periods": [0.5, 1.5],
+        "velocity_filter_hz": 1000.0,
+        "torque_bandwidth_hz": [500.0, 1500.0],
+        "torque_constant_factor": {"normal": [1.0, 0.03]},
+        "payload_mass_factor": [0.9, 1.1],
+        "link_length_factor": {"normal": [1.0, 2e-4]},
+    }
+    kinds = {joint.kind for joint in mechanism.independent_joints}
+    if "hinge" in kinds:
+        table |= {
+            "encoder_resolution_deg": 360.0 / 2**19,
+            "encoder_offset_deg": {"normal": [0.0, 0.02]},
+            "start_error_deg": {"normal": [0.0, 0.05]},
+        }
+    if "slide" in kinds:
+        step = mechanism.extent_m / 2**16
+        table |= {
+            "encoder_resolution_m": step,
+            "encoder_offset_m": {"normal": [0.0, 10 * step]},
+            "start_error_m": {"normal": [0.0, 20 * step]},
+        }
+    actuators = list(zip(mechanism.actuators, size.tolist(), strict=True))
+    # A 12-bit command of both signs; friction up to 2 % of the effort limit, or of the planned peak without a limit.
+    table["torque_resolution"] = {actuator.name: most / 2048 for actuator, most in actuators}
+    driven = {joint: most for actuator, most in actuators if (joint := _joint(mechanism, actuator)) is not None}
+    if driven:
+        table["coulomb_friction"] = {joint: [0.0, 0.02 * most] for joint, most in driven.items()}
+    return table
+
+
+def _joint(mechanism: Mechanism, actuator) -> str | None:
+    return None if actuator.joint is None else mechanism.joints[actuator.joint].name
+
+
+class Settings(Struct, frozen=True, kw_only=True):
+    """The settings of an experiment: trackers, samples, design, seed, and the tube about the path that defines success.
+
+    The number of samples of a grid follows from its levels. A sensitivity design has as many whole groups as fit into
+    `samples`.
+    """
+
+    trackers: tuple[str, ...] = TRACKERS
+    samples: int = 200
+    seed: int = 0
+    design: str = "latin-hypercube"
+    levels: int = 3
+    tube_deg: float = 1.0
+    tube_m: float = 0.01
+
+    def __post_init__(self) -> None:
+        names = tuple(self.trackers)
+        if not names or len(set(names)) < len(names):
+            raise ProblemError(f"an experiment needs one or more different trackers, got {', '.join(names) or 'none'}")
+        for name in names:
+            known_tracker(name)
+        whole(self.samples, "samples", 1, MOST_SAMPLES)
+        whole(self.seed, "seed", 0, 2**63 - 1)
+        whole(self.levels, "levels", 1, 1000)
+        choose("design", self.design, DESIGNS, ProblemError)
+        number(self.tube_deg, "tube_deg", positive=True)
+        number(self.tube_m, "tube_m", positive=True)
+
+
+class AskedRecord(Struct, frozen=True, omit_defaults=True):
+    """All inputs of an experiment's results, made by `request_of` and stored in `experiment.json`."""
+
+    format: Literal[1]
+    problem: dict[str, Any]
+    plan: str | None
+    settings: Settings
+    versions: dict[str, str]
+    tracker_sources: dict[str, str] | None = None
+
+
+class ExperimentRecord(Struct, frozen=True):
+    """The part of `experiment.json` that is read back; the rest follows from the results."""
+
+    asked: AskedRecord
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Experiment:
+    """Trackers of one plan on n machines.
+
+    `values` (n, d): values of the section's factors in a problem file's units. `draws` (n,): number of each machine's noise
+    draw. `scheme`: the scheme of a sensitivity design, or None. `tube` (n_s,) [rad or m]: the tolerance about the path.
+    `end_s` [s]: the end of the motion, after which the goal is held; None for a periodic motion. `own`: trackers given as
+    Python objects, by their names in the settings.
+    """
+
+    plan: Plan
+    settings: Settings
+    section: ImperfectionFactors
+    values: np.ndarray
+    draws: np.ndarray
+    scheme: Scheme | None
+    reference: SampledReference
+    loop: ControlLoop
+    tube: np.ndarray
+    end_s: float | None
+    own: Mapping[str, TrackerLike] = field(default_factory=dict)
+
+    @property
+    def n(self) -> int:
+        """The number of samples."""
+        return len(self.values)
+
+    def varied_values(self) -> dict[str, np.ndarray]:
+        """Return the values (n,) of the imperfections that differ between machines, by column name."""
+        factors = zip(self.section.factors, self.values.T, strict=True)
+        return {f"imperfection.{factor.label}": values for factor, values in factors if np.ptp(values) > 0}
+
+    def machine(self, sample: int) -> Imperfections:
+        """Return a sample's machine, which is the same for every tracker and in every experiment with these settings."""
+        mechanism, noise = self.plan.problem.mechanism, (self.settings.seed, 1, int(self.draws[sample]))
+        return machine_of(self.section, self.values[sample], mechanism, noise)
+
+
+def experiment_of(plan: Plan, settings: Settings) -> Experiment:
+    """Return the experiment of a plan with its own [imperfections], or with the default ones if it has none.
+
+    Raises:
+        ProblemError: for invalid imperfections.
+        LinkplanError: if the machine with median imperfections cannot be built.
+    """
+    problem = plan.problem
+    mechanism = problem.mechanism
+    section = imperfections_of(imperfections_asked(plan), mechanism)
+    values, draws, scheme = machines_by_design(
+        section.factors, settings.design, settings.samples, settings.levels, settings.seed
+    )
+    trajectory, tracking = plan.trajectory, problem.tracking
+    ends = not trajectory.periodic
+    if tracking.duration_s is None and ends:
+        tracking = tracking.replace(duration_s=1.25 * trajectory.duration_s)  # so that errors can settle
+    reference = tracking_reference(replace(plan, problem=replace(problem, tracking=tracking)))
+    loop = control_loop(problem)
+    hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
+    passive = ~mechanism.actuated  # uncontrollable
+    middle = np.median(values, axis=0)
+    plant(mechanism, reference, loop, machine_of(section, middle.tolist(), mechanism, (0,)), 1)  # raises errors early
+    _refuse_late_push(section, values, float(reference.time_s[-1]))
+    return Experiment(
+        plan=plan,
+        settings=settings,
+        section=section,
+        values=values,
+        draws=draws,
+        scheme=scheme,
+        reference=reference,
+        loop=loop,
+        tube=np.where(passive, np.inf, np.where(hinge, np.radians(settings.tube_deg), settings.tube_m)),
+        end_s=trajectory.duration_s if ends else None,
+    )
+
+
+def _refuse_late_push(section: ImperfectionFactors, values: np.ndarray, end_s: float) -> None:
+    """Refuse pushes that start after a run's end [s] on every machine."""
+    labels = [factor.label for factor in section.factors]
+    if "push_start_s" in labels and values[:, labels.index("push_start_s")].min() >= end_s:
+        first = values[:, labels.index("push_start_s")].min()
+        raise ProblemError(
+            f"imperfections.push_start_s must be before the end of the run, {end_s:.4g} s, on at least one machine; got"
+            f" {first:g} or more; tracking.duration_s makes runs longer"
+        )
+
+
+def fall_note(experiment: Experiment) -> str | None:
+    """Return a sentence if the goal cannot be held after the motion within the effort limits, else None."""
+    end_s, reference = experiment.end_s, experiment.reference
+    if end_s is None or reference.time_s[-1] <= end_s:
+        return None
+    low, high = experiment.loop.effort_limit.T
+    needed = reference.effort[-1]
+    for actuator, effort, least, most in zip(experiment.plan.problem.mechanism.actuators, needed, low, high, strict=True):
+        if not least <= effort <= most:
+            unit, limit = actuator.unit, abs(least if effort < least else most)
+            return (
+                f"from {end_s:.4g} s on the goal is held, which needs {abs(effort):.3g} {unit} of {actuator.name}, limit"
+                f" {limit:.3g}: with any tracker the mechanism falls from there; tracking.duration_s = {end_s:.4g} ends the"
+                " run before"
+            )
+    return None
+
+
+def imperfections_asked(plan: Plan) -> dict:
+    """Return the table [imperfections] of a plan's problem, an empty one for none; without a table, the default ones."""
+    table = plan.problem.source.get("imperfections")
+    return default_imperfections(plan) if table is None else dict(table)
+
+
+def defaults_note(plan: Plan) -> str | None:
+    """Return the note on a missing or an empty [imperfections] table, or None if the table has imperfections."""
+    table = plan.problem.source.get("imperfections")
+    if table is None:
+        names = ", ".join(default_imperfections(plan))
+        return f"without [imperfections], those of a carefully built machine are used: {names}"
+    return None if table else "[imperfections] is empty: all machines are alike, and shares and intervals say nothing"
+
+
+def request_of(source: Mapping, digest: str | None, settings: Settings, trackers: Mapping[str, str]) -> AskedRecord:
+    """Return all inputs of an experiment's results: the problem's tables, a saved plan's digest, settings and versions.
+
+    `trackers` are the hashes of the source files of users' trackers.
+    """
+    return AskedRecord(
+        format=1,
+        problem=plain_record(source),
+        plan=digest,
+        settings=settings,
+        versions=versions() | ({"salib": salib_version()} if settings.design in (MORRIS, SOBOL) else {}),
+        tracker_sources=dict(trackers) or None,
+    )
+
+
+def plan_digest(plan: Plan) -> str:
+    """Return the hash of a plan's motion."""
+    trajectory = plan.trajectory
+    arrays: Sequence[np.ndarray] = (trajectory.breaks_s, trajectory.position, trajectory.velocity, trajectory.effort)
+    digest = hashlib.sha256()
+    for array in (*arrays, trajectory.start_pose):
+        digest.update(np.ascontiguousarray(array).tobytes() + b"|")
+    return digest.hexdigest()

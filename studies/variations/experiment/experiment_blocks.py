@@ -1,0 +1,153 @@
+"""An experiment as a document: trackers on many machines, pairs of trackers, worst machines."""
+
+import math
+
+import numpy as np
+
+from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
+from linkplan.studies.variations.experiment.experiment import Experiment
+from linkplan.studies.variations.experiment.sensitivity_blocks import sensitivity_blocks
+from linkplan.studies.variations.experiment.statistics import Estimate, Pair
+from linkplan.studies.variations.experiment.study import Outcome
+
+_WORDS = (("rms", "rms"), ("max", "largest"), ("final", "final"))
+# The columns of the second table of trackers: metric, head, unit, factor.
+_OTHERS = (
+    ("peak_effort", "peak effort", "", 1.0),
+    ("rms_effort", "rms effort", "", 1.0),
+    ("energy_j", "energy", "J", 1.0),
+    ("chatter", "effort's total variation", "", 1.0),
+    ("saturated_share", "at the limit", "%", 100.0),
+    ("settling_s", "settling", "s", 1.0),
+    ("loop_gap_um", "closure gap", "um", 1.0),
+)
+
+
+def outcome_blocks(outcome: Outcome) -> list[Block]:
+    """Return the tables of an outcome; means only if the machines are distributed like the imperfections."""
+    found: list[Block] = []
+    if outcome.distributed:
+        made = f"{outcome.name}: {outcome.samples} machines, means with their 95 % intervals"
+        found += [Text(text=made), *summary(outcome), *pairs(outcome), worst(outcome)]
+    return found + sensitivity(outcome)
+
+
+def sensitivity(outcome: Outcome) -> list[Block]:
+    """Return the influence of each imperfection; nothing without a design of sensitivity analysis."""
+    found = outcome.sensitivity
+    return sensitivity_blocks(outcome.name, found, outcome.experiment.settings.seed) if found is not None else []
+
+
+def summary(outcome: Outcome) -> list[Block]:
+    """Return what was simulated, each tracker's means, and the failures."""
+    tables = _tables(outcome) if outcome.distributed else []
+    notes = [Text(text=note, tone="note") for note in outcome.notes]
+    return [_facts(outcome), *tables, *_failures(outcome), *notes]
+
+
+def tube_text(experiment: Experiment) -> str:
+    """Return the tube of success as text, for hinges, slides or both."""
+    kinds = {joint.kind for joint in experiment.plan.problem.mechanism.independent_joints}
+    settings = experiment.settings
+    texts = {"hinge": f"{settings.tube_deg:g} deg", "slide": f"{settings.tube_m:g} m"}
+    return " and ".join(text for kind, text in texts.items() if kind in kinds)
+
+
+def estimated(one: Estimate) -> str:
+    """Return a mean ± half of its interval, rounded to the first significant digit of the interval."""
+    if not math.isfinite(one.value):
+        return "-"
+    if not math.isfinite(one.half) or one.half == 0:
+        return f"{one.value:.3g}"
+    digits = max(0, -math.floor(math.log10(one.half)))
+    if digits > 6:
+        return f"{one.value:.3g} ± {one.half:.1g}"
+    return f"{one.value:.{digits}f} ± {one.half:.{digits}f}"
+
+
+def _facts(outcome: Outcome) -> Facts:
+    experiment, settings = outcome.experiment, outcome.experiment.settings
+    reference = experiment.reference
+    rows = [
+        ("machines", f"{experiment.n}, the same for every tracker"),
+        ("design", f"{settings.design}, seed {settings.seed}"),
+        ("success", f"within {tube_text(experiment)} of the path all the way"),
+        ("simulated", f"{reference.period_s * reference.n:.4g} s each, control period {reference.period_s:g} s"),
+    ]
+    return Facts(rows=rows)
+
+
+def _tables(outcome: Outcome) -> list[Table]:
+    units = [name.removeprefix("rms_error_") for name in outcome.metrics if name.startswith("rms_error_")]
+    errors = [(f"{which}_error_{unit}", f"{word} error", unit) for unit in units for which, word in _WORDS]
+    largest = [(name, f"95th percentile of the {word}", unit) for name, word, unit in errors if name.startswith("max")]
+    heads = ["tracker", "success [%]", "its 95 % interval [%]", "failed", *((word, unit) for _, word, unit in errors)]
+    rows = [
+        [
+            tracker,
+            100 * one.success.value,
+            _interval(one.success),
+            sum(one.failures.values()),
+            *(estimated(one.means[name]) for name, _, _ in errors),
+            *(one.percentile95[name] for name, _, _ in largest),
+        ]
+        for tracker, one in outcome.trackers.items()
+    ]
+    title = "Trackers: means with half of their 95 % confidence intervals"
+    first = table_of(title, [*heads, *((word, unit) for _, word, unit in largest)], rows, digits=3)
+    others = ["tracker", *((head, unit or outcome.metrics[name].unit) for name, head, unit, _ in _OTHERS)]
+    rows = [
+        [tracker, *(factor * one.means[name].value for name, *_, factor in _OTHERS)]
+        for tracker, one in outcome.trackers.items()
+    ]
+    return [first, table_of("Efforts, energy and closure, means", others, rows)]
+
+
+def _failures(outcome: Outcome) -> list[Text]:
+    said = [
+        f"{tracker}: {count} of {outcome.samples} runs failed: {text}"
+        for tracker, one in outcome.trackers.items()
+        for text, count in one.failures.items()
+    ]
+    return [Text(text=text, tone="bad") for text in said]
+
+
+def pairs(outcome: Outcome) -> list[Table]:
+    """Return the table of pairs of trackers, if there are several trackers."""
+    if not outcome.pairs:
+        return []
+    metric = outcome.metrics[outcome.pairs[0].metric]
+    heads = ["first", "second", ("first less second", metric.unit), "first wins [%]", "its 95 % interval [%]"]
+    rows = [
+        [p.first, p.second, estimated(p.difference), 100 * p.wins.value, _interval(p.wins), _decided(p)]
+        for p in outcome.pairs
+    ]
+    title = f"Sample by sample, by the {metric.text}: the mean difference, and the share of machines that the first wins"
+    return [table_of(title, [*heads, "the better one"], rows, digits=3)]
+
+
+def _decided(pair: Pair) -> str:
+    if pair.wins.n and pair.wins.low > 0.5:
+        return f"{pair.first}, on most machines"
+    if pair.wins.n and pair.wins.high < 0.5:
+        return f"{pair.second}, on most machines"
+    return "not decided"
+
+
+def _interval(one: Estimate) -> str | None:
+    if not math.isfinite(one.value):
+        return None
+    return f"{math.floor(1000 * one.low) / 10:g} to {math.ceil(1000 * one.high) / 10:g}"
+
+
+def worst(outcome: Outcome) -> Table:
+    """Return the table of each tracker's worst machines."""
+    results, rows = outcome.results, []
+    largest = next(name for name in outcome.metrics if name.startswith("max_error"))
+    for tracker, one in outcome.trackers.items():
+        for sample in one.worst:
+            (row,) = np.flatnonzero((results["tracker"] == tracker) & (results["sample"] == sample))
+            cells = [float(results[largest][row]), bool(results["success"][row]), results["failure"][row]]
+            rows.append([tracker, sample, *cells])
+    heads = ["tracker", "sample", ("largest error", outcome.metrics[largest].unit), "success", "failed"]
+    return table_of("Each tracker's worst machines: failed, or else of the largest error", heads, rows)

@@ -1,0 +1,242 @@
+"""A complete experiment: from a plan to a folder with results, or to a summary only."""
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from msgspec import field, structs
+
+from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.models.errors import PlanFileError, ProblemError
+from linkplan.models.extras import load_extra
+from linkplan.planner.files.folders import check_target, plain_record, write_json
+from linkplan.planner.files.manifest import read_record
+from linkplan.planner.files.structs import NOT_READ, Beside
+from linkplan.planner.plan.folder import write_plan
+from linkplan.planner.plan.plan import Plan
+from linkplan.studies.compare.tracker_source import object_hash, refuse_other_sources, source_hash
+from linkplan.studies.compare.user_tracker import TrackerLike
+from linkplan.studies.variations.experiment.conduct import conduct, read_results, write_results
+from linkplan.studies.variations.experiment.design import LATIN_HYPERCUBE, replicate_of
+from linkplan.studies.variations.experiment.experiment import (
+    AskedRecord,
+    Experiment,
+    ExperimentRecord,
+    Settings,
+    defaults_note,
+    experiment_of,
+    fall_note,
+    imperfections_asked,
+    request_of,
+)
+from linkplan.studies.variations.experiment.metrics import metrics_of
+from linkplan.studies.variations.experiment.sensitivity import Sensitivity, sensitivity_of
+from linkplan.studies.variations.experiment.summary import Summary, chatter_notes, summarise
+from linkplan.studies.variations.sensitivity.scheme import MORRIS, ONE_AT_A_TIME
+from linkplan.studies.variations.tasks.engine import Engine, Say, serial
+from linkplan.studies.variations.tasks.unfinished import (
+    PLAN,
+    finish,
+    parts_folder,
+    refuse_other,
+    remove_left,
+    unfinished,
+    working,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+RECORD, RESULTS = "experiment.json", "results.parquet"
+
+
+class Outcome(Summary, frozen=True, kw_only=True, eq=False, omit_defaults=True):
+    """An experiment's inputs, its results as columns, and their summary, whose fields are keys of the JSON.
+
+    `machines` and `sensitivity` are present for a sensitivity design. The summary then covers only statistically independent
+    machines.
+    """
+
+    name: str = field(name="experiment")
+    asked: AskedRecord
+    imperfections: dict[str, Any]
+    control_period_s: float
+    duration_s: float
+    notes: list[str]
+    machines: int | None = None
+    sensitivity: Sensitivity | None = None
+    experiment: Beside[Experiment] = field(default=NOT_READ, name="(experiment)")
+    results: Beside[Mapping[str, np.ndarray]] = NOT_READ
+
+    @property
+    def population(self) -> Mapping[str, np.ndarray]:
+        """The results of statistically independent machines: all machines, except for a sensitivity design."""
+        return _independent(self.experiment, self.results)
+
+    @property
+    def distributed(self) -> bool:
+        """True if the machines are distributed like the imperfections, so that means are meaningful."""
+        return self.experiment.settings.design not in (ONE_AT_A_TIME, MORRIS)
+
+
+def run_experiment(
+    source: Mapping,
+    digest: str | None,
+    plan: Callable[[], Plan],
+    settings: Settings,
+    target: Path | None,
+    say: Say,
+    *,
+    engine: Engine = serial,
+    threads: int = 0,
+    own: Mapping[str, TrackerLike] | None = None,
+) -> Outcome:
+    """Return an experiment's outcome, and write it into a folder if one is given.
+
+    Args:
+        source: the tables of the problem.
+        digest: hash of a saved plan's motion; None if the problem is planned here.
+        plan: returns the plan when it is needed.
+        settings: of the experiment.
+        target: the folder, written in one step at the end; until then the parts are kept next to it.
+        say: receives progress messages.
+        engine: runs the blocks.
+        threads: simulator threads of each block; 0 for the engine's default.
+        own: trackers given as Python objects, by their names in the settings.
+
+    Raises:
+        PlanFileError: if the folder holds something else, or cannot be written.
+        LinkplanError: for a plan that cannot be simulated.
+    """
+    load_extra("pyarrow.parquet", "experiment")  # refused before anything is planned
+    objects = own or {}
+    sources = {name: source_hash(name) for name in settings.trackers if name not in TRACKERS and name not in objects}
+    written = {name: object_hash(given) for name, given in objects.items()}
+    request = request_of(source, digest, settings, sources | written)
+    asked = plain_record(request)
+    if target is not None:
+        check_target(target, RECORD)
+        if (target / RECORD).is_file():
+            refuse_other(target / RECORD, asked, f"'{target}' holds another experiment's results")
+            say(f"'{target}' holds these results already")
+            remove_left(unfinished(target), asked)
+            return saved_outcome(target)
+    with parts_folder(target) as folder, working(folder, asked, "an experiment"):
+        experiment = conduct(folder, settings, sources, objects, plan, engine, say, threads)
+        write_results(folder, folder / RESULTS, experiment)
+        outcome = _outcome(experiment, read_results(folder / RESULTS, experiment), request)
+        (folder / RESULTS).unlink()
+        if target is not None:
+            finish(folder, target, lambda place: _save(outcome, folder, place), RECORD)
+    return outcome
+
+
+def experiment_figure(outcome: Outcome, path: Path | None) -> "Figure":
+    """Return the figure of an experiment's distributions, saved at `path` if given."""
+    from linkplan.studies.output.figure import figure_of
+    from linkplan.studies.variations.experiment.distributions import SHOWN, distributions
+
+    one, metrics = outcome.experiment, outcome.metrics
+    names = [name for start in SHOWN for name in metrics if name.startswith(start)]
+    drawn = distributions(outcome.population, one.settings.trackers, names, metrics)
+    title = f"{one.plan.problem.name}: {outcome.samples} machines"
+    return figure_of(drawn, path, title=title, columns=3, panel_in=(4.0, 3.0))
+
+
+def _save(outcome: Outcome, folder: Path, place: Path) -> None:
+    """Write an outcome's files into an empty folder, and check that the record and the results can be read."""
+    from linkplan.studies.variations.experiment.sensitivity_blocks import save_tornados
+
+    write_results(folder, place / RESULTS, outcome.experiment)
+    read_results(place / RESULTS, outcome.experiment)
+    write_json(place / RECORD, outcome)
+    read_asked(place)
+    (place / PLAN).mkdir()
+    write_plan(outcome.experiment.plan, place / PLAN)
+    if outcome.sensitivity is not None:
+        save_tornados(outcome.name, outcome.sensitivity, place)
+    if outcome.distributed:
+        experiment_figure(outcome, place / "experiment.png")
+
+
+def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: AskedRecord) -> Outcome:
+    mechanism = experiment.plan.problem.mechanism
+    metrics = metrics_of(mechanism)
+    settings, scheme = experiment.settings, experiment.scheme
+    replicate = replicate_of(experiment.n) if settings.design == LATIN_HYPERCUBE else None
+    summary = summarise(_independent(experiment, results), settings.trackers, metrics, replicate)
+    sensitivity = None
+    if scheme is not None:
+        factors = experiment.section.factors
+        sensitivity = sensitivity_of(scheme, factors, results, settings.trackers, mechanism, settings.seed)
+    return Outcome(
+        **structs.asdict(summary),
+        name=experiment.plan.problem.name,
+        asked=asked,
+        imperfections=imperfections_asked(experiment.plan),
+        control_period_s=experiment.reference.period_s,
+        duration_s=experiment.reference.period_s * experiment.reference.n,
+        notes=[
+            *(note for note in (fall_note(experiment), defaults_note(experiment.plan)) if note is not None),
+            *chatter_notes(experiment, summary),
+        ],
+        machines=None if scheme is None else experiment.n,
+        sensitivity=sensitivity,
+        experiment=experiment,
+        results=results,
+    )
+
+
+def _independent(experiment: Experiment, results: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
+    if experiment.scheme is None:
+        return results
+    among = experiment.scheme.independent[results["sample"]]
+    return {name: column[among] for name, column in results.items()}
+
+
+def saved_experiment(folder: Path) -> Experiment:
+    """Return the experiment of a folder with results, for the replay of its samples.
+
+    Raises:
+        PlanFileError: if the folder holds no experiment.
+    """
+    from linkplan.planner.plan.folder import read_plan
+
+    asked = read_asked(folder)
+    return experiment_of(read_plan(folder / PLAN, anyway=True), asked.settings)
+
+
+def refuse_changed_tracker(folder: Path, tracker: str) -> None:
+    """Refuse a user's tracker whose source has changed since the experiment of a folder.
+
+    Raises:
+        LinkplanError: if it has changed.
+    """
+    sources = read_asked(folder).tracker_sources or {}
+    refuse_other_sources({name: known for name, known in sources.items() if name == tracker.strip()})
+
+
+def saved_outcome(folder: Path) -> Outcome:
+    """Return the outcome of a folder with results.
+
+    Raises:
+        PlanFileError: if the folder holds no experiment, or its results do not match its record.
+    """
+    experiment = saved_experiment(folder)
+    return _outcome(experiment, read_results(folder / RESULTS, experiment), read_asked(folder))
+
+
+def read_asked(folder: Path) -> AskedRecord:
+    """Return the inputs of the experiment of a folder.
+
+    Raises:
+        PlanFileError: if the folder holds no experiment, or its record is damaged.
+    """
+    path = folder / RECORD
+    if not path.is_file():
+        raise PlanFileError(f"'{folder}' holds no experiment: it has no {RECORD}")
+    try:
+        return read_record(path, ExperimentRecord).asked
+    except ProblemError as error:  # an invalid setting
+        raise PlanFileError(f"'{path}' is not a record that linkplan wrote: {error}") from error
