@@ -34,6 +34,15 @@ def own_cache(tmp_path_factory):
     patch.undo()
 
 
+@pytest.fixture(autouse=True, scope="session")
+def time_for_proofs():
+    """Give the proof that comes with a plan a minute: on a slow machine it would be skipped, and a note says so."""
+    patch = pytest.MonkeyPatch()
+    patch.setattr("linkplan.plans._PROOF_SECONDS", 60.0)
+    yield
+    patch.undo()
+
+
 @pytest.fixture
 def default_signals():
     """Let SIGINT, SIGTERM and SIGHUP do in this process and its children what they do by default.

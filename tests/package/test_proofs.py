@@ -18,7 +18,6 @@ def test_a_plan_is_proved_when_asked_and_keeps_its_proof(tmp_path):
 
 
 def test_a_plan_comes_with_a_proof_if_there_is_time_for_one(monkeypatch):
-    monkeypatch.setattr("linkplan.plans._PROOF_SECONDS", 60.0)
     proof = linkplan.plan("cart-pole-swing-up").proof
     assert proof is not None
     assert proof.passed

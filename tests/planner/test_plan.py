@@ -5,10 +5,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan.plan import motion_table, tracking_errors
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
-from tests.support.bodies import HINGE
+from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 
 BEGIN = 0.7
 BREAKS = BEGIN + np.array([0.0, 0.5, 2.0])
@@ -23,8 +23,8 @@ def turning(start: float = 2.0, *, periodic: bool = True) -> Trajectory:
     )  # fmt: skip
 
 
-def problem() -> SimpleNamespace:
-    return SimpleNamespace(mechanism=load_mechanism(HINGE), sites={})
+def problem() -> Problem:
+    return body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n")
 
 
 @pytest.mark.parametrize("start", [2.0, -0.5])

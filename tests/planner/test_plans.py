@@ -324,7 +324,7 @@ def test_a_speed_limit_that_binds_holds_between_the_nodes(name, override, joint,
 @pytest.mark.parametrize(
     ("override", "joint", "limit", "sign"),
     [
-        ("limits.range_deg.A=[10, 150]", 1, 10.0, -1),
+        ("limits.range_deg.A=[11, 150]", 1, 11.0, -1),
         ("limits.range_deg.O=[-90, 50]", 0, 50.0, 1),
         ("limits.range_deg.C=[-120, 41.5]", 2, 41.5, 1),
     ],

@@ -1,5 +1,6 @@
 """Reserve and ranges: effort limits kept at every corner, by second routes; what they cost; what cannot be asked."""
 
+import copy
 from dataclasses import replace
 
 import mujoco
@@ -86,8 +87,9 @@ def test_a_weaker_torque_constant_is_a_reserve():
     np.testing.assert_allclose(kept.problem.limits.actuators_effort, [[-100.0, 100.0]])
 
 
+@pytest.mark.slow
 def test_what_forbids_a_robust_motion_is_named():
-    plan = planned("knee-reach", "robust.payload_factor=[1.0, 2.0]")
+    plan = planned("knee-reach", "robust.payload_factor=[1.0, 2.0]", "objective.minimize=peak_effort")
     assert plan.status == "infeasible"
     assert "payload 2" in plan.message
 
@@ -161,7 +163,7 @@ def test_what_efforts_of_an_underactuated_mechanism_can_make_up_for_is_a_range_l
     a = np.array([np.array(mechanism.dynamics.acceleration(*x)).ravel() for x in zip(q, v, u[:, :1], strict=True)])
     corner = Corner(payload_factor=1.3, torque_factor=0.9, friction=(("cart", 0.5, 0.0),))
     found = corner_efforts_along(mechanism, (corner,), q, v, a, u[:, :1])[:, 0, 0]
-    model = load_mechanism("cart-pole", payload=payload.scaled(1.3)).model
+    model = copy.copy(load_mechanism("cart-pole", payload=payload.scaled(1.3)).model)
     model.dof_damping[0] += 0.5
     for k in range(4):
         data = mujoco.MjData(model)
@@ -171,24 +173,27 @@ def test_what_efforts_of_an_underactuated_mechanism_can_make_up_for_is_a_range_l
     assert np.abs(found - u[:, 0]).min() > 1e-3
 
 
+# A metre with the pole at rest below at both ends needs 5.7 N of 20.
+HANGING = ["motion.goal_deg.pole=0", "motion.duration_s=1.5"]
+
+
 def test_a_motion_within_a_reserve_is_one_of_weaker_motors_too_where_they_move_only_some_freedoms():
-    kept = planned("cart-pole-swing-up", "limits.reserve=0.4")
-    assert kept.certificate.peak_effort[0] == pytest.approx(12.0, rel=1e-6)  # 12.8 N without a limit
+    kept = planned("cart-pole-swing-up", *HANGING, "limits.reserve=0.73")
+    assert kept.certificate.peak_effort[0] == pytest.approx(5.4, rel=1e-6)
     whole = replace(kept.problem.limits, effort=kept.problem.limits.actuators_effort, reserve=0.0)
 
     def of_motors(factor: float):
         problem = replace(kept.problem, limits=whole, robust=Robust(torque_constant_factor=(factor, 1.0)))
         return certify(problem, kept.trajectory)
 
-    assert of_motors(0.601).passed
-    assert "torque constant 0.59" in of_motors(0.59).failures[0]
+    assert of_motors(0.2701).passed
+    assert "torque constant 0.26" in of_motors(0.26).failures[0]
 
 
-@pytest.mark.slow
 def test_weaker_motors_of_an_underactuated_mechanism_are_planned_for():
-    plan = planned("cart-pole-swing-up", "robust.torque_constant_factor=[0.6, 1.0]", "mesh.tolerance_deg=1e-3")
-    assert plan.status == "optimal"
-    assert plan.certificate.peak_effort[0] == pytest.approx(12.0, rel=1e-4)
+    assert optimal("cart-pole-swing-up", *HANGING).certificate.peak_effort[0] > 5.7
+    plan = optimal("cart-pole-swing-up", *HANGING, "robust.torque_constant_factor=[0.27, 1.0]")
+    assert plan.certificate.peak_effort[0] == pytest.approx(5.4, rel=1e-4)
 
 
 def test_a_price_is_never_negative():

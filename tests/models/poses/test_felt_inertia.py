@@ -1,5 +1,7 @@
 """The inertia that a drive feels in the model's own simulation, from which gains and LQR's weights follow."""
 
+import copy
+
 import mujoco
 import numpy as np
 import pytest
@@ -16,7 +18,8 @@ def rigid(mechanism: Mechanism) -> np.ndarray:
 
 def simulated(mechanism: Mechanism) -> np.ndarray:
     """Return one over MuJoCo's own accelerations by a unit force on each coordinate, less those without."""
-    model, data, found = mechanism.model, mujoco.MjData(mechanism.model), []
+    model, found = copy.copy(mechanism.model), []
+    data = mujoco.MjData(model)
     model.opt.tolerance, model.opt.iterations, model.opt.disableflags = 0.0, 200, mujoco.mjtDisableBit.mjDSBL_WARMSTART
     model.dof_frictionloss[:] = 0.0  # sliding friction does not depend on the acceleration
     data.qpos[:] = mechanism.qpos_of(mechanism.home)

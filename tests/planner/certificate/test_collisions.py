@@ -1,10 +1,10 @@
 """Collisions along a motion: whether every motion has them, and how they are told."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from linkplan.models.poses.contacts import Contact
 from linkplan.planner.certificate import further_checks
@@ -15,17 +15,6 @@ from tests.support.bodies import body_plan
 def meeting(since: float | None, depth_m: float = 1e-3, home_depth_m: float = 0.0, first: str = "a") -> Contact:
     depths = {"depth_m": depth_m, "home_depth_m": home_depth_m}
     return Contact(first=first, second="b", bodies=("A", "B"), since=since, deepest_at=since or 0.0, **depths)
-
-
-@pytest.mark.parametrize(("start", "goal"), [(1.0, 3.0), (3.0, 1.0)])
-@pytest.mark.parametrize(
-    ("pose", "expected"), [(0.9, False), (1.0, True), (2.0, True), (3.0, True), (3.1, False), (None, False)]
-)
-def test_a_collision_is_unavoidable_at_a_pose_between_start_and_goal(start, goal, pose, expected):
-    motion = SimpleNamespace(start=np.array([start]), goal=np.array([goal]))
-    problem = SimpleNamespace(contacts="refuse", mechanism=SimpleNamespace(dof=1), motion=motion)
-    trajectory = SimpleNamespace(position_at=lambda time: time[:, None])  # it is at pose t at the instant t
-    assert unavoidable(problem, trajectory, SimpleNamespace(contacts=(meeting(pose),))) is expected
 
 
 # A ball on a hinge of 0.5 m that swings towards a wall, 0.05 m beyond the goal or 0.1 m before it.
@@ -44,6 +33,20 @@ def swing():
         beyond: body_plan(SWING.format(wall=GOAL_M + 0.03 + beyond), MOTION, "limits.contacts=note")
         for beyond in (0.05, -0.1)
     }
+
+
+@pytest.mark.parametrize(("start", "goal"), [(-10.0, 10.0), (10.0, -10.0)])
+@pytest.mark.parametrize(("pose", "expected"), [(-10.1, False), (-9.9, True), (0.0, True), (9.9, True), (10.1, False)])
+def test_a_collision_is_unavoidable_at_a_pose_between_start_and_goal(swing, start, goal, pose, expected):
+    """The swing from -30 to 20 deg stands for a motion between -10 and 10 deg that goes beyond both ends."""
+    plan = swing[0.05]
+    motion = replace(plan.problem.motion, start=np.radians([start]), goal=np.radians([goal]))
+    problem, trajectory = replace(plan.problem, contacts="refuse", motion=motion), plan.trajectory
+    since = brentq(lambda t: float(trajectory.position_at(np.array([t]))[0, 0]) - np.radians(pose), 0, trajectory.duration_s)
+    certificate = replace(plan.certificate, contacts=(meeting(since),))
+    assert unavoidable(problem, trajectory, certificate) is expected
+    assert not unavoidable(replace(problem, contacts="note"), trajectory, certificate)
+    assert not unavoidable(problem, trajectory, replace(certificate, contacts=(meeting(None),)))
 
 
 @pytest.mark.parametrize("beyond", [0.05, -0.1])
