@@ -115,7 +115,7 @@ def _plant(study: BodeStudy) -> list[Table]:
                 row.append(", ".join(f"{mode.frequency_hz:.4g}" for mode in some) or "none")
                 row.append(", ".join(f"{mode.damping_ratio:.2g}" for mode in some))
             rows.append(row)
-    return [table_of("Plant: where the joint stands still, and where it swings", heads, rows)] if rows else []
+    return [table_of("Plant: resonances and anti-resonances", heads, rows)] if rows else []
 
 
 def _less_gain_is_nearer(m: Margins) -> bool:

@@ -17,7 +17,14 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.planner.search.planning import silent
 from linkplan.studies.feedback.bode.bode import SAME_POSE_SHARE, SCAN_POSITIONS
 from linkplan.studies.feedback.bode.scan import Line, judge_of
-from linkplan.studies.feedback.frequency.feedback_loops import LAW_NAMES, OperatingPoint, SampledLaw, operating_point
+from linkplan.studies.feedback.frequency.feedback_loops import (
+    LAW_NAMES,
+    OperatingPoint,
+    SampledLaw,
+    operating_point,
+    outputs_of,
+)
+from linkplan.studies.feedback.frequency.plant_modes import plant_modes
 from linkplan.studies.feedback.frequency.worst import local_minima
 from linkplan.studies.feedback.tune.requirements import (
     UNSTABLE_SHORTFALL,
@@ -98,7 +105,7 @@ def tune(
         message=_message(points, wanted, best, found, line),
         wanted=wanted,
         gains=gains if law.name == "lqr" else gains | {"motor_side": motors},
-        note=note,
+        note="; ".join([*filter(None, [note]), *_allowed_by_springs(points)]) or None,
         points=best.loops,
         mechanism=mechanism,
         best=best,
@@ -106,6 +113,22 @@ def tune(
         joints=tuned_joints(mechanism),
         tracking=tracking,
     )
+
+
+def _allowed_by_springs(points: Sequence[OperatingPoint]) -> list[str]:
+    """Return a sentence for each driven joint that stands still at some frequency, because others swing behind it."""
+    mechanism, found = points[0].mechanism, []
+    for channel in mechanism.channels:
+        name = mechanism.independent_joints[channel].name
+        modes = [mode for point in points for mode in plant_modes(point, channel)[name].anti_resonances]
+        if modes and len(outputs_of(mechanism, channel)) > 1:
+            lowest = min(modes, key=lambda mode: mode.frequency_hz)
+            found.append(
+                f"whatever the gains, joints that move along with {name} swing at {lowest.frequency_hz:.4g} Hz with a"
+                f" damping ratio of {lowest.damping_ratio:.2g} while {name} stands still, and follow it only below that"
+                " frequency"
+            )
+    return found
 
 
 def _along(points: Sequence[OperatingPoint], added: Sequence[OperatingPoint]) -> list[OperatingPoint]:

@@ -117,3 +117,10 @@ def test_a_hanging_pole_stills_its_cart_at_its_own_frequency():
 def test_a_pose_that_does_not_rest_on_its_spring_is_taken_where_it_does(study):
     spring = linkplan.bode(study.mechanism, kp=20.0, kd=0.5, at_deg=[{"m": 40.0}], measure=False).study.points[0]
     assert np.degrees(spring.point.pose) == pytest.approx([40.0, 40.0], abs=1e-6)
+
+
+def test_tune_says_up_to_which_frequency_a_load_follows(study):
+    told = linkplan.tune(study.mechanism, bandwidth_hz=5.0, phase_margin_deg=45.0, damping_ratio=0.2)
+    (mode,) = study.points[0].plant["m"].anti_resonances
+    assert told.found
+    assert f"swing at {mode.frequency_hz:.4g} Hz" in told.tuning.note
