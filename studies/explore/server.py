@@ -48,7 +48,7 @@ class Server(ThreadingHTTPServer):
         """Return the type and the content at a path below the token."""
         session = self.session
         if path == "plan":
-            document, said = session.report(asked.get("values", {}), asked.get("objective"))
+            document, said = session.report(asked.get("values", {}), asked.get("objective"), asked.get("tracker"))
             return "application/json", b'{"said": %b, "document": %b}' % (_json(said), document_json(document))
         if path == "save":
             return "application/json", _json({"saved": self.save(session.described())})
@@ -85,8 +85,10 @@ class _Handler(BaseHTTPRequestHandler):
             self._send(404, "text/plain", b"there is nothing here\n")
         elif not isinstance(asked, dict):
             self._send(400, "text/plain", b"a JSON object is needed\n")
-        elif not isinstance(asked.get("values", {}), dict) or not isinstance(asked.get("objective", ""), str | None):
-            self._send(400, "text/plain", b"values are a JSON object, the objective is a text\n")
+        elif not isinstance(asked.get("values", {}), dict) or not all(
+            isinstance(asked.get(name), str | None) for name in ("objective", "tracker")
+        ):
+            self._send(400, "text/plain", b"values are a JSON object, objective and tracker are texts\n")
         else:
             self._send(*self._answer(path, asked))
 

@@ -9,7 +9,8 @@ from dataclasses import asdict, dataclass, field
 import numpy as np
 from msgspec.structs import replace
 
-from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.models.errors import LinkplanError, ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import RANGE_ROUNDING
 from linkplan.models.poses.assembly import advance, steps_to
@@ -30,8 +31,8 @@ from linkplan.studies.output.report_file import report_of
 OBJECTIVES = ("effort", "time", "work")
 # Writes the problem file of a problem and returns its path.
 Save = Callable[[Problem], str]
-# Sliders of duration and payload go from a quarter to four times of what the problem has.
-_SLIDER_FACTOR = 4.0
+# Sliders of duration and payload go from a quarter to four times of what the problem has, those of gains farther.
+_SLIDER_FACTOR, _GAIN_FACTOR = 4.0, 16.0
 # Sliders end this share of their length before the loop opens, where rounding decides if it closes.
 _INSIDE_SHARE = 2e-6
 
@@ -68,14 +69,15 @@ class Session:
         self.current = self.first
 
     def controls(self) -> dict:
-        """Return the sliders and objectives of the page, in JSON types."""
+        """Return the sliders, objectives and trackers of the page, in JSON types."""
         chosen = self.first.to_dict().get("objective", {}).get("minimize", "effort")
         further = [chosen] if isinstance(chosen, str) and chosen not in OBJECTIVES else []
-        objectives = [*OBJECTIVES, *further]
-        return {"sliders": [asdict(one) for one in self.sliders()], "objectives": objectives, "objective": chosen}
+        sliders = [asdict(one) for one in self.sliders()]
+        choices = {"objectives": [*OBJECTIVES, *further], "objective": chosen}
+        return {"sliders": sliders, **choices, "trackers": TRACKERS, "tracker": self.tracker}
 
     def sliders(self) -> list[Slider]:
-        """Return the sliders: start and goal of the independent joints, duration, effort limits, payload."""
+        """Return the sliders: start and goal of the independent joints, duration, effort limits, payload, gains of PD."""
         problem = self.first
         motion = problem.to_dict()["motion"]
         found = []
@@ -94,6 +96,19 @@ class Session:
             found.append(Slider(key="effort_percent", label="effort limits", unit="%", low=10.0, high=100.0, value=100.0))
         if problem.mechanism.payload is not None:
             found.append(_about("payload_kg", "payload", "kg", problem.mechanism.payload.mass_kg))
+        return [*found, *self._gain_sliders()]
+
+    def _gain_sliders(self) -> list[Slider]:
+        """Return the sliders of kp and kd, one for all joints or one for each; none for a gain of zero."""
+        joints, tracking, found = self.first.mechanism.independent_joints, self.first.tracking, []
+        for place, name in enumerate(("kp", "kd")):
+            given = getattr(tracking, name)
+            units = {joint.name: joint.gain_units[place] for joint in joints}
+            shared = next(iter(units.values())) if len(set(units.values())) == 1 else ""
+            rows = [(name, name, shared, given)]
+            if isinstance(given, Mapping):
+                rows = [(f"{name}.{joint}", f"{name} {joint}", units[joint], value) for joint, value in given.items()]
+            found += [_about(*row, _GAIN_FACTOR) for row in rows if row[-1] > 0]
         return found
 
     def problem_at(self, values: Mapping[str, object], objective: str | None) -> Problem:
@@ -139,6 +154,8 @@ class Session:
         if key == "payload_kg":
             payload = self.first.mechanism.payload
             return {"mechanism.payload": payload.scaled(value / payload.mass_kg).table()}
+        if key.partition(".")[0] in ("kp", "kd"):
+            return {f"tracking.{key}": value}
         end = key.partition("_")[0]
         if end not in ("start", "goal") or value == slider.value:
             return {f"motion.{key}": value}
@@ -149,18 +166,24 @@ class Session:
         named: dict[str, object] = {f"motion.{end}_{unit}": own[unit] for unit in own if own[unit] != tables[unit]}
         return named | {f"motion.{key}": value}
 
-    def report(self, values: Mapping[str, object], objective: str | None) -> tuple[Report, dict]:
+    def report(self, values: Mapping[str, object], objective: str | None, tracker: str | None = None) -> tuple[Report, dict]:
         """Return the report at values of the sliders, and the verdict with the times that plan and tracking took [s].
 
+        Args:
+            values: by key of the sliders.
+            objective: None for the problem's own.
+            tracker: None for the session's own.
+
         Raises:
-            LinkplanError: if the values make no problem.
+            LinkplanError: if the values make no problem, or the tracker is unknown.
         """
+        tracker = self.tracker if tracker is None else choose("tracker", tracker, TRACKERS, ProblemError)
         with self.lock:
             problem, begun = self.problem_at(values, objective), time.monotonic()
             plan = self.planner.plan(problem)
             planned = time.monotonic() - begun
             self.current = problem
-            document = _tracked(plan, self.tracker)
+            document = _tracked(plan, tracker)
             said = {"passed": plan.passed, "message": plan.message, "plan_s": planned}
             return document, said | {"all_s": time.monotonic() - begun}
 
@@ -218,8 +241,8 @@ def _closed_until(mechanism: Mechanism, pose: np.ndarray, column: int, far: floa
     return float(last[mechanism.independent[column]])
 
 
-def _about(key: str, label: str, unit: str, value: float) -> Slider:
-    return Slider(key=key, label=label, unit=unit, low=value / _SLIDER_FACTOR, high=value * _SLIDER_FACTOR, value=value)
+def _about(key: str, label: str, unit: str, value: float, factor: float = _SLIDER_FACTOR) -> Slider:
+    return Slider(key=key, label=label, unit=unit, low=value / factor, high=value * factor, value=value)
 
 
 def explored_report(plan: Plan, comparison: Comparison) -> Report:

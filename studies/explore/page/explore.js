@@ -1,6 +1,6 @@
 // The sliders above a report: a moved slider asks for a new plan, and the page shows it.
 
-const explored = { busy: false, due: false, values: {}, objective: null };
+const explored = { busy: false, due: false, values: {}, objective: null, tracker: null };
 
 async function ask(path, body) {
   const options = body === undefined ? {} : { method: "POST", headers: { "Content-Type": "application/json" }, body: JSON.stringify(body) };
@@ -44,7 +44,8 @@ async function planAgain(said) {
     explored.due = false;
     said.textContent = "planning ...";
     try {
-      const answer = await ask("plan", { values: explored.values, objective: explored.objective });
+      const { values, objective, tracker } = explored;
+      const answer = await ask("plan", { values, objective, tracker });
       if (answer.refused) refuse(said, answer.refused);
       else {
         showAgain(answer.document);
@@ -65,23 +66,8 @@ function said2(seconds) {
 async function showSliders() {
   const controls = await ask("controls");
   const said = make("output", { class: "said", role: "status" }, "move a slider");
-  const rows = controls.sliders.map((slider) => {
-    explored.values[slider.key] = slider.value;
-    const shown = make("output", {}, `${said1(slider.value)} ${slider.unit}`);
-    const input = make("input", { type: "range", min: slider.low, max: slider.high, step: "any", value: slider.value, "aria-label": slider.label, "data-key": slider.key });
-    input.addEventListener("input", () => {
-      explored.values[slider.key] = Number(Number(input.value).toPrecision(6));
-      shown.textContent = `${said1(explored.values[slider.key])} ${slider.unit}`;
-      planAgain(said);
-    });
-    return make("label", {}, make("span", {}, slider.label), input, shown);
-  });
-  const choice = make("select", { "aria-label": "objective" });
-  for (const name of controls.objectives) choice.append(make("option", { value: name, selected: name === controls.objective }, name));
-  choice.addEventListener("change", () => {
-    explored.objective = choice.value;
-    planAgain(said);
-  });
+  const rows = controls.sliders.map((slider) => slidingRow(slider, said));
+  const choices = ["objective", "tracker"].map((name) => choiceRow(name, controls[`${name}s`], controls[name], said));
   const save = make("button", { type: "button" }, "Save problem file");
   save.addEventListener("click", async () => {
     try {
@@ -91,13 +77,40 @@ async function showSliders() {
       said.textContent = `no answer: ${error.message}`;
     }
   });
-  const form = make("form", { class: "explore", "aria-label": "sliders" }, ...rows, make("label", {}, make("span", {}, "objective"), choice), save, said);
+  const form = make("form", { class: "explore", "aria-label": "sliders" }, ...rows, ...choices, save, said);
   form.addEventListener("submit", (event) => event.preventDefault());
   document.body.prepend(form);
 }
 
-function said1(value) {
-  return said(value, 4);
+/** A slider with a number box; either moves the other, and both ask for a plan. */
+function slidingRow(slider, said) {
+  explored.values[slider.key] = slider.value;
+  const input = make("input", { type: "range", min: slider.low, max: slider.high, step: "any", value: slider.value, "aria-label": slider.label, "data-key": slider.key });
+  const box = make("input", { type: "number", step: "any", value: rounded6(slider.value), "aria-label": `${slider.label} as a number`, "data-number": slider.key });
+  const moved = (from, to) => () => {
+    const value = rounded6(from.value);
+    if (from.value === "" || !Number.isFinite(value)) return;
+    explored.values[slider.key] = value;
+    to.value = value;
+    planAgain(said);
+  };
+  input.addEventListener("input", moved(input, box));
+  box.addEventListener("change", moved(box, input));
+  return make("label", {}, make("span", {}, slider.label), input, make("span", { class: "number" }, box, ` ${slider.unit}`));
+}
+
+function choiceRow(name, options, chosen, said) {
+  const choice = make("select", { "aria-label": name });
+  for (const option of options) choice.append(make("option", { value: option, selected: option === chosen }, option));
+  choice.addEventListener("change", () => {
+    explored[name] = choice.value;
+    planAgain(said);
+  });
+  return make("label", {}, make("span", {}, name), choice);
+}
+
+function rounded6(value) {
+  return Number(Number(value).toPrecision(6));
 }
 
 showSliders();

@@ -74,6 +74,17 @@ def test_a_browser_moves_a_slider_and_saves(served, folder):
         page.get_by_text("0.25 s", exact=True).first.wait_for()
         assert page.locator(".verdict.good").inner_text().startswith("Locally effort-optimal motion of 0.25 s")
         assert page.locator("canvas.stage").count() == 1
+        box = page.locator("input[data-number='duration_s']")
+        assert box.input_value() == "0.25"
+        box.fill("0.3")
+        box.press("Tab")
+        page.get_by_text("0.3 s", exact=True).first.wait_for()
+        assert float(slider.input_value()) == pytest.approx(0.3)
+        box.fill("0.25")
+        box.press("Tab")
+        page.get_by_text("0.25 s", exact=True).first.wait_for()
+        page.get_by_label("tracker", exact=True).select_option("lqr")
+        page.locator("table", has_text="lqr").first.wait_for()
         page.get_by_role("button", name="Save problem file").click()
         page.get_by_text("saved problem.toml").wait_for()
         assert errors == []

@@ -8,7 +8,7 @@ from linkplan.models.poses.assembly import advance
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.explore.session import Session
-from linkplan.studies.output.document import Animation, Facts
+from linkplan.studies.output.document import Animation, Facts, Table
 from tests.support.reports import blocks
 
 
@@ -19,7 +19,7 @@ def session():
 
 def test_the_sliders_are_those_of_the_problem(session):
     found = {slider.key: slider for slider in session.sliders()}
-    assert set(found) == {"start_deg.O", "goal_deg.O", "duration_s", "effort_percent", "payload_kg"}
+    assert set(found) == {"start_deg.O", "goal_deg.O", "duration_s", "effort_percent", "payload_kg", "kp", "kd"}
     assert (found["goal_deg.O"].low, found["goal_deg.O"].high, found["goal_deg.O"].value) == (
         -90.0,
         pytest.approx(78.5217, abs=1e-3),
@@ -42,6 +42,34 @@ def test_the_sliders_of_a_motion_s_ends_lead_to_poses_that_close(name):
             if slider.key.startswith("goal"):
                 goal = np.asarray(problem.motion.goal)
                 assert advance(problem.mechanism, problem.start_pose(), goal)[1], slider.key
+
+
+def test_gains_and_trackers_change_the_tracked_run_and_not_the_plan(session):
+    def rms_deg(values, tracker):
+        report, said = session.report(values, None, tracker)
+        assert said["passed"]
+        (errors,) = [table for table in blocks(report, Table) if ("rms error", "deg") in table.columns]
+        assert errors.rows[0][0] == tracker
+        return errors.rows[0][errors.columns.index(("rms error", "deg"))], said["message"]
+
+    soft, first = rms_deg({"kp": 100.0}, "pd")
+    stiff, second = rms_deg({"kp": 400.0}, "pd")
+    fed, third = rms_deg({"kp": 100.0}, "pd+ff")
+    assert soft > 1.5 * stiff
+    assert fed < 0.2 * stiff
+    assert first == second == third
+    with pytest.raises(ProblemError, match="unknown tracker 'pid'"):
+        session.report({}, None, "pid")
+
+
+def test_every_joint_has_sliders_of_its_own_gains():
+    gains = {"tracking.kp": {"O1": 20.0, "O2": 40.0}, "tracking.kd": {"O1": 2.0, "O2": 0.0}}
+    session = Session(first=load_problem("five-bar-reach").with_settings(gains))
+    found = {slider.key: slider for slider in session.sliders() if slider.key.startswith("k")}
+    assert {key: (one.value, one.unit) for key, one in found.items()} == {
+        "kp.O1": (20.0, "N.m/rad"), "kp.O2": (40.0, "N.m/rad"), "kd.O1": (2.0, "N.m.s/rad"),
+    }  # fmt: skip
+    assert session.problem_at({"kp.O2": 60.0}, None).tracking.kp == {"O1": 20.0, "O2": 60.0}
 
 
 def test_a_problem_of_other_values_is_not_described_as_the_first():
