@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from linkplan.models.errors import LinkplanError
+from linkplan.models.extras import load_extra
 from linkplan.paths import path_of
 
 if TYPE_CHECKING:
+    import pandas
     from msgspec import Struct
 
     from linkplan.studies.output.document import Block, Report
@@ -46,6 +48,27 @@ class Result(ABC):
     @abstractmethod
     def blocks(self) -> list[Block]:
         """Return the result as a document's blocks."""
+
+    def to_frame(self, table: str | int = 0) -> pandas.DataFrame:
+        """Return one of the result's tables as a pandas table, with units in the columns' names and digits as shown.
+
+        Args:
+            table: its title or the beginning of it, or its place among the result's tables.
+
+        Raises:
+            MissingPackageError: if pandas is not installed.
+            LinkplanError: if the result has no such table; the message lists its tables.
+        """
+        from linkplan.studies.output.document import Table
+
+        pandas = load_extra("pandas", f"{type(self).__name__}.to_frame")
+        tables = [block for block in self.blocks() if isinstance(block, Table)]
+        found = [one for k, one in enumerate(tables) if k == table or (table and one.title.startswith(str(table)))]
+        if not found:
+            titles = ", ".join(f"{k} '{one.title}'" for k, one in enumerate(tables)) or "none"
+            raise LinkplanError(f"unknown table {table!r}; this result has {titles}")
+        heads = [f"{head} [{unit}]" if unit else head for head, unit in found[0].columns]
+        return pandas.DataFrame([list(row) for row in found[0].rows], columns=heads)
 
     @abstractmethod
     def document(self) -> Report:

@@ -87,6 +87,24 @@ def test_a_run_has_positions_errors_and_efforts_by_name_as_a_plan_has(plan, comp
     assert list(run.to_frame()["O_deg"]) == pytest.approx(list(run.position_deg["O"]))
 
 
+def test_every_table_of_a_result_is_a_pandas_table(compared):
+    pytest.importorskip("pandas")
+    frame = compared.to_frame()
+    assert list(frame["tracker"]) == ["pd", "lqr", "stiff", "idle"]
+    known = compared.to_dict()["trackers"]
+    assert list(frame["rms error [deg]"]) == pytest.approx(
+        [known[name]["rms_error_deg"] for name in frame["tracker"]], rel=1e-3
+    )
+    assert list(compared.to_frame(1).columns) != []
+    loop = linkplan.bode("knee-reach", at_deg=[{"O": 0.0}], measure=False)
+    margins = loop.to_frame("Margins")
+    assert margins["phase margin [deg]"][0] == pytest.approx(loop.study.points[0].phase_margin_deg, rel=1e-3)
+    with pytest.raises(LinkplanError, match=r"unknown table 'Poles'; this result has 0 'Margins at every pose'"):
+        loop.to_frame("Poles")
+    with pytest.raises(LinkplanError, match="unknown table 7"):
+        loop.to_frame(7)
+
+
 def test_every_tracker_has_a_colour_of_its_own(compared, tmp_path):
     figure = compared.plot(tmp_path / "compared.png")
     assert isinstance(figure, Figure)
