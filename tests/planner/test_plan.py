@@ -53,7 +53,8 @@ def test_default_times_increase_and_a_break_appears_twice_where_jumps_are_shown(
 def test_the_distance_from_a_reference_is_its_mean_square_and_its_largest():
     """A motion at 2 + pi t beside a reference at 1.5 + (pi + 0.25) t is off by up to half a radian."""
     reference = SimpleNamespace(derivative=lambda t: ((np.pi + 0.25) * (t - BEGIN) + 1.5)[:, None])
-    plan = SimpleNamespace(problem=SimpleNamespace(reference=reference), trajectory=turning())
+    problem = SimpleNamespace(reference_over=lambda _duration_s: reference)
+    plan = SimpleNamespace(problem=problem, trajectory=turning())
     rms, largest = tracking_errors(plan)
     share = np.concatenate([np.linspace(0.0, 0.5, 17), np.linspace(0.5, 2.0, 17)])
     assert largest == pytest.approx(0.5)
