@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import ModelError, choose
+from linkplan.models.kinematics import clamped_joints
 
 # The site at the world's origin whose axes are those of the forces.
 _AXES_NAME = "world axes"
@@ -22,22 +23,18 @@ def add_forces(spec: mujoco.MjSpec, forces: Mapping[str, Sequence[float]]) -> No
         ModelError: for an unknown site, or one that a joint moves whose actuatorfrcrange would clamp the force too.
     """
     sites = {site.name: site for site in spec.sites if site.name}
-    for name, force in forces.items():
-        site = sites[choose("site in mechanism.force", name, sites)]
-        if not np.any(force):
-            continue
-        body = site.parent
-        while body is not None and body.name != "world":
-            for joint in body.joints:
-                if joint.actfrclimited == mujoco.mjtLimited.mjLIMITED_TRUE or np.any(joint.actfrcrange):
-                    raise ModelError(
-                        f"mechanism.force on site '{name}': the actuatorfrcrange of joint '{joint.name}' would clamp the"
-                        " force with the motors' efforts; limit the motors by their forcerange or ctrlrange instead"
-                    )
-            body = body.parent
+    acting = {choose("site in mechanism.force", name, sites): force for name, force in forces.items() if np.any(force)}
+    for name, force in acting.items():
         if _AXES_NAME not in sites:
             sites[_AXES_NAME] = spec.worldbody.add_site(name=_AXES_NAME)
         one = spec.add_actuator(name=f"force on {name}", target=name, trntype=mujoco.mjtTrn.mjTRN_SITE, refsite=_AXES_NAME)
         one.gear = [*force, 0.0, 0.0, 0.0]
         one.gaintype, one.biastype = mujoco.mjtGain.mjGAIN_FIXED, mujoco.mjtBias.mjBIAS_AFFINE
         one.gainprm[0], one.biasprm[0] = 0.0, 1.0
+    model = spec.compile() if acting else None
+    for name in acting:
+        for joint in clamped_joints(model, model.site(name).id):
+            raise ModelError(
+                f"mechanism.force on site '{name}': the actuatorfrcrange of joint '{model.joint(joint).name}' would clamp"
+                " the force with the motors' efforts; limit the motors by their forcerange or ctrlrange instead"
+            )

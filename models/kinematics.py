@@ -309,3 +309,12 @@ def extent_m(model: mujoco.MjModel) -> float:
     box = np.ptp(np.vstack(points), axis=0)
     size = float(box.max()) if len(moving) else 0.0
     return stated if size <= 0 or size / 3.0 <= stated <= size * 3.0 else size
+
+
+def clamped_joints(model: mujoco.MjModel, site: int) -> list[int]:
+    """Return the joints that move a site and have an actuatorfrcrange: it clamps the sum of a force there and of motors."""
+    body, found = int(model.site_bodyid[site]), []
+    while body:
+        found += [joint for joint in joints_of(model, body) if model.jnt_actfrclimited[joint]]
+        body = int(model.body_parentid[body])
+    return found

@@ -14,11 +14,10 @@ import casadi as ca
 import mujoco
 import numpy as np
 
+from linkplan.models.kinematics import clamped_joints
 from linkplan.models.tree.coordinates import HINGE, SLIDE
 
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
-
-
 SITE_TRANSMISSION = int(mujoco.mjtTrn.mjTRN_SITE)
 
 
@@ -98,16 +97,6 @@ def is_gas_spring(model: mujoco.MjModel, actuator: int) -> bool:
     law = tuple(map(int, kinds)) == tuple(map(int, affine)) and not model.actuator_gainprm[actuator, 0]
     # A clamp of the joint or tendon limits the sum of all efforts on it.
     return law and int(model.actuator_plugin[actuator]) < 0 and not clamped and not switched_off(model, actuator)
-
-
-def clamped_joints(model: mujoco.MjModel, site: int) -> list[int]:
-    """Return the joints that move a site and whose actuatorfrcrange would clamp a force on it with their motors' efforts."""
-    body, found = int(model.site_bodyid[site]), []
-    while body:
-        joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
-        found += [joint for joint in joints if model.jnt_actfrclimited[joint]]
-        body = int(model.body_parentid[body])
-    return found
 
 
 def _is_constant_in_world(model: mujoco.MjModel, actuator: int) -> bool:

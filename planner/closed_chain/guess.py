@@ -84,7 +84,7 @@ def first_guess(problem: Problem, start_pose: np.ndarray) -> Guess:
 
 
 def follows_reference(problem: Problem) -> bool:
-    """Check whether a problem's first guess is its reference: it has no waypoints, and the ends of the reference."""
+    """Check whether the reference is the first guess: the problem has no waypoints, and the ends that the reference has."""
     motion, reference = problem.motion, problem.reference
     if reference is None or motion.waypoints:
         return False

@@ -87,7 +87,7 @@ def name_pins(axes, mechanism: Mechanism, pose: np.ndarray) -> None:
 
 
 def pins_by_place(mechanism: Mechanism, pose: np.ndarray) -> dict[tuple[float, float], list[str]]:
-    """Return the names of the joints and of the pins that close loops at a pose (n_q,), by place (right, up) [m]."""
+    """Return the places (right, up) [m] of all joints and closing pins at a pose (n_q,), with the names of those at each."""
     right, up = view(mechanism.model)
     places, turns = body_frames(mechanism, pose[None])
     joints = range(mechanism.model.njnt)

@@ -2,7 +2,7 @@
 
 Resonances are the poles of the plant with its open loops, x' = A x + B u. Anti-resonances are the transmission zeros of one
 output, the finite eigenvalues of the pencil [[A, B], [C, 0]] - lambda [[1, 0], [0, 0]] (Emami-Naeini & Van Dooren,
-Automatica 18, 1982): there the effort moves the other coordinates and the output stands still.
+Automatica 18, 1982): at such a frequency the effort moves the other coordinates, and the output stands still.
 """
 
 import numpy as np

@@ -137,7 +137,7 @@ def _with_weights(points, settings: Tracking, channel: int, inertia: float, omeg
     """
     kp, kd, joint = inertia * omega**2, 2 * damping * inertia * omega, points[0].mechanism.independent_joints[channel]
     limit = _effort_weight(points, channel)
-    # LQR damps with at least sqrt(2 J kp). For less damping, the velocity weight raises this by half a percent.
+    # A velocity weight raises LQR's kd above sqrt(2 J kp). Where a smaller kd is asked, it is raised by half a percent.
     extra = max(kd**2 - 2 * inertia * kp, _LEAST_EXTRA_DAMPING * 2 * inertia * kp)
     position, velocity = (float(np.clip(joint.shown(x), *LQR_ERRORS)) for x in (limit / kp, limit / np.sqrt(extra)))
     return settings.replace(**{f"lqr_position_{joint.unit}": position, f"lqr_velocity_{joint.unit}_s": velocity})

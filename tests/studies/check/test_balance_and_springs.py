@@ -38,7 +38,7 @@ def energy(angle: float) -> float:
 
 
 def along(mechanism):
-    """Return the figures of the only path of a check."""
+    """Return what `check` finds along the reach of a mechanism of one degree of freedom."""
     (path,) = check(mechanism).struct.along
     return path
 
