@@ -131,6 +131,11 @@ class Mechanism:
         return len(self.independent)
 
     @property
+    def n_equations(self) -> int:
+        """The number of equations of motion: `dof`, or more where a path guides freedoms without a force."""
+        return int(self.dynamics.residual.numel_out(0))
+
+    @property
     def n_u(self) -> int:
         """The number of usable actuators."""
         return len(self.actuators)

@@ -22,7 +22,7 @@ ROOMS = {
         "errors", "extras", "deadline", "compiled", "reading", "catalogue", "model_text", "payload", "kinematics",
         "deletion", "conversion", "urdf_links", "urdf_loops", "rod_spins", "external_forces",
         "selection", "library", "digest", "tree", "closure", "reduction", "actuation", "audit",
-        "coordinate_choice", "equations", "mechanism_html", "mechanism", "selected_model", "poses", "transfer",
+        "coordinate_choice", "equations", "mechanism_html", "mechanism", "selected_model", "poses", "transfer", "guide",
     ),
     "planner": (
         "transcription", "trajectory", "files", "problem", "limits", "certificate", "proof", "solvers", "refinement",

@@ -205,11 +205,17 @@ def _interval_rows(
 def tie_weights(problem: Problem, ties: float) -> np.ndarray:
     """Return the weights (n_u,) of the squared efforts' integrals [SI] that break ties, each by its limit and 1 / n_u.
 
-    They are zero for actuators without a limit, and for objectives without time or with a term of squared efforts.
+    They are zero for actuators without a limit, for one freedom, which has no ties, and for objectives without time or with
+    a term of squared efforts.
     """
     largest = np.abs(problem.limits.effort).max(axis=1)
     limited = np.isfinite(largest) & (largest > 0)
-    if not ties or not problem.objective.has("time") or problem.objective.efforts("bend", "smooth"):
+    if (
+        not ties
+        or problem.mechanism.dof == 1
+        or not problem.objective.has("time")
+        or problem.objective.efforts("bend", "smooth")
+    ):
         return np.zeros(len(largest))
     weight = ties * problem.objective.weight("time") / len(largest)
     return np.where(limited, weight / np.where(limited, largest, 1.0) ** 2, 0.0)

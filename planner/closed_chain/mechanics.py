@@ -166,7 +166,15 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     parts = [0, n_q - n_s, n_q - n_s + n_lifted(mechanism), n_z - asked.n_unknowns, n_z]
     z, lifted, working, unknowns = ca.vertsplit(node.z, parts)
     sizes = {"weight": len(asked.running), "reference": n_s if asked.tracked else 0}
-    sizes |= {"time": 1, "position": n_s, "effort": n_u, "residual": n_s, "length": 1, "power": 1, "force": 1}
+    sizes |= {
+        "time": 1,
+        "position": n_s,
+        "effort": n_u,
+        "residual": mechanism.n_equations,
+        "length": 1,
+        "power": 1,
+        "force": 1,
+    }
     sizes |= {"limits": sum(limit.rows.n_numbers for limit in asked.limits)}
     sizes |= {"payload": 0 if mechanism.payload is None else len(mechanism.payload.numbers())}
     given = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
@@ -179,8 +187,8 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
         rows, named, rates = lifted_rows(mechanism, lifted, call, given, (q, v, a, u))
         equations, kinds = ca.vertcat(equations, rows), kinds + named
     else:
-        equations = ca.vertcat(equations, call("residual", q, v, a, u) / given["residual"])
-        kinds += ("dynamics",) * n_s
+        left = call("residual", q, v, a, u) / given["residual"]
+        equations, kinds = ca.vertcat(equations, left), kinds + ("dynamics",) * left.numel()
     at = Instant(
         mechanism=mechanism,
         q=q,

@@ -67,11 +67,11 @@ def prescribe(problem: Problem, start_pose: np.ndarray) -> Trajectory:
 
 
 def motion_along(problem: Problem, guess: Guess, breaks_s: np.ndarray) -> Trajectory:
-    """Return a guess as a trajectory with efforts by inverse dynamics.
+    """Return a guess as a trajectory with its efforts, else with those of inverse dynamics.
 
     Args:
         problem: of the motion.
-        guess: whose accelerations are smooth between breaks.
+        guess: whose accelerations are smooth between breaks, and whose efforts are polynomials there of degree 8 at most.
         breaks_s: the intervals' ends (n + 1,) [s], from 0 to the guess's duration.
 
     Raises:
@@ -84,7 +84,7 @@ def motion_along(problem: Problem, guess: Guess, breaks_s: np.ndarray) -> Trajec
     time = (breaks_s[:-1, None] + h * tau).ravel()
     v, a = guess.velocity(time), guess.acceleration(time)
     poses = poses_along(mechanism, guess, time, problem.solver.deadline)
-    effort, _ = needed_effort(mechanism, poses, v, a)
+    effort = needed_effort(mechanism, poses, v, a)[0] if guess.effort is None else guess.effort(time)
 
     def coefficients(values: np.ndarray) -> np.ndarray:
         return np.einsum("pj,kjs->pks", to_bernstein, values.reshape(n, _REFERENCE_DEGREE + 1, -1))

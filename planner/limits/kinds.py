@@ -20,6 +20,7 @@ from linkplan.planner.limits.joints import (
 )
 from linkplan.planner.limits.limit import Limit, Margin, Problem, Samples, limit_margin
 from linkplan.planner.limits.site import SitePathLimit
+from linkplan.planner.limits.site_path import OnPathLimit
 from linkplan.planner.problem.instant import unit_scales
 
 # In the order of their rows in a program.
@@ -40,6 +41,7 @@ KINDS: tuple[type[Limit], ...] = (
     RobustLimit,
     SitePathLimit,
     SiteAccelerationLimit,
+    OnPathLimit,
     ExtraPathLimit,
 )
 # In the order in which a diagnosis removes them to find the one that forbids a motion. Effort limits and joint ranges follow

@@ -77,7 +77,7 @@ def _quickest_turn(problem: Problem, start_pose: np.ndarray) -> Guess | None:
 
 def phase_plane_applies(problem: Problem) -> bool:
     """True if the phase plane applies: a reach of one degree of freedom with limits on all efforts."""
-    if problem.mechanism.dof != 1 or problem.motion.kind != "reach" or problem.motion.stays:
+    if problem.mechanism.n_equations != 1 or problem.motion.kind != "reach" or problem.motion.stays:
         return False
     if any(w.time_s is not None or not np.all(np.isfinite(w.position)) for w in problem.motion.waypoints):
         return False

@@ -34,6 +34,7 @@ from linkplan.planner.problem.keys.sections import MechanismSection, MotionSecti
 from linkplan.planner.problem.limits import actuator_index, closure_index, limits_of, motors_of
 from linkplan.planner.problem.motion import motion_of
 from linkplan.planner.problem.objective import Objective, objective_from
+from linkplan.planner.problem.path import read_path_file, site_path_of
 from linkplan.planner.problem.reference import Reference, guess_of, guess_place, reference_of
 from linkplan.planner.problem.settings import (
     DEFAULT_PERIOD_S,
@@ -48,7 +49,7 @@ from linkplan.planner.problem.settings import (
 from linkplan.planner.problem.table_reference import read_reference_file
 
 # Arguments that are whole tables of a problem file, those that are keys of a table, and those that no file holds.
-_SECTIONS = ("reference", "limits", "motors", "guess", "mesh", "solver", "tracking", "robust", "imperfections")
+_SECTIONS = ("reference", "path", "limits", "motors", "guess", "mesh", "solver", "tracking", "robust", "imperfections")
 _TABLES = {key: "motion" for key in KEYS["motion"] if key != "kind"} | {"minimize": "objective", "reserve": "limits"}
 _MECHANISM = tuple(key for key in KEYS["mechanism"] if key != "model")
 _EXTRAS = ("extra_costs", "extra_limits")
@@ -72,6 +73,7 @@ def problem_arguments(
             + "".join(f"; {item.text}" for item in audit(mechanism.model))
         )
     read_reference_file(tables, mechanism, folder)
+    read_path_file(tables, folder)
     asked = _sections(tables, mechanism)
     notes = []
     others = other_coordinates(tables, mechanism)
@@ -80,6 +82,7 @@ def problem_arguments(
         mechanism = _in_coordinates(tables, mechanism, others, folder)
     limits = limits_of(asked.limits, mechanism)
     reference, reference_notes = reference_of(asked.reference, mechanism, limits.position)
+    path = site_path_of(asked.path, mechanism)
     follows = asked.motion.kind == "track" or reference is not None
     minimize = tables.get("objective", {}).get("minimize", "tracking" if follows else "effort")
     objective = objective_from(minimize, extra_costs)
@@ -88,7 +91,8 @@ def problem_arguments(
         tables["guess"]["plan"] = str(place.resolve())
     return {
         "mechanism": mechanism,
-        "motion": motion_of(asked.motion, mechanism, reference, limits),
+        "motion": motion_of(asked.motion, mechanism, reference, limits, path),
+        "path": path,
         "objective": objective,
         "limits": limits,
         "robust": Robust(**structs.asdict(asked.robust)),

@@ -11,6 +11,7 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import lock_words, rests_on_stops, spring_equilibrium, sprung_freedoms, stop_sentence
 from linkplan.planner.problem.keys.motion_and_limits import MotionSection, WaypointSection
 from linkplan.planner.problem.limits import Limits
+from linkplan.planner.problem.path import SitePath
 from linkplan.planner.problem.reference import Reference, is_whole
 from linkplan.planner.problem.settings import DERIVED, frozen, joint_values
 from linkplan.planner.problem.sites import SitePoint, points_of, pose_at
@@ -56,7 +57,7 @@ class Motion:
     """Boundary conditions over the independent joints, (n_s,) each, [rad or m] and per second.
 
     Kind "reach" goes from start to goal, "hold" stays at its start, which is its goal, "periodic" returns to its first
-    state, and "track" is the reference itself.
+    state, "track" is the reference itself, and "follow" takes a site along its path, from rest to rest.
 
     `turns` (n_s,) are whole turns of hinges over a period of a periodic motion, s(T) = s(0) + 2 pi turns; None without
     turns. `duration_s` None is a free duration between `min_duration_s` and `max_duration_s`. `waypoints` are passed in
@@ -107,7 +108,7 @@ class Motion:
     @property
     def ends_at_goal(self) -> bool:
         """Whether the motion ends at its goal and not, as a periodic one, at its start."""
-        return self.kind in ("reach", "hold")
+        return self.kind in ("reach", "hold", "follow")
 
     @property
     def goal_is_free(self) -> bool:
@@ -155,11 +156,43 @@ class Motion:
             raise ProblemError(f"motion.waypoints end at {last:g} s, beyond the motion's {longest:g} s")
 
 
+def _along(section: MotionSection, mechanism: Mechanism, limits: Limits, path: SitePath | None) -> Motion:
+    """Return the motion of a site along its path; the joints at the start choose the pose, the nearest to them."""
+    if path is None:
+        raise ProblemError("motion.kind 'follow' needs a [path]: the site, and points or a file")
+    unused = [key for key in _NOT_ALONG_A_PATH if getattr(section, key)]
+    if unused:
+        raise ProblemError(
+            f"motion.{unused[0]} does not belong to motion.kind 'follow', which goes from rest at the first point of its"
+            " [path] to rest at the last"
+        )
+    near = _state(section, "start", mechanism, None)
+    s = path.end_poses(mechanism, limits.position, limits.site, mechanism.home if near is None else _closed(mechanism, near))
+    return Motion(
+        kind="follow",
+        start=s[0],
+        goal=s[1],
+        duration_s=None if section.duration_s == "free" else section.duration_s,
+        min_duration_s=section.min_duration_s,
+        max_duration_s=section.max_duration_s,
+        goal_named=tuple(range(mechanism.dof)),
+    )
+
+
+# Keys of [motion] that say what a path says.
+_NOT_ALONG_A_PATH = ("start_at", "goal_deg", "goal_m", "goal_at", "start_speed_deg_s", "start_speed_m_s", "goal_speed_deg_s")
+_NOT_ALONG_A_PATH += ("goal_speed_m_s", "waypoints", "turns")
 # Largest difference of a dependent joint named in start_deg or goal_deg from the closed loop's position.
 _POSE_TOLERANCE = np.radians(0.05)
 
 
-def motion_of(section: MotionSection, mechanism: Mechanism, reference: Reference | None, limits: Limits) -> Motion:
+def motion_of(
+    section: MotionSection,
+    mechanism: Mechanism,
+    reference: Reference | None,
+    limits: Limits,
+    path: SitePath | None = None,
+) -> Motion:
     """Return the motion of a [motion] table; poses found from sites' places keep the limits if possible."""
     kind, duration = section.kind, section.duration_s
     if duration is None and reference is not None:
@@ -171,6 +204,8 @@ def motion_of(section: MotionSection, mechanism: Mechanism, reference: Reference
             f"motion.duration_s of a periodic motion is a whole number of the reference's periods of"
             f" {reference.period_s:g} s, got {duration:g}"
         )
+    if kind == "follow":
+        return _along(section, mechanism, limits, path)
     start, start_at, _ = _end(section, "start", kind, mechanism, limits, mechanism.home)
     begin = mechanism.home if start is None else _closed(mechanism, start)
     _check_hold(section)

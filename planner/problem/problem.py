@@ -22,6 +22,7 @@ from linkplan.planner.problem.keys.motion_and_limits import Motor
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.objective import Objective, objective_from
+from linkplan.planner.problem.path import SitePath, check_path
 from linkplan.planner.problem.reference import GuessedPath, Reference
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.trajectory import Trajectory
@@ -31,8 +32,8 @@ from linkplan.planner.trajectory import Trajectory
 class Problem:
     """A planning problem, checked as a whole: it is consistent, and the mechanism reaches its poses.
 
-    Made by `Problem.reach`, `.hold`, `.periodic`, `.track` or `.from_file`; varied by `replace` and `with_settings`. All
-    builders take the same arguments, in the form of a problem file's tables:
+    Made by `Problem.reach`, `.hold`, `.periodic`, `.track`, `.follow` or `.from_file`; varied by `replace` and
+    `with_settings`. All builders take the same arguments, in the form of a problem file's tables:
 
     Args:
         mechanism: from `load_mechanism`, or an argument for it: a built-in name, a path, MJCF text. The keys of [mechanism]
@@ -52,6 +53,7 @@ class Problem:
         reference: a sinusoid, `amplitude_deg`, `bias_deg`, `phase_deg` by joint and `frequency_hz`; or rows, `time_s` with
             `position_deg`, `position_m` by joint or `at`, {"foot": {"x": [...], "z": [...]}}, or the `file` of a table;
             with `period_s` and `spline`.
+        path: `site` with `points` [m] or a `file`, and `shape`, "polyline", "spline" or "arc", and `blend_m`, of `follow`.
         limits: `effort`, `range_deg`, `speed_deg_s`, `acceleration_deg_s2`, `jerk_deg_s3`, `effort_rate`, `power_w`,
             `closure_force`, `site_acceleration_m_s2`, each by name, and `singular_margin`, `contacts`; `site`, boxes
             {"foot": {"z": [0.0, inf]}}, walls {"normal": n, "at": p} and tubes {"along": points, "radius_m": r}, one or a
@@ -88,6 +90,7 @@ class Problem:
     robust: Robust = field(default_factory=Robust)
     motors: tuple[Motor | None, ...] = ()
     reference: Reference | None = None
+    path: SitePath | None = None
     guess: GuessedPath | Trajectory | None = None
     unhonoured: str = "refuse"  # a model with forces that plans neglect, or "note" these forces
     contacts: str = "refuse"  # a plan along which geoms collide, or "note" the contacts and neglect their forces
@@ -129,6 +132,15 @@ class Problem:
     def track(cls, mechanism: Mechanism | str | Path, **arguments: Any) -> Problem:
         """Return the problem of following a reference exactly; the arguments are those of `Problem`."""
         return cls._built("track", mechanism, arguments)
+
+    @classmethod
+    @build.with_arguments
+    def follow(cls, mechanism: Mechanism | str | Path, **arguments: Any) -> Problem:
+        """Return the problem of a site that follows a path exactly; the arguments are those of `Problem`.
+
+        It goes from rest at the first point of `path` to rest at the last. `start_deg` chooses among the poses there.
+        """
+        return cls._built("follow", mechanism, arguments)
 
     @classmethod
     def from_file(cls, path_or_name: str | Path, settings: Mapping[str, object] | None = None) -> Problem:
@@ -234,7 +246,8 @@ class Problem:
         """The indices in the model of all sites that the problem names, by name: start, waypoints, goal, limits."""
         motion = self.motion
         points = [*motion.start_at, *(point for waypoint in motion.waypoints for point in waypoint.at), *motion.goal_at]
-        return {one.site: one.index for one in (*points, *self.limits.site)}
+        paths = () if self.path is None else (self.path,)
+        return {one.site: one.index for one in (*points, *self.limits.site, *paths)}
 
     @property
     def not_honoured(self) -> tuple[str, ...]:
@@ -291,6 +304,8 @@ class Problem:
             uses(extra, self.mechanism)  # refuses what does not fit the mechanism
         lacking = consistency.lacking_parts(self.motion, self.mechanism, self.motors, self.reference, self.mesh, self.limits)
         consistency.check_motion(self.motion, self.objective, self.reference)
+        others = {"reference": self.reference, "robust": self.robust.corners, "guess": self.guess}
+        check_path(self.path, self.motion.kind, others)
         consistency.check_objective(self.objective, self.motion, self.mechanism, self.limits, lacking)
         if len(self.limits.closure_force) == 0:
             limits = replace(self.limits, closure_force=np.full(len(self.mechanism.closure_names), np.inf))

@@ -88,7 +88,7 @@ def of_several(problem: Problem) -> bool:
     mesh, objective = problem.mesh, problem.objective
     free = mesh.effort == "polynomial" and mesh.breaks is None and not np.any(np.isfinite(problem.limits.power))
     free = free and not problem.robust.corners
-    return min(problem.mechanism.dof, problem.mechanism.n_u) > 1 and free and not objective.is_smoothed
+    return min(problem.mechanism.n_equations, problem.mechanism.n_u) > 1 and free and not objective.is_smoothed
 
 
 def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:

@@ -21,6 +21,7 @@ from linkplan.planner.search import attempts, continuations, reasons, resting, s
 from linkplan.planner.search.finer_meshes import of_several
 from linkplan.planner.search.ladder import FULL_BUDGET, SHORT_BUDGET, Budget, Repair, Search, SearchMethod, run_search
 from linkplan.planner.search.several_motors import from_several_starts
+from linkplan.planner.search.site_path import plan_along_path
 from linkplan.planner.search.smooth_path import along_smooth_path, at_rest
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 
@@ -197,6 +198,8 @@ def _planned(problem: Problem, methods: Sequence[SearchMethod], diagnoses: Seque
     start_pose = problem.start_pose()
     if problem.motion.kind == "track":
         return plan_prescribed(problem, start_pose)
+    if problem.path is not None:
+        return plan_along_path(problem, start_pose, lambda guided: _planned(guided, methods, diagnoses, plans))
     search = Search(problem=problem, start_pose=start_pose, repairs=REPAIRS, plans=plans)
     excluded = reasons.contradicted(search) or reasons.too_short(search)
     held = problem.motion.kind == "hold"

@@ -69,11 +69,12 @@ Starts = Annotated[int, Meta(ge=1, le=1000)]
 
 Free = Literal["free"]
 Softness = Literal["stiff"]
-Kind = Literal["reach", "hold", "periodic", "track"]
+Kind = Literal["reach", "hold", "periodic", "track", "follow"]
 Contacts = Literal["refuse", "note"]
 Refine = Literal["both", "intervals", "degree"]
 Compile = Literal["auto", "always", "never"]
 Spline = Literal["periodic", "clamped", "natural"]
+Shape = Literal["polyline", "spline", "arc"]
 Axis = Literal["x", "y", "z"]
 Term = Literal["effort", "time", "tracking", "work", "copper_loss", "effort_rate", "jerk", "peak_effort", "closure_force"]
 

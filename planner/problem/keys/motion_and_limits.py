@@ -39,7 +39,7 @@ class MotionSection(Section, frozen=True):
     """The motion: start, goal, waypoints and duration."""
 
     kind: kinds.Kind = required(
-        "from start to goal; at rest at the start; back to its first state; or exactly the reference"
+        "from start to goal; at rest at the start; back to its first state; exactly the reference; or a site on its path"
     )
     start_deg: kinds.Angles = by_joint("hinges' angles at the start", "deg", _OPEN)
     start_at: kinds.Places = by_name(f"sites' places at the start, {_PLACES}", "m", "by the joints")
@@ -90,6 +90,23 @@ class ReferenceSection(Section, frozen=True):
 
 _ONE_OF = [{"required": [key]} for key in ("frequency_hz", "file", "time_s")]
 ReferenceTable = Annotated[ReferenceSection, Meta(extra_json_schema={"anyOf": _ONE_OF})]
+
+
+class PathSection(Section, frozen=True):
+    """A path that a site follows exactly from rest at its first point to rest at its last, for motion.kind "follow"."""
+
+    site: str = required("the site that follows the path")
+    points: kinds.Corners = key("points of the path in the world, in order; or a file", "m", "those of the file", default=[])
+    file: str = key("a CSV file with columns x_m, y_m, z_m, in place of points", "", "none")
+    shape: kinds.Shape = key(
+        "of the curve through the points: polyline with rounded corners, natural cubic spline, or the arc through three",
+        default="polyline",
+    )
+    blend_m: kinds.Positive = key("the distance from a polyline's corners at which they begin to be rounded", "m", "none")
+
+
+_PATH_ONE_OF = [{"required": [key]} for key in ("points", "file")]
+PathTable = Annotated[PathSection, Meta(extra_json_schema={"anyOf": _PATH_ONE_OF})]
 
 
 class Box(Section, frozen=True):

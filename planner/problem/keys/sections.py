@@ -15,6 +15,7 @@ from linkplan.planner.problem.keys.motion_and_limits import (
     LimitsSection,
     MotionSection,
     MotorTable,
+    PathTable,
     ReferenceTable,
     RobustSection,
 )
@@ -189,6 +190,7 @@ class ProblemFile(Section, frozen=True, kw_only=True):
     mechanism: MechanismSection = required("the machine")
     motion: MotionSection = required("the motion")
     reference: ReferenceTable = key("the sinusoid or table to follow exactly or approximately", otherwise="none")
+    path: PathTable = key("the path that a site follows exactly", otherwise="none")
     objective: ObjectiveSection = key("what to minimise", otherwise="by the kind of motion", default=ObjectiveSection())
     limits: LimitsSection = key("limits at every instant", otherwise="the model's own", default=LimitsSection())
     robust: RobustSection = key(

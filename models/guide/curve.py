@@ -1,0 +1,226 @@
+"""Curves in space that a site follows: an arc, a polyline with rounded corners, a spline through points.
+
+Every curve has continuous second derivatives by its parameter, so that accelerations along it have no jumps.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.errors import ModelError
+
+# Two points closer than this share of a path's length are one.
+_SAME_POINT_SHARE = 1e-9
+# The longest piece of an arc [rad]: from its chord Newton's method finds the nearest point.
+_LONGEST_ARC = 0.5 * np.pi
+# Sine of the angle between two segments below which they are one line.
+_STRAIGHT_SINE = 1e-9
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Arc:
+    """centre + radius (cos(x / radius) first + sin(x / radius) second) of the way x [m]; the axes (3,) are orthonormal."""
+
+    centre: np.ndarray
+    first: np.ndarray
+    second: np.ndarray
+    radius: float
+    length: float
+
+    def place(self, x: ca.SX) -> ca.SX:
+        """Return the place (3,) [m] at the way x [m]."""
+        turn = x / self.radius
+        return ca.DM(self.centre) + self.radius * (ca.cos(turn) * ca.DM(self.first) + ca.sin(turn) * ca.DM(self.second))
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Polynomial:
+    """sum over k of coefficients[k] x^k, coefficients (n, 3); x is zero where the piece begins."""
+
+    coefficients: np.ndarray
+    length: float
+
+    def place(self, x: ca.SX) -> ca.SX:
+        """Return the place (3,) [m] at the parameter x."""
+        value = ca.SX.zeros(3)
+        for coefficient in self.coefficients[::-1]:
+            value = value * x + ca.DM(coefficient)
+        return value
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """A curve of pieces one after another, over a parameter [m] that begins at 0 and ends at `length`.
+
+    `corners` (n,) are parameters at which the third derivative jumps as much as the curve is bent: the ends of blends.
+    """
+
+    pieces: tuple[Arc | Polynomial, ...]
+    corners: np.ndarray = field(default_factory=lambda: np.zeros(0))
+
+    @cached_property
+    def starts(self) -> np.ndarray:
+        """The parameters (n,) at which the pieces begin."""
+        return np.concatenate([[0.0], np.cumsum([piece.length for piece in self.pieces])[:-1]])
+
+    @property
+    def length(self) -> float:
+        """The parameter at the end [m]."""
+        return float(sum(piece.length for piece in self.pieces))
+
+    def place(self, x: ca.SX) -> ca.SX:
+        """Return the place (3,) [m] at a parameter as an expression; beyond its ends the curve continues."""
+        place = self.pieces[0].place(x)
+        for piece, start in zip(self.pieces[1:], self.starts[1:], strict=True):
+            place = ca.if_else(x < float(start), place, piece.place(x - float(start)))
+        return place
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """The place (3,) and its first two derivatives by the parameter."""
+        x = ca.SX.sym("x")
+        place = self.place(x)
+        slope = ca.jacobian(place, x)
+        return ca.Function("curve", [x], [ca.densify(one) for one in (place, slope, ca.jacobian(slope, x))])
+
+    def places(self, x: np.ndarray) -> np.ndarray:
+        """Return the places (n, 3) [m] at parameters (n,)."""
+        return np.array(self.function.map(len(x))(np.asarray(x)[None])[0]).T
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Return the distances (n,) [m] of points (n, 3) from the curve."""
+        coarse = np.linspace(0.0, self.length, 40 * len(self.pieces) + 1)
+        places = self.places(coarse)
+        x = coarse[np.argmin(np.linalg.norm(points[:, None] - places, axis=2), axis=1)]
+        function = self.function.map(len(x))
+        for _ in range(12):
+            place, slope, bend = (np.array(one).T for one in function(x[None]))
+            off = place - points
+            curvature = np.sum(slope**2, axis=1) + np.maximum(np.sum(off * bend, axis=1), 0.0)
+            x = np.clip(x - np.sum(off * slope, axis=1) / curvature, 0.0, self.length)
+        return np.linalg.norm(self.places(x) - points, axis=1)
+
+
+def line(points: np.ndarray, blend_m: float, where: str) -> Curve:
+    """Return the polyline through points (n, 3) with corners rounded by quintics that begin `blend_m` before them.
+
+    Raises:
+        ModelError: for a corner that is not rounded, or a segment that is too short for its blends.
+    """
+    ways = np.diff(points, axis=0)
+    lengths = np.linalg.norm(ways, axis=1)
+    units = ways / lengths[:, None]
+    pieces: list[Arc | Polynomial] = []
+    begin = 0.0
+    for k, (point, unit, length) in enumerate(zip(points, units, lengths, strict=False)):
+        corner = k + 1 < len(units) and _turns(unit, units[k + 1], points[k + 1], where)
+        if corner and not blend_m:
+            raise ModelError(
+                f"{where} has a corner at {_text(points[k + 1])}, where a site could only stop;"
+                " give the path's blend_m, the distance from a corner at which its rounding begins"
+            )
+        end = length - (blend_m if corner else 0.0)
+        if end - begin < -_SAME_POINT_SHARE * length:
+            raise ModelError(
+                f"{where} rounds its corners over {blend_m:g} m, and blends overlap on a segment of {length:g} m:"
+                " blend_m is at most half of an inner segment, and no longer than an outer one"
+            )
+        if end > begin:
+            pieces.append(Polynomial(coefficients=np.array([point + begin * unit, unit]), length=end - begin))
+        if corner:
+            pieces.append(_blend(points[k + 1], unit, units[k + 1], blend_m))
+        begin = blend_m if corner else 0.0
+    return Curve(tuple(pieces), corners=Curve(tuple(pieces)).starts[1:])
+
+
+def _turns(before: np.ndarray, after: np.ndarray, corner: np.ndarray, where: str) -> bool:
+    """Return whether two segments have different directions.
+
+    Raises:
+        ModelError: for opposite ones.
+    """
+    straight = bool(np.linalg.norm(np.cross(before, after)) <= _STRAIGHT_SINE)
+    if straight and before @ after < 0:
+        raise ModelError(f"{where} turns back on itself at {_text(corner)}; end it there")
+    return not straight
+
+
+def _text(point: np.ndarray) -> str:
+    return f"[{', '.join(f'{x:g}' for x in point)}]"
+
+
+def _blend(corner: np.ndarray, before: np.ndarray, after: np.ndarray, blend_m: float) -> Polynomial:
+    """Return the quintic that leaves one line and enters the next with equal tangents and no curvature."""
+    length = 2.0 * blend_m  # its parameter is the way along the polyline
+    ends = corner - blend_m * before, corner + blend_m * after
+    rows = np.zeros((6, 6))
+    for order in range(3):
+        for power in range(order, 6):
+            factor = float(np.prod(np.arange(power - order + 1, power + 1)))
+            rows[order, power] = factor * (power == order)
+            rows[3 + order, power] = factor * length ** (power - order)
+    values = np.array([ends[0], before, np.zeros(3), ends[1], after, np.zeros(3)])
+    return Polynomial(coefficients=np.linalg.solve(rows, values), length=length)
+
+
+def arc(points: np.ndarray, where: str) -> Curve:
+    """Return the circular arc from the first point over the second to the third.
+
+    Raises:
+        ModelError: for points on a line.
+    """
+    a, b, c = points
+    u, w = b - a, c - a
+    normal = np.cross(u, w)
+    size = float(normal @ normal)
+    if size <= (_STRAIGHT_SINE * float(np.linalg.norm(u) * np.linalg.norm(w))) ** 2:
+        raise ModelError(f"{where} has three points on a line, which no arc joins")
+    centre = a + (np.cross(normal, u) * (w @ w) + np.cross(w, normal) * (u @ u)) / (2 * size)
+    radius = float(np.linalg.norm(a - centre))
+    first = (a - centre) / radius
+    second = np.cross(normal / np.sqrt(size), first)
+    angle = float(np.arctan2((c - centre) @ second, (c - centre) @ first)) % (2 * np.pi)
+    parts = int(np.ceil(angle / _LONGEST_ARC))
+    turns = angle / parts * np.arange(parts)
+    axes = [(np.cos(t) * first + np.sin(t) * second, np.cos(t) * second - np.sin(t) * first) for t in turns]
+    length = radius * angle / parts
+    return Curve(tuple(Arc(centre=centre, first=a, second=b, radius=radius, length=length) for a, b in axes))
+
+
+def spline(points: np.ndarray) -> Curve:
+    """Return the natural cubic spline through points (n, 3), over the lengths of the chords."""
+    import scipy
+
+    chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    found = scipy.interpolate.CubicSpline(chords, points, bc_type="natural")
+    return Curve(
+        tuple(Polynomial(coefficients=found.c[::-1, k], length=float(length)) for k, length in enumerate(np.diff(chords)))
+    )
+
+
+SHAPES: dict[str, Callable[[np.ndarray, float, str], Curve]] = {
+    "polyline": line,
+    "spline": lambda points, _blend_m, _where: spline(points),
+    "arc": lambda points, _blend_m, where: arc(points, where),
+}
+
+
+def curve_through(points: Sequence[Sequence[float]], shape: str, blend_m: float, where: str) -> Curve:
+    """Return the curve of a shape through points [m].
+
+    Raises:
+        ModelError: for points that have no such curve.
+    """
+    given = np.array(points, dtype=float)
+    if len(given) < 2 or (shape == "arc" and len(given) != 3):
+        legal = "three points" if shape == "arc" else "two points or more"
+        raise ModelError(f"{where} of shape '{shape}' has {legal}, got {len(given)}")
+    gaps = np.linalg.norm(np.diff(given, axis=0), axis=1)
+    if gaps.min() <= _SAME_POINT_SHARE * gaps.sum():
+        raise ModelError(f"{where} has distinct consecutive points, got {_text(given[int(gaps.argmin())])} twice")
+    return SHAPES[shape](given, blend_m, where)

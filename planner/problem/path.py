@@ -1,0 +1,141 @@
+"""The path that a site follows, and the mechanism guided along it."""
+
+import functools
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.models.errors import AssemblyError, ModelError, ProblemError
+from linkplan.models.guide.curve import Curve, curve_through
+from linkplan.models.guide.guided import GuidedMechanism, guided
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.assembly import close_at, follow
+from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.models.tree.dynamics import site_index
+from linkplan.planner.files.columns import read_csv
+from linkplan.planner.files.tables import Tables, resolve_path
+from linkplan.planner.problem.keys.motion_and_limits import PathSection
+from linkplan.planner.problem.keys.reading import checked
+from linkplan.planner.problem.sites import AXES, SiteLimit, SitePoint, pose_at, shown
+
+# A motion follows its path if its site is never further from it than this share of the mechanism's extent.
+PATH_SHARE = 1e-6
+# Poses along a path between its ends.
+_PATH_SAMPLES = 181
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class SitePath:
+    """A site, its index in the model, and the curve that it follows; `within_m` is its largest distance from it [m]."""
+
+    site: str
+    index: int
+    curve: Curve
+    within_m: float
+
+    def guided(self, mechanism: Mechanism, pose: np.ndarray) -> GuidedMechanism:
+        """Return a mechanism guided along the path from a closed pose (n_q,) at its begin.
+
+        Raises:
+            ProblemError: if the site's place does not decide all freedoms, or no drive moves one of them.
+        """
+        return _guided(self, mechanism, tuple(pose.tolist()))
+
+    def end_poses(
+        self, mechanism: Mechanism, ranges: np.ndarray, limits: Sequence[SiteLimit], begin: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return the independent positions (n_s,) at both ends of the path; the first pose is the nearest to `begin`.
+
+        Raises:
+            ProblemError: if the site does not reach the whole path.
+        """
+        (first,) = self.curve.places(np.zeros(1))
+        points = (SitePoint(site=self.site, index=self.index, point=first),)
+        s, _ = pose_at(points, "the begin of path", mechanism, ranges, limits, begin)
+        pose = close_at(mechanism, s)
+        guide, along = self.guided(mechanism, pose), np.linspace(0.0, self.curve.length, _PATH_SAMPLES)
+        poses, places = np.append(pose, 0.0)[None], self.curve.places(along)
+        for k, x in enumerate(along):
+            try:
+                poses = follow(guide, np.array([[x]]), poses[0])
+            except AssemblyError as error:
+                raise ProblemError(self._left_at(places[k], x)) from error
+            pose = poses[0, :-1]
+            if np.linalg.norm(places_of(mechanism, self.index, pose)[0] - places[k]) > self.within_m:
+                raise ProblemError(self._left_at(places[k], x))
+        return s, pose[mechanism.independent]
+
+    def _left_at(self, place: np.ndarray, x: float) -> str:
+        return (
+            f"path leaves the reach of site {self.site} at {shown(place)}, {x:.4g} m of {self.curve.length:.4g} m after its"
+            " begin"
+        )
+
+
+@functools.lru_cache(maxsize=8)
+def _guided(path: SitePath, mechanism: Mechanism, pose: tuple[float, ...]) -> GuidedMechanism:
+    try:
+        return guided(mechanism, path.index, path.curve, np.array(pose))
+    except ModelError as error:
+        raise ProblemError(str(error)) from error
+
+
+def site_path_of(section: PathSection | None, mechanism: Mechanism) -> SitePath | None:
+    """Return the path of a [path] table.
+
+    Raises:
+        ProblemError: for points that have no such curve.
+    """
+    if section is None:
+        return None
+    if not section.points:
+        raise ProblemError("[path] needs path.points, [x, y, z] in metres each, or path.file")
+    if section.blend_m is not None and section.shape != "polyline":
+        raise ProblemError(f"path.blend_m rounds the corners of shape 'polyline', got shape '{section.shape}'")
+    try:
+        curve = curve_through(section.points, section.shape, section.blend_m or 0.0, "path")
+    except ModelError as error:
+        raise ProblemError(str(error)) from error
+    index = site_index(mechanism.model, section.site, "path.site", ProblemError)
+    return SitePath(site=section.site, index=index, curve=curve, within_m=PATH_SHARE * mechanism.extent_m)
+
+
+def read_path_file(tables: Tables, folder: Path | None) -> None:
+    """Replace `path.file` by the points of the CSV file that it names, so that a saved problem needs no other file.
+
+    Raises:
+        ProblemError: if the file cannot be read or lacks a coordinate.
+    """
+    section = tables.get("path")
+    if not isinstance(section, Mapping) or "file" not in section:
+        return
+    if "points" in section:
+        raise ProblemError("path.file and path.points are two paths; keep one")
+    name = checked("path.file", section["file"])
+    columns = read_csv(resolve_path(name, folder), f"path.file '{name}'")
+    heads = [f"{axis}_m" for axis in AXES]
+    if sorted(columns) != heads:
+        raise ProblemError(f"path.file '{name}' has columns {', '.join(heads)}, got {', '.join(columns)}")
+    points = np.column_stack([columns[head] for head in heads]).tolist()
+    tables["path"] = {key: value for key, value in section.items() if key != "file"} | {"points": points}
+
+
+def check_path(path: SitePath | None, kind: str, others: Mapping[str, object]) -> None:
+    """Refuse a path that no motion follows, a motion without its path, and tables that do not belong to one.
+
+    Args:
+        path: the problem's path.
+        kind: of its motion.
+        others: what a motion along a path does not take, by the name of its table; None or empty where it is not given.
+    """
+    if path is None:
+        if kind == "follow":
+            raise ProblemError("motion.kind 'follow' needs a [path]: the site, and points or a file")
+        return
+    if kind != "follow":
+        raise ProblemError(f"[path] belongs to motion.kind 'follow', got '{kind}'; limits.site has tubes")
+    given = [name for name, value in others.items() if value]
+    if given:
+        raise ProblemError(f"motion.kind 'follow' takes no [{given[0]}]")

@@ -1,0 +1,91 @@
+"""Plans of a site that follows a path exactly, with the path's parameter as the motion's only coordinate.
+
+The mechanism guided along the path has one freedom and all drives. Its plan is a plan like any other; every limit and
+objective applies. Its motion is then one of the mechanism itself, whose efforts follow from inverse dynamics.
+"""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from linkplan.models.guide.guided import GuidedMechanism
+from linkplan.models.poses.along import accelerations, joint_rates
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.certificate.further_checks import objective_value
+from linkplan.planner.closed_chain.case import finished
+from linkplan.planner.closed_chain.guess import Guess
+from linkplan.planner.closed_chain.prescribed import motion_along
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.limits import free_bounds
+from linkplan.planner.problem.motion import Waypoint
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.trajectory import Trajectory
+
+# Intervals of the guided mechanism's mesh for each of the mechanism's own: which drive is at its limit changes often along a
+# path, and the program of one freedom is small. Excess of the least time over that of an independent path parameterisation,
+# with 1, 2 and 3: of a five-bar's polyline with two corners 5e-4, 1.5e-4 and 1e-4, of a line below 1e-7 each.
+_MORE_INTERVALS = 3
+
+
+def plan_along_path(problem: Problem, start_pose: np.ndarray, plan_of: Callable[[Problem], Plan]) -> Plan:
+    """Return the plan of a motion along the problem's path; `plan_of` plans that of the guided mechanism."""
+    assert problem.path is not None
+    mechanism = problem.path.guided(problem.mechanism, start_pose)
+    found = plan_of(_guided_problem(problem, mechanism))
+    if found.trajectory is None or not found.passed:
+        return replace(found, problem=problem, trajectory=None, certificate=None, objective=None)
+    motion = _in_joints(problem, mechanism, found.trajectory)
+    objective, _ = objective_value(problem, motion)
+    said = f"{found.message}, along the path of site {problem.path.site}"
+    plan = finished(problem, motion, certify(problem, motion), objective, said, optimal=found.status == "optimal")
+    return replace(plan, history=found.history)
+
+
+def _guided_problem(problem: Problem, mechanism: GuidedMechanism) -> Problem:
+    """Return the problem of the guided mechanism: from rest at the path's begin to rest at its end."""
+    limits, free = problem.limits, free_bounds(1)
+    longer = {name: np.vstack([getattr(limits, name), free]) for name in ("position", "speed", "acceleration", "jerk")}
+    forces = np.append(limits.closure_force, np.inf)
+    motion = replace(
+        problem.motion,
+        kind="reach",
+        start=np.zeros(1),
+        goal=np.array([mechanism.curve.length]),
+        goal_named=(0,),
+        waypoints=[Waypoint(position=x) for x in mechanism.curve.corners[:, None]],
+    )
+    mesh = problem.mesh
+    if "intervals" not in problem.source.get("mesh", {}) and mesh.breaks is None:
+        mesh = mesh.replace(intervals=_MORE_INTERVALS * mesh.intervals)
+    return replace(
+        problem,
+        mechanism=mechanism,
+        motion=motion,
+        mesh=mesh,
+        path=None,
+        limits=replace(limits, closure_force=forces, **longer),
+    )
+
+
+def _in_joints(problem: Problem, mechanism: GuidedMechanism, along: Trajectory) -> Trajectory:
+    """Return a motion along the path as one of the mechanism's own joints."""
+    free = [int(i) for i in problem.mechanism.independent]
+
+    def poses(time: np.ndarray) -> np.ndarray:
+        return follow(mechanism, along.position_at(time), along.start_pose, problem.solver.deadline)
+
+    def acceleration(time: np.ndarray) -> np.ndarray:
+        return accelerations(mechanism, poses(time), along.velocity_at(time), along.acceleration_at(time))[:, free]
+
+    guess = Guess(
+        position=lambda time: poses(time)[:, free],
+        velocity=lambda time: joint_rates(mechanism, poses(time), along.velocity_at(time))[:, free],
+        acceleration=acceleration,
+        effort=along.effort_at,
+        duration_s=along.duration_s,
+        start_pose=along.start_pose[:-1],
+    )
+    motion = motion_along(problem, guess, along.breaks_s)
+    return replace(motion, effort=np.clip(motion.effort, *problem.limits.effort.T))  # rounding

@@ -1,0 +1,81 @@
+"""Curves that a site follows: their shapes, their smoothness, and distances from them."""
+
+import numpy as np
+import pytest
+
+from linkplan.models.errors import ModelError
+from linkplan.models.guide.curve import Curve, curve_through
+
+CORNER = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.0, 0.1], [0.0, 0.0, 0.2]]
+
+
+def derivatives(curve: Curve, x: float) -> list[np.ndarray]:
+    """Return the place and its first two derivatives at a parameter."""
+    return [np.array(one).ravel() for one in curve.function(x)]
+
+
+def test_the_derivatives_of_a_rounded_polyline_have_no_jumps():
+    curve = curve_through(CORNER, "polyline", 0.02, "path")
+    assert len(curve.corners) == 4
+    for corner in curve.corners:
+        before, after = (derivatives(curve, corner + side) for side in (-1e-9, 1e-9))
+        for k, tolerance in enumerate((1e-8, 1e-6, 1e-3)):  # the third derivative is about 1 / blend^2
+            np.testing.assert_allclose(before[k], after[k], atol=tolerance)
+
+
+def test_a_rounded_polyline_is_its_segments_but_for_the_blends():
+    curve = curve_through(CORNER, "polyline", 0.02, "path")
+    assert curve.length == pytest.approx(0.1 + 0.1 + np.hypot(0.1, 0.1), abs=1e-15)
+    np.testing.assert_allclose(
+        curve.places(np.array([0.0, 0.05, 0.15])), [[0, 0, 0], [0.05, 0, 0], [0.1, 0, 0.05]], atol=1e-15
+    )
+    np.testing.assert_allclose(curve.places(np.array([curve.length])), [CORNER[-1]], atol=1e-15)
+    blend = curve.places(np.linspace(0.08, 0.12, 41))
+    assert np.all(blend[:, 0] <= 0.1 + 1e-15)
+    assert np.all(blend[:, 2] >= -1e-15)
+
+
+def test_an_arc_keeps_its_radius_and_passes_its_points_in_order():
+    centre, radius, angles = np.array([0.2, -0.1, 0.3]), 0.15, np.radians([10.0, 200.0, 300.0])
+    first, second = np.array([0.6, 0.8, 0.0]), np.array([0.0, 0.0, 1.0])
+    points = [centre + radius * (np.cos(t) * first + np.sin(t) * second) for t in angles]
+    curve = curve_through(points, "arc", 0.0, "path")
+    assert curve.length == pytest.approx(radius * np.radians(290.0), rel=1e-12)
+    places = curve.places(np.array([0.0, radius * np.radians(190.0), curve.length]))
+    np.testing.assert_allclose(places, points, atol=1e-14)
+
+
+def test_a_spline_passes_all_points_and_ends_without_curvature():
+    points = np.array([[0.0, 0.0, 0.0], [0.1, 0.02, 0.0], [0.15, 0.1, 0.05], [0.1, 0.2, 0.1]])
+    curve = curve_through(points, "spline", 0.0, "path")
+    chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    np.testing.assert_allclose(curve.places(chords), points, atol=1e-15)
+    for x in (0.0, curve.length):
+        np.testing.assert_allclose(derivatives(curve, x)[2], 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(("shape", "blend_m"), [("polyline", 0.03), ("spline", 0.0)])
+def test_distances_are_those_from_the_nearest_of_many_points(shape: str, blend_m: float):
+    curve, rng = curve_through(CORNER, shape, blend_m, "path"), np.random.default_rng(7)
+    points = rng.uniform(-0.05, 0.25, (40, 3))
+    dense = curve.places(np.linspace(0.0, curve.length, 20001))
+    nearest = np.linalg.norm(points[:, None] - dense, axis=2).min(axis=1)
+    np.testing.assert_allclose(curve.distance(points), nearest, atol=2e-8)
+    np.testing.assert_allclose(curve.distance(dense[::97]), 0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("points", "shape", "blend_m", "said"),
+    [
+        (CORNER, "polyline", 0.0, "has a corner at [0.1, 0, 0], where a site could only stop; give the path's blend_m"),
+        (CORNER, "polyline", 0.06, "blends overlap on a segment of 0.1 m"),
+        ([[0, 0, 0], [1, 0, 0], [2, 0, 0]], "arc", 0.0, "three points on a line, which no arc joins"),
+        (CORNER, "arc", 0.0, "has three points, got 4"),
+        ([[0, 0, 0], [0, 0, 0]], "polyline", 0.0, "has distinct consecutive points, got [0, 0, 0] twice"),
+        ([[0, 0, 0], [1, 0, 0], [0, 0, 0]], "polyline", 0.1, "turns back on itself at [1, 0, 0]"),
+    ],
+)
+def test_points_without_a_curve_are_refused(points: list, shape: str, blend_m: float, said: str):
+    with pytest.raises(ModelError) as error:
+        curve_through(points, shape, blend_m, "path")
+    assert said in str(error.value)

@@ -1,0 +1,279 @@
+"""A site that follows a path exactly: least time and least effort against formulas of a two-link arm of one's own."""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from linkplan.models.errors import LinkplanError
+from linkplan.models.guide.curve import Curve
+from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.plan.folder import read_plan, write_plan
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.proof.prove import prove
+from linkplan.planner.search.planning import plan_motion
+
+# Two rods with their mass in the middle, in the vertical plane x-z; the second hinge counts from the first rod.
+L1, L2, M1, M2, J1, J2, G, D = 0.4, 0.3, 2.0, 1.0, 0.03, 0.01, 9.81, 0.05
+LIMIT = np.array([14.0, 5.0])
+ARM = f"""
+<mujoco model="arm">
+  <compiler angle="radian"/>
+  <option gravity="0 0 -{G}"/>
+  <worldbody>
+    <body name="upper">
+      <joint name="q1" axis="0 -1 0" damping="{D}"/>
+      <inertial pos="{L1 / 2} 0 0" mass="{M1}" diaginertia="{J1} {J1} {J1}"/>
+      <body name="lower" pos="{L1} 0 0">
+        <joint name="q2" axis="0 -1 0"/>
+        <inertial pos="{L2 / 2} 0 0" mass="{M2}" diaginertia="{J2} {J2} {J2}"/>
+        <site name="tip" pos="{L2} 0 0"/>
+      </body>
+    </body>
+  </worldbody>
+  <actuator>
+    <motor name="m1" joint="q1" ctrlrange="-{LIMIT[0]} {LIMIT[0]}" ctrllimited="true"/>
+    <motor name="m2" joint="q2" ctrlrange="-{LIMIT[1]} {LIMIT[1]}" ctrllimited="true"/>
+  </actuator>
+</mujoco>
+"""
+FROM, TO = np.array([0.55, -0.15]), np.array([0.35, 0.25])
+LINE = [[FROM[0], 0.0, FROM[1]], [TO[0], 0.0, TO[1]]]
+
+
+def joints(p, way, bend):
+    """Return q, dq/dx and d2q/dx2 of the arm whose elbow is below, at p(x) with dp/dx and d2p/dx2 (2,); arrays or CasADi."""
+    lib = ca if isinstance(p[0], ca.MX) else np
+    radius2 = p[0] ** 2 + p[1] ** 2
+    q2 = (
+        lib.arccos((radius2 - L1**2 - L2**2) / (2 * L1 * L2))
+        if lib is np
+        else ca.acos((radius2 - L1**2 - L2**2) / (2 * L1 * L2))
+    )
+    turn = np.arctan2 if lib is np else ca.atan2
+    q1 = turn(p[1], p[0]) - turn(L2 * lib.sin(q2), L1 + L2 * lib.cos(q2))
+    s1, c1, s12, c12 = lib.sin(q1), lib.cos(q1), lib.sin(q1 + q2), lib.cos(q1 + q2)
+    a, b, c, d = -L1 * s1 - L2 * s12, -L2 * s12, L1 * c1 + L2 * c12, L2 * c12
+    det = a * d - b * c
+
+    def solved(x, y):
+        return (d * x - b * y) / det, (a * y - c * x) / det
+
+    v1, v2 = solved(way[0], way[1])
+    x = bend[0] + L1 * c1 * v1**2 + L2 * c12 * (v1 + v2) ** 2
+    z = bend[1] + L1 * s1 * v1**2 + L2 * s12 * (v1 + v2) ** 2
+    return (q1, q2), (v1, v2), solved(x, z)
+
+
+def torques(q, v, a):
+    """Return the drives' torques of the arm by Lagrange's equations; damping acts on the first hinge."""
+    lib = ca if isinstance(q[0], ca.MX) else np
+    k = M2 * L1 * L2 / 2
+    c2, s2 = lib.cos(q[1]), lib.sin(q[1])
+    m22 = J2 + M2 * L2**2 / 4
+    m11 = J1 + M1 * L1**2 / 4 + M2 * L1**2 + m22 + 2 * k * c2
+    m12 = m22 + k * c2
+    g2 = M2 * G * L2 / 2 * lib.cos(q[0] + q[1])
+    g1 = (M1 * L1 / 2 + M2 * L1) * G * lib.cos(q[0]) + g2
+    first = m11 * a[0] + m12 * a[1] - k * s2 * (2 * v[0] * v[1] + v[1] ** 2) + g1 + D * v[0]
+    return first, m12 * a[0] + m22 * a[1] + k * s2 * v[0] ** 2 + g2
+
+
+def along_line(x):
+    """Return q, dq/dx, d2q/dx2 at ways x along the line from FROM to TO."""
+    unit = (TO - FROM) / np.linalg.norm(TO - FROM)
+    return joints((FROM[0] + unit[0] * x, FROM[1] + unit[1] * x), unit, (0.0, 0.0))
+
+
+def least_time(n: int) -> float:
+    """Return the least time along the line by the phase plane of the way: the highest speed that ends at rest."""
+    x = np.linspace(0.0, float(np.linalg.norm(TO - FROM)), n)
+    q, slope, bend = along_line(x)
+    still = np.zeros_like(x)
+
+    def at(v, a):
+        return np.array(torques(q, v, a))
+
+    rest = at((still, still), (still, still))
+    inertia = at((still, still), slope) - rest
+    ahead, back = at(slope, bend) - rest, at((-slope[0], -slope[1]), bend) - rest
+    square, linear = (ahead + back) / 2, (ahead - back) / 2
+
+    def accelerations(k: int, y: float) -> tuple[float, float]:
+        given = square[:, k] * y + linear[:, k] * np.sqrt(y) + rest[:, k]
+        ends = np.sort(np.array([(-LIMIT - given) / inertia[:, k], (LIMIT - given) / inertia[:, k]]), axis=0)
+        return float(ends[0].max()), float(ends[1].min())
+
+    h, y = x[1] - x[0], np.zeros(n)
+    for k in range(n - 2, -1, -1):  # backwards from rest, at the greatest deceleration
+        low, high = 0.0, 100.0
+        for _ in range(50):
+            middle = 0.5 * (low + high)
+            least, most = accelerations(k, middle)
+            low, high = (middle, high) if least <= most and middle + 2 * h * least <= y[k + 1] else (low, middle)
+        y[k] = low
+    limit = y.copy()
+    y[0] = 0.0
+    for k in range(n - 1):
+        y[k + 1] = min(y[k] + 2 * h * accelerations(k, y[k])[1], limit[k + 1])
+    speed = np.sqrt(y)
+    return float(np.sum(2 * h / (speed[1:] + speed[:-1])))
+
+
+def least_effort(duration_s: float, n: int = 60) -> float:
+    """Return the least integral of squared torques along the line, by an optimisation of its own: linear accelerations."""
+    opti, h, length = ca.Opti(), duration_s / n, float(np.linalg.norm(TO - FROM))
+    x, v, a = (opti.variable(n + 1) for _ in range(3))
+    cost = ca.MX(0)
+    for k in range(n):
+        slope = (a[k + 1] - a[k]) / h
+        opti.subject_to(x[k + 1] == x[k] + v[k] * h + (2 * a[k] + a[k + 1]) * h**2 / 6)
+        opti.subject_to(v[k + 1] == v[k] + (a[k] + a[k + 1]) * h / 2)
+        for share, weight in ((0.0, 1 / 6), (0.5, 4 / 6), (1.0, 1 / 6)):
+            t = share * h
+            x_t, v_t = x[k] + v[k] * t + a[k] * t**2 / 2 + slope * t**3 / 6, v[k] + a[k] * t + slope * t**2 / 2
+            q, per, bend = along_line(x_t)
+            rates = tuple(p * v_t for p in per)
+            bends = tuple(p * (a[k] + slope * t) + b * v_t**2 for p, b in zip(per, bend, strict=True))
+            cost += weight * h * sum(torque**2 for torque in torques(q, rates, bends))
+    opti.subject_to([x[0] == 0, v[0] == 0, x[n] == length, v[n] == 0])
+    opti.minimize(cost)
+    share = np.linspace(0.0, 1.0, n + 1)
+    opti.set_initial(x, length * (3 * share**2 - 2 * share**3))
+    opti.solver("ipopt", {"print_time": False, "expand": True, "ipopt.print_level": 0, "ipopt.sb": "yes"})
+    return float(opti.solve().value(cost))
+
+
+def followed(**changes) -> Problem:
+    asked = {"path": {"site": "tip", "points": LINE}, "start_deg": {"q1": -40.0, "q2": 50.0}, "minimize": "time"}
+    return Problem.follow(ARM, **(asked | changes))
+
+
+@pytest.fixture(scope="module")
+def quickest():
+    return plan_motion(followed())
+
+
+def test_the_least_time_along_a_line_is_that_of_the_phase_plane_of_the_way(quickest):
+    coarse, fine = least_time(601), least_time(1201)
+    assert quickest.status == "optimal"
+    assert quickest.duration_s == pytest.approx(2 * fine - coarse, rel=2e-5)
+
+
+def test_the_site_stays_on_its_path_and_a_margin_says_so(quickest):
+    motion, unit = quickest.trajectory, (TO - FROM) / np.linalg.norm(TO - FROM)
+    q1, q2 = motion.position_at(motion.dense_times(30)).T
+    place = np.array([L1 * np.cos(q1) + L2 * np.cos(q1 + q2), L1 * np.sin(q1) + L2 * np.sin(q1 + q2)]).T - FROM
+    assert np.abs(place @ [-unit[1], unit[0]]).max() < 1e-7
+    (margin,) = [one for one in quickest.certificate.margins if one.of.key == "path"]
+    assert margin.value < margin.limit == pytest.approx(1e-6 * quickest.problem.mechanism.extent_m)
+
+
+def test_efforts_are_those_of_the_arm_and_reach_the_limits(quickest):
+    motion = quickest.trajectory
+    time = motion.dense_times(7)[3::7]
+    q, v, a = motion.position_at(time).T, motion.velocity_at(time).T, motion.acceleration_at(time).T
+    effort = motion.effort_at(time)
+    np.testing.assert_allclose(effort, np.array(torques(q, v, a)).T, atol=2e-3)
+    assert np.abs(np.abs(effort) / LIMIT).max(axis=1).min() > 0.999  # one drive or the other at every instant
+
+
+def test_a_motion_off_its_path_fails_its_certificate(quickest):
+    path = quickest.problem.path
+    (piece,) = path.curve.pieces
+    moved = replace(
+        path, curve=Curve((replace(piece, coefficients=piece.coefficients + np.array([[0, 0, 1e-5], [0, 0, 0]])),))
+    )
+    failures = certify(replace(quickest.problem, path=moved), quickest.trajectory).failures
+    assert any("distance of site tip from its path" in failure for failure in failures)
+
+
+@pytest.fixture(scope="module")
+def cheapest():
+    return plan_motion(followed(minimize="effort", duration_s=0.6))
+
+
+def test_the_distance_from_the_path_is_proved(cheapest):
+    proof = prove(cheapest.problem, cheapest.trajectory, existence=False)
+    (finding,) = [one for one in proof.findings if "from its path" in one.name]
+    assert finding.answer == "proved"
+
+
+def test_the_least_effort_in_a_given_time_is_that_of_an_optimisation_of_the_way(cheapest):
+    assert cheapest.status == "optimal"
+    assert cheapest.objective == pytest.approx(least_effort(0.6), rel=1e-5)
+
+
+def test_a_polyline_with_rounded_corners_is_followed_and_saved(tmp_path):
+    corner = [[0.55, 0.0, -0.15], [0.55, 0.0, 0.0], [0.45, 0.0, 0.1]]
+    plan = plan_motion(followed(path={"site": "tip", "points": corner, "blend_m": 0.03}))
+    assert plan.status == "optimal"
+    write_plan(plan, tmp_path)
+    again = read_plan(tmp_path)
+    assert again.problem.path.curve.length == plan.problem.path.curve.length
+    np.testing.assert_array_equal(again.trajectory.position, plan.trajectory.position)
+
+
+def test_the_start_chooses_among_the_poses_at_the_begin():
+    above = followed(start_deg={"q1": 40.0, "q2": -50.0})
+    assert np.degrees(followed().motion.start[1]) > 10.0
+    assert np.degrees(above.motion.start[1]) < -10.0
+
+
+def test_a_path_file_is_read_and_kept_in_the_problem(tmp_path):
+    (tmp_path / "way.csv").write_text("x_m,y_m,z_m\n" + "\n".join(",".join(map(str, point)) for point in LINE))
+    problem = followed(path={"site": "tip", "file": str(tmp_path / "way.csv"), "shape": "spline"})
+    assert problem.to_dict()["path"]["points"] == LINE
+    (tmp_path / "flat.csv").write_text("x_m,z_m\n0.1,0.2\n0.2,0.2\n")
+    with pytest.raises(LinkplanError, match="has columns x_m, y_m, z_m, got x_m, z_m"):
+        followed(path={"site": "tip", "file": str(tmp_path / "flat.csv")})
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"path": {"site": "tip", "points": [LINE[0], [0.9, 0.0, 0.0]]}}, "path leaves the reach of site tip at"),
+        (
+            {"path": {"site": "tip", "points": [[0.9, 0.0, 0.0], LINE[1]]}},
+            "the begin of path.tip = [0.9, 0, 0] is out of reach",
+        ),
+        ({"path": {"site": "tip", "points": LINE, "shape": "arc"}}, "has three points, got 2"),
+        ({"path": {"site": "hand", "points": LINE}}, "unknown site 'hand' in path.site"),
+        ({"path": {"site": "tip"}}, "path.points"),
+        ({"path": {"site": "tip", "points": LINE, "shape": "spline", "blend_m": 0.01}}, "path.blend_m rounds the corners"),
+        ({"path": None}, "motion.kind 'follow' needs a [path]"),
+        ({"goal_deg": {"q1": 1.0}}, "motion.goal_deg does not belong to motion.kind 'follow'"),
+        (
+            {
+                "robust": {"payload_factor": [0.9, 1.1]},
+                "payload": {"body": "lower", "mass_kg": 0.1, "com_m": [0, 0, 0], "inertia_kgm2": [0, 0, 0]},
+            },
+            "takes no [robust]",
+        ),
+        ({"path": {"site": "tip", "points": [LINE[0], [0.5, 0.1, 0.0]]}}, "path leaves the reach of site tip"),
+    ],
+)
+def test_paths_that_cannot_be_followed_are_refused_in_one_line(changes: dict, said: str):
+    with pytest.raises(LinkplanError) as error:
+        followed(**changes)
+    assert said in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_path_belongs_to_its_kind_of_motion():
+    with pytest.raises(LinkplanError, match=r"belongs to motion.kind 'follow', got 'reach'"):
+        Problem.reach(
+            ARM, start_deg={"q1": 0, "q2": 50}, goal_deg={"q1": 10, "q2": 50}, path={"site": "tip", "points": LINE}
+        )
+
+
+def test_a_mechanism_with_more_freedoms_than_the_path_decides_is_refused():
+    longer = ARM.replace(
+        '<site name="tip"',
+        '<body name="hand"><joint name="q3" axis="0 -1 0"/><inertial pos="0.05 0 0"'
+        ' mass="0.1" diaginertia="1e-4 1e-4 1e-4"/></body><site name="tip"',
+    )
+    longer = longer.replace("</actuator>", '<motor name="m3" joint="q3" ctrlrange="-1 1" ctrllimited="true"/></actuator>')
+    with pytest.raises(LinkplanError, match="leaves 1 of the 3 freedoms of 'arm' open"):
+        Problem.follow(longer, path={"site": "tip", "points": LINE})
