@@ -61,6 +61,7 @@ RELAXED: tuple[type[Limit], ...] = (
     TendonLimit,
     BallLimit,
     SitePathLimit,
+    OnPathLimit,
     ExtraPathLimit,
 )
 
