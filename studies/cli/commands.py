@@ -33,7 +33,7 @@ def run_study(arguments: argparse.Namespace) -> int:
     return DONE if result.passed else NO
 
 
-run_track = run_compare = run_decompose = run_bode = run_tune = run_transfer = run_study
+run_track = run_compare = run_decompose = run_bode = run_tune = run_transfer = run_size = run_study
 
 
 def run_plan(arguments: argparse.Namespace) -> int:
