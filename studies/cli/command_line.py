@@ -109,6 +109,8 @@ def build_parser() -> Parser:
     text = "a TOML file with [[motor]] tables, or a CSV file with a motor in a row: name, peak_effort, rms_effort, ..."
     _add(size, "--motors", "FILE", text, required=True)
     _add(size, "--actuator", "NAME", "the one that gets the motors (default: the only one)")
+    text = "rest without effort after each motion [s], over which the rms effort is taken, too (default: %(default)s)"
+    _add(size, "--rest-s", "T", text, float, 0.0)
 
     track = command("track", "run one tracker on a plan in MuJoCo", report=True)
     _add(track, "plan", "PLAN", "a saved plan's folder, a built-in problem or a TOML file")
@@ -213,9 +215,9 @@ def build_parser() -> Parser:
     _anyway(export)
     _selection(export)
 
-    text = "print the JSON Schema of problem files, for completion in editors"
+    text = "print the JSON Schema of problem files, batch files or lists of motors, for completion in editors"
     schema = command("schema", text, output=False, settings=False)
-    _add(schema, "file", "KIND", "problem or batch (default: %(default)s)", default="problem", nargs="?")
+    _add(schema, "file", "KIND", "problem, batch or motors (default: %(default)s)", default="problem", nargs="?")
     _add(schema, "-o --output", "FILE", "write it into this file")
 
     completion = command("completion", "print a shell's completion script", output=False, settings=False)

@@ -165,7 +165,7 @@ def run_list(arguments: argparse.Namespace) -> int:
 
 
 def run_schema(arguments: argparse.Namespace) -> int:
-    """Print the JSON Schema of problem files or of batch files, or write it into a file."""
+    """Print the JSON Schema of a kind of file, or write it into a file."""
     from linkplan.paths import write_schema
 
     said = called(arguments, None)

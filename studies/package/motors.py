@@ -12,6 +12,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.paths import drawn, path_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.settings import number
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
 from linkplan.studies.output.document import Block, Report
@@ -28,6 +29,7 @@ def size(
     motors: str | Path | Sequence[Mapping],
     *,
     actuator: str | None = None,
+    rest_s: float = 0.0,
     progress: Progress | None = None,
 ) -> SizeResult:
     """Return the motors of a list that do a problem's motion, behind each of their gears, by what margin, the best first.
@@ -41,6 +43,7 @@ def size(
             with `name`, `peak_effort` [N.m or N], `rms_effort`, `stall_effort` and `no_load_speed_deg_s` or `_m_s`,
             `rotor_inertia` [kg m2 or kg], `gears`, a list of ratios, `torque_constant` and `resistance_ohm`.
         actuator: the one that gets the motors; needed if there are several. The others keep their limits.
+        rest_s: the rest without effort after each motion [s], over which the rms effort is taken, too.
         progress: called with lines on the progress.
 
     Raises:
@@ -58,7 +61,10 @@ def size(
         listed = motors_from({"motor": motors})
     else:
         listed = read_motors(path_of(motors, "motors"))
-    sizing, plan = size_motors(asked, actuator_of(asked, actuator), listed, listener(progress))
+    rest = number(rest_s, "rest_s", at_least_zero=True)
+    if rest and (asked.motion.kind == "periodic" or (asked.reference is not None and asked.reference.periodic)):
+        raise ProblemError(f"rest_s is the rest after a motion that ends, and {asked.name} repeats itself; got {rest:g} s")
+    sizing, plan = size_motors(asked, actuator_of(asked, actuator), listed, rest, listener(progress))
     return SizeResult(sizing=sizing, plan=plan)
 
 

@@ -6,7 +6,7 @@ import numpy as np
 from msgspec import Struct
 
 from linkplan.planner.certificate.demands import demands_of, operating_points, rms_efforts, shown_speed
-from linkplan.planner.closed_chain.prescribed import at_rate_along, highest_kept_rate, prescribe
+from linkplan.planner.closed_chain.prescribed import at_rate_along, highest_kept_rate, prescribe, rounded_up
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import limit_margin
@@ -29,8 +29,8 @@ PEAK, RMS, LINE = "peak effort", "rms effort", "torque-speed line"
 class Loads(Struct, frozen=True, kw_only=True):
     """What a motion asks of a motor, in its own effort and speed, and the shares of its limits; None without the limit.
 
-    `rest_s` is the rest without effort after each motion that brings the rms effort down to its limit; 0 if none is needed,
-    None for a motion that repeats itself.
+    `rms_effort` is over the motion and the rest after it. `needed_rest_s` is the rest that brings it down to its limit, 0 if
+    none is needed; None for a motion that repeats itself.
     """
 
     peak_effort: float
@@ -39,7 +39,7 @@ class Loads(Struct, frozen=True, kw_only=True):
     peak_share: float
     rms_share: float | None
     line_share: float | None
-    rest_s: float | None
+    needed_rest_s: float | None
 
     @property
     def shares(self) -> dict[str, float]:
@@ -88,17 +88,20 @@ class SizedMotor(Struct, frozen=True, kw_only=True):
         return f"{self.motor}, gear {self.gear:g}"
 
 
-def sized_motor(problem: Problem, index: int, motor: CandidateMotor, gear: float, say: Say) -> tuple[SizedMotor, Plan]:
-    """Return a motor behind a gear at actuator `index` of a problem, with the plan of its motion."""
+def sized_motor(
+    problem: Problem, index: int, motor: CandidateMotor, gear: float, rest_s: float, say: Say
+) -> tuple[SizedMotor, Plan]:
+    """Return a motor behind a gear at actuator `index` of a problem, with the plan of its motion, after which it rests."""
     given = with_motor(problem, index, motor, gear)
     plan, actuator = plan_motion(given, say), given.mechanism.actuators[index]
     motion = plan.trajectory if plan.passed else _prescribed(given)
-    loads = None if motion is None else _loads(given, index, motor, motion)
+    loads = None if motion is None else _loads(given, index, motor, motion, rest_s)
     shares = _needed_share(plan) if loads is None else loads.shares
     tightest = max(shares, key=lambda name: shares[name], default="")
     reason = "" if plan.passed else plan.message
     if plan.passed and loads is not None and (loads.rms_share or 0.0) > 1.0 + _RMS_ROUNDING:
-        rest = f"; with a rest of {loads.rest_s:.3g} s after each motion it is within it" if loads.rest_s else ""
+        need = loads.needed_rest_s
+        rest = f"; with a rest of {rounded_up(need):g} s after each motion it is within it" if need else ""
         reason = (
             f"its rms effort of {loads.rms_effort:.4g} {actuator.unit} is beyond its limit of {motor.rms_effort:.4g}{rest}"
         )
@@ -114,7 +117,7 @@ def sized_motor(problem: Problem, index: int, motor: CandidateMotor, gear: float
         status=plan.status,
         margin=margin if reason or margin is None else max(margin, 0.0),
         tightest=tightest,
-        speed_up=_speed_up(given, index, motor, plan, motion, fits=not reason),
+        speed_up=_speed_up(given, index, motor, plan, motion, rest_s),
         duration_s=plan.duration_s,
         objective=plan.objective,
         loads=loads,
@@ -145,22 +148,30 @@ def _needed_share(plan: Plan) -> dict[str, float]:
     return {} if factor is None else {PEAK: factor}
 
 
-def _loads(problem: Problem, index: int, motor: CandidateMotor, motion: Trajectory) -> Loads:
+def _loads(problem: Problem, index: int, motor: CandidateMotor, motion: Trajectory, rest_s: float) -> Loads:
     """Return what a motion asks of the motor at actuator `index`."""
     demand, line, share = demands_of(problem, motion)[index], _line(problem, index), None
     if line is not None:
         speed, effort, _ = operating_points(problem, motion, motion.dense_times(20))
         share = float(np.abs(effort[:, index] / line[0] + speed[:, index] / line[1]).max())
-    warm = None if motor.rms_effort is None else demand.rms_effort / motor.rms_effort
+    limit, rms = motor.rms_effort, _with_rest(demand.rms_effort, motion.duration_s, rest_s)
+    needed_rest_s = None
+    if limit is not None and not motion.periodic:
+        needed_rest_s = max((demand.rms_effort / limit) ** 2 - 1.0, 0.0) * motion.duration_s
     return Loads(
         peak_effort=demand.peak_effort,
-        rms_effort=demand.rms_effort,
+        rms_effort=rms,
         peak_speed=demand.peak_speed,
         peak_share=demand.peak_effort / float(problem.limits.effort[index, 1]),
-        rms_share=warm,
+        rms_share=None if limit is None else rms / limit,
         line_share=share,
-        rest_s=None if warm is None or motion.periodic else max(warm**2 - 1.0, 0.0) * motion.duration_s,
+        needed_rest_s=needed_rest_s,
     )
+
+
+def _with_rest(rms_effort: float, duration_s: float, rest_s: float) -> float:
+    """Return the rms effort over a motion and a rest without effort."""
+    return rms_effort * float(np.sqrt(duration_s / (duration_s + rest_s)))
 
 
 def _curve(problem: Problem, index: int, motion: Trajectory) -> np.ndarray:
@@ -198,7 +209,7 @@ def _rotor(problem: Problem, index: int) -> tuple[float, float]:
 
 
 def _speed_up(
-    problem: Problem, index: int, motor: CandidateMotor, plan: Plan, motion: Trajectory | None, *, fits: bool
+    problem: Problem, index: int, motor: CandidateMotor, plan: Plan, motion: Trajectory | None, rest_s: float
 ) -> float | None:
     """Return the highest known factor on the speed of a motion in a given duration; None where none is known.
 
@@ -213,15 +224,20 @@ def _speed_up(
     if mechanism.n_u < mechanism.dof or not mechanism.actuated.all():
         return None
 
+    def is_cool(faster: Trajectory) -> bool:
+        rms = _with_rest(float(rms_efforts(faster)[index]), faster.duration_s, rest_s)
+        return motor.rms_effort is None or rms <= motor.rms_effort
+
     def keeps(rate: float) -> bool:
         faster = at_rate_along(problem, motion, rate)
-        if motor.rms_effort is not None and rms_efforts(faster)[index] > motor.rms_effort:
+        if not is_cool(faster):
             return False
         samples = samples_of(problem, faster)
         return all(limit_margin(limit, samples).kept for limit in limits_of(problem))
 
     rate = highest_kept_rate(keeps, _LOWEST_RATE, _HIGHEST_RATE)
-    return max(rate or 1.0, 1.0) if fits else rate
+    # A certified motion at its limits exceeds them by rounding.
+    return max(rate or 1.0, 1.0) if plan.passed and is_cool(motion) else rate
 
 
 def _settings(problem: Problem, name: str) -> dict[str, dict[str, Any]]:

@@ -26,6 +26,7 @@ class Sizing(Struct, frozen=True, kw_only=True):
     target_speed_unit: str
     target_effort_unit: str
     free_duration: bool
+    rest_s: float
     motors: list[SizedMotor]
     notes: list[str]
 
@@ -35,8 +36,17 @@ class Sizing(Struct, frozen=True, kw_only=True):
         return self.motors[0].does
 
 
-def size_motors(problem: Problem, index: int, motors: Sequence[CandidateMotor], say: Say) -> tuple[Sizing, Plan]:
+def size_motors(
+    problem: Problem, index: int, motors: Sequence[CandidateMotor], rest_s: float, say: Say
+) -> tuple[Sizing, Plan]:
     """Return the motors on a problem's actuator `index`, each behind each of its gears, and the plan of the best.
+
+    Args:
+        problem: whose actuator gets the motors.
+        index: of the actuator.
+        motors: each is tried behind each of its gears.
+        rest_s: the rest without effort after each motion [s], over which the rms effort is taken, too.
+        say: receives progress.
 
     Raises:
         LinkplanError: if a motor cannot drive the actuator, before anything is planned; or as for planning.
@@ -50,7 +60,7 @@ def size_motors(problem: Problem, index: int, motors: Sequence[CandidateMotor], 
     rows: list[SizedMotor] = []
     for number, (motor, gear) in enumerate(cases):
         say(f"{number + 1} of {len(cases)}: {motor.name}, gear {gear:g}")
-        one, plan = sized_motor(problem, index, motor, gear, say)
+        one, plan = sized_motor(problem, index, motor, gear, rest_s, say)
         rows.append(one)
         if best is None or place_of(one, free=free) < place_of(best[0], free=free):
             best = one, plan
@@ -63,6 +73,7 @@ def size_motors(problem: Problem, index: int, motors: Sequence[CandidateMotor], 
         target_speed_unit=speed_unit,
         target_effort_unit=effort_unit,
         free_duration=free,
+        rest_s=rest_s,
         motors=sorted(rows, key=lambda one: place_of(one, free=free)),  # stable: equals stay in the list's order
         notes=_notes(problem, index, motors, firsts[0]),
     )

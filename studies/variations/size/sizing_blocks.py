@@ -64,7 +64,8 @@ def _table(found: Sizing) -> Table:
         "rotor [%]",
     ]
     rows = [_row(one, found.free_duration) for one in found.motors]
-    return table_of(f"Motors for {found.actuator} on {found.target}", heads, rows, digits=3)
+    rest = f", with a rest of {found.rest_s:g} s after each motion" if found.rest_s else ""
+    return table_of(f"Motors for {found.actuator} on {found.target}{rest}", heads, rows, digits=3)
 
 
 def _row(one: SizedMotor, free: bool) -> list:

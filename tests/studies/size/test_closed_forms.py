@@ -33,11 +33,16 @@ def test_least_times_are_those_of_the_inertia_with_the_reflected_rotor_and_the_b
         assert one.rotor_inertia_after_gear == pytest.approx(one.gear**2 * ROTOR, rel=1e-12)
         # The effort is at its limit throughout, twice what the motor may give in the mean: three times as long a rest.
         assert one.loads.rms_share == pytest.approx(2.0, rel=1e-6)
-        assert one.loads.rest_s == pytest.approx(3.0 * least_time(one.gear), rel=1e-6)
+        assert one.loads.needed_rest_s == pytest.approx(3.0 * least_time(one.gear), rel=1e-6)
         assert not one.does
         assert "beyond its limit of 1; with a rest of" in one.reason
         assert one.margin == pytest.approx(-1.0, rel=1e-6)
         assert one.speed_up is None
+    rest_s = 3.01 * max(map(least_time, GEARS))
+    rested = linkplan.size(quarter_turn(minimize="time"), motors, rest_s=rest_s).sizing.motors
+    assert [(one.gear, one.does) for one in rested] == [(one.gear, True) for one in found.motors]
+    shares = [2.0 / np.sqrt(1.0 + rest_s / least_time(one.gear)) for one in rested]
+    assert [one.loads.rms_share for one in rested] == pytest.approx(shares, rel=1e-6)
 
 
 @pytest.mark.slow
