@@ -110,6 +110,8 @@ def gears_of(problem: Problem, index: int, motor: CandidateMotor) -> Sequence[fl
 def with_motor(problem: Problem, index: int, motor: CandidateMotor, gear: float) -> Problem:
     """Return a problem with a motor behind a gear at actuator `index`, in place of the actuator's own limits and motor.
 
+    An actuator whose effort has one sign, as a cable's that only pulls, keeps it.
+
     Raises:
         LinkplanError: if the actuator cannot have such a motor.
     """
@@ -118,13 +120,14 @@ def with_motor(problem: Problem, index: int, motor: CandidateMotor, gear: float)
     changes = {"gear": mechanism.get("gear", {}) | {name: float(np.copysign(gear, actuator.gear))}}
     if motor.rotor_inertia or problem.mechanism.model.actuator_armature[actuator.index]:
         changes["rotor_inertia"] = mechanism.get("rotor_inertia", {}) | {name: motor.rotor_inertia or 0.0}
-    peak = motor.peak_effort or motor.stall_effort
+    peak, (low, high) = motor.peak_effort or motor.stall_effort, problem.limits.effort[index]
+    ends = [0.0 if low >= 0 else -peak, 0.0 if high <= 0 else peak]
     given = {key: value for key in Motor.__struct_fields__ if (value := getattr(motor, key)) is not None}
     others = {key: one for key, one in tables.get("motors", {}).items() if key != name}
     try:
         return problem.replace(
             **changes,
-            limits=limits | {"effort": limits.get("effort", {}) | {name: [-peak, peak]}},
+            limits=limits | {"effort": limits.get("effort", {}) | {name: ends}},
             motors=others | ({name: given} if given else {}),
             name=f"{problem.name} with {motor.name}, gear {gear:g}",
         )

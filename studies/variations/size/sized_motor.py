@@ -123,7 +123,7 @@ def sized_motor(
         loads=loads,
         effort_unit=actuator.unit,
         speed_unit=speed_unit,
-        peak_limit=float(given.limits.effort[index, 1]),
+        peak_limit=_peak_limit(given, index),
         rms_limit=motor.rms_effort,
         stall_effort=None if line is None else line[0],
         no_load_speed=None if line is None else per_unit * line[1],
@@ -162,11 +162,16 @@ def _loads(problem: Problem, index: int, motor: CandidateMotor, motion: Trajecto
         peak_effort=demand.peak_effort,
         rms_effort=rms,
         peak_speed=demand.peak_speed,
-        peak_share=demand.peak_effort / float(problem.limits.effort[index, 1]),
+        peak_share=demand.peak_effort / _peak_limit(problem, index),
         rms_share=None if limit is None else rms / limit,
         line_share=share,
         needed_rest_s=needed_rest_s,
     )
+
+
+def _peak_limit(problem: Problem, index: int) -> float:
+    """Return the largest effort that plans may use of actuator `index`."""
+    return float(np.abs(problem.limits.effort[index]).max())
 
 
 def _with_rest(rms_effort: float, duration_s: float, rest_s: float) -> float:

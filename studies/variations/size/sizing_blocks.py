@@ -88,7 +88,7 @@ def _row(one: SizedMotor, free: bool) -> list:
 
 
 def _percent(share: float | None) -> float | None:
-    return None if share is None else 100.0 * share
+    return None if share is None else round(100.0 * share, 2)
 
 
 def sizing_charts(found: Sizing) -> list[Plane]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 import linkplan
-from linkplan.studies.variations.size.candidates import motors_from, read_motors
+from linkplan.studies.variations.size.candidates import motors_from, read_motors, with_motor
 from tests.support.bodies import HINGE
 from tests.support.tolerances_planner import SAME_FIGURE
 
@@ -115,6 +115,13 @@ def test_a_reserve_and_what_the_list_replaces_are_kept_and_said():
     assert found.motors[0].loads.peak_share == pytest.approx(found.motors[0].loads.peak_effort / 3.2, rel=1e-12)
     assert found.motors[0].loads.line_share is None
     assert found.notes == ["the list takes the place of limits.effort.motor and motors.motor"]
+
+
+def test_a_cable_that_only_pulls_does_not_push_with_another_motor_either():
+    problem = linkplan.Problem.from_file("gripper-close")
+    assert problem.limits.effort.tolist() == [[0.0, 20.0]]
+    (motor,) = motors_from({"motor": [{"name": "M", "peak_effort": 30.0}]})
+    assert with_motor(problem, 0, motor, 2.0).limits.effort.tolist() == [[0.0, 30.0]]
 
 
 def _line(stall: float) -> dict[str, float]:
