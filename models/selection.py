@@ -14,6 +14,7 @@ import numpy as np
 from linkplan.models.deletion import delete_users, leave_the_ground
 from linkplan.models.errors import ModelError, choose, listed
 from linkplan.models.external_forces import add_forces
+from linkplan.models.gearing import set_gearing
 from linkplan.models.kinematics import (
     BALL,
     FREE,
@@ -154,7 +155,7 @@ class Selection:
     pose and the positions of a fixed base; by default "home", else the model's reference pose. `exclude_contacts`: pairs of
     names of bodies whose geoms pass through each other. `drive`: names of joints that get a motor, within the effort limit
     of the joint. `lock_spin`: names of ball joints of rods that do not spin about their own line. `force`: constant forces
-    (3,) [N] in the world's axes by the name of the site on which they act.
+    (3,) [N] in the world's axes by the name of the site on which they act. `gear`, `rotor_inertia`: of motors by actuator.
     """
 
     keep: Sequence[str] = ()
@@ -165,6 +166,8 @@ class Selection:
     drive: Sequence[str] = ()
     lock_spin: Sequence[str] = ()
     force: Mapping[str, Sequence[float]] = field(default_factory=dict)
+    gear: Mapping[str, float] = field(default_factory=dict)
+    rotor_inertia: Mapping[str, float] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
         return bool(self.table())
@@ -174,6 +177,7 @@ class Selection:
         asked = {"keep": list(self.keep), "fix_base": self.fix_base, "lock": dict(self.lock), "keyframe": self.keyframe}
         asked |= {"exclude_contacts": [list(pair) for pair in self.exclude_contacts], "drive": list(self.drive)}
         asked |= {"lock_spin": list(self.lock_spin), "force": {site: list(of) for site, of in self.force.items()}}
+        asked |= {"gear": dict(self.gear), "rotor_inertia": dict(self.rotor_inertia)}
         return {key: value for key, value in asked.items() if value}
 
 
@@ -207,17 +211,15 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     kept = [j for j in range(model.njnt) if j not in locked and int(model.jnt_bodyid[j]) not in dropped]
     places = {model.joint(j).name: _slice(model, j) for j in kept}
     away = {model.joint(j).name for j in range(model.njnt) if int(model.jnt_bodyid[j]) in dropped}
-    notes = [
-        *_lock(spec, model, locked, qpos, away, spins),
-        *_drop(spec, model, dropped),
-        *(leave_the_ground(spec) if hangs else ()),
-    ]
+    notes = [*_lock(spec, model, locked, qpos, away, spins), *_drop(spec, model, dropped)]
+    notes += leave_the_ground(spec) if hangs else ()
     for first, second in _filtered_pairs(model, set(locked), set(dropped)):
         spec.add_exclude(bodyname1=first, bodyname2=second)
     notes += _exclude(spec, asked.exclude_contacts)
     still = {model.joint(j).name for j in locked}  # a joint that is locked needs no motor
     notes += add_motors(spec, [name for name in asked.drive if name not in still])
     add_forces(spec, asked.force)
+    notes += set_gearing(spec, asked.gear, asked.rotor_inertia)
     if model.nkey:
         small = spec.compile()
         home = np.array(small.qpos0)

@@ -38,11 +38,9 @@ def demands_of(problem: Problem, trajectory: Trajectory) -> tuple[Demand, ...]:
     Raises:
         AssemblyError: when the loops cannot close along the motion.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(_QUADRATURE_POINTS)
-    inner, time = trajectory.times_at(0.5 + 0.5 * nodes), trajectory.dense_times(20)
-    width = (np.diff(trajectory.breaks_s)[:, None] * 0.5 * weights).ravel()
-    _, effort, power = operating_points(problem, trajectory, inner)
-    mean_square = width @ effort**2 / trajectory.duration_s
+    inner, width = _quadrature(trajectory)
+    _, _, power = operating_points(problem, trajectory, inner)
+    rms, time = rms_efforts(trajectory), trajectory.dense_times(20)
     given, taken = width @ np.maximum(power, 0.0), width @ np.maximum(-power, 0.0)
     speed, effort, power = operating_points(problem, trajectory, time)
     found = []
@@ -54,7 +52,7 @@ def demands_of(problem: Problem, trajectory: Trajectory) -> tuple[Demand, ...]:
                 effort_unit=actuator.unit,
                 speed_unit=unit,
                 peak_effort=float(np.abs(effort[:, j]).max()),
-                rms_effort=float(np.sqrt(mean_square[j])),
+                rms_effort=float(rms[j]),
                 peak_speed=float(per_unit * np.abs(speed[:, j]).max()),
                 peak_motor_power_w=float(power[:, j].max(initial=0.0)),
                 peak_brake_power_w=float(-power[:, j].min(initial=0.0)),
@@ -63,6 +61,18 @@ def demands_of(problem: Problem, trajectory: Trajectory) -> tuple[Demand, ...]:
             )
         )
     return tuple(found)
+
+
+def rms_efforts(trajectory: Trajectory) -> np.ndarray:
+    """Return the rms efforts (n_u,) [N.m or N] of a motion."""
+    inner, width = _quadrature(trajectory)
+    return np.sqrt(width @ trajectory.effort_at(inner) ** 2 / trajectory.duration_s)
+
+
+def _quadrature(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Return the times (n,) [s] and weights (n,) [s] of Gauss-Legendre quadrature on every interval."""
+    nodes, weights = np.polynomial.legendre.leggauss(_QUADRATURE_POINTS)
+    return trajectory.times_at(0.5 + 0.5 * nodes), (np.diff(trajectory.breaks_s)[:, None] * 0.5 * weights).ravel()
 
 
 def operating_points(

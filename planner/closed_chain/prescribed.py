@@ -1,12 +1,13 @@
 """Prescribed motions: a reference or a smooth path followed exactly, or a pose held, with the effort that it needs."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from linkplan.models.poses.along import demanded, effort_within, joint_rates, least_effort, missed_rounding, needed_effort
 from linkplan.models.poses.assembly import close_at, follow
-from linkplan.planner.closed_chain.guess import Guess, first_guess, poses_along
+from linkplan.planner.closed_chain.guess import Guess, first_guess, motion_of, poses_along, stretched
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import Margin, limit_margin
 from linkplan.planner.limits.samples import samples_of
@@ -132,13 +133,32 @@ def rate_margins(problem: Problem, start_pose: np.ndarray, rate: float) -> list[
 def highest_rate(problem: Problem, start_pose: np.ndarray, slowest: float, fastest: float) -> float | None:
     """Return the highest rate at which the reference keeps every limit, found by bisection; None if there is none.
 
-    Rates are between `slowest` and `fastest`; those up to a rate that is kept are taken to be kept. If weight needs more at
-    rest than in motion, `slowest` is not kept; the bisection then begins at the reference's own speed.
+    Rates are between `slowest` and `fastest`.
     """
 
     def keeps(rate: float) -> bool:
         return all(margin.kept for margin in rate_margins(problem, start_pose, rate))
 
+    return highest_kept_rate(keeps, slowest, fastest)
+
+
+def at_rate_along(problem: Problem, motion: Trajectory, rate: float) -> Trajectory:
+    """Return a motion run `rate` times as fast, with the efforts that it then needs, by inverse dynamics.
+
+    Raises:
+        AssemblyError: if its loops cannot close.
+    """
+    faster = stretched(motion_of(motion), motion.duration_s / rate)
+    found = motion_along(problem, faster, (motion.breaks_s - motion.breaks_s[0]) / rate)
+    return replace(found, periodic=motion.periodic)
+
+
+def highest_kept_rate(keeps: Callable[[float], bool], slowest: float, fastest: float) -> float | None:
+    """Return the highest rate from `slowest` to `fastest` that is kept, found by bisection; None if there is none.
+
+    Rates up to one that is kept are taken to be kept. If weight needs more at rest than in motion, `slowest` is not kept;
+    the bisection then begins at the motion's own speed.
+    """
     if keeps(fastest):
         return fastest
     low = next((rate for rate in (slowest, 1.0) if slowest <= rate < fastest and keeps(rate)), None)

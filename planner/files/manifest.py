@@ -36,6 +36,7 @@ RECORDS = (
     "experiment.json",
     "decompose.json",
     "batch.json",
+    "size.json",
     "transfer.json",
     "export.json",
     "ode.json",

@@ -103,6 +103,15 @@ def build_parser() -> Parser:
     _parquet(batch, "every trajectory.csv")
     _engine(batch)
 
+    text = "which motor of a list does a problem's motion, behind which gear, and by what margin"
+    size = command("size", text, report=True)
+    _add(size, "problem", "PROBLEM", "a built-in problem or a TOML file")
+    text = "a TOML file with [[motor]] tables, or a CSV file with a motor in a row: name, peak_effort, rms_effort, ..."
+    _add(size, "--motors", "FILE", text, required=True)
+    _add(size, "--actuator", "NAME", "the one that gets the motors (default: the only one)")
+    text = "rest without effort after each motion [s], over which the rms effort is taken, too (default: %(default)s)"
+    _add(size, "--rest-s", "T", text, float, 0.0)
+
     track = command("track", "run one tracker on a plan in MuJoCo", report=True)
     _add(track, "plan", "PLAN", "a saved plan's folder, a built-in problem or a TOML file")
     _all(track)
@@ -172,7 +181,7 @@ def build_parser() -> Parser:
 
     text = "make one HTML file of a saved folder: animation, plots, certificate; it opens offline"
     report = command("report", text, output=False, settings=False)
-    _add(report, "result", "DIR", "what plan, check, compare, experiment, decompose, bode, tune, batch or demo wrote")
+    _add(report, "result", "DIR", "what plan, check, compare, experiment, decompose, bode, tune, batch, size or demo wrote")
     _add(report, "-o --output", "FILE", "default: %(default)s", default="report.html")
 
     text = "open a web page with sliders; the plan and the tracking result update as you move them"
@@ -206,9 +215,9 @@ def build_parser() -> Parser:
     _anyway(export)
     _selection(export)
 
-    text = "print the JSON Schema of problem files, for completion in editors"
+    text = "print the JSON Schema of problem files, batch files or lists of motors, for completion in editors"
     schema = command("schema", text, output=False, settings=False)
-    _add(schema, "file", "KIND", "problem or batch (default: %(default)s)", default="problem", nargs="?")
+    _add(schema, "file", "KIND", "problem, batch or motors (default: %(default)s)", default="problem", nargs="?")
     _add(schema, "-o --output", "FILE", "write it into this file")
 
     completion = command("completion", "print a shell's completion script", output=False, settings=False)

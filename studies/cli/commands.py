@@ -33,7 +33,7 @@ def run_study(arguments: argparse.Namespace) -> int:
     return DONE if result.passed else NO
 
 
-run_track = run_compare = run_decompose = run_bode = run_tune = run_transfer = run_study
+run_track = run_compare = run_decompose = run_bode = run_tune = run_transfer = run_size = run_study
 
 
 def run_plan(arguments: argparse.Namespace) -> int:
@@ -165,7 +165,7 @@ def run_list(arguments: argparse.Namespace) -> int:
 
 
 def run_schema(arguments: argparse.Namespace) -> int:
-    """Print the JSON Schema of problem files or of batch files, or write it into a file."""
+    """Print the JSON Schema of a kind of file, or write it into a file."""
     from linkplan.paths import write_schema
 
     said = called(arguments, None)

@@ -28,6 +28,7 @@ if TYPE_CHECKING:  # for editors and type checkers; `_HOMES` below has the same 
     from linkplan.mechanisms import check, load_mechanism
     from linkplan.models.errors import LinkplanError
     from linkplan.models.mechanism import Mechanism
+    from linkplan.motors import size
     from linkplan.names import schema
     from linkplan.ode_plans import solve_ocp
     from linkplan.outputs import export, render, report
@@ -68,6 +69,7 @@ __all__ = [
     "render",
     "report",
     "schema",
+    "size",
     "solve_ocp",
     "track",
     "transfer",
@@ -87,6 +89,7 @@ _MODULES = {
     "linkplan.mechanisms": ("check", "load_mechanism"),
     "linkplan.models.errors": ("LinkplanError",),
     "linkplan.models.mechanism": ("Mechanism",),
+    "linkplan.motors": ("size",),
     "linkplan.names": ("schema",),
     "linkplan.ode_plans": ("solve_ocp",),
     "linkplan.planner.ode.problem": ("OdeProblem",),

@@ -43,6 +43,8 @@ def load_mechanism(
     drive: Sequence[str] | None = None,
     lock_spin: Sequence[str] | None = None,
     force: Mapping[str, Sequence[float]] | None = None,
+    gear: Mapping[str, float] | None = None,
+    rotor_inertia: Mapping[str, float] | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, with closed loops.
 
@@ -69,6 +71,8 @@ def load_mechanism(
         drive: names of joints that get a motor, within the effort limit that the joint has; a URDF often names none.
         lock_spin: names of ball joints of rods that do not spin about their own line: universal joints take their places.
         force: constant forces (3,) [N] in the world's axes by site: a load on a foot, a weight on a hook.
+        gear: gears of motors by actuator, in place of the model's: the motor's position over that of its joint.
+        rotor_inertia: inertia of the motors' rotors [kg m2, or kg] by actuator, before the gear.
 
     Raises:
         LinkplanError: if the model cannot be used (`ModelError`), its loops do not close at the given pose
@@ -90,6 +94,8 @@ def load_mechanism(
         "drive": drive,
         "lock_spin": lock_spin,
         "force": force,
+        "gear": gear,
+        "rotor_inertia": rotor_inertia,
     }
     table = {"model": path_or_name} | {key: value for key, value in said.items() if value is not None}
     return mechanism_from_tables({"mechanism": to_toml_types(table)})

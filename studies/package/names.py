@@ -26,7 +26,7 @@ __all__ = [
 ]
 
 DESIGNS = ("latin-hypercube", "grid", "one-at-a-time", "morris", "sobol")
-FILE_KINDS = ("problem", "batch")
+FILE_KINDS = ("problem", "batch", "motors")
 
 
 def problem_descriptions() -> dict[str, str]:
@@ -44,10 +44,10 @@ def problem_keys() -> tuple[str, ...]:
 
 
 def schema(file: str = "problem") -> dict:
-    """Return the JSON Schema of problem files or of batch files, for completion in editors.
+    """Return the JSON Schema of problem files, of batch files or of lists of motors, for completion in editors.
 
     Args:
-        file: "problem" or "batch".
+        file: "problem", "batch" or "motors".
 
     Raises:
         LinkplanError: for another kind of file.

@@ -16,6 +16,8 @@ VARIED = {"payload_mass_factor": [0.9, 1.1], "delay_periods": [0.0, 2.0]}
 AT_REST = {"at_deg": [{"O": 3.6}], "period_s": 1e-4}
 LOCKED = """<mujoco><worldbody><body name="b"><joint axis="0 1 0"/><geom size=".1"/></body></worldbody>
   <equality><weld body1="b"/></equality></mujoco>"""
+# One does, and one is too weak.
+MOTORS = [{"name": "M", "peak_effort": 90.0, "rms_effort": 60.0, "rotor_inertia": 1e-3}, {"name": "N", "peak_effort": 1.0}]
 # Results of every kind, with the optional parts of their structs.
 MADE = {
     "check": ("CheckResult", lambda _: linkplan.check("slider-crank", at_deg=[{"O": 30.0}])),
@@ -40,6 +42,7 @@ MADE = {
     "sensitivity": ("SensitivityResult", lambda plan: _varied(plan).sensitivity),
     "experiment of a sensitivity": ("ExperimentResult", lambda plan: _varied(plan)),
     "batch": ("BatchResult", lambda _: linkplan.batch({"problem": "knee-reach", "case": [{"name": "one", "set": []}]})),
+    "size": ("SizeResult", lambda _: linkplan.size("knee-reach", MOTORS)),
     "decompose": ("DecompositionResult", lambda plan: linkplan.decompose(plan, ["pd"], imperfections=VARIED, samples=2)),
 }
 # Its JSON is that of a `Proof` of the planner.

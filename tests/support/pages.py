@@ -23,6 +23,7 @@ import linkplan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.batch_file import read_batch
 from linkplan.studies.cli.main import main
+from linkplan.studies.variations.size.candidates import read_motors
 
 # What may stand in a page, and is run or read. Directives ("{toctree}") are the site's own.
 KINDS = ("sh", "text", "python", "toml", "xml", "csv")
@@ -161,7 +162,8 @@ def _read(block: Block) -> None:
             place.write_text(block.text, encoding="utf-8")
         if block.kind == "toml" and "part of" not in block.marks:
             tables = tomllib.loads(block.text)
-            (read_batch if "sweep" in tables or "case" in tables else linkplan.Problem.from_file)(place)
+            reader = read_batch if "sweep" in tables or "case" in tables else linkplan.Problem.from_file
+            (read_motors if "motor" in tables else reader)(place)
 
 
 def compare_output(shown: str, said: str) -> None:

@@ -1,4 +1,4 @@
-"""All keys of a problem file as one table, and of problem and batch files as a JSON Schema (draft 2020-12).
+"""All keys of a problem file as one table, and of problem, batch and motors files as a JSON Schema (draft 2020-12).
 
 New problem files take the comments on their keys from the table. Editors complete and check files with the schema.
 """
@@ -12,12 +12,13 @@ import msgspec
 
 from linkplan.planner.problem.keys.kinds import MAX_NUMBER
 from linkplan.planner.problem.keys.motion_and_limits import SITE_LIMITS
+from linkplan.planner.problem.keys.motor_list import MotorsFile
 from linkplan.planner.problem.keys.refusals import range_words, without_metadata, words
 from linkplan.planner.problem.keys.section import Section
 from linkplan.planner.problem.keys.sections import BatchFile, ProblemFile
 
 DIALECT = "https://json-schema.org/draft/2020-12/schema"
-FILES: dict[str, type[Section]] = {"problem": ProblemFile, "batch": BatchFile}
+FILES: dict[str, type[Section]] = {"problem": ProblemFile, "batch": BatchFile, "motors": MotorsFile}
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -94,7 +95,7 @@ def _range(kind: Any) -> str:
 
 
 def json_schema(file: str = "problem") -> dict[str, Any]:
-    """Return the JSON Schema of a problem file, or of a batch file ("batch").
+    """Return the JSON Schema of a problem file, of a batch file ("batch") or of a list of motors ("motors").
 
     A schema cannot express everything. The reader alone checks names of joints, actuators, closures and sites, low < high,
     and which keys go together.

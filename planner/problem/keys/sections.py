@@ -93,6 +93,12 @@ class MechanismSection(Section, frozen=True):
     force: kinds.Forces = by_name(
         "constant forces [x, y, z] in the world's axes by site: a load on a foot or hook", "N", "none"
     )
+    gear: kinds.ActuatorGears = by_name(
+        "gears of motors by actuator: the motor's position over that of its joint or tendon", "1, rad/m", "the model's own"
+    )
+    rotor_inertia: kinds.RotorInertias = by_name(
+        "inertia of the motors' rotors by actuator, before the gear", "kg m2, kg", "the model's own"
+    )
     closure_tolerance_m: kinds.Positive = key(
         "the largest gap of a loop that counts as rounding of the model", "m", "by the mechanism's size"
     )

@@ -56,6 +56,12 @@ def test_every_batch_of_the_documents_is_taken(text):
     validator("batch").validate(tomllib.loads(text))
 
 
+def test_the_list_of_motors_of_the_documents_is_taken():
+    text = (DOCS.parent / "motors.md").read_text(encoding="utf-8")
+    (listed,) = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
+    validator("motors").validate(tomllib.loads(listed))
+
+
 def test_there_are_examples_of_both():
     assert sum("[motion]" in text for text in EXAMPLES) >= 2
     assert sum("[sweep]" in text for text in EXAMPLES) >= 1

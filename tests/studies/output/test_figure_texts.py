@@ -40,6 +40,7 @@ def experiment(folder: Path, design: str, samples: int, *overrides: str) -> None
     linkplan.experiment(plan(SHORT, *overrides), samples=samples, design=design, folder=folder)
 
 
+MOTORS = [{"name": f"motor {k}", "peak_effort": 90.0, "rotor_inertia": 1e-3 * k, "gears": [1, 2]} for k in (1, 2, 3, 4)]
 # What is saved, and the names of its figures.
 STUDIES = {
     "plan": (lambda folder: plan().save(folder), ["plan"]),
@@ -51,6 +52,7 @@ STUDIES = {
     "one at a time": (lambda folder: experiment(folder, "one-at-a-time", 12, *RANGES), ["sensitivity"]),
     "morris": (lambda folder: experiment(folder, "morris", 40, *RANGES), ["sensitivity"]),
     "decompose": (lambda folder: linkplan.decompose(plan(SHORT), samples=1).save(folder), ["decompose"]),
+    "size": (lambda folder: linkplan.size("knee-reach", MOTORS).save(folder), ["size"]),
     "transfer": (lambda folder: linkplan.transfer("optimus-knee", joints=["C"]).save(folder), ["transfer"]),
 }
 

@@ -1,0 +1,31 @@
+"""The sections of a file of motors, from which `linkplan size` chooses: what a maker's data sheet says of each."""
+
+from typing import Annotated
+
+from msgspec import Meta
+
+from linkplan.planner.problem.keys import kinds
+from linkplan.planner.problem.keys.motion_and_limits import Motor
+from linkplan.planner.problem.keys.section import Section, key, required
+
+_NAME = Meta(min_length=1, max_length=99, extra={"said": "a name of 1 to 99 letters"})
+_GEARS = Meta(min_length=1, max_length=100, extra={"said": "a list of 1 to 100 gear ratios"})
+_MOTORS = Meta(min_length=1, max_length=1000, extra={"said": "a list of 1 to 1000 tables ([[motor]])"})
+
+
+class CandidateMotor(Motor, frozen=True, kw_only=True):
+    """A motor that may drive an actuator: efforts, speeds and rotor are its own, before its gear."""
+
+    name: Annotated[str, _NAME] = required("names it in tables")
+    peak_effort: kinds.Positive = key("the largest effort at any instant", "N.m, N", "its stall effort")
+    rms_effort: kinds.Positive = key("the largest rms effort over the motion, which warms it", "N.m, N", "any")
+    rotor_inertia: kinds.AtLeastZero = key("of its rotor", "kg m2, kg", "0, with a note")
+    gears: Annotated[list[kinds.Positive], _GEARS] = key(
+        "the gear ratios to try: its position over that of the joint", "1, rad/m", "the model's own"
+    )
+
+
+class MotorsFile(Section, frozen=True):
+    """A list of motors."""
+
+    motor: Annotated[list[CandidateMotor], _MOTORS] = required("the motors ([[motor]])")

@@ -1,0 +1,108 @@
+"""`size`: which motor of a list does a problem's motion, behind which gear, and by what margin."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from linkplan.inputs import Source, source_of
+from linkplan.models.errors import ProblemError
+from linkplan.paths import drawn, path_of
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.settings import number
+from linkplan.reporting import Progress, listener
+from linkplan.results import Result
+from linkplan.studies.output.document import Block, Report
+from linkplan.studies.variations.size.candidates import actuator_of, motors_from, read_motors
+from linkplan.studies.variations.size.sizing import Sizing, size_motors
+from linkplan.studies.variations.size.sizing_blocks import sizing_blocks
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def size(
+    problem: Problem | Source | str | Path,
+    motors: str | Path | Sequence[Mapping],
+    *,
+    actuator: str | None = None,
+    rest_s: float = 0.0,
+    progress: Progress | None = None,
+) -> SizeResult:
+    """Return the motors of a list that do a problem's motion, behind each of their gears, by what margin, the best first.
+
+    The problem is planned with each motor and gear: its peak effort, torque-speed line and rotor take the place of the
+    actuator's own (docs/motors.md). A motor does if the plan passes its certificate and its rms effort is within its limit.
+
+    Args:
+        problem: a problem, or the name or path of one.
+        motors: the path of a TOML file with [[motor]] tables, or of a CSV file with a motor in a row; or a list of tables
+            with `name`, `peak_effort` [N.m or N], `rms_effort`, `stall_effort` and `no_load_speed_deg_s` or `_m_s`,
+            `rotor_inertia` [kg m2 or kg], `gears`, a list of ratios, `torque_constant` and `resistance_ohm`.
+        actuator: the one that gets the motors; needed if there are several. The others keep their limits.
+        rest_s: the rest without effort after each motion [s], over which the rms effort is taken, too.
+        progress: called with lines on the progress.
+
+    Raises:
+        LinkplanError: for an invalid motor, before anything is planned, or an actuator that cannot have one.
+
+    Example::
+
+        motors = [{"name": "M90", "peak_effort": 15.0, "rotor_inertia": 1e-4, "gears": [6, 9]}]
+        print(linkplan.size("knee-reach", motors))
+    """
+    asked = source_of(problem).problem() if isinstance(problem, Source | str | Path) else problem
+    if not isinstance(asked, Problem):
+        raise ProblemError(f"size takes a Problem, or the name or path of one, got {type(problem).__name__}")
+    if isinstance(motors, Sequence) and not isinstance(motors, str):
+        listed = motors_from({"motor": motors})
+    else:
+        listed = read_motors(path_of(motors, "motors"))
+    rest = number(rest_s, "rest_s", at_least_zero=True)
+    if rest and (asked.motion.kind == "periodic" or (asked.reference is not None and asked.reference.periodic)):
+        raise ProblemError(f"rest_s is the rest after a motion that ends, and {asked.name} repeats itself; got {rest:g} s")
+    sizing, plan = size_motors(asked, actuator_of(asked, actuator), listed, rest, listener(progress))
+    return SizeResult(sizing=sizing, plan=plan)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class SizeResult(Result):
+    """Sized motors, the best first. `str(result)` is the table; `to_dict()` has every value; `plan` is that of the best."""
+
+    record_name = "size"
+
+    sizing: Sizing
+    plan: Plan
+
+    @property
+    def passed(self) -> bool:
+        """Whether a motor does."""
+        return self.sizing.found
+
+    def plot(self, path: str | Path | None = None) -> Figure:
+        """Return the figure of efforts over speeds with the motors' limits, saved at `path` if it is given."""
+        from linkplan.studies.variations.size.sizing_blocks import sizing_figure
+
+        return drawn(path, lambda place: sizing_figure(self.sizing, place))
+
+    def blocks(self) -> list[Block]:
+        """Return the answer, the table and the chart."""
+        return sizing_blocks(self.sizing)
+
+    def document(self) -> Report:
+        """Return the report."""
+        from linkplan.studies.variations.size.sizing_blocks import sizing_report
+
+        return sizing_report(self.sizing, self.plan)
+
+    def draw(self, place: Path) -> None:
+        """Write size.png, if a motion is known."""
+        if any(one.curve is not None for one in self.sizing.motors):
+            self.plot(place / "size.png")
+
+    def __repr__(self) -> str:
+        good = sum(one.does for one in self.sizing.motors)
+        return f"SizeResult({self.sizing.problem!r}: {good} of {len(self.sizing.motors)} do)"

@@ -1,0 +1,135 @@
+"""A list of motors, from a TOML or CSV file or from tables, and a problem with one of them behind an actuator."""
+
+import csv
+import os
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.models.catalogue import nearest_source
+from linkplan.models.errors import ModelError, ProblemError, choose, shown
+from linkplan.models.reading import MOST_TOML_BYTES, read_file, read_toml
+from linkplan.planner.problem.keys.motion_and_limits import Motor
+from linkplan.planner.problem.keys.motor_list import CandidateMotor, MotorsFile
+from linkplan.planner.problem.keys.reading import read
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.settings import to_toml_types
+
+_LEGAL = "a list of motors is a TOML file with [[motor]] tables, or a CSV file with a column for each key of a motor"
+
+
+def read_motors(path: Path) -> list[CandidateMotor]:
+    """Return the motors in a TOML file, or in a CSV file with a motor in a row.
+
+    Raises:
+        ProblemError: if it cannot be read, or has an invalid value.
+    """
+    if os.path.isdir(path):
+        raise ProblemError(f"motors '{path}' is a folder; {_LEGAL}")
+    if not os.path.exists(path):
+        raise ProblemError(f"motors '{path}'{nearest_source(str(path), ())} is not a file; {_LEGAL}")
+    what = f"motors '{path}'"
+    if path.suffix.lower() == ".csv":
+        return motors_from({"motor": _rows(path, what)})
+    tables = read_toml(path, what)
+    if "motor" not in tables and "mechanism" in tables:
+        raise ProblemError(f"{what} is a problem file; {_LEGAL}")
+    return motors_from(tables)
+
+
+def motors_from(tables: Mapping[str, object]) -> list[CandidateMotor]:
+    """Return the motors in the tables of a file.
+
+    Raises:
+        ProblemError: for an invalid value, a motor without a peak effort, or two motors of one name.
+    """
+    tables = to_toml_types(tables)
+    listed = tables.get("motor")
+    for k, one in enumerate(listed if isinstance(listed, list) else []):
+        if not isinstance(one, dict):
+            raise ProblemError(f"motor[{k}] is a table ([[motor]]), got {shown(repr(one), 60)}")
+        named = isinstance(one.get("name"), str)
+        found = read(CandidateMotor, one, f"motor.{one['name'][:99]}" if named else f"motor[{k}]")
+        if found.peak_effort is None and found.stall_effort is None:
+            raise ProblemError(f"motor '{found.name}' has a peak_effort or a stall_effort; got neither")
+    motors = read(MotorsFile, tables, "").motor
+    twice = [name for name, count in Counter(one.name for one in motors).items() if count > 1]
+    if twice:
+        raise ProblemError(f"motors have names of their own, and list their gears in `gears`; twice: {', '.join(twice)}")
+    return motors
+
+
+def _rows(path: Path, what: str) -> list[dict[str, object]]:
+    """Return the rows of a CSV file as tables without their empty cells; `gears` has blanks between its numbers."""
+    try:
+        text = read_file(path, what, MOST_TOML_BYTES).decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ProblemError(f"{what} is not UTF-8 text") from error
+    rows = list(csv.DictReader(text.splitlines(), skipinitialspace=True))
+    if any(None in row for row in rows):
+        raise ProblemError(f"{what} has a row with more cells than its first row has keys")
+    filled = [{key.strip(): cell.strip() for key, cell in row.items() if cell and cell.strip()} for row in rows]
+    return [{key: _value(key, cell) for key, cell in row.items()} for row in filled if row]
+
+
+def _value(key: str, cell: str) -> object:
+    """Return a cell as a number, or for `gears` as numbers; what is neither stays a text, which is refused with its key."""
+    try:
+        return cell if key == "name" else [float(one) for one in cell.split()] if key == "gears" else float(cell)
+    except ValueError:
+        return cell
+
+
+def actuator_of(problem: Problem, asked: str | None) -> int:
+    """Return the index of the actuator that gets the motors: the one asked for, or the only one.
+
+    Raises:
+        ProblemError: for an unknown name, for several actuators of which none is asked for, or for a servo with a range of
+            ctrl, which another motor would not have.
+    """
+    actuators = problem.mechanism.actuators
+    names = [one.name for one in actuators]
+    if asked is None and len(names) > 1:
+        raise ProblemError(f"actuator is one of {', '.join(names)}: say which of them gets the motors")
+    index = 0 if asked is None else names.index(choose("actuator", asked, names, ProblemError))
+    if actuators[index].limits_control:
+        raise ProblemError(
+            f"actuator '{names[index]}' is a servo, whose ctrlrange limits its effort too: take a model in which it is a"
+            " motor"
+        )
+    return index
+
+
+def gears_of(problem: Problem, index: int, motor: CandidateMotor) -> Sequence[float]:
+    """Return the gears to try with a motor: its own list, or the actuator's gear."""
+    return motor.gears or [abs(problem.mechanism.actuators[index].gear)]
+
+
+def with_motor(problem: Problem, index: int, motor: CandidateMotor, gear: float) -> Problem:
+    """Return a problem with a motor behind a gear at actuator `index`, in place of the actuator's own limits and motor.
+
+    An actuator whose effort has one sign, as a cable's that only pulls, keeps it.
+
+    Raises:
+        LinkplanError: if the actuator cannot have such a motor.
+    """
+    actuator, tables = problem.mechanism.actuators[index], problem.to_dict()
+    name, limits, mechanism = actuator.name, tables.get("limits", {}), tables["mechanism"]
+    changes = {"gear": mechanism.get("gear", {}) | {name: float(np.copysign(gear, actuator.gear))}}
+    if motor.rotor_inertia or problem.mechanism.model.actuator_armature[actuator.index]:
+        changes["rotor_inertia"] = mechanism.get("rotor_inertia", {}) | {name: motor.rotor_inertia or 0.0}
+    peak, (low, high) = motor.peak_effort or motor.stall_effort, problem.limits.effort[index]
+    ends = [0.0 if low >= 0 else -peak, 0.0 if high <= 0 else peak]
+    given = {key: value for key in Motor.__struct_fields__ if (value := getattr(motor, key)) is not None}
+    others = {key: one for key, one in tables.get("motors", {}).items() if key != name}
+    try:
+        return problem.replace(
+            **changes,
+            limits=limits | {"effort": limits.get("effort", {}) | {name: ends}},
+            motors=others | ({name: given} if given else {}),
+            name=f"{problem.name} with {motor.name}, gear {gear:g}",
+        )
+    except (ProblemError, ModelError) as error:
+        raise type(error)(f"motor '{motor.name}': {error}") from error

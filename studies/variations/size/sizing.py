@@ -1,0 +1,99 @@
+"""Motors compared on one problem: each motor of a list behind each of its gears, the best first."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from msgspec import Struct
+
+from linkplan.models.errors import ProblemError, listed
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.keys.motor_list import CandidateMotor
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.refinement.history import Say
+from linkplan.studies.variations.size.candidates import gears_of, with_motor
+from linkplan.studies.variations.size.sized_motor import SizedMotor, sized_motor, units_behind
+
+# More plans are probably a typing error: at a second each they take a quarter of an hour.
+MAX_PLANS = 1000
+
+
+class Sizing(Struct, frozen=True, kw_only=True):
+    """The motors of a list on one problem, the best first: by duration if it is free, else by margin."""
+
+    problem: str
+    actuator: str
+    target: str
+    target_speed_unit: str
+    target_effort_unit: str
+    free_duration: bool
+    rest_s: float
+    motors: list[SizedMotor]
+    notes: list[str]
+
+    @property
+    def found(self) -> bool:
+        """True if a motor does."""
+        return self.motors[0].does
+
+
+def size_motors(
+    problem: Problem, index: int, motors: Sequence[CandidateMotor], rest_s: float, say: Say
+) -> tuple[Sizing, Plan]:
+    """Return the motors on a problem's actuator `index`, each behind each of its gears, and the plan of the best.
+
+    Args:
+        problem: whose actuator gets the motors.
+        index: of the actuator.
+        motors: each is tried behind each of its gears.
+        rest_s: the rest without effort after each motion [s], over which the rms effort is taken, too.
+        say: receives progress.
+
+    Raises:
+        LinkplanError: if a motor cannot drive the actuator, before anything is planned; or as for planning.
+    """
+    cases = [(motor, gear) for motor in motors for gear in gears_of(problem, index, motor)]
+    if len(cases) > MAX_PLANS:
+        raise ProblemError(f"at most {MAX_PLANS} motors with gears are compared, the list has {len(cases)}")
+    firsts = [with_motor(problem, index, motor, gears_of(problem, index, motor)[0]) for motor in motors]
+    free = problem.motion.duration_s is None
+    best: tuple[SizedMotor, Plan] | None = None
+    rows: list[SizedMotor] = []
+    for number, (motor, gear) in enumerate(cases):
+        say(f"{number + 1} of {len(cases)}: {motor.name}, gear {gear:g}")
+        one, plan = sized_motor(problem, index, motor, gear, rest_s, say)
+        rows.append(one)
+        if best is None or place_of(one, free=free) < place_of(best[0], free=free):
+            best = one, plan
+    assert best is not None  # a list has motors, and a motor has gears
+    actuator, (_, speed_unit, effort_unit) = problem.mechanism.actuators[index], units_behind(problem, index)
+    sizing = Sizing(
+        problem=problem.name,
+        actuator=actuator.name,
+        target=actuator.target,
+        target_speed_unit=speed_unit,
+        target_effort_unit=effort_unit,
+        free_duration=free,
+        rest_s=rest_s,
+        motors=sorted(rows, key=lambda one: place_of(one, free=free)),  # stable: equals stay in the list's order
+        notes=_notes(problem, index, motors, firsts[0]),
+    )
+    return sizing, best[1]
+
+
+def place_of(one: SizedMotor, *, free: bool) -> tuple[bool, float, float]:
+    """Return a motor's place in a list: those that do first; then by duration if it is free; then by margin."""
+    duration_s = one.duration_s if one.duration_s is not None else np.inf
+    return not one.does, duration_s if free else 0.0, np.inf if one.margin is None else -one.margin
+
+
+def _notes(problem: Problem, index: int, motors: Sequence[CandidateMotor], first: Problem) -> list[str]:
+    """Return notes on what the list lacks, and on what it replaces in the problem and the model."""
+    name, tables = problem.mechanism.actuators[index].name, problem.to_dict()
+    weightless = [motor.name for motor in motors if motor.rotor_inertia is None]
+    unlimited = [motor.name for motor in motors if motor.rms_effort is None]
+    replaced = [f"limits.effort.{name}"] if name in tables.get("limits", {}).get("effort", {}) else []
+    replaced += [f"motors.{name}"] if name in tables.get("motors", {}) else []
+    said = [f"a rotor without rotor_inertia counts as weightless: {listed(weightless, 12)}"] if weightless else []
+    said += [f"without rms_effort the rms effort has no limit: {listed(unlimited, 12)}"] if unlimited else []
+    said += [f"the list takes the place of {' and '.join(replaced)}"] if replaced else []
+    return said + [note for note in first.mechanism.notes if note not in problem.mechanism.notes]

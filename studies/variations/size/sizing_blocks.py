@@ -1,0 +1,151 @@
+"""Sized motors as a document: the answer, a table with the best first, reasons, the best one's keys, and a chart."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from linkplan.planner.files.tables import toml_text
+from linkplan.planner.plan.plan import Plan
+from linkplan.studies.output.document import Axis, Block, Code, Plane, Report, Section, Series, Table, Text, table_of
+from linkplan.studies.output.numbers import drawn_rows, rounded
+from linkplan.studies.variations.size.sized_motor import SizedMotor
+from linkplan.studies.variations.size.sizing import Sizing
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# More motors in one chart cannot be told apart.
+_MOST_DRAWN = 4
+
+
+def sizing_blocks(found: Sizing) -> list[Block]:
+    """Return the answer, the table, the reasons of those that do not, the keys of the best one, notes, and the chart."""
+    reasons = [Text(text=f"{one.title}: {one.reason}") for one in found.motors if not one.does]
+    keys = [Code(title=f"Keys of a problem file with {found.motors[0].title}", text=toml_text(found.motors[0].settings))]
+    return [
+        Text(text=answer(found), tone="good" if found.found else "bad"),
+        _table(found),
+        *reasons,
+        *(keys if found.found else []),
+        *(Text(text=note, tone="note") for note in found.notes),
+        *sizing_charts(found),
+    ]
+
+
+def answer(found: Sizing) -> str:
+    """Return a sentence on how many motors do, and on the best one."""
+    best, n, good = found.motors[0], len(found.motors), sum(one.does for one in found.motors)
+    if not good:
+        return f"none of {n} motors with gears does for {found.actuator} in {found.problem}; the nearest is {best.title}"
+    left = f"with {100 * (best.margin or 0.0):.3g} % of its {best.tightest} left"
+    how = f"in {best.duration_s:.4g} s" if found.free_duration else left
+    fast = "" if best.speed_up is None else f", up to {_floor(best.speed_up)} times as fast"
+    counted = f"{good} of {n} motors with gears {'does' if good == 1 else 'do'}"
+    return f"{counted} for {found.actuator} in {found.problem}; best: {best.title}, {how}{fast}"
+
+
+def _floor(factor: float) -> str:
+    """Return a factor rounded down to three decimals, which is still reached."""
+    return f"{np.floor(1000 * factor) / 1000:g}"
+
+
+def _table(found: Sizing) -> Table:
+    efforts = " or ".join(dict.fromkeys(one.effort_unit for one in found.motors))
+    speeds = " or ".join(dict.fromkeys(one.speed_unit for one in found.motors))
+    heads = ["motor", "gear", "does", "margin [%]", "of its", "time [s]" if found.free_duration else "speed-up"]
+    heads += [
+        f"peak [{efforts}]",
+        "share [%]",
+        f"rms [{efforts}]",
+        "share [%]",
+        f"speed [{speeds}]",
+        "line [%]",
+        "rotor [%]",
+    ]
+    rows = [_row(one, found.free_duration) for one in found.motors]
+    rest = f", with a rest of {found.rest_s:g} s after each motion" if found.rest_s else ""
+    return table_of(f"Motors for {found.actuator} on {found.target}{rest}", heads, rows, digits=3)
+
+
+def _row(one: SizedMotor, free: bool) -> list:
+    loads = one.loads
+    shown = (
+        [None] * 6
+        if loads is None
+        else [
+            loads.peak_effort,
+            _percent(loads.peak_share),
+            loads.rms_effort,
+            _percent(loads.rms_share),
+            loads.peak_speed,
+            _percent(loads.line_share),
+        ]
+    )
+    last = one.duration_s if free else one.speed_up
+    first = [one.motor, one.gear, one.does, _percent(one.margin), one.tightest or None, last]
+    return [*first, *shown, _percent(one.rotor_share)]
+
+
+def _percent(share: float | None) -> float | None:
+    return None if share is None else round(100.0 * share, 2)
+
+
+def sizing_charts(found: Sizing) -> list[Plane]:
+    """Return the chart of efforts over speeds behind the gears, for the best gear of each motor, with the motors' limits."""
+    drawn: dict[str, SizedMotor] = {}
+    for one in found.motors:
+        if one.curve is not None and len(drawn) < _MOST_DRAWN:
+            drawn.setdefault(one.motor, one)
+    if not drawn:
+        return []
+    speeds = np.concatenate([one.curve[:, 0] for one in drawn.values() if one.curve is not None])
+    beside = 0.1 * float(np.ptp(speeds)) or 1.0
+    outline = np.linspace(speeds.min() - beside, speeds.max() + beside, 401)
+    # Nearly equal curves lie on one another: the later ones are thinner.
+    curves = [one for k, of in enumerate(drawn.values()) for one in _curves(of, outline, k, 1.2 * (len(drawn) - k))]
+    return [
+        Plane(
+            title=f"Effort over speed at {found.target}, and what the motors give",
+            x_axis=Axis(label=f"speed of {found.target}", unit=found.target_speed_unit),
+            y_axis=Axis(label="effort behind the gear", unit=found.target_effort_unit),
+            curves=curves,
+        )
+    ]
+
+
+def _curves(one: SizedMotor, speed: np.ndarray, colour: int, width: float) -> list[Series]:
+    """Return a motor's planned efforts, and the least and largest that it gives at speeds (n,)."""
+    assert one.curve is not None  # by the caller
+    planned = one.curve[drawn_rows(one.curve)]
+    name = f"{one.title} (dashed: its limits)"
+    curve = Series(name=name, x=rounded(planned[:, 0]), y=rounded(planned[:, 1]), colour=colour, width=width)
+    limits = (rounded(end) for end in _ends(one, speed))
+    return [curve, *(Series(name="", x=rounded(speed), y=end, look="dash", colour=colour, width=1.2) for end in limits)]
+
+
+def _ends(one: SizedMotor, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the least and the largest efforts (n,) behind the gear at speeds (n,); NaN where the motor has none."""
+    peak = one.gear * one.peak_limit
+    low, high = np.full_like(speed, -peak), np.full_like(speed, peak)
+    if one.line is not None:
+        stall, no_load = one.line
+        low, high = np.maximum(low, stall * (-1.0 - speed / no_load)), np.minimum(high, stall * (1.0 - speed / no_load))
+    none = low > high
+    return np.where(none, np.nan, low), np.where(none, np.nan, high)
+
+
+def sizing_figure(found: Sizing, path: Path | None = None) -> "Figure":
+    """Return the figure of the chart, saved at `path` if given."""
+    from linkplan.studies.output.figure import figure_of, panels_of
+
+    return figure_of(panels_of(sizing_charts(found)), path, title=answer(found), panel_in=(8.0, 5.0))
+
+
+def sizing_report(found: Sizing, plan: Plan) -> Report:
+    """Return the report of the motors, with the plan of the best one."""
+    from linkplan.studies.output.plan_sections import plan_sections
+    from linkplan.studies.output.report_file import report_of
+
+    first = Section(title=f"Motors for {found.actuator} in {found.problem}", blocks=sizing_blocks(found))
+    return report_of(first.title, answer(found), found.found, [first, *plan_sections(plan)])

@@ -1,0 +1,191 @@
+"""The command `size` and `linkplan.size`: the same answer in a table, a record, a folder and a report; refusals."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+import linkplan
+from linkplan.studies.variations.size.candidates import motors_from, read_motors, with_motor
+from tests.support.bodies import HINGE
+from tests.support.tolerances_planner import SAME_FIGURE
+
+MOTORS = """[[motor]]
+name = "big"
+peak_effort = 15.0
+rms_effort = 9.0
+stall_effort = 20.0
+no_load_speed_deg_s = 24000
+rotor_inertia = 1e-4
+gears = [9, 4]
+
+[[motor]]
+name = "direct"
+peak_effort = 40.0
+"""
+AS_CSV = """name, peak_effort, rms_effort, stall_effort, no_load_speed_deg_s, rotor_inertia, gears
+big,15,9,20,24000,1e-4,9 4
+direct,40,,,,,
+"""
+
+
+@pytest.fixture
+def listed(tmp_path):
+    (tmp_path / "motors.toml").write_text(MOTORS)
+    return str(tmp_path / "motors.toml")
+
+
+@pytest.mark.slow
+def test_the_command_says_writes_and_reports_the_same_motors(ask_json, ask, listed, tmp_path):
+    folder = tmp_path / "sized"
+    code, said = ask_json("size", "knee-reach", "--motors", listed, "-o", str(folder))
+    assert code == 0
+    assert json.loads((folder / "size.json").read_text()) == said
+    assert (folder / "size.png").stat().st_size > 10_000
+    assert [(one["motor"], one["gear"], one["does"]) for one in said["motors"]] == [
+        ("big", 9.0, True),
+        ("direct", 1.0, False),
+        ("big", 4.0, False),
+    ]
+    assert said["notes"] == [
+        "a rotor without rotor_inertia counts as weightless: direct",
+        "without rms_effort the rms effort has no limit: direct",
+    ]
+    code, _, _ = ask("report", str(folder), "-o", str(tmp_path / "page.html"))
+    assert code == 0
+    assert "big, gear 9 (dashed: its limits)" in (tmp_path / "page.html").read_text()
+
+
+@pytest.mark.slow
+def test_the_keys_of_the_best_motor_give_its_plan_again(listed):
+    found = linkplan.size("knee-reach", listed)
+    best = found.sizing.motors[0]
+    settings = {f"{section}.{key}": value for section, table in best.settings.items() for key, value in table.items()}
+    again = linkplan.plan(linkplan.Problem.from_file("knee-reach", settings)).require()
+    assert again.objective == pytest.approx(best.objective, rel=SAME_FIGURE)
+    assert again.demands()[0].peak_effort == pytest.approx(best.loads.peak_effort, rel=SAME_FIGURE)
+    said = str(found)
+    assert said.startswith("1 of 3 motors with gears does for act_O in knee-reach; best: big, gear 9, with ")
+    assert "  gear = { act_O = 9.0 }\n  rotor_inertia = { act_O = 0.0001 }\n" in said
+    assert "direct, gear 1: infeasible: act_O on joint O would have to give" in said
+
+
+def test_a_csv_file_and_tables_are_the_same_list(listed, tmp_path):
+    (tmp_path / "motors.csv").write_text(AS_CSV)
+    tables = [
+        {"name": "big", "peak_effort": 15, "rms_effort": 9, "stall_effort": 20, "no_load_speed_deg_s": 24000}
+        | {"rotor_inertia": 1e-4, "gears": (9, 4)},
+        {"name": "direct", "peak_effort": 40},
+    ]
+    assert read_motors(Path(listed)) == read_motors(tmp_path / "motors.csv") == motors_from({"motor": tables})
+
+
+@pytest.mark.slow
+def test_no_motor_that_does_is_exit_code_one(ask, tmp_path):
+    (tmp_path / "weak.csv").write_text("name,peak_effort\nweak,5\n")
+    code, out, _ = ask("size", "knee-reach", "--motors", str(tmp_path / "weak.csv"))
+    assert code == 1
+    assert out.startswith("none of 1 motors with gears does for act_O in knee-reach; the nearest is weak, gear 1\n")
+
+
+@pytest.mark.slow
+def test_of_several_actuators_one_gets_the_motors_and_the_others_keep_their_limits():
+    motors = [{"name": "M", "peak_effort": 4.0, "rotor_inertia": 1e-4, "gears": [5]}]
+    with pytest.raises(
+        linkplan.LinkplanError, match=r"actuator is one of act_O1, act_O2: say which of them gets the motors"
+    ):
+        linkplan.size("five-bar-reach", motors)
+    problem = linkplan.Problem.from_file("five-bar-reach")
+    found = linkplan.size(problem, motors, actuator="act_O2")
+    (one,) = found.sizing.motors
+    assert found.plan.problem.limits.effort[0].tolist() == problem.limits.effort[0].tolist()
+    assert found.plan.problem.limits.effort[1].tolist() == [-4.0, 4.0]
+    assert one.loads.peak_effort == pytest.approx(found.plan.demands()[1].peak_effort, rel=SAME_FIGURE)
+    assert one.speed_up >= 1.0
+
+
+def test_a_reserve_and_what_the_list_replaces_are_kept_and_said():
+    limits = {"effort": {"motor": [-1.0, 1.0]}, "reserve": 0.2}
+    problem = linkplan.Problem.reach(
+        HINGE, start_deg={"J": 10}, goal_deg={"J": 100}, duration_s=1.5, limits=limits, motors={"motor": _line(9.0)}
+    )
+    motors = [{"name": "M", "peak_effort": 4.0, "rms_effort": 4.0, "rotor_inertia": 0.0}]
+    found = linkplan.size(problem, motors).sizing
+    assert found.motors[0].peak_limit == pytest.approx(0.8 * 4.0, rel=1e-12)
+    assert found.motors[0].loads.peak_share == pytest.approx(found.motors[0].loads.peak_effort / 3.2, rel=1e-12)
+    assert found.motors[0].loads.line_share is None
+    assert found.notes == ["the list takes the place of limits.effort.motor and motors.motor"]
+
+
+def test_a_cable_that_only_pulls_does_not_push_with_another_motor_either():
+    problem = linkplan.Problem.from_file("gripper-close")
+    assert problem.limits.effort.tolist() == [[0.0, 20.0]]
+    (motor,) = motors_from({"motor": [{"name": "M", "peak_effort": 30.0}]})
+    assert with_motor(problem, 0, motor, 2.0).limits.effort.tolist() == [[0.0, 30.0]]
+
+
+def _line(stall: float) -> dict[str, float]:
+    return {"stall_effort": stall, "no_load_speed_deg_s": 3000.0}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "motor is missing; it is a list of 1 to 1000 tables ([[motor]])"),
+        ("motor = []", "motor is a list of 1 to 1000 tables ([[motor]]), got []"),
+        ("motor = [1]", "motor[0] is a table"),
+        ("[[motor]]\npeak_effort = 1", "motor[0].name is missing; it is a name of 1 to 99 letters"),
+        ('[[motor]]\nname = "M"', "motor 'M' has a peak_effort or a stall_effort; got neither"),
+        ('[[motor]]\nname = "M"\npeak = 1', "unknown key 'motor.M.peak' (did you mean 'peak_effort'?)"),
+        ('[[motor]]\nname = "M"\npeak_effort = -1', "motor.M.peak_effort is a positive number, got -1"),
+        ('[[motor]]\nname = "M"\npeak_effort = 1\ngears = [0]', "motor.M.gears is a positive number, got 0"),
+        (2 * '[[motor]]\nname = "M"\npeak_effort = 1\n', "motors have names of their own"),
+        ('[[motor]]\nname = "M"\nstall_effort = 1', "motor 'M': motors.act_O.stall_effort and motors.act_O.no_load"),
+        ('[[motor]]\nname = "M"\nstall_effort = 1\nno_load_speed_m_s = 2', "motor 'M': actuator 'act_O' gives N.m; use"),
+        ('[mechanism]\nmodel = "x"', "is a problem file; a list of motors is a TOML file with [[motor]] tables"),
+    ],
+)
+def test_lists_that_cannot_be_are_refused_in_one_line_before_planning(ask, tmp_path, text, said):
+    (tmp_path / "motors.toml").write_text(text)
+    code, out, err = ask("size", "knee-reach", "--motors", str(tmp_path / "motors.toml"))
+    assert (code, out) == (2, "")
+    assert said in err.splitlines()[-1]
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("name,peak_effort\nM,much\n", "motor.M.peak_effort is a positive number, got 'much'"),
+        ("name,peak_effort\nM,1,2\n", "has a row with more cells than its first row has keys"),
+        ("name,torque\nM,1\n", "unknown key 'motor.M.torque'"),
+    ],
+)
+def test_rows_that_cannot_be_are_refused(tmp_path, text, said):
+    (tmp_path / "motors.csv").write_text(text)
+    with pytest.raises(linkplan.LinkplanError) as error:
+        linkplan.size("knee-reach", tmp_path / "motors.csv")
+    assert said in str(error.value)
+
+
+def test_missing_files_servos_and_wrong_subjects_are_refused(tmp_path):
+    motors = [{"name": "M", "peak_effort": 1.0}]
+    with pytest.raises(linkplan.LinkplanError, match=r"motors '.*nowhere\.toml' is not a file"):
+        linkplan.size("knee-reach", tmp_path / "nowhere.toml")
+    with pytest.raises(linkplan.LinkplanError, match="is a folder; a list of motors"):
+        linkplan.size("knee-reach", tmp_path)
+    with pytest.raises(linkplan.LinkplanError, match="unknown actuator 'act_P'"):
+        linkplan.size("knee-reach", motors, actuator="act_P")
+    with pytest.raises(linkplan.LinkplanError, match="size takes a Problem, or the name or path of one, got int"):
+        linkplan.size(7, motors)
+    with pytest.raises(linkplan.LinkplanError, match="rest_s is a number of at least 0, got -1"):
+        linkplan.size("knee-reach", motors, rest_s=-1)
+    with pytest.raises(linkplan.LinkplanError, match="rest_s is the rest after a motion that ends, and knee-sine-shank"):
+        linkplan.size("knee-sine-shank", motors, rest_s=1.0)
+    servo = HINGE.replace('<motor name="motor" joint="J"', '<position name="motor" joint="J" kp="9"')
+    problem = linkplan.Problem.reach(servo, start_deg={"J": 10}, goal_deg={"J": 100}, duration_s=1.5)
+    with pytest.raises(linkplan.LinkplanError, match="actuator 'motor' is a servo"):
+        linkplan.size(problem, motors)
+    many = [{"name": f"M{k}", "peak_effort": 1.0, "gears": [1.0] * 100} for k in range(11)]
+    with pytest.raises(linkplan.LinkplanError, match="at most 1000 motors with gears are compared, the list has 1100"):
+        linkplan.size("knee-reach", many)
