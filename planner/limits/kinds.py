@@ -8,6 +8,7 @@ from linkplan.planner.limits.actuators import (
     MotorLimit,
     PowerLimit,
 )
+from linkplan.planner.limits.body import BodyAngleLimit
 from linkplan.planner.limits.efforts import EffortLimit, EffortRateLimit, RobustLimit
 from linkplan.planner.limits.extra import ExtraPathLimit
 from linkplan.planner.limits.joints import (
@@ -39,6 +40,7 @@ KINDS: tuple[type[Limit], ...] = (
     BallLimit,
     RobustLimit,
     SitePathLimit,
+    BodyAngleLimit,
     SiteAccelerationLimit,
     ExtraPathLimit,
 )
@@ -59,6 +61,7 @@ RELAXED: tuple[type[Limit], ...] = (
     TendonLimit,
     BallLimit,
     SitePathLimit,
+    BodyAngleLimit,
     ExtraPathLimit,
 )
 
