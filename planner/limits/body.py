@@ -100,7 +100,7 @@ def scaled_coordinate(mechanism: Mechanism, index: int, axis: int, value: float)
 def expression_of(mechanism: Mechanism, index: int, axis: int, q: ca.SX) -> ca.SX:
     """Return a coordinate [m or rad] at a pose q (n_q,)."""
     if axis == ANGLE:
-        return ca.dot(ca.DM(np.asarray(turning(mechanism, index, "the angle"))), q)
+        return ca.dot(ca.DM(turning(mechanism, index, "the angle")), q)
     return mechanism.dynamics.site_places(q)[axis, index]
 
 

@@ -14,8 +14,10 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.limits.body import BodyAngleLimit
+from linkplan.planner.limits.extra import ExtraPathLimit
 from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.extra import ExtraLimit
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.prove import prove
 from linkplan.planner.search.planning import plan_motion
@@ -89,6 +91,14 @@ def test_the_margin_and_the_proof_of_a_limit_follow_the_closed_form(high, kept):
     assert (margin.unit, margin.kept) == ("deg", kept)
     answers = {one.name: one.answer for one in prove(limited, plan.trajectory, existence=False).findings}
     assert answers["angle of body shank"] == ("proved" if kept else "refuted")
+
+
+def test_an_expression_of_ones_own_has_the_angle():
+    plan, most = knee_plan(), 0.4
+    limit = ExtraLimit(name="shank", expression=lambda at: at.body_angle_rad("shank"), upper=most, unit="rad")
+    found = certify(replace(plan.problem, extra_limits=(limit,)), plan.trajectory)
+    (margin,) = [one for one in found.margins if isinstance(one.of, ExtraPathLimit)]
+    assert margin.left == pytest.approx(most - np.radians(30.0), abs=1e-6)
 
 
 def test_a_limit_holds_back_the_shank_that_would_swing_beyond_it():
@@ -170,6 +180,8 @@ TO = {"goal_deg": {"J1": 0.0, "J2": 0.0}, "duration_s": 0.5}
         (BENT | {"goal_body_deg": {"shin": 1.0}}, {}, ["motion.goal_body_deg", "'shin'", "link1, link2"]),
         (BENT | TO | {"goal_body_deg": {"link2": 1.0}}, {}, ["motion.goal_body_deg", "motion.goal_deg", "keep one"]),
         (BENT | {"goal_body_deg": {"link2": "up"}}, {}, ["motion.goal_body_deg.link2", "a number", "'up'"]),
+        (BENT | {"goal_body_deg": {"link2": 1.0}, "waypoints": [{"body_deg": {"link2": 2.0}, "at_deg": {"J1": 1.0}}]}, {},
+         ["motion.waypoints[0].body_deg", "motion.waypoints[0].at_deg", "keep one"]),
         ({"start_body_deg": {"link2": 5.0}, **TO}, {}, ["motion.start_body_deg", "open", "motion.start_deg"]),
         (BENT | TO, {"body_deg": {"link2": [5.0, -5.0]}}, ["limits.body_deg.link2", "low < high", "[5, -5]"]),
         (BENT | TO, {"body_deg": {"link2": 5.0}}, ["limits.body_deg.link2", "[low, high]", "5.0"]),
