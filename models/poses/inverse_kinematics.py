@@ -177,11 +177,13 @@ def _rows(mechanism: Mechanism, targets: SiteTargets, q: np.ndarray) -> tuple[np
     places, J = (np.array(x) for x in _kinematics(mechanism)(q))
     asked = targets.points.ravel()
     at = (3 * targets.sites[:, None] + np.arange(3)).ravel()[~np.isnan(asked)]
-    by_s = np.array(mechanism.dynamics.velocity_map(q)) * unit_steps(mechanism.independent_joints, mechanism.extent_m)
-    error, slope = (places.ravel()[at] - asked[~np.isnan(asked)]) / mechanism.extent_m, J[at] @ by_s / mechanism.extent_m
+    gamma = np.array(mechanism.dynamics.velocity_map(q))
+    unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)
+    error = (places.ravel()[at] - asked[~np.isnan(asked)]) / mechanism.extent_m
+    slope = J[at] @ gamma * unit / mechanism.extent_m
     if targets.turning is None:
         return error, slope
-    return np.concatenate([error, targets.beyond(q)]), np.vstack([slope, targets.turning @ by_s])
+    return np.concatenate([error, targets.beyond(q)]), np.vstack([slope, targets.turning @ gamma * unit])
 
 
 def _beyond(mechanism: Mechanism, q: np.ndarray, ranges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

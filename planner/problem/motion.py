@@ -358,7 +358,7 @@ def _waypoints(
         waypoints.append(
             Waypoint(
                 position=np.full(mechanism.dof, np.nan) if position is None else position,
-                speed=speed,
+                speed=DERIVED if speed is None else speed,
                 time_s=None if item.time_s == "free" else item.time_s,
                 at=tasks,
                 at_rows=rows,

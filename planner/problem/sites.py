@@ -5,7 +5,7 @@ a wall (n its normal), or the distance from a polyline for a tube. A limit on a 
 (`linkplan.models.poses.body_angles`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -176,7 +176,9 @@ def angles_of(mechanism: Mechanism, body: int, q: np.ndarray) -> np.ndarray:
 _MIN_LENGTH = 1e-9
 
 
-def tasks_of(places: dict[str, list | dict], angles: dict[str, float], where: str, mechanism: Mechanism) -> tuple[Task, ...]:
+def tasks_of(
+    places: Mapping[str, list | dict], angles: Mapping[str, float], where: str, mechanism: Mechanism
+) -> tuple[Task, ...]:
     """Return prescribed places of sites and angles of bodies.
 
     Args:

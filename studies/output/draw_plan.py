@@ -174,13 +174,14 @@ def _site_lines(plan: Plan, motion: Motion) -> list[Line]:
 
 def _body_lines(plan: Plan, motion: Motion) -> list[Line]:
     """Return the angles of the bodies that a problem names, with their limits, in degrees."""
-    problem, limits = plan.problem, {one.body: (one.low, one.high) for one in plan.problem.limits.body}
+    problem = plan.problem
+    limits = {one.body: (float(np.degrees(one.low)), float(np.degrees(one.high))) for one in problem.limits.body}
     return [
         Line(
             name=name,
             values=np.degrees(angles_of(problem.mechanism, index, motion.pose)),
             unit="deg",
-            limits=tuple(float(np.degrees(end)) for end in limits.get(name, (-np.inf, np.inf))),
+            limits=limits.get(name, (-np.inf, np.inf)),
         )
         for name, index in problem.bodies.items()
     ]
