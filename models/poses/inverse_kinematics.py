@@ -1,14 +1,14 @@
-"""Inverse kinematics: poses on the assembled branch with sites at given points.
+"""Inverse kinematics: poses on the assembled branch with sites at given points and bodies at given angles.
 
 The method is Levenberg-Marquardt in the independent positions s, with the loops closed at every step (Nocedal & Wright,
-Numerical Optimization, 10.3). It minimises the squared distances of the sites. Independent ranges bound the step, and
-dependent ranges are steep penalties. Several starts are used, the same in every run, and the solution nearest to the first
-start is the result.
+Numerical Optimization, 10.3). It minimises the squared distances of the sites and of the bodies, whose angle counts
+as an arc at the mechanism's extent. Independent ranges bound the step, and dependent ranges are steep penalties. Several
+starts are used, the same in every run, and the solution nearest to the first start is the result.
 """
 
 import functools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import casadi as ca
@@ -33,26 +33,36 @@ _RANGE_WEIGHT = 1e3
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SiteTargets:
-    """Target points of sites: the sites' indices (n,) in the model and points (n, 3) [m] in the world, NaN where free."""
+    """Target points of sites, and target angles of bodies.
+
+    `sites` (n,) are indices in the model and `points` (n, 3) [m] in the world, NaN where free. The angle of a body is
+    `turning` @ q (`body_angles.turning`, (m, n_q)), and `angles` (m,) [rad] are the targets.
+    """
 
     sites: np.ndarray
     points: np.ndarray
+    turning: np.ndarray | None = None
+    angles: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @property
     def given(self) -> np.ndarray:
-        """A mask (3 n,) of the prescribed coordinates of the sites."""
-        return ~np.isnan(self.points.ravel())
+        """A mask (3 n + m,) of the prescribed coordinates of the sites, and of the angles, which are all prescribed."""
+        return np.concatenate([~np.isnan(self.points.ravel()), np.full(len(self.angles), True)])
+
+    def beyond(self, q: np.ndarray) -> np.ndarray:
+        """Return the differences (m,) [rad] of the bodies' angles at a pose (n_q,) from their targets."""
+        return np.zeros(0) if self.turning is None else self.turning @ q - self.angles
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SitePose:
-    """The pose (n_q,) that comes nearest to the targets, and the distance of each site (n,) [m] from its target there."""
+    """The pose (n_q,) that comes nearest to the targets, and the `distance_m` of each site and body (n + m,) there."""
 
     pose: np.ndarray
     distance_m: np.ndarray
 
     def arrived(self, mechanism: Mechanism) -> bool:
-        """Return True if every site is at its target."""
+        """Return True if every site and body is at its target."""
         return bool(self.distance_m.max(initial=0.0) <= ARRIVED_SHARE * mechanism.extent_m)
 
 
@@ -70,9 +80,10 @@ def places_of(mechanism: Mechanism, site: int, q: np.ndarray) -> np.ndarray:
 
 
 def distance_m(mechanism: Mechanism, targets: SiteTargets, pose: np.ndarray) -> np.ndarray:
-    """Return the distances (n,) [m] of the sites from their targets at a pose (n_q,), in the prescribed coordinates."""
-    places = np.array([places_of(mechanism, int(site), pose)[0] for site in targets.sites])
-    return np.sqrt(np.nansum((places - targets.points) ** 2, axis=1))
+    """Return the distances [m] of sites (n,), in the prescribed coordinates, and the arcs of bodies (m,) at a pose."""
+    places = np.array([places_of(mechanism, int(site), pose)[0] for site in targets.sites]).reshape(-1, 3)
+    arcs = mechanism.extent_m * np.abs(targets.beyond(pose))
+    return np.concatenate([np.sqrt(np.nansum((places - targets.points) ** 2, axis=1)), arcs])
 
 
 def site_pose(
@@ -86,7 +97,7 @@ def site_pose(
 
     Args:
         mechanism: the assembled mechanism.
-        targets: the sites and their target points.
+        targets: the sites and bodies with their targets.
         start: a closed pose (n_q,); the result is on its branch.
         ranges: [low, high] (n_q, 2) of every joint.
         prefer: poses that satisfy this condition come before all others.
@@ -109,7 +120,7 @@ def site_pose(
 def independent_rows_of(mechanism: Mechanism, targets: SiteTargets, pose: np.ndarray, ranges: np.ndarray) -> tuple[int, ...]:
     """Return the indices of independent coordinates among the prescribed ones (`SiteTargets.given`) near a pose (n_q,).
 
-    Their number is the rank of the sites' Jacobian, the largest over several nearby poses. A leg at its full length loses
+    Their number is the rank of their Jacobian, the largest over several nearby poses. A leg at its full length loses
     rank only in that pose. Passive degrees of freedom are left out.
     """
     import scipy
@@ -162,12 +173,17 @@ def _nearby(
 
 
 def _rows(mechanism: Mechanism, targets: SiteTargets, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the errors [extents] of the prescribed site coordinates, and their Jacobian by s [rad or extents]."""
+    """Return the errors [extents or rad] of the prescribed coordinates, and their Jacobian by s [rad or extents]."""
     places, J = (np.array(x) for x in _kinematics(mechanism)(q))
-    at = (3 * targets.sites[:, None] + np.arange(3)).ravel()[targets.given]
+    asked = targets.points.ravel()
+    at = (3 * targets.sites[:, None] + np.arange(3)).ravel()[~np.isnan(asked)]
+    gamma = np.array(mechanism.dynamics.velocity_map(q))
     unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)
-    slope = J[at] @ np.array(mechanism.dynamics.velocity_map(q)) * unit / mechanism.extent_m
-    return (places.ravel()[at] - targets.points.ravel()[targets.given]) / mechanism.extent_m, slope
+    error = (places.ravel()[at] - asked[~np.isnan(asked)]) / mechanism.extent_m
+    slope = J[at] @ gamma * unit / mechanism.extent_m
+    if targets.turning is None:
+        return error, slope
+    return np.concatenate([error, targets.beyond(q)]), np.vstack([slope, targets.turning @ gamma * unit])
 
 
 def _beyond(mechanism: Mechanism, q: np.ndarray, ranges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -57,7 +57,7 @@ class Certificate:
     dynamics_residual: float
     velocity_residual: float  # largest |s' - v|, as a share of the motion's largest speed
     boundary_error: float  # of the prescribed states at the ends, as a share of the motion's span and largest speed
-    site_error_m: float  # of the sites prescribed at start, waypoints and goal
+    site_error_m: float  # of the sites, and of bodies as arcs at the extent, prescribed at start, waypoints and goal
     closure_gap_m: float  # largest; angles count as the displacement at the mechanism's extent
     closure_gaps: dict[str, float]  # largest by unit: "m" of points and slides, "rad" of angles, hinges and their tendons
     integration_error_deg: float
@@ -279,7 +279,8 @@ def end_state_error(problem: Problem, trajectory: Trajectory, speed: float) -> f
 def _waypoint_error(problem: Problem, trajectory: Trajectory, waypoint: Waypoint, span: float, speed: float) -> float:
     """Return a motion's error at a waypoint, at its time or at the nearest break.
 
-    Errors are relative: positions to the motion's span, speeds to its largest speed, sites to the mechanism's extent.
+    Errors are relative: positions to the motion's span, speeds to its largest speed, sites and bodies to the mechanism's
+    extent.
     """
     time = waypoint_times(trajectory, waypoint)
     position, rate = exact_bounds(waypoint.position), exact_bounds(waypoint.speed)

@@ -17,16 +17,16 @@ from linkplan.models.deadline import NO_DEADLINE, Deadline, OutOfTimeError
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
-from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.certificate.flow import INTEGRATION_RTOL, STIFF_EVALUATIONS, called, flow, strides
 from linkplan.planner.problem.instant import position_units
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.sites import BodyAngle, Task, key_of
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_part, bernstein_value
 
-# Boundary states, and sites at them, are constraints of the program and kept to rounding: the allowed error as a share of
-# the motion's span or largest speed, or of the mechanism's extent.
+# Boundary states, and sites and bodies at them, are constraints of the program and kept to rounding: the allowed error as a
+# share of the motion's span or largest speed, or of the mechanism's extent.
 BOUNDARY_SHARE = 1e-6
 # Largest difference of the planned velocity from the slope of the planned position and from the integrated velocity, as a
 # share of the largest speed. First-order schemes differ by their own order, a wrongly assembled plan by more.
@@ -54,7 +54,9 @@ def exact_bounds(asked: np.ndarray, free: np.ndarray | None = None) -> tuple[np.
 
 
 def ends_off_m(problem: Problem, trajectory: Trajectory, time: np.ndarray, q: np.ndarray) -> tuple[float, tuple[str, ...]]:
-    """Return the largest error [m] of the sites prescribed at start, waypoints and goal, and sentences on errors.
+    """Return the largest error [m] of the sites and bodies prescribed at start, waypoints and goal, and sentences on errors.
+
+    The error of a body's angle is the arc at the mechanism's extent.
 
     Args:
         problem: the problem; the goal of a periodic motion lies in its middle.
@@ -70,18 +72,25 @@ def ends_off_m(problem: Problem, trajectory: Trajectory, time: np.ndarray, q: np
         near = q[int(np.argmin(np.abs(time - at)))]
         pose = follow(problem.mechanism, trajectory.position_at(np.array([at])), near, problem.solver.judging_deadline)[0]
         for point in points:
-            off = point.distance_m(places_of(problem.mechanism, point.index, pose)[0])
+            off = float(point.off_m(problem.mechanism, pose)[0])
             worst = max(worst, off)
             if not off <= BOUNDARY_SHARE * problem.mechanism.extent_m:
-                failures.append(f"site {point.site} is {off:.3g} m away from where motion.{name}_at asks it")
+                failures.append(_off_sentence(problem, point, off, f"motion.{name}_{{}}"))
     for k, waypoint in enumerate(motion.waypoints):
         if waypoint.at:
             apart = waypoint_off_m(problem, trajectory, waypoint, waypoint_times(trajectory, waypoint))
             off, point = float(apart.max(axis=1).min()), waypoint.at[int(apart[apart.max(axis=1).argmin()].argmax())]
             worst = max(worst, off)
             if not off <= BOUNDARY_SHARE * problem.mechanism.extent_m:
-                failures.append(f"site {point.site} is {off:.3g} m away from where motion.waypoints[{k}].at asks it")
+                failures.append(_off_sentence(problem, point, off, f"motion.waypoints[{k}].{{}}"))
     return worst, tuple(failures)
+
+
+def _off_sentence(problem: Problem, point: Task, off_m: float, where: str) -> str:
+    off = f"{off_m:.3g} m"
+    if isinstance(point, BodyAngle):
+        off = f"{np.degrees(off_m / problem.mechanism.extent_m):.3g} deg"
+    return f"{point.label} is {off} away from where {key_of([point], where)} asks it"
 
 
 def waypoint_times(trajectory: Trajectory, waypoint: Waypoint) -> np.ndarray:
@@ -90,7 +99,7 @@ def waypoint_times(trajectory: Trajectory, waypoint: Waypoint) -> np.ndarray:
 
 
 def waypoint_off_m(problem: Problem, trajectory: Trajectory, waypoint: Waypoint, time: np.ndarray) -> np.ndarray:
-    """Return the distances [m] (n, n_sites) of a waypoint's sites from their prescribed places at times (n,) [s]."""
+    """Return the errors [m] (n, n_tasks) of a waypoint's sites and bodies at times (n,) [s], as in `ends_off_m`."""
     if not waypoint.at:
         return np.zeros((len(time), 1))
     # Loops are followed from break to break, so the result does not depend on the given times.
@@ -98,8 +107,7 @@ def waypoint_off_m(problem: Problem, trajectory: Trajectory, waypoint: Waypoint,
     until = problem.solver.judging_deadline
     poses = follow(problem.mechanism, trajectory.position_at(along), trajectory.start_pose, until)
     q = poses[back[len(trajectory.breaks_s) :]]
-    places = [places_of(problem.mechanism, point.index, q) for point in waypoint.at]
-    return np.array([[p.distance_m(x) for x in at] for p, at in zip(waypoint.at, places, strict=True)]).T
+    return np.array([point.off_m(problem.mechanism, q) for point in waypoint.at]).T
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -1,6 +1,6 @@
 """A mechanism's planning problem as a formulation: its functions and the numbers of its limits and objective.
 
-Where waypoints and goals leave the pose free, sites are prescribed at the phase boundaries of the program.
+Where waypoints and goals leave the pose free, sites and bodies are prescribed at the phase boundaries of the program.
 """
 
 from collections.abc import Callable
@@ -17,12 +17,13 @@ from linkplan.planner.closed_chain.mechanics import (
     n_lifted,
     node_numbers,
 )
+from linkplan.planner.limits.body import expression_of, scaled_coordinate, unit_of
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import Limit
-from linkplan.planner.limits.site import site_at_home
 from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.sites import coordinates_of
 from linkplan.planner.refinement.marking import TightenedRow, Tightening, tightening_over
 from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, Units
 from linkplan.planner.transcription.interval import COSTS, IntervalRows
@@ -39,7 +40,7 @@ FIRST_TIE_WEIGHT, TIE_WEIGHT = 1e-2, 1e-3
 
 
 def site_endpoint(problem: Problem, unit: np.ndarray, n_z: int) -> tuple[Endpoint | None, np.ndarray]:
-    """Return the endpoint rows of a motion with a free goal pose, and their parameters: the sites' coordinates [m].
+    """Return the endpoint rows of a motion with a free goal pose, and their parameters: the coordinates [m or rad].
 
     If the goal pose is prescribed, there is no endpoint and no parameter.
 
@@ -56,13 +57,15 @@ def site_endpoint(problem: Problem, unit: np.ndarray, n_z: int) -> tuple[Endpoin
     asked = ca.SX.sym("asked", len(motion.goal_rows))
     z = ca.SX.sym("z", n_z)
     q = in_order(mechanism, last[:n_s] * ca.DM(unit), z[:n_dependent])
-    places = mechanism.dynamics.site_places(q)
-    at = ca.vertcat(*[places[:, point.index] for point in motion.goal_at])[list(motion.goal_rows)]
-    column = ca.vertcat((at - asked) / mechanism.extent_m, 0.0)
+    every = coordinates_of(motion.goal_at)
+    ends = [every[row] for row in motion.goal_rows]
+    at = ca.vertcat(*[expression_of(mechanism, index, axis, q) for index, axis, _ in ends])
+    units = ca.DM([unit_of(mechanism, axis) for _, axis, _ in ends])
+    column = ca.vertcat((at - asked) / units, 0.0)
     inputs = [first, last, duration, asked, *([z] if n_dependent else [])]
-    points = np.concatenate([point.point for point in motion.goal_at])[list(motion.goal_rows)]
     function = ca.Function("site_end", inputs, [column])
-    return Endpoint(function=function, n_rows=len(motion.goal_rows), algebraic=bool(n_dependent)), points
+    endpoint = Endpoint(function=function, n_rows=len(ends), algebraic=bool(n_dependent))
+    return endpoint, np.array([value for _, _, value in ends])
 
 
 def formulate(
@@ -146,7 +149,7 @@ def formulate(
 
 def _node_terms(problem: Problem, limits: tuple[Limit, ...], *, least_limit: bool) -> NodeTerms:
     """Return the terms that are evaluated at a node."""
-    passed = {(site, axis) for waypoint in problem.motion.waypoints for site, axis, _ in waypoint.open_coordinates}
+    passed = {(index, axis) for waypoint in problem.motion.waypoints for index, axis, _ in waypoint.open_coordinates}
     return NodeTerms(
         running=() if least_limit else tuple(term for term in problem.objective.terms.values() if term.exact is None),
         limits=tuple(limit for limit in limits if limit.rows.node is not None or limit.rows.n_unknowns),
@@ -155,12 +158,12 @@ def _node_terms(problem: Problem, limits: tuple[Limit, ...], *, least_limit: boo
 
 
 def _passed_rows(problem: Problem, asked: NodeTerms) -> tuple[tuple[int, int, float], ...]:
-    """Return (phase boundary, path quantity, value) for each coordinate of a site that a waypoint prescribes."""
-    mechanism, first = problem.mechanism, len(asked.rows)
+    """Return (phase boundary, path quantity, value) for each coordinate that a waypoint prescribes."""
+    first = len(asked.rows)
     return tuple(
-        (k + 1, first + asked.passed.index((site, axis)), (at - site_at_home(mechanism, site)[axis]) / mechanism.extent_m)
+        (k + 1, first + asked.passed.index((index, axis)), scaled_coordinate(problem.mechanism, index, axis, at))
         for k, waypoint in enumerate(problem.motion.waypoints)
-        for site, axis, at in waypoint.open_coordinates
+        for index, axis, at in waypoint.open_coordinates
     )
 
 

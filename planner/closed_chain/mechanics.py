@@ -25,8 +25,8 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.planner.limits.body import coordinate
 from linkplan.planner.limits.limit import Limit
-from linkplan.planner.limits.site import site_coordinate
 from linkplan.planner.problem.instant import Instant, Scales
 from linkplan.planner.problem.objective import Term
 from linkplan.planner.problem.problem import Problem
@@ -125,7 +125,7 @@ class NodeTerms:
     """The terms evaluated at a node, which determine the structure of its functions.
 
     `running` are the objective's terms that are integrals of a quantity at nodes. `limits` have rows or unknowns at nodes.
-    `passed` are the sites' coordinates (site, axis) that waypoints prescribe.
+    `passed` are the coordinates (index, axis) of sites and bodies that waypoints prescribe.
     """
 
     running: tuple[Term, ...] = ()
@@ -232,10 +232,10 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
 
 
 def _path_rows(asked: NodeTerms, at: Instant, numbers: list[ca.SX], working: ca.SX) -> ca.SX:
-    """Return the path quantities: limits' rows, sites' coordinates at waypoints, P - u w of positive powers."""
+    """Return the path quantities: limits' rows, coordinates at waypoints, P - u w of positive powers."""
     rows = [(limit.rows.node, own) for limit, own in zip(asked.limits, numbers, strict=True)]
     path = [node(at, own) for node, own in rows if node is not None]
-    path += [site_coordinate(at, *where) for where in asked.passed]
+    path += [coordinate(at, *where) for where in asked.passed]
     if asked.works:
         path.append(working - at.u * at.actuator_speeds / at.units["power"])
     return ca.vertcat(ca.SX(0, 1), *path)

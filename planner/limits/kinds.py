@@ -8,6 +8,7 @@ from linkplan.planner.limits.actuators import (
     MotorLimit,
     PowerLimit,
 )
+from linkplan.planner.limits.body import BodyAngleLimit
 from linkplan.planner.limits.efforts import EffortLimit, EffortRateLimit, RobustLimit
 from linkplan.planner.limits.extra import ExtraPathLimit
 from linkplan.planner.limits.joints import (
@@ -40,6 +41,7 @@ KINDS: tuple[type[Limit], ...] = (
     BallLimit,
     RobustLimit,
     SitePathLimit,
+    BodyAngleLimit,
     SiteAccelerationLimit,
     OnPathLimit,
     ExtraPathLimit,
@@ -62,6 +64,7 @@ RELAXED: tuple[type[Limit], ...] = (
     BallLimit,
     SitePathLimit,
     OnPathLimit,
+    BodyAngleLimit,
     ExtraPathLimit,
 )
 

@@ -70,7 +70,7 @@ class SitePathLimit(Limit):
         def node(at: Instant, _: ca.SX) -> ca.SX:
             if self.is_tube:
                 return _tube(at.of_pose("site_places")[:, self.shape[0]], np.array(self.shape[1]), self.shape[2])
-            return _way(at, self.shape[0], np.array(self.shape[1]))
+            return way(at, self.shape[0], np.array(self.shape[1]))
 
         return Rows(node=node)
 
@@ -126,12 +126,7 @@ class SitePathLimit(Limit):
         return with_limits(problem, site=wider)
 
 
-def site_coordinate(at: Instant, site: int, axis: int) -> ca.SX:
-    """Return the way of a site from home along an axis of the world, in extents of the mechanism."""
-    return _way(at, site, np.eye(3)[axis])
-
-
-def _way(at: Instant, site: int, normal: np.ndarray) -> ca.SX:
+def way(at: Instant, site: int, normal: np.ndarray) -> ca.SX:
     """Return the way of a site from home along a direction, in extents of the mechanism."""
     p, home = at.of_pose("site_places")[:, site], site_at_home(at.mechanism, site)
     return (ca.dot(ca.DM(normal), p) - float(normal @ home)) / at.mechanism.extent_m

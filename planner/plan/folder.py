@@ -158,8 +158,9 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
     trajectory = plan.trajectory
     arrays = {name: getattr(trajectory, name) for name in ARRAYS}
     table = motion_table(plan.problem, plan.trajectory, jumps=jumps)
-    if table.site:  # in addition to the motion: samples at the times of trajectory.csv
+    if table.site or table.body_deg:  # in addition to the motion: samples at the times of trajectory.csv
         arrays |= {"time_s": table.time_s} | {f"site_{name}_m": places for name, places in table.site.items()}
+        arrays |= {f"body_{name}_deg": angles for name, angles in table.body_deg.items()}
     np.savez(folder / "trajectory.npz", periodic=np.array(trajectory.periodic), **arrays)
     (folder / "trajectory.csv").write_bytes(csv_bytes(table.columns()))
     if parquet:

@@ -1,6 +1,6 @@
 """The answer to a planning problem: a motion with its certificate, or the reason why there is none.
 
-A motion is given at any times in the units of files: positions and speeds of all joints, efforts, sites.
+A motion is given at any times in the units of files: positions and speeds of all joints, efforts, sites, bodies' angles.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.demands import Demand, demands_of
 from linkplan.planner.certificate.further_checks import contact_notes
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.sites import AXES
+from linkplan.planner.problem.sites import AXES, angles_of
 from linkplan.planner.proof.finding import Proof
 from linkplan.planner.refinement.history import Step
 from linkplan.planner.trajectory import Trajectory
@@ -32,7 +32,8 @@ class MotionTable:
     """A motion at times (n,) [s]: by joint in degrees, or m for slides; by actuator [N.m or N]; by site (n, 3) [m].
 
     `acceleration_deg_s2` covers the independent joints only. `unit` is the unit of positions by joint, `effort_unit` the
-    unit by actuator. `site` are the sites that the problem names, in the world's frame.
+    unit by actuator. `site` are the sites that the problem names, in the world's frame, and `body_deg` the angles of the
+    bodies that it names.
     """
 
     time_s: np.ndarray
@@ -43,6 +44,7 @@ class MotionTable:
     unit: dict[str, str]
     effort_unit: dict[str, str]
     site: dict[str, np.ndarray]
+    body_deg: dict[str, np.ndarray]
 
     def single(self) -> MotionTable:
         """Return the first row, with numbers instead of arrays."""
@@ -58,10 +60,11 @@ class MotionTable:
             acceleration_deg_s2=first(self.acceleration_deg_s2),
             effort=first(self.effort),
             site={name: place[0] for name, place in self.site.items()},
+            body_deg=first(self.body_deg),
         )
 
     def columns(self) -> dict[str, np.ndarray]:
-        """Return all columns (n,) with units in their headers: time_s, O_deg, O_deg_s, ..., act_O_Nm, foot_x_m."""
+        """Return all columns (n,), units in their heads: time_s, O_deg, O_deg_s, ..., act_O_Nm, foot_x_m, body_shank_deg."""
         found = {"time_s": self.time_s}
         for name, values in self.position_deg.items():
             found[f"{name}_{self.unit[name]}"] = values
@@ -72,6 +75,9 @@ class MotionTable:
             heads = [f"{name}_{axis}_m" for axis in AXES]
             taken = any(head in found for head in heads)  # by a slide of that name
             found |= {f"site_{head}" if taken else head: place[:, k] for k, head in enumerate(heads)}
+        for name, angle in self.body_deg.items():
+            head = f"body_{name}_deg"
+            found[f"body_{head}" if head in found else head] = angle  # taken by a hinge of that name
         return found
 
     def named_arrays(self) -> tuple[dict, dict]:
@@ -92,6 +98,9 @@ class MotionTable:
         if self.site:
             variables["site"] = (("time_s", "site_name", "axis"), np.stack(list(self.site.values()), axis=1))
             coordinates |= {"site_name": list(self.site), "axis": list(AXES)}
+        if self.body_deg:
+            variables["body_deg"] = (("time_s", "body"), np.column_stack(list(self.body_deg.values())))
+            coordinates["body"] = list(self.body_deg)
         return variables, coordinates
 
 
@@ -158,6 +167,7 @@ def motion_table(
         unit={joint.name: joint.unit for joint in mechanism.joints},
         effort_unit={actuator.name: actuator.unit for actuator in mechanism.actuators},
         site={name: places_of(mechanism, index, q) for name, index in problem.sites.items()},
+        body_deg={name: np.degrees(angles_of(mechanism, index, q)) for name, index in problem.bodies.items()},
     )
 
 
@@ -315,7 +325,8 @@ class Plan:
             `time_s`; `position_deg` [deg, or m of slides] and `speed_deg_s` of all joints by name; `acceleration_deg_s2` of
             the independent joints; `effort` [N.m or N] by actuator: arrays (n,), or numbers for a single time. `unit` and
             `effort_unit` are their units; `site` has the sites that the problem names, (n, 3) or (3,) [m] in the world
-            frame. `columns()` returns all columns under heads with units.
+            frame, and `body_deg` the angles of the bodies that it names. `columns()` returns all columns under heads with
+            units.
 
         Raises:
             LinkplanError: if the plan has no motion, or a time is not finite or beyond its ends.
@@ -345,7 +356,7 @@ class Plan:
 
         `position_deg` and `speed_deg_s` (m and m/s of slides) have the dimensions `time_s` and `joint`, `effort` [N.m or N]
         has `time_s` and `actuator`; the coordinates `joint_unit` and `actuator_unit` have their units. `site` [m] has
-        `time_s`, `site_name` and `axis`, if the problem names sites.
+        `time_s`, `site_name` and `axis`, if the problem names sites; `body_deg` has `time_s` and `body`.
 
         Raises:
             MissingPackageError: if xarray is not installed.

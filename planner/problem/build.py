@@ -23,6 +23,7 @@ from linkplan.models.audit import audit
 from linkplan.models.catalogue import MODELS
 from linkplan.models.errors import ModelError, ProblemError, nearest
 from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.poses.body_angles import body_index
 from linkplan.models.selection import Selection
 from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.files.tables import Tables, resolve_path, set_key, toml_text
@@ -133,12 +134,14 @@ def _sections(tables: Tables, mechanism: Mechanism) -> ProblemFile:
 
 
 def _refuse_unknown_name(mechanism: Mechanism, noun: str, name: str, where: str) -> None:
-    """Refuse a name of a joint, actuator, closure or site that the mechanism does not have."""
+    """Refuse a name of a joint, actuator, closure, site or body that the mechanism does not have."""
     if noun == "joint":
         mechanism.joint_index(name, ProblemError)
     elif noun == "site":
         if name not in [joint.name for joint in mechanism.joints]:  # a joint's name gets its own message elsewhere
             site_index(mechanism.model, name, where, ProblemError)
+    elif noun == "body":
+        body_index(mechanism.model, name, where, ProblemError)
     elif noun == "closure":
         closure_index(mechanism, name)
     else:

@@ -21,6 +21,7 @@ from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.objective import Objective
 from linkplan.planner.problem.reference import GuessedPath, Reference
 from linkplan.planner.problem.settings import MeshSettings
+from linkplan.planner.problem.sites import key_of
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.scheme_names import MAX_INTERVALS
 from linkplan.planner.transcription.schemes import scheme
@@ -247,9 +248,11 @@ def _check_periodic(motion: Motion, objective: Objective, reference: Reference |
 
 def check_node_at_end(motion: Motion, mechanism: Mechanism, mesh: MeshSettings) -> None:
     """Refuse a scheme without a node at an interval's end if the pose there is free."""
-    needs_node = ["motion.goal_at that leaves a loop's pose open"]
-    needs_node = needs_node if motion.goal_is_free and len(mechanism.dependent) else []
-    opened = [f"motion.waypoints[{k}].at" for k, waypoint in enumerate(motion.waypoints) if waypoint.at_rows]
+    needs_node = []
+    if motion.goal_is_free and len(mechanism.dependent):
+        needs_node = [f"{key_of(motion.goal_at, 'motion.goal_{}')} that leaves a loop's pose open"]
+    via = [(waypoint.at, f"motion.waypoints[{k}].{{}}") for k, waypoint in enumerate(motion.waypoints) if waypoint.at_rows]
+    opened = [key_of(tasks, where) for tasks, where in via]
     needs_node += [f"{where} that leaves a pose open" for where in opened]
     if needs_node and mesh.scheme.startswith("gauss"):
         raise ProblemError(

@@ -11,6 +11,7 @@ import numpy as np
 from linkplan.models.errors import ProblemError, choose, one_line, shown
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
+from linkplan.models.poses.body_angles import body_index, turning
 from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.problem.instant import Instant, free_instant
 
@@ -73,6 +74,12 @@ class NamedInstant:
     def site_acceleration(self, name: str) -> ca.SX:
         """Return the acceleration (3,) [m/s2] of a site in the world."""
         return self._of_site("site_acceleration", name, self.instant.site_accelerations)
+
+    def body_angle_rad(self, name: str) -> ca.SX:
+        """Return the angle [rad] of a body, the sum of the angles of the hinges that turn it."""
+        mechanism, what = self.instant.mechanism, "at.body_angle_rad"
+        sigma = turning(mechanism, body_index(mechanism.model, name, what, ProblemError), what, ProblemError)
+        return ca.dot(ca.DM(sigma), self.instant.q)
 
     def _of_site(self, what: str, name: str, columns: ca.SX) -> ca.SX:
         return columns[:, site_index(self.instant.mechanism.model, name, f"at.{what}", ProblemError)]

@@ -10,7 +10,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.problem.keys.motion_and_limits import LimitsSection, Motor
 from linkplan.planner.problem.settings import DERIVED, frozen, interval, joint_values
-from linkplan.planner.problem.sites import SiteLimit, site_limits_of
+from linkplan.planner.problem.sites import BodyLimit, SiteLimit, body_limits_of, site_limits_of
 
 
 def free_bounds(n: int) -> np.ndarray:
@@ -25,8 +25,8 @@ class Limits:
     `effort` (n_u, 2) [N.m or N]; `position`, `speed`, `acceleration` and `jerk` (n_q, 2) [rad or m, and per second, its
     square and cube] of all joints; `effort_rate` (n_u, 2) [N.m/s or N/s]; `power` (n_u, 2) [W], mechanical, of each
     actuator; `closure_force` (n_closures,) [N], the largest force of each closure; `singular_margin`, the least |det J_z|
-    relative to home; `site`, limits on sites [m]; `site_acceleration`, the largest by site [m/s2]. `effort` is the limit
-    for plans: `reserve` is the share of the actuators' own limits that is left to feedback.
+    relative to home; `site`, limits on sites [m]; `body`, on bodies' angles [rad]; `site_acceleration`, the largest by site
+    [m/s2]. `effort` is the limit for plans: `reserve` is the share of the actuators' own limits that is left to feedback.
     """
 
     effort: np.ndarray
@@ -40,10 +40,12 @@ class Limits:
     singular_margin: float = 0.0
     reserve: float = 0.0
     site: tuple[SiteLimit, ...] = ()
+    body: tuple[BodyLimit, ...] = ()
     site_acceleration: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "site", tuple(self.site))
+        object.__setattr__(self, "body", tuple(self.body))
         for name, like in (("effort_rate", "effort"), ("power", "effort"), ("acceleration", "speed"), ("jerk", "speed")):
             if getattr(self, name) is None:
                 object.__setattr__(self, name, free_bounds(len(getattr(self, like))))
@@ -58,6 +60,11 @@ class Limits:
     def actuators_effort(self) -> np.ndarray:
         """The actuators' own limits (n_u, 2) [N.m or N], including the reserve that plans leave to feedback."""
         return self.effort / (1.0 - self.reserve)
+
+    @property
+    def tasks(self) -> tuple[SiteLimit | BodyLimit, ...]:
+        """The limits on sites and on bodies."""
+        return (*self.site, *self.body)
 
     @property
     def limited_closures(self) -> tuple[int, ...]:
@@ -96,6 +103,7 @@ def limits_of(section: LimitsSection, mechanism: Mechanism) -> Limits:
         closure_force=forces,
         singular_margin=section.singular_margin,
         site=site_limits_of(section.site, mechanism),
+        body=body_limits_of(section.body_deg, mechanism),
         site_acceleration=_of_sites(section.site_acceleration_m_s2, mechanism),
     )
 

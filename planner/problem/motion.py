@@ -14,22 +14,22 @@ from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.path import SitePath
 from linkplan.planner.problem.reference import Reference, is_whole
 from linkplan.planner.problem.settings import DERIVED, frozen, joint_values
-from linkplan.planner.problem.sites import SitePoint, points_of, pose_at
+from linkplan.planner.problem.sites import Coordinate, Task, coordinates_of, key_of, pose_at, tasks_of
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Waypoint:
     """A state between start and goal: `position` and `speed` (n_s,) [rad or m, and per second], NaN where free.
 
-    `time_s` is its time, None if that is free. `at` are prescribed places of sites, and `position` is then a pose with the
-    sites at these places. If the places leave degrees of freedom open, `position` is free, `guess` (n_s,) is such a pose,
-    and `at_rows` are independent rows among the sites' coordinates (3 n_sites).
+    `time_s` is its time, None if that is free. `at` are prescribed places of sites and angles of bodies, and `position` is
+    then a pose with the sites and bodies there. If they leave degrees of freedom open, `position` is free, `guess` (n_s,) is
+    such a pose, and `at_rows` are independent rows among their coordinates (`coordinates_of`).
     """
 
     position: np.ndarray
     speed: np.ndarray = DERIVED
     time_s: float | None = None
-    at: tuple[SitePoint, ...] = ()
+    at: tuple[Task, ...] = ()
     at_rows: tuple[int, ...] = ()
     guess: np.ndarray | None = None
 
@@ -47,9 +47,10 @@ class Waypoint:
         return self.position if self.guess is None else self.guess
 
     @property
-    def open_coordinates(self) -> tuple[tuple[int, int, float], ...]:
-        """The prescribed coordinates of an open pose: site index, axis and coordinate [m]."""
-        return tuple((self.at[row // 3].index, row % 3, float(self.at[row // 3].point[row % 3])) for row in self.at_rows)
+    def open_coordinates(self) -> tuple[Coordinate, ...]:
+        """The prescribed coordinates of an open pose."""
+        every = coordinates_of(self.at)
+        return tuple(every[row] for row in self.at_rows)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -63,10 +64,10 @@ class Motion:
     turns. `duration_s` None is a free duration between `min_duration_s` and `max_duration_s`. `waypoints` are passed in
     order.
 
-    `start_at` and `goal_at` are prescribed places of sites; `start` and `goal` are then poses with the sites at these
-    places. If the places leave degrees of freedom open, any pose with the sites at their places ends the motion, `goal` is
-    the initial guess, and `goal_rows` are independent rows among the sites' coordinates (3 n_sites). `goal_named` are the
-    columns of s that the goal names: a passive degree of freedom that is not named may end anywhere.
+    `start_at` and `goal_at` are prescribed places of sites and angles of bodies; `start` and `goal` are then such poses. If
+    degrees of freedom stay open, any such pose ends the motion, `goal` is the initial guess, and `goal_rows` are independent
+    rows among `coordinates_of(goal_at)`. `goal_named` are the columns of s that the goal names: a passive degree of freedom
+    that is not named may end anywhere.
     """
 
     kind: str
@@ -78,8 +79,8 @@ class Motion:
     min_duration_s: float | None = None
     max_duration_s: float | None = None
     waypoints: tuple[Waypoint, ...] = ()
-    start_at: tuple[SitePoint, ...] = ()
-    goal_at: tuple[SitePoint, ...] = ()
+    start_at: tuple[Task, ...] = ()
+    goal_at: tuple[Task, ...] = ()
     goal_rows: tuple[int, ...] = ()
     turns: np.ndarray | None = None
     goal_named: tuple[int, ...] = ()
@@ -112,7 +113,7 @@ class Motion:
 
     @property
     def goal_is_free(self) -> bool:
-        """Whether the final pose is free except for the sites' places."""
+        """Whether the final pose is free except for the sites' places and the bodies' angles."""
         return bool(self.goal_rows)
 
     @property
@@ -127,6 +128,11 @@ class Motion:
             return False
         begin, end = (np.zeros_like(self.start) if v is None else v for v in (self.start_speed, self.goal_speed))
         return np.array_equal(self.start, self.goal) and np.array_equal(begin, end)
+
+    @property
+    def tasks(self) -> tuple[Task, ...]:
+        """The tasks of start, waypoints and goal."""
+        return (*self.start_at, *(task for waypoint in self.waypoints for task in waypoint.at), *self.goal_at)
 
     def _check_turns(self) -> None:
         if self.turns is None:
@@ -167,7 +173,9 @@ def _along(section: MotionSection, mechanism: Mechanism, limits: Limits, path: S
             " [path] to rest at the last"
         )
     near = _state(section, "start", mechanism, None)
-    s = path.end_poses(mechanism, limits.position, limits.site, mechanism.home if near is None else _closed(mechanism, near))
+    s = path.end_poses(
+        mechanism, limits.position, limits.tasks, mechanism.home if near is None else _closed(mechanism, near)
+    )
     return Motion(
         kind="follow",
         start=s[0],
@@ -180,8 +188,10 @@ def _along(section: MotionSection, mechanism: Mechanism, limits: Limits, path: S
 
 
 # Keys of [motion] that say what a path says.
-_NOT_ALONG_A_PATH = ("start_at", "goal_deg", "goal_m", "goal_at", "start_speed_deg_s", "start_speed_m_s", "goal_speed_deg_s")
-_NOT_ALONG_A_PATH += ("goal_speed_m_s", "waypoints", "turns")
+_NOT_ALONG_A_PATH = (
+    *("start_at", "start_body_deg", "goal_deg", "goal_m", "goal_at", "goal_body_deg"),
+    *("start_speed_deg_s", "start_speed_m_s", "goal_speed_deg_s", "goal_speed_m_s", "waypoints", "turns"),
+)
 # Largest difference of a dependent joint named in start_deg or goal_deg from the closed loop's position.
 _POSE_TOLERANCE = np.radians(0.05)
 
@@ -193,7 +203,7 @@ def motion_of(
     limits: Limits,
     path: SitePath | None = None,
 ) -> Motion:
-    """Return the motion of a [motion] table; poses found from sites' places keep the limits if possible."""
+    """Return the motion of a [motion] table; poses found from sites and bodies keep the limits if possible."""
     kind, duration = section.kind, section.duration_s
     if duration is None and reference is not None:
         duration = reference.period_s
@@ -242,8 +252,9 @@ def _check_hold(section: MotionSection) -> None:
     """Refuse keys of a hold that ask it to move, and one without a duration."""
     if section.kind != "hold":
         return
-    moving = ("goal_deg", "goal_m", "goal_at", "goal_speed_deg_s", "goal_speed_m_s", "start_speed_deg_s", "start_speed_m_s")
-    asked = next((key for key in (*moving, "waypoints") if getattr(section, key)), None)
+    ends = [f"goal_{key}" for key in ("deg", "m", "at", "body_deg")]
+    speeds = [f"{name}_speed_{unit}_s" for name in ("goal", "start") for unit in ("deg", "m")]
+    asked = next((key for key in (*ends, *speeds, "waypoints") if getattr(section, key)), None)
     if asked is not None:
         raise ProblemError(f"motion.{asked} asks for a motion; motion.kind 'hold' stays at its start")
     if not isinstance(section.duration_s, int | float):
@@ -294,25 +305,23 @@ def _refuse_dependent(values: dict[int, float], where: str, mechanism: Mechanism
 
 def _end(
     section: MotionSection, name: str, kind: str, mechanism: Mechanism, limits: Limits, begin: np.ndarray
-) -> tuple[np.ndarray | None, tuple[SitePoint, ...], tuple[int, ...]]:
-    """Return a start or goal (n_s,) given by joints or by sites' places, these places, and `Motion.goal_rows`."""
+) -> tuple[np.ndarray | None, tuple[Task, ...], tuple[int, ...]]:
+    """Return a start or goal (n_s,) given by joints or by sites and bodies, their tasks, and `Motion.goal_rows`."""
     named = [key for key in (f"{name}_deg", f"{name}_m") if getattr(section, key)]
-    points = points_of(getattr(section, f"{name}_at"), f"motion.{name}_at", mechanism)
-    if not points:
+    where = f"motion.{name}_{{}}"
+    tasks = tasks_of(getattr(section, f"{name}_at"), getattr(section, f"{name}_body_deg"), where, mechanism)
+    if not tasks:
         return _state(section, name, mechanism, None), (), ()
+    key = key_of(tasks, where)
     if named:
-        raise ProblemError(f"motion.{name}_at and motion.{named[0]} both say where the {name} is; keep one")
+        raise ProblemError(f"{key} and motion.{named[0]} both say where the {name} is; keep one")
     if kind == "track":
-        raise ProblemError(
-            f"motion.{name}_at belongs to motion.kind 'reach' or 'periodic'; 'track' prescribes every instant"
-        )
-    s, rows = pose_at(points, f"motion.{name}_at", mechanism, limits.position, limits.site, begin)
+        raise ProblemError(f"{key} belongs to motion.kind 'reach' or 'periodic'; 'track' prescribes every instant")
+    s, rows = pose_at(tasks, where, mechanism, limits.position, limits.tasks, begin)
     if rows and (name == "start" or kind != "reach"):
-        raise ProblemError(
-            f"motion.{name}_at leaves freedoms of '{mechanism.name}' open, which has {mechanism.dof}; only the end of a"
-            f" 'reach' may: name more coordinates, or the joints in motion.{name}_deg"
-        )
-    return s, points, rows
+        open_pose = f"{key} leaves freedoms of '{mechanism.name}' open, which has {mechanism.dof}; only the end of a 'reach'"
+        raise ProblemError(f"{open_pose} may: name more coordinates, or the joints in motion.{name}_deg")
+    return s, tasks, rows
 
 
 def _turns(asked: dict[str, int] | None, mechanism: Mechanism) -> np.ndarray | None:
@@ -373,25 +382,24 @@ def _with_rests(values: dict[int, float], where: str, mechanism: Mechanism) -> d
 def _waypoints(
     given: list[WaypointSection], mechanism: Mechanism, limits: Limits, begin: np.ndarray
 ) -> tuple[Waypoint, ...]:
-    """Return the waypoints; sites' places are converted to the nearest poses, the first to the pose `begin` (n_q,)."""
+    """Return the waypoints; sites and bodies are converted to the nearest poses, the first to the pose `begin` (n_q,)."""
     waypoints = []
     for k, item in enumerate(given):
-        where = f"motion.waypoints[{k}]"
-        nothing = np.full(mechanism.dof, np.nan)
-        position, speed = (_state(item, key, mechanism, np.nan, where) for key in ("at", "speed_s"))
-        points, rows, guess = points_of(item.at, f"{where}.at", mechanism), (), None
-        if points:
+        where, key = f"motion.waypoints[{k}]", f"motion.waypoints[{k}].{{}}"
+        position, speed = (_state(item, name, mechanism, np.nan, where) for name in ("at", "speed_s"))
+        tasks, rows, guess = tasks_of(item.at, item.body_deg, key, mechanism), (), None
+        if tasks:
             if position is not None:
-                both = "at_deg" if item.at_deg else "at_m"
-                raise ProblemError(f"{where}.at and {where}.{both} both say where it is; keep one")
-            guess, rows = pose_at(points, f"{where}.at", mechanism, limits.position, limits.site, begin)
+                joints = "at_deg" if item.at_deg else "at_m"
+                raise ProblemError(f"{key_of(tasks, key)} and {where}.{joints} both say where it is; keep one")
+            guess, rows = pose_at(tasks, key, mechanism, limits.position, limits.tasks, begin)
             begin, position = _closed(mechanism, guess), None if rows else guess
         waypoints.append(
             Waypoint(
-                position=nothing if position is None else position,
-                speed=nothing if speed is None else speed,
+                position=np.full(mechanism.dof, np.nan) if position is None else position,
+                speed=DERIVED if speed is None else speed,
                 time_s=None if item.time_s == "free" else item.time_s,
-                at=points,
+                at=tasks,
                 at_rows=rows,
                 guess=guess if rows else None,
             )

@@ -18,7 +18,7 @@ from linkplan.planner.files.columns import read_csv
 from linkplan.planner.files.tables import Tables, resolve_path
 from linkplan.planner.problem.keys.motion_and_limits import PathSection
 from linkplan.planner.problem.keys.reading import checked
-from linkplan.planner.problem.sites import AXES, SiteLimit, SitePoint, pose_at, shown
+from linkplan.planner.problem.sites import AXES, BodyLimit, SiteLimit, SitePoint, pose_at, shown
 
 # A motion follows its path if its site is never further from it than this share of the mechanism's extent.
 PATH_SHARE = 1e-6
@@ -44,7 +44,7 @@ class SitePath:
         return _guided(self, mechanism, tuple(pose.tolist()))
 
     def end_poses(
-        self, mechanism: Mechanism, ranges: np.ndarray, limits: Sequence[SiteLimit], begin: np.ndarray
+        self, mechanism: Mechanism, ranges: np.ndarray, limits: Sequence[SiteLimit | BodyLimit], begin: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Return the independent positions (n_s,) at both ends of the path; the first pose is the nearest to `begin`.
 

@@ -25,6 +25,7 @@ from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.path import SitePath, check_path
 from linkplan.planner.problem.reference import GuessedPath, Reference
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
+from linkplan.planner.problem.sites import BodyAngle, SitePoint
 from linkplan.planner.trajectory import Trajectory
 
 
@@ -43,21 +44,22 @@ class Problem:
         start_at, goal_at: instead of joints, positions [m] of the model's sites in the world frame, by name:
             {"foot": [x, y, z]}, or some coordinates, {"foot": {"z": 0.2}}. Inverse kinematics finds the nearest pose to the
             start. The position at the end of a reach may leave the pose open.
+        start_body_deg, goal_body_deg: angles [deg] of bodies by name, instead of joints or beside sites: {"shank": 40.0}.
         start_speed_deg_s, goal_speed_deg_s: independent speeds [deg/s]; `..._m_s` [m/s] on slides. At rest by default.
         duration_s: a number of seconds, or "free", then within `min_duration_s` and `max_duration_s`, if they are given.
-        waypoints: tables in order, with any of `at_deg`, `at_m`, `at` (positions of sites), `speed_deg_s`, `speed_m_s`,
-            `time_s`.
+        waypoints: tables in order, with any of `at_deg`, `at_m`, `at` (positions of sites), `body_deg`, `speed_deg_s`,
+            `speed_m_s`, `time_s`.
         turns: whole turns by joint that a periodic motion makes in a period, {"O": 1}; their sign is the direction.
         minimize: effort, time, tracking, work, copper_loss, effort_rate, jerk, peak_effort, closure_force, or a table of
             weights.
         reference: a sinusoid, `amplitude_deg`, `bias_deg`, `phase_deg` by joint and `frequency_hz`; or rows, `time_s` with
-            `position_deg`, `position_m` by joint or `at`, {"foot": {"x": [...], "z": [...]}}, or the `file` of a table;
-            with `period_s` and `spline`.
+            `position_deg`, `position_m` by joint or `at`, {"foot": {"x": [...], "z": [...]}}, and `body_deg`, or the `file`
+            of a table; with `period_s` and `spline`.
         path: `site` with `points` [m] or a `file`, and `shape`, "polyline", "spline" or "arc", and `blend_m`, of `follow`.
         limits: `effort`, `range_deg`, `speed_deg_s`, `acceleration_deg_s2`, `jerk_deg_s3`, `effort_rate`, `power_w`,
             `closure_force`, `site_acceleration_m_s2`, each by name, and `singular_margin`, `contacts`; `site`, boxes
             {"foot": {"z": [0.0, inf]}}, walls {"normal": n, "at": p} and tubes {"along": points, "radius_m": r}, one or a
-            list by site. By default the model's own.
+            list by site; `body_deg`, [low, high] by body. By default the model's own.
         reserve: the share of every effort limit that is left to feedback, such as 0.2; also a key of `limits`.
         motors: by actuator: `torque_constant`, `resistance_ohm`, `stall_effort`, `no_load_speed_deg_s`.
         guess: `path_deg`, positions at equal times by joint, or `plan`, a saved plan's folder.
@@ -244,10 +246,17 @@ class Problem:
     @property
     def sites(self) -> dict[str, int]:
         """The indices in the model of all sites that the problem names, by name: start, waypoints, goal, limits."""
-        motion = self.motion
-        points = [*motion.start_at, *(point for waypoint in motion.waypoints for point in waypoint.at), *motion.goal_at]
+        points = [task for task in self.motion.tasks if isinstance(task, SitePoint)]
         paths = () if self.path is None else (self.path,)
         return {one.site: one.index for one in (*points, *self.limits.site, *paths)}
+
+    @property
+    def bodies(self) -> dict[str, int]:
+        """The indices in the model of all bodies whose angle the problem names, by name: as `sites`, and its reference."""
+        angles = [task for task in self.motion.tasks if isinstance(task, BodyAngle)]
+        tracked = self.source.get("reference", {}).get("body_deg", {})
+        known = {one.body: one.index for one in (*angles, *self.limits.body)}
+        return known | {name: self.mechanism.model.body(name).id for name in tracked}
 
     @property
     def not_honoured(self) -> tuple[str, ...]:

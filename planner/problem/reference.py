@@ -83,7 +83,9 @@ def reference_of(
     wave_keys = ("frequency_hz", "amplitude_deg", "amplitude_m", "bias_deg", "bias_m", "phase_deg")
     waves = [key for key in wave_keys if getattr(section, key)]
     if section.time_s is None:
-        rows = [key for key in ("position_deg", "position_m", "at", "period_s", "spline") if getattr(section, key)]
+        rows = [
+            key for key in ("position_deg", "position_m", "at", "body_deg", "period_s", "spline") if getattr(section, key)
+        ]
         if rows:
             raise ProblemError(f"reference.{rows[0]} belongs to a table of rows: give reference.file or reference.time_s")
         if section.frequency_hz is None:

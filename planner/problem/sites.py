@@ -1,10 +1,11 @@
-"""Tasks in space: points at which sites start or end, and regions in which they stay.
+"""Tasks in space: points and angles at which sites and bodies start or end, and regions in which they stay.
 
 Each limit is on one quantity of a site at p (3,) [m] in the world's frame: n . p for a box's coordinate (n an axis) and for
-a wall (n its normal), or the distance from a polyline for a tube.
+a wall (n its normal), or the distance from a polyline for a tube. A limit on a body is on its angle
+(`linkplan.models.poses.body_angles`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.body_angles import body_index, turning
 from linkplan.models.poses.inverse_kinematics import SiteTargets, independent_rows_of, places_of, site_pose
 from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.problem.keys.motion_and_limits import SITE_LIMITS, Box, Tube, Wall
@@ -19,6 +21,10 @@ from linkplan.planner.problem.keys.reading import read
 from linkplan.planner.problem.settings import frozen, interval
 
 AXES = Box.__struct_fields__
+# The place of a body's angle among the coordinates of a task, after the three axes of sites.
+ANGLE = len(AXES)
+# A coordinate of a task: the index of a site, or of a body; its axis, or ANGLE; and its value [m or rad].
+Coordinate = tuple[int, int, float]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -72,6 +78,10 @@ class SiteLimit:
             np.min(np.stack([_squared(p, a, b) for a, b in zip(self.along, self.along[1:], strict=False)]), axis=0)
         )
 
+    def at_poses(self, mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+        """Return the limited quantity (n,) [m] at poses q (n, n_q)."""
+        return self.value(places_of(mechanism, self.index, q))
+
     @property
     def key(self) -> tuple:
         """The identity of its row in a program, without the bounds: equal keys have equal rows."""
@@ -98,71 +108,187 @@ class SitePoint:
     def __post_init__(self) -> None:
         object.__setattr__(self, "point", frozen(self.point))
 
+    @property
+    def label(self) -> str:
+        """Its name in messages."""
+        return f"site {self.site}"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """Its coordinates in the program, NaN where free."""
+        return tuple((self.index, axis, float(x)) for axis, x in enumerate(self.point))
+
     def distance_m(self, p: np.ndarray) -> float:
         """Return the distance [m] of a place p (3,) from the point, in the prescribed coordinates."""
         return float(np.sqrt(np.nansum((np.asarray(p) - self.point) ** 2)))
+
+    def off_m(self, mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+        """Return the distances (n,) [m] of the site from the point at poses q (n, n_q)."""
+        return np.array([self.distance_m(p) for p in places_of(mechanism, self.index, q)])
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class BodyAngle:
+    """The angle [rad] of a body at a motion's start or end; its error is the arc [m] at the mechanism's extent."""
+
+    body: str
+    index: int
+    angle_rad: float
+
+    @property
+    def label(self) -> str:
+        """Its name in messages."""
+        return f"body {self.body}"
+
+    @property
+    def coordinates(self) -> tuple[Coordinate, ...]:
+        """Its coordinate in the program."""
+        return ((self.index, ANGLE, self.angle_rad),)
+
+    def off_m(self, mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+        """Return the arcs (n,) [m] of the body from the angle at poses q (n, n_q)."""
+        return mechanism.extent_m * np.abs(angles_of(mechanism, self.index, q) - self.angle_rad)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class BodyLimit:
+    """A limit on the angle of a body at every instant, low <= angle <= high [rad]; infinite ends limit nothing."""
+
+    body: str
+    index: int
+    low: float
+    high: float
+
+    def at_poses(self, mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
+        """Return the limited angle (n,) [rad] at poses q (n, n_q)."""
+        return angles_of(mechanism, self.index, q)
+
+
+Task = SitePoint | BodyAngle
+
+
+def angles_of(mechanism: Mechanism, body: int, q: np.ndarray) -> np.ndarray:
+    """Return the angles (n,) [rad] of a body at poses q (n, n_q)."""
+    return np.atleast_2d(q) @ turning(mechanism, body, "the angle", ProblemError)
 
 
 # A normal, or a segment of a polyline, below this length [1 or m] has no direction.
 _MIN_LENGTH = 1e-9
 
 
-def points_of(table: dict[str, list | dict], where: str, mechanism: Mechanism) -> tuple[SitePoint, ...]:
-    """Return prescribed places of sites from a table such as { foot = [x, y, z] } or { foot = { z = 0.2 } }."""
-    found = []
-    for name, value in table.items():
+def tasks_of(
+    places: Mapping[str, list | dict], angles: Mapping[str, float], where: str, mechanism: Mechanism
+) -> tuple[Task, ...]:
+    """Return prescribed places of sites and angles of bodies.
+
+    Args:
+        places: by site, such as { foot = [x, y, z] } or { foot = { z = 0.2 } }.
+        angles: by body [deg].
+        where: their keys, with {} for "at" or "body_deg".
+        mechanism: the mechanism.
+
+    Raises:
+        ProblemError: for an unknown site or body, or a body without a single angle.
+    """
+    found: list[Task] = []
+    for name, value in places.items():
         point = [value.get(axis, np.nan) for axis in AXES] if isinstance(value, dict) else value
-        index = site_index(mechanism.model, name, where, ProblemError)
+        index = site_index(mechanism.model, name, where.format("at"), ProblemError)
         found.append(SitePoint(site=name, index=index, point=np.array(point)))
+    for name, angle in angles.items():
+        index = turning_body(name, where.format("body_deg"), mechanism)
+        found.append(BodyAngle(body=name, index=index, angle_rad=float(np.radians(angle))))
     return tuple(found)
 
 
+def turning_body(name: str, where: str, mechanism: Mechanism) -> int:
+    """Return the index of a body with a single angle.
+
+    Raises:
+        ProblemError: for an unknown body, or one that does not turn, or turns about several axes.
+    """
+    index = body_index(mechanism.model, name, where, ProblemError)
+    turning(mechanism, index, where, ProblemError)
+    return index
+
+
+def key_of(tasks: Sequence[Task], where: str) -> str:
+    """Return the key of the first of some tasks; `where` is that of `tasks_of`."""
+    return where.format("at" if isinstance(tasks[0], SitePoint) else "body_deg")
+
+
+def coordinates_of(tasks: Sequence[Task]) -> tuple[Coordinate, ...]:
+    """Return the coordinates of tasks one after another; `Motion.goal_rows` are indices among them."""
+    return tuple(coordinate for task in tasks for coordinate in task.coordinates)
+
+
+def task_words(tasks: Sequence[Task]) -> str:
+    """Return "sites", "bodies" or both as text."""
+    kinds = [type(task) for task in tasks]
+    return " and ".join(word for word, of in (("sites", SitePoint), ("bodies", BodyAngle)) if of in kinds)
+
+
 def pose_at(
-    points: tuple[SitePoint, ...],
+    points: tuple[Task, ...],
     where: str,
     mechanism: Mechanism,
     ranges: np.ndarray,
-    limits: Sequence[SiteLimit],
+    limits: Sequence[SiteLimit | BodyLimit],
     begin: np.ndarray,
 ) -> tuple[np.ndarray, tuple[int, ...]]:
-    """Return the positions (n_s,) of the pose nearest to `begin` with sites at their places, and `Motion.goal_rows`.
+    """Return the positions (n_s,) of the pose nearest to `begin` with sites and bodies as asked, and `Motion.goal_rows`.
 
     Args:
-        points: the sites' places.
-        where: their key, for messages.
+        points: the sites' places, then the bodies' angles.
+        where: their keys, as for `tasks_of`.
         mechanism: the mechanism.
         ranges: of all joints (n_q, 2), which are kept.
-        limits: on sites, which are kept if possible.
+        limits: on sites and bodies, which are kept if possible.
         begin: a closed pose (n_q,) to begin from.
 
     Raises:
         ProblemError: when no such pose is found; it names the nearest place and its distance.
     """
-    targets = SiteTargets(sites=np.array([p.index for p in points]), points=np.array([p.point for p in points]))
+    sites, bodies = ([p for p in points if isinstance(p, of)] for of in (SitePoint, BodyAngle))
+    targets = SiteTargets(
+        sites=np.array([p.index for p in sites], dtype=int),
+        points=np.array([p.point for p in sites]).reshape(-1, 3),
+        turning=np.array([turning(mechanism, p.index, where, ProblemError) for p in bodies]) if bodies else None,
+        angles=np.array([p.angle_rad for p in bodies]),
+    )
 
     def within(q: np.ndarray) -> bool:
-        return all(
-            limit.low <= float(limit.value(places_of(mechanism, limit.index, q))[0]) <= limit.high for limit in limits
-        )
+        return all(limit.low <= float(limit.at_poses(mechanism, q)[0]) <= limit.high for limit in limits)
 
     found = site_pose(mechanism, targets, begin, ranges, within)
     if not found.arrived(mechanism):
         worst = points[int(np.argmax(found.distance_m))]
-        place = places_of(mechanism, worst.index, found.pose)[0]
-        together = " together with the other sites" if len(points) > 1 else ""
-        raise ProblemError(
-            f"{where}.{worst.site} = {shown(worst.point)} is out of reach{together}: {worst.site} comes no nearer than"
-            f" {shown(np.where(np.abs(place) < 1e-6, 0.0, place))}, {found.distance_m.max():.4g} m away"
-        )
+        together = f" together with the other {task_words(points)}" if len(points) > 1 else ""
+        raise ProblemError(_out_of_reach(mechanism, worst, key_of([worst], where), together, found.pose))
     rows = independent_rows_of(mechanism, targets, found.pose, ranges)
     active = int(np.sum(mechanism.actuated))
     if not rows:
         raise ProblemError(
-            f"{where} does not constrain the motion: the named coordinates of {', '.join(p.site for p in points)} do not"
-            " move"
+            f"{key_of(points, where)} does not constrain the motion: the named coordinates of"
+            f" {', '.join(p.label.partition(' ')[2] for p in points)} do not move"
         )
     s = found.pose[mechanism.independent]
     return s, rows if len(rows) < active else ()
+
+
+def _out_of_reach(mechanism: Mechanism, worst: Task, where: str, together: str, pose: np.ndarray) -> str:
+    """Return the message on the site or body that is furthest from its target at the nearest pose (n_q,)."""
+    if isinstance(worst, BodyAngle):
+        angle, asked = (np.degrees(x) for x in (angles_of(mechanism, worst.index, pose)[0], worst.angle_rad))
+        return (
+            f"{where}.{worst.body} = {asked:.6g} is out of reach{together}: {worst.body} comes no nearer than {angle:.6g}"
+            f" deg, {abs(angle - asked):.4g} deg away"
+        )
+    place = places_of(mechanism, worst.index, pose)[0]
+    return (
+        f"{where}.{worst.site} = {shown(worst.point)} is out of reach{together}: {worst.site} comes no nearer than"
+        f" {shown(np.where(np.abs(place) < 1e-6, 0.0, place))}, {worst.distance_m(place):.4g} m away"
+    )
 
 
 def shown(point: np.ndarray) -> str:
@@ -192,6 +318,16 @@ def site_limits_of(table: dict[str, dict | list[dict]], mechanism: Mechanism) ->
                 found.append(SiteLimit(site=site, index=index, what=what, name=name, low=low, high=high, **shape))
         if numbered and not value:
             raise ProblemError(f"{where} limits nothing; {_LEGAL}, got []")
+    return tuple(found)
+
+
+def body_limits_of(table: dict[str, list[float]], mechanism: Mechanism) -> tuple[BodyLimit, ...]:
+    """Return the limits of limits.body_deg: { shank = [low, high] } [deg]."""
+    found = []
+    for body, value in table.items():
+        low, high = np.radians(interval(value, f"limits.body_deg.{body}"))
+        index = turning_body(body, "limits.body_deg", mechanism)
+        found.append(BodyLimit(body=body, index=index, low=float(low), high=float(high)))
     return tuple(found)
 
 

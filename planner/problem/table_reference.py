@@ -1,7 +1,7 @@
-"""References that are tables: times with positions of joints or places of sites, and the cubic spline through them.
+"""References that are tables: times with positions of joints, places of sites or angles of bodies, and the cubic spline.
 
-The spline goes through independent joints. Places of sites become poses by inverse kinematics, row by row, each the nearest
-to the one before.
+The spline goes through independent joints. Places of sites and angles of bodies become poses by inverse kinematics, row by
+row, each the nearest to the one before.
 """
 
 from collections.abc import Mapping
@@ -13,14 +13,13 @@ import numpy as np
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.files.columns import read_csv
 from linkplan.planner.files.tables import Tables, resolve_path
 from linkplan.planner.problem.keys.kinds import MAX_INTERVALS
 from linkplan.planner.problem.keys.motion_and_limits import ReferenceSection
 from linkplan.planner.problem.keys.reading import checked
 from linkplan.planner.problem.settings import frozen, joint_values
-from linkplan.planner.problem.sites import AXES, SitePoint, pose_at
+from linkplan.planner.problem.sites import AXES, key_of, pose_at, tasks_of
 
 # Ends of a table that differ by less than this share of its span are equal: files round to six digits or more.
 _EQUAL_ENDS = 1e-6
@@ -80,7 +79,7 @@ def read_reference_file(tables: Tables, mechanism: Mechanism, folder: Path | Non
     section = tables.get("reference")
     if not isinstance(section, Mapping) or "file" not in section:
         return
-    also = [key for key in ("time_s", "position_deg", "position_m", "at") if key in section]
+    also = [key for key in ("time_s", "position_deg", "position_m", "at", "body_deg") if key in section]
     if also:
         raise ProblemError(f"reference.file and reference.{also[0]} are two tables; keep one")
     name = checked("reference.file", section["file"])
@@ -93,8 +92,8 @@ def read_reference_file(tables: Tables, mechanism: Mechanism, folder: Path | Non
         if path is None:
             joints = ", ".join(f"{joint.name}_{joint.unit}" for joint in mechanism.joints)
             raise ProblemError(
-                f"reference.file '{name}' has columns time_s, of joints ({joints}) or of sites (NAME_x_m, NAME_y_m,"
-                f" NAME_z_m), got {head}"
+                f"reference.file '{name}' has columns time_s, of joints ({joints}), or of sites (NAME_x_m, NAME_y_m,"
+                f" NAME_z_m) and bodies (body_NAME_deg), got {head}"
             )
         table = found
         for part in path[:-1]:
@@ -104,10 +103,12 @@ def read_reference_file(tables: Tables, mechanism: Mechanism, folder: Path | Non
 
 
 def _key_of(head: str, mechanism: Mechanism) -> tuple[str, ...] | None:
-    """Return the keys below [reference] of a column, as plans name columns: O_deg, slide_m, foot_x_m or site_foot_x_m."""
+    """Return the keys below [reference] of a column, as plans name them: O_deg, slide_m, foot_x_m, body_shank_deg, ..."""
     name, _, unit = head.rpartition("_")
     if unit in ("deg", "m") and name in [joint.name for joint in mechanism.joints]:
         return f"position_{unit}", name
+    if unit == "deg" and name.startswith("body_"):
+        return "body_deg", name.removeprefix("body_")
     site, _, axis = name.removeprefix("site_").rpartition("_")
     return ("at", site, axis) if unit == "m" and axis in AXES else None
 
@@ -166,13 +167,16 @@ def _positions(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarr
     """Return the independent joints' positions (n_rows, n_s) [rad or m]."""
     rows = joint_values(section, "position", "reference", mechanism)
     named = {mechanism.joints[index].name: values for index, values in rows.items()}
-    named |= {f"{site}.{axis}": values for site, places in section.at.items() for axis, values in places.items()}
+    named |= section.body_deg | {
+        f"{site}.{axis}": values for site, places in section.at.items() for axis, values in places.items()
+    }
     for name, values in named.items():
         if len(values) != n_rows:
             raise ProblemError(f"reference has {n_rows} times in time_s and as many values of {name}, got {len(values)}")
-    if rows and section.at:
-        raise ProblemError("reference.at and reference.position_deg both say where the motion is; keep one")
-    if section.at:
+    if rows and (section.at or section.body_deg):
+        one = "at" if section.at else "body_deg"
+        raise ProblemError(f"reference.{one} and reference.position_deg both say where the motion is; keep one")
+    if section.at or section.body_deg:
         return _poses(section, mechanism, ranges, n_rows)
     independent = ", ".join(joint.name for joint in mechanism.independent_joints)
     for index in mechanism.independent.tolist():
@@ -180,7 +184,7 @@ def _positions(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarr
             joint = mechanism.joints[index]
             raise ProblemError(
                 f"reference.position_{joint.unit} names every independent joint ({independent}), and not {joint.name}; or"
-                " reference.at names sites"
+                " reference.at names sites, or reference.body_deg bodies"
             )
     others = [mechanism.joints[index].name for index in rows if index not in mechanism.independent]
     if others:
@@ -190,16 +194,17 @@ def _positions(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarr
 
 
 def _poses(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarray, n_rows: int) -> np.ndarray:
-    """Return the independent joints' positions (n_rows, n_s) with sites at their places."""
-    sites = {name: site_index(mechanism.model, name, "reference.at", ProblemError) for name in section.at}
+    """Return the independent joints' positions (n_rows, n_s) with sites at their places and bodies at their angles."""
     begin, found = np.array(mechanism.home), []
     for k in range(n_rows):
         places = {name: [of[axis][k] if axis in of else np.nan for axis in AXES] for name, of in section.at.items()}
-        points = tuple(SitePoint(site=name, index=sites[name], point=np.array(place)) for name, place in places.items())
-        s, open_rows = pose_at(points, f"reference.at (row {k + 1})", mechanism, ranges, (), begin)
+        angles = {name: values[k] for name, values in section.body_deg.items()}
+        tasks = tasks_of(places, angles, "reference.{}", mechanism)
+        s, open_rows = pose_at(tasks, f"reference.{{}} (row {k + 1})", mechanism, ranges, (), begin)
         if open_rows:
             raise ProblemError(
-                f"reference.at leaves freedoms of '{mechanism.name}' open, which has {mechanism.dof}: name more coordinates"
+                f"{key_of(tasks, 'reference.{}')} leaves freedoms of '{mechanism.name}' open, which has {mechanism.dof}:"
+                " name more coordinates"
             )
         begin = close_at(mechanism, s)
         found.append(s)

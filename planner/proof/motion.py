@@ -19,6 +19,7 @@ from linkplan.planner.certificate.integration import BOUNDARY_SHARE, VELOCITY_SH
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.instant import Corner
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.sites import task_words
 from linkplan.planner.proof.branch import pose_of
 from linkplan.planner.proof.finding import Finding, finding_of
 from linkplan.planner.proof.taylor import Matrix, product, solve, transposed
@@ -69,10 +70,11 @@ def end_findings(problem: Problem, trajectory: Trajectory) -> list[Finding]:
 
 
 def _places(problem: Problem, trajectory: Trajectory) -> list[Finding]:
-    """Return the finding on the sites that have a place at the start, the goal or a waypoint, at these instants."""
-    motion, name = problem.motion, "sites are where start, goal and waypoints ask"
-    if not (motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints)):
+    """Return the finding on the sites and bodies prescribed at the start, the goal or a waypoint, at these instants."""
+    tasks = problem.motion.tasks
+    if not tasks:
         return []
+    name = f"{task_words(tasks)} are where start, goal and waypoints ask"
     try:
         samples = samples_of(problem, trajectory)
         off, _ = ends_off_m(problem, trajectory, samples.time, samples.q)

@@ -36,7 +36,7 @@ BINDING_SHARE = 1e-7
 # measure with impulses at the ends of an arc (Hartl, Sethi and Vickson 1995). A transcription gives values that alternate
 # from interval to interval, so only the sum over the arc has a sign. Path quantities of a differential equation can be of
 # this kind.
-_SECOND_ORDER = ("site", "tube", "tendon", "singular", "path")
+_SECOND_ORDER = ("site", "tube", "body", "tendon", "singular", "path")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

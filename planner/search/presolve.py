@@ -19,6 +19,7 @@ from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
 from linkplan.models.tree.joints import POSITION_ROUNDING
 from linkplan.planner.certificate.integration import POSE_SLACK
+from linkplan.planner.limits.body import BodyAngleLimit
 from linkplan.planner.limits.joints import RangeLimit, SingularMarginLimit
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import Limit
@@ -26,7 +27,7 @@ from linkplan.planner.limits.samples import Poses
 from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.phase_plane.grid import plane_of
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.sites import SitePoint
+from linkplan.planner.problem.sites import BodyAngle, SitePoint, Task
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -174,8 +175,8 @@ def _pose_beyond(problem: Problem) -> str | None:
     return None if poses is None else sentence_beyond(problem, limits, poses, None, ONLY_WAY_SLACK)
 
 
-def _known_poses(problem: Problem) -> Iterator[tuple[str, np.ndarray, tuple[SitePoint, ...] | None]]:
-    """Yield the words on start, goal and waypoints, their closed poses, and the places of sites that an open pose keeps."""
+def _known_poses(problem: Problem) -> Iterator[tuple[str, np.ndarray, tuple[Task, ...] | None]]:
+    """Yield the words on start, goal and waypoints, their closed poses, and the tasks that an open pose keeps."""
     mechanism, motion = problem.mechanism, problem.motion
     if motion.start is not None:
         yield "at the start", close_at(mechanism, motion.start), None
@@ -191,13 +192,16 @@ def _known_poses(problem: Problem) -> Iterator[tuple[str, np.ndarray, tuple[Site
                 yield f"at motion.waypoints[{k}]", pose, waypoint.at if waypoint.at_rows else None
 
 
-def _is_known(problem: Problem, limit: Limit, points: tuple[SitePoint, ...]) -> bool:
-    """True if the given places of sites of an open pose determine the quantity that a limit bounds."""
+def _is_known(problem: Problem, limit: Limit, tasks: tuple[Task, ...]) -> bool:
+    """True if the given tasks of an open pose determine the quantity that a limit bounds."""
+    if isinstance(limit, BodyAngleLimit):
+        return any(isinstance(task, BodyAngle) and task.index == limit.body for task in tasks)
     if not isinstance(limit, SitePathLimit):
         return False
     bounded = problem.limits.site[limit.item]
     looked_at = np.ones(3, dtype=bool) if bounded.normal is None else bounded.normal != 0
-    return any(p.index == bounded.index and not np.any(np.isnan(p.point[looked_at])) for p in points)
+    points = [task for task in tasks if isinstance(task, SitePoint) and task.index == bounded.index]
+    return any(not np.any(np.isnan(p.point[looked_at])) for p in points)
 
 
 def sentence_beyond(problem: Problem, limits: list[Limit], poses: np.ndarray, when: str | None, slack: float) -> str | None:

@@ -273,11 +273,11 @@ def structure(problem: Problem) -> tuple:
     via = tuple(
         (
             *(np.isnan(w.position).tobytes(), np.isnan(w.speed).tobytes(), w.time_s is None),
-            *((site, axis) for site, axis, _ in w.open_coordinates),
+            *((index, axis) for index, axis, _ in w.open_coordinates),
         )
         for w in motion.waypoints
     )
-    ends = (tuple(point.index for point in motion.goal_at), motion.goal_rows)
+    ends = (tuple((type(task), task.index) for task in motion.goal_at), motion.goal_rows)
     extra = tuple(one.expression for one in problem.objective.extra)
     mesh = (problem.mesh.scheme, problem.mesh.intervals, problem.mesh.effort, repr(problem.mesh.breaks))
     terms = tuple(problem.objective.weights)

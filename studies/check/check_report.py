@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.models.poses.body_angles import turning_bodies
 from linkplan.models.tree.dynamics import site_names
 from linkplan.models.tree.joints import Joint, where
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts
@@ -70,7 +71,7 @@ def path_blocks(path: KinematicLoopPath, *, brief: bool = False) -> list[Block]:
         text=f"'weight alone' omits the springs; {hold} weight, springs and constant forces, with everything at rest"
     )
     same = [Facts(rows=[("the same at every pose", ", ".join(constant))])] if constant else []
-    return [*table, weight, *same, *_site_table(path), *sentences]
+    return [*table, weight, *same, *_site_table(path), *_body_table(path), *sentences]
 
 
 def _pose_table(path: KinematicLoopPath, columns: list[Column]) -> list[Table]:
@@ -87,6 +88,15 @@ def _site_table(path: KinematicLoopPath) -> list[Table]:
         for row, axis in enumerate("xyz")
     ]
     return _table(path, columns, f"sites along {path.title}")
+
+
+def _body_table(path: KinematicLoopPath) -> list[Table]:
+    """Return the table of the angles along a path of the bodies that several hinges turn, if they change."""
+    columns = [
+        Column(head=name, unit="deg", values=np.degrees(path.poses @ sigma), scale=float(np.degrees(1.0)))
+        for name, sigma in turning_bodies(path.mechanism).items()
+    ]
+    return _table(path, columns, f"angles of bodies along {path.title}")
 
 
 def _table(path: KinematicLoopPath, columns: list[Column], title: str) -> list[Table]:

@@ -13,6 +13,7 @@ from linkplan.models.errors import AssemblyError, ProblemError, listed
 from linkplan.models.mechanism import Joint, Mechanism
 from linkplan.models.poses.along import RANGE_ROUNDING, ball_angles, shut_balls
 from linkplan.models.poses.assembly import close_at
+from linkplan.models.poses.body_angles import turning_bodies
 from linkplan.models.poses.contacts import ContactPair, contact_pairs
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import Reach, reach, toggles
@@ -82,6 +83,7 @@ class Inspection(Struct, frozen=True, kw_only=True, eq=False):
     problems: tuple[str, ...]
     notes: tuple[str, ...]
     sites_at_home_m: dict[str, np.ndarray]
+    bodies_at_home_deg: dict[str, float]
     points: tuple[PoseReport, ...]
     mechanism: Beside[Mechanism] = NOT_READ
     reaches: Beside[tuple[Reach, ...]] = NOT_READ
@@ -142,6 +144,9 @@ def inspect(
         problems=tuple(dict.fromkeys([*problems, *refused])),
         notes=(*notes, *noted),
         sites_at_home_m=sites_at_home(mechanism),
+        bodies_at_home_deg={
+            name: float(np.degrees(sigma @ mechanism.home)) for name, sigma in turning_bodies(mechanism).items()
+        },
         points=tuple(pose_report(mechanism, asked) for asked in positions),
         mechanism=mechanism,
         reaches=reaches,

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from linkplan.models.poses.body_angles import sum_text, turning_bodies
 from linkplan.models.poses.reach import Reach
 from linkplan.models.tree.joints import where
 from linkplan.studies.check.inspection import Inspection
@@ -29,6 +30,7 @@ def inspection_blocks(found: Inspection) -> list[Block]:
         reach_table(found, found.reaches),
         drives,
         *_sites(found),
+        *_bodies(found),
         *_poses(found),
         *notes,
     ]
@@ -72,6 +74,13 @@ def _sites(found: Inspection) -> list[Table]:
     least = 1e-12 * found.mechanism.extent_m
     rows = [[name, *np.where(np.abs(place) < least, 0.0, place)] for name, place in found.sites_at_home_m.items()]
     return [table_of("Sites at home", ["site", "x [m]", "y [m]", "z [m]"], rows, digits=6)] if rows else []
+
+
+def _bodies(found: Inspection) -> list[Table]:
+    """Return the table of the angles of bodies that several hinges turn, at home."""
+    sums = {name: sum_text(found.mechanism, sigma) for name, sigma in turning_bodies(found.mechanism).items()}
+    rows = [[name, sums[name], 0.0 if abs(x) < 1e-9 else x] for name, x in found.bodies_at_home_deg.items()]
+    return [table_of("Angles of bodies at home", ["body", "sum of hinges", "angle [deg]"], rows, digits=6)] if rows else []
 
 
 def _poses(found: Inspection) -> list[Table]:

@@ -23,6 +23,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import least_effort, sampled
 from linkplan.models.poses.assembly import follow
+from linkplan.models.poses.body_angles import turning_bodies
 from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import Reach
 from linkplan.models.reduction.reduced import ReducedDynamics, is_regular, singular_inertia_text
@@ -72,6 +73,7 @@ class PathFigures(Struct, frozen=True, kw_only=True, eq=False):
     singularity_ratio: np.ndarray
     closure_force_n: dict[str, np.ndarray]
     site_m: dict[str, np.ndarray]
+    body_deg: dict[str, np.ndarray]
     spring_length_m: dict[str, np.ndarray]
     spring_motion_ratio: dict[str, dict[str, np.ndarray]]
     balance: list[dict[str, Any]]
@@ -135,6 +137,7 @@ class KinematicLoopPath(Sweep):
             available_effort=by(independent, self.available_effort[:, of]),
             singularity_ratio=self.singularity,
             closure_force_n=by(list(mechanism.closure_names), self.closure_force),
+            body_deg={name: np.degrees(self.poses @ sigma) for name, sigma in turning_bodies(mechanism).items()},
             site_m={name: self.places[:, :, mechanism.model.site(name).id] for name in site_names(mechanism.model)},
             spring_length_m=by(list(sprung_tendons(mechanism.model)), self.spring_length),
             spring_motion_ratio={

@@ -14,6 +14,7 @@ from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.limits.limit import Margin
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
+from linkplan.planner.problem.sites import task_words
 from linkplan.studies.output.document import Checklist, Item
 from linkplan.studies.output.draw_plan import LEAST_SHOWN, Motion
 from linkplan.studies.output.numbers import significant
@@ -79,9 +80,10 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
          100 * VELOCITY_SHARE, "%", when.get("velocity_residual")),
         (ends, certificate.boundary_error <= BOUNDARY_SHARE, certificate.boundary_error, BOUNDARY_SHARE, "", None),
     ]  # fmt: skip
-    if motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints):
+    if motion.tasks:
         allowed, error = BOUNDARY_SHARE * mechanism.extent_m, certificate.site_error_m
-        rows.append(("error of sites at start, waypoints and goal", error <= allowed, error, allowed, "m", None))
+        label = f"error of {task_words(motion.tasks)} at start, waypoints and goal"
+        rows.append((label, error <= allowed, error, allowed, "m", None))
     if mechanism.closures:
         allowed = max(CLOSURE_M, mechanism.closed_m)
         held, at = certificate.closure_gap_m <= allowed, when.get("closure_gap_m")

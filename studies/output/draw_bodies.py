@@ -155,7 +155,7 @@ def draw_sites(axes, plan: Plan) -> None:
 
 def _passed(motion: Motion, name: str, path: np.ndarray) -> np.ndarray:
     """Return a site's waypoints (n, 3) [m]; free coordinates are those of the nearest point of its path (m, 3)."""
-    points = [point for waypoint in motion.waypoints for point in waypoint.at if point.site == name]
+    points = [point for waypoint in motion.waypoints for point in waypoint.at if point.label == f"site {name}"]
     nearest = [path[int(np.argmin([point.distance_m(p) for p in path]))] for point in points]
     return np.array([np.where(np.isnan(p.point), x, p.point) for p, x in zip(points, nearest, strict=True)]).reshape(-1, 3)
 

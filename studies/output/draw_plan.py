@@ -14,6 +14,7 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.limits.samples import actuator_speeds, closure_forces
 from linkplan.planner.plan.folder import write_plan
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.sites import angles_of
 from linkplan.studies.output.document import Plot
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.pin_forces import pin_forces
@@ -129,7 +130,10 @@ def time_plots(plan: Plan, motion: Motion, group: str = "", period: float | None
         "dependent position": over_time(
             "Position of the dependent joints", "position", joints(dependent, motion.pose, limits.position, "")
         ),
-        "site": over_time("Sites", "place", _site_lines(plan, motion)),
+        "site": [
+            *over_time("Sites", "place", _site_lines(plan, motion)),
+            *over_time("Angles of bodies", "angle", _body_lines(plan, motion)),
+        ],
         "speed": over_time(
             "Speed of the independent joints", "speed", joints(independent, motion.rates, limits.speed, "/s")
         ),
@@ -166,6 +170,21 @@ def _site_lines(plan: Plan, motion: Motion) -> list[Line]:
             if np.ptp(values) > 1e-6 * mechanism.extent_m:
                 lines.append(Line(name=f"{name}, {axis}", values=1e3 * values, unit="mm"))
     return lines
+
+
+def _body_lines(plan: Plan, motion: Motion) -> list[Line]:
+    """Return the angles of the bodies that a problem names, with their limits, in degrees."""
+    problem = plan.problem
+    limits = {one.body: (float(np.degrees(one.low)), float(np.degrees(one.high))) for one in problem.limits.body}
+    return [
+        Line(
+            name=name,
+            values=np.degrees(angles_of(problem.mechanism, index, motion.pose)),
+            unit="deg",
+            limits=limits.get(name, (-np.inf, np.inf)),
+        )
+        for name, index in problem.bodies.items()
+    ]
 
 
 def save_plan(plan: Plan, place: Path, target: Path | None = None, *, jumps: bool = False, parquet: bool = False) -> None:

@@ -13,6 +13,7 @@ from linkplan.planner.certificate.certificate import Certificate, integration_rt
 from linkplan.planner.limits.joints import RangeLimit
 from linkplan.planner.plan.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.sites import task_words
 from linkplan.planner.proof.finding import Finding, Proof
 from linkplan.studies.output.actuator_blocks import demand_table
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
@@ -216,8 +217,9 @@ def _margin_rows(plan: Plan, certificate: Certificate) -> list[list]:
     """Return the rows of the certificate's margins, largest closure forces and powers."""
     motion, mechanism = plan.problem.motion, plan.problem.mechanism
     rows: list[list] = [[f"margin to {one.bound}", one.left, one.unit or "1"] for one in certificate.margins]
-    if motion.start_at or motion.goal_at or any(waypoint.at for waypoint in motion.waypoints):
-        rows.append(["error of sites at start, waypoints and goal", figure(certificate.site_error_m, 2), "m"])
+    if motion.tasks:
+        label = f"error of {task_words(motion.tasks)} at start, waypoints and goal"
+        rows.append([label, figure(certificate.site_error_m, 2), "m"])
     rows.append(["least det J_z, relative to home", certificate.singularity_ratio, "1"])
     forces = zip(mechanism.closure_names, certificate.peak_closure_force, strict=True)
     rows += [[f"largest closure force of {name}", force, "N"] for name, force in forces]

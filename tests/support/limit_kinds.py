@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.models.poses.along import accelerations, joint_rates, sampled, site_motion
+from linkplan.models.poses.body_angles import turning_bodies
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.limits.accelerations import jerks
@@ -17,7 +18,7 @@ from linkplan.planner.limits.samples import Samples
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.keys.motion_and_limits import Motor
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.sites import SiteLimit
+from linkplan.planner.problem.sites import BodyLimit, SiteLimit, angles_of
 from linkplan.planner.trajectory import Trajectory
 from tests.support.random_motions import needed, samples_at
 
@@ -96,6 +97,7 @@ def kinds_of(problem: Problem, motion: Trajectory, rng: np.random.Generator) -> 
             of_effort=True,
         ),
         *_sites(problem, motion, rng),
+        *_bodies(problem, rng),
         *_robust(problem, j),
         *_line(problem, motion, j),
         *_loops(problem, rng),
@@ -144,6 +146,21 @@ def _sites(problem: Problem, motion: Trajectory, rng: np.random.Generator) -> li
         return np.linalg.norm(sampled(site_motion(mechanism, 2), at.q, at.v, at.a)[:, :, index], axis=1)
 
     return [*found, Kind(words=f"acceleration of site {name}", values=size, limited=accelerated, signs=(1,))]
+
+
+def _bodies(problem: Problem, rng: np.random.Generator) -> list[Kind]:
+    mechanism = problem.mechanism
+    names = list(turning_bodies(mechanism))
+    if not names:
+        return []
+    name = names[int(rng.integers(len(names)))]
+    index = int(mechanism.model.body(name).id)
+
+    def limited(problem: Problem, low: float, high: float) -> Problem:
+        limit = BodyLimit(body=name, index=index, low=low, high=high)
+        return replace(problem, limits=replace(problem.limits, body=(limit,)))
+
+    return [Kind(words=f"angle of body {name}", values=lambda at: angles_of(mechanism, index, at.q), limited=limited)]
 
 
 def _robust(problem: Problem, j: int) -> list[Kind]:

@@ -97,8 +97,8 @@ def _range(kind: Any) -> str:
 def json_schema(file: str = "problem") -> dict[str, Any]:
     """Return the JSON Schema of a problem file, of a batch file ("batch") or of a list of motors ("motors").
 
-    A schema cannot express everything. The reader alone checks names of joints, actuators, closures and sites, low < high,
-    and which keys go together.
+    A schema cannot express everything. The reader alone checks names of joints, actuators, closures, sites and bodies,
+    low < high, and which keys go together.
     """
     (whole, *_), parts = msgspec.json.schema_components((FILES[file], *SITE_LIMITS), ref_template="#/$defs/{name}")
     name = whole["$ref"].rpartition("/")[2]

@@ -33,8 +33,8 @@ BREAKS = (
 # Largest mass, length and moment of inertia of a payload, in SI units.
 MAX_PAYLOAD = 1e12
 
-# Raises for an unknown name; takes the kind of object ("joint", "actuator", "site", "closure"), the name and its table's
-# key.
+# Raises for an unknown name; takes the kind of object ("joint", "actuator", "site", "body", "closure"), the name and its
+# table's key.
 Known = Callable[[str, str, str], None]
 
 Number = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
@@ -177,4 +177,8 @@ ClosureLimits = Annotated[dict[str, Positive], Meta(extra={"of": "closure = newt
 SiteLimits = Annotated[dict[str, Positive], Meta(extra={"of": "site = metres per second squared", "noun": "site"})]
 Force = Annotated[list[Number], Meta(min_length=3, max_length=3, extra={"said": "[x, y, z] in newtons", "numbered": True})]
 Forces = Annotated[dict[str, Force], Meta(extra={"of": "site = [x, y, z] in newtons"})]
+_BODIES = {"of": "body = angle in degrees", "noun": "body"}
+BodyAngles = Annotated[dict[str, Angle], Meta(extra=_BODIES)]
+BodyPaths = Annotated[dict[str, Path], Meta(extra=_BODIES | {"of": "body = angles in degrees"})]
+BodyRanges = Annotated[dict[str, Interval], Meta(extra=_BODIES | {"of": "body = [low, high] in degrees"})]
 Places = Annotated[dict[str, Place], Meta(extra={"of": "site = [x, y, z] in metres", "noun": "site"})]

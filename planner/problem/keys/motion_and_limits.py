@@ -14,6 +14,7 @@ class WaypointSection(Section, frozen=True):
 
     at_deg: kinds.Angles = by_joint("hinges' angles", "deg", "free")
     at: kinds.Places = by_name("sites' places, instead of joints' positions", "m", "free")
+    body_deg: kinds.BodyAngles = by_name("bodies' angles, instead of joints' positions or beside `at`", "deg", "free")
     speed_deg_s: kinds.Numbers = by_joint("hinges' speeds", "deg/s", "free")
     time_s: kinds.Positive | kinds.Free = key("the time of passage", "s", default="free")
 
@@ -26,6 +27,7 @@ _ZERO = "{ {free_hinge} = 0.0 }"
 _OPEN = "free in a periodic motion; a reach needs it, and a hold its start"
 _END = "at the end, or after half a period"
 _PLACES = "instead of joints' positions"
+_ANGLES = f"{_PLACES} or beside sites' places"
 _WAYPOINTS = Meta(
     max_length=kinds.MAX_WAYPOINTS,
     extra={
@@ -43,16 +45,18 @@ class MotionSection(Section, frozen=True):
     )
     start_deg: kinds.Angles = by_joint("hinges' angles at the start", "deg", _OPEN)
     start_at: kinds.Places = by_name(f"sites' places at the start, {_PLACES}", "m", "by the joints")
+    start_body_deg: kinds.BodyAngles = by_name(f"bodies' angles at the start, {_ANGLES}", "deg", "by the joints")
     goal_deg: kinds.Angles = by_joint(f"hinges' angles {_END}", "deg", _OPEN)
     goal_at: kinds.Places = by_name(f"sites' places at the end, {_PLACES}", "m", "by the joints")
+    goal_body_deg: kinds.BodyAngles = by_name(f"bodies' angles at the end, {_ANGLES}", "deg", "by the joints")
     start_speed_deg_s: kinds.Numbers = by_joint("hinges' speeds at the start", "deg/s", "at rest")
     goal_speed_deg_s: kinds.Numbers = by_joint("hinges' speeds at the end", "deg/s", "at rest")
     duration_s: kinds.Duration | kinds.Free = key('the duration, or "free"', "s", "free, or the reference's period")
     min_duration_s: kinds.ShortDuration = key("the shortest free duration", "s", "any")
     max_duration_s: kinds.Duration = key("the longest free duration", "s", "any")
     waypoints: Annotated[list[WaypointSection], _WAYPOINTS] = key(
-        "states between start and goal, in order: at_deg, at_m or at (of sites), speed_deg_s, speed_m_s, each at its time_s"
-        " or at a free time",
+        "states between start and goal, in order: at_deg, at_m, at (of sites) or body_deg, speed_deg_s, speed_m_s, each at"
+        " its time_s or at a free time",
         otherwise="none",
         default=[],
     )
@@ -73,11 +77,15 @@ class ReferenceSection(Section, frozen=True):
     bias_deg: kinds.Angles = by_joint("hinges' mean angles", "deg", "0")
     phase_deg: kinds.Phases = by_name("phases by joint", "deg", "0")
     file: str = key(
-        "a CSV file with a column time_s and columns of joints (O_deg, slide_m) or of sites (foot_x_m)", "", "none"
+        "a CSV file with a column time_s and columns of joints (O_deg, slide_m), or of sites (foot_x_m) and bodies"
+        " (body_shank_deg)",
+        "",
+        "none",
     )
     time_s: kinds.Path = key("the rows' times, in place of a file", "s", "none")
     position_deg: kinds.Paths = by_joint("hinges' angles in every row", "deg", "none")
     at: kinds.PlaceColumns = by_name("sites' coordinates in every row, in place of joints", "m", "none")
+    body_deg: kinds.BodyPaths = by_name("bodies' angles in every row, in place of joints or beside `at`", "deg", "none")
     period_s: kinds.Positive = key(
         "the time after which the first row follows the last", "s", "the last row is the first one again, or no period"
     )
@@ -173,6 +181,9 @@ class LimitsSection(Section, frozen=True):
         "boxes, walls and tubes that sites stay within, one or a list of them",
         "m",
         "none",
+    )
+    body_deg: kinds.BodyRanges = by_name(
+        "bodies' angles, [low, high]; infinite ends limit nothing and show the angle", "deg", "none"
     )
     contacts: kinds.Contacts = key(
         "refuse a plan along which geoms collide, or note it and plan without contact forces", default="refuse"

@@ -10,7 +10,7 @@ from linkplan.studies.handover.export.samples import Samples
 
 
 def mat_bytes(samples: Samples) -> bytes:
-    """Return a MATLAB 5 file: time_s (n, 1), and structs position, speed, acceleration, effort, site by name.
+    """Return a MATLAB 5 file: time_s (n, 1), and structs position, speed, acceleration, effort, site, body by name.
 
     `units` has the same structs with a unit for each name, `names` has the names of the model.
     """
@@ -21,6 +21,7 @@ def mat_bytes(samples: Samples) -> bytes:
         "acceleration": (table.acceleration_deg_s2, {name: f"{unit}/s2" for name, unit in table.unit.items()}),
         "effort": (table.effort, table.effort_unit),
         "site": (table.site, dict.fromkeys(table.site, "m")),
+        "body": (table.body_deg, dict.fromkeys(table.body_deg, "deg")),
     }
     content: dict = {"time_s": table.time_s, "plan": samples.plan.problem.name}
     units: dict = {"time_s": "s"}

@@ -160,7 +160,7 @@ BAD_FILES = [
     ("t,J_deg\n0,1\n1,2\n", "has a column time_s, got t, J_deg"),
     (
         "time_s,K_deg\n0,1\n1,2\n",
-        "has columns time_s, of joints (J_deg) or of sites (NAME_x_m, NAME_y_m, NAME_z_m), got K_deg",
+        "has columns time_s, of joints (J_deg), or of sites (NAME_x_m, NAME_y_m, NAME_z_m) and bodies (body_NAME_deg), got",
     ),
     ("time_s,J_deg\n0,1\n", "two or more rows of numbers"),
     ("", "two or more rows of numbers; got nothing"),

@@ -317,7 +317,7 @@ def test_the_table_says_once_what_does_not_change():
     text = text_of(path_blocks(path))
     assert "the same at every pose: act_O->O 1, available O -100 to 100 N.m" in text
     rows = [row for row in text.splitlines() if row[:1].isdigit() or (row.startswith("-") and row[1].isdigit())]
-    assert len(rows) == 2 * 9, "nine poses, and the sites at these poses"
+    assert len(rows) == 3 * 9, "nine poses, and the sites and angles of bodies at these poses"
 
 
 @pytest.mark.slow
