@@ -158,7 +158,7 @@ every_limit = pytest.mark.parametrize("what", KNEE)
 
 @pytest.mark.slow
 @every_limit
-def test_a_limit_that_a_motion_exceeds_is_kept_at_every_instant_once_it_is_asked_for(what):
+def test_a_limit_that_a_motion_exceeds_is_kept_at_every_instant_once_it_is_asked_for_and_costs(what):
     given, override, limit = KNEE[what]
     bare, kept = optimal(*given), optimal(*given, override)
     slack = SOFT_PIN if what == "closure_force" else FURTHER_LIMIT
@@ -168,13 +168,6 @@ def test_a_limit_that_a_motion_exceeds_is_kept_at_every_instant_once_it_is_asked
     else:
         assert amount(bare, what) > 1.01 * limit
         assert amount(kept, what) <= limit * (1 + slack)
-
-
-@pytest.mark.slow
-@every_limit
-def test_a_limit_that_binds_costs_something_and_is_used_to_the_full(what):
-    given, override, limit = KNEE[what]
-    bare, kept = optimal(*given), optimal(*given, override)
     assert kept.objective > bare.objective * (1 + MINIMUM_TIME)
     assert amount(kept, what) == pytest.approx(limit, rel=SOFT_PIN if what == "closure_force" else BINDS)
 

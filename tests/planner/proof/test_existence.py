@@ -2,6 +2,7 @@
 
 import time
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.planner.proof.contraction import LinearBox, contracted
-from linkplan.planner.proof.existence import Neighbourhood, Tube, _slopes_at, first_tube
+from linkplan.planner.proof.existence import Neighbourhood, Tube, _sizes, _slopes_at, first_tube
 from linkplan.planner.proof.finding import Finding
 from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import prove, states_of
@@ -195,6 +196,14 @@ def test_a_defect_is_small_by_the_acceleration_or_by_its_polynomial(coefficients
 )
 def test_slopes_are_tight_by_their_own_size_or_by_the_motion_s_rates(stiffness, damping, tight):
     assert near()._is_tight([[stiffness, damping]]) is tight
+
+
+def test_sizes_are_spans_and_largest_speeds_and_of_what_hardly_moves_a_hundredth_of_the_others():
+    position = np.array([[[1.0, 0.0], [3.0, 1e-3]]])
+    motion = SimpleNamespace(position=position, velocity=np.array([[[-5.0, 4.0], [2.0, 0.0]]]))
+    np.testing.assert_allclose(_sizes(motion), [2.0, 0.02, 5.0, 4.0], rtol=1e-6)
+    still = SimpleNamespace(position=0 * position, velocity=0 * position)
+    np.testing.assert_allclose(_sizes(still), 1e-9)
 
 
 def test_the_defect_of_a_turn_without_efforts_is_its_acceleration():

@@ -14,7 +14,7 @@ from linkplan.planner.proof import prove
 from linkplan.planner.proof.branch import newton
 from linkplan.planner.proof.claim import Record
 from linkplan.planner.proof.motion import Piece
-from linkplan.planner.proof.prove import _Anchor, _Box, _boxes, _linked, _Sweep
+from linkplan.planner.proof.prove import _Anchor, _Box, _boxes, _closure_findings, _linked, _Sweep
 from linkplan.planner.proof.walk import Blocks, blocks_of
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
@@ -53,6 +53,18 @@ def test_a_box_is_linked_to_the_one_before_by_the_region_of_either(begin, end, t
     anchor = _Anchor(region=[arb(0, 1)], end=[end], z=np.zeros(1), slope=np.zeros(1), tau=tau)
     box = _Box(centre=0.75, radius=0.25, halvings=0, claims=[])
     assert _linked(anchor, [arb(0, 1)], [begin], box) is linked
+
+
+@pytest.mark.parametrize(
+    ("gap", "undecided", "answer"), [(0.9e-6, [], "proved"), (1.1e-6, [], "refuted"), (0.9e-6, [(0.25, 0.5)], "undecided")]
+)
+def test_the_loops_close_where_the_start_pose_is_a_millionth_from_the_closed_one(gap, undecided, answer):
+    sweep = SimpleNamespace(blocks=SimpleNamespace(rank=2), closure=Record(boxes=7, undecided=undecided), start_gap=gap)
+    (found,) = _closure_findings(sweep)
+    assert (found.answer, found.boxes) == (answer, 7)
+    if answer == "proved":
+        assert found.margin == pytest.approx(1e-6 - gap)
+    assert _closure_findings(SimpleNamespace(blocks=SimpleNamespace(rank=0))) == []
 
 
 def test_what_is_left_open_on_a_box_is_told_with_the_box_s_instants():

@@ -1,9 +1,11 @@
 """Durations that meet the times of phase boundaries, and what a periodic problem is."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
-from linkplan.planner.transcription.formulation import PhaseBoundary, stretched_durations
+from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, stretched_durations
 
 FREE = (0.0, np.inf)
 
@@ -23,3 +25,12 @@ def test_durations_are_stretched_between_prescribed_times_only(times, expected):
     boundaries = tuple(PhaseBoundary(state=np.zeros((1, 2)), time=time) for time in [(0.0, 0.0), *times])
     found = stretched_durations(np.array([1.0, 1.0, 2.0, 4.0]), boundaries, np.array([0, 0, 1, 2]), 2.0)
     assert found == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("returns", "free_at_end", "periodic"),
+    [((), (), False), ((0, 1), (), False), ((0, 1, 2), (), True), ((0, 1), (2,), True), ((0,), (2,), False)],
+)
+def test_a_problem_is_periodic_if_all_states_return_but_those_that_nothing_depends_on(returns, free_at_end, periodic):
+    problem = SimpleNamespace(returns=returns, free_at_end=free_at_end, state=np.zeros((3, 2)))
+    assert Formulation.periodic.fget(problem) == periodic

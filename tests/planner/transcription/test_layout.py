@@ -1,10 +1,12 @@
 """The places of a program's unknowns: each index is used by one of them."""
 
+from types import SimpleNamespace
+
 import casadi as ca
 import numpy as np
 
 from linkplan.planner.transcription.mesh import Layout
-from linkplan.planner.transcription.system import System, build_node, node_symbols
+from linkplan.planner.transcription.system import System, _open_end_rows, build_node, node_symbols
 
 
 def test_every_unknown_has_one_place_of_its_own():
@@ -26,6 +28,11 @@ def test_every_unknown_has_one_place_of_its_own():
     np.testing.assert_array_equal(layout.states(), [layout.state(k) for k in range(5)])
     np.testing.assert_array_equal(layout.durations(), layout.states().max() + 1 + np.arange(3))
     np.testing.assert_array_equal(layout.extra(), layout.durations().max() + 1 + np.arange(2))
+
+
+def test_rows_at_open_ends_are_those_of_the_closure_and_of_the_path_quantities_that_jump():
+    system = SimpleNamespace(n_equations=4, kinds=("closure", "dynamics", "closure", "work", "power", "speed", "power"))
+    assert _open_end_rows(system, (0, 2)) == (0, 2, 4, 6)
 
 
 def test_unknowns_at_open_ends_are_the_algebraic_ones_in_the_rows_there():
