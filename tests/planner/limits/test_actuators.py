@@ -1,11 +1,12 @@
 """The rates of efforts, against those of polynomials that jump from one interval to the next; rows and units of limits."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from linkplan.planner.limits.actuators import ControlLimit, PowerLimit, clamped_allowance
+from linkplan.planner.limits.actuators import ControlLimit, MotorLimit, PowerLimit, _unit, clamped_allowance
 from linkplan.planner.limits.efforts import effort_rates
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -66,6 +67,14 @@ def test_a_step_below_a_ten_millionth_of_the_largest_effort_is_no_jump(share, ju
     assert np.isposinf(found[1, 0]) == jumps
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "unit"),
+    [(-0.3, 0.5, 0.5), (-0.7, 0.5, 0.7), (-np.inf, 0.2, 0.2), (-np.inf, np.inf, 1.0), (0.0, 0.0, 1.0)],
+)
+def test_the_unit_of_a_servo_s_ctrl_is_the_larger_end_of_its_range(low, high, unit):
+    assert _unit(SimpleNamespace(control_lower=low, control_upper=high)) == unit
+
+
 # A crank with a slider in a loop: one motor on the crank, one on the slider; a servo of 10 N.m/rad on the crank, clamped.
 CRANK = """<mujoco><option gravity="0 0 0"/><worldbody>
 <body><joint name="O" axis="0 1 0"/><inertial pos="0.1 0 0" mass="2" diaginertia="0.1 0.1 0.1"/>
@@ -88,6 +97,11 @@ def test_at_every_instant_powers_are_limited_of_actuators_with_a_coordinate_and_
     asked = crank(MOTORS, power_w={"on_O": 5.0, "on_P": 6.0})
     assert PowerLimit.of(asked) == [PowerLimit(0), PowerLimit(1)]
     assert PowerLimit.of(asked, enclosed=True) == [PowerLimit(0, 0), PowerLimit(1, None, (0,))]
+
+
+def test_a_motor_s_row_is_the_share_of_its_line():
+    at = SimpleNamespace(u=[0.0, 3.0], actuator_speeds=[0.0, 2.0])
+    assert MotorLimit(1).rows.node(at, [1 / 6, 1 / 8]) == pytest.approx(3 / 6 + 2 / 8)
 
 
 def test_a_servo_s_range_is_widened_at_both_ends_by_a_share_of_the_larger_one():

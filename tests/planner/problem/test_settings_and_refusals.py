@@ -2,14 +2,17 @@
 
 from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.closed_chain.mechanics import _path_rows
 from linkplan.planner.problem.consistency import _check_efforts, _way_through
 from linkplan.planner.problem.extra import ExtraCost, checked_extras
-from linkplan.planner.problem.instant import Corner, Robust, corner_efforts_along
+from linkplan.planner.problem.instant import Corner, Instant, Robust, corner_efforts_along
+from linkplan.planner.problem.objective import TERMS
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.problem.sites import SitePoint, _squared, shown
@@ -119,6 +122,11 @@ def test_an_extra_cost_s_name_has_at_most_a_hundred_characters(length, legal):
             named()
 
 
+def test_actuators_powers_count_where_they_drive():
+    at = SimpleNamespace(positive_power=None, u=ca.DM([2.0, -3.0, -1.0]), actuator_speeds=ca.DM([5.0, 4.0, -6.0]))
+    assert np.array(Instant.positive_powers.func(at)).ravel().tolist() == [10.0, 0.0, 6.0]
+
+
 # Ranges of machines.
 
 
@@ -200,6 +208,21 @@ def test_extra_costs_have_names_that_differ():
     assert checked_extras([one, other], ExtraCost, "costs") == (one, other)
     with pytest.raises(ProblemError, match="got 'one' more than once"):
         checked_extras([one, other, one], ExtraCost, "costs")
+
+
+def test_the_cost_of_tracking_is_the_squared_distance_of_the_independent_joints_from_the_reference():
+    at = SimpleNamespace(
+        q=ca.DM([1.0, 9.0, 3.0]), mechanism=SimpleNamespace(independent=np.array([0, 2])), reference=ca.DM([0.5, 1.0])
+    )
+    assert float(TERMS["tracking"].integrand(at)) == 0.5**2 + 2.0**2
+    assert TERMS["tracking"].size(SimpleNamespace(time_s=2.0, position=np.array([0.1, 0.5])), None) == 2.0 * 0.5**2
+
+
+def test_positive_powers_are_rows_of_what_is_counted_less_what_the_actuators_give():
+    at = SimpleNamespace(u=ca.DM([2.0, -3.0]), actuator_speeds=ca.DM([5.0, 4.0]), units={"power": 2.0})
+    asked = SimpleNamespace(limits=(), passed=(), works=True)
+    rows = _path_rows(asked, at, [], ca.SX(ca.DM([7.0, 1.0])))
+    assert np.array(ca.evalf(rows)).ravel().tolist() == [7.0 - 5.0, 1.0 + 6.0]
 
 
 def test_the_certificate_has_a_tenth_of_the_time_and_solves_the_rest():
