@@ -232,25 +232,19 @@ def test_the_line_of_a_motor_on_a_dependent_joint_is_kept():
 
 # Limits that forbid a motion: one sentence, the amount, the instant.
 
-TORQUE_SPEED = "torque-speed line of motor (effort / stall + speed / no-load)"
-FORBIDDING = {
-    "torque-speed line": ("motors.motor={stall_effort=4.0,no_load_speed_deg_s=90.0}", TORQUE_SPEED, 1, ""),
-    "power": ("limits.power_w.motor=1.0", "power of motor", 1, "W"),
-}
-
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", FORBIDDING)
-def test_a_limit_that_forbids_a_motion_is_named_with_amount_and_instant(case):
-    override, name, limit, unit = FORBIDDING[case]
+def test_a_limit_that_forbids_a_motion_is_named_with_amount_and_instant():
+    override = "motors.motor={stall_effort=4.0,no_load_speed_deg_s=90.0}"
     plan = body_plan(HINGE, QUARTER_TURN + "duration_s = 0.8\n", override)
     assert plan.status == "infeasible", plan.message
     assert "\n" not in plan.message
-    said = re.search(rf"the {re.escape(name)} would have to come to (-?[\d.]+) ?{unit} at t = ([\d.e-]+) s", plan.message)
+    name = re.escape("torque-speed line of motor (effort / stall + speed / no-load)")
+    said = re.search(rf"the {name} would have to come to (-?[\d.]+) at t = ([\d.e-]+) s", plan.message)
     assert said, plan.message
-    assert abs(float(said[1])) > limit
+    assert abs(float(said[1])) > 1
     assert 0 <= float(said[2]) <= plan.problem.motion.duration_s
-    assert f"limit of {np.copysign(limit, float(said[1])):.4g}" in plan.message
+    assert f"limit of {np.copysign(1, float(said[1])):.4g}" in plan.message
 
 
 def test_a_goal_nearer_to_a_singular_pose_than_allowed_is_said_without_solving():
