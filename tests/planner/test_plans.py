@@ -300,7 +300,6 @@ def test_the_work_of_the_effort_is_the_rise_in_energy(name):
 @pytest.mark.parametrize(
     ("name", "override", "joint", "limit"),
     [
-        ("knee-reach", "limits.speed_deg_s.O=800", 0, 800.0),
         ("knee-sprint", "limits.speed_deg_s.O=1200", 0, 1200.0),
         ("knee-sine-shank", "limits.speed_deg_s.O=1200", 0, 1200.0),
         ("knee-reach", "limits.speed_deg_s.C=[-100, 560]", 2, 560.0),

@@ -121,7 +121,7 @@ def test_a_motor_s_line_makes_speed_approach_its_no_load_speed():
 STALL, NO_LOAD_DEG = 150.0, 2500.0
 KNEE = {
     "effort_rate": (("knee-reach",), "limits.effort_rate.act_O=1062", 1062.0),
-    "power": (("knee-reach",), "limits.power_w.act_O=500", 500.0),
+    "power": (("knee-reach",), "limits.power_w.act_O=580", 580.0),
     "motor": (("knee-sprint",), f"motors.act_O={{stall_effort={STALL},no_load_speed_deg_s={NO_LOAD_DEG}}}", 1.0),
     "closure_force": (("knee-reach",), "limits.closure_force.B=1.7", 1.7),
     "singular_margin": (
