@@ -14,7 +14,7 @@ demo: $(STAMP)
 test: $(STAMP)
 	$(BIN)/python -m pytest -n auto --dist loadfile
 
-# The hardest published problems and largest mechanisms, too: eight minutes of processor time more.
+# The hardest published problems and largest mechanisms, too: ten minutes of processor time more.
 long: $(STAMP)
 	$(BIN)/python -m pytest -n auto --dist loadfile --long
 

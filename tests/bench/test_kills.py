@@ -23,13 +23,6 @@ def test_a_command_that_is_ended_leaves_the_earlier_result_or_the_new_one(name):
     assert any(not outcome.new for outcome in found)  # ended in the midst of it, some of them
 
 
-@pytest.mark.slow
-def test_an_experiment_that_is_killed_goes_on_to_the_file_of_one_that_was_left_alone():
-    found = kills.ended("experiment", ("kill", "size"), 1, 7)
-    assert [outcome.wrong for outcome in found] == [""] * 2
-    assert not all(outcome.new for outcome in found)
-
-
 @pytest.fixture
 def earlier(tmp_path):
     write_whole(tmp_path / "out", lambda new: write_json(new / "plan.json", {"problem": "old"}))

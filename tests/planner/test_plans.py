@@ -300,10 +300,8 @@ def test_the_work_of_the_effort_is_the_rise_in_energy(name):
 @pytest.mark.parametrize(
     ("name", "override", "joint", "limit"),
     [
-        ("knee-reach", "limits.speed_deg_s.O=800", 0, 800.0),
         ("knee-sprint", "limits.speed_deg_s.O=1200", 0, 1200.0),
         ("knee-sine-shank", "limits.speed_deg_s.O=1200", 0, 1200.0),
-        ("knee-reach", "limits.speed_deg_s.A=800", 1, 800.0),
         ("knee-reach", "limits.speed_deg_s.C=[-100, 560]", 2, 560.0),
     ],
 )
@@ -326,7 +324,6 @@ def test_a_speed_limit_that_binds_holds_between_the_nodes(name, override, joint,
     [
         ("limits.range_deg.A=[11, 150]", 1, 11.0, -1),
         ("limits.range_deg.O=[-90, 50]", 0, 50.0, 1),
-        ("limits.range_deg.C=[-120, 41.5]", 2, 41.5, 1),
     ],
 )
 def test_a_range_that_binds_holds_between_the_nodes(override, joint, limit, sign):

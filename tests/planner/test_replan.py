@@ -112,7 +112,6 @@ def test_another_structure_is_planned_from_the_beginning(overrides):
     ("settings", "changes"),
     [
         (["limits.power_w.act_O=620"], ["limits.power_w.act_O=580"]),
-        (["limits.closure_force.B=1.9"], ["limits.closure_force.B=1.8"]),
         (["objective.minimize={effort=1.0,effort_rate=1e-6}"], ["objective.minimize={effort=1.0,effort_rate=1e-5}"]),
         (
             ["motion.duration_s=0.2", "motion.waypoints=[{at_deg={O=10}, time_s=0.1}]"],

@@ -1,7 +1,5 @@
 """Errors at ends and waypoints: distances from bounds, and sites on an arm of 1 m that misses its places by known angles."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -11,7 +9,6 @@ from linkplan.planner.certificate.integration import (
     exact_bounds,
     relative_violation,
     waypoint_off_m,
-    waypoint_times,
 )
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -62,11 +59,6 @@ def test_a_value_that_is_asked_for_is_both_bounds_and_a_free_one_none():
     assert (low.tolist(), high.tolist()) == ([1.0, -np.inf], [1.0, np.inf])
     low, high = exact_bounds(np.array([1.0, 2.0]), np.array([True, False]))
     assert (low.tolist(), high.tolist()) == ([-np.inf, 2.0], [np.inf, 2.0])
-
-
-def test_a_waypoint_is_passed_at_its_time_from_the_begin_on_or_at_some_break():
-    assert waypoint_times(motion(), SimpleNamespace(time_s=0.75)).tolist() == [3.75]
-    assert waypoint_times(motion(), SimpleNamespace(time_s=None)).tolist() == [3.0, 4.0, 5.0]
 
 
 @pytest.mark.parametrize("time_s", [1.0, None])

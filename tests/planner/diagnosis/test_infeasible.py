@@ -67,36 +67,22 @@ def refused(case: str) -> Plan:
     return planned(*INFEASIBLE[case][0])
 
 
-@pytest.mark.slow
 @every_case
-def test_a_problem_without_an_answer_is_called_infeasible(case):
+def test_a_problem_without_an_answer_is_infeasible_by_a_limit_a_joint_and_an_amount(case):
     plan = refused(case)
     assert plan.status == "infeasible", plan.message
-    assert plan.trajectory is None
-    assert plan.certificate is None
-    assert plan.objective is None
-
-
-@every_case
-def test_the_sentence_says_which_limit_which_joint_and_by_how_much(case):
-    message = refused(case).message
-    assert "\n" not in message
+    assert (plan.trajectory, plan.certificate, plan.objective) == (None, None, None)
+    assert "\n" not in plan.message
     for words in INFEASIBLE[case][1]:
-        assert words in message
+        assert words in plan.message
 
 
-@every_case
-def test_requiring_an_infeasible_plan_raises_the_sentence_and_carries_the_plan(case):
-    plan = refused(case)
+def test_requiring_an_infeasible_plan_raises_the_sentence_and_carries_the_plan():
+    plan = refused("an exact reference")
     with pytest.raises(InfeasibleError, match=re.escape(plan.message)) as raised:
         plan.require()
     assert raised.value.plan is plan
-
-
-@pytest.mark.slow
-def test_an_infeasible_plan_s_error_is_one_of_linkplan_s():
-    with pytest.raises(LinkplanError):
-        planned(*SHORT_BUDGET).require()
+    assert isinstance(raised.value, LinkplanError)
 
 
 def test_requiring_a_plan_that_is_optimal_returns_it():
@@ -126,16 +112,14 @@ def test_the_effort_that_the_sentence_names_is_enough():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [1.0001, 1.01, 1.2])
-def test_a_little_more_than_the_shortest_duration_is_feasible(share):
-    plan = planned("knee-reach", f"motion.duration_s={share * SHORTEST}")
+def test_a_little_more_than_the_shortest_duration_is_feasible():
+    plan = planned("knee-reach", f"motion.duration_s={1.0001 * SHORTEST}")
     assert plan.status == "optimal", plan.message
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("share", [0.9999, 0.99])
-def test_a_little_less_than_the_shortest_duration_is_infeasible(share):
-    plan = planned("knee-reach", f"motion.duration_s={share * SHORTEST}")
+def test_a_little_less_than_the_shortest_duration_is_infeasible():
+    plan = planned("knee-reach", f"motion.duration_s={0.9999 * SHORTEST}")
     assert plan.status == "infeasible", plan.message
     assert plan.details["needed_limit_factor"] > 1
 

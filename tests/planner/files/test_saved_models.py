@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -31,15 +32,22 @@ duration_s = 0.5
 """
 
 
-@pytest.fixture
-def project(tmp_path) -> Path:
-    """Return a folder with a model, a problem beside it, and its plan."""
-    folder = tmp_path / "project"
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory) -> Path:
+    """Return a folder with a model, a problem beside it, and its plan, which was made in the folder `project` beside it."""
+    folder = tmp_path_factory.mktemp("saved") / "project"
     folder.mkdir()
     (folder / "arm.xml").write_text(ARM, encoding="utf-8")
     (folder / "reach.toml").write_text(REACH, encoding="utf-8")
     assert main(["plan", str(folder / "reach.toml"), "-o", str(folder / "plans" / "reach")]) == 0
-    return folder
+    return folder.rename(folder.with_name("kept"))
+
+
+@pytest.fixture
+def project(kept) -> Iterator[Path]:
+    """Return the folder that the plan was made in, as it was then."""
+    yield Path(shutil.copytree(kept, kept.with_name("project")))
+    shutil.rmtree(kept.with_name("project"), ignore_errors=True)
 
 
 def changed(project: Path, old: str, new: str) -> None:

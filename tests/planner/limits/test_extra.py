@@ -42,6 +42,7 @@ def speed_limit(upper, lower=-np.inf):
     return ExtraLimit(name="hip speed", expression=hip_speed, lower=lower, upper=upper, unit="rad/s")
 
 
+@pytest.mark.slow
 def test_an_extra_limit_on_a_speed_gives_the_plan_of_the_speed_limit(knee, free):
     extra = linkplan.plan(Problem.reach(knee, **REACH, extra_limits=[speed_limit(SPEED)])).require()
     limits = {"speed_deg_s": {"O": float(np.degrees(SPEED))}}
@@ -50,6 +51,7 @@ def test_an_extra_limit_on_a_speed_gives_the_plan_of_the_speed_limit(knee, free)
     assert extra.objective == pytest.approx(built_in.objective, rel=EXTRA_LIMIT)
 
 
+@pytest.mark.slow
 def test_an_extra_limit_on_power_gives_the_least_time_of_the_limit_on_power():
     leg = linkplan.load_mechanism("optimus-knee", payload="shank")
     given = {"start_deg": {"O": -49.0}, "goal_deg": {"O": 56.0}, "minimize": "time"}
@@ -63,6 +65,7 @@ def test_an_extra_limit_on_power_gives_the_least_time_of_the_limit_on_power():
     assert extra.duration_s == pytest.approx(built_in.duration_s, rel=EXTRA_LIMIT)
 
 
+@pytest.mark.slow
 def test_an_extra_limit_on_a_dependent_joint_gives_the_plan_of_its_speed_limit(knee, free):
     assert "C" not in [joint.name for joint in knee.independent_joints]
     most_deg_s = 0.9 * float(np.abs(free.sample().speed_deg_s["C"]).max())
@@ -86,14 +89,18 @@ def test_an_extra_cost_adds_its_weighted_integral_to_the_objective(knee, free):
     assert both.objective == pytest.approx(4.0 * free.objective, rel=EXTRA_LIMIT)
 
 
-def test_a_cost_below_zero_is_planned_saved_and_read(knee, tmp_path):
-    cost = ExtraCost(name="far", expression=lambda at: -(at.position_rad["O"] ** 2))
-    plan = linkplan.plan(Problem.reach(knee, **REACH, extra_costs=[cost])).require()
-    assert plan.objective < 0
+@pytest.mark.slow
+def test_a_cost_below_zero_is_planned_saved_and_read(knee, free, tmp_path):
+    """A constant taken from the squared effort leaves the motion, and takes its integral from the objective."""
+    saved = 1.5 * free.objective
+    cost = ExtraCost(name="less", expression=lambda at: own_effort(at) - saved / REACH["duration_s"])
+    plan = linkplan.plan(Problem.reach(knee, **REACH, minimize={}, extra_costs=[cost])).require()
+    assert plan.objective == pytest.approx(free.objective - saved, rel=EXTRA_LIMIT)
     plan.save(tmp_path / "plan")
     assert linkplan.read_plan(tmp_path / "plan", extra_costs=[cost]).objective == plan.objective
 
 
+@pytest.mark.slow
 def test_an_extra_limit_on_a_sites_place_is_certified_as_what_it_comes_to():
     problem = Problem.from_file("five-bar-reach")
     wide = problem.replace(limits={"site": {"P": {"x": [-10.0, 10.0]}}})
@@ -117,6 +124,7 @@ def test_the_certificate_of_a_motion_says_how_far_it_is_beyond_an_extra_limit_be
     assert any("the extra limit 'hip speed' comes to" in failure for failure in certificate.failures)
 
 
+@pytest.mark.slow
 def test_a_motion_that_an_extra_limit_forbids_is_infeasible_and_the_sentence_names_it(knee):
     plan = linkplan.plan(Problem.reach(knee, **REACH, extra_limits=[speed_limit(2.0)]))
     assert plan.status == "infeasible"
@@ -139,14 +147,15 @@ def test_a_way_that_leaves_an_extra_limit_between_start_and_goal_is_infeasible(k
     assert "the extra limit 'away from 0' is" in plan.message
 
 
+@pytest.mark.slow
 def test_a_periodic_motion_keeps_an_extra_limit(knee):
     free = linkplan.plan(Problem.periodic(knee, reference=SINE)).require()
-    assert np.radians(free.sample().speed_deg_s["O"]).max() > 4.2
-    limit = speed_limit(4.0, -4.0)
+    assert np.radians(free.sample().speed_deg_s["O"]).max() > 4.3
+    limit = speed_limit(4.2, -4.2)
     plan = linkplan.plan(
         Problem.periodic(knee, reference=SINE, extra_limits=[limit], mesh={"tolerance_deg": 1e-3})
     ).require()
-    assert np.abs(np.radians(plan.sample().speed_deg_s["O"])).max() <= 4.0 + EXTRA_LIMIT
+    assert np.abs(np.radians(plan.sample().speed_deg_s["O"])).max() <= 4.2 + EXTRA_LIMIT
 
 
 def test_a_prescribed_motion_is_judged_by_an_extra_limit(knee):

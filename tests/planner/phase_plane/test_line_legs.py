@@ -78,14 +78,6 @@ def test_the_least_time_of_a_motor_is_that_of_its_exact_motion(no_load_deg_s):
     assert plan.objective == pytest.approx(exact(np.radians(no_load_deg_s)), rel=LATE)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("no_load_deg_s", [300.0, 20.0, 12.0, 5.0, 1.0, 0.02])
-def test_the_least_times_of_slow_and_quick_motors_are_those_of_their_exact_motions(no_load_deg_s):
-    plan = tilted(no_load_deg_s)
-    assert plan.status == "optimal", plan.message
-    assert plan.objective == pytest.approx(exact(np.radians(no_load_deg_s)), rel=LATE)
-
-
 def test_along_a_line_the_motor_gives_no_more_than_its_line_and_no_less_where_it_drives():
     plan = tilted(10.0)
     time = plan.trajectory.dense_times(20)

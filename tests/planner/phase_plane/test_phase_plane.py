@@ -42,7 +42,7 @@ def spring(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("half_swings", [1, 2, 5])
+@pytest.mark.parametrize("half_swings", [1, 5])
 def test_a_weak_push_on_a_spring_takes_half_a_period_for_every_two_metres(spring, half_swings):
     """Each half swing about +-1 m takes pi and brings the end 2 m nearer."""
     problem = spring(2.0 * half_swings)

@@ -121,7 +121,7 @@ def test_a_motor_s_line_makes_speed_approach_its_no_load_speed():
 STALL, NO_LOAD_DEG = 150.0, 2500.0
 KNEE = {
     "effort_rate": (("knee-reach",), "limits.effort_rate.act_O=1062", 1062.0),
-    "power": (("knee-reach",), "limits.power_w.act_O=500", 500.0),
+    "power": (("knee-reach",), "limits.power_w.act_O=580", 580.0),
     "motor": (("knee-sprint",), f"motors.act_O={{stall_effort={STALL},no_load_speed_deg_s={NO_LOAD_DEG}}}", 1.0),
     "closure_force": (("knee-reach",), "limits.closure_force.B=1.7", 1.7),
     "singular_margin": (
@@ -158,7 +158,7 @@ every_limit = pytest.mark.parametrize("what", KNEE)
 
 @pytest.mark.slow
 @every_limit
-def test_a_limit_that_a_motion_exceeds_is_kept_at_every_instant_once_it_is_asked_for(what):
+def test_a_limit_that_a_motion_exceeds_is_kept_at_every_instant_once_it_is_asked_for_and_costs(what):
     given, override, limit = KNEE[what]
     bare, kept = optimal(*given), optimal(*given, override)
     slack = SOFT_PIN if what == "closure_force" else FURTHER_LIMIT
@@ -168,13 +168,6 @@ def test_a_limit_that_a_motion_exceeds_is_kept_at_every_instant_once_it_is_asked
     else:
         assert amount(bare, what) > 1.01 * limit
         assert amount(kept, what) <= limit * (1 + slack)
-
-
-@pytest.mark.slow
-@every_limit
-def test_a_limit_that_binds_costs_something_and_is_used_to_the_full(what):
-    given, override, limit = KNEE[what]
-    bare, kept = optimal(*given), optimal(*given, override)
     assert kept.objective > bare.objective * (1 + MINIMUM_TIME)
     assert amount(kept, what) == pytest.approx(limit, rel=SOFT_PIN if what == "closure_force" else BINDS)
 
@@ -239,25 +232,19 @@ def test_the_line_of_a_motor_on_a_dependent_joint_is_kept():
 
 # Limits that forbid a motion: one sentence, the amount, the instant.
 
-TORQUE_SPEED = "torque-speed line of motor (effort / stall + speed / no-load)"
-FORBIDDING = {
-    "torque-speed line": ("motors.motor={stall_effort=4.0,no_load_speed_deg_s=90.0}", TORQUE_SPEED, 1, ""),
-    "power": ("limits.power_w.motor=1.0", "power of motor", 1, "W"),
-}
-
 
 @pytest.mark.slow
-@pytest.mark.parametrize("case", FORBIDDING)
-def test_a_limit_that_forbids_a_motion_is_named_with_amount_and_instant(case):
-    override, name, limit, unit = FORBIDDING[case]
+def test_a_limit_that_forbids_a_motion_is_named_with_amount_and_instant():
+    override = "motors.motor={stall_effort=4.0,no_load_speed_deg_s=90.0}"
     plan = body_plan(HINGE, QUARTER_TURN + "duration_s = 0.8\n", override)
     assert plan.status == "infeasible", plan.message
     assert "\n" not in plan.message
-    said = re.search(rf"the {re.escape(name)} would have to come to (-?[\d.]+) ?{unit} at t = ([\d.e-]+) s", plan.message)
+    name = re.escape("torque-speed line of motor (effort / stall + speed / no-load)")
+    said = re.search(rf"the {name} would have to come to (-?[\d.]+) at t = ([\d.e-]+) s", plan.message)
     assert said, plan.message
-    assert abs(float(said[1])) > limit
+    assert abs(float(said[1])) > 1
     assert 0 <= float(said[2]) <= plan.problem.motion.duration_s
-    assert f"limit of {np.copysign(limit, float(said[1])):.4g}" in plan.message
+    assert f"limit of {np.copysign(1, float(said[1])):.4g}" in plan.message
 
 
 def test_a_goal_nearer_to_a_singular_pose_than_allowed_is_said_without_solving():

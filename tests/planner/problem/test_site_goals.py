@@ -55,7 +55,7 @@ def test_coordinates_that_cannot_move_may_be_given_or_not(coordinates):
 
 @pytest.mark.parametrize(
     "settings",
-    [{}, {"mesh": {"scheme": "gauss-3"}}, {"mesh": {"scheme": "hermite-simpson"}}],
+    [{}, {"mesh": {"scheme": "hermite-simpson"}}],
     ids=str,
 )
 def test_an_open_pose_ends_in_a_better_one_than_guessed(settings):

@@ -26,7 +26,7 @@ from tests.support.provable import beside_its_limit, limited, needed, peak, rubb
 
 INVERSE = "by inverse dynamics"
 # `make bench` (part proofs) proves and refutes the plans of a hundred seeds.
-SEEDS = range(5)
+SEEDS = range(2)
 
 TWO_HINGES = """<mujoco><option gravity="0 0 0"/><worldbody>
 <body><joint name="one" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/></body>
@@ -104,25 +104,18 @@ def test_the_knees_bound_is_the_largest_effort_of_dense_samples():
     assert largest <= bound <= largest * (1 + 1e-6)
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", SEEDS)
 def test_an_effort_a_billionth_below_its_mark_is_proved_and_above_it_is_refuted(seed):
     below, above = (prove(*beside_its_limit(seed, share)) for share in (-1e-9, 1e-9))
     assert answers(below, INVERSE) == {"proved"}
+    assert answers(below, "loops close") == {"proved"}
     assert answers(above, INVERSE) == {"refuted"}
 
 
 @pytest.mark.slow
-def test_random_four_bars_a_billionth_below_their_mark_are_proved():
-    for seed in SEEDS:
-        proof = prove(*beside_its_limit(seed, -1e-9))
-        assert answers(proof, INVERSE) == {"proved"}, seed
-        assert answers(proof, "loops close") == {"proved"}, seed
-
-
-@pytest.mark.slow
-def test_plans_with_a_spoilt_coefficient_are_refuted():
-    for seed in SEEDS:
-        assert answers(prove(*with_a_spoilt_coefficient(seed)), INVERSE) == {"refuted"}, seed
+@pytest.mark.parametrize("seed", SEEDS)
+def test_plans_with_a_spoilt_coefficient_are_refuted(seed):
+    assert answers(prove(*with_a_spoilt_coefficient(seed)), INVERSE) == {"refuted"}
 
 
 def test_a_planned_effort_beyond_its_limit_between_the_nodes_is_refuted():
@@ -131,11 +124,10 @@ def test_a_planned_effort_beyond_its_limit_between_the_nodes_is_refuted():
     assert answers(prove(limited(problem, largest * (1 - 1e-6)), motion), "planned effort of") == {"refuted"}
 
 
-@pytest.mark.parametrize("share", [0.6, 0.9, 0.99])
-def test_a_refuted_claim_names_an_instant_at_which_its_bound_occurs(share):
+def test_a_refuted_claim_names_an_instant_at_which_its_bound_occurs():
     problem, motion = swing(1)
     largest = np.abs(motion.effort_at(motion.dense_times(400))).max()
-    proof = prove(limited(problem, share * largest), motion)
+    proof = prove(limited(problem, 0.9 * largest), motion)
     (found,) = [finding for finding in proof.of("refuted") if finding.name.startswith("planned effort of")]
     assert motion.effort_at(np.array([found.time_s]))[0, 0] == pytest.approx(found.bound, rel=1e-9)
 

@@ -37,8 +37,6 @@ power_w = { O = 5.0 }
         # It climbs for a second at a constant power, and forgets in a hundredth of one how it came there.
         ("slider-crank-turn", (*QUICK, "limits.power_w.act_O=0.1")),
         ("slider-crank-turn", (*QUICK, "limits.power_w.act_O=1")),  # the bang at rest is a 4000th of the motion
-        ("slider-crank-turn", (*QUICK, "limits.power_w.act_O=100")),
-        ("knee-sprint", ("limits.power_w.act_O=1",)),  # a 300 000th
         ("knee-sprint", ("limits.power_w.act_O=[-50,400]",)),
     ],
 )

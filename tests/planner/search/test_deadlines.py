@@ -18,8 +18,8 @@ from tests.support.ode import robbins
 TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
 MANY = ["solver.starts=1000"]
 LEGS = ["limits.power_w={ act_O = [-300.0, 300.0] }"]
-# Looks at the clock after which there is no time: the first loops, starts, solves, refinement, diagnosis.
-LOOKS = (1, 3, 10, 30, 100, 400, 1600)
+# Looks at the clock after which there is no time: in the first loops, in starts, in solves, in diagnosis.
+LOOKS = (1, 10, 100, 1600)
 
 
 class Clock:
@@ -86,7 +86,7 @@ def test_starts_that_were_solved_are_judged_when_the_time_for_further_ones_is_ov
     assert OF_TIME in plan.message
 
 
-@pytest.mark.parametrize("looks", [1, 3, 10, 30, 100, 300])
+@pytest.mark.parametrize("looks", [1, 30, 300])
 def test_a_differential_equations_plan_has_an_answer_wherever_its_time_ends(looks):
     """Of Robbins' problem, whose refinement for so many digits takes minutes."""
     problem, clock = timed(robbins(1e-12), looks)

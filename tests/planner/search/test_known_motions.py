@@ -5,40 +5,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.planning import plan_motion
 from tests.bench.contradictions import rotary_answer, weak_answer, weak_case
-
-# A weak four-bar: the smoothest path leads to a local optimum of 0.879 s, swings to the least time. It begins at a stable
-# equilibrium, where it may wait.
-WEAK = """<mujoco model="weak"><compiler angle="degree" autolimits="true"/><option gravity="0 0 -9.81" timestep="1e-4"/>
-<worldbody><body name="crank" pos="0 0 1" euler="0 -167.25 0"><joint name="J1" axis="0 1 0"/>
-<inertial pos="-0.0132561 0 0.0567772" mass="1.966947" diaginertia="0.002215555 0.002215555 0.002215555"/>
-<body name="coupler" pos="0 0 0.0996165401396462" euler="0 181.8655173097916 0"><joint name="J2" axis="0 1 0"/>
-<inertial pos="0.0303013 0 0.1094218" mass="0.8058598" diaginertia="0.0083429 0.0083429 0.0083429"/>
-<site name="tip" pos="0 0 0.29094843597261366"/></body></body>
-<body name="rocker" pos="0.38488774878647186 0 1" euler="0 -61.06116809473014 0"><joint name="J3" axis="0 1 0"/>
-<inertial pos="0.0514524 0 0.1592304" mass="1.4963603" diaginertia="0.032491 0.032491 0.032491"/>
-<site name="pin" pos="0 0 0.3810346386441994"/></body></worldbody>
-<equality><connect name="B" site1="tip" site2="pin"/></equality>
-<actuator><motor name="drive" joint="J1" ctrlrange="-0.89043784 0.89043784"/></actuator></mujoco>"""
-
-
-def planned(minimize: str, duration: float | str) -> Plan:
-    motion = {"kind": "reach", "start_deg": {"J1": 0.0}, "goal_deg": {"J1": -169.452587}, "duration_s": duration}
-    tables = {"mechanism": {"model": WEAK}, "motion": motion, "objective": {"minimize": minimize}}
-    return plan_motion(Problem.from_tables("weak", tables))
-
-
-@pytest.mark.slow
-def test_a_motion_a_little_longer_than_the_certified_least_time_is_found_and_costs_no_more_the_longer_it_is():
-    least = planned("time", "free")
-    assert least.status == "optimal"
-    plans = [planned("effort", factor * least.trajectory.duration_s) for factor in (1.0005, 1.1)]
-    assert [plan.status for plan in plans] == ["optimal"] * 2, [plan.message for plan in plans]
-    costs = [plan.objective for plan in plans]
-    assert costs == sorted(costs, reverse=True)
 
 
 @pytest.mark.slow
@@ -100,9 +69,8 @@ def test_a_direct_reach_that_the_phase_plane_knows_is_found_where_the_smooth_pat
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [1, 4])
-def test_a_turn_is_no_slower_than_under_constant_full_effort_or_at_constant_speed(number):
-    assert rotary_answer(1, number)["wrong"] == []
+def test_a_turn_is_no_slower_than_under_constant_full_effort_or_at_constant_speed():
+    assert rotary_answer(1, 4)["wrong"] == []
 
 
 def test_guesses_along_which_the_loops_open_lead_to_an_answer_and_not_to_an_exception():

@@ -47,7 +47,7 @@ def search_of(problem: Problem) -> Search:
     return Search(problem=problem, start_pose=problem.start_pose())
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_a_swing_up_to_a_dead_centre_costs_no_more_with_more_time():
     """At 1.01 times the least time of 0.794659 s a motion of 4.2878 was known, and none cheaper at 1.03 times."""
     plan = plan_motion(weak_reach(18, 1.03 * 0.794659))

@@ -122,10 +122,9 @@ def test_an_unstable_motion_is_not_sought_on_ever_finer_meshes():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [37, 54])
-def test_what_was_answered_a_little_late_is_answered_as_the_phase_plane_says(number):
-    """Of seed 7: a least time begun from a coarse mesh's; a shortest duration with efforts as least work has them."""
-    case = random_case(7, number)
+def test_what_was_answered_a_little_late_is_answered_as_the_phase_plane_says():
+    """Number 37 of seed 7: a least time begun from a coarse mesh's."""
+    case = random_case(7, 37)
     plan = plan_motion(Problem.from_tables(case.kind, case.tables))
     assert judge(case, plan) == "right", plan.message
 

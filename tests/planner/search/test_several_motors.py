@@ -19,7 +19,7 @@ from linkplan.planner.search import several_motors
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, at_a_distance, effort_jumps, of_several
 from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.search.planning import plan_motion
-from linkplan.planner.search.several_motors import _margin_kept, from_several_starts
+from linkplan.planner.search.several_motors import from_several_starts
 from tests.support.data import DATA
 
 LEAST_TIME_S, LEAST_EFFORT = 0.18663512, 850.59
@@ -77,9 +77,6 @@ def test_a_margin_that_is_asked_for_is_kept():
     problem = linkplan.Problem.reach(mechanism, **ENDS, duration_s=0.3, limits={"singular_margin": 0.3})
     kept = at_a_distance(case_of(problem), problem.start_pose()).problem.limits.singular_margin
     assert kept == 0.3
-    met = SimpleNamespace(certificate=SimpleNamespace(singularity_ratio=0.0101))
-    assert _margin_kept(leg(duration_s=0.3), met)
-    assert not _margin_kept(problem, met)
 
 
 def test_a_slower_motion_bounds_a_least_time_that_does_not_pass(in_least_time, monkeypatch):

@@ -13,7 +13,7 @@ SETTINGS = {"kp": 100.0, "kd": 3.0, "period_s": 5e-4}
 def test_an_ankle_on_ball_joints_has_the_loops_of_one_on_universal_joints():
     with_spins = ankle(balls=True)
     assert (with_spins.dof, with_spins.n_u) == (4, 2)
-    spun = linkplan.bode(with_spins, tracking=SETTINGS, frequency_hz=[40.0, 120.0])
+    spun = linkplan.bode(with_spins, tracking=SETTINGS, frequency_hz=[120.0])
     plain = linkplan.bode(ankle(balls=False), tracking=SETTINGS, measure=False)
     assert spun.stable
     assert spun.poses == plain.poses == ("motor_left = 0 deg, motor_right = 0 deg",)

@@ -12,7 +12,7 @@ import pytest
 from linkplan.planner.plan.folder import read_plan
 from tests.support.data import ROOT
 from tests.support.figures import curves, saved_figures
-from tests.support.plans import planned
+from tests.support.plans import planned, saved_plan
 from tests.support.tolerances import KNEE, SOURCE_GAP_M
 from tests.support.tolerances_loops import LAST_SAMPLE_S
 from tests.support.tolerances_planner import CLOSURE_M, ROUNDING, SINE_RMS_DEG
@@ -152,8 +152,7 @@ def test_an_infeasible_problem_is_answered_in_a_sentence_and_writes_nothing(ask_
 
 @pytest.mark.slow
 def test_a_saved_plan_is_tracked_and_compared(ask_json, tmp_path):
-    folder = str(tmp_path / "reach")
-    assert ask_json("plan", "knee-reach", "-o", folder)[0] == 0
+    folder = str(saved_plan("knee-reach", tmp_path))
     code, tracked = ask_json("track", folder, "--tracker", "lqr", "-o", str(tmp_path / "tracked"))
     assert code == 0
     assert set(tracked["trackers"]) == {"lqr"}
@@ -230,9 +229,11 @@ def test_bode_says_which_loop_is_stable_and_mujoco_agrees(ask_json, kd, period, 
 
 
 @pytest.mark.slow
-def test_a_full_disk_is_one_line_and_leaves_the_earlier_result_alone(tmp_path, ask, monkeypatch):
-    target = tmp_path / "reach"
-    assert ask("plan", "knee-reach", "-o", str(target))[0] == 0
+def test_a_newer_result_replaces_an_older_one_whole_and_a_full_disk_leaves_it_alone(tmp_path, ask, monkeypatch):
+    target = saved_plan("knee-reach", tmp_path).rename(tmp_path / "reach")
+    first = (target / "plan.json").read_text()
+    assert ask("plan", "knee-reach", "--set", "motion.duration_s=0.2", "-o", str(target))[0] == 0
+    assert (target / "plan.json").read_text() != first
     before = {path.name: path.read_bytes() for path in target.iterdir()}
 
     def full(*_: object, **__: object) -> None:
@@ -281,16 +282,6 @@ def test_a_folder_of_somebody_elses_is_not_overwritten(ask, tmp_path):
     assert (code, out) == (2, "")
     assert "holds files that are not linkplan's" in err
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
-
-
-@pytest.mark.slow
-def test_a_newer_result_replaces_an_older_one_whole(ask, tmp_path):
-    folder = tmp_path / "plan"
-    assert ask("plan", "knee-reach", "-o", str(folder))[0] == 0
-    first = (folder / "plan.json").read_text()
-    assert ask("plan", "knee-reach", "--set", "motion.duration_s=0.2", "-o", str(folder))[0] == 0
-    assert (folder / "plan.json").read_text() != first
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["plan"]
 
 
 def test_view_says_in_one_line_that_there_is_no_screen_before_it_plans(ask, monkeypatch):

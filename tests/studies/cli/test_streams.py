@@ -30,7 +30,6 @@ def shell(line: str, folder: Path) -> tuple[int, str, str]:
 @pytest.mark.parametrize(
     ("line", "code"),
     [
-        ("L plan knee-reach -o P 2>&1 | (exec <&-)", 0),
         ("L plan knee-reach -o P 2> /dev/full", 0),
         ("L plan knee-reach -o P <&- >&- 2>&-", 0),
         ("L plan knee-reach -o P --json | (exec <&-; sleep 0)", 141),
