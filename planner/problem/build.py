@@ -33,7 +33,7 @@ from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.keys.reading import KEYS, read, refuse_unknown_keys
 from linkplan.planner.problem.keys.sections import MechanismSection, MotionSection, ProblemFile
 from linkplan.planner.problem.limits import actuator_index, closure_index, limits_of, motors_of
-from linkplan.planner.problem.motion import motion_of
+from linkplan.planner.problem.motion_table import motion_of
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.path import read_path_file, site_path_of
 from linkplan.planner.problem.reference import Reference, guess_of, guess_place, reference_of
