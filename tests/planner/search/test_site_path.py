@@ -277,3 +277,16 @@ def test_a_mechanism_with_more_freedoms_than_the_path_decides_is_refused():
     longer = longer.replace("</actuator>", '<motor name="m3" joint="q3" ctrlrange="-1 1" ctrllimited="true"/></actuator>')
     with pytest.raises(LinkplanError, match="leaves 1 of the 3 freedoms of 'arm' open"):
         Problem.follow(longer, path={"site": "tip", "points": LINE})
+
+
+def test_a_motion_with_time_to_spare_stays_between_the_ends_of_its_path():
+    plan = plan_motion(
+        Problem.follow(
+            "five-bar",
+            path={"site": "P", "points": [[0.06, 0.0, -0.33], [0.045, 0.0, -0.31]]},
+            duration_s=0.4,
+            minimize="effort",
+            limits={"effort": {"act_O1": [-3, 3], "act_O2": [-3, 3]}},
+        )
+    )  # its weight would help if it fell first: without ends it goes back by 16 mm
+    assert plan.status == "optimal"
