@@ -40,8 +40,11 @@ _MAX_ELIMINATION_OPERATIONS = 1_000
 
 @functools.lru_cache(maxsize=16)
 def is_lifted(mechanism: Mechanism) -> bool:
-    """Check if a mechanism's program is lifted; an open tree has no dependent joints to lift."""
-    if not len(mechanism.dependent) or mechanism.dynamics.projected:
+    """Check if a mechanism's program is lifted; an open tree has no dependent joints to lift.
+
+    Along a path it is not: lifted multipliers would let the path push.
+    """
+    if not len(mechanism.dependent) or mechanism.dynamics.projected or mechanism.n_equations > mechanism.dof:
         return False
     return mechanism.dynamics.velocity_map.n_instructions() > _MAX_ELIMINATION_OPERATIONS
 

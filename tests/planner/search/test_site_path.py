@@ -7,12 +7,18 @@ import numpy as np
 import pytest
 
 from linkplan.models.errors import LinkplanError
-from linkplan.models.guide.curve import Curve
+from linkplan.models.guide.curve import Curve, curve_through
+from linkplan.models.guide.guided import guided
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses.along import accelerations, joint_rates, site_motion
+from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.closed_chain.mechanics import is_lifted
 from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.prove import prove
 from linkplan.planner.search.planning import plan_motion
+from tests.bench.many_robots import delta
 
 # Two rods with their mass in the middle, in the vertical plane x-z; the second hinge counts from the first rod.
 L1, L2, M1, M2, J1, J2, G, D = 0.4, 0.3, 2.0, 1.0, 0.03, 0.01, 9.81, 0.05
@@ -290,3 +296,29 @@ def test_a_motion_with_time_to_spare_stays_between_the_ends_of_its_path():
         )
     )  # its weight would help if it fell first: without ends it goes back by 16 mm
     assert plan.status == "optimal"
+
+
+def test_a_path_does_not_push_a_mechanism_whose_program_is_lifted():
+    mechanism = load_mechanism(delta().text)
+    site = mechanism.model.site("at_0").id
+    place = places_of(mechanism, site, mechanism.home)[0]
+    curve = curve_through([place, place + np.array([0.05, 0.03, -0.02])], "polyline", 0.0, "path")
+    guide = guided(mechanism, site, curve, mechanism.home)
+    assert is_lifted(mechanism)
+    assert not is_lifted(guide)  # its multipliers would include forces of the path
+    # The residual is that of the free mechanism, along the same velocity and acceleration.
+    v, a, u = np.array([0.3]), np.array([-2.0]), np.array([1.0, -2.0, 3.0])
+    free = mechanism.independent
+    rates = joint_rates(guide, guide.home[None], v[None])[0, free]
+    bent = accelerations(guide, guide.home[None], v[None], a[None])[0, free]
+    expected = np.array(mechanism.dynamics.residual(mechanism.home, rates, bent, u)).ravel()
+    np.testing.assert_allclose(np.array(guide.dynamics.residual(guide.home, v, a, u)).ravel(), expected, atol=1e-9)
+    np.testing.assert_allclose(
+        site_motion(mechanism, 2)(mechanism.home, rates, bent).full()[:, site], curve_motion(curve, v, a), atol=1e-9
+    )
+
+
+def curve_motion(curve: Curve, v: np.ndarray, a: np.ndarray) -> np.ndarray:
+    """Return the acceleration (3,) of a point at the begin of a curve."""
+    _, slope, bend = (np.array(one).ravel() for one in curve.function(0.0))
+    return slope * a + bend * v**2
