@@ -47,7 +47,8 @@ from linkplan.models.kinematics import extent_m, set_softness
 from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
-from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, refuse_singular_inertia, with_numbers
+from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
+from linkplan.models.reduction.regular_inertia import refuse_singular_inertia
 from linkplan.models.selection import Selection, home_qpos, refuse_many_loose
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.dynamics import Tree, build_tree

@@ -18,7 +18,6 @@ from linkplan.models.closure.equations import Closure, read_closures
 from linkplan.models.errors import ModelError
 from linkplan.models.guide.curve import Curve
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.reduction.elimination import solve_positive
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree
 from linkplan.models.selection import home_qpos
 from linkplan.models.tree.dynamics import Tree, build_tree
@@ -38,25 +37,9 @@ class GuidedDynamics(ReducedDynamics):
 
     projection: ca.Function
 
-    @property
-    def acceleration(self) -> ca.Function:
-        """q, v, u -> x'' (1,), with the forces along the curve."""
-        return _forward(self)[0]
-
-    @property
-    def flow(self) -> ca.Function:
-        """q, v, u -> q' (n_q,), x'' (1,)."""
-        return _forward(self)[1]
-
-
-def _forward(dynamics: GuidedDynamics) -> tuple[ca.Function, ca.Function]:
-    of = dynamics.residual
-    q, v, _, u = (ca.SX.sym(of.name_in(i), of.sparsity_in(i)) for i in range(of.n_in()))
-    bias = dynamics.inverse_dynamics(q, v, ca.SX.zeros(v.numel()))
-    along = dynamics.projection(q).T @ (dynamics.effort_map(q) @ u - bias)
-    a = solve_positive(dynamics.reduced_inertia(q), along)
-    rates, a = (ca.densify(one) for one in ca.cse([dynamics.velocity_map(q) @ v, a]))
-    return ca.Function("acceleration", [q, v, u], [a]), ca.Function("flow", [q, v, u], [rates, a])
+    def along_freedoms(self, q: ca.SX, efforts: ca.SX) -> ca.SX:
+        """Return efforts (1, k) along the curve, of those in all equations (n_rows, k)."""
+        return self.projection(q).T @ efforts
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)

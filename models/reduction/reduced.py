@@ -18,69 +18,10 @@ import numpy as np
 from linkplan.models.closure.equations import Closure, rows_by_pin
 from linkplan.models.closure.newton import ProjectedLoops, combination, constant_combination, jacobians_at_random
 from linkplan.models.closure.rank import ROUNDING_SHARE
-from linkplan.models.errors import InertiaError
 from linkplan.models.reduction.elimination import block_determinants, block_rows, determinant, factorise, solve_positive
 from linkplan.models.tree.dynamics import Tree, site_places
-from linkplan.models.tree.joints import Joint, ball_turns, where
+from linkplan.models.tree.joints import ball_turns
 from linkplan.models.tree.tendons import limited_tendons
-
-# M_r, scaled to a unit diagonal, is singular if its least eigenvalue is below this. Accelerations would have less than four
-# correct digits; rounding leaves 1e-16.
-_SINGULAR_EIGENVALUE = 1e-12
-
-
-def is_regular(inertia: np.ndarray) -> np.ndarray:
-    """Return a mask (...) of the reduced inertias (..., n_s, n_s) that are finite and positive definite beyond rounding."""
-    diagonal = np.diagonal(inertia, axis1=-2, axis2=-1)
-    usable = np.asarray(np.isfinite(inertia).all(axis=(-2, -1)) & (diagonal > 0).all(axis=-1))
-    scale = np.sqrt(np.where(usable[..., None], diagonal, 1.0))
-    scaled = np.where(usable[..., None, None], inertia, np.eye(inertia.shape[-1])) / (
-        scale[..., :, None] * scale[..., None, :]
-    )
-    try:  # a Cholesky factor of all exists if all are regular, in a tenth of the time of their eigenvalues
-        np.linalg.cholesky(scaled - _SINGULAR_EIGENVALUE * np.eye(inertia.shape[-1]))
-        return usable
-    except np.linalg.LinAlgError:
-        return usable & (np.linalg.eigvalsh(scaled)[..., 0] > _SINGULAR_EIGENVALUE)
-
-
-def without_inertia(inertia: np.ndarray) -> list[int]:
-    """Return the coordinates with a large part in the motion without kinetic energy of a singular inertia (n_s, n_s)."""
-    diagonal = inertia.diagonal()
-    bad = ~np.isfinite(inertia).all(axis=1) | ~(diagonal > 0)
-    if bad.any():
-        return np.flatnonzero(bad).tolist()
-    scale = np.sqrt(diagonal)
-    share = np.abs(np.linalg.eigh(inertia / np.outer(scale, scale))[1][:, 0])
-    return np.flatnonzero(share >= 0.1 * share.max()).tolist()
-
-
-def singular_inertia_text(joints: Sequence[Joint], inertia: np.ndarray) -> str:
-    """Return a clause that names the independent joints (n_s,) that move without kinetic energy."""
-    names = [joints[column].name for column in without_inertia(inertia)]
-    if len(names) == 1:
-        return f"joint {names[0]} moves without moving any mass"
-    return f"joints {', '.join(names[:-1])} and {names[-1]} move together without moving any mass"
-
-
-def refuse_singular_inertia(name: str, joints: Sequence[Joint], independent: np.ndarray, dynamics, pose: np.ndarray) -> None:
-    """Refuse a mechanism whose reduced inertia is singular at its home pose (n_q,).
-
-    Raises:
-        InertiaError: if it is singular; the message names the coordinates that move without kinetic energy.
-    """
-    inertia = np.array(dynamics.reduced_inertia(pose))
-    if len(inertia) == 0 or is_regular(inertia):
-        return
-    of = [joints[index] for index in independent]
-    raise InertiaError(
-        f"mechanism '{name}' has a singular inertia at home ({where(of, pose[independent])}):"
-        f" {singular_inertia_text(of, inertia)}, so that no effort fixes their acceleration. Give a joint an armature or its"
-        " bodies mass off its axis; of joints on one axis keep one; or choose another home pose, where axes coincide at this"
-        " one only",
-        len(inertia),
-    )
-
 
 # Name of the functions' parameter input.
 _PARAMETERS = "parameters"
@@ -123,6 +64,10 @@ class ReducedDynamics:
     energy: ca.Function  # q, v -> kinetic, potential [J]
     site_places: ca.Function  # q -> p_world (3, n_sites) [m] of every site of the model, without parameters
 
+    def along_freedoms(self, _q: ca.SX, efforts: ca.SX) -> ca.SX:
+        """Return efforts (n_s, k) along the freedoms, of those in all equations of motion; there may be more equations."""
+        return efforts
+
     @property
     def acceleration(self) -> ca.Function:
         """q, v, u -> a (n_s,); built at the first use, since its expressions grow with the cube of n_s."""
@@ -145,7 +90,8 @@ def _forward(dynamics: ReducedDynamics) -> tuple[ca.Function, ca.Function]:
     of = dynamics.residual
     q, v, _, u, *further = (ca.SX.sym(of.name_in(i), of.sparsity_in(i)) for i in range(of.n_in()))
     bias = dynamics.inverse_dynamics(q, v, ca.SX.zeros(v.numel()), *further)
-    a = solve_positive(dynamics.reduced_inertia(q, *further), dynamics.effort_map(q, *further) @ u - bias)
+    along = dynamics.along_freedoms(q, dynamics.effort_map(q, *further) @ u - bias)
+    a = solve_positive(dynamics.reduced_inertia(q, *further), along)
     rates, a = (ca.densify(one) for one in ca.cse([dynamics.velocity_map(q, *further) @ v, a]))
     inputs, names = [q, v, u, *further], ["i0", "i1", "i2"] + [_PARAMETERS] * len(further)
     return (
@@ -175,7 +121,7 @@ def _linearisation(dynamics: ReducedDynamics) -> ca.Function:
     by_q, by_v = by[:, : q.numel()], by[:, q.numel() :]
     right = ca.horzcat(-by_q @ dynamics.velocity_map(q, *further), -by_v, dynamics.effort_map(q, *further))
     n_s = v.numel()
-    found = solve_positive(dynamics.reduced_inertia(q, *further), right)
+    found = solve_positive(dynamics.reduced_inertia(q, *further), dynamics.along_freedoms(q, right))
     outputs = [ca.densify(found[:, columns]) for columns in (slice(n_s), slice(n_s, 2 * n_s), slice(2 * n_s, None))]
     return ca.Function("linearisation", [q, v, u, *further], outputs)
 

@@ -26,7 +26,8 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.body_angles import turning_bodies
 from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import Reach
-from linkplan.models.reduction.reduced import ReducedDynamics, is_regular, singular_inertia_text
+from linkplan.models.reduction.reduced import ReducedDynamics
+from linkplan.models.reduction.regular_inertia import is_regular, singular_inertia_text
 from linkplan.models.tree.dynamics import site_names
 from linkplan.models.tree.joints import where
 from linkplan.planner.closed_chain.guess import GUESS_SAMPLES, first_guess, follows_reference, poses_along

@@ -11,6 +11,7 @@ from linkplan.models.guide.curve import Curve, curve_through
 from linkplan.models.guide.guided import guided
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import accelerations, joint_rates, site_motion
+from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.mechanics import is_lifted
@@ -322,3 +323,28 @@ def curve_motion(curve: Curve, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     """Return the acceleration (3,) of a point at the begin of a curve."""
     _, slope, bend = (np.array(one).ravel() for one in curve.function(0.0))
     return slope * a + bend * v**2
+
+
+def test_the_linearisation_along_a_path_is_the_slope_of_its_acceleration(quickest):
+    guide = quickest.problem.path.guided(quickest.problem.mechanism, quickest.trajectory.start_pose)
+    x, v, step = 0.2, np.array([0.7]), 1e-5
+
+    def acceleration(x: float, v: np.ndarray, u: np.ndarray) -> float:
+        pose = follow(guide, np.array([[x]]))[0]
+        return float(guide.dynamics.acceleration(pose, v, u))
+
+    # Off the path's own efforts a residual across the path remains, which the linearisation leaves out.
+    pose = follow(guide, np.array([[x]]))[0]
+    a = np.array([3.0])
+    q, rates = pose[:-1], joint_rates(guide, pose[None], v[None])[0, :-1]
+    u = quickest.problem.mechanism.dynamics.inverse_dynamics(
+        q, rates, accelerations(guide, pose[None], v[None], a[None])[0, :-1]
+    )
+    u = np.array(u).ravel()
+    assert acceleration(x, v, u) == pytest.approx(3.0, abs=1e-9)
+    by_x, by_v, by_u = (np.array(one) for one in guide.dynamics.linearisation(pose, v, u))
+    assert by_x[0, 0] == pytest.approx((acceleration(x + step, v, u) - acceleration(x - step, v, u)) / (2 * step), rel=1e-6)
+    assert by_v[0, 0] == pytest.approx((acceleration(x, v + step, u) - acceleration(x, v - step, u)) / (2 * step), rel=1e-6)
+    for j, unit in enumerate(np.eye(2)):
+        slope = (acceleration(x, v, u + step * unit) - acceleration(x, v, u - step * unit)) / (2 * step)
+        assert by_u[0, j] == pytest.approx(slope, rel=1e-6)
