@@ -63,7 +63,7 @@ def test_the_last_legal_value_is_taken_and_the_next_is_refused(kind, legal, beyo
         ("mesh.intervals", 1, "mesh.intervals is a whole number from 2 to 20000, got 1"),
         ("mesh.refine", "bth", "unknown mesh.refine 'bth' (did you mean 'both'?); legal: both, intervals, degree"),
         ("motion.duration_s", "soon", "motion.duration_s is a positive number or \"free\", got 'soon'"),
-        ("motion.kind", 5, "motion.kind is one of reach, hold, periodic, track, got 5"),
+        ("motion.kind", 5, "motion.kind is one of reach, hold, periodic, track, follow, got 5"),
         ("motion.start_deg", {"J": "x"}, "motion.start_deg of joint J is a number, got 'x'"),
         ("limits.effort", {"m": [1.0, "x"]}, "limits.effort.m is a number, got 'x'"),
         ("limits.effort", {"m": [1.0, 2.0, 3.0]}, "limits.effort.m is [low, high], got 3 of them"),
