@@ -128,7 +128,7 @@ def check_path(path: SitePath | None, kind: str, others: Mapping[str, object]) -
     Args:
         path: the problem's path.
         kind: of its motion.
-        others: what a motion along a path does not take, by the name of its table; None or empty where it is not given.
+        others: what a motion along a path does not take, by its name in messages; None, False or empty if not given.
     """
     if path is None:
         if kind == "follow":
@@ -138,4 +138,4 @@ def check_path(path: SitePath | None, kind: str, others: Mapping[str, object]) -
         raise ProblemError(f"[path] belongs to motion.kind 'follow', got '{kind}'; limits.site has tubes")
     given = [name for name, value in others.items() if value]
     if given:
-        raise ProblemError(f"motion.kind 'follow' takes no [{given[0]}]")
+        raise ProblemError(f"motion.kind 'follow' takes no {given[0]}")

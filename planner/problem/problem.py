@@ -313,7 +313,9 @@ class Problem:
             uses(extra, self.mechanism)  # refuses what does not fit the mechanism
         lacking = consistency.lacking_parts(self.motion, self.mechanism, self.motors, self.reference, self.mesh, self.limits)
         consistency.check_motion(self.motion, self.objective, self.reference)
-        others = {"reference": self.reference, "robust": self.robust.corners, "guess": self.guess}
+        others = {"[reference]": self.reference, "[robust]": self.robust.corners, "[guess]": self.guess}
+        # Along a path the joints' jerk is not that of the only coordinate.
+        others |= {"minimize 'jerk'": self.objective.has("jerk"), "limits.jerk": np.any(np.isfinite(self.limits.jerk))}
         check_path(self.path, self.motion.kind, others)
         consistency.check_objective(self.objective, self.motion, self.mechanism, self.limits, lacking)
         if len(self.limits.closure_force) == 0:

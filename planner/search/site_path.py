@@ -1,7 +1,7 @@
 """Plans of a site that follows a path exactly, with the path's parameter as the motion's only coordinate.
 
 The mechanism guided along the path has one freedom and all drives. Its plan is a plan like any other; every limit and
-objective applies. Its motion is then one of the mechanism itself, whose efforts follow from inverse dynamics.
+objective applies. Its motion and efforts are then those of the mechanism itself.
 """
 
 from collections.abc import Callable

@@ -258,6 +258,8 @@ def test_a_path_file_is_read_and_kept_in_the_problem(tmp_path):
             },
             "takes no [robust]",
         ),
+        ({"minimize": "jerk", "duration_s": 0.6}, "motion.kind 'follow' takes no minimize 'jerk'"),
+        ({"limits": {"jerk_deg_s3": {"q1": 1e6}}}, "motion.kind 'follow' takes no limits.jerk"),
         ({"path": {"site": "tip", "points": [LINE[0], [0.5, 0.1, 0.0]]}}, "path leaves the reach of site tip"),
     ],
 )
@@ -323,6 +325,12 @@ def curve_motion(curve: Curve, v: np.ndarray, a: np.ndarray) -> np.ndarray:
     """Return the acceleration (3,) of a point at the begin of a curve."""
     _, slope, bend = (np.array(one).ravel() for one in curve.function(0.0))
     return slope * a + bend * v**2
+
+
+def test_a_freedom_without_its_own_drive_is_refused():
+    one = ARM.replace('<motor name="m2" joint="q2"', '<motor name="m2" joint="q1"')
+    with pytest.raises(LinkplanError, match="got 2 drives that move 1 of them"):
+        Problem.follow(one, path={"site": "tip", "points": LINE}, start_deg={"q1": -40.0, "q2": 50.0})
 
 
 def test_the_linearisation_along_a_path_is_the_slope_of_its_acceleration(quickest):
