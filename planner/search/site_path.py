@@ -45,9 +45,9 @@ def plan_along_path(problem: Problem, start_pose: np.ndarray, plan_of: Callable[
 
 def _guided_problem(problem: Problem, mechanism: GuidedMechanism) -> Problem:
     """Return the problem of the guided mechanism: from rest at the path's begin to rest at its end."""
-    limits, ends = problem.limits, dict.fromkeys(("speed", "acceleration", "jerk"), free_bounds(1))
-    ends["position"] = np.array([[0.0, mechanism.curve.length]])
-    longer = {name: np.vstack([getattr(limits, name), rows]) for name, rows in ends.items()}
+    limits, ends = problem.limits, np.array([[0.0, mechanism.curve.length]])
+    rows = {"position": ends, "speed": free_bounds(1), "acceleration": free_bounds(1), "jerk": free_bounds(1)}
+    longer = {name: np.vstack([getattr(limits, name), row]) for name, row in rows.items()}
     forces = np.append(limits.closure_force, np.inf)
     motion = replace(
         problem.motion,
