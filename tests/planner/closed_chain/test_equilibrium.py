@@ -75,7 +75,7 @@ def test_from_rest_to_rest_a_plan_needs_no_effort_beyond_the_arm_s_at_its_ends(a
 
 def test_freedoms_on_springs_that_have_no_rest_are_named_with_the_key_that_locks_them(arm, monkeypatch):
     arm.write_text(SPRUNG.replace('name="spring"', 'name="a spring"'), encoding="utf-8")
-    monkeypatch.setattr("linkplan.planner.problem.motion.spring_equilibrium", lambda *_: None)
+    monkeypatch.setattr("linkplan.planner.problem.motion_table.spring_equilibrium", lambda *_: None)
     with pytest.raises(ProblemError, match="names no value for a spring, and no equilibrium") as refused:
         Problem.from_tables("arm", tables(arm, {"arm": -30.0}, {"arm": 20.0}))
     key = str(refused.value).split("near home; mechanism.")[1].removesuffix(" holds them")
