@@ -94,9 +94,10 @@ class Curve:
 
     def distance(self, points: np.ndarray) -> np.ndarray:
         """Return the distances (n,) [m] of points (n, 3) from the curve."""
+        import scipy
+
         coarse = np.linspace(0.0, self.length, 40 * len(self.pieces) + 1)
-        places = self.places(coarse)
-        x = coarse[np.argmin(np.linalg.norm(points[:, None] - places, axis=2), axis=1)]
+        x = coarse[scipy.spatial.cKDTree(self.places(coarse)).query(points)[1]]
         function = self.function.map(len(x))
         for _ in range(12):
             place, slope, bend = (np.array(one).T for one in function(x[None]))

@@ -252,7 +252,7 @@ class Problem:
 
     @property
     def bodies(self) -> dict[str, int]:
-        """The indices in the model of all bodies whose angle the problem names, by name: as `sites`, and its reference."""
+        """The indices in the model of all bodies whose angle the problem names, by name: in motion, limits or reference."""
         angles = [task for task in self.motion.tasks if isinstance(task, BodyAngle)]
         tracked = self.source.get("reference", {}).get("body_deg", {})
         known = {one.body: one.index for one in (*angles, *self.limits.body)}
