@@ -183,9 +183,12 @@ def test_efforts_are_those_of_the_arm_and_reach_the_limits(quickest):
     q, v, a = motion.position_at(time).T, motion.velocity_at(time).T, motion.acceleration_at(time).T
     effort = motion.effort_at(time)
     np.testing.assert_allclose(effort, np.array(torques(q, v, a)).T, atol=2e-3)
-    bound = (np.abs(effort) / LIMIT).max(axis=1)
-    assert bound.min() > 0.99  # one drive or the other at every instant, but for the error of the mesh at a switch
-    assert np.mean(bound > 0.9999) > 0.9
+    # One drive or the other at every instant; an interval beside a switch may hold the jump.
+    share = effort / LIMIT
+    binding = np.argmax(np.hstack([share, -share]), axis=1)
+    alike = (binding[1:-1] == binding[:-2]) & (binding[1:-1] == binding[2:])
+    assert alike.mean() > 0.9
+    assert np.abs(share).max(axis=1)[1:-1][alike].min() > 0.999
 
 
 def test_a_motion_off_its_path_fails_its_certificate(quickest):
