@@ -47,10 +47,15 @@ class Polynomial:
 
     def place(self, x: ca.SX) -> ca.SX:
         """Return the place (3,) [m] at the parameter x."""
-        value = ca.SX.zeros(3)
-        for coefficient in self.coefficients[::-1]:
-            value = value * x + ca.DM(coefficient)
-        return value
+        return _horner(ca.SX(self.coefficients), x)
+
+
+def _horner(coefficients: ca.SX, x: ca.SX) -> ca.SX:
+    """Return sum over k of coefficients[k] x^k (3,), coefficients (n, 3)."""
+    value = ca.SX.zeros(3)
+    for k in reversed(range(coefficients.shape[0])):
+        value = value * x + coefficients[k, :].T
+    return value
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +65,7 @@ class Curve:
     `corners` (n,) are parameters at which the third derivative jumps as much as the curve is bent: the ends of blends.
     """
 
-    pieces: tuple[Arc | Polynomial, ...]
+    pieces: tuple[Arc, ...] | tuple[Polynomial, ...]
     corners: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @cached_property
@@ -75,10 +80,18 @@ class Curve:
 
     def place(self, x: ca.SX) -> ca.SX:
         """Return the place (3,) [m] at a parameter as an expression; beyond its ends the curve continues."""
-        place = self.pieces[0].place(x)
-        for piece, start in zip(self.pieces[1:], self.starts[1:], strict=True):
-            place = ca.if_else(x < float(start), place, piece.place(x - float(start)))
-        return place
+        if isinstance(self.pieces[0], Arc):  # all pieces are of one circle
+            return self.pieces[0].place(x)
+        # A choice of numbers, not of places: the derivatives of one polynomial are cheap however many pieces there are.
+        n = max(len(piece.coefficients) for piece in self.pieces)
+        rows = [
+            ca.SX([[float(start)], *np.pad(piece.coefficients, ((0, n - len(piece.coefficients)), (0, 0))).reshape(-1, 1)])
+            for piece, start in zip(self.pieces, self.starts, strict=True)
+        ]
+        chosen = rows[0]
+        for row, start in zip(rows[1:], self.starts[1:], strict=True):
+            chosen = ca.if_else(x < float(start), chosen, row)
+        return _horner(ca.reshape(chosen[1:], 3, n).T, x - chosen[0])
 
     @cached_property
     def function(self) -> ca.Function:
@@ -116,7 +129,7 @@ def line(points: np.ndarray, blend_m: float, where: str) -> Curve:
     ways = np.diff(points, axis=0)
     lengths = np.linalg.norm(ways, axis=1)
     units = ways / lengths[:, None]
-    pieces: list[Arc | Polynomial] = []
+    pieces: list[Polynomial] = []
     begin = 0.0
     for k, (point, unit, length) in enumerate(zip(points, units, lengths, strict=False)):
         corner = k + 1 < len(units) and _turns(unit, units[k + 1], points[k + 1], where)

@@ -79,3 +79,16 @@ def test_points_without_a_curve_are_refused(points: list, shape: str, blend_m: f
     with pytest.raises(ModelError) as error:
         curve_through(points, shape, blend_m, "path")
     assert said in str(error.value)
+
+
+def test_a_spline_of_many_points_is_that_of_scipy_with_its_derivatives():
+    import scipy
+
+    s = np.linspace(0.0, 1.0, 40)
+    points = np.stack([s, 0.3 * np.sin(3.0 * s), 0.1 * np.cos(2.0 * s)], axis=1)
+    chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    expected = scipy.interpolate.CubicSpline(chords, points, bc_type="natural")
+    curve = curve_through(points.tolist(), "spline", 0.0, "path")
+    for x in np.linspace(-0.01, curve.length + 0.01, 97):
+        for order, found in enumerate(derivatives(curve, x)):
+            np.testing.assert_allclose(found, expected(x, order), rtol=0, atol=1e-12)
