@@ -6,7 +6,7 @@ Every curve has continuous second derivatives by its parameter, so that accelera
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
@@ -60,18 +60,19 @@ def _horner(coefficients: ca.SX, x: ca.SX) -> ca.SX:
 
 @dataclass(frozen=True, eq=False)
 class Curve:
-    """A curve of pieces one after another, over a parameter [m] that begins at 0 and ends at `length`.
-
-    `corners` (n,) are parameters at which the third derivative jumps as much as the curve is bent: the ends of blends.
-    """
+    """A curve of pieces one after another, over a parameter [m] that begins at 0 and ends at `length`."""
 
     pieces: tuple[Arc, ...] | tuple[Polynomial, ...]
-    corners: np.ndarray = field(default_factory=lambda: np.zeros(0))
 
     @cached_property
     def starts(self) -> np.ndarray:
         """The parameters (n,) at which the pieces begin."""
         return np.concatenate([[0.0], np.cumsum([piece.length for piece in self.pieces])[:-1]])
+
+    @property
+    def corners(self) -> np.ndarray:
+        """The parameters (n,) at which the third derivative jumps: the ends of blends, the points of a spline."""
+        return self.starts[1:] if isinstance(self.pieces[0], Polynomial) else np.zeros(0)
 
     @property
     def length(self) -> float:
@@ -149,7 +150,7 @@ def line(points: np.ndarray, blend_m: float, where: str) -> Curve:
         if corner:
             pieces.append(_blend(points[k + 1], unit, units[k + 1], blend_m))
         begin = blend_m if corner else 0.0
-    return Curve(tuple(pieces), corners=Curve(tuple(pieces)).starts[1:])
+    return Curve(tuple(pieces))
 
 
 def _turns(before: np.ndarray, after: np.ndarray, corner: np.ndarray, where: str) -> bool:

@@ -227,6 +227,15 @@ def test_a_polyline_with_rounded_corners_is_followed_and_saved(tmp_path):
     np.testing.assert_array_equal(again.trajectory.position, plan.trajectory.position)
 
 
+def test_the_least_time_along_a_spline_is_proved_although_its_third_derivative_jumps_at_its_points():
+    points = [[0.55, 0.0, -0.15], [0.52, 0.0, 0.0], [0.42, 0.0, 0.12], [0.35, 0.0, 0.25]]
+    plan = plan_motion(followed(path={"site": "tip", "points": points, "shape": "spline"}))
+    assert plan.status == "optimal"
+    findings = prove(plan.problem, plan.trajectory, existence=False).findings
+    efforts = [one.answer for one in findings if one.name.startswith("effort of")]
+    assert efforts == ["proved", "proved"]
+
+
 def test_the_start_chooses_among_the_poses_at_the_begin():
     above = followed(start_deg={"q1": 40.0, "q2": -50.0})
     assert np.degrees(followed().motion.start[1]) > 10.0
