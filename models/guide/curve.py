@@ -106,8 +106,8 @@ class Curve:
         """Return the places (n, 3) [m] at parameters (n,)."""
         return np.array(self.function.map(len(x))(np.asarray(x)[None])[0]).T
 
-    def distance(self, points: np.ndarray) -> np.ndarray:
-        """Return the distances (n,) [m] of points (n, 3) from the curve."""
+    def nearest(self, points: np.ndarray) -> np.ndarray:
+        """Return the parameters (n,) [m] of the curve's points that are nearest to points (n, 3)."""
         import scipy
 
         coarse = np.linspace(0.0, self.length, 40 * len(self.pieces) + 1)
@@ -118,7 +118,11 @@ class Curve:
             off = place - points
             curvature = np.sum(slope**2, axis=1) + np.maximum(np.sum(off * bend, axis=1), 0.0)
             x = np.clip(x - np.sum(off * slope, axis=1) / curvature, 0.0, self.length)
-        return np.linalg.norm(self.places(x) - points, axis=1)
+        return x
+
+    def distance(self, points: np.ndarray) -> np.ndarray:
+        """Return the distances (n,) [m] of points (n, 3) from the curve."""
+        return np.linalg.norm(self.places(self.nearest(points)) - points, axis=1)
 
 
 def line(points: np.ndarray, blend_m: float, where: str) -> Curve:

@@ -143,7 +143,7 @@ class Claimed:
         unit: in which it is shown, `per_unit` times SI.
         bounds: [low, high].
         value: in the balls of a `proof.motion.Kinetics` (of a `State` if `of_planned`), or a CasADi function of the pose q,
-            or of q, v, a and u of the independent joints.
+            or of q, v, a and u of the independent joints, or one function of q for each interval of the trajectory.
         of_planned: whether the value needs planned positions and efforts only, and no speeds.
         slack: the allowances of both bounds; those for rounding by default.
         unknown: why the value cannot be enclosed.
@@ -152,7 +152,7 @@ class Claimed:
     name: str
     unit: str
     bounds: Sequence[float] | np.ndarray
-    value: Callable[[Any], Any] | ca.Function
+    value: Callable[[Any], Any] | ca.Function | Sequence[ca.Function]
     of_planned: bool = False
     slack: tuple[float, float] | None = None
     per_unit: float = 1.0

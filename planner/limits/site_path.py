@@ -11,7 +11,8 @@ from typing import ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from linkplan.models.guide.curve import Arc, Curve, Polynomial
+from linkplan.models.guide.curve import Arc, Polynomial
+from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.limits.limit import (
@@ -27,9 +28,13 @@ from linkplan.planner.limits.limit import (
     Scales,
     Trajectory,
 )
+from linkplan.planner.problem.path import SitePath
 
-# Newton steps from the chord's parameter to the nearest point of a piece; each squares the error.
-_NEWTON_STEPS = 4
+# Most Newton steps from the chord's parameter to that of a piece's nearest point, and the share of the piece's length by
+# which they may miss it: a squared distance then has an error of 1e-16 of the squared length.
+_NEWTON_STEPS, _MISSED_SHARE = 6, 1e-8
+# Shares of an interval at which the nearest piece is looked for: plans have nodes at the ends of pieces, to rounding.
+_SHARES = np.array([1e-6, 0.25, 0.5, 0.75, 1 - 1e-6])
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,14 +78,12 @@ class OnPathLimit(Limit):
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
         path = problem.path
         assert path is not None
-        q = ca.SX.sym("q", problem.mechanism.n_q)
-        place = problem.mechanism.dynamics.site_places(q)[:, path.index]
-        squared = functools.reduce(ca.fmin, _squared_distances(path.curve, place))
+        places = functools.cache(functools.partial(_squared_distance, problem.mechanism, path))
         yield Claimed(
             name=f"squared distance of site {path.site} from its path",
             unit="m2",
             bounds=(-np.inf, path.within_m**2),
-            value=ca.Function("path", [q], [ca.densify(squared)]),
+            value=[places(pieces) for pieces in _pieces_near(problem, trajectory)],
             of_planned=True,
             slack=(0.0, 0.0),
         )
@@ -92,20 +95,42 @@ class OnPathLimit(Limit):
         return replace(problem, path=replace(problem.path, within_m=problem.path.within_m * min(factor, 1e12)))
 
 
-def _squared_distances(curve: Curve, p: ca.SX) -> list[ca.SX]:
-    """Return an upper bound [m2] of the squared distance of a place p (3,) from each piece, to rounding the distance."""
-    return [ca.sumsqr(piece.place(_nearest(piece, p)) - p) for piece in curve.pieces]
+def _pieces_near(problem: Problem, trajectory: Trajectory) -> list[tuple[int, ...]]:
+    """Return the pieces of the path that the site is near to on each interval."""
+    path, mechanism = problem.path, problem.mechanism
+    assert path is not None
+    q = trajectory.position_at(trajectory.times_at(_SHARES))
+    q = follow(mechanism, q, trajectory.start_pose, problem.solver.judging_deadline)
+    nearest = path.curve.nearest(places_of(mechanism, path.index, q))
+    pieces = np.searchsorted(path.curve.starts, nearest, side="right") - 1
+    return [tuple(range(min(of), max(of) + 1)) for of in pieces.reshape(-1, len(_SHARES)).tolist()]
+
+
+def _squared_distance(mechanism: Mechanism, path: SitePath, pieces: tuple[int, ...]) -> ca.Function:
+    """Return an upper bound [m2] of the squared distance of the site from pieces, to rounding the distance, by the pose."""
+    q = ca.SX.sym("q", mechanism.n_q)
+    p = mechanism.dynamics.site_places(q)[:, path.index]
+    of = [path.curve.pieces[k] for k in pieces]
+    squared = functools.reduce(ca.fmin, (ca.sumsqr(piece.place(_nearest(piece, p)) - p) for piece in of))
+    return ca.Function("path", [q], [ca.densify(squared)])
 
 
 def _nearest(piece: Arc | Polynomial, p: ca.SX) -> ca.SX:
-    """Return the parameter of the point of a piece that is nearest to p: of its chord's, then by Newton's method."""
-    x = ca.SX.sym("x")
-    slope = ca.jacobian(piece.place(x), x)
-    step = ca.Function("step", [x, q := ca.SX.sym("p", 3)], [x - ca.dot(slope, piece.place(x) - q) / ca.sumsqr(slope)])
+    """Return the parameter of the point of a piece that is nearest to p: of its chord's, then by Newton's method.
+
+    It takes no more steps than points of the piece need, because each makes a ball around the parameter twice as wide.
+    """
+    x, q = ca.SX.sym("x"), ca.SX.sym("p", 3)
+    place = piece.place(x)
+    slope = ca.jacobian(place, x)
+    step = ca.Function("step", [x, q], [x - ca.dot(slope, place - q) / ca.sumsqr(slope)])
     first, last = (ca.DM(ca.evalf(piece.place(ca.SX(end)))) for end in (0.0, piece.length))
     way = last - first
-    share = ca.dot(p - first, way) / ca.sumsqr(way)
-    found = ca.fmax(0.0, ca.fmin(1.0, share)) * piece.length
+    found = piece.length * ca.fmax(0.0, ca.fmin(1.0, ca.dot(q - first, way) / ca.sumsqr(way)))
+    along = np.linspace(0.0, piece.length, 20)
     for _ in range(_NEWTON_STEPS):
-        found = ca.fmax(0.0, ca.fmin(piece.length, step(found, p)))
-    return found
+        found = ca.fmax(0.0, ca.fmin(piece.length, step(found, q)))
+        missed = ca.Function("missed", [x], [ca.substitute(found, q, place) - x]).map(len(along))
+        if np.abs(np.array(missed(along[None]))).max() <= _MISSED_SHARE * piece.length:
+            break
+    return ca.substitute(found, q, p)

@@ -63,6 +63,9 @@ def _sort_in(one: Claimed, problem: Problem, claims: list[Claim], open_limits: l
 def _values(one: Claimed, problem: Problem) -> Callable[[State], list[Ball]]:
     """Return the function of a state that encloses what a limit claims."""
     value = one.value
+    if isinstance(value, Sequence):
+        walks = [walk_of(function) for function in value]
+        return lambda state: [walks[state.piece.index](state.q)[0][0, 0]]
     if not isinstance(value, ca.Function):
         return (lambda state: [value(state)]) if one.of_planned else of_kinetics(value)
     walk, of_s = walk_of(value), list(problem.mechanism.independent)

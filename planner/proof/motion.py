@@ -148,8 +148,9 @@ def power_form(bernstein: np.ndarray) -> list[arb]:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Piece:
-    """One interval of a trajectory: its polynomials in tau in [0, 1], for each coordinate or actuator."""
+    """Interval `index` of a trajectory: its polynomials in tau in [0, 1], for each coordinate or actuator."""
 
+    index: int
     begin_s: float
     since: arb  # the time from the motion's begin to the interval's [s]
     width: arb  # [s]
@@ -167,7 +168,8 @@ class Piece:
             for name in ("position", "velocity", "effort")
         }
         since = arb(begin) - arb(float(trajectory.breaks_s[0]))
-        return cls(begin_s=begin, since=since, width=arb(end) - arb(begin), one_velocity=_agrees(trajectory, k), **named)
+        width, one_velocity = arb(end) - arb(begin), _agrees(trajectory, k)
+        return cls(index=k, begin_s=begin, since=since, width=width, one_velocity=one_velocity, **named)
 
 
 def _agrees(trajectory: Trajectory, k: int) -> bool:

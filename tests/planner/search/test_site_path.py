@@ -191,14 +191,16 @@ def test_efforts_are_those_of_the_arm_and_reach_the_limits(quickest):
     assert np.abs(share).max(axis=1)[1:-1][alike].min() > 0.999
 
 
-def test_a_motion_off_its_path_fails_its_certificate(quickest):
+def test_a_motion_off_its_path_fails_its_certificate_and_its_proof(quickest):
     path = quickest.problem.path
     (piece,) = path.curve.pieces
     moved = replace(
         path, curve=Curve((replace(piece, coefficients=piece.coefficients + np.array([[0, 0, 1e-5], [0, 0, 0]])),))
     )
-    failures = certify(replace(quickest.problem, path=moved), quickest.trajectory).failures
-    assert any("distance of site tip from its path" in failure for failure in failures)
+    problem = replace(quickest.problem, path=moved)
+    assert any("distance of site tip from its path" in one for one in certify(problem, quickest.trajectory).failures)
+    (finding,) = [one for one in prove(problem, quickest.trajectory, existence=False).findings if "its path" in one.name]
+    assert finding.answer == "refuted"
 
 
 @pytest.fixture(scope="module")
@@ -232,8 +234,8 @@ def test_the_least_time_along_a_spline_is_proved_although_its_third_derivative_j
     plan = plan_motion(followed(path={"site": "tip", "points": points, "shape": "spline"}))
     assert plan.status == "optimal"
     findings = prove(plan.problem, plan.trajectory, existence=False).findings
-    efforts = [one.answer for one in findings if one.name.startswith("effort of")]
-    assert efforts == ["proved", "proved"]
+    answers = [one.answer for one in findings if one.name.startswith(("effort of", "squared distance"))]
+    assert answers == ["proved"] * 3
 
 
 def test_the_start_chooses_among_the_poses_at_the_begin():
