@@ -277,6 +277,11 @@ def certify_iterate(case: Case, found: Iterate) -> CertifiedIterate:
     return CertifiedIterate(found=found, certificate=certificate, report=report)
 
 
+def share_gained(before: float, after: float) -> float:
+    """Return by how much an objective, of either sign, fell as a share of the later one's size."""
+    return (before - after) / max(abs(after), np.finfo(float).tiny)
+
+
 def error_of(at: CertifiedIterate) -> float:
     """Return the integration error in its client's unit; infinite without a certificate."""
     return np.inf if at.report is None else at.report.integration_error_deg or at.report.integration_error or 0.0

@@ -14,7 +14,7 @@ from linkplan.planner.closed_chain.guess import Guess, motion_of, poses_along, s
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.case import attempt, share_gained
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.switch_search import at_bounds
 from linkplan.planner.search.attempts import certified, only_feasible
@@ -161,7 +161,7 @@ def continued(problem: Problem, quickest: Guess, n_intervals: int, known: KnownM
 
 
 def _saved_little(before: Continued, after: Continued) -> bool:
-    return before.objective - after.objective < MIN_SAVING * abs(after.objective)
+    return share_gained(before.objective, after.objective) < MIN_SAVING
 
 
 def _step(problem: Problem, at: Continued, allowed: float) -> Continued | None:

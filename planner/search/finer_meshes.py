@@ -21,7 +21,7 @@ from linkplan.planner.closed_chain.guess import motion_of
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.actions import nearest_on
-from linkplan.planner.refinement.case import CertifiedIterate, Iterate, attempt, certify_iterate
+from linkplan.planner.refinement.case import CertifiedIterate, Iterate, attempt, certify_iterate, share_gained
 from linkplan.planner.refinement.constrained_arcs import arc_ends, own_arcs
 from linkplan.planner.refinement.marking import degree_of, rough_of
 from linkplan.planner.refinement.state import Refined
@@ -113,8 +113,7 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
         if finer is None:
             break
         before, at = at, certify_iterate(case, finer)
-        gain = before.found.solution.objective - finer.solution.objective
-        gain /= max(abs(finer.solution.objective), np.finfo(float).tiny)
+        gain = share_gained(before.found.solution.objective, finer.solution.objective)
         better = not kept or finer.solution.objective < kept[-1].at.found.solution.objective
         last = _Kept(way.case, at, rows) if better and at.certificate is not None else None
         way = _next_way(way.case, before, at, gain) if at.passed or better else None
@@ -157,7 +156,7 @@ def _solved(way: _Way, coarse: Iterate, rows: bool) -> Iterate | None:
         )  # fmt: skip
         if finer is not None:
             found.append(finer)
-            if finer.solution.objective <= (1 + lost) * coarse.solution.objective:
+            if share_gained(finer.solution.objective, coarse.solution.objective) <= lost:
                 break
     return min(found, key=lambda finer: finer.solution.objective, default=None)
 

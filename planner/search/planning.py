@@ -15,6 +15,7 @@ from linkplan.planner.closed_chain.case import LOCALLY, plan_hold, plan_prescrib
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.refinement.case import share_gained
 from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
 from linkplan.planner.refinement.state import REPORTED_CHANGE
 from linkplan.planner.search import attempts, continuations, reasons, resting, starts, waiting
@@ -215,14 +216,20 @@ def _found_or_smooth(search: Search, methods: Sequence[SearchMethod]) -> Plan | 
     rest = at_rest(search)
     if rest is not None and rest.status == "optimal":
         return rest
-    plan, most = _found_by(search, methods), float("inf") if rest is None else (1 + REPORTED_CHANGE) * rest.objective
-    if plan is not None and plan.passed and plan.objective <= most:
+    plan = _found_by(search, methods)
+    if plan is not None and plan.passed and (rest is None or _costs_no_more(plan, rest)):
         return plan
     if rest is not None:
         return rest
     with contextlib.suppress(OutOfTimeError):
         plan = along_smooth_path(search) or plan
     return plan
+
+
+def _costs_no_more(plan: Plan, rest: Plan) -> bool:
+    assert plan.objective is not None
+    assert rest.objective is not None
+    return share_gained(plan.objective, rest.objective) <= REPORTED_CHANGE
 
 
 def _found_by(search: Search, methods: Sequence[SearchMethod]) -> Plan | None:

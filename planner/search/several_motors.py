@@ -19,7 +19,7 @@ from linkplan.planner.closed_chain.formulate import FIRST_TIE_WEIGHT, TIE_WEIGHT
 from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, stretched
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.case import Iterate, attempt
+from linkplan.planner.refinement.case import Iterate, attempt, share_gained
 from linkplan.planner.refinement.history import progress
 from linkplan.planner.search.attempts import certified, objective_of, only_feasible, without_solving
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, LAST_MARGIN, at_a_distance
@@ -57,7 +57,7 @@ def from_several_starts(search: Search, budget: Budget) -> Plan | None:
     plans: list[Plan] = []
     for first in search.deadline.take(firsts[:_MOST_REFINED]):
         best = _best(plans)
-        if best is not None and first.objective > (1 - _ALIKE_SHARE) * best.objective:
+        if best is not None and not _cheaper(first.objective, best):
             break
         progress(f"refining the motion from {first.what}")
         found, unbounded = with_longer_durations(problem, first.found)
@@ -71,7 +71,7 @@ def from_several_starts(search: Search, budget: Budget) -> Plan | None:
     if best is None:
         return plans[0] if plans else None
     better = min(first.objective for first in firsts)
-    if not (plans and best is plans[0]) and better < (1 - _ALIKE_SHARE) * best.objective:
+    if not (plans and best is plans[0]) and _cheaper(better, best):
         return only_feasible(best, f"; a motion with {better:.6g} was found that does not pass its certificate")
     said = _TIES if np.any(tie_weights(problem, TIE_WEIGHT)) else ""
     return replace(best, message=best.message + said + _margin_kept(problem, best))
@@ -147,8 +147,14 @@ def _in_time(case: MechanismCase, found: list[_First]) -> MechanismCase:
     return replace(case, problem=replace(case.problem, solver=solver))
 
 
+def _cheaper(objective: float, plan: Plan) -> bool:
+    """True if an objective is so much less than a plan's that it is of another motion."""
+    assert plan.objective is not None
+    return share_gained(plan.objective, objective) > _ALIKE_SHARE
+
+
 def _alike(one: float, other: float) -> bool:
-    return abs(one - other) <= _ALIKE_SHARE * abs(other)
+    return abs(share_gained(one, other)) <= _ALIKE_SHARE
 
 
 def _starts(search: Search, problem: Problem) -> Iterator[tuple[str, Guess]]:

@@ -40,8 +40,8 @@ from linkplan.planner.search.solving import (
 
 # The words on the least-time plan from the phase plane's motion, among the known motions.
 PHASE_PLANE_LEAST_TIME = "least time from the phase plane"
-# A solution that costs less than this share of the cheapest legs is no motion between the nodes of its mesh.
-_FALSE_BELOW = 0.9
+# A solution that costs less than the cheapest legs by more than this share is no motion between the nodes of its mesh.
+_FALSE_SHARE = 0.1
 # Perturbed guesses among the first starts of a multistart.
 _FIRST_PERTURBED_GUESSES = 3
 
@@ -110,7 +110,10 @@ def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
         return _better_plan(search, budget)
     assert search.quickest is not None  # where the phase plane applies
     legs = legs_plan(search) if search.plans and search.quickest.swings <= 1 else None
-    least = _FALSE_BELOW * legs.objective if legs is not None and legs.passed else 0.0
+    least = -np.inf
+    if legs is not None and legs.passed:
+        assert legs.objective is not None
+        least = legs.objective - _FALSE_SHARE * abs(legs.objective)
     return _first_of(search, budget, _of_the_phase_plane(search, budget), least=least)
 
 
@@ -173,7 +176,7 @@ def from_swings(search: Search, budget: Budget) -> Plan | None:
 
 
 def _first_of(
-    search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]], *, repaired: bool = True, least: float = 0.0
+    search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]], *, repaired: bool = True, least: float = -np.inf
 ) -> Plan | None:
     """Return the first plan that passes, or the last that was found; those before it are kept among the search's plans."""
     missed = None

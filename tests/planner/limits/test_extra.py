@@ -89,13 +89,13 @@ def test_an_extra_cost_adds_its_weighted_integral_to_the_objective(knee, free):
     assert both.objective == pytest.approx(4.0 * free.objective, rel=EXTRA_LIMIT)
 
 
-@pytest.mark.slow
-def test_a_cost_below_zero_is_planned_saved_and_read(knee, free, tmp_path):
+def test_a_cost_below_zero_is_planned_in_as_many_solves_saved_and_read(knee, free, tmp_path):
     """A constant taken from the squared effort leaves the motion, and takes its integral from the objective."""
     saved = 1.5 * free.objective
     cost = ExtraCost(name="less", expression=lambda at: own_effort(at) - saved / REACH["duration_s"])
     plan = linkplan.plan(Problem.reach(knee, **REACH, minimize={}, extra_costs=[cost])).require()
     assert plan.objective == pytest.approx(free.objective - saved, rel=EXTRA_LIMIT)
+    assert len(plan.history) == len(free.history)
     plan.save(tmp_path / "plan")
     assert linkplan.read_plan(tmp_path / "plan", extra_costs=[cost]).objective == plan.objective
 
