@@ -302,7 +302,7 @@ def _enough(case: MechanismCase, worst: np.ndarray) -> np.ndarray:
 def jumps_of(case: MechanismCase, found: Iterate) -> np.ndarray:
     """Return the times (n,) [s] at which efforts jump or arcs along limits on acceleration and jerk end, increasing."""
     motion, jumps = found.motion, effort_jumps(case, found.motion)
-    arcs = own_arcs(found.solution.transcribed, found.solution.x, ("acceleration", "jerk"))
+    arcs = own_arcs(found.solution.transcribed, found.solution.x, ("speed", "acceleration", "jerk"))
     ends = arc_ends(arcs, motion.breaks_s, jumps, motion.breaks_s[found.mesh.boundaries()])
     return _apart(np.sort(np.append(jumps, ends)), motion.breaks_s[[0, -1]], motion)
 

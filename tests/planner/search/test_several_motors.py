@@ -20,6 +20,7 @@ from linkplan.planner.search.finer_meshes import FIRST_MARGIN, at_a_distance, ef
 from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.several_motors import from_several_starts
+from tests.bench.many_robots import write_robots
 from tests.support.data import DATA
 
 LEAST_TIME_S, LEAST_EFFORT = 0.18663512, 850.59
@@ -93,6 +94,15 @@ def test_a_slower_motion_bounds_a_least_time_that_does_not_pass(in_least_time, m
     assert plan.objective == pytest.approx(1.05 * LEAST_TIME_S, rel=2e-3)
     assert "a motion with 0.1867" in plan.message  # its duration, without what breaks ties
     assert "was found that does not pass its certificate" in plan.message
+
+
+def test_a_least_time_with_joints_along_their_speed_limits_is_proved(tmp_path):
+    """Efforts jump where a joint reaches or leaves its speed limit; planned as jumps inside intervals they were refuted."""
+    write_robots(tmp_path, ["speed"])
+    plan = linkplan.plan(tmp_path / "spatial-4-speed.toml", prove=True)
+    assert plan.status == "optimal"
+    assert plan.proof.verdict == "proved"
+    assert plan.objective == pytest.approx(0.391782, rel=1e-4)
 
 
 def test_the_tie_weight_is_the_mean_squared_effort_in_shares_of_the_limits(in_least_time):

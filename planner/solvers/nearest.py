@@ -1,0 +1,56 @@
+"""The feasible point of a program that is nearest to given unknowns.
+
+A motion that is optimal on one mesh misses the rows of a finer mesh by the error of the first. Optimizing again takes as
+many iterations as the first time, and may not end where limits bind all along. The nearest feasible point minimises
+
+    1/2 (x - x_0)^T W (x - x_0)  subject to the program's bounds and rows,
+
+and the interior point method ends just inside the bounds. W is large for efforts and durations: these change where the
+motion has to, and the states follow.
+"""
+
+from dataclasses import replace
+
+import casadi as ca
+import numpy as np
+
+from linkplan.planner.problem.settings import SolverSettings
+from linkplan.planner.solvers.solve import Solution, build_solver, run_solver
+from linkplan.planner.transcription.collocation import Transcribed
+
+# The status of a solution that is feasible, as IPOPT names it; the program's own objective is not minimised.
+FEASIBLE = "Feasible_Point_Found"
+# The squared costs of a change of states and algebraic unknowns, and of efforts and durations, all scaled. With these the
+# barrier keeps unknowns away from their bounds by 3e-7, less than a proof allows for efforts.
+_STATE_WEIGHT, _EFFORT_WEIGHT = 1e-2, 1e4
+# At most so many iterations; ten to thirty find the point.
+_MOST_ITERATIONS = 100
+
+
+def nearest_feasible(transcribed: Transcribed, x: np.ndarray, settings: SolverSettings | None = None) -> Solution:
+    """Return the feasible point near unknowns x (n,), or a solution that has not converged."""
+    program, near = transcribed.program, np.clip(x, transcribed.lower, transcribed.upper)
+    weight = np.full(len(x), _STATE_WEIGHT)
+    weight[program.layout.effort().ravel()] = weight[program.layout.durations()] = _EFFORT_WEIGHT
+    nearest = replace(program, functions=_functions(program.functions, ca.DM(near), ca.DM(weight)))
+    settings = (settings or SolverSettings()).replace(max_iterations=_MOST_ITERATIONS)
+    solver = build_solver(nearest, settings, close=True)
+    found = run_solver(solver, replace(transcribed, program=nearest, start=near))
+    objective = float(program.functions["grad_f"](found.x, transcribed.parameters)[0]) * transcribed.objective_scale
+    return replace(found, transcribed=transcribed, objective=objective, status=FEASIBLE if found.converged else found.status)
+
+
+def _functions(of: dict[str, ca.Function], near: ca.DM, weight: ca.DM) -> dict[str, ca.Function]:
+    """Return a program's functions with the weighted squared distance from `near` (n,) as the objective."""
+    x, p = ca.MX.sym("x", near.numel()), ca.MX.sym("p", of["nlp"].sparsity_in(1))
+    g = of["nlp"](x, p)[1]
+    by_f, by_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", g.sparsity())
+    slope = weight * (x - near)
+    distance = 0.5 * ca.dot(slope, x - near)
+    hessian = of["hess_lag"](x, p, 0.0, by_g) + by_f * ca.diag(weight)
+    return {
+        "nlp": ca.Function("nlp", [x, p], [distance, g], ["x", "p"], ["f", "g"]),
+        "grad_f": ca.Function("grad_f", [x, p], [distance, slope]),
+        "jac_g": of["jac_g"],
+        "hess_lag": ca.Function("hess_lag", [x, p, by_f, by_g], [hessian]),
+    }
