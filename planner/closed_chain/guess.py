@@ -83,6 +83,12 @@ def first_guess(problem: Problem, start_pose: np.ndarray) -> Guess:
     return guess
 
 
+def force_times(problem: Problem) -> np.ndarray:
+    """Return the times (n,) [s] within a motion at which a derivative of the forces over time jumps."""
+    forces = problem.mechanism.forces
+    return np.zeros(0) if forces is None else forces.curve.inner_times(problem.motion.duration_s or 0.0)
+
+
 def follows_reference(problem: Problem) -> bool:
     """Check whether the reference is the first guess: the problem has no waypoints, and the ends that the reference has."""
     motion, reference = problem.motion, problem.reference
