@@ -27,7 +27,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.limits.body import coordinate
 from linkplan.planner.limits.limit import Limit
-from linkplan.planner.problem.instant import Instant, Scales
+from linkplan.planner.problem.instant import Instant, Scales, with_parameters
 from linkplan.planner.problem.objective import Term
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.transcription.system import System, node_symbols
@@ -271,8 +271,7 @@ def _caller(mechanism: Mechanism, payload: ca.SX, forces: ca.SX) -> Callable[...
     """Return a function that calls the reduced dynamics by name, with the payload's numbers and forces as parameters."""
     if mechanism.payload is None and mechanism.forces is None:
         return lambda name, *arguments: getattr(mechanism.dynamics, name)(*arguments)
-    dynamics = mechanism.parametric_dynamics()
-    return lambda name, *arguments: getattr(dynamics, name)(*arguments, ca.vertcat(payload, forces))
+    return with_parameters(mechanism.parametric_dynamics(), ca.vertcat(payload, forces))
 
 
 def node_numbers(problem: Problem, asked: NodeTerms, scales: Scales, value: float) -> tuple[np.ndarray, np.ndarray]:

@@ -23,6 +23,7 @@ from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_acceleration, sampled, site_motion
 from linkplan.models.poses.assembly import close_at
+from linkplan.models.reduction.reduced import ReducedDynamics
 from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.problem.keys.motion_and_limits import RobustSection
 
@@ -148,6 +149,16 @@ def _function(mechanism: Mechanism, corners: tuple[Corner, ...]) -> ca.Function:
     at, symbols = free_instant(mechanism)
     inputs = [*symbols[:4], *force_inputs(at)]
     return ca.Function("corners", inputs, [ca.densify(ca.vertcat(*at.corner_efforts(corners)))])
+
+
+def with_parameters(dynamics: ReducedDynamics, parameters: ca.SX) -> Callable[..., ca.SX]:
+    """Return a function that calls reduced dynamics by name, with parameters as the last input of functions that take it."""
+
+    def call(name: str, *arguments: Any) -> ca.SX:
+        function = getattr(dynamics, name)
+        return function(*arguments, *([parameters] if function.n_in() > len(arguments) else []))
+
+    return call
 
 
 def force_inputs(at: "Instant") -> list[ca.SX]:
@@ -307,10 +318,6 @@ def free_instant(mechanism: Mechanism, losses: np.ndarray | None = None) -> tupl
     q, v, a, u, rate, reference, jerk = symbols
     payload = ca.SX(0, 1) if mechanism.payload is None else ca.SX(mechanism.payload.numbers())
     forces = ca.SX.sym("forces", 0 if mechanism.forces is None else 3 * len(mechanism.forces.sites))
-    further = [] if mechanism.forces is None else [forces]
-
-    def call(name: str, *arguments: Any) -> ca.SX:
-        return getattr(mechanism.forced, name)(*arguments, *further)
-
+    call = with_parameters(mechanism.forced, forces)
     given = {"effort_rate": rate, "jerk": jerk, "reference": reference, "losses": losses}
     return Instant(mechanism=mechanism, q=q, v=v, a=a, u=u, payload=payload, forces=forces, call=call, **given), symbols

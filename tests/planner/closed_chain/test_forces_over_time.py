@@ -12,11 +12,13 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.selection import Selection
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain import mechanics
-from linkplan.planner.limits.samples import closure_forces
+from linkplan.planner.limits.samples import closure_forces, samples_of
 from linkplan.planner.plan.folder import read_plan, write_plan
+from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.prove import prove
 from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.replan import Replanner
 from linkplan.studies.output.pin_forces import pin_forces
 from tests.support.arms import LOWER, UPPER, arm, foot_of
 from tests.support.steering import ARM, FORCE, STEERING, K, P, rack_force, tyre_of
@@ -126,6 +128,83 @@ def test_a_lifted_program_has_the_same_motion(monkeypatch):
     lifted = steering()
     assert mechanics.is_lifted(lifted.mechanism)
     assert plan_motion(lifted).require().objective == pytest.approx(plain.objective, rel=1e-6)
+
+
+LOAD = {"body": "link2", "mass_kg": 0.5, "com_m": [0.25, 0.0, 0.0], "inertia_kgm2": [1e-3, 1e-3, 1e-3]}
+
+
+def test_machines_of_a_range_of_payloads_need_the_efforts_of_theirs_under_the_same_force():
+    text, robust = arm(UPPER, LOWER, limit=80.0), {"payload_factor": [0.8, 1.3]}
+    mechanism = load_mechanism(text, payload=LOAD)
+    ends = {"start_deg": {"J1": 0.0, "J2": 60.0}, "goal_deg": {"J1": 30.0, "J2": 20.0}, "duration_s": T}
+    plan = plan_motion(Problem.reach(mechanism, **ends, robust=robust, force_over_time=table(z=PUSH))).require()
+    samples = samples_of(plan.problem, plan.trajectory)
+    motion, heavy = (samples.q, samples.v, samples.a), load_mechanism(text, payload=mechanism.payload.scaled(1.3))
+    (corner,) = [k for k, one in enumerate(plan.problem.robust.corners) if one.payload_factor == 1.3]
+    arms = np.array([jacobian_of(mechanism.model, q) for q in samples.q])[:, 2]
+    by_hand = needed_effort(heavy, *motion)[0] - arms * np.interp(samples.time, ROWS, PUSH)[:, None]
+    np.testing.assert_allclose(samples.corner_efforts[:, corner], by_hand, atol=1e-9)
+    assert {finding.answer for finding in prove(plan.problem, plan.trajectory).findings} <= {"proved", "sampled"}
+
+
+def jacobian_of(model: mujoco.MjModel, q: np.ndarray) -> np.ndarray:
+    """Return MuJoCo's Jacobian (3, nv) of the site "foot"."""
+    data, found = mujoco.MjData(model), np.zeros((3, model.nv))
+    data.qpos[:] = q
+    mujoco.mj_kinematics(model, data)
+    mujoco.mj_comPos(model, data)
+    mujoco.mj_jacSite(model, data, found, None, model.site("foot").id)
+    return found
+
+
+def test_a_limit_on_a_pin_force_counts_the_force():
+    free = plan_motion(steering()).require()
+    limit = 0.9 * float(free.certificate.peak_closure_force[0])
+    name = free.problem.mechanism.closure_names[0]
+    tight = plan_motion(steering(limits={"closure_force": {name: limit}})).require()
+    assert tight.certificate.peak_closure_force[0] == pytest.approx(limit, rel=1e-2)
+    assert {finding.answer for finding in prove(tight.problem, tight.trajectory).findings} <= {"proved", "sampled"}
+
+
+def test_costs_and_limits_of_the_user_s_own_are_taken_under_the_force():
+    cost = ExtraCost(name="squares", expression=lambda at: (at.effort["rack"] / 100.0) ** 2, unit="s")
+    most = ExtraLimit(name="most", expression=lambda at: at.effort["rack"], lower=-4e3, upper=4e3, unit="N")
+    own = plan_motion(steering(minimize={}, extra_costs=[cost], extra_limits=[most])).require()
+    assert own.objective == pytest.approx(plan_motion(steering()).objective / 1e4, rel=1e-3)
+    assert {finding.answer for finding in prove(own.problem, own.trajectory).findings} <= {"proved", "sampled"}
+
+
+def test_a_force_too_large_for_the_motor_is_named_with_what_a_motion_needs():
+    """The rest at the start needs at least the force's virtual work."""
+    heavy = table("tyre", y=np.full(len(ROWS), -2e4))
+    plan = plan_motion(steering(force_over_time=heavy, limits={"range_m": {"rack": [-0.03, 0.04]}}))
+    assert plan.status == "infeasible"
+    assert plan.message.startswith("infeasible: rack on joint rack would have to give")
+    assert plan.details["needed_effort"] == pytest.approx(rack_force(-0.02, (0.0, -2e4)), rel=1e-2)
+
+
+def test_places_of_sites_are_limited_under_the_force_and_with_a_payload():
+    """The foot stays above a floor; its place is a function of the pose without payload or forces."""
+    mechanism = load_mechanism(arm(UPPER, LOWER, limit=80.0), payload=LOAD)
+    ends = {"start_deg": {"J1": 0.0, "J2": 0.0}, "goal_deg": {"J1": 60.0, "J2": -150.0}, "duration_s": T}
+    floor, time = -0.01, np.linspace(0.0, T, 200)
+    for forces in (None, table(z=PUSH)):
+        free = plan_motion(Problem.reach(mechanism, **ends, force_over_time=forces)).require()
+        boxed = {"site": {"foot": {"z": [floor, 1.0]}}}
+        plan = plan_motion(Problem.reach(mechanism, **ends, limits=boxed, force_over_time=forces)).require()
+        lowest, least = (foot_of(one.trajectory.position_at(time))[:, 2].min() for one in (plan, free))
+        assert least < floor - 1e-3
+        assert lowest >= floor - 1e-8
+
+
+def test_other_forces_are_numbers_of_the_same_program():
+    planner, other = Replanner(), table("tyre", x=3 * PUSH, y=-80 * PUSH)
+    first = planner.plan(steering())
+    again = planner.plan(steering(force_over_time=other))
+    fresh = plan_motion(steering(force_over_time=other))
+    assert again.history[-1].what == "solved again"
+    assert abs(again.objective / first.objective - 1) > 0.1
+    assert again.objective == pytest.approx(fresh.objective, rel=1e-6)
 
 
 def test_a_peak_between_the_nodes_is_seen_by_certificate_and_proof():
