@@ -125,10 +125,13 @@ def simulated(
 
 
 def exact(
-    mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, effort: np.ndarray, timing: Sampling
+    mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, effort: np.ndarray, timing: Sampling, *forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return A (n, m, m), B and B_late (n, m, n_u) of a period of the continuous motion under a held effort."""
-    continuous = linearise(mechanism, pose, velocity, effort)
+    """Return A (n, m, m), B and B_late (n, m, n_u) of a period of the continuous motion under a held effort.
+
+    `forces` are those of `linearise`.
+    """
+    continuous = linearise(mechanism, pose, velocity, effort, *forces)
     A, B = discretise(*continuous, timing.period_s)
     return _split(A, B, discretise(*continuous, timing.period_s - timing.late * timing.timestep_s)[1])
 

@@ -19,10 +19,14 @@ def enclosed(curve: Spline, column: int, time: Ball) -> Ball:
     """
     box, slack = constant_term(time), _ROUNDING_SHARE * curve.period_s
     low, high, middle = float(box.lower()) + slack, float(box.upper()) - slack, float(box.mid())
-    pieces = _pieces(curve, low, high) if low < high else _pieces(curve, middle, middle)
+    pieces = list(_pieces(curve, low, high) if low < high else _pieces(curve, middle, middle))
     values = [_along(curve, k, column, time - begin) for k, begin in pieces]
-    # Beyond a piece, its polynomial differs from the curve by less than this.
-    rounding = arb(0, 4 * slack * float(np.abs(curve.coefficients[2, :, column]).max()))
+    # Beyond its piece, by rounding, a polynomial leaves the curve at most at the difference of two slopes.
+    last, begin = pieces[-1]
+    end = begin - arb(float(curve.knots_s[last])) + arb(float(curve.knots_s[last + 1]))
+    beyond = arb(0).max(pieces[0][1] - box.lower()).max(box.upper() - end)
+    steepest = 4 * float(np.abs(curve.coefficients[2, :, column]).max())
+    rounding = arb(0, (beyond * steepest).abs_upper())
     if len(values) == 1:
         return values[0] + rounding
     n = 4 if np.any(curve.coefficients[:2, :, column]) else 2  # of a cubic spline the third derivative jumps

@@ -10,17 +10,15 @@ from typing import Any
 import numpy as np
 
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.closed_chain.guess import Guess, closes, force_times, motion_of, stretched
+from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, stretched, with_force_times
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
 from linkplan.planner.solvers.solve import Solution
-from linkplan.planner.transcription.mesh import Mesh, broken, segmented, uniform, with_breaks
+from linkplan.planner.transcription.mesh import Mesh, broken, segmented, uniform
 
 # The smallest number of intervals for each swing of a guess.
 INTERVALS_PER_SWING = 40
-# Forces over time that bend at more instants are met by refinement alone, and not by a first mesh with all these instants.
-_MOST_FORCE_TIMES = 200
 # A duration longer than that of the phase plane's motion by this factor is long enough: the error of its grid is a
 # thousandth, and a hundredth along speed limits.
 GRID_ERROR_FACTOR, GRID_ERROR_FACTOR_AT_SPEED_LIMIT = 1.001, 1.01
@@ -52,8 +50,7 @@ def first_mesh(problem: Problem, guess: Guess) -> tuple[Mesh, np.ndarray]:
     if problem.mesh.breaks is not None and guess.boundaries_s is None:
         return broken(problem.mesh.breaks), durations
     mesh = uniform(n) if guess.boundaries_s is None else segmented(durations, n, phase=np.arange(len(durations)))
-    times = force_times(problem)
-    return (with_breaks(mesh, durations, times) if 0 < len(times) <= _MOST_FORCE_TIMES else mesh), durations
+    return with_force_times(problem, mesh, durations), durations
 
 
 def graded_mesh(guess: Guess, switch_times_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:

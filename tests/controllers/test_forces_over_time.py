@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from linkplan.controllers.imperfections.imperfections import Clock, Imperfections, Machine
+from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rigid_plant import RigidPlant
@@ -108,6 +109,30 @@ def test_rigid_loops_have_the_force(steered, tracker):
         errors.append(np.abs(run.pose[:, 0, mechanism.independent] - reference.position_rad).max())
     assert errors[0] < 1e-6, "[m]"
     assert errors[1] > 100 * errors[0]
+
+
+def test_the_linearised_motion_is_the_slope_of_mujoco_s_accelerations_under_the_force(plan):
+    reference, model = tracking_reference(plan), plan.problem.mechanism.model
+    data, foot, k, step = mujoco.MjData(model), model.site("foot").id, 120, 1e-5
+
+    def acceleration(q: np.ndarray, v: np.ndarray) -> np.ndarray:
+        data.qpos[:], data.qvel[:], data.ctrl[:] = q, v, reference.effort[k]
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_comPos(model, data)
+        push = np.interp(reference.period_s * (k + 0.5), TIME_S, PUSH) * np.array([-0.5, 0.0, 1.0])
+        data.qfrc_applied[:] = 0.0
+        body = model.site_bodyid[foot]
+        mujoco.mj_applyFT(model, data, push, np.zeros(3), data.site_xpos[foot], body, data.qfrc_applied)
+        mujoco.mj_forward(model, data)
+        return data.qacc.copy()
+
+    q, v = reference.position_rad[k], reference.velocity_rad_s[k]
+    slopes = [(acceleration(q + step * e, v) - acceleration(q - step * e, v)) / (2 * step) for e in np.eye(2)]
+    states = reference.pose_rad[k, None], v[None], reference.effort[k, None]
+    A, _ = linearise(plan.problem.mechanism, *states, *(w[k, None] for w in reference.forces))
+    without, _ = linearise(plan.problem.mechanism, *states)
+    np.testing.assert_allclose(A[0, 2:, :2], np.array(slopes).T, rtol=1e-5, atol=1e-4)
+    assert np.abs(A - without).max() > 1.0
 
 
 def test_machines_of_an_ensemble_have_the_force_at_their_own_time_and_beside_pushes(plan):
