@@ -49,14 +49,16 @@ def shares_in_a_step(mechanism: Mechanism) -> np.ndarray:
 
 
 def simulator_step(
-    mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, effort: np.ndarray, timestep_s: float
+    mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, effort: np.ndarray, timestep_s: float, *forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return A_h (n, 2 n_s, 2 n_s) and B_h (n, 2 n_s, n_u) of one step [s] of the model's integrator about states (n, ...).
+
+    `forces` are those of `linearise`.
 
     Raises:
         LinkplanError: for an unsupported integrator.
     """
-    A, B = linearise(mechanism, pose, velocity, effort)
+    A, B = linearise(mechanism, pose, velocity, effort, *forces)
     kind = int(mechanism.model.opt.integrator)
     integrators = mujoco.mjtIntegrator
     if kind == int(integrators.mjINT_RK4):

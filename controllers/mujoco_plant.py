@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from mujoco.batch import Batch
 
-from linkplan.controllers.imperfections.batch_effects import ClosureWatch, PushState, pushing, spread
+from linkplan.controllers.imperfections.batch_effects import ClosureWatch, PushState, SiteForces, pushing, spread
 from linkplan.controllers.imperfections.driving import DriveState, act, driving, stretches, take
 from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.imperfections.plant import Plant, as_modelled, held_before, plant
@@ -70,6 +70,7 @@ class MujocoPlant:
         stepper = MujocoStepper(
             mechanism, plants, drives, substeps, base=base, pushes=pushing(machines, plants, mechanism, substeps),
             gains=speed_gains(mechanism, reference, substeps), threads=self.threads, watched=True,
+            begun=np.array([one.clock.phase_periods for one in machines]) * substeps,
         )  # fmt: skip
         return stepper, failure
 
@@ -120,6 +121,7 @@ class MujocoStepper:
         gains: what the actuators' speeds (p, n_u) gain in a simulator step of each period, by the reference; default: 0.
         threads: simulator threads; 0 for one per core.
         watched: record closure gaps and contacts.
+        begun: simulator steps (n,) since the motion's start, for forces over time; without it they do not act.
     """
 
     lost = DIVERGED
@@ -136,6 +138,7 @@ class MujocoStepper:
         gains: np.ndarray | None = None,
         threads: int = 0,
         watched: bool = False,
+        begun: np.ndarray | None = None,
     ) -> None:
         models = [one.model for one in plants]
         model = models[0] if base is None else base.model
@@ -148,12 +151,16 @@ class MujocoStepper:
         self._gains = np.zeros((1, self.n_u)) if gains is None else gains
         # A servo's ctrl and a motor's line need the actuators' speeds at the beginning of every step.
         by_speed = self._servos is not None or drives.line is not None
+        by_speed |= mechanism.forces is not None and begun is not None  # which need the sites' places
         self._batch = Batch(model, nsim=self.n, nthread=threads, persistent=by_speed)
         spread(self._batch, model, models)
         bind = self._batch.bind
         self._qpos, self._qvel, self._ctrl, self._speeds = map(bind, ("qpos", "qvel", "ctrl", "actuator_velocity"))
         self._lengths = None if self._servos is None else bind("actuator_length")
-        if pushes is not None:
+        self._site_forces = None
+        if mechanism.forces is not None and begun is not None:
+            self._site_forces = SiteForces(self._batch, mechanism, self.timestep_s, begun)
+        if pushes is not None or self._site_forces is not None:
             self._forces, self._efforts = bind("xfrc_applied"), bind("qfrc_applied")
         self._watch = ClosureWatch(self._batch, models) if watched else None
         self._map_actuators(mechanism.actuators)
@@ -217,6 +224,10 @@ class MujocoStepper:
             self._ctrl[:, self._channels] = ctrl
             if self._pushes is not None:
                 self._forces[:], self._efforts[:] = self._pushes.over(k * self._substeps + j)
+            if self._site_forces is not None:
+                if self._pushes is None:
+                    self._forces[:] = 0.0
+                self._site_forces.add(k * self._substeps + j, self._forces)
             self._batch.step(self._ids, count, self._stage)
             if j:
                 beyond = beyond + count * (effort - applied)

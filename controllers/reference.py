@@ -16,7 +16,8 @@ class SampledReference:
 
     `pose_rad` (n, n_q), `position_rad` and `velocity_rad_s` (n, n_s); slides are in m and m/s.
     `effort` (n, n_u) [N.m or N] comes from the reduced inverse dynamics at the middle of each period, because a held effort
-    acts like its mean. `cycle` is the number of samples after which the motion repeats, or None.
+    acts like its mean. `cycle` is the number of samples after which the motion repeats, or None. `forces` are those of
+    `Mechanism.forces_at` at the same instants as efforts.
     """
 
     period_s: float
@@ -26,6 +27,7 @@ class SampledReference:
     velocity_rad_s: np.ndarray
     effort: np.ndarray
     cycle: int | None
+    forces: tuple[np.ndarray, ...] = ()
 
     def __post_init__(self) -> None:
         for name in ("time_s", "pose_rad", "position_rad", "velocity_rad_s", "effort"):
@@ -72,7 +74,8 @@ def sample(mechanism: Mechanism, trajectory: Trajectory, period_s: float, durati
     position = trajectory.position_at(time)
     pose = follow(mechanism, position, trajectory.start_pose)
     pose_middle = follow(mechanism, trajectory.position_at(middle), trajectory.start_pose)
-    effort, _ = needed_effort(mechanism, pose_middle, trajectory.velocity_at(middle), trajectory.acceleration_at(middle))
+    rates, accelerations = trajectory.velocity_at(middle), trajectory.acceleration_at(middle)
+    effort, _ = needed_effort(mechanism, pose_middle, rates, accelerations, middle)
     again = np.arange(n) % len(once)
     passed = (np.arange(n) // len(once))[:, None] if cycle is not None else np.zeros((n, 1))
     gone = pose_advance(mechanism, trajectory) if np.any(passed) else np.zeros(mechanism.n_q)
@@ -84,6 +87,7 @@ def sample(mechanism: Mechanism, trajectory: Trajectory, period_s: float, durati
         velocity_rad_s=trajectory.velocity_at(time)[again],
         effort=effort[again],
         cycle=cycle,
+        forces=mechanism.forces_at(period_s * (np.arange(n) + 0.5)),
     )
 
 

@@ -16,7 +16,7 @@ from linkplan.controllers.imperfections.driving import arrived, driving, take
 from linkplan.controllers.imperfections.imperfections import Drives, Imperfections
 from linkplan.controllers.imperfections.plant import start_of
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.trackers.prediction import runge_kutta
+from linkplan.controllers.trackers.prediction import acting, runge_kutta
 from linkplan.models.compiled.functions import evaluated, mapped
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.reduction.closing import MAX_LOOP_GAP_M, corrected, gap_at
@@ -61,7 +61,8 @@ class RigidStepper:
         self.timestep_s = float(mechanism.model.opt.timestep) * np.ones(self.n)
         steps = max(1, int(np.ceil(2 * self._periods.max() / float(mechanism.model.opt.timestep) - 1e-9)))
         self._onward = mapped(_onward(mechanism, steps), self.n)
-        self._k = 0
+        self._k, self._mechanism = 0, mechanism
+        self._begun = np.array([clock.phase_periods for clock in clocks])
 
     def read(self, pose: np.ndarray, velocity: np.ndarray) -> None:
         """Write the machines' poses and velocities."""
@@ -70,18 +71,20 @@ class RigidStepper:
     def hold(self, command: np.ndarray, applied: np.ndarray, speed: np.ndarray) -> None:
         """Advance the machines by a period; the actuators' speeds are not computed."""
         take(self._drives, self._k, command)
-        before, acting = arrived(self._drives, self._k - 1), arrived(self._drives, self._k)
+        before, now = arrived(self._drives, self._k - 1), arrived(self._drives, self._k)
         share, gap, state = self._drives.fraction, np.zeros(self.n), self._state
-        for effort, duration in ((before, share * self._periods), (acting, (1.0 - share) * self._periods)):
-            if np.any(duration):
-                after, opened = evaluated(self._onward, state.T, effort.T, duration)
+        for effort, begin, part in ((before, 0.0 * share, share), (now, share, 1.0 - share)):
+            if np.any(part):
+                middle_s = (self._begun + self._k + begin + 0.5 * part) * self._periods
+                held = np.hstack([effort, *self._mechanism.forces_at(middle_s)])
+                after, opened = evaluated(self._onward, state.T, held.T, part * self._periods)
                 state, gap = after.T, np.maximum(gap, opened.ravel())
         # A larger gap means that the mechanism was driven beyond the poses where its loop closes.
         lost = ~((gap <= MAX_LOOP_GAP_M) & np.isfinite(state).all(axis=1))
         self._state = np.where(lost[:, None], np.nan, state)
         self._state[~self.running] = self._start[~self.running]
         self._k += 1
-        applied[...] = share[:, None] * before + (1.0 - share)[:, None] * acting
+        applied[...] = share[:, None] * before + (1.0 - share)[:, None] * now
         speed[...] = np.nan
 
     def freeze(self, lost: np.ndarray) -> None:
@@ -95,9 +98,9 @@ class RigidStepper:
 
 
 def _onward(mechanism: Mechanism, steps: int) -> ca.Function:
-    """Return the function ((q, v), efforts, duration [s]) -> final (q, v), loop gap [m]."""
+    """Return the function ((q, v), what acts, duration [s]) -> final (q, v), loop gap [m]."""
     dynamics, n_q = mechanism.dynamics, mechanism.n_q
-    state, u = ca.MX.sym("state", n_q + mechanism.dof), ca.MX.sym("u", mechanism.n_u)
+    state, u = ca.MX.sym("state", n_q + mechanism.dof), acting(mechanism)
     duration = ca.MX.sym("duration")
     one = ca.Function("one", [state, u, duration], [runge_kutta(mechanism, state, u, duration / steps)])
     x = state

@@ -113,19 +113,25 @@ def sampling(mechanism: Mechanism, period_s: float, delay_periods: float = 0.0, 
 
 
 def simulated(
-    mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, effort: np.ndarray, timing: Sampling
+    mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, effort: np.ndarray, timing: Sampling, *forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return A (n, m, m), B and B_late (n, m, n_u) of a period in MuJoCo's own steps, linearised about states (n, ...)."""
-    A_h, B_h = simulator_step(mechanism, pose, velocity, effort, timing.timestep_s)
+    """Return A (n, m, m), B and B_late (n, m, n_u) of a period in MuJoCo's own steps, linearised about states (n, ...).
+
+    `forces` are those of `linearise`.
+    """
+    A_h, B_h = simulator_step(mechanism, pose, velocity, effort, timing.timestep_s, *forces)
     A, B = repeat(A_h, B_h, timing.substeps)
     return _split(A, B, repeat(A_h, B_h, timing.substeps - timing.late)[1])
 
 
 def exact(
-    mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, effort: np.ndarray, timing: Sampling
+    mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, effort: np.ndarray, timing: Sampling, *forces: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return A (n, m, m), B and B_late (n, m, n_u) of a period of the continuous motion under a held effort."""
-    continuous = linearise(mechanism, pose, velocity, effort)
+    """Return A (n, m, m), B and B_late (n, m, n_u) of a period of the continuous motion under a held effort.
+
+    `forces` are those of `linearise`.
+    """
+    continuous = linearise(mechanism, pose, velocity, effort, *forces)
     A, B = discretise(*continuous, timing.period_s)
     return _split(A, B, discretise(*continuous, timing.period_s - timing.late * timing.timestep_s)[1])
 

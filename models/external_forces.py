@@ -1,16 +1,40 @@
-"""Constant forces on sites: a load on a foot, a tyre's force, a weight on a hook.
+"""Forces on sites: a load on a foot, a tyre's force, a weight on a hook.
 
-A force is an actuator without gain in the model itself, so that MuJoCo, the symbolic dynamics and an exported model have the
-same one: its line of action moves with the site, its size and direction in the world do not change.
+A constant force is an actuator without gain in the model itself, so that MuJoCo, the symbolic dynamics and an exported model
+have the same one: its line of action moves with the site, its size and direction in the world do not change. A force over
+time is a parameter of the symbolic dynamics, and a simulation applies it.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
 
 import mujoco
 import numpy as np
 
 from linkplan.models.errors import ModelError, choose
 from linkplan.models.kinematics import clamped_joints
+
+
+class Curve(Protocol):
+    """Columns over time."""
+
+    def derivative(self, time_s: np.ndarray, order: int = 0) -> np.ndarray:
+        """Return the derivative of an order at times (n,) [s], as (n, k)."""
+        ...
+
+    def inner_times(self, duration_s: float) -> np.ndarray:
+        """Return the times [s] within a duration at which a derivative jumps; between them it is a cubic."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class ForcesOverTime:
+    """Forces on sites by name; `curve` has the columns (3 n_sites,) [N]: x, y, z in the world of each site in turn."""
+
+    sites: tuple[str, ...]
+    curve: Curve
+
 
 # The site at the world's origin whose axes are those of the forces.
 _AXES_NAME = "world axes"

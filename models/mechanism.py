@@ -43,6 +43,7 @@ from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.digest import compiled_bytes
 from linkplan.models.equations import Equations
 from linkplan.models.errors import LockedError, ModelError, UnassembledError
+from linkplan.models.external_forces import ForcesOverTime
 from linkplan.models.kinematics import extent_m, set_softness
 from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html
@@ -68,6 +69,7 @@ class Mechanism:
     are in `projected` and are closed by the normal equations of all their rows. `passive_dofs` are independent coordinates
     that move while all other bodies rest, as the spin of a rod between balls does. On `coasting_dofs` only damping acts, as
     on a loose cart. `notes` are about the assembly, `faults` what a file's rounding takes from it; `source` is its table.
+    `forces` act on sites over the time of a problem's motion; `dynamics` are those without them, `forced` those with them.
 
     Example::
 
@@ -103,6 +105,7 @@ class Mechanism:
     notes: tuple[str, ...]
     faults: tuple[str, ...]
     source: Mapping[str, object]
+    forces: ForcesOverTime | None = None
 
     def __reduce__(self) -> tuple:
         with ca.global_pickle_context():  # CasADi expressions need one
@@ -182,12 +185,23 @@ class Mechanism:
         """
         return _fingerprint(self, payload_apart)
 
+    @property
+    def forced(self) -> ReducedDynamics:
+        """The reduced dynamics whose last inputs are those of `forces_at`; `dynamics` are those without forces over time."""
+        return self.dynamics if self.forces is None else _forced(self)
+
+    def forces_at(self, time_s: np.ndarray) -> tuple[np.ndarray, ...]:
+        """Return the last inputs of `forced` at times (n,): the forces over time (n, 3 n_sites) [N]; none without any."""
+        return () if self.forces is None else (self.forces.curve.derivative(time_s),)
+
     def parametric_dynamics(self) -> ReducedDynamics:
-        """Return the reduced dynamics with the payload's numbers (7,) as every function's last input.
+        """Return the reduced dynamics with the numbers of the payload (7,) and the forces over time as every last input.
 
         Raises:
-            ModelError: if there is no payload.
+            ModelError: if there is neither.
         """
+        if self.forces is not None:
+            return _parametric(self)
         if self.parametric is None:
             raise ModelError(f"mechanism '{self.name}' has no payload to vary")
         return self.parametric
@@ -255,7 +269,31 @@ def _fingerprint(mechanism: Mechanism, payload_apart: bool) -> str:
     for choice in (mechanism.independent, mechanism.dependent, mechanism.closure_rows):
         digest.update(choice.tobytes() + b"|")
     digest.update(np.float64(mechanism.friction_transition).tobytes())
+    if mechanism.forces is not None:  # which are parameters of the dynamics, on these sites
+        digest.update(repr(mechanism.forces.sites).encode())
     return digest.hexdigest()
+
+
+@functools.lru_cache(maxsize=16)
+def _parametric(mechanism: Mechanism) -> ReducedDynamics:
+    """Return the dynamics of a mechanism with forces over time, with the payload's numbers and the forces as parameters."""
+    assert mechanism.forces is not None
+    model, n = mechanism.model, 0 if mechanism.payload is None else len(mechanism.payload.numbers())
+    sites = [int(model.site(name).id) for name in mechanism.forces.sites]
+    given = ca.SX.sym("parameters", n + 3 * len(sites))
+    pushes = {site: given[n + 3 * k : n + 3 * k + 3] for k, site in enumerate(sites)}
+    varied = _varied(model, given[:n] if n else None)
+    tree = build_tree(model, home_qpos(model), varied, mechanism.friction_transition, pushes)
+    B, own = effort_matrix(model, tree, mechanism.actuators), lengths(model, tree, mechanism.actuators)
+    chosen = mechanism.closure_rows, mechanism.independent, mechanism.dependent
+    return reduce_tree(tree, read_closures(model, tree), B, *chosen, given, mechanism.projected, own)
+
+
+@functools.lru_cache(maxsize=16)
+def _forced(mechanism: Mechanism) -> ReducedDynamics:
+    """Return the dynamics of a mechanism with forces over time, which are their only parameters."""
+    payload = mechanism.payload
+    return with_numbers(_parametric(mechanism), np.zeros(0) if payload is None else payload.numbers())
 
 
 @one_thread_at_a_time

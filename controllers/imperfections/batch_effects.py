@@ -94,6 +94,33 @@ def _place(push: Push, mechanism: Mechanism, force: np.ndarray, effort: np.ndarr
         effort[mechanism.joint_index(push.joint, LinkplanError)] = push.effort
 
 
+class SiteForces:
+    """The forces over time of simulations (n,), applied at their sites at the beginning of every simulator step.
+
+    Args:
+        batch: the simulations, whose sites are known before a step.
+        mechanism: with forces over time.
+        timesteps_s: (n,) [s].
+        begun: simulator steps (n,) of each simulation before the first one.
+    """
+
+    def __init__(self, batch: Batch, mechanism: Mechanism, timesteps_s: np.ndarray, begun: np.ndarray) -> None:
+        assert mechanism.forces is not None
+        model = mechanism.model
+        self._mechanism, self._timesteps_s, self._begun = mechanism, timesteps_s, begun
+        self._sites = [int(model.site(name).id) for name in mechanism.forces.sites]
+        self._bodies = [int(model.site_bodyid[site]) for site in self._sites]
+        self._places, self._centres = batch.bind("site_xpos"), batch.bind("xipos")
+
+    def add(self, step: int, force: np.ndarray) -> None:
+        """Add the forces at the middle of a simulator step to those (n, nbody, 6) at the bodies' centres of mass."""
+        (given,) = self._mechanism.forces_at((self._begun + step + 0.5) * self._timesteps_s)
+        for k, (site, body) in enumerate(zip(self._sites, self._bodies, strict=True)):
+            push = given[:, 3 * k : 3 * k + 3]
+            force[:, body, :3] += push
+            force[:, body, 3:] += np.cross(self._places[:, site] - self._centres[:, body], push)
+
+
 class ClosureWatch:
     """The largest gap of tied points and the largest number of contacts of a batch's simulations so far.
 

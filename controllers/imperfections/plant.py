@@ -162,7 +162,7 @@ def held_before(mechanism: Mechanism, reference: SampledReference) -> np.ndarray
     if np.any(reference.velocity_rad_s[0]):
         return reference.effort[0]
     still = np.zeros((1, mechanism.dof))
-    return needed_effort(mechanism, reference.pose_rad[:1], still, still)[0][0]
+    return needed_effort(mechanism, reference.pose_rad[:1], still, still, np.zeros(1))[0][0]
 
 
 def scale_masses(model: mujoco.MjModel, data: mujoco.MjData, factor: float) -> None:

@@ -23,7 +23,7 @@ class ComputedTorque:
     """u = (Gamma^T B)^+ tau(s, v, a_ref + damping (v_ref - v) + stiffness (s_ref - s)).
 
     `acceleration` (n, n_s): produced by the reference's own efforts. `stiffness`: w^2 [1/s^2]. `damping`: 2 zeta w [1/s].
-    `law`: function (near pose, s, v, a) -> efforts, loop gap [m].
+    `law`: function (near pose, s, v, a, forces over time) -> efforts, loop gap [m].
     """
 
     reference: SampledReference
@@ -41,11 +41,12 @@ class ComputedTorque:
         acceleration += self.stiffness * (reference.position_rad[k] - position_rad)
         s, v, a = (np.atleast_2d(x) for x in (position_rad, velocity_rad_s, acceleration))
         near = np.broadcast_to(reference.pose_rad[k], (len(s), reference.pose_rad.shape[1]))
-        effort, gap = self._called(near, s, v, a)
+        forces = [np.broadcast_to(w[k], (len(s), w.shape[1])) for w in reference.forces]
+        effort, gap = self._called(near, s, v, a, *forces)
         far = ~(gap <= MAX_LOOP_GAP_M)
         if np.any(far):
             there = np.broadcast_to(reference.position_rad[k], s.shape)
-            effort[far] = self._called(near[far], there[far], v[far], a[far])[0]
+            effort[far] = self._called(near[far], there[far], v[far], a[far], *(w[far] for w in forces))[0]
         return effort.reshape(*np.shape(position_rad)[:-1], -1)
 
     def _called(self, *arguments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -58,7 +59,7 @@ def computed_torque(
 ) -> ComputedTorque:
     """Return the computed torque tracker for the errors' natural frequency [rad/s] and damping ratio."""
     q, v, u = reference.pose_rad, reference.velocity_rad_s, reference.effort
-    acceleration = sampled(mechanism.dynamics.acceleration, q, v, u)[:, :, 0]
+    acceleration = sampled(mechanism.forced.acceleration, q, v, u, *reference.forces)[:, :, 0]
     return ComputedTorque(
         reference=reference,
         acceleration=acceleration,
@@ -69,10 +70,11 @@ def computed_torque(
 
 
 def _law(mechanism: Mechanism) -> ca.Function:
-    """Return the function (near pose, s, v, a) -> efforts (n_u,), loop gap [m]."""
+    """Return the function (near pose, s, v, a, forces over time) -> efforts (n_u,), loop gap [m]."""
     dynamics, n_s = mechanism.dynamics, mechanism.dof
+    forces = [] if mechanism.forces is None else [ca.MX.sym("forces", 3 * len(mechanism.forces.sites))]
     near = ca.MX.sym("near", mechanism.n_q)
     s, v, a = (ca.MX.sym(name, n_s) for name in "sva")
     q, gap = closed_near(dynamics, near, s)
-    effort = ca.pinv(dynamics.effort_map(q)) @ dynamics.inverse_dynamics(q, v, a)
-    return ca.Function("computed_torque", [near, s, v, a], [effort, gap])
+    effort = ca.pinv(dynamics.effort_map(q)) @ mechanism.forced.inverse_dynamics(q, v, a, *forces)
+    return ca.Function("computed_torque", [near, s, v, a, *forces], [effort, gap])

@@ -106,7 +106,8 @@ def integral_lqr(
     size = np.broadcast_to(errors.position, n_s)[steered]
     # The last instant, where the Riccati recursion begins.
     last = slice(n - 1, n)
-    A_c, B_c = linearise(mechanism, reference.pose_rad[last], reference.velocity_rad_s[last], reference.effort[last])
+    state = reference.pose_rad[last], reference.velocity_rad_s[last], reference.effort[last]
+    A_c, B_c = linearise(mechanism, *state, *(w[last] for w in reference.forces))
     chosen = integrable(
         A_c[0, n_s + steered[:, None], steered] * size / size[:, None], B_c[0, n_s + steered] * errors.effort / size[:, None]
     )

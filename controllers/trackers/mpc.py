@@ -37,7 +37,8 @@ class MPC:
 
     `alone` (n, blocks n_u, m): map from an error to the LQR's corrections at the beginning of each block. `ahead`
     (n, blocks + 1): instants at which the blocks begin. `begin` (n, n_q + n_s) and `mean` (n, n_u): the reference's (q, v)
-    and mean effort of a block that begins at an instant. `own` (n, n_q + n_s): the predicted (q, v) after it.
+    and mean effort of a block that begins at an instant. `acting`: that effort and the mean forces over time. `own`
+    (n, n_q + n_s): the predicted (q, v) after it.
     `effort_limit` (n_u, 2). `room` (n, 2, blocks n_u): limits of the corrections of the blocks that begin at an instant.
     `bounds` (n, 2, n_u + blocks n_u): those of the LQR's effort and corrections, beyond which corrections are improved.
     `kept` (m,): indices of the controlled states in x = (s, v). `weights`: Q and R of a block. The memory is NaN while the
@@ -50,6 +51,7 @@ class MPC:
     ahead: np.ndarray
     begin: np.ndarray
     mean: np.ndarray
+    acting: np.ndarray
     own: np.ndarray
     effort_limit: np.ndarray
     kept: np.ndarray
@@ -112,7 +114,7 @@ class MPC:
         s = s - (reference.position_rad[k] - reference.position_rad[at])
         hessian, gradient, gap = evaluated(
             self.predictor.program, reference.pose_rad[at], s, v,
-            self.begin[blocks].T, self.mean[blocks].T, self.own[blocks].T, corrections.reshape(HORIZON_BLOCKS, -1).T,
+            self.begin[blocks].T, self.acting[blocks].T, self.own[blocks].T, corrections.reshape(HORIZON_BLOCKS, -1).T,
             *self.weights, self.regulator.cost[self.ahead[at, -1]],
         )  # fmt: skip
         if not (gap.item() <= MAX_LOOP_GAP_M and np.isfinite(hessian).all() and np.isfinite(gradient).all()):
@@ -151,9 +153,10 @@ def mpc(
     n, m, n_u = found.B.shape
     loop = found.A - found.B @ found.gains
     periods = max(1, int(np.ceil(horizon_s / (HORIZON_BLOCKS * reference.period_s) - 1e-9)))
-    way, mean, at = np.tile(np.eye(m), (n, 1, 1)), np.zeros((n, n_u)), np.arange(n)
+    acting = np.hstack([reference.effort, *reference.forces])
+    way, mean, at = np.tile(np.eye(m), (n, 1, 1)), np.zeros((n, acting.shape[1])), np.arange(n)
     for _ in range(periods):
-        mean += reference.effort[at] / periods
+        mean += acting[at] / periods
         way, at = loop[at] @ way, found.after[at]
     alone, ahead = np.empty((n, HORIZON_BLOCKS, n_u, m)), np.empty((n, HORIZON_BLOCKS + 1), dtype=int)
     ahead[:, 0], so_far = np.arange(n), np.tile(np.eye(m), (n, 1, 1))
@@ -169,7 +172,8 @@ def mpc(
         alone=alone.reshape(n, -1, m),
         ahead=ahead,
         begin=begin,
-        mean=mean,
+        mean=mean[:, :n_u],
+        acting=mean,
         own=sampled(model.step, begin, mean)[:, :, 0],
         effort_limit=np.array(effort_limit, dtype=float),
         kept=kept,

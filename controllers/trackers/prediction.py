@@ -21,10 +21,10 @@ _EXPONENTIAL_DOUBLINGS = 5
 class Predictor:
     """Programs over blocks of held corrections, with one fourth-order Runge-Kutta step per block.
 
-    `step`: (q, v), effort -> (q, v) after a block. `program`: near pose q, s, v, the references of the blocks ((q, v) at
-    their beginnings, their mean efforts, and `step` of both), corrections (n_u, blocks), Q, R, P -> Hessian, gradient in the
-    changes of the corrections, loop gap of the first pose [m]. The error after a block is the difference from `step` of the
-    reference, so that the step's own error cancels and no error needs no correction.
+    `step`: (q, v), what acts (`acting`) -> (q, v) after a block. `program`: near pose q, s, v, the references of the blocks
+    ((q, v) at their beginnings, what acts in the mean, and `step` of both), corrections (n_u, blocks), Q, R, P -> Hessian,
+    gradient in the changes of the corrections, loop gap of the first pose [m]. The error after a block is the difference
+    from `step` of the reference, so that the step's own error cancels and no error needs no correction.
     """
 
     step: ca.Function
@@ -45,17 +45,18 @@ def predictor(mechanism: Mechanism, kept: np.ndarray, blocks: int, block_s: floa
 
 def _interpreted(mechanism: Mechanism, kept: np.ndarray, blocks: int, block_s: float) -> Predictor:
     n_q, n_s, n_u, m = mechanism.n_q, mechanism.dof, mechanism.n_u, len(kept)
-    state, effort = ca.MX.sym("state", n_q + n_s), ca.MX.sym("effort", n_u)
-    step = ca.Function("step", [state, effort], [runge_kutta(mechanism, state, effort, block_s)])
+    state, mean = ca.MX.sym("state", n_q + n_s), acting(mechanism)
+    step = ca.Function("step", [state, mean], [runge_kutta(mechanism, state, mean, block_s)])
     error, begin, own = (ca.MX.sym(name, n_q + n_s) for name in ("error", "begin", "own"))
-    mean, correction = ca.MX.sym("mean", n_u), ca.MX.sym("correction", n_u)
-    before, after = begin + error, step(begin + error, mean + correction)
-    slopes = _slopes(mechanism, 0.5 * (before + after), mean + correction, kept, block_s)
+    correction = ca.MX.sym("correction", n_u)
+    corrected = mean + (correction if mean.numel() == n_u else ca.vertcat(correction, ca.DM.zeros(mean.numel() - n_u)))
+    before, after = begin + error, step(begin + error, corrected)
+    slopes = _slopes(mechanism, 0.5 * (before + after), corrected, kept, block_s)
     block = ca.Function("block", [error, begin, mean, own, correction], [after - own, *slopes])
 
     near, s, v = ca.MX.sym("near", n_q), ca.MX.sym("s", n_s), ca.MX.sym("v", n_s)
     begins, owns = ca.MX.sym("begins", n_q + n_s, blocks), ca.MX.sym("owns", n_q + n_s, blocks)
-    means, corrections = ca.MX.sym("means", n_u, blocks), ca.MX.sym("corrections", n_u, blocks)
+    means, corrections = ca.MX.sym("means", mean.numel(), blocks), ca.MX.sym("corrections", n_u, blocks)
     Q, R, P = ca.MX.sym("Q", m, m), ca.MX.sym("R", n_u, n_u), ca.MX.sym("P", m, m)
     q, gap = closed_near(mechanism.dynamics, near, s)
     first = ca.vertcat(q, v) - begins[:, 0]
@@ -67,13 +68,13 @@ def _interpreted(mechanism: Mechanism, kept: np.ndarray, blocks: int, block_s: f
     return Predictor(step=step, program=ca.Function("program", given, [hessian, gradient, gap]))
 
 
-def _slopes(mechanism: Mechanism, state: ca.MX, effort: ca.MX, kept: np.ndarray, block_s: float) -> tuple[ca.MX, ca.MX]:
+def _slopes(mechanism: Mechanism, state: ca.MX, held: ca.MX, kept: np.ndarray, block_s: float) -> tuple[ca.MX, ca.MX]:
     """Return A (m, m) and B (m, n_u) of the states `kept` of (s, v) over a block [s], linearised about one state.
 
     The exponential of (A, B) comes from a series of fourth order by scaling and squaring.
     """
     n_q, n_s, n_u = mechanism.n_q, mechanism.dof, mechanism.n_u
-    by_s, by_v, by_u = mechanism.dynamics.linearisation(state[:n_q], state[n_q:], effort)
+    by_s, by_v, by_u = mechanism.forced.linearisation(state[:n_q], state[n_q:], *_inputs(mechanism, held))
     still = ca.DM(n_u, 2 * n_s + n_u)
     slope = ca.vertcat(ca.horzcat(ca.DM(n_s, n_s), ca.DM.eye(n_s), ca.DM(n_s, n_u)), ca.horzcat(by_s, by_v, by_u), still)
     part = slope * (block_s / 2**_EXPONENTIAL_DOUBLINGS)
@@ -122,12 +123,22 @@ def condensing(blocks: int, m: int, n_u: int) -> ca.Function:
     return ca.Function("condensing", [A, B, e, w, Q, R, P], [hessian, gradient])
 
 
-def runge_kutta(mechanism: Mechanism, state: ca.MX, effort: ca.MX, duration: ca.MX | float) -> ca.MX:
-    """Return (q, v) after a duration [s] under a held effort (n_u,): one Runge-Kutta step of fourth order."""
-    n_q = mechanism.n_q
+def acting(mechanism: Mechanism) -> ca.MX:
+    """Return a symbol for what acts over a time: the efforts (n_u,), and after them the forces over time."""
+    return ca.MX.sym("acting", mechanism.n_u + (0 if mechanism.forces is None else 3 * len(mechanism.forces.sites)))
+
+
+def _inputs(mechanism: Mechanism, held: ca.MX) -> list[ca.MX]:
+    """Return the efforts and the forces of `acting` as the last inputs of the `forced` dynamics."""
+    return [held] if mechanism.forces is None else ca.vertsplit(held, [0, mechanism.n_u, held.numel()])
+
+
+def runge_kutta(mechanism: Mechanism, state: ca.MX, held: ca.MX, duration: ca.MX | float) -> ca.MX:
+    """Return (q, v) after a duration [s] under held efforts and forces (`acting`): one Runge-Kutta step of fourth order."""
+    n_q, inputs = mechanism.n_q, _inputs(mechanism, held)
 
     def slope(x: ca.MX) -> ca.MX:
-        return ca.vertcat(*mechanism.dynamics.flow(x[:n_q], x[n_q:], effort))
+        return ca.vertcat(*mechanism.forced.flow(x[:n_q], x[n_q:], *inputs))
 
     k1 = slope(state)
     k2 = slope(state + 0.5 * duration * k1)

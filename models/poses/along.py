@@ -73,19 +73,29 @@ def sliding_friction(mechanism: Mechanism, q: np.ndarray, column: int = 0) -> np
     return whole - without
 
 
-def needed_effort(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def needed_effort(
+    mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray, time_s: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     """Return the least efforts (n, n_u) for a motion, and the generalised effort (n, n_s) that no effort can produce.
 
-    u = (Gamma^T B)^+ tau. The second value is zero if there are enough actuators.
+    u = (Gamma^T B)^+ tau. The second value is zero if there are enough actuators. `time_s` is that of `demanded`.
     """
-    tau, maps = demanded(mechanism, q, v, a)
+    tau, maps = demanded(mechanism, q, v, a, time_s)
     effort = least_effort(tau, maps)
     return effort, tau - np.einsum("ksu,ku->ks", maps, effort)
 
 
-def demanded(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the generalised effort tau (n, n_s) that a motion needs, and Gamma^T B (n, n_s, n_u) along it."""
-    tau = sampled(mechanism.dynamics.inverse_dynamics, q, v, a)[:, :, 0]
+def demanded(
+    mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray, time_s: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the generalised effort tau (n, n_s) that a motion needs, and Gamma^T B (n, n_s, n_u) along it.
+
+    Forces over time act as at the times (n,) [s]; without times they do not act.
+    """
+    if time_s is None:
+        tau = sampled(mechanism.dynamics.inverse_dynamics, q, v, a)[:, :, 0]
+    else:
+        tau = sampled(mechanism.forced.inverse_dynamics, q, v, a, *mechanism.forces_at(time_s))[:, :, 0]
     return tau, sampled(mechanism.dynamics.effort_map, q)
 
 

@@ -222,14 +222,18 @@ def reduce_tree(
 
 
 def with_numbers(dynamics: ReducedDynamics, numbers: np.ndarray) -> ReducedDynamics:
-    """Return dynamics with numbers (k,) in place of their parameters."""
+    """Return dynamics with numbers (k,) in place of the first of their parameters; further ones stay parameters."""
 
     def given(function: ca.Function) -> ca.Function:
-        if function.name_in(function.n_in() - 1) != _PARAMETERS:
+        last = function.n_in() - 1
+        if function.name_in(last) != _PARAMETERS:
             return function
-        inputs = [ca.SX.sym(function.name_in(i), function.sparsity_in(i)) for i in range(function.n_in() - 1)]
-        outputs = function.call([*inputs, ca.SX(ca.DM(numbers))])
-        return ca.Function(function.name(), inputs, outputs)
+        inputs = [ca.SX.sym(function.name_in(i), function.sparsity_in(i)) for i in range(last)]
+        names, left = [f"i{k}" for k in range(last)], ca.SX.sym(_PARAMETERS, function.numel_in(last) - len(numbers))
+        outputs = function.call([*inputs, ca.vertcat(ca.DM(numbers), left)])
+        if left.numel():
+            inputs, names = [*inputs, left], [*names, _PARAMETERS]
+        return ca.Function(function.name(), inputs, outputs, names, [f"o{k}" for k in range(len(outputs))])
 
     functions = {field.name: getattr(dynamics, field.name) for field in fields(ReducedDynamics)}
     return replace(dynamics, **{k: given(f) for k, f in functions.items() if isinstance(f, ca.Function)})

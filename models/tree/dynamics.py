@@ -111,12 +111,14 @@ def build_tree(
     reference: np.ndarray | None = None,
     inertials: Mapping[int, Inertial] | None = None,
     transition: float = TRANSITION,
+    forces: Mapping[int, ca.SX] | None = None,
 ) -> Tree:
     """Return the symbolic dynamics of a model in its internal coordinates.
 
     On a hinge or slide q_i is MuJoCo's `qpos`, which includes the joint's `ref`; the rotation is qpos - qpos0. The charts of
     ball and free joints are centred at `reference` (nq,), a qpos (default `qpos0`). `inertials` replaces the inertial
     properties of the bodies that it names. `transition` is the transition speed of dry friction (`models.tree.friction`).
+    `forces` are further forces (3,) [N] in the world on sites by index; they are passive, and without potential energy.
     """
     n_q = model.nv
     coordinates = read_coordinates(model, model.qpos0 if reference is None else reference)
@@ -151,6 +153,10 @@ def build_tree(
     compensation_energy = _compensation_energy(model, frames, gravity)
     compensation = -ca.jacobian(compensation_energy, q).T
     mass_matrix = ca.jacobian(tau, qdd)
+    applied = ca.SX.zeros(n_q)
+    for site, force in (forces or {}).items():
+        frame = frames[int(model.site_bodyid[site])]
+        applied += ca.jacobian(frame.p_world_B + frame.R_world_B @ ca.DM(model.site_pos[site]), q).T @ force
     return Tree(
         model=model,
         coordinates=coordinates,
@@ -162,7 +168,7 @@ def build_tree(
         mass_matrix=mass_matrix,
         bias=ca.substitute(tau, qdd, ca.SX.zeros(n_q)),
         gravity=weight - compensation,
-        passive=joint_force + tendon_force + gas_force + compensation,
+        passive=joint_force + tendon_force + gas_force + compensation + applied,
         friction=dry_friction(model, lengths, q, qd, velocity, T, transition, extent_m(model)),
         kinetic_energy=0.5 * ca.dot(qd, mass_matrix @ qd),
         potential_energy=potential + spring_energy + tendon_energy + gas_energy + compensation_energy,

@@ -121,7 +121,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
 
     over = np.maximum(u - limits.effort[:, 1], limits.effort[:, 0] - u).max(axis=1)
     effort_excess = max(0.0, peak("effort_excess", over))
-    tau, maps = demanded(mechanism, q, v, a)
+    tau, maps = demanded(mechanism, q, v, a, time)
     needed, carried = least_effort(tau, maps), np.einsum("ksu,ku->ks", maps, u)
     needed_over = np.maximum(needed - limits.effort[:, 1], limits.effort[:, 0] - needed)
     inverse_excess = max(0.0, peak("inverse_dynamics_excess", needed_over.max(axis=1)))
@@ -183,7 +183,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         "a closure's force": samples.closure_forces,
     }
     failures += [sentence for what, values in figures.items() for sentence in not_finite(what, values, time)]
-    unknown = extras_not_finite(problem.objective.extra, mechanism, time, q, v, a, u)
+    unknown = extras_not_finite(problem.objective.extra, mechanism, time, q, v, a, u, *samples.forces)
     if not np.all(np.isfinite(integrated.position)) and until.passed:
         failures.insert(0, f"its integration ran out of the plan's {problem.solver.max_time_s:g} s (solver.max_time_s)")
     failures += _integration_failures(in_deg, in_m)

@@ -7,7 +7,10 @@ integration is restarted whenever an error would have grown by `RESTART_GROWTH`.
 a motion of the model, not that open-loop control could follow it. The number of restarts is reported.
 """
 
+import contextlib
 import functools
+import itertools
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -34,6 +37,8 @@ VELOCITY_SHARE = 0.02
 Bounds = tuple[np.ndarray, np.ndarray] | np.ndarray
 # Start and goal may exceed a limit by this share of its size, because inverse kinematics and rounding are inexact.
 POSE_SLACK = 2e-9
+# Parts of an interval are at least so long, as shares of it: a force that bends closer to an end than this bends there.
+_CUT_SHARE = 1e-7
 # Growth of an error at which the integration is restarted. Rounding times this is far below a certificate's 0.01 deg.
 RESTART_GROWTH = 1e4
 
@@ -144,13 +149,12 @@ def integrate(
         until: deadline of the integration.
         rtol: relative error tolerance of the integration without restarts.
     """
-    whole = _integrated_once(mechanism, trajectory, speed, allowed, until, rtol)
-    if np.all(whole.position <= allowed) and whole.velocity <= VELOCITY_SHARE:
-        return whole
-    try:
-        return _integrated_with_restarts(mechanism, trajectory, speed, allowed, until) or whole
-    except (AssemblyError, OutOfTimeError):  # the motion is infeasible, or the deadline has passed
-        return whole
+    trajectory, first = _cut_at_forces(mechanism, trajectory)
+    found = _integrated_once(mechanism, trajectory, speed, allowed, until, rtol)
+    if not (np.all(found.position <= allowed) and found.velocity <= VELOCITY_SHARE):
+        with contextlib.suppress(AssemblyError, OutOfTimeError):  # the motion is infeasible, or the deadline has passed
+            found = _integrated_with_restarts(mechanism, trajectory, speed, allowed, until) or found
+    return replace(found, growth=np.add.reduceat(found.growth, first))
 
 
 def _integrated_once(
@@ -190,7 +194,7 @@ def _integrated_with_restarts(
         return None
     trajectory, first = _in_pieces(mechanism, trajectory, poses)
     n, widths = len(trajectory.breaks_s) - 1, np.diff(trajectory.breaks_s)
-    function, inputs = _rate(mechanism, *trajectory.effort[:, 0].shape), _inputs(trajectory)
+    function, inputs = _rate(mechanism, *trajectory.effort[:, 0].shape), _inputs(mechanism, trajectory)
     begins = np.hstack([trajectory.position[0], trajectory.velocity[0]])
     ends = np.hstack([trajectory.position[-1], trajectory.velocity[-1]])
     poses = follow(mechanism, trajectory.position[0], trajectory.start_pose, until)
@@ -249,12 +253,33 @@ def _in_pieces(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarray) 
 
     The growth is that at intervals' first poses (n, n_q).
     """
-    given, counts = (poses, trajectory.velocity[0], trajectory.effort[0], np.diff(trajectory.breaks_s)), []
-    for q, v, u, width in zip(*given, strict=True):
-        fastest = np.linalg.eigvals(_slope(mechanism, q, v, u)).real.max()
-        counts.append(max(1, int(np.ceil(2.0 * width * fastest / np.log(RESTART_GROWTH)))))
-    parts = [(k, i / n, (i + 1) / n) for k, n in enumerate(counts) for i in range(n)]
-    breaks, first = trajectory.breaks_s, np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(int)
+    shares = []
+    for width, slope in zip(np.diff(trajectory.breaks_s), _slopes(mechanism, trajectory, poses), strict=True):
+        fastest = np.linalg.eigvals(slope).real.max()
+        n = max(1, int(np.ceil(2.0 * width * fastest / np.log(RESTART_GROWTH))))
+        shares.append(np.arange(n + 1) / n)
+    return _cut(trajectory, shares)
+
+
+def _cut_at_forces(mechanism: Mechanism, trajectory: Trajectory) -> tuple[Trajectory, np.ndarray]:
+    """Return a trajectory on intervals over which forces over time are cubics, and the first of each interval before."""
+    breaks, shares = trajectory.breaks_s, [np.array([0.0, 1.0])] * (len(trajectory.breaks_s) - 1)
+    times = np.zeros(0) if mechanism.forces is None else mechanism.forces.curve.inner_times(float(breaks[-1]))
+    for k in np.unique(np.searchsorted(breaks, times, side="right") - 1):
+        at = (times - breaks[k]) / (breaks[k + 1] - breaks[k])
+        shares[k] = np.concatenate([[0.0], at[(at > _CUT_SHARE) & (at < 1 - _CUT_SHARE)], [1.0]])
+    return _cut(trajectory, shares)
+
+
+def _cut(trajectory: Trajectory, shares: list[np.ndarray]) -> tuple[Trajectory, np.ndarray]:
+    """Return a trajectory on parts of its intervals, and the first part (n_intervals,) of each.
+
+    The parts of an interval have ends (n + 1,) at shares of it, from 0 to 1.
+    """
+    first = np.concatenate([[0], np.cumsum([len(of) - 1 for of in shares])[:-1]]).astype(int)
+    if first[-1] == len(shares) - 1 and len(shares[-1]) == 2:
+        return trajectory, first
+    parts, breaks = [(k, *ends) for k, of in enumerate(shares) for ends in itertools.pairwise(of)], trajectory.breaks_s
     cut = {
         name: np.stack([bernstein_part(len(whole) - 1, begin, end) @ whole[:, k] for k, begin, end in parts], axis=1)
         for name in ("position", "velocity", "effort")
@@ -264,9 +289,16 @@ def _in_pieces(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarray) 
     return replace(trajectory, breaks_s=at, **cut), first
 
 
-def _slope(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+def _slopes(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield the slopes of `_slope` at the intervals' first poses (n, n_q)."""
+    forces = mechanism.forces_at(trajectory.breaks_s[:-1])
+    for q, v, u, *w in zip(poses, trajectory.velocity[0], trajectory.effort[0], *forces, strict=True):
+        yield _slope(mechanism, q, v, u, *w)
+
+
+def _slope(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray, *forces: np.ndarray) -> np.ndarray:
     """Return the derivative (2 n_s, 2 n_s) of the rates of s and v by s and v."""
-    by_s, by_v, _ = mechanism.dynamics.linearisation(q, v, u)
+    by_s, by_v, _ = mechanism.forced.linearisation(q, v, u, *forces)
     n_s = mechanism.dof
     return np.block([[np.zeros((n_s, n_s)), np.eye(n_s)], [np.array(by_s), np.array(by_v)]])
 
@@ -278,11 +310,10 @@ def _linear_growth(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarr
     """
     eye, largest = np.eye(2 * mechanism.dof), 1.0
     carried = eye
-    given = poses, trajectory.velocity[0], trajectory.effort[0], np.diff(trajectory.breaks_s)
-    for q, v, u, width in zip(*given, strict=True):
+    for width, slope in zip(np.diff(trajectory.breaks_s), _slopes(mechanism, trajectory, poses), strict=True):
         # The exponential by n steps of the trapezoidal rule, which no stiff friction makes unstable.
         n = 64
-        half = width / (2 * n) * _slope(mechanism, q, v, u) * unit / unit[:, None]
+        half = width / (2 * n) * slope * unit / unit[:, None]
         carried = np.linalg.matrix_power(np.linalg.solve(eye - half, eye + half), n) @ carried
         largest = max(largest, float(np.abs(carried).max()))
         if largest > RESTART_GROWTH:  # over minutes the product overflows
@@ -292,7 +323,7 @@ def _linear_growth(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarr
 
 def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, until: Deadline, rtol: float) -> np.ndarray:
     """Return the states (m + 1, 2, n): the start twice, then the middle and end of every interval before a failure."""
-    widths, inputs = np.diff(trajectory.breaks_s), _inputs(trajectory)
+    widths, inputs = np.diff(trajectory.breaks_s), _inputs(mechanism, trajectory)
     rate = _rate(mechanism, *trajectory.effort[:, 0].shape)
     reached, halves, stiff = np.array([[state, state]]), np.array([0.5, 1.0]), False
     while (k := len(reached) - 1) < len(widths):
@@ -310,16 +341,25 @@ def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, unt
     return reached
 
 
-def _inputs(trajectory: Trajectory) -> np.ndarray:
-    """Return the coefficients of every interval's efforts as rows (n_intervals, k)."""
-    return trajectory.effort.transpose(1, 2, 0).reshape(trajectory.effort.shape[1], -1)
+def _inputs(mechanism: Mechanism, trajectory: Trajectory) -> np.ndarray:
+    """Return the coefficients of every interval's efforts, and of forces over time, as rows (n_intervals, k).
+
+    Those of the forces belong to powers of the share of the interval, over which they are cubics.
+    """
+    n, inside = trajectory.effort.shape[1], np.array([0.125, 0.375, 0.625, 0.875])
+    to_powers = np.linalg.inv(np.vander(inside, increasing=True))
+    forces = [to_powers @ w.reshape(n, 4, -1) for w in mechanism.forces_at(trajectory.times_at(inside))]
+    return np.hstack([c.reshape(n, -1) for c in (trajectory.effort.transpose(1, 2, 0), *forces)])
 
 
 @functools.lru_cache(maxsize=16)
 def _rate(mechanism: Mechanism, n_coefficients: int, n_u: int) -> ca.Function:
-    """Return the model's right-hand side: (state, effort coefficients as a column, share of the interval) to its rate."""
-    n = mechanism.n_q + mechanism.dof
-    x, flat, tau = ca.SX.sym("x", n), ca.SX.sym("u", n_coefficients * n_u), ca.SX.sym("tau")
-    effort = bernstein_value(ca.reshape(flat, n_coefficients, n_u), tau).T
-    rates = mechanism.dynamics.flow(x[: mechanism.n_q], x[mechanism.n_q :], effort)
+    """Return the model's right-hand side: (state, coefficients of `_inputs`, share of the interval) to its rate."""
+    n, n_forces = mechanism.n_q + mechanism.dof, 0 if mechanism.forces is None else 3 * len(mechanism.forces.sites)
+    x, flat, tau = ca.SX.sym("x", n), ca.SX.sym("u", n_coefficients * n_u + 4 * n_forces), ca.SX.sym("tau")
+    own, pushing = ca.vertsplit(flat, [0, n_coefficients * n_u, flat.numel()])
+    effort = bernstein_value(ca.reshape(own, n_coefficients, n_u), tau).T
+    powers = ca.vertcat(1, tau, tau**2, tau**3)
+    forces = [ca.reshape(pushing, n_forces, 4) @ powers] if n_forces else []
+    rates = mechanism.forced.flow(x[: mechanism.n_q], x[mechanism.n_q :], effort, *forces)
     return ca.Function("rate", [x, flat, tau], [ca.vertcat(*rates)], {"cse": True})

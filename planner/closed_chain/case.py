@@ -133,6 +133,7 @@ def _target(problem: Problem, *, kinks: bool, enclosed: bool) -> RefinementTarge
     continuous_efforts = objective.efforts("bend")
     bending = kinks and continuous_efforts and not objective.has("tracking")
     switches = not enclosed and (objective.efforts("jump") or bending) and not objective.efforts("smooth")
+    switches = switches and problem.mechanism.forces is None  # whose instants are those of the mesh
     lines = any(motor is not None and motor.line is not None for motor in problem.motors)
     bent = continuous_efforts and bool(np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent])))
     tolerance = 1e-7 if switches and (lines or bent) else None
@@ -299,6 +300,11 @@ def plan_prescribed(problem: Problem, start_pose: np.ndarray) -> Plan:
 
 def _too_fast(problem: Problem, start_pose: np.ndarray, sentence: str, details: dict[str, float]) -> Plan:
     """Return the answer that a reference breaks a limit, with the highest rate at which it breaks none."""
+    nearest = 'motion.kind = "{}" plans the nearest motion that does'
+    if problem.mechanism.forces is not None:  # which would be others at another rate
+        kind = "periodic" if problem.reference.periodic else "reach"
+        message = f"infeasible: {sentence}; {nearest.format(kind)} not break it"
+        return Plan(problem=problem, status="infeasible", message=message, details=details)
     progress("looking for the highest feasible rate")
     rate, reference = highest_rate(problem, start_pose, _LOWEST_RATE, 1.0), problem.reference
     at = "at this amplitude" if isinstance(reference, Sine) else "along these positions"
@@ -313,7 +319,7 @@ def _too_fast(problem: Problem, start_pose: np.ndarray, sentence: str, details: 
     return Plan(
         problem=problem,
         status="infeasible",
-        message=f'infeasible: {sentence}; {at} {remedy}; motion.kind = "{kind}" plans the nearest motion that does',
+        message=f"infeasible: {sentence}; {at} {remedy}; {nearest.format(kind)}",
         details=details,
     )
 

@@ -250,7 +250,9 @@ def _theta(problem: Problem, asked: NodeTerms, scales: Scales, value: float) -> 
         parts = [np.broadcast_to(before, (n, m, len(before)))]
         if asked.tracked:
             parts.append(problem.reference.derivative(times.ravel()).reshape(n, m, -1) / scales.position)
-        return np.concatenate([*parts, np.broadcast_to(after, (n, m, len(after)))], axis=2)
+        parts.append(np.broadcast_to(after, (n, m, len(after))))
+        parts += [forces.reshape(n, m, -1) for forces in problem.mechanism.forces_at(times.ravel())]
+        return np.concatenate(parts, axis=2)
 
     return theta
 

@@ -18,9 +18,12 @@ from linkplan.planner.problem.reference import GuessedPath
 from linkplan.planner.refinement.perturbation import perturbation
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
+from linkplan.planner.transcription.mesh import Mesh, with_breaks
 
 # Samples along a guess at which its effort is evaluated: enough for a path of a few radians.
 GUESS_SAMPLES = 121
+# Forces over time that bend at more instants are met by refinement alone, and not by a first mesh with all these instants.
+_MOST_FORCE_TIMES = 200
 # Ratio of the guessed duration to the time of the last waypoint with a prescribed time, if the guess would end before that.
 _LAST_WAYPOINT_STRETCH = 1.25
 
@@ -81,6 +84,18 @@ def first_guess(problem: Problem, start_pose: np.ndarray) -> Guess:
     if motion.waypoints and not closes(problem, guess):
         return guess_along(_smooth_path(problem, duration, rests=True), duration, start_pose, boundaries)
     return guess
+
+
+def force_times(problem: Problem) -> np.ndarray:
+    """Return the times (n,) [s] within a motion at which a derivative of the forces over time jumps."""
+    forces = problem.mechanism.forces
+    return np.zeros(0) if forces is None else forces.curve.inner_times(problem.motion.duration_s or 0.0)
+
+
+def with_force_times(problem: Problem, mesh: Mesh, durations: np.ndarray) -> Mesh:
+    """Return a mesh with segments of durations [s] whose intervals end at the times at which forces over time bend."""
+    times = force_times(problem)
+    return with_breaks(mesh, durations, times) if 0 < len(times) <= _MOST_FORCE_TIMES else mesh
 
 
 def follows_reference(problem: Problem) -> bool:

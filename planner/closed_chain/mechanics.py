@@ -27,7 +27,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.limits.body import coordinate
 from linkplan.planner.limits.limit import Limit
-from linkplan.planner.problem.instant import Instant, Scales
+from linkplan.planner.problem.instant import Instant, Scales, with_parameters
 from linkplan.planner.problem.objective import Term
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.transcription.system import System, node_symbols
@@ -100,18 +100,29 @@ def _closure(mechanism: Mechanism) -> ca.Function:
 
 
 def lifted_start(
-    mechanism: Mechanism, poses: np.ndarray, v: np.ndarray, a: np.ndarray, effort: np.ndarray, time_s: float, force: float
+    mechanism: Mechanism,
+    poses: np.ndarray,
+    v: np.ndarray,
+    a: np.ndarray,
+    effort: np.ndarray,
+    time_s: float,
+    force: float,
+    *forces: np.ndarray,
 ) -> np.ndarray:
-    """Return the scaled unknowns (n, 3 n_z) along poses (n, n_q) with v, a (n, n_s) and efforts (n, n_u)."""
+    """Return the scaled unknowns (n, 3 n_z) along poses (n, n_q) with v, a (n, n_s) and efforts (n, n_u).
+
+    `forces` are those of `Mechanism.forces_at`.
+    """
     dynamics, dependent, found = mechanism.dynamics, mechanism.dependent, []
     rows = dynamics.independent_closure.numel_out(0)
-    for pose, speed, acceleration, u in zip(poses, v, a, effort, strict=True):
+    for pose, speed, acceleration, u, *w in zip(poses, v, a, effort, *forces, strict=True):
         gamma = np.array(dynamics.velocity_map(pose))
         rates, still = gamma @ speed, gamma @ acceleration
         turning = np.array(_closure(mechanism)(pose, rates, still, np.zeros(rows))[1]).ravel()
         J = _jacobian(mechanism)(pose).full()
         still[dependent] -= np.linalg.lstsq(J[:, dependent], turning, rcond=None)[0]
-        left = np.array(dynamics.tree_effort(pose, rates, still) - dynamics.effort_matrix(pose) @ u).ravel()
+        needed = mechanism.forced.tree_effort(pose, rates, still, *w)
+        left = np.array(needed - dynamics.effort_matrix(pose) @ u).ravel()
         mu = np.linalg.lstsq(J[:, dependent].T, left[dependent], rcond=None)[0]
         found.append(np.concatenate([rates[dependent] * time_s, still[dependent] * time_s**2, mu / force]))
     return np.array(found)
@@ -161,7 +172,7 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     """Return a mechanism's system.
 
     A node's parameters are, in this order: weights of the running costs; the scaled reference (n_s,) if it is tracked;
-    scales; numbers of the limits; numbers of the payload.
+    scales; numbers of the limits; numbers of the payload; forces over time.
     """
     n_s, n_q, n_u = mechanism.dof, mechanism.n_q, mechanism.n_u
     node = node_symbols(n_s, 0, n_algebraic(mechanism, asked), n_u)
@@ -180,11 +191,12 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     }
     sizes |= {"limits": sum(limit.rows.n_numbers for limit in asked.limits)}
     sizes |= {"payload": 0 if mechanism.payload is None else len(mechanism.payload.numbers())}
+    sizes |= {"forces": 0 if mechanism.forces is None else 3 * len(mechanism.forces.sites)}
     given = {name: ca.SX.sym(name, size) for name, size in sizes.items()}
     rate = given["position"] / given["time"]
     q = in_order(mechanism, node.s * given["position"], z)
     v, a, u = node.v * rate, node.a * rate / given["time"], node.u * given["effort"]
-    call = _caller(mechanism, given["payload"])
+    call = _caller(mechanism, given["payload"], given["forces"])
     equations, kinds, rates = call("independent_closure", q) / given["length"], ("closure",) * (n_q - n_s), None
     if is_lifted(mechanism):
         rows, named, rates = lifted_rows(mechanism, lifted, call, given, (q, v, a, u))
@@ -199,6 +211,7 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
         a=a,
         u=u,
         payload=given["payload"],
+        forces=given["forces"],
         call=call,
         units=given,
         rates=rates,
@@ -254,16 +267,17 @@ def _split(column: ca.SX, sizes: list[int]) -> list[ca.SX]:
     return [column[end - size : end] for size, end in zip(sizes, itertools.accumulate(sizes), strict=True)]
 
 
-def _caller(mechanism: Mechanism, payload: ca.SX) -> Callable[..., ca.SX]:
-    """Return a function that calls the reduced dynamics by name, with the payload's numbers as parameters."""
-    if mechanism.payload is None:
+def _caller(mechanism: Mechanism, payload: ca.SX, forces: ca.SX) -> Callable[..., ca.SX]:
+    """Return a function that calls the reduced dynamics by name, with the payload's numbers and forces as parameters."""
+    if mechanism.payload is None and mechanism.forces is None:
         return lambda name, *arguments: getattr(mechanism.dynamics, name)(*arguments)
-    dynamics = mechanism.parametric_dynamics()
-    return lambda name, *arguments: getattr(dynamics, name)(*arguments, payload)
+    return with_parameters(mechanism.parametric_dynamics(), ca.vertcat(payload, forces))
 
 
 def node_numbers(problem: Problem, asked: NodeTerms, scales: Scales, value: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the numbers of a node's parameters before and after the reference, in the order of `mechanism_system`.
+
+    The forces over time come after them.
 
     `value` is the objective's unit in SI.
     """

@@ -7,10 +7,11 @@ import numpy as np
 
 from linkplan.models.poses.along import demanded, effort_within, joint_rates, least_effort, missed_rounding, needed_effort
 from linkplan.models.poses.assembly import close_at, follow
-from linkplan.planner.closed_chain.guess import Guess, first_guess, motion_of, poses_along, stretched
+from linkplan.planner.closed_chain.guess import Guess, first_guess, force_times, motion_of, poses_along, stretched
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import Margin, limit_margin
 from linkplan.planner.limits.samples import samples_of
+from linkplan.planner.problem.keys.kinds import MIN_INTERVAL_SHARE
 from linkplan.planner.problem.objective import motor_losses
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.reference import is_whole
@@ -59,7 +60,9 @@ def prescribe(problem: Problem, start_pose: np.ndarray) -> Trajectory:
     """
     guess, reference = first_guess(problem, start_pose), problem.reference
     T, period_s = guess.duration_s, reference.period_s
-    knots = np.concatenate([[0.0], reference.inner_times(T), [T]])
+    inner = np.sort(np.concatenate([reference.inner_times(T), force_times(problem)]))
+    inner = inner[np.diff(inner, prepend=0.0) > MIN_INTERVAL_SHARE * T]
+    knots = np.concatenate([[0.0], inner, [T]])
     least = max(problem.mesh.intervals / period_s, 8 / T) * np.diff(knots)
     counts = np.ceil(least - 1e-9).astype(int)
     parts = [np.linspace(knots[k], knots[k + 1], int(n), endpoint=False) for k, n in enumerate(counts)]
@@ -85,7 +88,7 @@ def motion_along(problem: Problem, guess: Guess, breaks_s: np.ndarray) -> Trajec
     time = (breaks_s[:-1, None] + h * tau).ravel()
     v, a = guess.velocity(time), guess.acceleration(time)
     poses = poses_along(mechanism, guess, time, problem.solver.deadline)
-    effort = needed_effort(mechanism, poses, v, a)[0] if guess.effort is None else guess.effort(time)
+    effort = needed_effort(mechanism, poses, v, a, time)[0] if guess.effort is None else guess.effort(time)
 
     def coefficients(values: np.ndarray) -> np.ndarray:
         return np.einsum("pj,kjs->pks", to_bernstein, values.reshape(n, _REFERENCE_DEGREE + 1, -1))
@@ -178,13 +181,14 @@ def reference_demand(problem: Problem, start_pose: np.ndarray) -> Demand | None:
 
     mechanism, reference, limits = problem.mechanism, problem.reference, problem.limits
     duration = problem.motion.duration_s or reference.period_s
-    time = np.sort(np.append(np.linspace(0.0, duration, 2001), reference.inner_times(duration)))
+    inner = np.append(reference.inner_times(duration), force_times(problem))
+    time = np.sort(np.append(np.linspace(0.0, duration, 2001), inner))
     poses = follow(mechanism, reference.derivative(time), start_pose, problem.solver.deadline)
 
     def evaluate(t: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         q = follow(mechanism, reference.derivative(t), start, problem.solver.deadline)
         v, a = reference.derivative(t, 1), reference.derivative(t, 2)
-        effort, _ = needed_effort(mechanism, q, v, a)
+        effort, _ = needed_effort(mechanism, q, v, a, t)
         return effort, q, joint_rates(mechanism, q, v)
 
     sampled = evaluate(time, start_pose)

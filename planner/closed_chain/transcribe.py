@@ -44,7 +44,7 @@ def choose_scales(problem: Problem, guess: Guess) -> Scales:
     """Return units of order one: durations, spans, limits, or the guess's efforts if these are far below the limits."""
     mechanism, limit = problem.mechanism, problem.limits.effort
     times, poses = (samples[::2] for samples in even_poses(problem, guess))
-    need, _ = needed_effort(mechanism, poses, guess.velocity(times), guess.acceleration(times))
+    need, _ = needed_effort(mechanism, poses, guess.velocity(times), guess.acceleration(times), times)
     position = position_units(mechanism, guess.position(times))
     # A joint at rest needs almost no effort. Its unit is the effort that moves it by its unit beside joints that move, and
     # 1e-6 of that if all are at rest in balance.
@@ -219,16 +219,17 @@ def _start(problem: Problem, guess: Guess, scales: Scales, formulation: Formulat
     def nodes(times: np.ndarray):
         v, a = guess.velocity(times), guess.acceleration(times)
         poses = poses_along(mechanism, guess, times, problem.solver.deadline)
-        effort = guess.effort(times) if guess.effort is not None else needed_effort(mechanism, poses, v, a)[0]
+        effort = guess.effort(times) if guess.effort is not None else needed_effort(mechanism, poses, v, a, times)[0]
         algebraic = poses[:, mechanism.dependent]
         if is_lifted(mechanism):
-            lifted = lifted_start(mechanism, poses, v, a, effort, scales.time_s, scales.force)
+            forces = mechanism.forces_at(times)
+            lifted = lifted_start(mechanism, poses, v, a, effort, scales.time_s, scales.force, *forces)
             algebraic = np.column_stack([algebraic, lifted])
         if formulation.n_z > algebraic.shape[1]:
             maps = sampled(mechanism.dynamics.effort_map, poses)
             n_works = formulation.n_z - algebraic.shape[1] - sum(rows.n_unknowns for rows in limits)
             spent = np.maximum(effort * np.einsum("ksu,ks->ku", maps, v) / scales.power, 0.0)[:, :n_works]
-            own = [of(problem, scales, (poses, v, a, effort)) for of in starts]
+            own = [of(problem, scales, (poses, v, a, effort, *mechanism.forces_at(times))) for of in starts]
             algebraic = np.column_stack([algebraic, spent, *own])
         return a / (rate / scales.time_s), np.zeros((len(times), 0)), algebraic, effort
 

@@ -22,7 +22,7 @@ from linkplan.planner.limits.limit import (
     Trajectory,
 )
 from linkplan.planner.problem.extra import Expression, ExtraLimit, expressed, extra_along, uses
-from linkplan.planner.problem.instant import free_instant
+from linkplan.planner.problem.instant import force_inputs, free_instant
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,14 +70,14 @@ class ExtraPathLimit(Limit):
 
     def measured(self, at: Poses) -> Measured:
         limit = at.problem.extra_limits[self.item]
-        motion = (at.q, at.v, at.a, at.u) if isinstance(at, Samples) else (at.q,)
+        motion = (at.q, at.v, at.a, at.u, *at.forces) if isinstance(at, Samples) else (at.q,)
         values = extra_along(self.extra, at.problem.mechanism, *motion)
         return Measured(limit.name, values, (limit.lower, limit.upper), limit.unit, limit.size)
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
         at, symbols = free_instant(problem.mechanism)
         limit = problem.extra_limits[self.item]
-        value = ca.Function("extra", symbols[:4], [ca.densify(expressed(limit, at))])
+        value = ca.Function("extra", [*symbols[:4], *force_inputs(at)], [ca.densify(expressed(limit, at))])
         name, bounds = f"extra limit '{limit.name}'", (limit.lower, limit.upper)
         yield Claimed(name=name, unit=limit.unit, bounds=bounds, value=value)
 

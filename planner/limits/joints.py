@@ -80,7 +80,7 @@ class ClosureForceLimit(Limit):
             return "bearing", ca.vertsplit(at.closure_force[list(self.places)] / numbers)
 
         def start(problem: Problem, _: Scales, motion: MotionArrays) -> np.ndarray:
-            return sampled(problem.mechanism.dynamics.closure_force, *motion)[:, list(self.places), 0] / rating(problem)
+            return sampled(problem.mechanism.forced.closure_force, *motion)[:, list(self.places), 0] / rating(problem)
 
         if not self.places:
             return Rows(node=node, n_numbers=1, numbers=lambda problem: (1.0 / np.square(rating(problem)),))

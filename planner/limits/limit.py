@@ -43,7 +43,7 @@ __all__ = [
 ]
 
 Bounds = tuple[float, float]
-MotionArrays = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # q (n, n_q), v and a (n, n_s), u (n, n_u)
+MotionArrays = tuple[np.ndarray, ...]  # q (n, n_q), v and a (n, n_s), u (n, n_u), and those of `Mechanism.forces_at`
 # Between nodes a motion slightly exceeds its values at the nodes. A limit that must admit it is widened by this factor.
 BETWEEN_NODES_FACTOR = 1.001
 # Limits that cannot be removed from a problem are widened by this factor.
@@ -143,7 +143,8 @@ class Claimed:
         unit: in which it is shown, `per_unit` times SI.
         bounds: [low, high].
         value: in the balls of a `proof.motion.Kinetics` (of a `State` if `of_planned`), or a CasADi function of the pose q,
-            or of q, v, a and u of the independent joints, or one function of q for each interval of the trajectory.
+            or of q, v, a and u of the independent joints, after which `force_inputs` may follow, or one function of q for
+            each interval of the trajectory.
         of_planned: whether the value needs planned positions and efforts only, and no speeds.
         slack: the allowances of both bounds; those for rounding by default.
         unknown: why the value cannot be enclosed.

@@ -60,6 +60,11 @@ class Samples(Poses):
         return getattr(self.trajectory, name)[:, :, columns[0]] if len(columns) else None
 
     @cached_property
+    def forces(self) -> tuple[np.ndarray, ...]:
+        """The forces over time of `Mechanism.forces_at`."""
+        return self.problem.mechanism.forces_at(self.time)
+
+    @cached_property
     def actuator_speeds(self) -> np.ndarray:
         """The actuators' speeds (n, n_u) [rad/s or m/s]."""
         return actuator_speeds(self.problem, self.q, self.v)
@@ -72,13 +77,14 @@ class Samples(Poses):
     @cached_property
     def closure_forces(self) -> np.ndarray:
         """The size (n, n_closures) [N] of every closure's force."""
-        return closure_forces(self.problem, self.q, self.v, self.a, self.u)
+        return closure_forces(self.problem, self.q, self.v, self.a, self.u, *self.forces)
 
     @cached_property
     def corner_efforts(self) -> np.ndarray:
         """The efforts (n, n_corners, n_u) of machines at the corners of the ranges in [robust]."""
         problem = self.problem
-        return corner_efforts_along(problem.mechanism, problem.robust.corners, self.q, self.v, self.a, self.u)
+        motion = (self.q, self.v, self.a, self.u, *self.forces)
+        return corner_efforts_along(problem.mechanism, problem.robust.corners, *motion)
 
 
 def samples_of(problem: Problem, trajectory: Trajectory) -> Samples:
@@ -154,10 +160,10 @@ def actuator_speeds(problem: Problem, q: np.ndarray, v: np.ndarray) -> np.ndarra
     return np.einsum("ksu,ks->ku", sampled(problem.mechanism.dynamics.effort_map, q), v)
 
 
-def closure_forces(problem: Problem, q, v, a, u) -> np.ndarray:
-    """Return the size (n, n_closures) [N] of every closure's force."""
+def closure_forces(problem: Problem, q, v, a, u, *forces: np.ndarray) -> np.ndarray:
+    """Return the size (n, n_closures) [N] of every closure's force; `forces` are those of `Mechanism.forces_at`."""
     mechanism = problem.mechanism
-    force = sampled(mechanism.dynamics.closure_force, q, v, a, u)[:, :, 0]
+    force = sampled(mechanism.forced.closure_force, q, v, a, u, *forces)[:, :, 0]
     sizes = [np.linalg.norm(force[:, mechanism.closure_slice(c)], axis=1) for c in range(len(mechanism.closure_names))]
     return np.array(sizes).T.reshape(len(q), -1)
 

@@ -32,6 +32,8 @@ _SAME_ENERGY_SHARE = 1e-6
 
 def least_time_guess(problem: Problem, start_pose: np.ndarray) -> Guess | None:
     """Return the reach or turn of least time that the phase plane knows, whatever duration is asked; None without one."""
+    if problem.mechanism.forces is not None:
+        return None
     if problem.motion.turns is not None:
         return _quickest_turn(problem, start_pose)
     return _planes(problem, start_pose)(1.0) if phase_plane_applies(problem) else None
@@ -76,8 +78,13 @@ def _quickest_turn(problem: Problem, start_pose: np.ndarray) -> Guess | None:
 
 
 def phase_plane_applies(problem: Problem) -> bool:
-    """True if the phase plane applies: a reach of one degree of freedom with limits on all efforts."""
-    if problem.mechanism.n_equations != 1 or problem.motion.kind != "reach" or problem.motion.stays:
+    """True if the phase plane applies: a reach of one degree of freedom with limits on all efforts, no forces over time."""
+    if (
+        problem.mechanism.forces is not None
+        or problem.mechanism.n_equations != 1
+        or problem.motion.kind != "reach"
+        or problem.motion.stays
+    ):
         return False
     if any(w.time_s is not None or not np.all(np.isfinite(w.position)) for w in problem.motion.waypoints):
         return False

@@ -28,6 +28,7 @@ from linkplan.models.selection import Selection
 from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.files.tables import Tables, resolve_path, set_key, toml_text
 from linkplan.planner.problem.extra import Extra, ExtraCost, extras_text
+from linkplan.planner.problem.force_table import force_notes, forces_of, read_force_file
 from linkplan.planner.problem.imperfections import imperfections_of
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.keys.reading import KEYS, read, refuse_unknown_keys
@@ -50,7 +51,8 @@ from linkplan.planner.problem.settings import (
 from linkplan.planner.problem.table_reference import read_reference_file
 
 # Arguments that are whole tables of a problem file, those that are keys of a table, and those that no file holds.
-_SECTIONS = ("reference", "path", "limits", "motors", "guess", "mesh", "solver", "tracking", "robust", "imperfections")
+_SECTIONS = ("reference", "force_over_time", "path", "limits", "motors", "guess", "mesh", "solver", "tracking")
+_SECTIONS += ("robust", "imperfections")
 _TABLES = {key: "motion" for key in KEYS["motion"] if key != "kind"} | {"minimize": "objective", "reserve": "limits"}
 _MECHANISM = tuple(key for key in KEYS["mechanism"] if key != "model")
 _EXTRAS = ("extra_costs", "extra_limits")
@@ -74,6 +76,7 @@ def problem_arguments(
             + "".join(f"; {item.text}" for item in audit(mechanism.model))
         )
     read_reference_file(tables, mechanism, folder)
+    read_force_file(tables, folder)
     read_path_file(tables, folder)
     asked = _sections(tables, mechanism)
     notes = []
@@ -84,6 +87,10 @@ def problem_arguments(
     limits = limits_of(asked.limits, mechanism)
     reference, reference_notes = reference_of(asked.reference, mechanism, limits.position)
     path = site_path_of(asked.path, mechanism)
+    motion = motion_of(asked.motion, mechanism, reference, limits, path)
+    forces = forces_of(asked.force_over_time, mechanism, motion)
+    if forces is not None or mechanism.forces is not None:
+        mechanism = replace(mechanism, forces=forces)
     follows = asked.motion.kind == "track" or reference is not None
     minimize = tables.get("objective", {}).get("minimize", "tracking" if follows else "effort")
     objective = objective_from(minimize, extra_costs)
@@ -92,7 +99,7 @@ def problem_arguments(
         tables["guess"]["plan"] = str(place.resolve())
     return {
         "mechanism": mechanism,
-        "motion": motion_of(asked.motion, mechanism, reference, limits, path),
+        "motion": motion,
         "path": path,
         "objective": objective,
         "limits": limits,
@@ -106,7 +113,12 @@ def problem_arguments(
         "solver": SolverSettings(**tables.get("solver", {})),
         "tracking": _tracking(tables.get("tracking", {}), mechanism),
         "source": tables,
-        "notes": (*notes, *reference_notes, *_duration_notes(asked.motion, objective, reference)),
+        "notes": (
+            *notes,
+            *reference_notes,
+            *force_notes(asked.force_over_time),
+            *_duration_notes(asked.motion, objective, reference),
+        ),
     }
 
 

@@ -13,7 +13,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.body_angles import body_index, turning
 from linkplan.models.tree.dynamics import site_index
-from linkplan.planner.problem.instant import Instant, free_instant
+from linkplan.planner.problem.instant import Instant, force_inputs, free_instant
 
 # Names appear in sentences.
 MAX_NAME_CHARACTERS = 100
@@ -189,7 +189,7 @@ def uses(extra: Extra, mechanism: Mechanism) -> dict[str, bool]:
     """
     instant, symbols = free_instant(mechanism)
     found = expressed(extra, instant)
-    function = ca.Function("extra", symbols, [found], {"allow_free": True})
+    function = ca.Function("extra", [*symbols, instant.forces], [found], {"allow_free": True})
     if function.has_free():
         raise ProblemError(f"extra {extra.kind} '{extra.name}': its expression has no symbols but the instant's, got others")
     codes = range(function.n_instructions())
@@ -206,9 +206,13 @@ def uses(extra: Extra, mechanism: Mechanism) -> dict[str, bool]:
 
 
 def extra_along(extra: Extra, mechanism: Mechanism, *motion: np.ndarray) -> np.ndarray:
-    """Return the values (n,) of an extra limit or cost along q (n, n_q), or along q, v, a (n, n_s) and u (n, n_u)."""
-    instant, symbols = free_instant(mechanism)
-    function = ca.Function("extra", symbols[: len(motion)], [ca.densify(expressed(extra, instant))])
+    """Return the values (n,) of an extra limit or cost along q (n, n_q), or along q, v, a (n, n_s) and u (n, n_u).
+
+    After u come the forces over time of `Mechanism.forces_at`.
+    """
+    instant, (q, v, a, u, *_) = free_instant(mechanism)
+    inputs = [q, v, a, u, *force_inputs(instant)][: len(motion)]
+    function = ca.Function("extra", inputs, [ca.densify(expressed(extra, instant))])
     return sampled(function, *motion).reshape(-1)
 
 

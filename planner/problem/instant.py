@@ -23,6 +23,7 @@ from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_acceleration, sampled, site_motion
 from linkplan.models.poses.assembly import close_at
+from linkplan.models.reduction.reduced import ReducedDynamics
 from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.problem.keys.motion_and_limits import RobustSection
 
@@ -97,7 +98,7 @@ def _needed(at: "Instant", corners: Sequence[Corner]) -> list[ca.SX]:
             if factor == 1:
                 modelled[factor] = at.call("inverse_dynamics", at.q, at.v, at.a)
             else:
-                scaled = ca.vertcat(factor * at.payload[0], at.payload[1:4], factor * at.payload[4:7])
+                scaled = ca.vertcat(factor * at.payload[0], at.payload[1:4], factor * at.payload[4:7], at.forces)
                 modelled[factor] = at.mechanism.parametric_dynamics().inverse_dynamics(at.q, at.v, at.a, scaled)
         tau = modelled[factor]
         for name, viscous, coulomb in corner.friction:
@@ -114,6 +115,8 @@ def corner_out_of_reach(mechanism: Mechanism, corners: Sequence[Corner]) -> Corn
     """
     at, symbols = free_instant(mechanism)
     needed = ca.horzcat(*_needed(at, (Corner(), *corners)))
+    # The forces over time are the same for all machines, and cancel.
+    needed = ca.substitute(needed, at.forces, ca.SX.zeros(*at.forces.shape))
     function = ca.Function("needed", symbols[:3], [ca.densify(needed)])
     rng = np.random.default_rng(0)
     beside = mechanism.home[mechanism.independent] + 0.05 * rng.normal(size=mechanism.dof)
@@ -132,16 +135,35 @@ def corner_out_of_reach(mechanism: Mechanism, corners: Sequence[Corner]) -> Corn
     return None
 
 
-def corner_efforts_along(mechanism: Mechanism, corners: tuple[Corner, ...], q, v, a, u) -> np.ndarray:
-    """Return each corner's efforts (n, n_corners, n_u) [N.m or N] along samples q (n, n_q), v, a (n, n_s), u (n, n_u)."""
-    found = sampled(_function(mechanism, corners), q, v, a, u)
+def corner_efforts_along(mechanism: Mechanism, corners: tuple[Corner, ...], q, v, a, u, *forces: np.ndarray) -> np.ndarray:
+    """Return each corner's efforts (n, n_corners, n_u) [N.m or N] along samples q (n, n_q), v, a (n, n_s), u (n, n_u).
+
+    `forces` are those of `Mechanism.forces_at`.
+    """
+    found = sampled(_function(mechanism, corners), q, v, a, u, *forces)
     return found.reshape(len(q), len(corners), mechanism.n_u)
 
 
 @functools.lru_cache(maxsize=16)
 def _function(mechanism: Mechanism, corners: tuple[Corner, ...]) -> ca.Function:
     at, symbols = free_instant(mechanism)
-    return ca.Function("corners", symbols[:4], [ca.densify(ca.vertcat(*at.corner_efforts(corners)))])
+    inputs = [*symbols[:4], *force_inputs(at)]
+    return ca.Function("corners", inputs, [ca.densify(ca.vertcat(*at.corner_efforts(corners)))])
+
+
+def with_parameters(dynamics: ReducedDynamics, parameters: ca.SX) -> Callable[..., ca.SX]:
+    """Return a function that calls reduced dynamics by name, with parameters as the last input of functions that take it."""
+
+    def call(name: str, *arguments: Any) -> ca.SX:
+        function = getattr(dynamics, name)
+        return function(*arguments, *([parameters] if function.n_in() > len(arguments) else []))
+
+    return call
+
+
+def force_inputs(at: "Instant") -> list[ca.SX]:
+    """Return the symbols of an instant's forces over time as the last inputs of a function, as `Mechanism.forces_at`."""
+    return [] if at.mechanism.forces is None else [at.forces]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -195,6 +217,7 @@ class Instant:
         mechanism: the mechanism.
         q, v, a, u: pose (n_q,), independent speeds and accelerations (n_s,), efforts (n_u,).
         payload: numbers (7,) of the payload; empty without a payload.
+        forces: those over time (3 n_sites,) [N] in the world; empty without any.
         call: calls the reduced dynamics' functions by name.
         units: the program's units by name: time, position, effort, residual, length, power, force.
         rates: rates (n_q,) of all joints if they are unknowns of the program; otherwise they follow from the loops.
@@ -210,6 +233,7 @@ class Instant:
     a: ca.SX
     u: ca.SX
     payload: ca.SX
+    forces: ca.SX
     call: Callable[..., ca.SX]
     units: Mapping[str, ca.SX] = field(default_factory=dict)
     rates: ca.SX | None = None
@@ -284,15 +308,16 @@ class Instant:
 
 
 def free_instant(mechanism: Mechanism, losses: np.ndarray | None = None) -> tuple[Instant, list[ca.SX]]:
-    """Return an instant of new symbols, and the symbols: q, v, a, u, the effort's rate, the reference, the jerk."""
+    """Return an instant of new symbols, and the symbols: q, v, a, u, the effort's rate, the reference, the jerk.
+
+    Forces over time are further symbols, which `force_inputs` has.
+    """
     sizes = {"q": mechanism.n_q, "v": mechanism.dof, "a": mechanism.dof, "u": mechanism.n_u}
     sizes |= {"rate": mechanism.n_u, "reference": mechanism.dof, "jerk": mechanism.dof}
     symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]
     q, v, a, u, rate, reference, jerk = symbols
     payload = ca.SX(0, 1) if mechanism.payload is None else ca.SX(mechanism.payload.numbers())
-
-    def call(name: str, *arguments: Any) -> ca.SX:
-        return getattr(mechanism.dynamics, name)(*arguments)
-
+    forces = ca.SX.sym("forces", 0 if mechanism.forces is None else 3 * len(mechanism.forces.sites))
+    call = with_parameters(mechanism.forced, forces)
     given = {"effort_rate": rate, "jerk": jerk, "reference": reference, "losses": losses}
-    return Instant(mechanism=mechanism, q=q, v=v, a=a, u=u, payload=payload, call=call, **given), symbols
+    return Instant(mechanism=mechanism, q=q, v=v, a=a, u=u, payload=payload, forces=forces, call=call, **given), symbols

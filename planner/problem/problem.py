@@ -55,6 +55,8 @@ class Problem:
         reference: a sinusoid, `amplitude_deg`, `bias_deg`, `phase_deg` by joint and `frequency_hz`; or rows, `time_s` with
             `position_deg`, `position_m` by joint or `at`, {"foot": {"x": [...], "z": [...]}}, and `body_deg`, or the `file`
             of a table; with `period_s` and `spline`.
+        force_over_time: forces on sites, `time_s` with `on`, {"foot": {"z": [...]}} [N], or the `file` of a table; with
+            `period_s` and `interpolation`.
         path: `site` with `points` [m] or a `file`, and `shape`, "polyline", "spline" or "arc", and `blend_m`, of `follow`.
         limits: `effort`, `range_deg`, `speed_deg_s`, `acceleration_deg_s2`, `jerk_deg_s3`, `effort_rate`, `power_w`,
             `closure_force`, `site_acceleration_m_s2`, each by name, and `singular_margin`, `contacts`; `site`, boxes

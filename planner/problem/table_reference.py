@@ -4,7 +4,7 @@ The spline goes through independent joints. Places of sites and angles of bodies
 row, each the nearest to the one before.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -30,6 +30,7 @@ class Spline:
     """A cubic spline over time for each independent joint, repeated if it is `periodic`, else at rest beyond its ends.
 
     `knots_s` (n + 1,) [s] begin at 0; `coefficients` (4, n, n_s) multiply (t - knot)^3, ..., 1, in rad or m and seconds.
+    Forces over time are such curves too, in N.
     """
 
     knots_s: np.ndarray
@@ -59,7 +60,7 @@ class Spline:
         return np.where(((time < 0) | (time > self.period_s))[:, None], 0.0, value) if rests else value
 
     def inner_times(self, duration_s: float) -> np.ndarray:
-        """Return the times [s] within a duration at which its third derivative jumps."""
+        """Return the times [s] within a duration at which a derivative jumps."""
         periods = np.arange(np.ceil(duration_s / self.period_s) if self.periodic else 1)
         times = (periods[:, None] * self.period_s + self.knots_s[:-1]).ravel()
         return times[(times > 1e-9 * self.period_s) & (times < duration_s - 1e-9 * self.period_s)]
@@ -126,41 +127,47 @@ def spline_of(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarra
     """
     import scipy
 
-    time = _times(section)
+    time = times_of(section.time_s, "reference")
     s = _positions(section, mechanism, ranges, len(time))
     if section.period_s is not None:
-        if not section.period_s > time[-1] - time[0]:
+        if not section.period_s > time[-1]:
             raise ProblemError(
-                f"reference.period_s is after the last row, at {time[-1] - time[0]:g} s from the first, got"
-                f" {section.period_s:g}"
+                f"reference.period_s is after the last row, at {time[-1]:g} s from the first, got {section.period_s:g}"
             )
-        time, s = np.append(time, time[0] + section.period_s), np.vstack([s, s[:1]])
-    apart = np.abs(s[-1] - s[0])
-    returns = bool(np.all(apart <= _EQUAL_ENDS * np.ptp(s, axis=0)))
-    ends = section.spline or ("periodic" if returns else "clamped")
-    if ends == "periodic" and not returns:
-        joint = mechanism.independent_joints[int(np.argmax(apart))]
+        time, s = np.append(time, section.period_s), np.vstack([s, s[:1]])
+    ends = section.spline or ("periodic" if returns(s) else "clamped")
+    if ends == "periodic" and not returns(s):
+        worst = int(np.argmax(np.abs(s[-1] - s[0])))
+        joint = mechanism.independent_joints[worst]
         raise ProblemError(
             f"reference.spline 'periodic' ends where it begins (or give reference.period_s), got {joint.name} ="
-            f" {joint.text(s[0, int(np.argmax(apart))], 6)} first and {joint.text(s[-1, int(np.argmax(apart))], 6)}"
-            f" {joint.unit} last"
+            f" {joint.text(s[0, worst], 6)} first and {joint.text(s[-1, worst], 6)} {joint.unit} last"
         )
     if ends == "periodic":
         s[-1] = s[0]
-    through = scipy.interpolate.CubicSpline(time - time[0], s, bc_type=ends)
+    through = scipy.interpolate.CubicSpline(time, s, bc_type=ends)
     return Spline(knots_s=through.x, coefficients=through.c, periodic=ends == "periodic"), ends
 
 
-def _times(section: ReferenceSection) -> np.ndarray:
-    """Return the rows' times (n,) [s]."""
-    time = np.array(section.time_s, dtype=float)
+def times_of(time_s: Sequence[float], where: str) -> np.ndarray:
+    """Return the times (n,) [s] of a table's rows, from the first.
+
+    Raises:
+        ProblemError: for too many rows, or times that do not increase.
+    """
+    time = np.array(time_s, dtype=float)
     if len(time) > MAX_INTERVALS:
-        raise ProblemError(f"reference.time_s has at most {MAX_INTERVALS} rows, got {len(time)}")
+        raise ProblemError(f"{where}.time_s has at most {MAX_INTERVALS} rows, got {len(time)}")
     back = np.flatnonzero(np.diff(time) <= 0)
     if len(back):
         k = int(back[0])
-        raise ProblemError(f"reference.time_s increases from row to row, got {time[k + 1]:g} after {time[k]:g} s")
-    return time
+        raise ProblemError(f"{where}.time_s increases from row to row, got {time[k + 1]:g} after {time[k]:g} s")
+    return time - time[0]
+
+
+def returns(rows: np.ndarray) -> bool:
+    """Return True if the last of rows (n, k) equals the first, except for the rounding of files."""
+    return bool(np.all(np.abs(rows[-1] - rows[0]) <= _EQUAL_ENDS * np.ptp(rows, axis=0)))
 
 
 def _positions(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarray, n_rows: int) -> np.ndarray:

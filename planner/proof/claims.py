@@ -17,13 +17,15 @@ from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import Claimed
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.reference import Sine
-from linkplan.planner.problem.table_reference import Spline
 from linkplan.planner.proof.claim import Claim, claim_of, of_kinetics
+from linkplan.planner.proof.curve import enclosed
 from linkplan.planner.proof.finding import Finding
 from linkplan.planner.proof.motion import Kinetics, State
-from linkplan.planner.proof.walk import Ball, UnknownOperationError, constant_term, walk_of
+from linkplan.planner.proof.walk import Ball, UnknownOperationError, walk_of
 from linkplan.planner.trajectory import Trajectory
 
+# Of functions of q, v, a and u; further ones take the forces over time.
+_MOTION_INPUTS = 4
 _NOT_ENCLOSED = "balls do not enclose one of its operations"
 
 
@@ -74,7 +76,8 @@ def _values(one: Claimed, problem: Problem) -> Callable[[State], list[Ball]]:
 
     def at(kinetics: Kinetics) -> Ball:
         v, a = ([of[i] for i in of_s] for of in (kinetics.rates, kinetics.accelerations))
-        return walk(kinetics.state.q, v, a, kinetics.state.u)[0][0, 0]
+        forces = kinetics.state.forces if value.n_in() > _MOTION_INPUTS else ()
+        return walk(kinetics.state.q, v, a, kinetics.state.u, *forces)[0][0, 0]
 
     return of_kinetics(at)
 
@@ -119,10 +122,10 @@ def reference_claims(problem: Problem, trajectory: Trajectory) -> Iterator[Claim
         return
     allowed = BOUNDARY_SHARE * max(float(np.ptp(trajectory.position)), 1e-9)
     for i, joint in enumerate(problem.mechanism.independent_joints):
-        enclosed = _enclosed_sine if isinstance(reference, Sine) else _enclosed_spline
+        over = _enclosed_sine if isinstance(reference, Sine) else enclosed
 
-        def off(state: State, i: int = i, enclosed: Callable = enclosed) -> list[Ball]:
-            return [state.s[i] - enclosed(reference, i, state.time)]
+        def off(state: State, i: int = i, over: Callable = over) -> list[Ball]:
+            return [state.s[i] - over(reference, i, state.time)]
 
         name = f"distance of {joint.name} from its reference"
         yield claim_of(name, joint.unit, (0.0, 0.0), off, (allowed, allowed), joint.shown(1.0))
@@ -132,24 +135,6 @@ def _enclosed_sine(sine: Sine, i: int, time: Ball) -> Ball:
     """Return a ball around a joint's sinusoid in a ball of times."""
     amplitude, bias, phase = (float(x[i]) for x in (sine.amplitude, sine.bias, sine.phase))
     return bias + amplitude * (2 * arb.pi() * sine.frequency_hz * time + phase).sin()
-
-
-def _enclosed_spline(spline: Spline, i: int, time: Ball) -> Ball:
-    """Return a ball around a joint's spline in a ball of times that lies in one of its pieces, else an infinite one.
-
-    A trajectory's breaks are the knots except for rounding, by which a ball may reach beyond its piece.
-    """
-    box, T = constant_term(time), spline.period_s
-    period = int(np.floor(float(box.mid()) / T)) if spline.periodic else 0
-    within = float(box.mid()) - period * T
-    k = int(np.clip(np.searchsorted(spline.knots_s, within) - 1, 0, len(spline.knots_s) - 2))
-    low, high = spline.knots_s[k : k + 2] + 1e-9 * T * np.array([-1.0, 1.0])
-    if not low <= within - float(box.rad()) <= within + float(box.rad()) <= high:
-        return arb(0, float("inf"))
-    after, value = time - (arb(float(spline.knots_s[k])) + period * arb(T)), arb(0)
-    for coefficient in spline.coefficients[:, k, i]:
-        value = value * after + float(coefficient)
-    return value
 
 
 def _residuals(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:

@@ -34,9 +34,9 @@ from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.proof.branch import krawczyk, pose_of, series_of
 from linkplan.planner.proof.contraction import LinearBox, contracted, size_of
 from linkplan.planner.proof.finding import OWN_MOTION, Finding, no_motion
-from linkplan.planner.proof.motion import Piece, State
+from linkplan.planner.proof.motion import Piece, State, forces_over
 from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm, above, solve
-from linkplan.planner.proof.walk import Ball, Walk, constant_term, dense, walk_of
+from linkplan.planner.proof.walk import Ball, Walk, constant_term, dense, force_symbols, walk_of
 from linkplan.planner.trajectory import Trajectory
 
 # The largest contraction Z: Newton-Kantorovich's condition.
@@ -203,7 +203,8 @@ class Neighbourhood:
             s, v = ([p + e for p, e in zip(*pair, strict=True)] for pair in ((s, balls[:n_s]), (v, balls[n_s:])))
             root = krawczyk(blocks, [constant_term(one) for one in s], guess)
             q = pose_of(blocks, s, series_of(blocks, s, root.enclosure, cap))
-            found.append(_slopes_at(self._mechanism, q, v, a, u))
+            time = arb_series((piece.since + piece.width * along)(about).coeffs(), prec=cap)
+            found.append(_slopes_at(self._mechanism, q, v, a, u, forces_over(self._mechanism, time)))
         if not all(region.contains(z[0]) for region, z in zip(root.region, states[1].z, strict=True)):
             raise NotSeparatedError("the branch is not known to be the plan's")
         return [
@@ -245,21 +246,21 @@ def _sizes(trajectory: Trajectory) -> np.ndarray:
 
 @functools.lru_cache(maxsize=16)
 def _model_of(mechanism: Mechanism) -> tuple[Walk, Walk, Walk]:
-    """Return q -> M_r, (q, v, a, u) -> residual r, and -> dr/ds along the closure and dr/dv side by side."""
+    """Return q -> M_r, (q, v, a, u, forces) -> residual r, and -> dr/ds along the closure and dr/dv side by side."""
     dynamics, n_s = mechanism.dynamics, mechanism.dof
     names = (("q", mechanism.n_q), ("v", n_s), ("a", n_s), ("u", len(mechanism.actuators)))
-    q, v, a, u = symbols = [ca.SX.sym(name, n) for name, n in names]
-    r = dynamics.residual(q, v, a, u)
+    q, v, *_ = symbols = [*(ca.SX.sym(name, n) for name, n in names), *force_symbols(mechanism)]
+    r = mechanism.forced.residual(*symbols)
     by = ca.horzcat(ca.jacobian(r, q) @ dynamics.velocity_map(q), ca.jacobian(r, v))
     residual, slopes = (walk_of(ca.Function(name, symbols, [of], {"cse": True})) for name, of in (("r", r), ("by", by)))
     return walk_of(dynamics.reduced_inertia), residual, slopes
 
 
-def _slopes_at(mechanism: Mechanism, q, v, a, u) -> list[list[Ball]]:
+def _slopes_at(mechanism: Mechanism, q, v, a, u, forces=()) -> list[list[Ball]]:
     """Return df/d(s, v) (n_s, 2 n_s) at poses q and rates v, from any accelerations a (n_s,)."""
     inertia_of, residual, slopes = _model_of(mechanism)
     inertia, n_s = inertia_of(q)[0], len(v)
-    (defect,) = solve(inertia, [dense(residual(q, v, a, u)[0], n_s)])
-    by = slopes(q, v, [x - y for x, y in zip(a, defect, strict=True)], u)[0]
+    (defect,) = solve(inertia, [dense(residual(q, v, a, u, *forces)[0], n_s)])
+    by = slopes(q, v, [x - y for x, y in zip(a, defect, strict=True)], u, *forces)[0]
     columns = solve(inertia, [[-x for x in dense(by, n_s, column)] for column in range(2 * n_s)])
     return [[column[i] for column in columns] for i in range(n_s)]

@@ -12,6 +12,7 @@ import numpy as np
 from flint import arb, arb_poly, arb_series
 
 from linkplan.models.errors import AssemblyError, ProblemError
+from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.certificate.certificate import end_state_error
 from linkplan.planner.certificate.further_checks import disagreements
@@ -20,7 +21,9 @@ from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.instant import Corner
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import task_words
+from linkplan.planner.problem.table_reference import Spline
 from linkplan.planner.proof.branch import pose_of
+from linkplan.planner.proof.curve import enclosed
 from linkplan.planner.proof.finding import Finding, finding_of
 from linkplan.planner.proof.taylor import Matrix, product, solve, transposed
 from linkplan.planner.proof.walk import Ball, Blocks, dense, larger, loaded_tree, pose_walk
@@ -199,7 +202,7 @@ class Kinetics:
         state, factor = self.state, 1.0 if corner is None else corner.payload_factor
         walk = state.blocks.tree if factor == 1.0 else loaded_tree(state.blocks.mechanism, factor)
         if factor not in self._trees:
-            self._trees[factor] = dense(walk(state.q, self.rates, self.accelerations)[0], len(state.q))
+            self._trees[factor] = dense(walk(state.q, self.rates, self.accelerations, *state.forces)[0], len(state.q))
         forces = list(self._trees[factor])
         for name, viscous, coulomb in () if corner is None else corner.friction:
             joint = state.blocks.mechanism.joint_index(name)
@@ -281,6 +284,14 @@ def _squared(A: Matrix, n_rows: int) -> Matrix:
     return found
 
 
+def forces_over(mechanism: Mechanism, time: Ball) -> list[list[Ball]]:
+    """Return the last inputs of a mechanism's `forced` dynamics over a ball of times, as `Mechanism.forces_at`."""
+    if mechanism.forces is None:
+        return []
+    assert isinstance(mechanism.forces.curve, Spline)
+    return [[enclosed(mechanism.forces.curve, k, time) for k in range(3 * len(mechanism.forces.sites))]]
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
 class State:
     """A motion as series of x over a box: positions s (n_s,), pose q (n_q,), planned velocity v and efforts u.
@@ -314,6 +325,11 @@ class State:
     def q(self) -> list[Ball]:
         """The pose (n_q,)."""
         return pose_of(self.blocks, self.s, self.z)
+
+    @cached_property
+    def forces(self) -> list[list[Ball]]:
+        """The forces over time (3 n_sites,) as the last input of the `forced` dynamics; empty without any."""
+        return forces_over(self.blocks.mechanism, self.time)
 
     @cached_property
     def tangent(self) -> Matrix:

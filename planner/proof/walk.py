@@ -36,7 +36,7 @@ def constant_term(x: Ball) -> arb:
     return x[0] if isinstance(x, arb_series) else x
 
 
-def _known_to(coefficients: list[arb], *like: Ball) -> Ball:
+def known_to(coefficients: list[arb], *like: Ball) -> Ball:
     """Return a series with these coefficients and unknown ones after them, or a ball if none of `like` is a series."""
     orders = [x.prec for x in like if isinstance(x, arb_series)]
     if not orders:
@@ -54,7 +54,7 @@ def larger(a: Ball, b: Ball) -> Ball:
     low, high = constant_term(a), constant_term(b)
     if low >= high:
         return a
-    return b if high >= low else _known_to([low.max(high), _slope(a).union(_slope(b))], a, b)
+    return b if high >= low else known_to([low.max(high), _slope(a).union(_slope(b))], a, b)
 
 
 def _smaller(a: Ball, b: Ball) -> Ball:
@@ -73,18 +73,18 @@ def _signed_square(a: Ball, _: Ball) -> Ball:
     signed = (value.upper() ** 2).union(-(value.lower() ** 2))
     if not isinstance(square, arb_series):
         return signed
-    return _known_to([signed, 2 * a[1] * abs(value), square[2].union(-square[2])], a)
+    return known_to([signed, 2 * a[1] * abs(value), square[2].union(-square[2])], a)
 
 
 def _sign(a: Ball, _: Ball) -> Ball:
     value = constant_term(a)
-    return arb(1) if value > 0 else arb(-1) if value < 0 else _known_to([arb(0, 1)], a)
+    return arb(1) if value > 0 else arb(-1) if value < 0 else known_to([arb(0, 1)], a)
 
 
 def _less(a: Ball, b: Ball) -> Ball:
     """Return 1 or 0, or the ball [0, 1] of a comparison that the balls do not decide."""
     low, high = constant_term(a), constant_term(b)
-    return arb(1) if low < high else arb(0) if low >= high else _known_to([arb(0.5, 0.5)], a, b)
+    return arb(1) if low < high else arb(0) if low >= high else known_to([arb(0.5, 0.5)], a, b)
 
 
 def _at_most(a: Ball, b: Ball) -> Ball:
@@ -96,7 +96,7 @@ def _chosen(condition: Ball, a: Ball) -> Ball:
     value = constant_term(condition)
     if value == 1:
         return a
-    return arb(0) if value == 0 else _known_to([constant_term(a).union(arb(0))], a)
+    return arb(0) if value == 0 else known_to([constant_term(a).union(arb(0))], a)
 
 
 def _power(a: Ball, b: Ball) -> Ball:
@@ -258,9 +258,9 @@ def dense(entries: dict[tuple[int, int], Ball], n_rows: int, column: int = 0) ->
 class Blocks:
     """The model's blocks as walks, and the closure as a function of numbers.
 
-    `closure` is q -> E phi (rank,), `tangent` is q -> d(E phi)/dq (rank, n_q), `tree` is (q, q', q'') -> generalised forces
-    (n_q,) of the tree with open loops, `arms` is q -> B (n_q, n_u), `convective` is (q, q') -> J' q' (rank,). `force_map` is
-    q -> the matrix (n_rows, rank) from multipliers to the forces of least norm on all rows.
+    `closure` is q -> E phi (rank,), `tangent` is q -> d(E phi)/dq (rank, n_q), `tree` is (q, q', q'', forces over time) ->
+    generalised forces (n_q,) of the tree with open loops, `arms` is q -> B (n_q, n_u), `convective` is (q, q') -> J' q'
+    (rank,). `force_map` is q -> the matrix (n_rows, rank) from multipliers to the forces of least norm on all rows.
     """
 
     mechanism: Mechanism
@@ -290,6 +290,7 @@ def blocks_of(mechanism: Mechanism) -> Blocks:
     """
     dynamics = mechanism.dynamics
     q, rates, _ = motion = [ca.SX.sym(name, mechanism.n_q) for name in ("q", "qd", "qdd")]
+    forces = force_symbols(mechanism)
     phi = dynamics.independent_closure(q)
     jacobian = ca.jacobian(phi, q)
     return Blocks(
@@ -299,7 +300,7 @@ def blocks_of(mechanism: Mechanism) -> Blocks:
         closure=_walk("closure", [q], phi),
         tangent=_walk("tangent", [q], jacobian),
         numbers=_in_numbers(ca.Function("numbers", [q], [ca.densify(phi), ca.densify(jacobian)])),
-        tree=_walk("tree", motion, dynamics.tree_effort(*motion)),
+        tree=_walk("tree", [*motion, *forces], mechanism.forced.tree_effort(*motion, *forces)),
         arms=_walk("arms", [q], ca.sparsify(dynamics.effort_matrix(q))),
         convective=_walk("convective", [q, rates], ca.jtimes(jacobian @ rates, q, rates)),
         force_map=_walk("force_map", [q], ca.sparsify(dynamics.force_map(q))),
@@ -336,9 +337,15 @@ def pose_walk(mechanism: Mechanism, name: str) -> tuple[Walk, int]:
 
 @functools.lru_cache(maxsize=16)
 def loaded_tree(mechanism: Mechanism, payload_factor: float) -> Walk:
-    """Return the walk of (q, q', q'') -> generalised forces with the payload's mass and inertia times a factor."""
+    """Return the walk of the tree, see `Blocks`, with the payload's mass and inertia times a factor."""
     numbers = np.array(mechanism.payload.numbers(), dtype=float)
     numbers[[0, 4, 5, 6]] *= payload_factor
     symbols = [ca.SX.sym(name, mechanism.n_q) for name in ("q", "qd", "qdd")]
-    loaded = mechanism.parametric_dynamics().tree_effort(*symbols, ca.SX(ca.DM(numbers)))
-    return _walk("loaded_tree", symbols, ca.densify(loaded))
+    forces = force_symbols(mechanism)
+    loaded = mechanism.parametric_dynamics().tree_effort(*symbols, ca.vertcat(ca.DM(numbers), *forces))
+    return _walk("loaded_tree", [*symbols, *forces], ca.densify(loaded))
+
+
+def force_symbols(mechanism: Mechanism) -> list[ca.SX]:
+    """Return symbols for the last inputs of a mechanism's `forced` dynamics."""
+    return [] if mechanism.forces is None else [ca.SX.sym("forces", 3 * len(mechanism.forces.sites))]

@@ -17,7 +17,7 @@ import numpy as np
 from linkplan.models.deadline import check
 from linkplan.planner.closed_chain.case import MechanismCase
 from linkplan.planner.closed_chain.formulate import TIE_WEIGHT
-from linkplan.planner.closed_chain.guess import motion_of
+from linkplan.planner.closed_chain.guess import motion_of, with_force_times
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.actions import nearest_on
@@ -217,7 +217,8 @@ def _first_way(case: MechanismCase, at: CertifiedIterate) -> _Way:
     n = max(8, round(_SHARE_OF_INTERVALS * asked.mesh.intervals))
     boundaries, jumps = motion.breaks_s[found.mesh.boundaries()], jumps_of(case, found)
     if len(boundaries) == 2 and not len(jumps):
-        return _Way(case, uniform(n), np.array([motion.duration_s]), "finer transcription")
+        durations = np.array([motion.duration_s])
+        return _Way(case, with_force_times(case.problem, uniform(n), durations), durations, "finer transcription")
     return _Way(case, *mesh_with_switches(boundaries, jumps, n, least=1), "jumps of efforts as unknowns")
 
 
@@ -300,8 +301,10 @@ def _enough(case: MechanismCase, worst: np.ndarray) -> np.ndarray:
 
 
 def jumps_of(case: MechanismCase, found: Iterate) -> np.ndarray:
-    """Return the times (n,) [s] at which efforts jump or arcs along limits on acceleration and jerk end, increasing."""
+    """Return the times (n,) [s] at which efforts jump or arcs along limits on speed, acceleration and jerk end, increasing."""
     motion, jumps = found.motion, effort_jumps(case, found.motion)
+    if case.problem.mechanism.forces is not None:  # which are known at fixed instants
+        return np.zeros(0)
     arcs = own_arcs(found.solution.transcribed, found.solution.x, ("speed", "acceleration", "jerk"))
     ends = arc_ends(arcs, motion.breaks_s, jumps, motion.breaks_s[found.mesh.boundaries()])
     return _apart(np.sort(np.append(jumps, ends)), motion.breaks_s[[0, -1]], motion)

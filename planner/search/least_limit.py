@@ -107,7 +107,7 @@ def least_limit(
         )
         boundaries = best.trajectory.breaks_s[mesh.boundaries()]
         switch_times = find_switch_times(best.trajectory, factor * limit, boundaries)
-        if len(switch_times) == 0:
+        if len(switch_times) == 0 or problem.mechanism.forces is not None:  # forces over time are those of fixed instants
             break
         mesh, durations = mesh_with_switches(boundaries, switch_times, mesh.n_intervals)
         bang_efforts = find_bang_efforts(best.trajectory, factor * limit, np.cumsum(durations)[:-1]) / factor

@@ -47,6 +47,8 @@ def no_way_to_stop(problem: Problem) -> str | None:
     motion, mechanism = problem.motion, problem.mechanism
     if mechanism.dof != 1 or motion.kind != "reach" or motion.goal_is_free or not np.all(np.isfinite(problem.limits.effort)):
         return None
+    if mechanism.forces is not None:
+        return None
     first, last = (0.0 if v is None else float(v[0]) for v in (motion.start_speed, motion.goal_speed))
     start, goal = float(motion.start[0]), float(motion.goal[0])
     ends = (

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import demanded, least_effort, needed_effort, sampled
+from linkplan.models.poses.along import demanded, least_effort, needed_effort
 from linkplan.planner.closed_chain.guess import Guess, even_poses, motion_of
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
 from linkplan.planner.limits.actuators import ControlLimit
@@ -137,10 +137,10 @@ def path_effort(problem: Problem, guess: Guess) -> PathEffort | None:
     except AssemblyError:
         return None
     v, a = guess.velocity(time), guess.acceleration(time)
-    tau, maps = demanded(mechanism, q, v, a)
+    tau, maps = demanded(mechanism, q, v, a, time)
     effort = least_effort(tau, maps)
     missed = tau - np.einsum("ksu,ku->ks", maps, effort)
-    held = least_effort(sampled(mechanism.dynamics.inverse_dynamics, q, 0 * v, 0 * a)[:, :, 0], maps)
+    held = least_effort(demanded(mechanism, q, 0 * v, 0 * a, time)[0], maps)
     bound = np.where(effort > 0, np.maximum(limit[:, 1], 0.0), np.minimum(limit[:, 0], 0.0))
     widest = np.abs(limit).max(axis=1)  # the scale if an actuator gives nothing in the needed direction
     factors = np.abs(effort) / np.where(bound == 0, widest, np.abs(bound))
@@ -208,8 +208,9 @@ def _extras_not_finite(search: Search) -> list[str]:
         return []
     times, poses = even_poses(problem, path)
     v, a = path.velocity(times), path.acceleration(times)
-    effort, _ = needed_effort(problem.mechanism, poses, v, a)
-    found = extras_not_finite(problem.extras, problem.mechanism, times, poses, v, a, effort)
+    effort, _ = needed_effort(problem.mechanism, poses, v, a, times)
+    motion = (poses, v, a, effort, *problem.mechanism.forces_at(times))
+    found = extras_not_finite(problem.extras, problem.mechanism, times, *motion)
     return [f"{sentence} along the smooth path" for sentence in found]
 
 

@@ -78,6 +78,8 @@ def held(problem: Problem, end: str) -> Holding | None:
     motion = problem.motion
     if end == "goal" and motion.goal_is_free:
         return None  # where it ends is not known
+    if problem.mechanism.forces is not None:
+        return None  # no constant efforts hold it
     speed = getattr(motion, f"{end}_speed")
     if speed is not None and np.any(speed != 0):
         return None

@@ -62,7 +62,7 @@ def at_rest(search: Search) -> Plan | None:
     problem, motion = search.problem, search.problem.motion
     duration = motion.duration_s or motion.min_duration_s
     moves = motion.start_speed is not None and np.any(motion.start_speed)
-    if motion.start is None or not motion.stays or moves or duration is None:
+    if motion.start is None or not motion.stays or moves or duration is None or problem.mechanism.forces is not None:
         return None
     holding = holding_at(problem, motion.start)
     if not holding.holds:
@@ -80,7 +80,7 @@ def _is_carried(problem: Problem, search: Search) -> bool:
     """Tell if the actuators carry the smooth path within their limits at its samples."""
     times, poses = even_poses(problem, search.smooth)
     v, a = search.smooth.velocity(times), search.smooth.acceleration(times)
-    effort, missing = needed_effort(problem.mechanism, poses, v, a)
+    effort, missing = needed_effort(problem.mechanism, poses, v, a, times)
     low, high = problem.limits.effort.T
     largest = np.abs(effort).max(initial=0.0)
     return bool(

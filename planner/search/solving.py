@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, stretched
+from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, stretched, with_force_times
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
@@ -46,12 +46,11 @@ def solve_from(
 def first_mesh(problem: Problem, guess: Guess) -> tuple[Mesh, np.ndarray]:
     """Return the first mesh of a problem and its segments' durations [s] in a guess."""
     n = max(problem.mesh.intervals, INTERVALS_PER_SWING * guess.swings if guess.swings > 1 else 0)
-    if guess.boundaries_s is not None:
-        durations = np.diff(guess.boundaries_s)
-        return segmented(durations, n, phase=np.arange(len(durations))), durations
-    if problem.mesh.breaks is not None:
-        return broken(problem.mesh.breaks), np.array([guess.duration_s])
-    return uniform(n), np.array([guess.duration_s])
+    durations = np.array([guess.duration_s]) if guess.boundaries_s is None else np.diff(guess.boundaries_s)
+    if problem.mesh.breaks is not None and guess.boundaries_s is None:
+        return broken(problem.mesh.breaks), durations
+    mesh = uniform(n) if guess.boundaries_s is None else segmented(durations, n, phase=np.arange(len(durations)))
+    return with_force_times(problem, mesh, durations), durations
 
 
 def graded_mesh(guess: Guess, switch_times_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:

@@ -347,6 +347,8 @@ def shortest_motion(search: Search) -> Plan | None:
     """Return the certified plan of least time within a reach's limits; None where it was not found."""
     if not np.all(np.isfinite(search.problem.limits.effort)):  # no time is the least then, and none may be asked for
         return None
+    if search.problem.mechanism.forces is not None:  # which are known over the motion's own time
+        return None
     plan = search.known.sought.get(PHASE_PLANE_LEAST_TIME)
     if plan is None or not plan.passed:
         plan = search.known.once("least time by the ladder", lambda: _by_the_ladder(search))

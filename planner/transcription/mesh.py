@@ -189,6 +189,22 @@ def broken(breaks: np.ndarray) -> Mesh:
     return Mesh(fraction=widths / widths.sum(), segment=np.zeros(len(widths), dtype=int))
 
 
+def with_breaks(mesh: Mesh, durations: np.ndarray, times: np.ndarray) -> Mesh:
+    """Return a mesh whose intervals end at further times (n,) [s], in place of those of its ends next to them.
+
+    Segments keep their ends and their durations (n_segments,) [s].
+    """
+    breaks, ends = mesh.breaks(durations), np.concatenate([[0.0], np.cumsum(durations)])
+    width = np.diff(breaks).min()
+    inner = breaks[np.abs(breaks[:, None] - ends).min(axis=1) > 1e-9 * width]
+    added = times[np.abs(times[:, None] - ends).min(axis=1, initial=np.inf) > 1e-2 * width]
+    inner = inner[np.abs(inner[:, None] - added).min(axis=1, initial=np.inf) > 0.3 * width]
+    found = np.sort(np.concatenate([ends, inner, added]))
+    segment = np.searchsorted(ends[1:-1], 0.5 * (found[1:] + found[:-1]))
+    fraction = np.diff(found) / np.diff(ends)[segment]
+    return Mesh(fraction=fraction / np.bincount(segment, weights=fraction)[segment], segment=segment, phase=mesh.phase)
+
+
 def segmented(durations: np.ndarray, n_intervals: int, phase: np.ndarray = _ONE_PHASE, *, least: int = 3) -> Mesh:
     """Return about `n_intervals` intervals, at least so many a segment, distributed in proportion to the durations."""
     durations = np.asarray(durations, dtype=float)

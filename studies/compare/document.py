@@ -26,7 +26,8 @@ def is_the_documents(plan: Plan) -> bool:
     """Return True if a plan is the document's experiment: its sinusoid, tracked exactly, on the knee without a payload."""
     problem = plan.problem
     tracked = problem.motion.kind == "track" and isinstance(problem.reference, Sine)
-    return problem.mechanism.name == "optimus-knee" and problem.mechanism.payload is None and tracked
+    unloaded = problem.mechanism.payload is None and problem.mechanism.forces is None
+    return problem.mechanism.name == "optimus-knee" and unloaded and tracked
 
 
 def document_runs(plan: Plan, say: Callable[[str], None]) -> DocumentRuns:

@@ -48,7 +48,7 @@ def run_time(tracker: AnyTracker, mechanism: Mechanism, rollout: Rollout) -> Run
 def _counted(tracker: AnyTracker, mechanism: Mechanism) -> tuple[int | None, int | None, int | None]:
     """Return the numbers stored per instant, and the operations of a period without and with a limit reached."""
     n_s, n_u, n_q = mechanism.dof, mechanism.n_u, mechanism.n_q
-    state, dynamics = 2 * n_s, mechanism.dynamics
+    state, dynamics = 2 * n_s, mechanism.forced
     if isinstance(tracker, StateFeedback):
         added = n_u if tracker.feedforward else 0
         free = state + n_u * (2 * state - 1) + added

@@ -8,13 +8,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from linkplan.models.errors import ModelError
+from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.limits.samples import actuator_speeds, closure_forces
 from linkplan.planner.plan.folder import write_plan
 from linkplan.planner.plan.plan import Plan
-from linkplan.planner.problem.sites import angles_of
+from linkplan.planner.problem.sites import AXES, angles_of
 from linkplan.studies.output.document import Plot
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.pin_forces import pin_forces
@@ -68,7 +69,7 @@ def motion_of(plan: Plan) -> Motion:
         rates=joint_rates(problem.mechanism, q, v),
         effort=u,
         power=u * actuator_speeds(problem, q, v),
-        closure_force=closure_forces(problem, q, v, a, u),
+        closure_force=closure_forces(problem, q, v, a, u, *problem.mechanism.forces_at(time)),
     )
 
 
@@ -154,11 +155,24 @@ def force_plots(plan: Plan, motion: Motion, group: str = "", period: float | Non
     ]
     title = "Force in the pins"
     try:
-        loads = pin_forces(mechanism, motion.pose, motion.velocity, motion.acceleration, motion.effort)
+        given = motion.pose, motion.velocity, motion.acceleration, motion.effort
+        loads = pin_forces(mechanism, *given, *mechanism.forces_at(motion.time_s))
     except ModelError:  # the model's file is no longer there
         title, loads = "Force in the cut pins, without the model's file", {}
     lines = [*cut, *(Line(name=name, values=force, unit="N") for name, force in loads.items())]
-    return plots(title, "force", TIME, motion.time_s, lines, group=group, period=period)
+    applied = plots(
+        "Forces over time on sites", "force", TIME, motion.time_s, _applied(mechanism, motion), group=group, period=period
+    )
+    return [*plots(title, "force", TIME, motion.time_s, lines, group=group, period=period), *applied]
+
+
+def _applied(mechanism: Mechanism, motion: Motion) -> list[Line]:
+    """Return the components of the forces over time that are not zero throughout."""
+    if mechanism.forces is None:
+        return []
+    heads = [f"{site} {axis}" for site in mechanism.forces.sites for axis in AXES]
+    (forces,) = mechanism.forces_at(motion.time_s)
+    return [Line(name=head, values=values, unit="N") for head, values in zip(heads, forces.T, strict=True) if np.any(values)]
 
 
 def _site_lines(plan: Plan, motion: Motion) -> list[Line]:

@@ -4,6 +4,8 @@ In a copy of the model every such body gets three slides that never move. What i
 force through the body's joints, with everything that passes them: closures, tendons, actuators at sites.
 """
 
+from collections.abc import Sequence
+
 import mujoco
 import numpy as np
 
@@ -19,7 +21,9 @@ from linkplan.models.tree.passive import simulated_gas_springs
 _DIFFERENCE_STEP_S = 1e-6
 
 
-def pin_forces(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray) -> dict[str, np.ndarray]:
+def pin_forces(
+    mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray, *forces: np.ndarray
+) -> dict[str, np.ndarray]:
     """Return the size (n,) [N] of the force in every pin of the tree, by the names of the joints that share the pin.
 
     The force along the axis of a slide is no load of its guide and does not count. Where loops are overconstrained, the
@@ -32,6 +36,7 @@ def pin_forces(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray
         v: speeds (n, n_s) of the independent joints.
         a: accelerations (n, n_s) of the independent joints.
         u: efforts (n, n_u) of the actuators.
+        forces: those of `Mechanism.forces_at`; without them, forces over time do not act.
     """
     model, pins = _with_slides(mechanism)
     first = np.array([model.body_dofadr[body] + model.body_dofnum[body] - 3 for body in pins], dtype=int)
@@ -39,14 +44,17 @@ def pin_forces(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray
     kept = np.setdiff1d(np.arange(model.nv), added)
     places = np.setdiff1d(np.arange(model.nq), model.jnt_qposadr[model.dof_jntid[added]])
     rates, second = joint_rates(mechanism, q, v), accelerations(mechanism, q, v, a)
-    needed = sampled(mechanism.dynamics.tree_effort, q, rates, second)[:, :, 0]
+    of = mechanism.forced if forces else mechanism.dynamics
+    needed = sampled(of.tree_effort, q, rates, second, *forces)[:, :, 0]
+    pushed = () if mechanism.forces is None else mechanism.forces.sites
     maps = sampled(mechanism.dynamics.effort_matrix, q)
     qpos, qvel, qacc = mechanism.qpos_of(q), mechanism.qvel_of(q, rates), _qacc(mechanism, q, rates, second)
     data = mujoco.MjData(model)
 
     def terms(k: int) -> tuple[np.ndarray, ...]:
         data.qpos[places], data.qvel[kept], data.qacc[kept] = qpos[k], qvel[k], qacc[k]
-        return (*_terms(model, data), np.array(data.xmat[list(pins)]), np.array(data.xaxis))
+        given = [(name, w[k, 3 * i : 3 * i + 3]) for w in forces for i, name in enumerate(pushed)]
+        return (*_terms(model, data, given), np.array(data.xmat[list(pins)]), np.array(data.xaxis))
 
     required, loops, moments, turns, axes = (np.array(of) for of in zip(*map(terms, range(len(q))), strict=True))
     units = np.broadcast_to(np.eye(len(kept)), (len(q), len(kept), len(kept)))
@@ -92,14 +100,23 @@ def _qacc(mechanism: Mechanism, q: np.ndarray, rates: np.ndarray, second: np.nda
     return (later - earlier) / (2 * h)
 
 
-def _terms(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return M qacc + bias - passive (nv,), the Jacobian of equality constraints (rows, nv), moment arms (outputs, nv)."""
+def _terms(
+    model: mujoco.MjModel, data: mujoco.MjData, pushes: Sequence[tuple[str, np.ndarray]]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return M qacc + bias - passive (nv,), the Jacobian of equality constraints (rows, nv), moment arms (outputs, nv).
+
+    The forces (3,) [N] that push sites by name are passive, too.
+    """
     mujoco.mj_fwdPosition(model, data)
     mujoco.mj_fwdVelocity(model, data)
     required, moments = np.zeros(model.nv), np.zeros((len(data.moment_rownnz), model.nv))
     mujoco.mj_mulM(model, data, required, data.qacc)
     mujoco.mju_sparse2dense(moments, data.actuator_moment, data.moment_rownnz, data.moment_rowadr, data.moment_colind)
     springs = data.qfrc_passive + simulated_gas_springs(model, data)
+    for name, force in pushes:
+        jacobian = np.zeros((3, model.nv))
+        mujoco.mj_jacSite(model, data, jacobian, None, model.site(name).id)
+        springs += jacobian.T @ force
     return required + data.qfrc_bias - springs, equality_jacobian(model, data), moments
 
 

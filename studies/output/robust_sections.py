@@ -70,7 +70,8 @@ def _efforts(plan: Plan, motion: Motion, group: str, period: float | None) -> li
     """Return the plots of the effort that every corner and the model need of each actuator."""
     problem, mechanism = plan.problem, plan.problem.mechanism
     corners = problem.robust.corners
-    efforts = corner_efforts_along(mechanism, corners, motion.pose, motion.velocity, motion.acceleration, motion.effort)
+    given = motion.pose, motion.velocity, motion.acceleration, motion.effort
+    efforts = corner_efforts_along(mechanism, corners, *given, *mechanism.forces_at(motion.time_s))
     found = []
     for j, actuator in enumerate(mechanism.actuators):
         bounds = tuple(problem.limits.effort[j])

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from linkplan.controllers.trackers.names import LINEAR
-from linkplan.inputs import Poses, Subject, poses_of
+from linkplan.inputs import Poses, Subject, note_forces, poses_of
 from linkplan.loops import loop_of
 from linkplan.models.errors import ProblemError, choose
 from linkplan.paths import drawn
@@ -86,6 +86,7 @@ def tune(
         stiffness=None if stiffness is None else number(stiffness, "stiffness", positive=True),
     )
     mechanism, problem, settings, limit = loop_of(subject, tracking, {"period_s": period_s, "delay_periods": delay_periods})
+    note_forces(mechanism, say, "at the poses of tune")
     looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
     points = [operating_point(mechanism, position, limit) for position in looked.positions]
     law = sampled_law(mechanism, tracker, settings, limit)

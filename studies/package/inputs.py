@@ -108,6 +108,12 @@ def read_subject(subject: Subject) -> tuple[Mechanism, Problem | None, dict]:
     raise ProblemError(f"a study is asked about a mechanism, a Problem, or the name or path of either, got {subject!r}")
 
 
+def note_forces(mechanism: Mechanism, say: Listener, where: str) -> None:
+    """Pass a note that forces over time, which belong to a motion, do not act in a study of poses or a model."""
+    if mechanism.forces is not None:
+        say.keep(f"force_over_time on {', '.join(mechanism.forces.sites)} does not act {where}")
+
+
 def plan_of(plan: PlanLike, say: Listener, doing: str) -> Plan:
     """Return a plan with a motion: a plan, a saved one by its folder, or that of a problem, made now; `doing` says what for.
 

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import structs
 
 from linkplan.controllers.trackers.names import LINEAR
-from linkplan.inputs import Poses, Subject, numbers, plan_of, poses_of, read_subject, tracking_table
+from linkplan.inputs import Poses, Subject, note_forces, numbers, plan_of, poses_of, read_subject, tracking_table
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.paths import drawn
@@ -93,6 +93,7 @@ def bode(
     say = listener(progress)
     given = {"kp": kp, "kd": kd, "period_s": period_s, "delay_periods": delay_periods}
     mechanism, problem, settings, limit = loop_of(subject, tracking, given)
+    note_forces(mechanism, say, "at the poses of bode, but along the motion (along)")
     if along and problem is None:
         raise ProblemError("along needs a problem, for its motion; a model has none")
     for name, is_asked in (("map", map), ("large", large)):

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from linkplan.inputs import PlanLike, Source, Subject, plan_of, source_of, subject_of
+from linkplan.inputs import PlanLike, Source, Subject, note_forces, plan_of, source_of, subject_of
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.paths import file_to_write, path_of
@@ -177,6 +177,8 @@ def export(
     if isinstance(plan, Mechanism):
         raise ProblemError(f"a plan is written as '{to}'; a model only as 'c'")
     answer = plan_of(plan, say, "export")
+    if to in ("keyframes", "mjcf"):
+        note_forces(answer.problem.mechanism, say, "in the exported model")
     content = exported(answer, str(to), every_s, names)
     write_new(place, content)
     said = {"file": str(place), "format": to, "bytes": len(content), "plan": answer.problem.name}
@@ -243,6 +245,7 @@ def _exported_c(
         if tolerance is not None:
             raise ProblemError("tolerance is for the tables of a plan's law in C; a model's code has none")
         mechanism, _ = subject_of(cast(Subject, subject))
+        note_forces(mechanism, say, "in the exported model")
         code = model_code(with_outputs(mechanism, joints) if joints else mechanism)
         say(f"{code.mechanism.name}: C code")
 

@@ -74,6 +74,7 @@ Contacts = Literal["refuse", "note"]
 Refine = Literal["both", "intervals", "degree"]
 Compile = Literal["auto", "always", "never"]
 Spline = Literal["periodic", "clamped", "natural"]
+Interpolation = Literal["linear", "cubic"]
 Shape = Literal["polyline", "spline", "arc"]
 Axis = Literal["x", "y", "z"]
 Term = Literal["effort", "time", "tracking", "work", "copper_loss", "effort_rate", "jerk", "peak_effort", "closure_force"]
@@ -114,20 +115,17 @@ Coordinates = Annotated[
 ]
 Place = Point | Coordinates
 Path = Annotated[list[Number], Meta(min_length=2, extra={"said": "a list of two or more positions"})]
-PlaceColumns = Annotated[
-    dict[
-        str,
-        Annotated[
-            dict[Axis, Path],
-            Meta(
-                min_length=1,
-                extra={"said": "a table of lists such as { x = [0.1, 0.2], z = [0.3, 0.3] }"},
-                extra_json_schema={"propertyNames": {"enum": list(get_args(Axis))}},
-            ),
-        ],
-    ],
-    Meta(extra={"of": "site = { x = [...], y = [...], z = [...] } in metres", "noun": "site"}),
+AxisColumns = Annotated[
+    dict[Axis, Path],
+    Meta(
+        min_length=1,
+        extra={"said": "a table of lists such as { x = [0.1, 0.2], z = [0.3, 0.3] }"},
+        extra_json_schema={"propertyNames": {"enum": list(get_args(Axis))}},
+    ),
 ]
+_BY_SITE = "site = {{ x = [...], y = [...], z = [...] }} in {}"
+PlaceColumns = Annotated[dict[str, AxisColumns], Meta(extra={"of": _BY_SITE.format("metres"), "noun": "site"})]
+ForceColumns = Annotated[dict[str, AxisColumns], Meta(extra={"of": _BY_SITE.format("newtons"), "noun": "site"})]
 Breaks = Annotated[
     list[Number],
     Meta(

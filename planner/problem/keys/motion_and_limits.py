@@ -100,6 +100,23 @@ _ONE_OF = [{"required": [key]} for key in ("frequency_hz", "file", "time_s")]
 ReferenceTable = Annotated[ReferenceSection, Meta(extra_json_schema={"anyOf": _ONE_OF})]
 
 
+class ForceSection(Section, frozen=True):
+    """Forces on sites in the world's axes as a table over the time of the motion, whose first row is at its start."""
+
+    file: str = key("a CSV file with a column time_s and columns of sites' forces (foot_x_N, foot_z_N)", "", "none")
+    time_s: kinds.Path = key("the rows' times, in place of a file", "s", "none")
+    on: kinds.ForceColumns = by_name("sites' forces in every row; a direction that is left out has none", "N", "none")
+    period_s: kinds.Positive = key(
+        "the time after which the first row follows the last",
+        "s",
+        "of a periodic motion the last row, which is the first one again; of others none, and the last row is held",
+    )
+    interpolation: kinds.Interpolation = key("between the rows: linear, or the cubic spline through them", default="linear")
+
+
+ForceTable = Annotated[ForceSection, Meta(extra_json_schema={"anyOf": [{"required": [key]} for key in ("file", "time_s")]})]
+
+
 class PathSection(Section, frozen=True):
     """A path that a site follows exactly from rest at its first point to rest at its last, for motion.kind "follow"."""
 

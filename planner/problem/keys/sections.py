@@ -12,6 +12,7 @@ from linkplan.models.catalogue import MODELS
 from linkplan.planner.problem.keys import kinds
 from linkplan.planner.problem.keys.imperfections import ImperfectionsSection
 from linkplan.planner.problem.keys.motion_and_limits import (
+    ForceTable,
     LimitsSection,
     MotionSection,
     MotorTable,
@@ -196,6 +197,7 @@ class ProblemFile(Section, frozen=True, kw_only=True):
     mechanism: MechanismSection = required("the machine")
     motion: MotionSection = required("the motion")
     reference: ReferenceTable = key("the sinusoid or table to follow exactly or approximately", otherwise="none")
+    force_over_time: ForceTable = key("forces on sites over the time of the motion", otherwise="none")
     path: PathTable = key("the path that a site follows exactly", otherwise="none")
     objective: ObjectiveSection = key("what to minimise", otherwise="by the kind of motion", default=ObjectiveSection())
     limits: LimitsSection = key("limits at every instant", otherwise="the model's own", default=LimitsSection())

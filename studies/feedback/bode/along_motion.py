@@ -66,5 +66,6 @@ def frozen_loop(mechanism, reference: SampledReference, gains: np.ndarray, timin
         velocity=reference.velocity_rad_s[k],
         hold=reference.effort[k],
         told=tuple(mechanism.channels),
+        forces=tuple(w[k, None] for w in reference.forces),
     )
     return feedback_loop(point, gains[k], timing)

@@ -53,7 +53,7 @@ LAW_NAMES = {"pd": "PD", "pd+ff": "PD with feedforward", "lqr": "LQR"}
 class OperatingPoint:
     """A closed pose (n_q,) with its velocity (n_s,) and effort `hold` (n_u,): at rest, or an instant of a motion.
 
-    `told` are the independent joints in its name.
+    `told` are the independent joints in its name. `forces` are those over time at its instant, see `Mechanism.forces_at`.
     """
 
     mechanism: Mechanism
@@ -61,6 +61,7 @@ class OperatingPoint:
     velocity: np.ndarray
     hold: np.ndarray
     told: tuple[int, ...]
+    forces: tuple[np.ndarray, ...] = ()
 
     @property
     def state(self) -> np.ndarray:
@@ -319,10 +320,10 @@ def feedback_loop(point: OperatingPoint, gain: np.ndarray, timing: Sampling, kin
     check()  # every sweep and bisection calls this function, so all of them can be interrupted
     states = (point.pose[None], point.velocity[None], point.hold[None])
     if kind == CONTINUOUS:
-        A, B = linearise(point.mechanism, *states)
+        A, B = linearise(point.mechanism, *states, *point.forces)
         late = np.zeros_like(B)
     else:
-        A, B, late = (exact if kind == EXACT else simulated)(point.mechanism, *states, timing)
+        A, B, late = (exact if kind == EXACT else simulated)(point.mechanism, *states, timing, *point.forces)
     return FeedbackLoop(point=point, gain=gain, timing=timing, kind=kind, A=A[0], B=B[0], B_late=late[0])
 
 

@@ -68,7 +68,8 @@ def frozen_radii(mechanism: Mechanism, reference: SampledReference, gains: np.nd
 
 
 def _closed_along(mechanism: Mechanism, reference: SampledReference, gains: np.ndarray, timing: Sampling) -> np.ndarray:
-    A, B, B_late = simulated(mechanism, reference.pose_rad, reference.velocity_rad_s, reference.effort, timing)
+    states = reference.pose_rad, reference.velocity_rad_s, reference.effort
+    A, B, B_late = simulated(mechanism, *states, timing, *reference.forces)
     return closed(*augmented(A, B, B_late, timing), gains)
 
 
@@ -168,6 +169,7 @@ def _steady(mechanism, reference: SampledReference, gains: np.ndarray, timing: S
         velocity_rad_s=velocity,
         effort=acting,
         cycle=n,
+        forces=reference.forces,
     )
     return motion, commands[n - timing.memory :, 0]
 
@@ -236,7 +238,8 @@ def _cut(reference: SampledReference, n: int) -> SampledReference:
     arrays = {
         name: getattr(reference, name)[:n] for name in ("time_s", "pose_rad", "position_rad", "velocity_rad_s", "effort")
     }
-    return SampledReference(period_s=reference.period_s, cycle=n, **arrays)
+    forces = tuple(w[:n] for w in reference.forces)
+    return SampledReference(period_s=reference.period_s, cycle=n, forces=forces, **arrays)
 
 
 def _multiplier_sizes(matrix: np.ndarray) -> np.ndarray:

@@ -77,7 +77,9 @@ class SimulatedLoops:
         delays = [timing.delay_steps / timing.substeps] * n
         drives = driving([Drives()] * n, delays, [timing.timestep_s] * n, timing.substeps, effort_limit)
         gains = None if motion is None else speed_gains(mechanism, motion, timing.substeps)
-        self._stepper = MujocoStepper(mechanism, starts, drives, timing.substeps, gains=gains)
+        # Along a motion, the commands under way before its start take the steps before zero.
+        begun = None if motion is None else np.full(n, -float(timing.memory * timing.substeps))
+        self._stepper = MujocoStepper(mechanism, starts, drives, timing.substeps, gains=gains, begun=begun)
         self._stepper.under_way(np.broadcast_to(under_way, (timing.memory, n, mechanism.n_u)))
 
     def state(self) -> np.ndarray:

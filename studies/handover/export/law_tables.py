@@ -184,7 +184,7 @@ def _rows(mechanism: Mechanism, plan: Plan, run: SampledReference) -> tuple[Samp
     ends = trajectory.position_at(trajectory.breaks_s[[0, -1]])
     poses = np.array([trajectory.start_pose, follow(mechanism, ends[1:], moving.pose_rad[-1])[0]])
     rest = np.zeros_like(ends)
-    effort, _ = needed_effort(mechanism, poses, rest, rest)
+    effort, _ = needed_effort(mechanism, poses, rest, rest, trajectory.breaks_s[[0, -1]])
     held = {"pose_rad": poses, "position_rad": ends, "velocity_rad_s": rest, "effort": effort}
     last = dict(held)
     times = moving.time_s
@@ -197,14 +197,16 @@ def _rows(mechanism: Mechanism, plan: Plan, run: SampledReference) -> tuple[Samp
         for name in held
     }
     time = np.concatenate([[-run.period_s], times, [times[-1] + run.period_s]])
-    return SampledReference(period_s=run.period_s, time_s=time, cycle=None, **rows), times
+    forces = mechanism.forces_at(np.clip(time, 0.0, trajectory.duration_s))
+    return SampledReference(period_s=run.period_s, time_s=time, cycle=None, forces=forces, **rows), times
 
 
 def _rows_of(reference: SampledReference, which: slice) -> SampledReference:
     """Return some samples of a reference that does not repeat."""
     names = ("time_s", "pose_rad", "position_rad", "velocity_rad_s", "effort")
     arrays = {name: getattr(reference, name)[which] for name in names}
-    return SampledReference(period_s=reference.period_s, cycle=None, **arrays)
+    forces = tuple(w[which] for w in reference.forces)
+    return SampledReference(period_s=reference.period_s, cycle=None, forces=forces, **arrays)
 
 
 def _thinned(tables: LawTables, tolerance: float, size: np.ndarray) -> LawTables:

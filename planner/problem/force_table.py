@@ -1,0 +1,136 @@
+"""Forces over time: rows of times with forces on sites, and the linear or cubic curve between them, repeated or held."""
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from linkplan.models.errors import ProblemError
+from linkplan.models.external_forces import ForcesOverTime
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.tree.dynamics import site_index
+from linkplan.planner.files.columns import read_csv
+from linkplan.planner.files.tables import Tables, resolve_path
+from linkplan.planner.problem.keys.motion_and_limits import ForceSection
+from linkplan.planner.problem.keys.reading import checked
+from linkplan.planner.problem.motion import Motion
+from linkplan.planner.problem.reference import is_whole
+from linkplan.planner.problem.sites import AXES
+from linkplan.planner.problem.table_reference import Spline, returns, times_of
+
+_KEY = "force_over_time"
+
+
+def read_force_file(tables: Tables, folder: Path | None) -> None:
+    """Replace `force_over_time.file` by the rows of the CSV file that it names, so that a saved problem needs no other file.
+
+    Raises:
+        ProblemError: if the file cannot be read, or a column is neither the time nor a site's force.
+    """
+    section = tables.get(_KEY)
+    if not isinstance(section, Mapping) or "file" not in section:
+        return
+    also = [key for key in ("time_s", "on") if key in section]
+    if also:
+        raise ProblemError(f"{_KEY}.file and {_KEY}.{also[0]} are two tables; keep one")
+    name = checked(f"{_KEY}.file", section["file"])
+    columns = read_csv(resolve_path(name, folder), f"{_KEY}.file '{name}'")
+    heads = [head.removesuffix("_N").rpartition("_") for head in columns if head != "time_s"]
+    legal = all(head == "time_s" or head.endswith("_N") for head in columns) and all(axis in AXES for *_, axis in heads)
+    if "time_s" not in columns or not heads or not legal:
+        raise ProblemError(
+            f"{_KEY}.file '{name}' has columns time_s and SITE_x_N, SITE_y_N or SITE_z_N, got {', '.join(columns)}"
+        )
+    found = {key: value for key, value in section.items() if key != "file"} | {
+        "time_s": columns["time_s"].tolist(),
+        "on": {},
+    }
+    for site, _, axis in heads:
+        found["on"].setdefault(site, {})[axis] = columns[f"{site}_{axis}_N"].tolist()
+    tables[_KEY] = found
+
+
+def forces_of(section: ForceSection | None, mechanism: Mechanism, motion: Motion) -> ForcesOverTime | None:
+    """Return the forces of a [force_over_time] table; None without one.
+
+    Args:
+        section: whose first row is at the motion's start.
+        mechanism: with the sites.
+        motion: whose time is that of the table.
+
+    Raises:
+        ProblemError: for a table that is not one, or does not fit the motion.
+    """
+    if section is None:
+        return None
+    _check_motion(motion)
+    if section.time_s is None or not section.on:
+        raise ProblemError(f"[{_KEY}] needs {_KEY}.file, or {_KEY}.time_s and {_KEY}.on.SITE")
+    time, columns = times_of(section.time_s, _KEY), []
+    for name, axes in section.on.items():
+        site = site_index(mechanism.model, name, f"{_KEY}.on", ProblemError)
+        if mechanism.model.body_weldid[mechanism.model.site_bodyid[site]] == 0:
+            raise ProblemError(f"{_KEY}.on.{name}: the site does not move, so that a force on it does nothing")
+        for axis, values in axes.items():
+            if len(values) != len(time):
+                raise ProblemError(
+                    f"{_KEY} has {len(time)} times in time_s and as many values of {name}.{axis}, got {len(values)}"
+                )
+        own: dict[str, list[float]] = {axis: [0.0] * len(time) for axis in AXES} | dict(axes)
+        columns += [own[axis] for axis in AXES]
+    rows, repeats = np.array(columns).T, section.period_s is not None or motion.kind == "periodic"
+    if section.period_s is not None:
+        if not section.period_s > time[-1]:
+            raise ProblemError(f"{_KEY}.period_s is after the last row, at {time[-1]:g} s, got {section.period_s:g}")
+        time, rows = np.append(time, section.period_s), np.vstack([rows, rows[:1]])
+    duration, last = motion.duration_s, float(time[-1])
+    assert duration is not None  # as checked above
+    if motion.kind == "periodic" and not returns(rows):
+        raise ProblemError(
+            f"{_KEY} of a periodic motion ends with the row that it begins with (or give {_KEY}.period_s), got"
+            f" {_shown(rows[0])} first and {_shown(rows[-1])} N last"
+        )
+    if motion.kind == "periodic" and not is_whole(duration / last):
+        raise ProblemError(f"{_KEY} repeats after {last:g} s; motion.duration_s is a multiple of that, got {duration:g}")
+    if not repeats and last < duration * (1 - 1e-9):
+        raise ProblemError(
+            f"{_KEY}.time_s ends at {last:g} s from its first row, before the motion's {duration:g} s; give rows up to the"
+            f" end, or {_KEY}.period_s if it repeats"
+        )
+    if motion.kind == "periodic":
+        rows[-1] = rows[0]
+    curve = Spline(knots_s=time, coefficients=_coefficients(time, rows, section.interpolation, repeats), periodic=repeats)
+    return ForcesOverTime(tuple(section.on), curve)
+
+
+def force_notes(section: ForceSection | None) -> list[str]:
+    """Return the note on where the forces of a [force_over_time] table act."""
+    if section is None:
+        return []
+    rows, kind = len(section.time_s), section.interpolation
+    return [f"{_KEY}: {kind} between {rows} rows, on {', '.join(section.on)}, over the motion; poses at rest are without it"]
+
+
+def _check_motion(motion: Motion) -> None:
+    """Refuse a motion whose instants are not known before it is planned, or that is no motion over time."""
+    if motion.duration_s is None:
+        raise ProblemError(f"{_KEY} is fixed in time and needs a motion.duration_s in seconds, got 'free'")
+    free = [k for k, waypoint in enumerate(motion.waypoints) if waypoint.time_s is None]
+    if free:
+        raise ProblemError(f"{_KEY} is fixed in time and needs motion.waypoints[{free[0]}].time_s in seconds, got 'free'")
+    if motion.kind in ("follow", "hold"):
+        raise ProblemError(f"{_KEY} needs motion.kind 'reach', 'periodic' or 'track', got '{motion.kind}'")
+
+
+def _coefficients(time: np.ndarray, rows: np.ndarray, interpolation: str, repeats: bool) -> np.ndarray:
+    """Return the coefficients (4, n, k) of the rows' curve, in the order of `Spline`."""
+    import scipy
+
+    if interpolation == "cubic":
+        return scipy.interpolate.CubicSpline(time, rows, bc_type="periodic" if repeats else "not-a-knot").c
+    slope = np.diff(rows, axis=0) / np.diff(time)[:, None]
+    return np.stack([0 * slope, 0 * slope, slope, rows[:-1]])
+
+
+def _shown(row: np.ndarray) -> str:
+    return "[" + ", ".join(f"{value:.6g}" for value in row) + "]"
