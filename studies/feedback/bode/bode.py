@@ -14,7 +14,7 @@ from linkplan.models.poses.reach import reach
 from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.search.planning import silent
 from linkplan.studies.check.softness import gap_sentence, held_gap
-from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy, PoseLoops, WorstMargins
+from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy, PoseLoops, WorstMargins, pose_values
 from linkplan.studies.feedback.bode.scan import Line, Scan, coordinate_line, scan_line
 from linkplan.studies.feedback.bode.touching import contact_sentence, touched
 from linkplan.studies.feedback.frequency.excitation import EXCITATIONS, Setup
@@ -34,7 +34,7 @@ from linkplan.studies.feedback.frequency.feedback_loops import (
 from linkplan.studies.feedback.frequency.margins import Margins, margins
 from linkplan.studies.feedback.frequency.measure import measure
 from linkplan.studies.feedback.frequency.plant_modes import plant_modes
-from linkplan.studies.feedback.frequency.response import Response
+from linkplan.studies.feedback.frequency.response import Response, largest_deviation
 from linkplan.studies.feedback.frequency.trial import MAX_TRIAL_PERIODS, settle_trials
 
 # Default poses as shares of the reach: five evenly, and one close to each end, where gains are extreme. The end itself may
@@ -157,8 +157,7 @@ def _point(
     for name, response in (taken or {}).items():
         quantity = "plant" if name in along else name
         predicted[name] = loop.response(quantity, response.frequency_hz, channel, along.get(name))
-        db, deg = response.against(predicted[name])
-        responses[name] = structs.replace(response, less_predicted_db=db, less_predicted_deg=deg)
+        responses[name] = response.beside(predicted[name])
     return BodePoint(
         **structs.asdict(bounds),
         broken_at=broken_at(loop.point.mechanism, channel),
@@ -177,12 +176,10 @@ def _by_pose(mechanism: Mechanism, law: str, points: Sequence[BodePoint]) -> lis
     """Return the loops of all joints at each pose, by the law and, if there are several, the joint."""
     found: dict[bytes, PoseLoops] = {}
     for entry in points:
-        at, joints = entry.point, list(zip(mechanism.joints, entry.point.pose, strict=True))
+        at = entry.point
         row = PoseLoops(
-            q_deg={joint.name: joint.shown(x) for joint, x in joints if joint.kind == "hinge"},
-            q_m={joint.name: float(x) for joint, x in joints if joint.kind != "hinge"},
+            **pose_values(at),
             reduced_inertia_kgm2=float(at.inertia[0, 0]) if mechanism.dof == 1 else at.inertia.tolist(),
-            holding_effort={a.name: float(u) for a, u in zip(mechanism.actuators, at.hold, strict=True)},
             loops={},
         )
         several = len(mechanism.channels) > 1
@@ -206,17 +203,14 @@ def _worst(mechanism: Mechanism, scan: Scan) -> WorstMargins:
 
 def _measurement(points: Sequence[BodePoint], steps: int, conditions: dict) -> dict[str, Any]:
     """Return the method, the largest difference between measured and predicted closed loops, and the conditions."""
-    off_db, off_deg = [], []
-    for response in [point.responses[name] for point in points for name in CLOSED_LOOPS if name in point.responses]:
-        coherent = response.coherence > 0.99
-        off_db.append(float(np.abs(response.less_predicted_db[coherent]).max(initial=0.0)))
-        off_deg.append(float(np.abs(response.less_predicted_deg[coherent]).max(initial=0.0)))
+    closed = [point.responses[name] for point in points for name in CLOSED_LOOPS if name in point.responses]
+    off_db, off_deg = largest_deviation(closed)
     return {
         "method": "sinestream",
         "excitations": list(EXCITATIONS),
         "simulated_steps": steps,
-        "closed_loop_deviation_db": max(off_db, default=None),
-        "closed_loop_deviation_deg": max(off_deg, default=None),
+        "closed_loop_deviation_db": off_db,
+        "closed_loop_deviation_deg": off_deg,
         **conditions,
     }
 
