@@ -38,7 +38,7 @@ from linkplan.studies.feedback.frequency.feedback_loops import (
     with_lqr_errors,
 )
 from linkplan.studies.feedback.frequency.plant_modes import modes_of, plant_transfer
-from linkplan.studies.feedback.frequency.plant_sinestream import measure_plants, sampled_gains
+from linkplan.studies.feedback.frequency.plant_sinestream import decay_time_s, measure_plants, sampled_gains
 from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput, plant_input, plant_output
 from linkplan.studies.feedback.frequency.response import Response, largest_deviation
 from linkplan.studies.feedback.frequency.transfer_function import TransferFunction, in_right_half_plane
@@ -49,9 +49,8 @@ _DRAWN_DECADES = 1.0
 # Frequencies of a curve, evenly spaced, and beside each resonance and anti-resonance, whose tips are narrow.
 _EVEN_POINTS, _POINTS_BESIDE, _BESIDE_SHARES = 260, 12, (1e-4, 0.1)
 # Default frequencies: their number, from a third of the lowest mode to three times the highest, at most this range.
-_MEASURED_POINTS, _MEASURED_BEYOND, _MEASURED_RANGE = 20, 3.0, 300.0
-# A measurement settles within this many time constants of the slowest pole, to its tolerance of 1e-4.
-_SETTLING_DECAYS = 9.0
+_MEASURED_POINTS, _MEASURED_BEYOND, _MEASURED_RANGE, _MEASURED_MODES = 20, 3.0, 300.0, 10
+_LEAST_DAMPING = 1e-3
 # The highest default frequency as a share of the sampling rate, and the centre for a plant without modes.
 _HIGHEST_SHARE, _CENTRE_SHARE = 0.45, 0.05
 
@@ -109,11 +108,11 @@ def plant_study(
     if setup is not None and moved:
         in_contact = touched(pairs, len(points))
         held = _holding_loops(points, chosen, in_contact)
-        caveats = tuple(_caveats(points, held, in_contact, setup.longest_s, LAW_NAMES[law]))
         if kept := [i for i, one in enumerate(held) if one is not None]:
             at = _default_frequencies(transfers, chosen.timing.period_s) if frequency_hz is None else frequency_hz
             taken = measure_plants([held[i][1] for i in kept], ins, moved, at, effort_limit, setup, say)
             measured = dict(zip(kept, taken.responses, strict=True))
+        caveats = tuple(_caveats(points, held, in_contact, measured, LAW_NAMES[law]))
     found = tuple(
         _point(point, ins, outs, transfers[i], grid, held[i], measured.get(i, {})) for i, point in enumerate(points)
     )
@@ -184,20 +183,23 @@ def _caveats(
     points: Sequence[OperatingPoint],
     held: Sequence[tuple[str, FeedbackLoop] | None],
     in_contact: np.ndarray,
-    longest_s: float,
+    measured: dict[int, dict[tuple[str, str], Response]],
     law: str,
 ) -> Iterator[str]:
-    """Yield the reason why nothing is measured at a pose, or why the measurement did not settle within `longest_s`."""
-    for point, one, contact in zip(points, held, in_contact, strict=True):
-        if contact:
+    """Yield the reason why nothing is measured at a pose, or how many gains there had not settled."""
+    for i, (point, one) in enumerate(zip(points, held, strict=True)):
+        if in_contact[i]:
             yield f"not measured at {point.name}: contacts push there"
         elif one is None:
             yield f"not measured at {point.name}: neither the loop of {law} is stable there nor the plant by itself"
-        elif (decay_s := -one[1].timing.period_s / np.log(max(one[1].radius or 0.0, 1e-300))) > longest_s / _SETTLING_DECAYS:
-            yield (
-                f"at {point.name} what holds the plant decays in {decay_s:.3g} s, and a measurement ends after"
-                f" {longest_s:g} s: gains that have not settled are left out; other gains or another tracker may damp more"
-            )
+        else:
+            known = np.concatenate([taken.is_known(LARGEST_UNCERTAINTY) for taken in measured[i].values()])
+            if not known.all():
+                decay_s = decay_time_s(one[1])
+                yield (
+                    f"{np.sum(~known)} of {len(known)} measured gains at {point.name} had not settled and are not drawn:"
+                    f" what holds the plant decays in {decay_s:.3g} s; other gains or another tracker may damp more"
+                )
 
 
 def _point(
@@ -274,11 +276,18 @@ def _curve_frequencies(transfers: Sequence[TransferFunction], period_s: float) -
 
 
 def _default_frequencies(transfers: Sequence[dict[tuple[str, str], TransferFunction]], period_s: float) -> np.ndarray:
-    """Return twenty frequencies [Hz] around the modes of all responses, or else around their other roots."""
+    """Return twenty frequencies [Hz] around the modes of all responses, or else around their other roots.
+
+    Damped modes are measured too, up to ten: where an undamped one swings, no effort is needed and none is measured.
+    """
     roots = np.concatenate([np.concatenate([one.poles, one.zeros]) for found in transfers for one in found.values()])
     some = roots[roots.imag > 0]
     some = some if some.size else roots[roots != 0]
-    sizes = np.abs(some) / (2 * np.pi) if some.size else np.array([_CENTRE_SHARE / period_s])
+    some = some if some.size else np.array([2 * np.pi * _CENTRE_SHARE / period_s], dtype=complex)
+    sizes = np.abs(some) / (2 * np.pi)
     high = min(_MEASURED_BEYOND * sizes.max(), _HIGHEST_SHARE / period_s)
     low = max(min(sizes.min(), high / _MEASURED_BEYOND) / _MEASURED_BEYOND, high / _MEASURED_RANGE)
-    return np.geomspace(low, high, _MEASURED_POINTS)
+    even = np.geomspace(low, high, _MEASURED_POINTS)
+    damped = np.sort(sizes[(sizes > low) & (sizes < high) & (np.abs(some.real) > _LEAST_DAMPING * np.abs(some))])
+    modes = damped[np.diff(np.log(damped), prepend=-np.inf) > np.log(even[1] / even[0]) / _MEASURED_MODES]
+    return np.union1d(even, modes) if some.imag.any() and len(modes) <= _MEASURED_MODES else even

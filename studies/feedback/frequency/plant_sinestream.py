@@ -10,7 +10,7 @@ holds the plant at its point does not change G, because U are the commands with 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,6 +24,9 @@ from linkplan.studies.feedback.frequency.sinestream import refuse_many, settled_
 
 # A signal below this share of the largest one of its kind at its frequency need not settle: its share of G is as small.
 _SMALL_SHARE = 1e-3
+# A response settles to 1e-4 within this many time constants of its slowest pole. A measurement lasts that long if it takes
+# no more than this time, else as long as any other: it would not settle in the longer time either.
+_SETTLING_DECAYS, _LONGEST_S = 9.0, 60.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -115,6 +118,9 @@ def measure_plants(
     refuse_many(samples, frequency, len(loops) * n_u)
     excited = ExcitedPlants(loops, outputs, effort_limit, len(frequency))
     amplitudes, floors = zip(*(_sizes(loop, outputs, frequency, effort_limit, setup) for loop in loops), strict=True)
+    slowest = _SETTLING_DECAYS * max(map(decay_time_s, loops))
+    if setup.longest_s < slowest <= _LONGEST_S:
+        setup = replace(setup, longest_s=slowest)
     taken = settled_phasors(
         excited, cycles, samples, np.concatenate(amplitudes), effort_limit, setup, say, floors=np.concatenate(floors)
     )
@@ -142,6 +148,11 @@ def measure_plants(
         found.append(responses)
     steps = taken.simulated_periods * timing.substeps
     return MeasuredPlants(responses=tuple(found), simulated_steps=steps, conditions=excited.simulations.conditions())
+
+
+def decay_time_s(loop: FeedbackLoop) -> float:
+    """Return the time [s] in which the slowest pole of a stable sampled loop decays by e."""
+    return float(-loop.timing.period_s / np.log(max(loop.radius or 0.0, 1e-300)))
 
 
 def sampled_gains(loop: FeedbackLoop, push: np.ndarray, row: np.ndarray, frequency_hz: np.ndarray) -> np.ndarray:
