@@ -21,6 +21,7 @@ from linkplan.studies.feedback.frequency.excitation import EXCITATIONS, Setup
 from linkplan.studies.feedback.frequency.feedback_loops import (
     CONTINUOUS,
     FeedbackLoop,
+    OperatingPoint,
     SampledLaw,
     broken_at,
     label_differences,
@@ -133,7 +134,7 @@ def bode_study(
         tracker=law,
         gains={name: getattr(chosen.settings, name) for name in (*_gain_names(law, joints[0]), "period_s", "delay_periods")},
         disputed=disputed,
-        softness=_softness(loops),
+        softness=softness_of([loop.point for loop in loops]),
         contacts=contact_sentence(pairs, len(loops)),
         poses=_by_pose(mechanism, law, found),
         worst={joints[scan.channel].name: _worst(mechanism, scan) for scan in scans},
@@ -222,10 +223,10 @@ def _gain_names(law: str, joint: Joint) -> tuple[str, str]:
     return ("lqr_position_m", "lqr_velocity_m_s") if joint.kind == "slide" else ("lqr_position_deg", "lqr_velocity_deg_s")
 
 
-def _softness(loops: Sequence[FeedbackLoop]) -> str | None:
+def softness_of(points: Sequence[OperatingPoint]) -> str | None:
     """Return the sentence on the closure gap at the poses, or None if it is small."""
-    mechanism = loops[0].point.mechanism
-    gaps = [held_gap(mechanism, loop.point.pose, loop.point.hold) for loop in loops]
+    mechanism = points[0].mechanism
+    gaps = [held_gap(mechanism, point.pose, point.hold) for point in points]
     return gap_sentence(mechanism, max(gaps), error=" while the poses are held")
 
 

@@ -29,7 +29,7 @@ def plant_summary(study: PlantStudy, *, verdict: bool = True) -> list[Block]:
     message = study.message[:1].upper() + study.message[1:]
     blocks: list[Block] = [Text(text=message)] if verdict else []
     rows = [("mechanism", study.mechanism_name), *_measured(study)]
-    notes = [*plant_notes(study.points), *study.caveats, study.contacts, study.note]
+    notes = [*plant_notes(study.points), *study.caveats, study.contacts, study.softness, study.note]
     return [*blocks, Facts(rows=rows), *_tables(study), *(Text(text=note, tone="note") for note in notes if note)]
 
 
@@ -57,10 +57,9 @@ def _tables(study: PlantStudy) -> list[Table]:
             real.append([plant, _on_real_axis(one.zeros), _on_real_axis(one.poles)])
     heads = ["plant", "low frequencies", "unit", "integrators", "poles less zeros", "no unstable pole"]
     pairs = ["plant", "anti-resonances [Hz]", "damping", "resonances [Hz]", "damping"]
-    found = [
-        table_of("Plant at low and high frequencies", [*heads, "minimum phase"], at_rest),
-        table_of("Plant: resonances and anti-resonances", pairs, swings),
-    ]
+    found = [table_of("Plant at low and high frequencies", [*heads, "minimum phase"], at_rest)]
+    if any(row[1] != "none" or row[3] != "none" for row in swings):
+        found.append(table_of("Plant: resonances and anti-resonances", pairs, swings))
     if any(zeros != "none" or poles != "none" for _, zeros, poles in real):
         found.append(table_of("Plant: real zeros and poles", ["plant", "zeros [rad/s]", "poles [rad/s]"], real))
     return found

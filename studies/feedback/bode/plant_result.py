@@ -88,6 +88,7 @@ class PlantStudy(Struct, frozen=True, kw_only=True, eq=False):
     measurement: dict[str, Any] | None
     caveats: tuple[str, ...]
     contacts: str | None
+    softness: str | None
     note: str | None
     mechanism: Beside[Mechanism] = field(default=NOT_READ, name="(mechanism)")
     efforts: Beside[tuple[PlantInput, ...]] = NOT_READ

@@ -12,6 +12,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import contact_pairs
 from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.search.planning import silent
+from linkplan.studies.feedback.bode.bode import softness_of
 from linkplan.studies.feedback.bode.bode_result import pose_values
 from linkplan.studies.feedback.bode.plant_result import (
     LARGEST_UNCERTAINTY,
@@ -135,6 +136,7 @@ def plant_study(
         },
         caveats=caveats,
         contacts=contact_sentence(pairs, len(points)) if setup is not None else None,
+        softness=softness_of(points) if setup is not None else None,
         note=note,
         mechanism=mechanism,
         efforts=ins,
@@ -191,7 +193,7 @@ def _caveats(
         if in_contact[i]:
             yield f"not measured at {point.name}: contacts push there"
         elif one is None:
-            yield f"not measured at {point.name}: neither the loop of {law} is stable there nor the plant by itself"
+            yield f"not measured at {point.name}: neither the loop of {law} nor the plant by itself settles in MuJoCo"
         else:
             known = np.concatenate([taken.is_known(LARGEST_UNCERTAINTY) for taken in measured[i].values()])
             if not known.all():

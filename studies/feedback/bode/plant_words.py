@@ -24,25 +24,43 @@ def plant_message(points: Sequence[PlantPoint], efforts: Sequence[str], outputs:
 
 
 def plant_notes(points: Sequence[PlantPoint]) -> Iterator[str]:
-    """Yield a sentence for each response with unstable poles, with zeros in the right half plane, or without motion."""
-    for point in points:
-        for name, one in point.responses.items():
-            at = f"{name} at {point.point.name}"
-            if not one.moves:
-                yield f"{at}: the effort does not move this output"
-            if one.right_half_plane_zeros:
-                nearest = min(_size(zero) for zero in one.right_half_plane_zeros)
-                yield (
-                    f"{at} is non-minimum-phase: zeros in the right half plane at"
-                    f" {', '.join(map(root_text, one.right_half_plane_zeros))} rad/s; a loop of this output crosses over"
-                    f" below about {nearest / (4 * np.pi):.3g} Hz, half the nearest one"
-                )
-            if one.unstable_poles:
-                fastest = max(_size(pole) for pole in one.unstable_poles)
-                yield (
-                    f"{at} is unstable by itself: poles at {', '.join(map(root_text, one.unstable_poles))} rad/s; a loop"
-                    f" that holds it crosses over above about {fastest / np.pi:.3g} Hz, twice the fastest one"
-                )
+    """Yield sentences on outputs that do not move, on zeros in the right half plane and on unstable poles.
+
+    Of several poses the one with the most restrictive zero or pole is named.
+    """
+    for name in points[0].responses:
+        at = {point.point.name: point.responses[name] for point in points}
+        if still := [where for where, one in at.items() if not one.moves]:
+            yield f"{name}: the effort does not move this output{_at(still, points)}"
+        zeros = [(_size(zero), where) for where, one in at.items() for zero in one.right_half_plane_zeros]
+        if zeros:
+            nearest, where = min(zeros)
+            yield (
+                f"{name} is non-minimum-phase{_at([at for _, at in zeros], points)}: a loop of this output crosses over"
+                f" below about {nearest / (4 * np.pi):.3g} Hz, half the nearest zero in the right half plane,"
+                f" {nearest:.4g} rad/s{_of(where, points)}"
+            )
+    poles = [
+        (_size(pole), point.point.name)
+        for point in points
+        for one in point.responses.values()
+        for pole in one.unstable_poles
+    ]
+    if poles:
+        fastest, where = max(poles)
+        yield (
+            f"the plant is unstable by itself{_at([at for _, at in poles], points)}: a loop that holds it crosses over above"
+            f" about {fastest / np.pi:.3g} Hz, twice the fastest unstable pole, {fastest:.4g} rad/s{_of(where, points)}"
+        )
+
+
+def _at(places: Sequence[str], points: Sequence[PlantPoint]) -> str:
+    """Return " at 2 of 7 poses" for the names of some poses, or nothing for a single pose."""
+    return f" at {len(set(places))} of {len(points)} poses" if len(points) > 1 else ""
+
+
+def _of(place: str, points: Sequence[PlantPoint]) -> str:
+    return f" at {place}" if len(points) > 1 else ""
 
 
 def root_text(root: Root) -> str:

@@ -72,7 +72,9 @@ def transfer_function(A: np.ndarray, b: np.ndarray, c: np.ndarray) -> TransferFu
     zeros = _zeros(A, b, c, fastest)
     if zeros is None:
         return TransferFunction(poles=nothing, zeros=nothing, gain=0.0)
-    poles, zeros = (np.where(np.abs(roots) < _ORIGIN_SHARE * fastest, 0.0, roots) for roots in (poles, zeros))
+    poles = np.where(np.abs(poles) < _ORIGIN_SHARE * fastest, 0.0, poles)
+    n_poles = int(np.sum(poles == 0))
+    zeros[np.argsort(np.abs(zeros))[: n_poles + _order_at_zero(A, b, c, n_poles)]] = 0.0
     own, seen = _without(poles, zeros), _without(zeros, poles)
     sizes = np.abs(poles[poles != 0])
     amid = (np.exp(np.mean(np.log(sizes))) if sizes.size else 1.0) * np.exp(0.25j * np.pi)  # neither tiny nor near a pole
@@ -102,6 +104,35 @@ def _zeros(A: np.ndarray, b: np.ndarray, c: np.ndarray, fastest: float) -> np.nd
     space = np.linalg.qr(np.array(rows).T, mode="complete")[0][:, len(rows) :]
     found = np.linalg.eigvals(space.T @ (A @ space - np.outer(b, row @ space) / markov)).astype(complex)
     return found[np.abs(found) < _INFINITE_SHARE * fastest]
+
+
+def _order_at_zero(A: np.ndarray, b: np.ndarray, c: np.ndarray, n_poles: int) -> int:
+    """Return the exponent of the first term of G(s) = ... + g s^order + ... at s = 0, where A has `n_poles` poles.
+
+    With A split into the block N of these poles, with b_0 and c_0, and the rest A_1, with b_1 and c_1, the terms are
+
+        c_0 N^j b_0 s^-(j + 1)   and   -c_1 A_1^-(k + 1) b_1 s^k.
+
+    Zeros at the origin are counted in this way, because rounding splits m of them by eps^(1 / m): four by 1e-4.
+    """
+    sizes = np.append(np.sort(np.abs(np.linalg.eigvals(A))), np.inf)
+    border = 0.5 * sizes[n_poles] if n_poles else -1.0
+    T, Q, found = scipy.linalg.schur(A.astype(complex), output="complex", sort=lambda x: abs(x) <= border)
+    N, rest = np.triu(T[:found, :found], 1), T[found:, found:]
+    b, c = Q.conj().T @ b, c @ Q
+    apart = scipy.linalg.solve_sylvester(T[:found, :found], -rest, -T[:found, found:])  # [[1, X], [0, 1]] splits T
+    b_0, b_1, c_0, c_1 = b[:found] - apart @ b[found:], b[found:], c[:found], c[:found] @ apart + c[found:]
+    size = _ROUNDING_SHARE * float(np.linalg.norm(c) * np.linalg.norm(b))
+    for j in reversed(range(found)):
+        if abs(c_0 @ np.linalg.matrix_power(N, j) @ b_0) > size * max(1.0, float(np.linalg.norm(N))) ** j:
+            return -(j + 1)
+    row = c_1
+    for order in range(len(A)):
+        row = np.linalg.solve(rest.T, row)
+        row = row / np.linalg.norm(row)
+        if abs(row @ b_1) > _ROUNDING_SHARE * np.linalg.norm(b_1):
+            return order
+    return 0
 
 
 def _product(s: np.ndarray, zeros: np.ndarray, poles: np.ndarray) -> np.ndarray:

@@ -98,3 +98,16 @@ def test_a_zero_at_the_origin_counts_as_an_integrator_less():
     speed = transfer_function(np.array([[0.0, 1.0], [-9.0, -0.5]]), np.array([0.0, 1.0]), np.array([0.0, 1.0]))
     assert speed.integrators == -1
     assert speed.low_frequency_gain == pytest.approx(1 / 9)
+
+
+@pytest.mark.parametrize("n_zeros", [1, 2, 3, 4])
+def test_zeros_at_the_origin_are_there_though_rounding_splits_them(n_zeros):
+    """s^m / ((s^2 - 30) (s^2 + 2 s + 70) (s^2 + 100)), as the internal torque of a leg on a wheel moves it along: s^2."""
+    poles = np.concatenate([np.sqrt([30.0]), -np.sqrt([30.0]), np.roots([1, 2, 70]), [10j, -10j]])
+    companion = scipy.linalg.companion(np.real(np.poly(poles)))
+    turn = np.linalg.qr(np.random.default_rng(n_zeros).normal(size=(6, 6)))[0]
+    numerator = np.eye(6)[5 - n_zeros]
+    found = transfer_function(turn @ companion @ turn.T, turn[:, 0], numerator @ turn.T)
+    assert np.array_equal(found.zeros, np.zeros(n_zeros))
+    assert found.integrators == -n_zeros
+    assert found.low_frequency_gain == pytest.approx(1 / np.real(np.prod(poles)), rel=1e-7)
