@@ -60,7 +60,7 @@ class PlantResult(Result):
         at = choose("pose", self.poses[0] if pose is None else str(pose), self.poses, ProblemError)
         study, point = self.study, self.study.points[self.poses.index(at)].point
         pushes = np.column_stack([effort.push(point) for effort in study.efforts])
-        rows = np.stack([position.row(point) for position in study.positions])
+        rows = np.stack([position.slopes(point.pose) for position in study.positions])
         matrices = plant_matrices(point, pushes, rows)
         ins, outs = ([name.replace(".", "_") for name in names] for names in (study.inputs, study.outputs))
         return control.StateSpace(*matrices, 0, inputs=ins, outputs=outs)

@@ -98,7 +98,7 @@ def plant_study(
     transfers = []
     for point in points:
         say(f"predicted at {point.name}")
-        transfers.append({(one.name, out.name): plant_transfer(point, one.push(point), out.row(point))
+        transfers.append({(one.name, out.name): plant_transfer(point, one.push(point), out.slopes(point.pose))
                           for one, out in itertools.product(ins, outs)})  # fmt: skip
     grid = _curve_frequencies([one for found in transfers for one in found.values()], chosen.timing.period_s)
     held: list[tuple[str, FeedbackLoop] | None] = [None] * len(points)
@@ -219,7 +219,7 @@ def _point(
         found = response_of(transfers[one.name, out.name], f"{out.unit}/({one.unit})", grid)
         taken = measured.get((one.name, out.name))
         if held is not None and taken is not None and found.moves:
-            loop, ways = held[1], (one.push(point), out.row(point))
+            loop, ways = held[1], (one.push(point), out.slopes(point.pose))
             below = grid[grid < loop.timing.nyquist_hz]
             predicted = [
                 Response(frequency_hz=f, gain=sampled_gains(loop, *ways, f), unit=found.unit, origin="predicted, sampled")

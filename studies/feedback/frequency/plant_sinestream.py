@@ -179,7 +179,7 @@ def _sizes(
     with np.errstate(divide="ignore", invalid="ignore"):
         moves = np.min(wanted[:, None] / np.abs(X[:, steered]), axis=1)
         amplitude = np.minimum(moves, np.min(room[:, None] / np.abs(U), axis=1)).T
-    Y = np.stack([output.row(loop.point) for output in outputs]) @ X
+    Y = np.stack([output.slopes(loop.point.pose) for output in outputs]) @ X
     largest = [np.max(amplitude.T[:, None] * np.abs(of), axis=2) for of in (Y, U)]  # (n, n_y), (n, n_u)
     commands = np.broadcast_to(largest[1].max(axis=1, keepdims=True), largest[1].shape)
     small = _SMALL_SHARE * np.concatenate([np.zeros((len(Y), 3)), largest[0], commands], axis=1)

@@ -31,16 +31,15 @@ class PlantInput:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class PlantOutput:
-    """A position by its name and unit. `at_poses` gives it (n,) [rad or m] at poses q (n, n_q)."""
+    """A position by its name and unit. `at_poses` gives it (n,) [rad or m] at poses q (n, n_q).
+
+    `slopes` gives its derivatives c (n_s,) by the independent coordinates at a pose (n_q,).
+    """
 
     name: str
     unit: str
     at_poses: Callable[[np.ndarray], np.ndarray]
-    _row: Callable[[np.ndarray], np.ndarray]
-
-    def row(self, point: OperatingPoint) -> np.ndarray:
-        """Return the derivatives c (n_s,) by the independent coordinates at a point."""
-        return self._row(point.pose)
+    slopes: Callable[[np.ndarray], np.ndarray]
 
 
 def plant_input(mechanism: Mechanism, name: str, what: str) -> PlantInput:
@@ -83,7 +82,7 @@ def plant_output(mechanism: Mechanism, name: str, what: str) -> PlantOutput:
     if name in joints:
         k = joints.index(name)
         unit = mechanism.joints[k].si_units[0]
-        return PlantOutput(name=name, unit=unit, at_poses=lambda q: q[:, k], _row=of_joints(np.eye(len(joints))[k]))
+        return PlantOutput(name=name, unit=unit, at_poses=lambda q: q[:, k], slopes=of_joints(np.eye(len(joints))[k]))
     site, _, axis = name.rpartition(".")
     if site in sites and axis in AXES:
         index, along = site_index(mechanism.model, site, what, LinkplanError), AXES.index(axis)
@@ -93,11 +92,11 @@ def plant_output(mechanism: Mechanism, name: str, what: str) -> PlantOutput:
             still = np.zeros((n_s, n_s))
             return sampled(site_motion(mechanism, 1), np.tile(pose, (n_s, 1)), np.eye(n_s), still)[:, along, index]
 
-        return PlantOutput(name=name, unit="m", at_poses=lambda q: places_of(mechanism, index, q)[:, along], _row=of_site)
+        return PlantOutput(name=name, unit="m", at_poses=lambda q: places_of(mechanism, index, q)[:, along], slopes=of_site)
     if name.startswith(_OF_BODY):
         body = turning_body(name.removeprefix(_OF_BODY), what, mechanism)
         sigma = angles_of(mechanism, body, np.eye(mechanism.n_q))
-        return PlantOutput(name=name, unit="rad", at_poses=lambda q: angles_of(mechanism, body, q), _row=of_joints(sigma))
+        return PlantOutput(name=name, unit="rad", at_poses=lambda q: angles_of(mechanism, body, q), slopes=of_joints(sigma))
     legal = [*joints, *(f"{site}.{axis}" for site in sites for axis in AXES)]
     of_sites = f"coordinates of sites ({', '.join(sites)}) as {sites[0]}.x" if sites else "none of sites, as there are none"
     raise LinkplanError(

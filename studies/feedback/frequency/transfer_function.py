@@ -117,7 +117,9 @@ def _order_at_zero(A: np.ndarray, b: np.ndarray, c: np.ndarray, n_poles: int) ->
     """
     sizes = np.append(np.sort(np.abs(np.linalg.eigvals(A))), np.inf)
     border = 0.5 * sizes[n_poles] if n_poles else -1.0
-    T, Q, found = scipy.linalg.schur(A.astype(complex), output="complex", sort=lambda x: abs(x) <= border)
+    T, Q, found = scipy.linalg.schur(  # pyright: ignore[reportAssignmentType]  three values with `sort`
+        A.astype(complex), output="complex", sort=lambda x: abs(x) <= border
+    )
     N, rest = np.triu(T[:found, :found], 1), T[found:, found:]
     b, c = Q.conj().T @ b, c @ Q
     apart = scipy.linalg.solve_sylvester(T[:found, :found], -rest, -T[:found, found:])  # [[1, X], [0, 1]] splits T
