@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 from msgspec import structs
 
+from linkplan.controllers.sampling import Sampling
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import contact_pairs
@@ -52,6 +53,8 @@ _EVEN_POINTS, _POINTS_BESIDE, _BESIDE_SHARES = 260, 12, (1e-4, 0.1)
 # Default frequencies: their number, from a third of the lowest mode to three times the highest, at most this range.
 _MEASURED_POINTS, _MEASURED_BEYOND, _MEASURED_RANGE, _MEASURED_MODES = 20, 3.0, 300.0, 10
 _LEAST_DAMPING = 1e-3
+# Simulator steps of all simulations together, some minutes, and the cycles that each of them takes.
+_MOST_STEPS, _LEAST_CYCLES = 2_000_000, 5.0
 # The highest default frequency as a share of the sampling rate, and the centre for a plant without modes.
 _HIGHEST_SHARE, _CENTRE_SHARE = 0.45, 0.05
 
@@ -110,9 +113,11 @@ def plant_study(
         in_contact = touched(pairs, len(points))
         held = _holding_loops(points, chosen, in_contact)
         if kept := [i for i, one in enumerate(held) if one is not None]:
-            at = _default_frequencies(transfers, chosen.timing.period_s) if frequency_hz is None else frequency_hz
+            rows = len(kept) * mechanism.n_u
+            at = default_frequencies(transfers, chosen.timing, rows) if frequency_hz is None else frequency_hz
             taken = measure_plants([held[i][1] for i in kept], ins, moved, at, effort_limit, setup, say)
-            measured = dict(zip(kept, taken.responses, strict=True))
+            for i, of_pose in zip(kept, taken.responses, strict=True):  # what does not move at a pose is noise there
+                measured[i] = {pair: response for pair, response in of_pose.items() if transfers[i][pair].gain}
         caveats = tuple(_caveats(points, held, in_contact, measured, LAW_NAMES[law]))
     found = tuple(
         _point(point, ins, outs, transfers[i], grid, held[i], measured.get(i, {})) for i, point in enumerate(points)
@@ -195,11 +200,11 @@ def _caveats(
         elif one is None:
             yield f"not measured at {point.name}: neither the loop of {law} nor the plant by itself settles in MuJoCo"
         else:
-            known = np.concatenate([taken.is_known(LARGEST_UNCERTAINTY) for taken in measured[i].values()])
-            if not known.all():
+            known = [bool(gain) for taken in measured[i].values() for gain in taken.is_known(LARGEST_UNCERTAINTY)]
+            if not all(known):
                 decay_s = decay_time_s(one[1])
                 yield (
-                    f"{np.sum(~known)} of {len(known)} measured gains at {point.name} had not settled and are not drawn:"
+                    f"{known.count(False)} of {len(known)} measured gains at {point.name} had not settled and are not drawn:"
                     f" what holds the plant decays in {decay_s:.3g} s; other gains or another tracker may damp more"
                 )
 
@@ -218,7 +223,7 @@ def _point(
     for one, out in itertools.product(ins, outs):
         found = response_of(transfers[one.name, out.name], f"{out.unit}/({one.unit})", grid)
         taken = measured.get((one.name, out.name))
-        if held is not None and taken is not None and found.moves:
+        if held is not None and taken is not None:
             loop, ways = held[1], (one.push(point), out.slopes(point.pose))
             below = grid[grid < loop.timing.nyquist_hz]
             predicted = [
@@ -277,19 +282,26 @@ def _curve_frequencies(transfers: Sequence[TransferFunction], period_s: float) -
     return np.unique(np.concatenate([np.geomspace(*ends, _EVEN_POINTS), beside]))
 
 
-def _default_frequencies(transfers: Sequence[dict[tuple[str, str], TransferFunction]], period_s: float) -> np.ndarray:
+def default_frequencies(
+    transfers: Sequence[dict[tuple[str, str], TransferFunction]], timing: Sampling, n_rows: int
+) -> np.ndarray:
     """Return twenty frequencies [Hz] around the modes of all responses, or else around their other roots.
+
+    They start higher where so many rows of simulations would take long.
 
     Damped modes are measured too, up to ten: where an undamped one swings, no effort is needed and none is measured.
     """
     roots = np.concatenate([np.concatenate([one.poles, one.zeros]) for found in transfers for one in found.values()])
     some = roots[roots.imag > 0]
     some = some if some.size else roots[roots != 0]
-    some = some if some.size else np.array([2 * np.pi * _CENTRE_SHARE / period_s], dtype=complex)
+    some = some if some.size else np.array([2 * np.pi * _CENTRE_SHARE / timing.period_s], dtype=complex)
     sizes = np.abs(some) / (2 * np.pi)
-    high = min(_MEASURED_BEYOND * sizes.max(), _HIGHEST_SHARE / period_s)
+    high = min(_MEASURED_BEYOND * sizes.max(), _HIGHEST_SHARE / timing.period_s)
     low = max(min(sizes.min(), high / _MEASURED_BEYOND) / _MEASURED_BEYOND, high / _MEASURED_RANGE)
     even = np.geomspace(low, high, _MEASURED_POINTS)
+    while n_rows * _LEAST_CYCLES * np.sum(1 / even) > _MOST_STEPS * timing.timestep_s and even[0] < high / _MEASURED_BEYOND:
+        even = np.geomspace(1.2 * even[0], high, _MEASURED_POINTS)
+    low = even[0]
     damped = np.sort(sizes[(sizes > low) & (sizes < high) & (np.abs(some.real) > _LEAST_DAMPING * np.abs(some))])
     modes = damped[np.diff(np.log(damped), prepend=-np.inf) > np.log(even[1] / even[0]) / _MEASURED_MODES]
     return np.union1d(even, modes) if some.imag.any() and len(modes) <= _MEASURED_MODES else even

@@ -24,8 +24,8 @@ from linkplan.studies.feedback.frequency.sinestream import refuse_many, settled_
 
 # A signal below this share of the largest one of its kind at its frequency need not settle: its share of G is as small.
 _SMALL_SHARE = 1e-3
-# A response settles to 1e-4 within this many time constants of its slowest pole. A measurement lasts that long if it takes
-# no more than this time, else as long as any other: it would not settle in the longer time either.
+# A response settles to 1e-4 within this many time constants of its slowest pole. A measurement lasts that long if the rows
+# of simulations together take no more than this time, else as long as any other.
 _SETTLING_DECAYS, _LONGEST_S = 9.0, 60.0
 
 
@@ -119,7 +119,7 @@ def measure_plants(
     excited = ExcitedPlants(loops, outputs, effort_limit, len(frequency))
     amplitudes, floors = zip(*(_sizes(loop, outputs, frequency, effort_limit, setup) for loop in loops), strict=True)
     slowest = _SETTLING_DECAYS * max(map(decay_time_s, loops))
-    if setup.longest_s < slowest <= _LONGEST_S:
+    if setup.longest_s < slowest <= _LONGEST_S / (len(loops) * n_u):
         setup = replace(setup, longest_s=slowest)
     taken = settled_phasors(
         excited, cycles, samples, np.concatenate(amplitudes), effort_limit, setup, say, floors=np.concatenate(floors)

@@ -13,9 +13,12 @@ from linkplan.models.errors import LinkplanError, nearest
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled, site_motion
 from linkplan.models.tree.dynamics import site_index, site_names
+from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.problem.sites import AXES, angles_of, places_of, turning_body
 from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint
 
+# A slope below this, from unit steps to unit steps, is rounding of the assembly: the output stands at a dead centre.
+_ZERO_SLOPE = 1e-10
 # What stands before the name of a body whose angle is an output.
 _OF_BODY = "body."
 
@@ -76,13 +79,19 @@ def plant_output(mechanism: Mechanism, name: str, what: str) -> PlantOutput:
     """
     joints, sites = [joint.name for joint in mechanism.joints], site_names(mechanism.model)
 
-    def of_joints(sigma: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-        return lambda pose: sigma @ np.array(mechanism.dynamics.velocity_map(pose))
+    steps = unit_steps(mechanism.joints, mechanism.extent_m)[mechanism.independent]
+
+    def known(row: np.ndarray, unit: str) -> np.ndarray:
+        size = 1.0 if unit == "rad" else mechanism.extent_m
+        return np.where(np.abs(row) * steps > _ZERO_SLOPE * size, row, 0.0)
+
+    def of_joints(sigma: np.ndarray, unit: str) -> Callable[[np.ndarray], np.ndarray]:
+        return lambda pose: known(sigma @ np.array(mechanism.dynamics.velocity_map(pose)), unit)
 
     if name in joints:
         k = joints.index(name)
         unit = mechanism.joints[k].si_units[0]
-        return PlantOutput(name=name, unit=unit, at_poses=lambda q: q[:, k], slopes=of_joints(np.eye(len(joints))[k]))
+        return PlantOutput(name=name, unit=unit, at_poses=lambda q: q[:, k], slopes=of_joints(np.eye(len(joints))[k], unit))
     site, _, axis = name.rpartition(".")
     if site in sites and axis in AXES:
         index, along = site_index(mechanism.model, site, what, LinkplanError), AXES.index(axis)
@@ -90,13 +99,16 @@ def plant_output(mechanism: Mechanism, name: str, what: str) -> PlantOutput:
         def of_site(pose: np.ndarray) -> np.ndarray:
             n_s = mechanism.dof
             still = np.zeros((n_s, n_s))
-            return sampled(site_motion(mechanism, 1), np.tile(pose, (n_s, 1)), np.eye(n_s), still)[:, along, index]
+            speeds = sampled(site_motion(mechanism, 1), np.tile(pose, (n_s, 1)), np.eye(n_s), still)
+            return known(speeds[:, along, index], "m")
 
         return PlantOutput(name=name, unit="m", at_poses=lambda q: places_of(mechanism, index, q)[:, along], slopes=of_site)
     if name.startswith(_OF_BODY):
         body = turning_body(name.removeprefix(_OF_BODY), what, mechanism)
         sigma = angles_of(mechanism, body, np.eye(mechanism.n_q))
-        return PlantOutput(name=name, unit="rad", at_poses=lambda q: angles_of(mechanism, body, q), slopes=of_joints(sigma))
+        return PlantOutput(
+            name=name, unit="rad", at_poses=lambda q: angles_of(mechanism, body, q), slopes=of_joints(sigma, "rad")
+        )
     legal = [*joints, *(f"{site}.{axis}" for site in sites for axis in AXES)]
     of_sites = f"coordinates of sites ({', '.join(sites)}) as {sites[0]}.x" if sites else "none of sites, as there are none"
     raise LinkplanError(

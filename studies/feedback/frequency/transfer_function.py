@@ -21,8 +21,9 @@ import scipy.linalg
 _ROUNDING_SHARE = 1e-10
 # Zeros beyond this many times the fastest pole are infinite: they change the response by 1e-4 at most.
 _INFINITE_SHARE = 1e4
-# Poles and zeros below this share of the fastest pole are at the origin; rounding splits a pair there by 1e-8.
-_ORIGIN_SHARE = 1e-7
+# Poles and zeros below this share of the fastest pole are at the origin; rounding splits a pair there by 1e-8. So are those
+# below this rate, a period of a week: a mechanism in neutral equilibrium has no faster pole.
+_ORIGIN_SHARE, _ORIGIN_RAD_S = 1e-7, 1e-5
 # Poles and zeros that are this near, as a share of their size, cancel: the effort does not excite the mode.
 _CANCELLING_SHARE = 1e-6
 # A root is in the right half plane if its real part is above this share of its size.
@@ -72,7 +73,7 @@ def transfer_function(A: np.ndarray, b: np.ndarray, c: np.ndarray) -> TransferFu
     zeros = _zeros(A, b, c, fastest)
     if zeros is None:
         return TransferFunction(poles=nothing, zeros=nothing, gain=0.0)
-    poles = np.where(np.abs(poles) < _ORIGIN_SHARE * fastest, 0.0, poles)
+    poles = np.where(np.abs(poles) < max(_ORIGIN_SHARE * fastest, _ORIGIN_RAD_S), 0.0, poles)
     n_poles = int(np.sum(poles == 0))
     zeros[np.argsort(np.abs(zeros))[: n_poles + _order_at_zero(A, b, c, n_poles)]] = 0.0
     own, seen = _without(poles, zeros), _without(zeros, poles)

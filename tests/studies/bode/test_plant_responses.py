@@ -8,7 +8,9 @@ import pytest
 import scipy.linalg
 
 import linkplan
+from linkplan.controllers.sampling import Sampling
 from linkplan.models.poses.assembly import close_at
+from linkplan.studies.feedback.bode.plant_study import default_frequencies
 from tests.support.figures import curves, dots, saved_figures
 from tests.support.tolerances_loops import MEASURED_DB, MEASURED_DEG
 
@@ -329,3 +331,25 @@ def test_a_closed_chains_plant_is_given_at_every_pose_of_its_reach():
         gamma = np.array(result.study.mechanism.dynamics.velocity_map(point.point.pose))
         assert ratio == pytest.approx(gamma[joints.index("C"), 0], rel=1e-9)
     assert "at 7 poses" in result.message
+
+
+@pytest.mark.slow
+def test_a_slider_at_its_dead_centre_does_not_move_and_is_measured_elsewhere():
+    poses = [{"O": -180.0}, {"O": -128.6}]
+    options = {"at_deg": poses, "period_s": 1e-3, "frequency_hz": [2.0, 20.0]}
+    found = linkplan.bode("slider-crank", from_effort=["act_O"], to_position=["B"], **options)
+    dead, moving = (point.responses["act_O to B"] for point in found.study.points)
+    assert (dead.moves, dead.curve, dead.gain_at_rest) == (False, None, 0.0)
+    assert not dead.measured
+    assert np.abs(moving.measured.less_predicted_db).max() < 0.1
+    assert found.study.caveats == ()
+    assert "act_O to B: the effort does not move this output at 1 of 2 poses" in str(found)
+
+
+def test_the_default_frequencies_start_higher_where_many_simulations_would_take_long():
+    study = linkplan.bode("cart-pole", from_effort=["act_cart"], to_position=["cart"], measure=False).study
+    (one,) = [{name: one.transfer for name, one in point.responses.items()} for point in study.points]
+    few, many = (default_frequencies([one], Sampling(period_s=1e-3, substeps=10), rows) for rows in (1, 100))
+    assert (few[0], few[-1]) == pytest.approx((few[-1] / 9 * 0.705 / 0.8038, many[-1]), rel=1e-3)
+    assert many[0] > 1.5 * few[0]
+    assert len(many) == len(few) == 20
