@@ -144,8 +144,12 @@ def build_parser() -> Parser:
     _loop(bode)
     _add(bode, "--kp", "KP", "proportional gain [N.m/rad] (default: the problem's, 200)", float)
     _add(bode, "--kd", "KD", "derivative gain [N.m.s/rad] (default: the problem's, 1)", float)
+    text = "the plant from these efforts instead of the loop: actuators or driven joints, with commas between them"
+    _add(bode, "--from-effort", "NAMES", text, values.names, ())
+    text = "to these positions: joints; SITE.x, .y or .z in the world; body.NAME, its angle; with commas between them"
+    _add(bode, "--to-position", "NAMES", text, values.names, ())
     _off(bode, "--no-measure", "measure no response in MuJoCo; predict only")
-    text = "frequencies measured, F,F,... or LOW:HIGH:N for N in equal ratios (default: 20 about the crossover)"
+    text = "frequencies measured, F,F,... or LOW:HIGH:N for N in equal ratios (default: 20 about crossover or resonances)"
     _add(bode, "--frequency-hz", "F", text, values.frequencies)
     _add(bode, "--amplitude-deg", "A", "of the test signal's motion (default: small)", float)
     _flag(bode, "--map", "map the stable gains over all angles, checked in MuJoCo next to the stability boundary")

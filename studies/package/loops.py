@@ -18,6 +18,7 @@ from linkplan.paths import drawn
 from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import Tracking, number
+from linkplan.plants import PlantResult
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
 from linkplan.studies.feedback.bode.along_motion import along_motion
@@ -28,6 +29,7 @@ from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy
 from linkplan.studies.feedback.bode.large_study import large_study
 from linkplan.studies.feedback.bode.loop_blocks import along_blocks, large_blocks, map_blocks
 from linkplan.studies.feedback.bode.map_study import map_study
+from linkplan.studies.feedback.bode.plant_study import plant_study
 from linkplan.studies.feedback.bode.poses import loop_poses
 from linkplan.studies.feedback.frequency.excitation import Setup
 from linkplan.studies.feedback.frequency.feedback_loops import QUANTITIES, refuse_several_freedoms
@@ -50,6 +52,8 @@ def bode(
     tracking: Mapping[str, float | Mapping[str, float]] | None = None,
     at_deg: Poses = (),
     at_m: Poses = (),
+    from_effort: Sequence[str] = (),
+    to_position: Sequence[str] = (),
     measure: bool = True,
     frequency_hz: Sequence[float] | None = None,
     amplitude_deg: float | None = None,
@@ -57,8 +61,11 @@ def bode(
     large: bool = False,
     along: bool = False,
     progress: Progress | None = None,
-) -> BodeResult:
+) -> BodeResult | PlantResult:
     """Return a loop's frequency response, margins and sampled stability: predicted, and measured in MuJoCo.
+
+    With `from_effort` and `to_position` it returns the plant's response instead: poles and zeros, gain and phase from each
+    effort to each position, with all other efforts constant. The tracker then only holds the plant for the measurement.
 
     Args:
         subject: a mechanism with an actuator, a `Problem`, or the name or path of either. Joints that no actuator drives
@@ -73,8 +80,12 @@ def bode(
         at_deg: poses to analyse, each the independent hinges' angles [deg] by joint name, or a number for the only joint; by
             default five over the problem's motion, seven over the reach, or home with several degrees of freedom.
         at_m: likewise, for slides [m].
+        from_effort: inputs of a plant: names of actuators, or of driven joints for the total effort on the joint.
+        to_position: its outputs: names of joints; "foot.z" for a site's coordinate in the world; "body.shank" for the angle
+            of a body that turns about one axis.
         measure: whether responses are measured in MuJoCo, by a sinestream.
-        frequency_hz: frequencies to measure [Hz], below half the sampling rate; by default twenty around the crossover.
+        frequency_hz: frequencies to measure [Hz], below half the sampling rate; by default twenty around the crossover,
+            or around a plant's resonances.
         amplitude_deg: of the test signal's motion at the joint, in degrees (metres on a slide); by default small.
         map: whether the stable gains are mapped over all positions and tried in MuJoCo next to the stability boundary.
         large: whether signals past the effort limit are measured, beside the describing function.
@@ -90,6 +101,7 @@ def bode(
         print(loop.stable, loop.message)
     """
     choose("tracker", str(tracker), LINEAR, ProblemError)
+    is_plant = _asks_for_plant(from_effort, to_position, {"map": map, "large": large, "along": along})
     say = listener(progress)
     given = {"kp": kp, "kd": kd, "period_s": period_s, "delay_periods": delay_periods}
     mechanism, problem, settings, limit = loop_of(subject, tracking, given)
@@ -102,18 +114,13 @@ def bode(
     amplitude = None if amplitude_deg is None else number(amplitude_deg, "amplitude_deg", positive=True)
     joint = mechanism.independent_joints[0]
     looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
-    study = bode_study(
-        mechanism,
-        looked.positions,
-        settings,
-        limit,
-        say,
-        law=tracker,
-        setup=Setup(amplitude=None if amplitude is None else joint.read(amplitude)) if measure else None,
-        frequency_hz=None if frequency_hz is None else np.array(numbers(frequency_hz, "frequency_hz", positive=True)),
-        line=looked.line,
-        note=looked.note,
-    )
+    setup = Setup(amplitude=None if amplitude is None else joint.read(amplitude)) if measure else None
+    at_hz = None if frequency_hz is None else np.array(numbers(frequency_hz, "frequency_hz", positive=True))
+    common = {"law": tracker, "setup": setup, "frequency_hz": at_hz, "note": looked.note}
+    if is_plant:
+        named = list(from_effort), list(to_position)
+        return PlantResult(study=plant_study(mechanism, looked.positions, *named, settings, limit, say, **common))
+    study = bode_study(mechanism, looked.positions, settings, limit, say, line=looked.line, **common)
     further = {
         "map": map_study(study, say) if map else None,
         "large": large_study(study, None if problem is None else problem.limits, say) if large else None,
@@ -122,6 +129,20 @@ def bode(
         else None,
     }
     return BodeResult(study=structs.replace(study, **further))
+
+
+def _asks_for_plant(efforts: object, positions: object, others: Mapping[str, bool]) -> bool:
+    """Tell if a plant is asked for; refuse a half of it, or together with studies of a loop."""
+    for name, value in (("from_effort", efforts), ("to_position", positions)):
+        if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(one, str) for one in value):
+            raise ProblemError(f"{name} is a list of names, got {value!r}")
+    if bool(efforts) != bool(positions):
+        given, missing = ("from_effort", "outputs") if efforts else ("to_position", "inputs")
+        raise ProblemError(f"{given} asks for a plant, and its {missing} are not given")
+    for name, is_asked in others.items():
+        if efforts and is_asked:
+            raise ProblemError(f"{name} is about the loop of a tracker, and a plant from inputs to outputs has none")
+    return bool(efforts)
 
 
 def loop_of(

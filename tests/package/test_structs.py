@@ -29,6 +29,12 @@ MADE = {
         "BodeResult",
         lambda _: linkplan.bode("optimus-knee", kp=200.0, kd=20.0, frequency_hz=[100.0], **AT_REST),
     ),
+    "bode, a plant": (
+        "PlantResult",
+        lambda _: linkplan.bode(
+            "optimus-knee", kp=200.0, kd=1.0, frequency_hz=[100.0], from_effort=["act_O"], to_position=["C"], **AT_REST
+        ),
+    ),
     "tune": ("TuneResult", lambda _: linkplan.tune("optimus-knee", bandwidth_hz=10.0, **AT_REST)),
     "tune, several joints": (
         "TuneResult",

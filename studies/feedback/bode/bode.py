@@ -14,13 +14,14 @@ from linkplan.models.poses.reach import reach
 from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.search.planning import silent
 from linkplan.studies.check.softness import gap_sentence, held_gap
-from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy, PoseLoops, WorstMargins
+from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy, PoseLoops, WorstMargins, pose_values
 from linkplan.studies.feedback.bode.scan import Line, Scan, coordinate_line, scan_line
 from linkplan.studies.feedback.bode.touching import contact_sentence, touched
 from linkplan.studies.feedback.frequency.excitation import EXCITATIONS, Setup
 from linkplan.studies.feedback.frequency.feedback_loops import (
     CONTINUOUS,
     FeedbackLoop,
+    OperatingPoint,
     SampledLaw,
     broken_at,
     label_differences,
@@ -34,7 +35,7 @@ from linkplan.studies.feedback.frequency.feedback_loops import (
 from linkplan.studies.feedback.frequency.margins import Margins, margins
 from linkplan.studies.feedback.frequency.measure import measure
 from linkplan.studies.feedback.frequency.plant_modes import plant_modes
-from linkplan.studies.feedback.frequency.response import Response
+from linkplan.studies.feedback.frequency.response import Response, largest_deviation
 from linkplan.studies.feedback.frequency.trial import MAX_TRIAL_PERIODS, settle_trials
 
 # Default poses as shares of the reach: five evenly, and one close to each end, where gains are extreme. The end itself may
@@ -133,7 +134,7 @@ def bode_study(
         tracker=law,
         gains={name: getattr(chosen.settings, name) for name in (*_gain_names(law, joints[0]), "period_s", "delay_periods")},
         disputed=disputed,
-        softness=_softness(loops),
+        softness=softness_of([loop.point for loop in loops]),
         contacts=contact_sentence(pairs, len(loops)),
         poses=_by_pose(mechanism, law, found),
         worst={joints[scan.channel].name: _worst(mechanism, scan) for scan in scans},
@@ -157,8 +158,7 @@ def _point(
     for name, response in (taken or {}).items():
         quantity = "plant" if name in along else name
         predicted[name] = loop.response(quantity, response.frequency_hz, channel, along.get(name))
-        db, deg = response.against(predicted[name])
-        responses[name] = structs.replace(response, less_predicted_db=db, less_predicted_deg=deg)
+        responses[name] = response.beside(predicted[name])
     return BodePoint(
         **structs.asdict(bounds),
         broken_at=broken_at(loop.point.mechanism, channel),
@@ -177,12 +177,10 @@ def _by_pose(mechanism: Mechanism, law: str, points: Sequence[BodePoint]) -> lis
     """Return the loops of all joints at each pose, by the law and, if there are several, the joint."""
     found: dict[bytes, PoseLoops] = {}
     for entry in points:
-        at, joints = entry.point, list(zip(mechanism.joints, entry.point.pose, strict=True))
+        at = entry.point
         row = PoseLoops(
-            q_deg={joint.name: joint.shown(x) for joint, x in joints if joint.kind == "hinge"},
-            q_m={joint.name: float(x) for joint, x in joints if joint.kind != "hinge"},
+            **pose_values(at),
             reduced_inertia_kgm2=float(at.inertia[0, 0]) if mechanism.dof == 1 else at.inertia.tolist(),
-            holding_effort={a.name: float(u) for a, u in zip(mechanism.actuators, at.hold, strict=True)},
             loops={},
         )
         several = len(mechanism.channels) > 1
@@ -206,17 +204,14 @@ def _worst(mechanism: Mechanism, scan: Scan) -> WorstMargins:
 
 def _measurement(points: Sequence[BodePoint], steps: int, conditions: dict) -> dict[str, Any]:
     """Return the method, the largest difference between measured and predicted closed loops, and the conditions."""
-    off_db, off_deg = [], []
-    for response in [point.responses[name] for point in points for name in CLOSED_LOOPS if name in point.responses]:
-        coherent = response.coherence > 0.99
-        off_db.append(float(np.abs(response.less_predicted_db[coherent]).max(initial=0.0)))
-        off_deg.append(float(np.abs(response.less_predicted_deg[coherent]).max(initial=0.0)))
+    closed = [point.responses[name] for point in points for name in CLOSED_LOOPS if name in point.responses]
+    off_db, off_deg = largest_deviation(closed)
     return {
         "method": "sinestream",
         "excitations": list(EXCITATIONS),
         "simulated_steps": steps,
-        "closed_loop_deviation_db": max(off_db, default=None),
-        "closed_loop_deviation_deg": max(off_deg, default=None),
+        "closed_loop_deviation_db": off_db,
+        "closed_loop_deviation_deg": off_deg,
         **conditions,
     }
 
@@ -228,10 +223,10 @@ def _gain_names(law: str, joint: Joint) -> tuple[str, str]:
     return ("lqr_position_m", "lqr_velocity_m_s") if joint.kind == "slide" else ("lqr_position_deg", "lqr_velocity_deg_s")
 
 
-def _softness(loops: Sequence[FeedbackLoop]) -> str | None:
+def softness_of(points: Sequence[OperatingPoint]) -> str | None:
     """Return the sentence on the closure gap at the poses, or None if it is small."""
-    mechanism = loops[0].point.mechanism
-    gaps = [held_gap(mechanism, loop.point.pose, loop.point.hold) for loop in loops]
+    mechanism = points[0].mechanism
+    gaps = [held_gap(mechanism, point.pose, point.hold) for point in points]
     return gap_sentence(mechanism, max(gaps), error=" while the poses are held")
 
 

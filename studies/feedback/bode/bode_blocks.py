@@ -7,10 +7,11 @@ from msgspec.structs import replace
 
 from linkplan.models.tree.friction import frictions_of
 from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy
+from linkplan.studies.feedback.bode.curves import frequency_plot, measured_phase, phase_near
 from linkplan.studies.feedback.bode.scan import Scan, bounds_text
 from linkplan.studies.feedback.frequency.feedback_loops import operating_point, outputs_of, plant_name
 from linkplan.studies.feedback.frequency.margins import Margins, frequency_grid
-from linkplan.studies.feedback.frequency.response import Response
+from linkplan.studies.feedback.frequency.response import LEAST_COHERENCE
 from linkplan.studies.feedback.frequency.rest import LEAST_RESPONSE_AT_REST
 from linkplan.studies.output.document import (
     Axis,
@@ -32,9 +33,6 @@ from linkplan.studies.output.plan_blocks import radius_figure
 # Half the width of the Nyquist plane in units of |L| for stable loops, and the largest gain that is drawn. The critical
 # point is at -1.
 _NYQUIST_HALF_WIDTH, _MAX_NYQUIST_GAIN = 2.5, 30.0
-# Responses of less coherence are measured badly.
-LEAST_COHERENCE = 0.99
-_FREQUENCY = Axis(label="frequency", unit="Hz", log=True)
 
 
 def summary(study: BodeStudy, *, verdict: bool = True) -> list[Block]:
@@ -204,13 +202,13 @@ def responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> dic
                 off += [(entry.point.name, response.frequency_hz, coherent, look), ("", response.frequency_hz, less, dots)]
         limits = {"gain": [limit], "phase": [Limit(name="phase", value=-180.0)] if quantity == "loop" else []}
         found[quantity] = [
-            _plot(f"{title}: gain", "gain", "dB", gain, group, limits["gain"], ends),
-            _plot(f"{title}: phase", "phase", "deg", phase, group, limits["phase"]),
+            frequency_plot(f"{title}: gain", "gain", "dB", gain, group, limits["gain"], ends),
+            frequency_plot(f"{title}: phase", "phase", "deg", phase, group, limits["phase"]),
         ]
         if off_db:
             found[quantity] += [
-                _plot(f"{title}: gain, measured less predicted", "difference", "dB", off_db, group),
-                _plot(f"{title}: phase, measured less predicted", "difference", "deg", off_deg, group),
+                frequency_plot(f"{title}: gain, measured less predicted", "difference", "dB", off_db, group),
+                frequency_plot(f"{title}: phase, measured less predicted", "difference", "deg", off_deg, group),
             ]
     return found
 
@@ -224,24 +222,6 @@ def _curve(entry: BodePoint, quantity: str, *, sampled: bool = True) -> tuple[np
     phase = shifted_phase(curve.phase_deg[shown], curve.gain[shown], quantity)
     rows = drawn_rows(np.column_stack([db, phase]), most=220)
     return frequency[rows], db[rows], phase[rows]
-
-
-def _plot(title: str, what: str, unit: str, curves, group: str, limits: Sequence[Limit] = (), ends=None) -> Plot:
-    """Return a plot over frequency of curves: name, frequencies, values, look."""
-    series = [
-        Series(name=name, x=rounded(frequency, log=True), y=rounded(values), **look)
-        for name, frequency, values, look in curves
-    ]
-    lowest, highest = min(float(c[1][0]) for c in curves), max(float(c[1][-1]) for c in curves)
-    return Plot(
-        title=title,
-        group=group,
-        x_axis=_FREQUENCY,
-        y_axis=Axis(label=what, unit=unit, ends=ends),
-        x=rounded(np.array([lowest, highest]), log=True),
-        series=series,
-        limits=limits,
-    )
 
 
 def plants(entries: Sequence[BodePoint], group: str) -> list[Plot]:
@@ -263,8 +243,8 @@ def plants(entries: Sequence[BodePoint], group: str) -> list[Plot]:
                 phase.append((f"{entry.point.name}, measured", response.frequency_hz, at, dots))
         title = f"{entries[0].broken_at} to {mechanism.independent_joints[output].name}"
         found += [
-            _plot(f"{title}: gain", "gain", f"dB of {unit}", gain, group),
-            _plot(f"{title}: phase", "phase", "deg", phase, group),
+            frequency_plot(f"{title}: gain", "gain", f"dB of {unit}", gain, group),
+            frequency_plot(f"{title}: phase", "phase", "deg", phase, group),
         ]
     return found
 
@@ -293,7 +273,7 @@ def sensitivities(entries: Sequence[BodePoint], group: str) -> list[Plot]:
                 curves.append((f"{entry.point.name}, measured", response.frequency_hz, response.gain_db, dots))
         ends = None if quantity == "control" else (-50.0, 25.0)
         limits = [] if quantity == "control" else [Limit(name="gain one,", value=0.0)]
-        found.append(_plot(title, "gain", unit, curves, group, limits, ends))
+        found.append(frequency_plot(title, "gain", unit, curves, group, limits, ends))
     return found
 
 
@@ -394,26 +374,6 @@ def shifted_phase(phase: np.ndarray, gain: np.ndarray, quantity: str) -> np.ndar
         return phase - 360.0 * np.round(phase[0] / 360.0)
     crossing = int(np.argmin(np.abs(np.log(np.abs(gain)))))
     return phase - 360.0 * np.round((phase[crossing] + 180.0) / 360.0)
-
-
-def phase_near(frequency_hz: np.ndarray, phase: np.ndarray, others: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Return a phase (n,) [deg] shifted by full turns to the most similar of others, each as frequencies [Hz] and phases.
-
-    A phase near 0 or -360 deg at the crossover has a shift of its own that differs from that of a nearly equal pose.
-    """
-    shifted = []
-    for frequency, other in others:
-        off = np.interp(np.log(frequency_hz), np.log(frequency), other) - phase
-        shift = 360.0 * np.round(np.median(off) / 360.0)
-        shifted.append((float(np.median(np.abs(off - shift))), shift))
-    return phase + min(shifted)[1] if shifted else phase
-
-
-def measured_phase(response: Response, frequency_hz: np.ndarray, phase: np.ndarray) -> np.ndarray:
-    """Return a measured phase [deg], shifted by full turns to the predicted phase (m,) at frequencies (m,) [Hz]."""
-    near = np.interp(np.log(response.frequency_hz), np.log(frequency_hz), phase)
-    measured = np.degrees(np.angle(response.gain))
-    return measured + 360.0 * np.round((near - measured) / 360.0)
 
 
 def sensitivity_along(study: BodeStudy, scan: Scan) -> tuple[np.ndarray, np.ndarray]:

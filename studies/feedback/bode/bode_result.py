@@ -58,6 +58,16 @@ class PoseLoops(Struct, frozen=True, kw_only=True, eq=False):
     loops: dict[str, BodePoint]
 
 
+def pose_values(point: OperatingPoint) -> dict[str, dict[str, float]]:
+    """Return the joints' positions `q_deg` and `q_m` and the `holding_effort` of a point, each by name."""
+    mechanism, joints = point.mechanism, list(zip(point.mechanism.joints, point.pose, strict=True))
+    return {
+        "q_deg": {joint.name: joint.shown(x) for joint, x in joints if joint.kind == "hinge"},
+        "q_m": {joint.name: float(x) for joint, x in joints if joint.kind != "hinge"},
+        "holding_effort": {a.name: float(u) for a, u in zip(mechanism.actuators, point.hold, strict=True)},
+    }
+
+
 class WorstMargins(Margins, frozen=True, kw_only=True, eq=False):
     """The worst margins over a line, where they are, and the `least` value of each margin with its place."""
 

@@ -1,21 +1,16 @@
-"""Resonances and anti-resonances of a plant: from the effort of a feedback loop to the positions of joints.
+"""Resonances and anti-resonances of a plant: from an effort to positions, about an operating point.
 
-Resonances are the poles of the plant with its open loops, x' = A x + B u. Anti-resonances are the transmission zeros of one
-output, the finite eigenvalues of the pencil [[A, B], [C, 0]] - lambda [[1, 0], [0, 0]] (Emami-Naeini & Van Dooren,
-Automatica 18, 1982): at such a frequency the effort moves the other coordinates, and the output stands still.
+Resonances are the poles of the plant with its open loops, x' = A x + B u. Anti-resonances are the zeros of one output
+(`transfer_function`): at such a frequency the effort moves the other coordinates, and the output stands still.
 """
 
 import numpy as np
-import scipy.linalg
 from msgspec import Struct
 
 from linkplan.controllers.linearisation import linearise
 from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, channel_effort, outputs_of
+from linkplan.studies.feedback.frequency.transfer_function import TransferFunction, transfer_function
 
-# Poles and zeros that are this near, as a share of their size, cancel: the effort does not excite the mode.
-_CANCELLING_SHARE = 1e-6
-# Zeros beyond this many times the fastest pole are infinite but for rounding.
-_INFINITE_SHARE = 1e4
 # A damping ratio below this is zero but for rounding.
 _NO_DAMPING = 1e-9
 
@@ -36,43 +31,33 @@ class PlantModes(Struct, frozen=True, kw_only=True):
 
 def plant_modes(point: OperatingPoint, channel: int) -> dict[str, PlantModes]:
     """Return the modes of the plant from a loop's effort to each of its outputs, by the joint's name."""
-    mechanism = point.mechanism
-    kept = np.flatnonzero(np.tile(mechanism.actuated, 2))
-    A, B = (found[0] for found in linearise(mechanism, point.pose[None], point.velocity[None], point.hold[None]))
-    _, push = channel_effort(point, channel)
-    A, b = A[kept][:, kept], (B[kept] @ push)[:, None]
-    poles, found = np.linalg.eigvals(A), {}
-    for output in outputs_of(mechanism, channel):
-        c = (kept == output).astype(float)[None]
-        zeros = _zeros(A, b, c, _INFINITE_SHARE * np.abs(poles).max(initial=1.0))
-        own, seen = _without(poles, zeros), _without(zeros, poles)
-        found[mechanism.independent_joints[output].name] = PlantModes(resonances=_modes(own), anti_resonances=_modes(seen))
+    joints, (_, push), found = point.mechanism.independent_joints, channel_effort(point, channel), {}
+    for output in outputs_of(point.mechanism, channel):
+        plant = plant_transfer(point, push, np.eye(len(joints))[output])
+        found[joints[output].name] = PlantModes(resonances=modes_of(plant.poles), anti_resonances=modes_of(plant.zeros))
     return found
 
 
-def _zeros(A: np.ndarray, b: np.ndarray, c: np.ndarray, largest: float) -> np.ndarray:
-    """Return the finite transmission zeros of x' = A x + b u, y = c x."""
-    n = len(A)
-    pencil, mass = np.block([[A, b], [c, np.zeros((1, 1))]]), np.zeros((n + 1, n + 1))
-    mass[:n, :n] = np.eye(n)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        found = np.asarray(scipy.linalg.eigvals(pencil, mass))
-    return found[np.isfinite(found) & (np.abs(found) < largest)]
+def plant_transfer(point: OperatingPoint, push: np.ndarray, row: np.ndarray) -> TransferFunction:
+    """Return the transfer function from efforts `push` (n_u,) times an input to the output `row` (n_s,) times s.
+
+    Passive and coasting coordinates belong to it only where the output depends on them.
+    """
+    A, B, C = plant_matrices(point, push[:, None], row[None])
+    return transfer_function(A, B[:, 0], C[0])
 
 
-def _without(some: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return values that have no equal among others."""
-    left, kept = list(others), []
-    for value in some:
-        near = [k for k, other in enumerate(left) if abs(other - value) <= _CANCELLING_SHARE * max(1.0, abs(value))]
-        if near:
-            left.pop(near[0])
-        else:
-            kept.append(value)
-    return np.array(kept, dtype=complex)
+def plant_matrices(point: OperatingPoint, pushes: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return A, B and C of x' = A x + B u, y = C x for inputs `pushes` (n_u, n) and outputs `rows` (m, n_s)."""
+    mechanism = point.mechanism
+    steered = mechanism.actuated | bool(np.any(rows[:, ~mechanism.actuated]))
+    kept = np.flatnonzero(np.tile(steered, 2))
+    A, B = (found[0] for found in linearise(mechanism, point.pose[None], point.velocity[None], point.hold[None]))
+    return A[kept][:, kept], B[kept] @ pushes, np.hstack([rows, np.zeros_like(rows)])[:, kept]
 
 
-def _modes(values: np.ndarray) -> tuple[Mode, ...]:
+def modes_of(values: np.ndarray) -> tuple[Mode, ...]:
+    """Return the pairs of conjugate poles or zeros among values [rad/s], by frequency."""
     upper = sorted((value for value in values if value.imag > 0), key=abs)
     damping = [0.0 if abs(value.real) <= _NO_DAMPING * abs(value) else -value.real / abs(value) for value in upper]
     return tuple(

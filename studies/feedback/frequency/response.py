@@ -1,10 +1,10 @@
 """A frequency response as a value: predicted or measured, with its unit, uncertainty and origin."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
-from msgspec import UNSET, Struct, UnsetType
-from msgspec.structs import force_setattr
+from msgspec import UNSET, Struct, UnsetType, structs
 
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.files.structs import NOT_READ, Beside
@@ -12,6 +12,8 @@ from linkplan.planner.files.structs import NOT_READ, Beside
 if TYPE_CHECKING:
     import control
 
+# Responses of less coherence are measured badly.
+LEAST_COHERENCE = 0.99
 _COLUMNS = ("uncertainty", "coherence", "distortion", "residual", "saturated")
 
 
@@ -62,7 +64,7 @@ class Response(Struct, frozen=True, kw_only=True, eq=False):
                 raise LinkplanError(f"a response's {name} has one value for each frequency, got {values[name].shape}")
         for name, value in values.items():
             value.flags.writeable = False
-            force_setattr(self, name, value)
+            structs.force_setattr(self, name, value)
 
     def against(self, other: "Response") -> tuple[np.ndarray, np.ndarray]:
         """Return the difference to another response: gain (n,) [dB] and phase (n,) [deg] within half a turn.
@@ -78,8 +80,32 @@ class Response(Struct, frozen=True, kw_only=True, eq=False):
         ratio = self.gain / other.gain
         return 20 * np.log10(np.abs(ratio)), np.degrees(np.angle(ratio))
 
+    def beside(self, predicted: "Response") -> "Response":
+        """Return the measured response with its difference to a prediction."""
+        db, deg = self.against(predicted)
+        return structs.replace(self, less_predicted_db=db, less_predicted_deg=deg)
+
+    def is_known(self, share: float) -> np.ndarray:
+        """Return True for each gain (n,) whose uncertainty is at most a share of its size."""
+        return self.uncertainty <= share * np.abs(self.gain)
+
     def frd(self) -> "control.FrequencyResponseData":
         """Return the response as python-control's frequency response data."""
         import control
 
         return control.FrequencyResponseData(self.gain, 2 * np.pi * self.frequency_hz)
+
+
+def largest_deviation(
+    responses: Sequence[Response], largest_uncertainty: float = np.inf
+) -> tuple[float | None, float | None]:
+    """Return the largest differences [dB] and [deg] of measured responses to their predictions.
+
+    Only coherent gains count whose uncertainty is at most `largest_uncertainty`, a share of their size.
+    """
+    db, deg = [], []
+    for response in responses:
+        counts = (response.coherence > LEAST_COHERENCE) & response.is_known(largest_uncertainty)
+        db.append(float(np.abs(response.less_predicted_db[counts]).max(initial=0.0)))
+        deg.append(float(np.abs(response.less_predicted_deg[counts]).max(initial=0.0)))
+    return max(db, default=None), max(deg, default=None)

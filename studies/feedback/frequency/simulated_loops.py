@@ -108,6 +108,13 @@ class SimulatedLoops:
         Returns:
             The measured states (t, r, 2 n_s) and the commands (t, r, n_u) before delay and limits; NaN after divergence.
         """
+        pose, velocity, commands = self.run_poses(ids, reference, feedforward, gain)
+        return np.concatenate([pose[:, :, self._stepper.independent], velocity], axis=2), commands
+
+    def run_poses(
+        self, ids: Sequence[int] | np.ndarray, reference: np.ndarray, feedforward: np.ndarray, gain: np.ndarray | None = None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Advance simulations as `run` does; return poses q (t, r, n_q), independent rates (t, r, n_s) and commands."""
         stepper, ids = self._stepper, np.asarray(ids)
         stepper.freeze(stepper.running & ~np.isin(np.arange(stepper.n), ids))
         t = len(reference)
@@ -117,8 +124,7 @@ class SimulatedLoops:
         drive[:, ids] = feedforward + np.matmul(of, reference[:, :, :, None])[:, :, :, 0]
         log = run_loop(stepper, StateFeedback(drive=drive, gain=gains), t)
         self.periods += t
-        position = log.pose[:, ids][:, :, stepper.independent]
-        return np.concatenate([position, log.velocity[:, ids]], axis=2), log.commanded[:, ids]
+        return log.pose[:, ids], log.velocity[:, ids], log.commanded[:, ids]
 
 
 class ExcitedLoops:

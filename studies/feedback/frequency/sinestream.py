@@ -6,6 +6,7 @@ settled sine with any mean and harmonics.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from linkplan.studies.feedback.frequency.excitation import (
     whole_samples,
 )
 from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop
-from linkplan.studies.feedback.frequency.simulated_loops import ExcitedLoops
+from linkplan.studies.feedback.frequency.simulated_loops import ExcitedLoops, SimulatedLoops
 
 # The harmonics up to this order count as distortion.
 _DISTORTION_ORDER = 5
@@ -42,43 +43,116 @@ def run(
     timing = loops[0].timing
     cycles, samples = whole_samples(frequency_hz, timing.period_s)
     frequency = cycles / (samples * timing.period_s)
-    total = float(np.maximum(samples, _MIN_WINDOW_PERIODS).sum()) * len(loops) * len(excitations)
-    refuse_long(float(samples.max()), float(frequency[0]), total / float(samples.max()))
-    n_f = len(frequency)
-    excited = ExcitedLoops(loops, excitations, channel, effort_limit, n_f)
+    refuse_many(samples, frequency, len(loops) * len(excitations))
+    excited = ExcitedLoops(loops, excitations, channel, effort_limit, len(frequency))
     if amplitudes is None:
         amplitudes = np.array(
             [signal_amplitude(loop, frequency, name, effort_limit, setup, channel) for loop, name in excited.rows]
         )
-    forward = np.zeros((len(excited.rows), n_f, len(effort_limit)), dtype=complex)
+    forward = np.zeros((len(excited.rows), len(frequency), len(effort_limit)), dtype=complex)
     for row, (loop, excitation) in enumerate(excited.rows):
         if excitation == "reference+ff":
             forward[row] = loop.feedforward(frequency, channel)
-    p, N = np.tile(cycles, len(excited.rows)), np.tile(samples, len(excited.rows))
+    taken = settled_phasors(excited, cycles, samples, amplitudes, effort_limit, setup, say, forward=forward)
+    responses, actuated = [{} for _ in loops], [{} for _ in loops]
+    for row, (_, excitation) in enumerate(excited.rows):
+        place, signals = row // len(excitations), taken.phasors[row]
+        responses[place] |= quantities(loops[place], channel, excitation, frequency, signals, taken.quality(row))
+        actuated[place][excitation] = signals[-1, :, 1], signals[-1, :, 2]
+    return Measurement(
+        responses=tuple(responses),
+        simulated_steps=taken.simulated_periods * timing.substeps,
+        conditions=excited.simulations.conditions(),
+        actuated=tuple(actuated),
+    )
+
+
+def refuse_many(samples: np.ndarray, frequency_hz: np.ndarray, n_rows: int) -> None:
+    """Refuse windows (n,) of too many control periods, or too many windows, for rows of simulations of n frequencies."""
+    total = float(np.maximum(samples, _MIN_WINDOW_PERIODS).sum()) * n_rows
+    refuse_long(float(samples.max()), float(frequency_hz[0]), total / float(samples.max()))
+
+
+class Excited(Protocol):
+    """Simulations (n,): each of the `rows`, whose first entry is a loop, at every frequency in turn.
+
+    `hold` (n, n_u) [N.m or N] are the holding efforts, `read` (n, n_u) gives the excited effort of commands, `outputs` are
+    what `run` measures.
+    """
+
+    rows: tuple[tuple[FeedbackLoop, Any], ...]
+    outputs: tuple[Any, ...]
+    hold: np.ndarray
+    read: np.ndarray
+    simulations: SimulatedLoops
+
+    def run(
+        self, active: np.ndarray, signal: np.ndarray, rate: np.ndarray, forward: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Apply test signals; see `ExcitedLoops.run`."""
+        ...
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class SettledPhasors:
+    """The phasors of all signals (rows, windows, frequencies, signals), and the control periods simulated.
+
+    The signals are the test signal, the command, the applied effort and the outputs. `_columns` (rows, frequencies, 4) have
+    their quality.
+    """
+
+    phasors: np.ndarray
+    simulated_periods: int
+    _columns: np.ndarray
+
+    def quality(self, row: int) -> dict[str, np.ndarray]:
+        """Return the coherence, distortion, residual and saturation (n,) of a row's signals."""
+        return dict(zip(("coherence", "distortion", "residual", "saturated"), self._columns[row].T, strict=True))
+
+
+def settled_phasors(
+    excited: Excited,
+    cycles: np.ndarray,
+    samples: np.ndarray,
+    amplitudes: np.ndarray,
+    effort_limit: np.ndarray,
+    setup: Setup,
+    say: Callable[[str], None],
+    *,
+    forward: np.ndarray | None = None,
+    floors: np.ndarray | None = None,
+) -> SettledPhasors:
+    """Return the settled phasors of sinusoids, one simulation for each row and frequency.
+
+    Args:
+        excited: the simulations.
+        cycles: of each sinusoid (n,), from `whole_samples`.
+        samples: in these cycles (n,).
+        amplitudes: (rows, n) of the test signals [rad, m, N.m or N].
+        effort_limit: (n_u, 2) [N.m or N].
+        setup: the settings of the measurement.
+        say: receives progress messages.
+        forward: phasors (rows, n, n_u) of feedforward efforts per unit of the test signal; default: none.
+        floors: sizes (rows, n, signals) below which a signal need not settle and has no quality; default: none.
+    """
+    n_rows, n_f, n_u = len(excited.rows), len(samples), len(effort_limit)
+    p, N = np.tile(cycles, n_rows), np.tile(samples, n_rows)
     sinusoids = _Sinusoids(
         p=p,
         N=N,
         amplitude=np.asarray(amplitudes, dtype=float).ravel(),
         ramp=np.maximum(1, setup.ramp_cycles * -(-N // p)),
-        forward=forward.reshape(-1, len(effort_limit)),
-        period_s=timing.period_s,
+        forward=np.zeros((len(p), n_u)) if forward is None else forward.reshape(-1, n_u),
+        period_s=excited.simulations.timing.period_s,
     )
-    estimates, simulated_periods = _simulate(excited, sinusoids, effort_limit, setup, say)
+    n_signals = 3 + len(excited.outputs)
+    small = np.zeros((n_rows, n_f, n_signals)) if floors is None else floors
+    estimates, periods = _simulate(excited, sinusoids, small.reshape(-1, n_signals), effort_limit, setup, say)
     phasors = np.array([estimate.phasors[-setup.windows :] for estimate in estimates])  # (n, windows, signals)
-    columns = np.array([estimate.quality for estimate in estimates])
-    responses, actuated = [{} for _ in loops], [{} for _ in loops]
-    for row, (_, excitation) in enumerate(excited.rows):
-        at, place = slice(row * n_f, (row + 1) * n_f), row // len(excitations)
-        signals = phasors[at].swapaxes(0, 1)
-        names = ("coherence", "distortion", "residual", "saturated")
-        quality: dict[str, np.ndarray] = dict(zip(names, columns[at].T, strict=True))
-        responses[place] |= quantities(loops[place], channel, excitation, frequency, signals, quality)
-        actuated[place][excitation] = signals[-1, :, 1], signals[-1, :, 2]
-    return Measurement(
-        responses=tuple(responses),
-        simulated_steps=simulated_periods * timing.substeps,
-        conditions=excited.simulations.conditions(),
-        actuated=tuple(actuated),
+    return SettledPhasors(
+        phasors=phasors.reshape(n_rows, n_f, *phasors.shape[1:]).swapaxes(1, 2),
+        simulated_periods=periods,
+        _columns=np.array([estimate.quality for estimate in estimates]).reshape(n_rows, n_f, -1),
     )
 
 
@@ -110,7 +184,12 @@ class _Sinusoids:
 
 
 def _simulate(
-    excited: ExcitedLoops, sinusoids: _Sinusoids, effort_limit: np.ndarray, setup: Setup, say: Callable[[str], None]
+    excited: Excited,
+    sinusoids: _Sinusoids,
+    floors: np.ndarray,
+    effort_limit: np.ndarray,
+    setup: Setup,
+    say: Callable[[str], None],
 ) -> tuple[list["_Estimate"], int]:
     """Run every simulation until its estimate settles. Return the estimates (n,) and the control periods simulated."""
     n = len(sinusoids.p)
@@ -118,7 +197,7 @@ def _simulate(
     low, high = effort_limit.T
     estimates = [
         _Estimate(
-            n_signals=3 + len(excited.outputs),
+            floor=floors[i],
             p=int(sinusoids.p[i]),
             N=int(sinusoids.N[i]),
             begin=int(sinusoids.ramp[i]),
@@ -148,8 +227,8 @@ def _simulate(
 class _Estimate:
     """One simulation's phasors of (in, command, applied, positions), window by window. Mutable."""
 
-    def __init__(self, *, n_signals: int, p: int, N: int, begin: int, pole: float, setup: Setup) -> None:
-        self._n_signals = n_signals
+    def __init__(self, *, floor: np.ndarray, p: int, N: int, begin: int, pole: float, setup: Setup) -> None:
+        self._floor = np.maximum(floor, 1e-300)
         self.window = N * -(-_MIN_WINDOW_PERIODS // N)
         # Harmonics above half the sampling rate alias, also onto the fundamental: leave them out.
         orders = np.array([h for h in range(1, _DISTORTION_ORDER + 1) if h == 1 or 2 * h * p < N])
@@ -164,7 +243,7 @@ class _Estimate:
         self._clear()
 
     def _clear(self) -> None:
-        n = self._n_signals
+        n = len(self._floor)
         self._sums = np.zeros((n, self._waves.shape[1]), dtype=complex)
         self._power, self._mean, self._cut, self._filled = np.zeros(n), np.zeros(n), 0.0, 0
 
@@ -191,7 +270,7 @@ class _Estimate:
         harmonics = 2.0 / N * self._sums
         fundamental = harmonics[:, 0]
         if self.phasors:
-            size = np.maximum(np.abs(fundamental), 1e-300)
+            size = np.maximum(np.abs(fundamental), self._floor)
             remaining = float((np.abs(fundamental - self.phasors[-1]) / size).max()) * self._tail
             self._settled_windows = self._settled_windows + 1 if remaining <= self._setup.tolerance else 0
         self.phasors.append(fundamental)
@@ -199,11 +278,12 @@ class _Estimate:
         first = np.maximum(0.5 * np.abs(fundamental[1:]) ** 2, 1e-300)
         overtones = 0.5 * np.sum(np.abs(harmonics[1:, 1:]) ** 2, axis=1)
         rest = np.clip(power - first - overtones, 0.0, None)
+        seen = ~(np.abs(fundamental[1:]) < self._floor[1:])  # what diverged has no coherence
         self.quality = np.array(
             [
-                np.clip(first / power, 0.0, 1.0).min(),
-                np.sqrt(overtones / first).max(),
-                np.sqrt(rest / power).max(),
+                np.clip(first / power, 0.0, 1.0).min(where=seen, initial=1.0),
+                np.sqrt(overtones / first).max(where=seen, initial=0.0),
+                np.sqrt(rest / power).max(where=seen, initial=0.0),
                 self._cut / N,
             ]
         )

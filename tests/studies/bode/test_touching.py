@@ -5,6 +5,7 @@ from functools import cache
 
 import numpy as np
 
+import linkplan
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.feedback.bode.bode import BodeStudy, bode_study
@@ -37,6 +38,16 @@ def test_no_response_is_measured_where_contacts_push():
     assert study().measurement is None
     assert not any(point.responses for point in study().points)
     assert "not measured: contacts push" in text_of(summary(study()))
+
+
+def test_no_plant_is_measured_where_contacts_push_and_all_of_it_is_predicted():
+    ports = {"from_effort": [study().mechanism.actuators[0].name], "to_position": [study().mechanism.joints[-1].name]}
+    found = linkplan.bode(study().mechanism, at_deg=[10.0, 25.0], kp=2.0, kd=0.02, period_s=2e-3, **ports).study
+    assert found.measurement is None
+    assert len(found.caveats) == 2
+    assert all(caveat.endswith("contacts push there") for caveat in found.caveats)
+    assert "contacts of" in found.contacts
+    assert all(one.moves and not one.measured for point in found.points for one in point.responses.values())
 
 
 def test_without_contacts_nothing_is_said_of_them():

@@ -1,0 +1,1 @@
+../studies/package/plants.py

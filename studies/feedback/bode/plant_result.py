@@ -1,0 +1,100 @@
+"""The result of `bode` for a plant from chosen inputs to chosen outputs, whose fields are its record `bode.json`."""
+
+from typing import Any
+
+import numpy as np
+from msgspec import UNSET, Struct, UnsetType, field
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.files.structs import NOT_READ, Beside
+from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, OperatingPoint
+from linkplan.studies.feedback.frequency.plant_modes import PlantModes
+from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput
+from linkplan.studies.feedback.frequency.response import Response
+from linkplan.studies.feedback.frequency.transfer_function import TransferFunction
+
+# The largest uncertainty of a measured gain that counts and is drawn, as a share of the gain: others had not settled.
+LARGEST_UNCERTAINTY = 0.01
+
+
+class Root(Struct, frozen=True, kw_only=True):
+    """A pole or a zero in the complex plane [rad/s]; of a conjugate pair the one with a positive imaginary part."""
+
+    real_rad_s: float
+    imaginary_rad_s: float
+
+
+class PlantCurve(Struct, frozen=True, kw_only=True, eq=False):
+    """A predicted response over frequencies (n,) [Hz]: gain [dB of its unit] and continuous phase [deg]."""
+
+    frequency_hz: np.ndarray
+    gain_db: np.ndarray
+    phase_deg: np.ndarray
+
+
+class PlantResponse(PlantModes, frozen=True, kw_only=True, eq=False):
+    """The response from one input to one output: poles, zeros and curve of the continuous plant, and its measurement.
+
+    Poles and zeros that cancel are left out. `integrators` counts poles at zero, below zero it counts zeros there;
+    `low_frequency_gain` is the limit of s^integrators G, and `gain_at_rest` that of G, None if it is infinite. `moves` is
+    False if the input does not move the output at all; there are then no poles, and no curve. `right_half_plane_zeros`
+    make it non-minimum-phase. `measured` is compared with `sampled`, the response with hold, delay and MuJoCo's steps.
+    """
+
+    unit: str
+    moves: bool
+    integrators: int
+    relative_degree: int
+    low_frequency_gain: float
+    gain_at_rest: float | None
+    poles: tuple[Root, ...]
+    zeros: tuple[Root, ...]
+    unstable_poles: tuple[Root, ...]
+    right_half_plane_zeros: tuple[Root, ...]
+    curve: PlantCurve | None
+    measured: Response | UnsetType = UNSET
+    transfer: Beside[TransferFunction] = NOT_READ
+    sampled: Beside[PlantCurve | None] = NOT_READ
+
+
+class PlantPoint(Struct, frozen=True, kw_only=True, eq=False):
+    """The plant at one pose; `responses` by "INPUT to OUTPUT".
+
+    `held_by` is the tracker in whose loop it was measured, "itself" for a plant that is stable without one, or None.
+    """
+
+    q_deg: dict[str, float]
+    q_m: dict[str, float]
+    holding_effort: dict[str, float]
+    held_by: str | None
+    responses: dict[str, PlantResponse]
+    point: Beside[OperatingPoint] = NOT_READ
+    loop: Beside[FeedbackLoop | None] = NOT_READ
+
+
+class PlantStudy(Struct, frozen=True, kw_only=True, eq=False):
+    """The plant from efforts to positions at several poses.
+
+    `measurement` has the method, the largest difference between measured and predicted responses at coherent frequencies,
+    and the simulator's settings; gains that had not settled do not count. `caveats` say at which poses nothing was
+    measured, or with what uncertainty, and why.
+    """
+
+    mechanism_name: str = field(name="mechanism")
+    message: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    points: tuple[PlantPoint, ...]
+    measurement: dict[str, Any] | None
+    caveats: tuple[str, ...]
+    contacts: str | None
+    softness: str | None
+    note: str | None
+    mechanism: Beside[Mechanism] = field(default=NOT_READ, name="(mechanism)")
+    efforts: Beside[tuple[PlantInput, ...]] = NOT_READ
+    positions: Beside[tuple[PlantOutput, ...]] = NOT_READ
+
+
+def pair_name(effort: str, position: str) -> str:
+    """Return the name of the response from an input to an output."""
+    return f"{effort} to {position}"

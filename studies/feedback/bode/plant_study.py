@@ -1,0 +1,307 @@
+"""The study behind `bode` with inputs and outputs: the plant from efforts to positions, predicted and measured."""
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from msgspec import structs
+
+from linkplan.controllers.sampling import Sampling
+from linkplan.models.errors import LinkplanError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.contacts import contact_pairs
+from linkplan.planner.problem.settings import Tracking
+from linkplan.planner.search.planning import silent
+from linkplan.studies.feedback.bode.bode import softness_of
+from linkplan.studies.feedback.bode.bode_result import pose_values
+from linkplan.studies.feedback.bode.plant_result import (
+    LARGEST_UNCERTAINTY,
+    PlantCurve,
+    PlantPoint,
+    PlantResponse,
+    PlantStudy,
+    Root,
+    pair_name,
+)
+from linkplan.studies.feedback.bode.plant_words import plant_message
+from linkplan.studies.feedback.bode.touching import contact_sentence, touched
+from linkplan.studies.feedback.frequency.excitation import Setup
+from linkplan.studies.feedback.frequency.feedback_loops import (
+    LAW_NAMES,
+    FeedbackLoop,
+    OperatingPoint,
+    SampledLaw,
+    feedback_loop,
+    label_differences,
+    operating_point,
+    refuse_above_nyquist,
+    sampled_law,
+    with_lqr_errors,
+)
+from linkplan.studies.feedback.frequency.plant_modes import modes_of, plant_transfer
+from linkplan.studies.feedback.frequency.plant_sinestream import decay_time_s, measure_plants, sampled_gains
+from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput, plant_input, plant_output
+from linkplan.studies.feedback.frequency.response import Response, largest_deviation
+from linkplan.studies.feedback.frequency.transfer_function import TransferFunction, in_right_half_plane
+from linkplan.studies.feedback.frequency.trial import settle_trials
+
+# A response is drawn from this many decades below its slowest root to this many above its fastest.
+_DRAWN_DECADES = 1.0
+# Frequencies of a curve, evenly spaced, and beside each resonance and anti-resonance, whose tips are narrow.
+_EVEN_POINTS, _POINTS_BESIDE, _BESIDE_SHARES = 260, 12, (1e-4, 0.1)
+# Default frequencies: their number, from a third of the lowest mode to three times the highest, at most this range.
+_MEASURED_POINTS, _MEASURED_BEYOND, _MEASURED_RANGE, _MEASURED_MODES = 20, 3.0, 300.0, 10
+_LEAST_DAMPING = 1e-3
+# Simulator steps of all simulations together, some minutes, and the cycles that each of them takes.
+_MOST_STEPS, _LEAST_CYCLES = 2_000_000, 5.0
+# The highest default frequency as a share of the sampling rate, and the centre for a plant without modes.
+_HIGHEST_SHARE, _CENTRE_SHARE = 0.45, 0.05
+
+
+def plant_study(
+    mechanism: Mechanism,
+    positions: np.ndarray,
+    efforts: Sequence[str],
+    outputs: Sequence[str],
+    settings: Tracking,
+    effort_limit: np.ndarray,
+    say: Callable[[str], None] = silent,
+    *,
+    law: str = "pd",
+    setup: Setup | None = None,
+    frequency_hz: np.ndarray | None = None,
+    note: str | None = None,
+) -> PlantStudy:
+    """Return the plant from efforts to positions about independent positions (n, n_s) [rad or m].
+
+    Args:
+        mechanism: with an actuator.
+        positions: the poses.
+        efforts: names of the inputs, see `ports`.
+        outputs: names of the outputs.
+        settings: gains, period and delay of the tracker that holds the plant while it is measured.
+        effort_limit: (n_u, 2) [N.m or N].
+        say: receives progress messages.
+        law: pd, pd+ff or lqr.
+        setup: settings of the measurement; None measures nothing.
+        frequency_hz: (m,) to measure at; None for twenty around the resonances.
+        note: on the choice of the positions, for the report.
+
+    Raises:
+        LinkplanError: for an unknown name, a pose that cannot be held, or frequencies above the Nyquist frequency.
+    """
+    ins, outs = _ports(mechanism, efforts, outputs)
+    chosen = sampled_law(mechanism, law, settings, effort_limit)
+    if frequency_hz is not None:
+        refuse_above_nyquist(np.asarray(frequency_hz, dtype=float), settings.period_s)
+    points = label_differences([operating_point(mechanism, s, effort_limit) for s in np.atleast_2d(positions)])
+    if law == "lqr":
+        chosen = replace(chosen, settings=with_lqr_errors(settings, mechanism, points, effort_limit))
+    transfers = []
+    for point in points:
+        say(f"predicted at {point.name}")
+        transfers.append({(one.name, out.name): plant_transfer(point, one.push(point), out.slopes(point.pose))
+                          for one, out in itertools.product(ins, outs)})  # fmt: skip
+    grid = _curve_frequencies([one for found in transfers for one in found.values()], chosen.timing.period_s)
+    held: list[tuple[str, FeedbackLoop] | None] = [None] * len(points)
+    pairs = contact_pairs(mechanism, np.array([point.pose for point in points]))
+    measured: dict[int, dict[tuple[str, str], Response]] = {}
+    taken, caveats = None, ()
+    moved = [out for out in outs if any(found[one.name, out.name].gain for found in transfers for one in ins)]
+    if setup is not None and moved:
+        in_contact = touched(pairs, len(points))
+        held = _holding_loops(points, chosen, in_contact)
+        if kept := [i for i, one in enumerate(held) if one is not None]:
+            rows = len(kept) * mechanism.n_u
+            at = default_frequencies(transfers, chosen.timing, rows) if frequency_hz is None else frequency_hz
+            taken = measure_plants([held[i][1] for i in kept], ins, moved, at, effort_limit, setup, say)
+            for i, of_pose in zip(kept, taken.responses, strict=True):  # what does not move at a pose is noise there
+                measured[i] = {pair: response for pair, response in of_pose.items() if transfers[i][pair].gain}
+        caveats = tuple(_caveats(points, held, in_contact, measured, LAW_NAMES[law]))
+    found = tuple(
+        _point(point, ins, outs, transfers[i], grid, held[i], measured.get(i, {})) for i, point in enumerate(points)
+    )
+    every = [one.measured for point in found for one in point.responses.values() if one.measured]
+    deviation = largest_deviation(every, LARGEST_UNCERTAINTY)
+    return PlantStudy(
+        mechanism_name=mechanism.name,
+        message=plant_message(found, efforts, outputs),
+        inputs=tuple(efforts),
+        outputs=tuple(outputs),
+        points=found,
+        measurement=None
+        if taken is None
+        else {
+            "method": "sinestream",
+            "simulated_steps": taken.simulated_steps,
+            "deviation_db": deviation[0],
+            "deviation_deg": deviation[1],
+            **taken.conditions,
+        },
+        caveats=caveats,
+        contacts=contact_sentence(pairs, len(points)) if setup is not None else None,
+        softness=softness_of(points) if setup is not None else None,
+        note=note,
+        mechanism=mechanism,
+        efforts=ins,
+        positions=outs,
+    )
+
+
+def _ports(
+    mechanism: Mechanism, efforts: Sequence[str], outputs: Sequence[str]
+) -> tuple[tuple[PlantInput, ...], tuple[PlantOutput, ...]]:
+    for what, names in (("from_effort", efforts), ("to_position", outputs)):
+        if not names or len(set(names)) < len(names):
+            raise LinkplanError(f"{what} names one or more, each once, got {', '.join(names) or 'none'}")
+    return (
+        tuple(plant_input(mechanism, name, "from_effort") for name in efforts),
+        tuple(plant_output(mechanism, name, "to_position") for name in outputs),
+    )
+
+
+def _holding_loops(
+    points: Sequence[OperatingPoint], law: SampledLaw, in_contact: np.ndarray
+) -> list[tuple[str, FeedbackLoop] | None]:
+    """Return, for each point, the tracker's loop or the plant by itself, whichever settles first in MuJoCo; else None."""
+    held: list[tuple[str, FeedbackLoop] | None] = [None] * len(points)
+    nothing = np.zeros((len(law.effort_limit), 2 * points[0].mechanism.dof))
+    makers: dict[str, Callable[[OperatingPoint], FeedbackLoop]] = {
+        law.name: law.loop,
+        "itself": lambda point: feedback_loop(point, nothing, law.timing),
+    }
+    for name, make in makers.items():
+        loops: dict[int, FeedbackLoop] = {}
+        for i in [i for i, one in enumerate(held) if one is None and not in_contact[i]]:
+            try:
+                loops[i] = make(points[i])
+            except LinkplanError:  # LQR has no stabilising gain
+                continue
+        stable = {i: loop for i, loop in loops.items() if loop.stable}
+        if stable:
+            settles = settle_trials(list(stable.values()), law.effort_limit)
+            for i, does in zip(stable, settles, strict=True):
+                held[i] = (name, stable[i]) if does else None
+    return held
+
+
+def _caveats(
+    points: Sequence[OperatingPoint],
+    held: Sequence[tuple[str, FeedbackLoop] | None],
+    in_contact: np.ndarray,
+    measured: dict[int, dict[tuple[str, str], Response]],
+    law: str,
+) -> Iterator[str]:
+    """Yield the reason why nothing is measured at a pose, or how many gains there had not settled."""
+    for i, (point, one) in enumerate(zip(points, held, strict=True)):
+        if in_contact[i]:
+            yield f"not measured at {point.name}: contacts push there"
+        elif one is None:
+            yield f"not measured at {point.name}: neither the loop of {law} nor the plant by itself settles in MuJoCo"
+        else:
+            known = [bool(gain) for taken in measured[i].values() for gain in taken.is_known(LARGEST_UNCERTAINTY)]
+            if not all(known):
+                decay_s = decay_time_s(one[1])
+                yield (
+                    f"{known.count(False)} of {len(known)} measured gains at {point.name} had not settled and are not drawn:"
+                    f" what holds the plant decays in {decay_s:.3g} s; other gains or another tracker may damp more"
+                )
+
+
+def _point(
+    point: OperatingPoint,
+    ins: Sequence[PlantInput],
+    outs: Sequence[PlantOutput],
+    transfers: dict[tuple[str, str], TransferFunction],
+    grid: np.ndarray,
+    held: tuple[str, FeedbackLoop] | None,
+    measured: dict[tuple[str, str], Response],
+) -> PlantPoint:
+    """Return the plant at a point, with its measured responses by input and output."""
+    responses = {}
+    for one, out in itertools.product(ins, outs):
+        found = response_of(transfers[one.name, out.name], f"{out.unit}/({one.unit})", grid)
+        taken = measured.get((one.name, out.name))
+        if held is not None and taken is not None:
+            loop, ways = held[1], (one.push(point), out.slopes(point.pose))
+            below = grid[grid < loop.timing.nyquist_hz]
+            predicted = [
+                Response(frequency_hz=f, gain=sampled_gains(loop, *ways, f), unit=found.unit, origin="predicted, sampled")
+                for f in (below, taken.frequency_hz)
+            ]
+            found = structs.replace(found, measured=taken.beside(predicted[1]), sampled=_curve(predicted[0]))
+        responses[pair_name(one.name, out.name)] = found
+    return PlantPoint(
+        **pose_values(point), held_by=held[0] if held else None, responses=responses, point=point, loop=held and held[1]
+    )
+
+
+def response_of(transfer: TransferFunction, unit: str, grid: np.ndarray) -> PlantResponse:
+    """Return a transfer function as a response [unit] with its curve over frequencies (n,) [Hz]."""
+    moves = transfer.gain != 0.0
+    low, order = (transfer.low_frequency_gain, transfer.integrators) if moves else (0.0, 0)
+    curve = Response(frequency_hz=grid, gain=transfer.at(grid), unit=unit, origin="predicted") if moves else None
+    return PlantResponse(
+        unit=unit,
+        moves=moves,
+        integrators=order,
+        relative_degree=transfer.relative_degree,
+        low_frequency_gain=low,
+        gain_at_rest=None if order > 0 else low if order == 0 else 0.0,
+        resonances=modes_of(transfer.poles),
+        anti_resonances=modes_of(transfer.zeros),
+        poles=_roots(transfer.poles),
+        zeros=_roots(transfer.zeros),
+        unstable_poles=_roots(in_right_half_plane(transfer.poles)),
+        right_half_plane_zeros=_roots(in_right_half_plane(transfer.zeros)),
+        curve=None if curve is None else _curve(curve),
+        transfer=transfer,
+    )
+
+
+def _roots(values: np.ndarray) -> tuple[Root, ...]:
+    """Return roots, each pair once."""
+    return tuple(Root(real_rad_s=float(x.real), imaginary_rad_s=float(x.imag)) for x in values if x.imag >= 0)
+
+
+def _curve(response: Response) -> PlantCurve:
+    phase = response.phase_deg - 360.0 * np.round(response.phase_deg[0] / 360.0)
+    return PlantCurve(frequency_hz=response.frequency_hz, gain_db=response.gain_db, phase_deg=phase)
+
+
+def _curve_frequencies(transfers: Sequence[TransferFunction], period_s: float) -> np.ndarray:
+    """Return the frequencies (n,) [Hz] of all curves: evenly spaced on a logarithmic axis, and close beside each mode."""
+    roots = np.concatenate([np.concatenate([one.poles, one.zeros]) for one in transfers])
+    sizes = np.abs(roots[roots != 0]) / (2 * np.pi)
+    sizes = sizes if sizes.size else np.array([_CENTRE_SHARE / period_s])
+    ends = sizes.min() / 10**_DRAWN_DECADES, sizes.max() * 10**_DRAWN_DECADES
+    away = np.geomspace(*_BESIDE_SHARES, _POINTS_BESIDE)
+    swings = np.unique(np.round(np.abs(roots[roots.imag > 0]) / (2 * np.pi), 9))
+    beside = np.outer(swings, np.concatenate([1.0 - away, 1.0 + away])).ravel()
+    return np.unique(np.concatenate([np.geomspace(*ends, _EVEN_POINTS), beside]))
+
+
+def default_frequencies(
+    transfers: Sequence[dict[tuple[str, str], TransferFunction]], timing: Sampling, n_rows: int
+) -> np.ndarray:
+    """Return twenty frequencies [Hz] around the modes of all responses, or else around their other roots.
+
+    They start higher where so many rows of simulations would take long.
+
+    Damped modes are measured too, up to ten: where an undamped one swings, no effort is needed and none is measured.
+    """
+    roots = np.concatenate([np.concatenate([one.poles, one.zeros]) for found in transfers for one in found.values()])
+    some = roots[roots.imag > 0]
+    some = some if some.size else roots[roots != 0]
+    some = some if some.size else np.array([2 * np.pi * _CENTRE_SHARE / timing.period_s], dtype=complex)
+    sizes = np.abs(some) / (2 * np.pi)
+    high = min(_MEASURED_BEYOND * sizes.max(), _HIGHEST_SHARE / timing.period_s)
+    low = max(min(sizes.min(), high / _MEASURED_BEYOND) / _MEASURED_BEYOND, high / _MEASURED_RANGE)
+    even = np.geomspace(low, high, _MEASURED_POINTS)
+    while n_rows * _LEAST_CYCLES * np.sum(1 / even) > _MOST_STEPS * timing.timestep_s and even[0] < high / _MEASURED_BEYOND:
+        even = np.geomspace(1.2 * even[0], high, _MEASURED_POINTS)
+    low = even[0]
+    damped = np.sort(sizes[(sizes > low) & (sizes < high) & (np.abs(some.real) > _LEAST_DAMPING * np.abs(some))])
+    modes = damped[np.diff(np.log(damped), prepend=-np.inf) > np.log(even[1] / even[0]) / _MEASURED_MODES]
+    return np.union1d(even, modes) if some.imag.any() and len(modes) <= _MEASURED_MODES else even

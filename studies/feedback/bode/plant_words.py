@@ -1,0 +1,87 @@
+"""Sentences on a plant: its verdict, its unstable poles, its zeros in the right half plane."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from linkplan.studies.feedback.bode.plant_result import PlantPoint, PlantResponse, Root
+
+
+def plant_message(points: Sequence[PlantPoint], efforts: Sequence[str], outputs: Sequence[str]) -> str:
+    """Return a sentence on the resonances and anti-resonances of all responses."""
+    where = points[0].point.name if len(points) == 1 else f"{len(points)} poses"
+    said = [
+        _among("resonance", [mode.frequency_hz for one in _all(points) for mode in one.resonances]),
+        _among("anti-resonance", [mode.frequency_hz for one in _all(points) for mode in one.anti_resonances]),
+    ]
+    if unstable := sum(any(one.unstable_poles for one in point.responses.values()) for point in points):
+        said.append("unstable by itself" + (f" at {unstable} of {len(points)} poses" if len(points) > 1 else ""))
+    if any(one.right_half_plane_zeros for one in _all(points)):
+        said.append("non-minimum-phase")
+    if not any(one.moves for one in _all(points)):
+        said = ["the efforts do not move the outputs"]
+    return f"plant from {', '.join(efforts)} to {', '.join(outputs)} at {where}: {', '.join(said)}"
+
+
+def plant_notes(points: Sequence[PlantPoint]) -> Iterator[str]:
+    """Yield sentences on outputs that do not move, on zeros in the right half plane and on unstable poles.
+
+    Of several poses the one with the most restrictive zero or pole is named.
+    """
+    for name in points[0].responses:
+        at = {point.point.name: point.responses[name] for point in points}
+        if still := [where for where, one in at.items() if not one.moves]:
+            yield f"{name}: the effort does not move this output{_at(still, points)}"
+        zeros = [(_size(zero), where) for where, one in at.items() for zero in one.right_half_plane_zeros]
+        if zeros:
+            nearest, where = min(zeros)
+            yield (
+                f"{name} is non-minimum-phase{_at([at for _, at in zeros], points)}: a loop of this output crosses over"
+                f" below about {nearest / (4 * np.pi):.3g} Hz, half the nearest zero in the right half plane,"
+                f" {nearest:.4g} rad/s{_of(where, points)}"
+            )
+    poles = [
+        (_size(pole), point.point.name)
+        for point in points
+        for one in point.responses.values()
+        for pole in one.unstable_poles
+    ]
+    if poles:
+        fastest, where = max(poles)
+        yield (
+            f"the plant is unstable by itself{_at([at for _, at in poles], points)}: a loop that holds it crosses over above"
+            f" about {fastest / np.pi:.3g} Hz, twice the fastest unstable pole, {fastest:.4g} rad/s{_of(where, points)}"
+        )
+
+
+def _at(places: Sequence[str], points: Sequence[PlantPoint]) -> str:
+    """Return " at 2 of 7 poses" for the names of some poses, or nothing for a single pose."""
+    return f" at {len(set(places))} of {len(points)} poses" if len(points) > 1 else ""
+
+
+def _of(place: str, points: Sequence[PlantPoint]) -> str:
+    return f" at {place}" if len(points) > 1 else ""
+
+
+def root_text(root: Root) -> str:
+    """Return a pole or zero [rad/s] as text, a pair as one."""
+    if not root.imaginary_rad_s:
+        return f"{root.real_rad_s:.4g}"
+    return f"{root.real_rad_s:.4g} +- {root.imaginary_rad_s:.4g}i"
+
+
+def _size(root: Root) -> float:
+    return float(np.hypot(root.real_rad_s, root.imaginary_rad_s))
+
+
+def _all(points: Sequence[PlantPoint]) -> list[PlantResponse]:
+    return [one for point in points for one in point.responses.values()]
+
+
+def _among(what: str, frequency_hz: Sequence[float]) -> str:
+    """Return frequencies of one kind as text: none, one, or the range of several."""
+    known = sorted({f"{f:.4g}" for f in frequency_hz}, key=float)
+    if not known:
+        return f"no {what}"
+    several = known[0] if len(known) == 1 else f"{', '.join(known)}" if len(known) < 4 else f"{known[0]} to {known[-1]}"
+    return f"{what}{'s' if len(known) > 1 else ''} at {several} Hz"
