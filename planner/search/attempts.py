@@ -50,7 +50,7 @@ def plan_from(
     guess: Guess,
     *,
     worth: float = np.inf,
-    least: float = 0.0,
+    least: float = -np.inf,
     repaired: bool = True,
 ) -> Plan | None:
     """Return the plan from a start, whether its certificate passes or not; None if no motion is found.

@@ -110,7 +110,7 @@ def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
         return _better_plan(search, budget)
     assert search.quickest is not None  # where the phase plane applies
     legs = legs_plan(search) if search.plans and search.quickest.swings <= 1 else None
-    least = _FALSE_BELOW * legs.objective if legs is not None and legs.passed else 0.0
+    least = _FALSE_BELOW * legs.objective if legs is not None and legs.passed else -np.inf
     return _first_of(search, budget, _of_the_phase_plane(search, budget), least=least)
 
 
@@ -173,7 +173,7 @@ def from_swings(search: Search, budget: Budget) -> Plan | None:
 
 
 def _first_of(
-    search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]], *, repaired: bool = True, least: float = 0.0
+    search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]], *, repaired: bool = True, least: float = -np.inf
 ) -> Plan | None:
     """Return the first plan that passes, or the last that was found; those before it are kept among the search's plans."""
     missed = None
