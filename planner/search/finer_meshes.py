@@ -301,7 +301,7 @@ def _enough(case: MechanismCase, worst: np.ndarray) -> np.ndarray:
 
 
 def jumps_of(case: MechanismCase, found: Iterate) -> np.ndarray:
-    """Return the increasing times (n,) [s] at which efforts jump, or arcs along limits on speed, acceleration or jerk end."""
+    """Return the increasing times (n,) [s] at which efforts jump, or arcs along limits on speed to jerk end."""
     motion, jumps = found.motion, effort_jumps(case, found.motion)
     if case.problem.mechanism.forces is not None:  # which are known at fixed instants
         return np.zeros(0)

@@ -1,21 +1,28 @@
-"""Machines in MuJoCo: what their logs say of efforts that change within a period, and how much they hold."""
+"""Machines in MuJoCo: what their logs say of efforts that change within a period, how much they hold, and whose masses."""
 
+import copy
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 
 from linkplan.controllers.feedback_loop import LoopLog
 from linkplan.controllers.imperfections.imperfections import Clock, Drives, Imperfections
-from linkplan.controllers.mujoco_plant import _columns
+from linkplan.controllers.imperfections.plant import scale_masses
+from linkplan.controllers.mujoco_plant import MujocoPlant, _columns
+from linkplan.controllers.reference import sample
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.simulate import Ensemble, bytes_each
 from linkplan.controllers.trackers.pd import pd
-from linkplan.models.mechanism import load_mechanism
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.payload import BODY_NAME
 from tests.support.bodies import HINGE, HINGE_INERTIA
 from tests.support.machines import reach, run_machines
 from tests.support.mechanisms import replaced
+from tests.support.plans import optimal
 from tests.support.references import hinge_reference
 from tests.support.scripted import Scripted
 
@@ -105,3 +112,47 @@ def test_a_damped_servo_gives_the_effort_asked_whatever_speed_the_integrator_tak
     loop = ControlLoop(effort_limit=np.array([[-4.0, 4.0]]))
     found = run_machines(mechanism, reference, law, loop, [Imperfections()])
     assert found.velocity[:, 0] == pytest.approx(speed, rel=1e-9, abs=1e-12)
+
+
+# Masses.
+
+
+def by_body(values: Callable[[mujoco.MjModel], np.ndarray], before: mujoco.MjModel, after: mujoco.MjModel) -> dict:
+    with np.errstate(invalid="ignore"):
+        return {after.body(i).name: values(after)[i] / values(before)[i] for i in range(1, after.nbody)}
+
+
+def scaled_model(mechanism: Mechanism, factor: float) -> mujoco.MjModel:
+    model = copy.deepcopy(mechanism.model)
+    scale_masses(model, mujoco.MjData(model), factor)
+    return model
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.3])
+def test_a_mass_factor_scales_the_payload_and_nothing_else(factor):
+    mechanism = optimal("knee-reach").problem.mechanism
+    scaled = scaled_model(mechanism, factor)
+    masses = by_body(lambda model: model.body_mass, mechanism.model, scaled)
+    inertias = by_body(lambda model: model.body_inertia[:, 1], mechanism.model, scaled)
+    assert masses[BODY_NAME] == pytest.approx(factor)
+    assert inertias[BODY_NAME] == pytest.approx(factor)
+    for body in ("crank", "coupler", "rocker"):
+        assert masses[body] == inertias[body] == 1.0
+    np.testing.assert_array_equal(scaled.body_ipos, mechanism.model.body_ipos)
+
+
+def test_without_a_payload_a_mass_factor_scales_every_moving_body():
+    mechanism = optimal("knee-sine").problem.mechanism
+    scaled = scaled_model(mechanism, 1.3)
+    masses = by_body(lambda model: model.body_mass, mechanism.model, scaled)
+    assert [masses[body] for body in ("crank", "coupler", "rocker")] == pytest.approx([1.3] * 3)
+    assert scaled.body_mass[1] == mechanism.model.body_mass[1]  # the thigh does not move
+
+
+def test_a_mass_factor_leaves_the_mechanism_s_own_model_alone():
+    mechanism = optimal("knee-reach").problem.mechanism
+    before = np.array(mechanism.model.body_mass)
+    plant = MujocoPlant(mechanism=mechanism, loop=ControlLoop(effort_limit=mechanism.effort_limit, mass_factor=2.0))
+    stepper, _ = plant.begin(sample(mechanism, optimal("knee-reach").trajectory, 1e-4, 0.01), [Imperfections()])
+    assert stepper.model.body_mass.max() == pytest.approx(2.0 * before.max())
+    np.testing.assert_array_equal(mechanism.model.body_mass, before)

@@ -1,29 +1,24 @@
 """The closed loop in MuJoCo: what acts and when, on which masses; loops closed, limits kept, verdicts right."""
 
-import copy
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 
 import mujoco
 import numpy as np
 import pytest
 
-from linkplan.controllers.imperfections.imperfections import Imperfections
-from linkplan.controllers.imperfections.plant import scale_masses
-from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.trackers.lqr import Errors, lqr
 from linkplan.controllers.trackers.pd import pd
 from linkplan.controllers.trackers.tracker import Tracker, with_feedforward
-from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.payload import BODY_NAME
+from linkplan.models.mechanism import load_mechanism
 from tests.support.bodies import HINGE, HINGE_INERTIA
 from tests.support.fourbar import KNEE_PROBLEMS
 from tests.support.machines import run_alone
 from tests.support.plans import GOAL, optimal
 from tests.support.references import hinge_reference
+from tests.support.scripted import Scripted
 from tests.support.tolerances_planner import (
     DIED_OUT,
     FEEDFORWARD_GAIN,
@@ -43,18 +38,6 @@ every_plan = pytest.mark.parametrize(
     "name", [name if name == "knee-sine" else pytest.param(name, marks=pytest.mark.slow) for name in KNEE_PROBLEMS]
 )
 every_tracker = pytest.mark.parametrize("kind", TRACKERS)
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Scripted:
-    """A tracker that gives the k-th effort of a list, whatever it sees."""
-
-    efforts: np.ndarray
-    name: str = "scripted"
-
-    def effort(self, k: int, position: np.ndarray, velocity: np.ndarray) -> np.ndarray:
-        del position, velocity
-        return self.efforts[k]
 
 
 @cache
@@ -371,47 +354,6 @@ def test_a_delay_makes_a_sharp_loop_worse():
 
 
 # Masses.
-
-
-def by_body(values: Callable[[mujoco.MjModel], np.ndarray], before: mujoco.MjModel, after: mujoco.MjModel) -> dict:
-    with np.errstate(invalid="ignore"):
-        return {after.body(i).name: values(after)[i] / values(before)[i] for i in range(1, after.nbody)}
-
-
-def scaled_model(mechanism: Mechanism, factor: float) -> mujoco.MjModel:
-    model = copy.deepcopy(mechanism.model)
-    scale_masses(model, mujoco.MjData(model), factor)
-    return model
-
-
-@pytest.mark.parametrize("factor", [0.5, 1.3])
-def test_a_mass_factor_scales_the_payload_and_nothing_else(factor):
-    mechanism = optimal("knee-reach").problem.mechanism
-    scaled = scaled_model(mechanism, factor)
-    masses = by_body(lambda model: model.body_mass, mechanism.model, scaled)
-    inertias = by_body(lambda model: model.body_inertia[:, 1], mechanism.model, scaled)
-    assert masses[BODY_NAME] == pytest.approx(factor)
-    assert inertias[BODY_NAME] == pytest.approx(factor)
-    for body in ("crank", "coupler", "rocker"):
-        assert masses[body] == inertias[body] == 1.0
-    np.testing.assert_array_equal(scaled.body_ipos, mechanism.model.body_ipos)
-
-
-def test_without_a_payload_a_mass_factor_scales_every_moving_body():
-    mechanism = optimal("knee-sine").problem.mechanism
-    scaled = scaled_model(mechanism, 1.3)
-    masses = by_body(lambda model: model.body_mass, mechanism.model, scaled)
-    assert [masses[body] for body in ("crank", "coupler", "rocker")] == pytest.approx([1.3] * 3)
-    assert scaled.body_mass[1] == mechanism.model.body_mass[1]  # the thigh does not move
-
-
-def test_a_mass_factor_leaves_the_mechanism_s_own_model_alone():
-    mechanism = optimal("knee-reach").problem.mechanism
-    before = np.array(mechanism.model.body_mass)
-    plant = MujocoPlant(mechanism=mechanism, loop=loop_of("knee-reach", mass_factor=2.0))
-    stepper, _ = plant.begin(reference_of("knee-reach"), [Imperfections()])
-    assert stepper.model.body_mass.max() == pytest.approx(2.0 * before.max())
-    np.testing.assert_array_equal(mechanism.model.body_mass, before)
 
 
 def test_a_heavier_payload_is_tracked_less_well():

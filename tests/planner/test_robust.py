@@ -89,7 +89,7 @@ def test_a_weaker_torque_constant_is_a_reserve():
 
 @pytest.mark.slow
 def test_what_forbids_a_robust_motion_is_named():
-    plan = planned("knee-reach", "robust.payload_factor=[1.0, 2.0]", "objective.minimize=peak_effort")
+    plan = planned("knee-reach", "robust.payload_factor=[1.0, 2.0]", "objective.minimize=peak_effort", "mesh.intervals=10")
     assert plan.status == "infeasible"
     assert "payload 2" in plan.message
 

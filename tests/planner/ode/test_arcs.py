@@ -17,6 +17,7 @@ from tests.support.tolerances_planner import (
     COPS_CATALYST,
     COPS_ROCKET,
     ODE_CLOSED_FORM,
+    ODE_KINKED,
     ODE_LIMIT,
     ODE_SINGULAR,
     ODE_SINGULAR_ARC,
@@ -188,35 +189,59 @@ def test_aly_and_chan_s_singular_problem_costs_nothing():
     assert plan.objective == pytest.approx(0.0, abs=ODE_SINGULAR)
 
 
+# Goddard's rocket in COPS's units: falloff of the air, speed of the exhaust, largest thrust.
+FALLOFF, EXHAUST, THRUST_LIMIT = 500.0, 0.5, 3.5
+
+
+def forces(h, v, exp=np.exp):
+    """Return the drag and the weight of a unit of mass at a height and a speed."""
+    return 310.0 * v**2 * exp(-FALLOFF * (h - 1)), 1 / h**2
+
+
+def goddard(**more) -> OdeProblem:
+    """Return the problem of the greatest height."""
+
+    def rate(x, u, p, t):  # noqa: ARG001
+        D, g = forces(x[0], x[1], ca.exp)
+        return [x[1], (u[0] - D) / x[2] - g, -u[0] / EXHAUST]
+
+    return OdeProblem(
+        name="Goddard's rocket",
+        rate=rate,
+        start=[1, 0, 1],
+        goal=[NAN, NAN, 0.6],
+        effort_limit=[[0, THRUST_LIMIT]],
+        state_limit=[[1, INF], [0, INF], [0.6, 1]],
+        duration_s=(0.01, 1),
+        final_cost=lambda x0, xT, T, p: -xT[0],  # noqa: ARG005
+        **more,
+    )
+
+
 @pytest.mark.slow
 def test_a_rocket_s_height_is_that_of_its_bang_singular_and_coasting_arcs():
-    """Goddard's rocket in COPS's units: full thrust, the singular arc, no thrust; scipy takes the two switches."""
-    drag, falloff, exhaust, thrust_limit = 310.0, 500.0, 0.5, 3.5
-
-    def forces(h, v, exp=np.exp):
-        return drag * v**2 * exp(-falloff * (h - 1)), 1 / h**2
+    """Full thrust, the singular arc, no thrust; scipy takes the two switches."""
 
     def singular_thrust(y: np.ndarray) -> float:
         """Return the thrust that keeps m g = (1 + v / c) D, from that equation's derivative."""
         h, v, m = y
         D, g = forces(h, v)
-
-        Dh, Dv, gh = -falloff * D, 2 * D / v, -2 / h**3
-        slope = np.array([Dh * (1 + v / exhaust) - m * gh, Dv * (1 + v / exhaust) + D / exhaust, -g])
+        Dh, Dv, gh = -FALLOFF * D, 2 * D / v, -2 / h**3
+        slope = np.array([Dh * (1 + v / EXHAUST) - m * gh, Dv * (1 + v / EXHAUST) + D / EXHAUST, -g])
         drift = np.array([v, -D / m - g, 0.0])
-        push = np.array([0.0, 1 / m, -1 / exhaust])
+        push = np.array([0.0, 1 / m, -1 / EXHAUST])
         return -(slope @ drift) / (slope @ push)
 
     def rate(t: float, y: np.ndarray, law) -> list[float]:
         del t
         D, g = forces(y[0], y[1])
         T = law(y)
-        return [y[1], (T - D) / y[2] - g, -T / exhaust]
+        return [y[1], (T - D) / y[2] - g, -T / EXHAUST]
 
     def on_surface(t, y, law):
         del t, law
         D, g = forces(y[0], y[1])
-        return D * (1 + y[1] / exhaust) - y[2] * g
+        return D * (1 + y[1] / EXHAUST) - y[2] * g
 
     def burnt(t, y, law):
         del t, law
@@ -227,7 +252,7 @@ def test_a_rocket_s_height_is_that_of_its_bang_singular_and_coasting_arcs():
         return y[1]
 
     state = np.array([1.0, 0.0, 1.0])
-    for law, until in ((lambda y: thrust_limit, on_surface), (singular_thrust, burnt), (lambda y: 0.0, top)):  # noqa: ARG005
+    for law, until in ((lambda y: THRUST_LIMIT, on_surface), (singular_thrust, burnt), (lambda y: 0.0, top)):  # noqa: ARG005
         until.terminal = True
         arc = solve_ivp(
             rate, (0, 1), state, args=(law,), events=until, method="DOP853", rtol=1e-11, atol=1e-13, first_step=1e-4
@@ -236,24 +261,14 @@ def test_a_rocket_s_height_is_that_of_its_bang_singular_and_coasting_arcs():
         state = arc.y[:, -1]
     assert state[0] == pytest.approx(1.01283, abs=COPS_ROCKET)  # COPS
 
-    def rocket(x, u, p, t):  # noqa: ARG001
-        D, g = forces(x[0], x[1], ca.exp)
-        return [x[1], (u[0] - D) / x[2] - g, -u[0] / exhaust]
-
-    plan = solved(
-        OdeProblem(
-            name="Goddard's rocket",
-            rate=rocket,
-            start=[1, 0, 1],
-            goal=[NAN, NAN, 0.6],
-            effort_limit=[[0, thrust_limit]],
-            state_limit=[[1, INF], [0, INF], [0.6, 1]],
-            duration_s=(0.01, 1),
-            final_cost=lambda x0, xT, T, p: -xT[0],  # noqa: ARG005
-            guesses=[StateGuess(state=[[1, 0.05, 1], [1.01, 0.05, 0.6]], duration_s=0.2)],
-        )
-    )
+    plan = solved(goddard(guesses=[StateGuess(state=[[1, 0.05, 1], [1.01, 0.05, 0.6]], duration_s=0.2)]))
     assert -plan.objective - 1 == pytest.approx(state[0] - 1, rel=ODE_SINGULAR_ARC)
+
+
+@pytest.mark.long
+def test_a_rocket_s_height_is_found_to_eight_digits_without_a_guess_or_chatter():
+    """The height is that of the test above, to 1e-11."""
+    assert -solved(goddard()).objective - 1 == pytest.approx(0.0128369183, rel=ODE_KINKED)
 
 
 @pytest.mark.slow

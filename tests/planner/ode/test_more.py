@@ -290,32 +290,6 @@ def test_jacobson_s_singular_problem_costs_its_bang_and_its_arc():
     assert plan.objective == pytest.approx(plan.certificate.integrated_objective, rel=ODE_INTEGRATED_ROUGHLY)
 
 
-@pytest.mark.long
-def test_a_rocket_s_height_is_found_to_eight_digits_without_chatter():
-    """Goddard's rocket in COPS's units at the default tolerance; the height is of its bang, singular and coasting arcs."""
-    plan = solved(
-        OdeProblem(
-            name="Goddard's rocket",
-            rate=lambda x, u, p, t: [  # noqa: ARG005
-                x[1],
-                (u[0] - 310 * x[1] ** 2 * ca.exp(-500 * (x[0] - 1))) / x[2] - 1 / x[0] ** 2,
-                -u[0] / 0.5,
-            ],
-            start=[1, 0, 1],
-            goal=[NAN, NAN, 0.6],
-            effort_limit=[[0, 3.5]],
-            state_limit=[[1, INF], [0, INF], [0.6, 1]],
-            duration_s=(0.01, 1),
-            final_cost=lambda x0, xT, T, p: -xT[0],  # noqa: ARG005
-        )
-    )
-    assert -plan.objective - 1 == pytest.approx(GODDARD_HEIGHT, rel=ODE_KINKED)
-
-
-# From the switches of test_ode_arcs.test_a_rocket_s_height_is_that_of_its_bang_singular_and_coasting_arcs, to 1e-11.
-GODDARD_HEIGHT = 0.0128369183
-
-
 def test_a_chemist_s_reactor_is_cooled_as_luus_has_it():
     """Luus's stirred tank: 0.133094 is the best known, 0.244 a local optimum."""
 

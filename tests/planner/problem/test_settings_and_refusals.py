@@ -8,11 +8,9 @@ import pytest
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.closed_chain.mechanics import _path_rows
-from linkplan.planner.problem.consistency import _check_efforts, _way_through
+from linkplan.planner.problem.consistency import _way_through
 from linkplan.planner.problem.extra import ExtraCost, checked_extras
 from linkplan.planner.problem.instant import Corner, Instant, Robust, corner_efforts_along
-from linkplan.planner.problem.objective import TERMS
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.problem.sites import SitePoint, _squared, shown
@@ -153,20 +151,6 @@ def test_frictions_of_three_joints_have_sixty_four_corners_and_more_are_refused(
 # Turns.
 
 
-def winding(**changes) -> SimpleNamespace:
-    """Return a mechanism of two joints whose springs give the efforts `passive` of a pose."""
-    joints = [SimpleNamespace(name=name) for name in ("still", "wound")]
-    dynamics = SimpleNamespace(passive=changes["passive"])
-    return SimpleNamespace(n_q=2, dof=1, n_u=0, joints=joints, actuators=[], dynamics=dynamics)
-
-
-def test_a_spring_that_winds_up_with_every_turn_is_named():
-    """The other joint's spring has a load of its own, which stays."""
-    mechanism = winding(passive=lambda q, _: np.array([-7.0, -0.5 * q[1]]))
-    with pytest.raises(ProblemError, match="a spring on joint wound winds up with every turn"):
-        _check_efforts(mechanism, "O", np.array([0.0, -np.pi]), np.array([0.0, 2 * np.pi]))
-
-
 @pytest.mark.parametrize(
     ("asked", "single", "branching", "words"),
     [
@@ -208,21 +192,6 @@ def test_extra_costs_have_names_that_differ():
     assert checked_extras([one, other], ExtraCost, "costs") == (one, other)
     with pytest.raises(ProblemError, match="got 'one' more than once"):
         checked_extras([one, other, one], ExtraCost, "costs")
-
-
-def test_the_cost_of_tracking_is_the_squared_distance_of_the_independent_joints_from_the_reference():
-    at = SimpleNamespace(
-        q=ca.DM([1.0, 9.0, 3.0]), mechanism=SimpleNamespace(independent=np.array([0, 2])), reference=ca.DM([0.5, 1.0])
-    )
-    assert float(TERMS["tracking"].integrand(at)) == 0.5**2 + 2.0**2
-    assert TERMS["tracking"].size(SimpleNamespace(time_s=2.0, position=np.array([0.1, 0.5])), None) == 2.0 * 0.5**2
-
-
-def test_positive_powers_are_rows_of_what_is_counted_less_what_the_actuators_give():
-    at = SimpleNamespace(u=ca.DM([2.0, -3.0]), actuator_speeds=ca.DM([5.0, 4.0]), units={"power": 2.0})
-    asked = SimpleNamespace(limits=(), passed=(), works=True)
-    rows = _path_rows(asked, at, [], ca.SX(ca.DM([7.0, 1.0])))
-    assert np.array(ca.evalf(rows)).ravel().tolist() == [7.0 - 5.0, 1.0 + 6.0]
 
 
 def test_the_certificate_has_a_tenth_of_the_time_and_solves_the_rest():

@@ -177,6 +177,12 @@ def geared(ratio: float, spring: str = "", drive: str = MOTOR) -> str:
     return GEARED.format(ratio=ratio, spring=spring, drive=drive)
 
 
+def loaded(text: str) -> str:
+    """Return a slider-crank with a weak spring on its crank and a strong one on its slider, whose load comes back."""
+    sprung = replaced(text, '<joint name="O"/>', '<joint name="O" stiffness="0.5"/>')
+    return replaced(sprung, 'ref="0.2"', 'ref="0.2" stiffness="3000" springref="0.1"')
+
+
 @pytest.mark.parametrize(
     ("model", "turns", "words"),
     [
@@ -198,6 +204,7 @@ def geared(ratio: float, spring: str = "", drive: str = MOTOR) -> str:
         (replaced(UNCUT, '<joint name="O"/>', '<joint name="O" range="-1 1"/>'), {"O": 1}, "has no range"),
         (geared(0.5), {"O": 1}, "joint half is not back, it has gone on by 180 deg"),
         (geared(1.0, ' stiffness="2"'), {"O": 1}, "a spring on joint half winds up"),
+        (loaded(built_in_text("slider-crank")), {"O": 1}, "a spring on joint O winds up"),
         (geared(1.0, "", SERVO), {"O": 1}, "ctrl of servo servo goes on by 6.283"),
     ],
 )

@@ -1,24 +1,25 @@
 """Of the motions that pass on ever finer meshes the best is returned, not merely the last."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import pytest
 
+from linkplan.planner.refinement.case import CertifiedIterate, RefinementTarget
 from linkplan.planner.refinement.state import better_of
+from tests.support.refinement_states import AIMS, iterate
 
 # What two meshes may differ by though neither is wrong: a tenth of what counts as lost.
 MESH = 1e-6
 INTERVALS = 40
 
 
-def passing(objective: float, *, exact: bool = True, errs: float = 1e-4):
-    solution = SimpleNamespace(objective=objective)
-    report = SimpleNamespace(exact=exact, integration_error_deg=errs, integration_error=None)
-    return SimpleNamespace(found=SimpleNamespace(solution=solution), report=report, n_intervals=INTERVALS)
+def passing(objective: float, *, exact: bool = True, errs: float = 1e-4) -> CertifiedIterate:
+    at = iterate(objective=objective, exact=exact, n=INTERVALS)
+    return replace(at, report=replace(at.report, integration_error_deg=errs))
 
 
-def target(*, tolerance_given: bool = False, objective_tolerance_given: bool = True):
-    return SimpleNamespace(tolerance_given=tolerance_given, objective_tolerance_given=objective_tolerance_given)
+def target(*, tolerance_given: bool = False) -> RefinementTarget:
+    return replace(AIMS, tolerance_given=tolerance_given)
 
 
 @pytest.mark.parametrize("coarse", [1.0956, -1.2])

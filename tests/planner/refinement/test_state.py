@@ -1,24 +1,18 @@
 """What a refinement knows of the objective's change from mesh to mesh."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from linkplan.planner.refinement.state import RefinementState, observed
+from linkplan.planner.refinement.state import observed
 from tests.support.refinement_states import iterate, state
 
 
-def moved(best: float | None, loose: float | None, change: float = np.inf) -> float:
+def moved(best: float, loose: float | None, change: float = np.inf) -> float:
     """Return what the objective moved by, with tightened limits (`best`) and with loosened ones (`loosened`)."""
-
-    def at(objective: float | None) -> SimpleNamespace | None:
-        solution = SimpleNamespace(objective=objective)
-        return None if objective is None else SimpleNamespace(found=SimpleNamespace(solution=solution))
-
-    state = SimpleNamespace(best=at(best), loosened=at(loose), change=change)
-    return RefinementState.moved.fget(state)
+    loosened = None if loose is None else iterate(objective=loose)
+    return state(iterate(), best=iterate(objective=best), loosened=loosened, change=change).moved
 
 
 @pytest.mark.parametrize(("best", "share"), [(2.0, 0.5), (-2.0, 0.0), (0.8, 0.0)])

@@ -42,21 +42,16 @@ def on_a_terminal(*argv: str, columns: int = 100, **environment: str) -> tuple[i
 
 
 @pytest.mark.slow
-def test_progress_is_one_line_that_is_rewritten_and_gone_before_the_result():
-    code, said = on_a_terminal("plan", "knee-reach")
+def test_progress_is_one_line_that_is_rewritten_and_gone_before_what_stays_and_the_result(tmp_path):
+    code, said = on_a_terminal("plan", "knee-reach", "-o", str(tmp_path / "planned"), columns=200)
     assert code == 0
     before, _, result = said.partition("knee-reach: optimal")
     assert "first solve" in before
-    assert before.count("\n") == 1  # the line is erased from below
+    assert re.search(r"  plan +[0-9.]+ s: saved in [^\n]*planned\n", before)
+    assert before.count("\n") == 2  # of what stays; progress is erased from below
     assert before.endswith("\x1b[32m")
     assert "certificate: passed" in result
     assert "first solve" not in result
-
-
-@pytest.mark.slow
-def test_what_is_said_to_stay_stays(tmp_path):
-    _, said = on_a_terminal("plan", "knee-reach", "-o", str(tmp_path / "planned"), columns=200)
-    assert re.search(r"  plan +[0-9.]+ s: saved in [^\n]*planned\n", said)
 
 
 def test_a_name_with_control_characters_cannot_write_on_the_terminal(capsys):

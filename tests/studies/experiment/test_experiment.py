@@ -6,7 +6,6 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
-from functools import cache
 
 import numpy as np
 import pytest
@@ -16,6 +15,7 @@ import linkplan
 from linkplan.models.errors import LinkplanError, PlanFileError, ProblemError
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search.planning import silent
+from linkplan.studies.cli.main import main
 from linkplan.studies.variations.experiment import block as blocks
 from linkplan.studies.variations.experiment import conduct as conducting
 from linkplan.studies.variations.experiment.block import replay
@@ -83,12 +83,7 @@ def test_a_goal_that_cannot_be_held_is_told_of():
     assert fall_note(experiment_of(optimal("knee-reach"), FEW)) is None
 
 
-@cache
-def command(*more: str) -> list[str]:
-    words = ["experiment", "knee-reach", "--set", SHORT, "--samples", str(SAMPLES), "--trackers", "pd"]
-    return [sys.executable, "-m", "linkplan", *words, *more]
-
-
+WORDS = ["experiment", "knee-reach", "--set", SHORT, "--samples", str(SAMPLES), "--trackers", "pd"]
 # A command that never comes to its end, so that it is killed before that on any machine.
 ENDLESS = """
 import sys, time
@@ -104,16 +99,16 @@ if __name__ == "__main__":
 def test_killed_twice_with_two_workers_it_is_the_file_of_one_that_was_left_alone(tmp_path):
     target, alone = tmp_path / "killed", tmp_path / "alone"
     for wanted in (1, 3):
-        _, _, _, *words = command("--workers", "2", "-o", str(target))
-        process = subprocess.Popen([sys.executable, "-c", ENDLESS, *words], cwd=ROOT, stderr=subprocess.DEVNULL)
+        process = subprocess.Popen(
+            [sys.executable, "-c", ENDLESS, *WORDS, "--workers", "2", "-o", str(target)], cwd=ROOT, stderr=subprocess.DEVNULL
+        )
         there = parts.unfinished(target) / parts.PARTS
         while len(list(there.glob("part-*"))) < wanted and process.poll() is None:
             time.sleep(0.005)
         process.send_signal(signal.SIGKILL)
         assert process.wait() == -signal.SIGKILL
         assert not target.exists()
-    subprocess.run(command("-o", str(target)), cwd=ROOT, check=True, capture_output=True)
-    subprocess.run(command("--threads", "1", "-o", str(alone)), cwd=ROOT, check=True, capture_output=True)
+    assert main([*WORDS, "-o", str(target)]) == main([*WORDS, "--threads", "1", "-o", str(alone)]) == 0
     assert (target / RESULTS).read_bytes() == (alone / RESULTS).read_bytes()
     assert (target / RECORD).read_bytes() == (alone / RECORD).read_bytes()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["alone", "killed"]
