@@ -20,9 +20,9 @@ from linkplan.planner.transcription.collocation import Transcribed
 
 # The status of a solution that is feasible, as IPOPT names it; the program's own objective is not minimised.
 FEASIBLE = "Feasible_Point_Found"
-# The squared costs of a change of states and algebraic unknowns, and of efforts and durations, all scaled. With these the
-# barrier keeps unknowns away from their bounds by 3e-7, less than a proof allows for efforts.
-_STATE_WEIGHT, _EFFORT_WEIGHT = 1e-2, 1e4
+# The squared costs of a change of states and algebraic unknowns, and of efforts and durations, all scaled. Smaller ones let
+# the barrier move unknowns away from their bounds by more than 1e-7; larger ones take twice the iterations.
+_STATE_WEIGHT, _EFFORT_WEIGHT = 1e4, 1e6
 # At most so many iterations; ten to thirty find the point.
 _MOST_ITERATIONS = 100
 
@@ -37,7 +37,9 @@ def nearest_feasible(transcribed: Transcribed, x: np.ndarray, settings: SolverSe
     solver = build_solver(nearest, settings, close=True)
     found = run_solver(solver, replace(transcribed, program=nearest, start=near))
     objective = float(program.functions["grad_f"](found.x, transcribed.parameters)[0]) * transcribed.objective_scale
-    return replace(found, transcribed=transcribed, objective=objective, status=FEASIBLE if found.converged else found.status)
+    status = FEASIBLE if found.converged else found.status
+    own = {"transcribed": transcribed, "objective": objective, "multipliers": None, "bound_multipliers": None}
+    return replace(found, status=status, **own)
 
 
 def _functions(of: dict[str, ca.Function], near: ca.DM, weight: ca.DM) -> dict[str, ca.Function]:

@@ -58,8 +58,8 @@ def test_a_feasible_point_stays(coarse):
     solution = coarse.best.found.solution
     again = nearest_feasible(solution.transcribed, solution.x)
     assert again.converged
-    np.testing.assert_allclose(again.x, solution.x, atol=1e-6)
-    assert again.objective == pytest.approx(solution.objective, rel=1e-6)
+    np.testing.assert_allclose(again.x, solution.x, atol=1e-7)
+    assert again.objective == pytest.approx(solution.objective, rel=1e-7)
 
 
 def test_no_feasible_point_is_nearer(coarse):
