@@ -13,7 +13,8 @@ from linkplan.planner.refinement.history import progress, record, step_of
 from linkplan.planner.refinement.marking import most_overrun, widths_of
 from linkplan.planner.refinement.state import RefinementState, observed
 from linkplan.planner.refinement.switch_search import mesh_with_switches, settle_switch_times
-from linkplan.planner.solvers.nearest import nearest_feasible
+from linkplan.planner.solvers.nearest import nearest_inside
+from linkplan.planner.solvers.newton import nearest_feasible
 from linkplan.planner.solvers.solve import SUCCEEDED
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh, halved
@@ -243,7 +244,10 @@ def nearest_on(case: Case, coarse: Iterate, mesh: Mesh, *, position_rows: bool) 
         )
     except (AssemblyError, OutOfTimeError):
         return None
-    solution = nearest_feasible(transcribed, _with_efforts(transcribed, coarse), case.problem.solver)
+    begin = _with_efforts(transcribed, coarse)
+    solution = nearest_feasible(transcribed, begin)
+    if not solution.converged:
+        solution = nearest_inside(transcribed, begin, case.problem.solver)
     record(step_of(what, transcribed, solution))
     motion = case.motion(solution) if solution.converged else None
     return None if motion is None else Iterate(motion=motion, solution=solution, fixed=coarse.fixed)

@@ -237,7 +237,7 @@ def _next_way(case: MechanismCase, before: CertifiedIterate, at: CertifiedIterat
         ends = np.concatenate([np.cumsum(durations)[:-1], further])
         ends = np.sort(ends[np.abs(ends[:, None] - boundaries).min(axis=1) > 1e-9 * boundaries[-1]])
         return _Way(case, *mesh_with_switches(boundaries, ends, mesh.n_intervals, least=1), "further jumps as unknowns")
-    if not settled and pieces.max() > 1 and pieces.sum() <= _MAX_GROWTH * case.asked.mesh.intervals:
+    if not (settled and at.passed) and pieces.max() > 1 and pieces.sum() <= _MAX_GROWTH * case.asked.mesh.intervals:
         tightened = case.tightened(at.certificate, at.found.motion) if at.overruns else case
         return _Way(tightened, divided(mesh, pieces), durations, "finer mesh")
     if at.overruns and case.n_tightenings < _MAX_TIGHTENINGS:

@@ -1,12 +1,8 @@
-"""The feasible point of a program that is nearest to given unknowns.
+"""The feasible point of a program that is nearest to given unknowns, by an interior point method.
 
-A motion that is optimal on one mesh misses the rows of a finer mesh by the error of the first. Optimizing again takes as
-many iterations as the first time, and may not end where limits bind all along. The nearest feasible point minimises
-
-    1/2 (x - x_0)^T W (x - x_0)  subject to the program's bounds and rows,
-
-and the interior point method ends just inside the bounds. W is large for efforts and durations: these change where the
-motion has to, and the states follow.
+It minimises 1/2 (x - x_0)^T W (x - x_0) subject to the program's bounds and rows. The few Newton steps of
+`linkplan.planner.solvers.newton.nearest_feasible` hold every bound that a step comes near to. Where efforts and speeds bind
+together, no such step exists although a feasible point does; this method lets unknowns leave their bounds.
 """
 
 from dataclasses import replace
@@ -15,11 +11,10 @@ import casadi as ca
 import numpy as np
 
 from linkplan.planner.problem.settings import SolverSettings
+from linkplan.planner.solvers.newton import FEASIBLE
 from linkplan.planner.solvers.solve import Solution, build_solver, run_solver
 from linkplan.planner.transcription.collocation import Transcribed
 
-# The status of a solution that is feasible, as IPOPT names it; the program's own objective is not minimised.
-FEASIBLE = "Feasible_Point_Found"
 # The squared costs of a change of states and algebraic unknowns, and of efforts and durations, all scaled. Smaller ones let
 # the barrier move unknowns away from their bounds by more than 1e-7; larger ones take twice the iterations.
 _STATE_WEIGHT, _EFFORT_WEIGHT = 1e4, 1e6
@@ -27,14 +22,13 @@ _STATE_WEIGHT, _EFFORT_WEIGHT = 1e4, 1e6
 _MOST_ITERATIONS = 100
 
 
-def nearest_feasible(transcribed: Transcribed, x: np.ndarray, settings: SolverSettings | None = None) -> Solution:
+def nearest_inside(transcribed: Transcribed, x: np.ndarray, settings: SolverSettings) -> Solution:
     """Return the feasible point near unknowns x (n,), or a solution that has not converged."""
     program, near = transcribed.program, np.clip(x, transcribed.lower, transcribed.upper)
     weight = np.full(len(x), _STATE_WEIGHT)
     weight[program.layout.effort().ravel()] = weight[program.layout.durations()] = _EFFORT_WEIGHT
     nearest = replace(program, functions=_functions(program.functions, ca.DM(near), ca.DM(weight)))
-    settings = (settings or SolverSettings()).replace(max_iterations=_MOST_ITERATIONS)
-    solver = build_solver(nearest, settings, close=True)
+    solver = build_solver(nearest, settings.replace(max_iterations=_MOST_ITERATIONS), close=True)
     found = run_solver(solver, replace(transcribed, program=nearest, start=near))
     objective = float(program.functions["grad_f"](found.x, transcribed.parameters)[0]) * transcribed.objective_scale
     status = FEASIBLE if found.converged else found.status

@@ -8,12 +8,14 @@ import pytest
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess, motion_of
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.proof.prove import prove
 from linkplan.planner.refinement.actions import ReduceEffortOverrun
 from linkplan.planner.refinement.case import attempt, certify_iterate
 from linkplan.planner.refinement.decision import next_action
 from linkplan.planner.refinement.state import RefinementState
-from linkplan.planner.solvers.nearest import FEASIBLE, nearest_feasible
+from linkplan.planner.solvers.nearest import nearest_inside
+from linkplan.planner.solvers.newton import FEASIBLE, nearest_feasible
 from linkplan.planner.transcription.mesh import uniform
 
 
@@ -52,25 +54,32 @@ def test_rows_that_contradict_each_other_lead_to_no_motion(coarse):
     apart = replace(solution.transcribed, row_lower=solution.transcribed.row_lower + 1.0)
     apart = replace(apart, row_upper=apart.row_upper + 1.0)
     assert not nearest_feasible(apart, solution.x).converged
+    assert not nearest_inside(apart, solution.x, SolverSettings()).converged
 
 
 def test_a_feasible_point_stays(coarse):
     solution = coarse.best.found.solution
     again = nearest_feasible(solution.transcribed, solution.x)
-    assert again.converged
-    np.testing.assert_allclose(again.x, solution.x, atol=1e-7)
-    assert again.objective == pytest.approx(solution.objective, rel=1e-7)
+    assert (again.converged, again.iterations) == (True, 0)
+    np.testing.assert_allclose(again.x, solution.x, atol=1e-9)
+    assert again.objective == pytest.approx(solution.objective, rel=1e-12)
+    inside = nearest_inside(solution.transcribed, solution.x, SolverSettings())
+    assert inside.converged
+    np.testing.assert_allclose(inside.x, solution.x, atol=1e-7)
+    assert inside.objective == pytest.approx(solution.objective, rel=1e-7)
 
 
-def test_no_feasible_point_is_nearer(coarse):
+@pytest.mark.parametrize("inside", [False, True])
+def test_no_feasible_point_is_nearer(coarse, inside):
     """The optimum on a finer mesh is feasible there too, and further from the coarse motion."""
     found, case = coarse.best.found, coarse.asked
     finer = attempt(case, motion_of(found.motion), uniform(14), np.array([0.16]), "once").solution
     transcribed, layout = finer.transcribed, finer.transcribed.program.layout
-    near = nearest_feasible(transcribed, transcribed.start)
+    begin = transcribed.start
+    near = nearest_inside(transcribed, begin, SolverSettings()) if inside else nearest_feasible(transcribed, begin)
     x, p = near.x, transcribed.parameters
     rows = np.array(transcribed.program.functions["nlp"](x, p)[1]).ravel()
     assert np.all((transcribed.lower <= x) & (x <= transcribed.upper))
     assert np.all((transcribed.row_lower - 1e-8 <= rows) & (rows <= transcribed.row_upper + 1e-8))
-    moved = [np.linalg.norm((one - transcribed.start)[layout.effort()]) for one in (x, finer.x)]
+    moved = [np.linalg.norm((one - begin)[layout.effort()]) for one in (x, finer.x)]
     assert moved[0] < 0.9 * moved[1]

@@ -1,5 +1,6 @@
 """Newton steps on programs of one or two unknowns: error bounds, active bounds, violations, the nearest feasible point."""
 
+import time
 from types import SimpleNamespace
 
 import casadi as ca
@@ -13,6 +14,7 @@ from linkplan.planner.solvers.newton import (
     _changed,
     _sides,
     _violation,
+    nearest_feasible,
     newton_step,
 )
 
@@ -144,3 +146,33 @@ def test_a_bound_becomes_active_where_it_is_violated_and_inactive_where_it_pulls
     bounds = np.array([2.0]), np.array([5.0])
     assert _changed(np.array([side]), np.array([value]), np.array([push]), *bounds).tolist() == [after]
     assert _changed(np.array([1]), np.array([value]), np.array([-1.0]), bounds[0], bounds[0]).tolist() == [1]
+
+
+@pytest.mark.parametrize(("distance", "held"), [(0.0, True), (3e-8, True), (3e-7, False)])
+@pytest.mark.parametrize("side", [+1, -1])
+def test_the_nearest_feasible_point_keeps_unknowns_that_are_at_a_bound(side, distance, held):
+    """x_0 - side x_1 = 2 from (0, 0): half each, but for x_1, which stays where it is within 1e-7 of a bound of it."""
+    x, p = ca.MX.sym("x", 2), ca.MX.sym("p", 0)
+    row = x[0] - side * x[1]
+    functions = {
+        "jac_g": ca.Function("jac_g", [x, p], [row, ca.jacobian(row, x)]),
+        "grad_f": ca.Function("grad_f", [x, p], [x[0], ca.vertcat(1.0, 0.0)]),
+    }
+    layout = SimpleNamespace(effort=lambda: np.arange(2), durations=lambda: np.zeros(0, dtype=int))
+    bound = np.array([9.0, 9.0]), np.array([9.0, distance])
+    lower, upper = (-bound[0], bound[1]) if side > 0 else (-bound[1], bound[0])
+    transcribed = SimpleNamespace(
+        program=SimpleNamespace(functions=functions, layout=layout),
+        parameters=np.zeros(0),
+        lower=lower,
+        upper=upper,
+        row_lower=np.array([2.0]),
+        row_upper=np.array([2.0]),
+        objective_scale=3.0,
+    )
+    begin = time.perf_counter()
+    found = nearest_feasible(transcribed, np.zeros(2))
+    assert 0.0 < found.solve_s <= time.perf_counter() - begin
+    assert found.converged
+    assert found.x == pytest.approx([2.0, 0.0] if held else [1.0, -side * 1.0])
+    assert found.objective == pytest.approx(3.0 * found.x[0])
