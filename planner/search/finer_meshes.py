@@ -200,7 +200,8 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
             case = case.tightened(at.certificate, at.found.motion)
         found = nearest_on(case, at.found, mesh, position_rows=kept.rows)
         if found is None and not at.passed:  # efforts and other limits that bind together leave no freedom
-            found = _solved(_Way(case, mesh, _durations(at), "finer mesh"), at.found, kept.rows)
+            mesh = divided(at.found.mesh, _coarse(case, at))
+            found = _solved(_Way(kept.case, mesh, _durations(at), "finer mesh"), at.found, kept.rows)
         changed = None if found is None else certify_iterate(asked, found)
         if changed is None or changed.certificate is None or (at.passed and not changed.passed):
             break
@@ -237,7 +238,7 @@ def _next_way(case: MechanismCase, before: CertifiedIterate, at: CertifiedIterat
         ends = np.concatenate([np.cumsum(durations)[:-1], further])
         ends = np.sort(ends[np.abs(ends[:, None] - boundaries).min(axis=1) > 1e-9 * boundaries[-1]])
         return _Way(case, *mesh_with_switches(boundaries, ends, mesh.n_intervals, least=1), "further jumps as unknowns")
-    if not (settled and at.passed) and pieces.max() > 1 and pieces.sum() <= _MAX_GROWTH * case.asked.mesh.intervals:
+    if not settled and pieces.max() > 1 and pieces.sum() <= _MAX_GROWTH * case.asked.mesh.intervals:
         tightened = case.tightened(at.certificate, at.found.motion) if at.overruns else case
         return _Way(tightened, divided(mesh, pieces), durations, "finer mesh")
     if at.overruns and case.n_tightenings < _MAX_TIGHTENINGS:

@@ -18,8 +18,8 @@ from linkplan.planner.transcription.collocation import Transcribed
 # The squared costs of a change of states and algebraic unknowns, and of efforts and durations, all scaled. Smaller ones let
 # the barrier move unknowns away from their bounds by more than 1e-7; larger ones take twice the iterations.
 _STATE_WEIGHT, _EFFORT_WEIGHT = 1e4, 1e6
-# At most so many iterations; ten to thirty find the point.
-_MOST_ITERATIONS = 100
+# At most so many iterations; 15 to 43 find the point.
+_MOST_ITERATIONS = 60
 
 
 def nearest_inside(transcribed: Transcribed, x: np.ndarray, settings: SolverSettings) -> Solution:
