@@ -42,6 +42,16 @@ def phase_near(frequency_hz: np.ndarray, phase: np.ndarray, others: Sequence[tup
     return phase + min(shifted)[1] if shifted else phase
 
 
+def phase_along(frequency_hz: np.ndarray, phase: np.ndarray, other_hz: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return a phase (n,) [deg] whose difference from another has no jumps by full turns.
+
+    An undamped resonance turns a phase by half a turn in one step, either way.
+    """
+    near = np.interp(np.log(frequency_hz), np.log(other_hz), other)
+    off = np.unwrap(phase - near, period=360.0)
+    return near + off - 360.0 * np.round(off[0] / 360.0)
+
+
 def measured_phase(response: Response, frequency_hz: np.ndarray, phase: np.ndarray) -> np.ndarray:
     """Return a measured phase [deg], shifted by full turns to the predicted phase (m,) at frequencies (m,) [Hz]."""
     near = np.interp(np.log(response.frequency_hz), np.log(frequency_hz), phase)

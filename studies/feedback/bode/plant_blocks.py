@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from linkplan.models.tree.friction import frictions_of
-from linkplan.studies.feedback.bode.curves import frequency_plot, measured_phase, phase_near
+from linkplan.studies.feedback.bode.curves import frequency_plot, measured_phase, phase_along, phase_near
 from linkplan.studies.feedback.bode.plant_result import LARGEST_UNCERTAINTY, PlantCurve, PlantResponse, PlantStudy, Root
 from linkplan.studies.feedback.bode.plant_words import plant_notes, root_text
 from linkplan.studies.feedback.frequency.feedback_loops import LAW_NAMES
@@ -106,7 +106,7 @@ def plant_plots(study: PlantStudy, group: str) -> dict[str, list[Plot]]:
                 f, db, late = _thinned(one.sampled)
                 dots = look | {"look": "dots", "width": 0.9}
                 gain.append(("", f, db, dots))
-                phase.append(("", f, phase_near(f, late, drawn[-1:]), dots))
+                phase.append(("", f, phase_along(f, late, *drawn[-1]), dots))
             if one.measured:
                 dots = {**look, "look": "points"}
                 known, turned = one.measured.is_known(LARGEST_UNCERTAINTY), measured_phase(one.measured, *drawn[-1])

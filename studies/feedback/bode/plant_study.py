@@ -41,7 +41,7 @@ from linkplan.studies.feedback.frequency.feedback_loops import (
 )
 from linkplan.studies.feedback.frequency.plant_modes import modes_of, plant_transfer
 from linkplan.studies.feedback.frequency.plant_sinestream import decay_time_s, measure_plants, sampled_gains
-from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput, plant_input, plant_output
+from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput, gain_unit, plant_input, plant_output
 from linkplan.studies.feedback.frequency.response import Response, largest_deviation
 from linkplan.studies.feedback.frequency.transfer_function import TransferFunction, in_right_half_plane
 from linkplan.studies.feedback.frequency.trial import settle_trials
@@ -221,7 +221,7 @@ def _point(
     """Return the plant at a point, with its measured responses by input and output."""
     responses = {}
     for one, out in itertools.product(ins, outs):
-        found = response_of(transfers[one.name, out.name], f"{out.unit}/({one.unit})", grid)
+        found = response_of(transfers[one.name, out.name], gain_unit(one, out), grid)
         taken = measured.get((one.name, out.name))
         if held is not None and taken is not None:
             loop, ways = held[1], (one.push(point), out.slopes(point.pose))

@@ -17,7 +17,7 @@ import numpy as np
 from linkplan.models.tree.joints import unit_steps
 from linkplan.studies.feedback.frequency.excitation import EFFORT_SHARE, MOTION_AMPLITUDE_RAD, Setup, whole_samples
 from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop
-from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput
+from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput, gain_unit
 from linkplan.studies.feedback.frequency.response import Response
 from linkplan.studies.feedback.frequency.simulated_loops import SimulatedLoops
 from linkplan.studies.feedback.frequency.sinestream import refuse_many, settled_phasors
@@ -140,7 +140,7 @@ def measure_plants(
                 responses[one.name, output.name] = Response(
                     frequency_hz=frequency,
                     gain=estimates.mean(axis=0),
-                    unit=f"{output.unit}/({one.unit})",
+                    unit=gain_unit(one, output),
                     origin="measured in MuJoCo, sinestream, effort",
                     uncertainty=spread,
                     **quality,

@@ -45,6 +45,11 @@ class PlantOutput:
     slopes: Callable[[np.ndarray], np.ndarray]
 
 
+def gain_unit(one: PlantInput, out: PlantOutput) -> str:
+    """Return the unit of a response from an input to an output: m/N, rad/(N.m)."""
+    return f"{out.unit}/({one.unit})" if "." in one.unit else f"{out.unit}/{one.unit}"
+
+
 def plant_input(mechanism: Mechanism, name: str, what: str) -> PlantInput:
     """Return the effort of an actuator, or else on a joint with a feedback loop, shared by the actuators that move it.
 
