@@ -19,7 +19,7 @@ from linkplan.studies.feedback.frequency.excitation import EFFORT_SHARE, MOTION_
 from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop
 from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput, gain_unit
 from linkplan.studies.feedback.frequency.response import Response
-from linkplan.studies.feedback.frequency.simulated_loops import SimulatedLoops
+from linkplan.studies.feedback.frequency.simulated_loops import simulated
 from linkplan.studies.feedback.frequency.sinestream import refuse_many, settled_phasors
 
 # A signal below this share of the largest one of its kind at its frequency need not settle: its share of G is as small.
@@ -60,15 +60,7 @@ class ExcitedPlants:
         self.read = of_rows([np.eye(mechanism.n_u)[k] for _, k in self.rows])
         self._state = of_rows([point.state for point in points])
         self._rest = np.stack([output.at_poses(of_rows([point.pose for point in points])) for output in outputs], axis=1)
-        self.simulations = SimulatedLoops(
-            mechanism,
-            pose=of_rows([point.pose for point in points]),
-            velocity=self._state[:, mechanism.dof :],
-            gain=of_rows([loop.gain for loop, _ in self.rows]),
-            under_way=self.hold,
-            timing=loops[0].timing,
-            effort_limit=effort_limit,
-        )
+        self.simulations = simulated([loop for loop, _ in self.rows], effort_limit, repeats)
 
     def run(
         self, active: np.ndarray, signal: np.ndarray, rate: np.ndarray, forward: np.ndarray

@@ -127,6 +127,24 @@ class SimulatedLoops:
         return log.pose[:, ids], log.velocity[:, ids], log.commanded[:, ids]
 
 
+def simulated(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, repeats: int) -> SimulatedLoops:
+    """Return simulations of loops of one mechanism and one timing, each `repeats` times, held at its operating point."""
+
+    def of_rows(values: list) -> np.ndarray:
+        return np.repeat(values, repeats, axis=0)
+
+    points = [loop.point for loop in loops]
+    return SimulatedLoops(
+        points[0].mechanism,
+        pose=of_rows([point.pose for point in points]),
+        velocity=of_rows([point.state[points[0].mechanism.dof :] for point in points]),
+        gain=of_rows([loop.gain for loop in loops]),
+        under_way=of_rows([point.hold for point in points]),
+        timing=loops[0].timing,
+        effort_limit=effort_limit,
+    )
+
+
 class ExcitedLoops:
     """Simulations (n,) of loops of one mechanism and one timing: every row (loop, excitation) `repeats` times.
 
@@ -153,16 +171,7 @@ class ExcitedLoops:
         self.hold, self.read = of_rows([point.hold for point in points]), of_rows([read for read, _ in efforts])
         self._push = of_rows([push for _, push in efforts])
         self._effort = of_rows([excitation == "effort" for _, excitation in self.rows])  # where the test signal is an effort
-        mechanism = loops[0].point.mechanism
-        self.simulations = SimulatedLoops(
-            mechanism,
-            pose=of_rows([point.pose for point in points]),
-            velocity=self._state[:, mechanism.dof :],
-            gain=of_rows([loop.gain for loop, _ in self.rows]),
-            under_way=self.hold,
-            timing=loops[0].timing,
-            effort_limit=effort_limit,
-        )
+        self.simulations = simulated([loop for loop, _ in self.rows], effort_limit, repeats)
 
     def run(
         self, active: np.ndarray, signal: np.ndarray, rate: np.ndarray, forward: np.ndarray
