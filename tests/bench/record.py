@@ -109,7 +109,7 @@ def ode_answer(name: str, _: float = 0.0) -> dict:
 def ode_set() -> dict[str, Callable]:
     """Return the ODE set: what plans each problem, by name."""
     from linkplan.planner.ode.solve_ocp import plan_ode
-    from tests.planner.ode import test_arcs, test_arm, test_promises, test_textbook, test_unstable
+    from tests.planner.ode import test_arcs, test_arm, test_textbook, test_unstable
     from tests.support.ode import INF, bryson_denham, robbins
 
     textbook = test_textbook
@@ -129,8 +129,6 @@ def ode_set() -> dict[str, Callable]:
         "cart": test_arcs.quickest_cart,
         "arm": test_arm.quickest_arm,
         "Robbins": lambda: plan_ode(robbins(1e-6)),
-        "swing-up": lambda: plan_ode(test_promises.swing_up()),
-        "weak swing-up": lambda: plan_ode(test_promises.swing_up(0.3)),
         "beside a pole": lambda: plan_ode(test_unstable.beside_a_pole(2.0)),
         "beside a pole, long": test_unstable.long,
     }
