@@ -24,7 +24,7 @@ class Curve(Protocol):
         ...
 
     def inner_times(self, duration_s: float) -> np.ndarray:
-        """Return the times [s] within a duration at which a derivative jumps; between them it is a cubic."""
+        """Return the times [s] inside a duration at which one cubic ends and the next begins."""
         ...
 
 

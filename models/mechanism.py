@@ -191,7 +191,7 @@ class Mechanism:
         return self.dynamics if self.forces is None else _forced(self)
 
     def forces_at(self, time_s: np.ndarray) -> tuple[np.ndarray, ...]:
-        """Return the last inputs of `forced` at times (n,): the forces over time (n, 3 n_sites) [N]; none without any."""
+        """Return the forces over time (n, 3 n_sites) [N] at times (n,), in a tuple; it is empty without forces over time."""
         return () if self.forces is None else (self.forces.curve.derivative(time_s),)
 
     def parametric_dynamics(self) -> ReducedDynamics:

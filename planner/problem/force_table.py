@@ -59,7 +59,7 @@ def forces_of(section: ForceSection | None, mechanism: Mechanism, motion: Motion
         motion: whose time is that of the table.
 
     Raises:
-        ProblemError: for a table that is not one, or does not fit the motion.
+        ProblemError: for a table that cannot be read, or whose times do not fit the motion's.
     """
     if section is None:
         return None

@@ -153,7 +153,7 @@ def times_of(time_s: Sequence[float], where: str) -> np.ndarray:
     """Return the times (n,) [s] of a table's rows, from the first.
 
     Raises:
-        ProblemError: for too many rows, or times that do not increase.
+        ProblemError: if there are too many rows, or the times do not increase.
     """
     time = np.array(time_s, dtype=float)
     if len(time) > MAX_INTERVALS:

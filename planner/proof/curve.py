@@ -5,11 +5,20 @@ from collections.abc import Iterator
 import numpy as np
 from flint import arb
 
+from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.table_reference import Spline
 from linkplan.planner.proof.walk import Ball, constant_term, known_to
 
 # A ball of times may reach beyond a piece by this share of the curve's length: rounding of a trajectory's breaks.
 _ROUNDING_SHARE = 1e-9
+
+
+def forces_over(mechanism: Mechanism, time: Ball) -> list[list[Ball]]:
+    """Return the last inputs of a mechanism's `forced` dynamics over a ball of times, as `Mechanism.forces_at`."""
+    if mechanism.forces is None:
+        return []
+    assert isinstance(mechanism.forces.curve, Spline)
+    return [[enclosed(mechanism.forces.curve, k, time) for k in range(3 * len(mechanism.forces.sites))]]
 
 
 def enclosed(curve: Spline, column: int, time: Ball) -> Ball:

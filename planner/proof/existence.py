@@ -33,8 +33,9 @@ from linkplan.planner.certificate.integration import VELOCITY_SHARE
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.proof.branch import krawczyk, pose_of, series_of
 from linkplan.planner.proof.contraction import LinearBox, contracted, size_of
+from linkplan.planner.proof.curve import forces_over
 from linkplan.planner.proof.finding import OWN_MOTION, Finding, no_motion
-from linkplan.planner.proof.motion import Piece, State, forces_over
+from linkplan.planner.proof.motion import Piece, State
 from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm, above, solve
 from linkplan.planner.proof.walk import Ball, Walk, constant_term, dense, force_symbols, walk_of
 from linkplan.planner.trajectory import Trajectory

@@ -12,7 +12,6 @@ import numpy as np
 from flint import arb, arb_poly, arb_series
 
 from linkplan.models.errors import AssemblyError, ProblemError
-from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.certificate.certificate import end_state_error
 from linkplan.planner.certificate.further_checks import disagreements
@@ -21,9 +20,8 @@ from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.instant import Corner
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import task_words
-from linkplan.planner.problem.table_reference import Spline
 from linkplan.planner.proof.branch import pose_of
-from linkplan.planner.proof.curve import enclosed
+from linkplan.planner.proof.curve import forces_over
 from linkplan.planner.proof.finding import Finding, finding_of
 from linkplan.planner.proof.taylor import Matrix, product, solve, transposed
 from linkplan.planner.proof.walk import Ball, Blocks, dense, larger, loaded_tree, pose_walk
@@ -282,14 +280,6 @@ def _squared(A: Matrix, n_rows: int) -> Matrix:
             if other == k and i < n_rows:
                 found[i, j] = found[i, j] + x * y if (i, j) in found else x * y
     return found
-
-
-def forces_over(mechanism: Mechanism, time: Ball) -> list[list[Ball]]:
-    """Return the last inputs of a mechanism's `forced` dynamics over a ball of times, as `Mechanism.forces_at`."""
-    if mechanism.forces is None:
-        return []
-    assert isinstance(mechanism.forces.curve, Spline)
-    return [[enclosed(mechanism.forces.curve, k, time) for k in range(3 * len(mechanism.forces.sites))]]
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

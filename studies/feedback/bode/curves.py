@@ -12,7 +12,7 @@ FREQUENCY = Axis(label="frequency", unit="Hz", log=True)
 
 
 def frequency_plot(title: str, what: str, unit: str, curves, group: str, limits: Sequence[Limit] = (), ends=None) -> Plot:
-    """Return a plot over frequency of curves: name, frequencies, values, look."""
+    """Return a plot of curves over frequency. Each curve is a tuple of name, frequencies [Hz], values and line style."""
     series = [
         Series(name=name, x=rounded(frequency, log=True), y=rounded(values), **look)
         for name, frequency, values, look in curves

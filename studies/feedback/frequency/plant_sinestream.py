@@ -22,10 +22,10 @@ from linkplan.studies.feedback.frequency.response import Response
 from linkplan.studies.feedback.frequency.simulated_loops import simulated
 from linkplan.studies.feedback.frequency.sinestream import refuse_many, settled_phasors
 
-# A signal below this share of the largest one of its kind at its frequency need not settle: its share of G is as small.
+# Signals smaller than this share of the largest of their kind need not settle: their errors change G as little.
 _SMALL_SHARE = 1e-3
-# A response settles to 1e-4 within this many time constants of its slowest pole. A measurement lasts that long if the rows
-# of simulations together take no more than this time, else as long as any other.
+# A response settles to 1e-4 within this many time constants of its slowest pole. A measurement waits that long if all its
+# simulations together then take at most this time [s]; otherwise it waits as long as measurements of loops do.
 _SETTLING_DECAYS, _LONGEST_S = 9.0, 60.0
 
 

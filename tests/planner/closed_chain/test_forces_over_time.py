@@ -91,7 +91,7 @@ def test_a_planned_motion_of_a_loop_gives_the_force_its_virtual_work(interpolati
 
 
 def test_pin_forces_at_rest_balance_the_force_of_their_instant():
-    """The rod carries a force along itself, whose moment about the knuckle's pin balances that of the tyre's force."""
+    """The force in the rod acts along it. Its moment about the knuckle's pin balances the moment of the tyre's force."""
     problem, s, time = steering(), np.full((3, 1), 0.02), np.array([0.06, 0.2, 0.3])
     mechanism = problem.mechanism
     still, poses = np.zeros((3, 1)), follow(mechanism, s, mechanism.home)
@@ -208,7 +208,7 @@ def test_other_forces_are_numbers_of_the_same_program():
 
 
 def test_a_peak_between_the_nodes_is_seen_by_certificate_and_proof():
-    """The motion is planned without the peak, which lies inside an interval."""
+    """A motion is planned without a force, then judged with a force that peaks inside an interval of its mesh."""
     calm = table("tyre", y=np.zeros(len(ROWS)))
     plan = plan_motion(steering(force_over_time=calm)).require()
     begin, end = plan.trajectory.breaks_s[10:12]

@@ -16,7 +16,7 @@ from tests.support.tolerances_loops import MEASURED_DB, MEASURED_DEG
 
 HEAD = """<mujoco><compiler angle="degree" autolimits="true"/>
   <option timestep="0.0005" integrator="implicitfast" gravity="0 0 -9.81"/>"""
-# Two carts, and a spring between them: m1 is pushed.
+# Two carts with a spring between them. The force acts on the first, m1.
 M1, M2, K = 2.0, 3.0, 500.0
 CARTS = f"""{HEAD}<worldbody>
   <body name="one"><joint name="one" type="slide" axis="1 0 0"/><inertial pos="0 0 0" mass="{M1}"
