@@ -302,10 +302,13 @@ def _enough(case: MechanismCase, worst: np.ndarray) -> np.ndarray:
 
 
 def jumps_of(case: MechanismCase, found: Iterate) -> np.ndarray:
-    """Return the increasing times (n,) [s] at which efforts jump, or arcs along limits on speed to jerk end."""
-    motion, jumps = found.motion, effort_jumps(case, found.motion)
+    """Return the increasing times (n,) [s] at which efforts jump, or at which arcs along limits end.
+
+    The limits are those on speed, acceleration and jerk.
+    """
     if case.problem.mechanism.forces is not None:  # which are known at fixed instants
         return np.zeros(0)
+    motion, jumps = found.motion, effort_jumps(case, found.motion)
     arcs = own_arcs(found.solution.transcribed, found.solution.x, ("speed", "acceleration", "jerk"))
     ends = arc_ends(arcs, motion.breaks_s, jumps, motion.breaks_s[found.mesh.boundaries()])
     return _apart(np.sort(np.append(jumps, ends)), motion.breaks_s[[0, -1]], motion)
