@@ -31,6 +31,11 @@ class OnIntervals:
         """Return the times (n_intervals * n,) at shares (n,) of every interval."""
         return (self.breaks_s[:-1, None] + np.diff(self.breaks_s)[:, None] * points).ravel()
 
+    def quadrature(self, per_interval: int) -> tuple[np.ndarray, np.ndarray]:
+        """Return times and weights (n_intervals * per_interval,) [s] of Gauss-Legendre quadrature on every interval."""
+        nodes, weights = np.polynomial.legendre.leggauss(per_interval)
+        return self.times_at(0.5 + 0.5 * nodes), (np.diff(self.breaks_s)[:, None] * 0.5 * weights).ravel()
+
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Trajectory(OnIntervals):

@@ -43,6 +43,13 @@ class SerialErrors:
         """Return the errors by what they are of."""
         return {"static map": self.static_map, "serial equivalent": self.serial, "serial with table": self.with_table}
 
+    def rms(self) -> Mapping[str, np.ndarray]:
+        """Return the rms of each error over time (n_o,), by what it is of."""
+        time = self.motion.time_s
+        return {
+            name: np.sqrt(np.trapezoid(off**2, time, axis=0) / (time[-1] - time[0])) for name, off in self.named().items()
+        }
+
 
 def rest_values(outputs: OutputMap, serial: SerialModel, grid: Grid) -> dict[str, np.ndarray]:
     """Return the rest at the nodes of a grid of outputs, (shape of the grid, ...): what the serial model lacks.

@@ -38,7 +38,7 @@ def demands_of(problem: Problem, trajectory: Trajectory) -> tuple[Demand, ...]:
     Raises:
         AssemblyError: when the loops cannot close along the motion.
     """
-    inner, width = _quadrature(trajectory)
+    inner, width = trajectory.quadrature(_QUADRATURE_POINTS)
     _, _, power = operating_points(problem, trajectory, inner)
     rms, time = rms_efforts(trajectory), trajectory.dense_times(20)
     given, taken = width @ np.maximum(power, 0.0), width @ np.maximum(-power, 0.0)
@@ -65,14 +65,8 @@ def demands_of(problem: Problem, trajectory: Trajectory) -> tuple[Demand, ...]:
 
 def rms_efforts(trajectory: Trajectory) -> np.ndarray:
     """Return the rms efforts (n_u,) [N.m or N] of a motion."""
-    inner, width = _quadrature(trajectory)
+    inner, width = trajectory.quadrature(_QUADRATURE_POINTS)
     return np.sqrt(width @ trajectory.effort_at(inner) ** 2 / trajectory.duration_s)
-
-
-def _quadrature(trajectory: Trajectory) -> tuple[np.ndarray, np.ndarray]:
-    """Return the times (n,) [s] and weights (n,) [s] of Gauss-Legendre quadrature on every interval."""
-    nodes, weights = np.polynomial.legendre.leggauss(_QUADRATURE_POINTS)
-    return trajectory.times_at(0.5 + 0.5 * nodes), (np.diff(trajectory.breaks_s)[:, None] * 0.5 * weights).ravel()
 
 
 def operating_points(

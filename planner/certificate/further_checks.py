@@ -124,9 +124,7 @@ def objective_value(problem: Problem, trajectory: Trajectory) -> tuple[float, fl
     Raises:
         AssemblyError: when the loops cannot close along the motion.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(_QUADRATURE_POINTS)
-    time = trajectory.times_at(0.5 + 0.5 * nodes)
-    width = (np.diff(trajectory.breaks_s)[:, None] * 0.5 * weights).ravel()
+    time, width = trajectory.quadrature(_QUADRATURE_POINTS)
     objective, reference = problem.objective, problem.reference_over(trajectory.duration_s)
     at, symbols = free_instant(problem.mechanism, motor_losses(problem.motors))
     integrands = ca.vertcat(*(objective.weight(name) * term.integrand(at) for name, term in objective.terms.items()))

@@ -386,6 +386,10 @@ def tracking_errors(plan: Plan) -> tuple[float, float] | None:
     reference = None if trajectory is None else plan.problem.reference_over(trajectory.duration_s)
     if reference is None or trajectory is None:
         return None
-    time = trajectory.dense_times(16)
-    error = np.linalg.norm(trajectory.position_at(time) - reference.derivative(time), axis=1)
-    return float(np.sqrt(np.mean(error**2))), float(error.max())
+
+    def squared(time: np.ndarray) -> np.ndarray:
+        return np.square(trajectory.position_at(time) - reference.derivative(time - trajectory.breaks_s[0])).sum(axis=1)
+
+    time, width = trajectory.quadrature(8)
+    largest = squared(trajectory.dense_times(16)).max()
+    return float(np.sqrt(width @ squared(time) / trajectory.duration_s)), float(np.sqrt(largest))

@@ -143,11 +143,11 @@ def serial_blocks(serial: Serial | None, note: str) -> list[Block]:
 def error_blocks(serial: Serial) -> list[Block]:
     """Return the errors along a motion as a table and curves."""
     errors, joints = serial.errors, serial.model.outputs.joints
-    rows = []
+    rows, rms = [], errors.rms()
     for k, joint in enumerate(joints):
         unit, peak = joint.si_units[1], np.abs(errors.effort[:, k]).max()
         for name, off in errors.named().items():
-            rows.append([joint.name, name, unit, np.sqrt(np.mean(off[:, k] ** 2)), np.abs(off[:, k]).max(), peak])
+            rows.append([joint.name, name, unit, rms[name][k], np.abs(off[:, k]).max(), peak])
     heads = ["joint", "error of", "unit", "rms", "largest", "effort that the motion needs, largest"]
     return [table_of("Errors of effort along the motion", heads, rows), *error_plots(serial)]
 

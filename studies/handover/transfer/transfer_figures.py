@@ -108,8 +108,8 @@ def _error_figures(errors: SerialErrors, names: list[str]) -> dict[str, Any]:
     def by(values: np.ndarray) -> dict[str, float]:
         return dict(zip(names, values, strict=True))
 
-    off = errors.named().items()
-    sizes = {name: {"rms": by(np.sqrt(np.mean(x**2, axis=0))), "max": by(np.abs(x).max(axis=0))} for name, x in off}
+    rms = errors.rms()
+    sizes = {name: {"rms": by(rms[name]), "max": by(np.abs(x).max(axis=0))} for name, x in errors.named().items()}
     return {"largest_effort": by(np.abs(errors.effort).max(axis=0)), **sizes}
 
 

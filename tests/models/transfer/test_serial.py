@@ -104,6 +104,15 @@ def test_bodies_of_the_linkage_stay_at_home_and_touch_nothing():
     assert tree.geom_contype.any()
 
 
+def test_the_rms_of_an_error_is_over_time_and_not_over_samples():
+    """Of an error t over 0 to 1 s, it is 1 / sqrt(3), however the samples crowd at its end."""
+    time = np.concatenate([np.linspace(0.0, 0.9, 901), np.linspace(0.9, 1.0, 5000)[1:]])
+    zero = np.zeros((len(time), 1))
+    motion = OutputMotion(time_s=time, position=zero, velocity=zero, acceleration=zero)
+    errors = SerialErrors(motion=motion, effort=zero, static_map=time[:, None], serial=zero, with_table=zero)
+    assert errors.rms()["static map"] == pytest.approx([1.0 / np.sqrt(3.0)], rel=1e-6)
+
+
 def test_with_its_table_the_tree_needs_the_closed_chain_s_effort():
     errors = stated()
     peak = np.abs(errors.effort).max(axis=0)
