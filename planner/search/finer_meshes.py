@@ -34,8 +34,9 @@ from linkplan.planner.transcription.mesh import Mesh, divided, uniform
 FIRST_MARGIN, LAST_MARGIN = 0.05, 0.01
 # The transcription of finer meshes, and their intervals as a share of those asked for: with degree 5 they err by less.
 _FINER_SCHEME, _SHARE_OF_INTERVALS = "radau-5", 0.75
-# At most so many meshes; the objective has settled once it changes by less than this share.
-_MAX_MESHES, _SETTLED_CHANGE = 8, 2e-5
+# At most so many meshes; the objective has settled once it changes by less than this share. With constant efforts, those of
+# least work, it falls with the length of an interval, and not with a power of it.
+_MAX_MESHES, _SETTLED_CHANGE, _SETTLED_CHANGE_OF_STEPS = 8, 2e-5, 1e-3
 # A finer mesh's objective that is worse by more than this share is that of another motion.
 _LOST_SHARE = 1e-3
 # The same for the first finer mesh of a given duration: the first mesh costs 0.9 and 1.6 % too little for the excavator, and
@@ -79,16 +80,14 @@ class _Kept:
 
 
 def of_several(problem: Problem) -> bool:
-    """True if motions of several motors are refined here: in polynomials, on a mesh and for an objective that allow it.
+    """True if motions of several motors are refined here, on a mesh and within limits that allow it.
 
     One motor that drives several freedoms swings them: its motions are unstable, and ask for more exact meshes. Limits on
     power keep a motion away from themselves by their coefficients, so that only the objective tells a coarse mesh. Efforts
     at the corners of [robust] are overrun by hundredths of their limits wherever they jump inside an interval.
     """
-    mesh, objective = problem.mesh, problem.objective
-    free = mesh.effort == "polynomial" and mesh.breaks is None and not np.any(np.isfinite(problem.limits.power))
-    free = free and not problem.robust.corners
-    return min(problem.mechanism.n_equations, problem.mechanism.n_u) > 1 and free and not objective.is_smoothed
+    kept = problem.mesh.breaks is not None or np.any(np.isfinite(problem.limits.power)) or problem.robust.corners
+    return min(problem.mechanism.n_equations, problem.mechanism.n_u) > 1 and not kept
 
 
 def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
@@ -132,7 +131,7 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
         return None
     motion, solution = at.found.motion, at.found.solution
     return Refined(
-        motion=motion, solution=solution, certificate=at.certificate, settled=moved <= _SETTLED_CHANGE, moved=moved
+        motion=motion, solution=solution, certificate=at.certificate, settled=moved <= _settled_change(case), moved=moved
     )  # fmt: skip
 
 
@@ -233,7 +232,7 @@ def _next_way(case: MechanismCase, before: CertifiedIterate, at: CertifiedIterat
     nearer = _nearer(case, at)
     if at.passed and nearer is not case:
         return _Way(nearer, mesh, durations, "nearer to singular poses")
-    settled = gain <= _SETTLED_CHANGE
+    settled = gain <= _settled_change(case)
     if not settled and len(further) and mesh.n_segments + len(further) <= mesh.n_intervals // 3:
         ends = np.concatenate([np.cumsum(durations)[:-1], further])
         ends = np.sort(ends[np.abs(ends[:, None] - boundaries).min(axis=1) > 1e-9 * boundaries[-1]])
@@ -244,7 +243,7 @@ def _next_way(case: MechanismCase, before: CertifiedIterate, at: CertifiedIterat
     if at.overruns and case.n_tightenings < _MAX_TIGHTENINGS:
         tightened = case.tightened(at.certificate, at.found.motion)
         return _Way(tightened, mesh, durations, "limits tightened between the nodes")
-    cost = -gain / _SETTLED_CHANGE  # of tightening
+    cost = -gain / _settled_change(case)  # of tightening
     if case.n_tightenings and (at.overruns or (at.passed and cost > 1)):
         overrun = at.report.overrun if at.overruns else before.report.overrun
         mesh = divided(mesh, np.where(overrun > 0, _enough(case, np.full(len(overrun), max(cost, 2.0))), 1))
@@ -267,6 +266,10 @@ def _loosened(case: MechanismCase, margin: float) -> MechanismCase:
     """Return a case within the limits as asked, and at this distance from singular poses."""
     limits = replace(case.asked.limits, singular_margin=margin)
     return replace(case, problem=replace(case.problem, limits=limits), tightenings=(), n_tightenings=0)
+
+
+def _settled_change(case: MechanismCase) -> float:
+    return _SETTLED_CHANGE_OF_STEPS if case.problem.mesh.effort == "constant" else _SETTLED_CHANGE
 
 
 def _margin_of(case: MechanismCase) -> float:
