@@ -228,8 +228,16 @@ class ReduceEffortOverrun:
         return replace(counted, iterate=at, best=at, ended=False) if better else counted
 
 
-def nearest_on(case: Case, coarse: Iterate, mesh: Mesh, *, position_rows: bool) -> Iterate | None:
-    """Return the motion on a finer mesh that is nearest to that of a coarser one; None without one."""
+def nearest_on(case: Case, coarse: Iterate, mesh: Mesh, *, position_rows: bool, by_newton: bool = False) -> Iterate | None:
+    """Return the motion on a finer mesh that is nearest to that of a coarser one; None without one.
+
+    Args:
+        case: what is solved.
+        coarse: the coarser motion.
+        mesh: the finer mesh.
+        position_rows: whether ranges are kept between the nodes by constraint rows.
+        by_newton: whether only Newton's steps are tried, and not the interior point method, which takes ten times as long.
+    """
     what, before = "the same motion on a finer mesh", coarse.solution.transcribed
     durations = np.bincount(coarse.mesh.segment, weights=np.diff(coarse.motion.breaks_s))
     progress(f"{what}: {mesh.n_intervals} intervals")
@@ -246,7 +254,7 @@ def nearest_on(case: Case, coarse: Iterate, mesh: Mesh, *, position_rows: bool) 
         return None
     begin = _with_efforts(transcribed, coarse)
     solution = nearest_feasible(transcribed, begin)
-    if not solution.converged:
+    if not (solution.converged or by_newton):
         solution = nearest_inside(transcribed, begin, case.problem.solver)
     record(step_of(what, transcribed, solution))
     motion = case.motion(solution) if solution.converged else None
