@@ -20,7 +20,7 @@ from linkplan.models.poses.reach import Reach, reach, toggles
 from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.dynamics import site_names
 from linkplan.planner.files.structs import NOT_READ, Beside, Number
-from linkplan.planner.problem.consistency import check_asked_pose
+from linkplan.planner.problem.start import check_asked_pose
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.drives import (
     feeble_drives,

@@ -1,4 +1,4 @@
-"""The decision on the next action of a refinement is a function of its state: a test for each row of its table, each budget."""
+"""The decision on the next action of a refinement is a function of its state: a test of each row and each budget."""
 
 from dataclasses import replace
 
