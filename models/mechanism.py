@@ -31,13 +31,14 @@ from linkplan.models.digest import compiled_bytes
 from linkplan.models.equations import Equations
 from linkplan.models.errors import ModelError
 from linkplan.models.external_forces import ForcesOverTime
+from linkplan.models.floating import refuse_many_loose
 from linkplan.models.kinematics import extent_m, set_softness
 from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
 from linkplan.models.reduction.regular_inertia import refuse_singular_inertia
-from linkplan.models.selection import Selection, home_qpos, refuse_many_loose
+from linkplan.models.selection import Selection, home_qpos
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.dynamics import build_tree
 from linkplan.models.tree.friction import friction_notes, transition_speed
