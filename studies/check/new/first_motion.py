@@ -19,8 +19,8 @@ from linkplan.planner.refinement.history import Say
 from linkplan.planner.search.ladder import SHORT_BUDGET, SearchMethod
 from linkplan.planner.search.planning import DIAGNOSES, SEARCH_METHODS, plan_motion
 from linkplan.planner.search.reasons import nothing_found, solver_stopped
-from linkplan.planner.search.smooth_path import along_smooth_path
 from linkplan.planner.search.starts import from_first_starts
+from linkplan.planner.search.without_solver import along_smooth_path
 from linkplan.planner.solvers.solve import OF_TIME
 from linkplan.studies.check.new.candidates import motions_of_all_homes, moves_of, tables_at_home
 from linkplan.studies.check.new.changes import (
