@@ -12,49 +12,37 @@ import mujoco
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator, effort_matrix, lengths, read_actuators
+from linkplan.models.closure.closed_home import close_home
 from linkplan.models.closure.equations import Closure, gaps_by_unit, read_closures
 from linkplan.models.closure.initial_assembly import (
-    SHIFT_SHARE,
-    apply_shifts,
-    assemble,
     home_of,
-    home_positions,
     idle_drives,
-    locked_or_singular,
-    nearby_poses,
-    refuse_large_gaps,
-    refuse_singular_assembly,
-    removable_gaps,
-    shifts,
-    with_closed_pose,
 )
 from linkplan.models.closure.mobility import (
-    closure_tolerance,
     find_coasting_dofs,
     find_passive_dofs,
-    judge_mobility,
     lost_freedoms,
-    refuse_locked,
     round_spins,
 )
-from linkplan.models.closure.newton import KinematicLoop, ProjectedLoops, projected_loops
+from linkplan.models.closure.newton import ProjectedLoops, projected_loops
 from linkplan.models.coordinate_choice import choose_coordinates
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.digest import compiled_bytes
 from linkplan.models.equations import Equations
-from linkplan.models.errors import LockedError, ModelError, UnassembledError
+from linkplan.models.errors import ModelError
 from linkplan.models.external_forces import ForcesOverTime
+from linkplan.models.floating import refuse_many_loose
 from linkplan.models.kinematics import extent_m, set_softness
 from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
 from linkplan.models.reduction.regular_inertia import refuse_singular_inertia
-from linkplan.models.selection import Selection, home_qpos, refuse_many_loose
+from linkplan.models.selection import Selection, home_qpos
 from linkplan.models.tree.coordinates import Coordinates
-from linkplan.models.tree.dynamics import Tree, build_tree
+from linkplan.models.tree.dynamics import build_tree
 from linkplan.models.tree.friction import friction_notes, transition_speed
-from linkplan.models.tree.joints import BallRange, Joint, index_of, limited_balls, read_joints, unit_steps
+from linkplan.models.tree.joints import BallRange, Joint, index_of, limited_balls, read_joints
 from linkplan.models.tree.newton_euler import Inertial
 from linkplan.models.tree.tendons import TendonRange, limited_tendons
 
@@ -332,57 +320,30 @@ def load_mechanism(
     if model.njnt == 0:
         raise ModelError(f"model '{name}' has no joint: there is nothing to move")
     refuse_many_loose(name, model)
-    reference_qpos = home_qpos(model)
     pi = None if payload is None else ca.SX.sym("payload", len(payload.numbers()))
     transition = transition_speed(friction_transition)
-    tree = build_tree(model, reference_qpos, _varied(model, pi), transition)
-    joints = read_joints(name, model, tree.coordinates)
-    closures = read_closures(model, tree)
-    actuators = read_actuators(model)
-    extent = extent_m(model)
-    loop = _loop(name, joints, tree, closures, extent)
-    tolerance = closure_tolerance(closure_tolerance_m, extent)
-    reference = tree.coordinates.q_of(reference_qpos)
-    still = removable_gaps(loop, reference)
-    along_axes = max(tolerance, SHIFT_SHARE * extent)
-    refuse_large_gaps(loop, still, along_axes)
-    moved = shifts(model, closures, still, reference_qpos, along_axes)
-    if moved:
-        apply_shifts(model, moved)
-        closures = read_closures(model, tree)
-        loop = _loop(name, joints, tree, closures, extent)
-    held = home_positions(loop, home)
-    try:
-        pose = assemble(loop, reference, held, tolerance)
-    except UnassembledError as error:
-        raise with_closed_pose(error, loop, reference, extent) from None
-    mobility = judge_mobility(loop, pose, tolerance)
-    loop = mobility.loop
-    refuse_locked(mobility, pose, tolerance)
-    about = nearby_poses(loop, pose)
+    tree = build_tree(model, home_qpos(model), _varied(model, pi), transition)
+    joints, actuators, extent = read_joints(name, model, tree.coordinates), read_actuators(model), extent_m(model)
+    closed = close_home(name, model, tree, joints, extent, home=home, tolerance_m=closure_tolerance_m)
+    loop, mobility, pose, about = closed.loop, closed.mobility, closed.pose, closed.about
     jacobians = [loop.jacobian(q) for q in (pose, *about)]
     rows, free, dependent = choose_coordinates(loop, model, actuators, jacobians, independent)
-    try:
-        refuse_singular_assembly(loop, pose, free, about)
-    except LockedError as error:
-        raise locked_or_singular(error, loop, pose) from None
-    except UnassembledError as error:
-        raise with_closed_pose(error, loop, pose, extent) from None
+    closed.refuse_singular(free)
     B = effort_matrix(model, tree, actuators)
     noise = 1e4 * mobility.noise  # rounding of the file affects J more away from home than at home
     projected = projected_loops(loop, rows.tolist(), dependent.tolist(), pose, noise, inexact=bool(mobility.freed_m))
-    parametric = reduce_tree(tree, closures, B, rows, free, dependent, pi, projected, lengths(model, tree, actuators))
+    parametric = reduce_tree(tree, loop.closures, B, rows, free, dependent, pi, projected, lengths(model, tree, actuators))
     dynamics = parametric if payload is None else with_numbers(parametric, payload.numbers())
     refuse_singular_inertia(name, joints, free, dynamics, pose)
     poses = [q for q in (pose, *about) if loop.rank(q) == len(dependent)]
     passive, notes = find_passive_dofs(model, joints, tree.coordinates, dynamics, free, poses, extent)
-    notes += lost_freedoms(joints, dynamics, poses, mobility, tolerance)
+    notes += lost_freedoms(joints, dynamics, poses, mobility, closed.tolerance_m)
     idle, faults = idle_drives(joints, actuators, dynamics, poses, mobility, extent)
-    notes = [*left_out, *(shift.sentence for shift in moved), *notes, *idle, *friction_notes(model, transition, extent)]
-    notes += _reference_notes(loop, reference, len(dependent))
+    notes = [*left_out, *(shift.sentence for shift in closed.moved), *notes, *idle]
+    notes += [*friction_notes(model, transition, extent), *closed.reference_notes(len(dependent))]
     asked = {
         "payload": None if payload is None else payload.table(),
-        **home_of([joints[i] for i in held], list(held.values())),
+        **home_of([joints[i] for i in closed.held], list(closed.held.values())),
         **selection.table(),
         "independent": None if independent is None else list(independent),
         "closure_tolerance_m": closure_tolerance_m,
@@ -394,19 +355,19 @@ def load_mechanism(
         model=model,
         payload=payload,
         selection=selection,
-        shifted=tuple(shift.index for shift in moved),
+        shifted=tuple(shift.index for shift in closed.moved),
         joints=joints,
         actuators=actuators,
         tendons=limited_tendons(model),
         balls=limited_balls(model),
-        closures=closures,
+        closures=loop.closures,
         closure_rows=rows,
         projected=projected,
         independent=free,
         dependent=dependent,
         home=pose,
-        reference=reference,
-        home_gap_m=loop.gap(loop.residual(reference)[0]),
+        reference=closed.reference,
+        home_gap_m=loop.gap(loop.residual(closed.reference)[0]),
         closed_m=loop.closed_m,
         extent_m=extent,
         dynamics=dynamics,
@@ -424,30 +385,9 @@ def load_mechanism(
     return mechanism
 
 
-def _loop(name: str, joints: tuple[Joint, ...], tree: Tree, closures: tuple[Closure, ...], extent: float) -> KinematicLoop:
-    """Return the closure as numbers."""
-    phi = ca.vertcat(ca.SX(0, 1), *[closure.residual for closure in closures])
-    return KinematicLoop(
-        name=name,
-        joints=joints,
-        coordinates=tree.coordinates,
-        closures=closures,
-        unit=unit_steps(joints, extent),
-        function=ca.Function("loop", [tree.q], [ca.densify(phi), ca.jacobian(phi, tree.q)]),
-    )
-
-
 def _varied(model: mujoco.MjModel, numbers: ca.SX | None) -> dict[int, Inertial]:
     """Return the payload's inertial properties with its numbers (7,) as symbols, by body; empty without a payload."""
     if numbers is None:
         return {}
     inertial = Inertial(mass=numbers[0], com=numbers[1:4], inertia=ca.diag(numbers[4:7]))
     return {model.body(BODY_NAME).id: inertial}
-
-
-def _reference_notes(loop: KinematicLoop, reference: np.ndarray, rank: int) -> list[str]:
-    """Return a note if the closed reference pose is singular."""
-    there = loop.rank(reference)
-    if loop.gap(loop.residual(reference)[0]) > 1e-6 or there == rank:  # [m]: the rank is meaningful only at a closed pose
-        return []
-    return [f"the model's reference pose is singular: the closure has rank {there} there and {rank} at home"]

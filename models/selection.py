@@ -1,4 +1,4 @@
-"""One closed sub-chain of a robot: bodies that are dropped, joints that are locked, and bases that float.
+"""One closed sub-chain of a robot: bodies that are dropped and joints that are locked.
 
 A body with locked joints is fixed at its pose in its parent at the locked positions, and its other joints act about the axes
 that they have there. MuJoCo computes the second anchor of a closure between bodies at the reference pose. A lock changes
@@ -14,6 +14,7 @@ import numpy as np
 from linkplan.models.deletion import delete_users, leave_the_ground
 from linkplan.models.errors import ModelError, choose, listed
 from linkplan.models.external_forces import add_forces
+from linkplan.models.floating import floating_bodies, floating_of
 from linkplan.models.gearing import set_gearing
 from linkplan.models.kinematics import (
     BALL,
@@ -21,9 +22,6 @@ from linkplan.models.kinematics import (
     HINGE,
     SLIDE,
     WELD,
-    actuated,
-    base_of,
-    bodies_of_tendon,
     data_at,
     fix_in_parent,
     in_body,
@@ -34,111 +32,6 @@ from linkplan.models.kinematics import (
 )
 from linkplan.models.rod_spins import add_universal_joints, asked_spins
 from linkplan.models.urdf_loops import add_motors
-
-
-def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
-    """Return the joints of bodies on what stands still that translate in a plane or in space, or fall along a rail.
-
-    A base that actuators drive does not float, nor does one that loops or actuated cables tie to the world or to what stands
-    on it. Of floating bases that are tied to one another, such as the plates of a chassis, only the heaviest is returned.
-    """
-    driven = set(actuated(model, mujoco.mjtTrn.mjTRN_JOINT))
-    rotors = set(model.site_bodyid[actuated(model, mujoco.mjtTrn.mjTRN_SITE)].tolist())
-    moving = set()
-    for body in {base_of(model, body) for body in range(1, model.nbody)} - {0} - rotors:
-        joints = joints_of(model, body)
-        kinds = [int(model.jnt_type[j]) for j in joints]
-        planar = kinds.count(SLIDE) >= 2
-        moves = FREE in kinds or planar or any(_falls(model, j) for j in joints)
-        moving |= {body} if moves and not driven & set(joints) else set()
-    floating = {max(trees, key=lambda base: model.body_subtreemass[base]) for trees in _tied_trees(model) if trees <= moving}
-    return [j for body in bodies if body in floating for j in joints_of(model, body)]
-
-
-def _falls(model: mujoco.MjModel, joint: int) -> bool:
-    """Return True if weight moves the slide of a base, and nothing that the model has can hold it but a stop."""
-    if int(model.jnt_type[joint]) != SLIDE or model.jnt_stiffness[joint]:
-        return False
-    body, axis = int(model.jnt_bodyid[joint]), data_at(model, model.qpos0).xaxis[joint]
-    weight, friction = model.body_subtreemass[body] * model.opt.gravity, model.dof_frictionloss[model.jnt_dofadr[joint]]
-    ropes = [bodies_of_tendon(model, tendon) for tendon in range(model.ntendon)]
-    thrusts = set(model.actuator_trntype.tolist()) - {int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_TENDON)}
-    ties = [tied_bodies(model, index) for index in np.flatnonzero(model.eq_active0).tolist()]
-    held = model.body_gravcomp[body] or thrusts or any({body, 0} & rope for rope in ropes) or {body} in ties
-    return not held and bool(abs(weight @ axis) > max(friction, 0.01 * np.linalg.norm(weight)))
-
-
-def _tied_trees(model: mujoco.MjModel) -> list[set[int]]:
-    """Return the bases on what stands still, and the world itself, in groups that loops or actuated cables tie together."""
-    groups = [{base} for base in {base_of(model, body) for body in range(model.nbody)}]
-    ties = [tied_bodies(model, index) for index in np.flatnonzero(model.eq_active0).tolist()]
-    for bodies in ties + [bodies_of_tendon(model, tendon) for tendon in actuated(model, mujoco.mjtTrn.mjTRN_TENDON)]:
-        ends = {base_of(model, body) for body in bodies}
-        tied = [group for group in groups if group & ends]
-        groups = [group for group in groups if not group & ends] + ([set().union(*tied)] if tied else [])
-    return groups
-
-
-def floating_joints(model: mujoco.MjModel) -> set[int]:
-    """Return the joints of bases that move freely in a plane or in space, or fall, and that nothing drives."""
-    return set(floating_of(model, range(1, model.nbody)))
-
-
-def floating_bodies(model: mujoco.MjModel) -> tuple[list[int], list[int]]:
-    """Return the bodies that float: bases, on which other bodies move, and loose bodies, which carry no joint."""
-    floating = list(dict.fromkeys(int(model.jnt_bodyid[j]) for j in sorted(floating_joints(model))))
-    carrying = {b: model.body_dofnum[list(subtree(model, b) - {b})].any() for b in floating}
-    return [b for b in floating if carrying[b]], [b for b in floating if not carrying[b]]
-
-
-def floating_words(model: mujoco.MjModel) -> str:
-    """Return a phrase on the bodies that float, "the base trunk floats and ball, cube are loose"; empty if none does."""
-    bases, loose = floating_bodies(model)
-    said = [f"the base {_names(model, bases)} floats"] if bases else []
-    said += [f"{_names(model, loose)} {'are' if len(loose) > 1 else 'is'} loose"] if loose else []
-    return " and ".join(said)
-
-
-def floating_sentence(model: mujoco.MjModel) -> str | None:
-    """Return the sentence on the bodies that float, with the remedy; None if none does."""
-    bases, loose = floating_bodies(model)
-    if not bases + loose:
-        return None
-    freedoms = int(model.body_dofnum[bases + loose].sum())
-    moving = [b for b in range(1, model.nbody) if int(model.body_parentid[b]) in bases]
-    chains = [model.body(b).name for b in moving if any(model.body_dofnum[below] for below in subtree(model, b))]
-    if bases:
-        remedy = (
-            "take a chain with its loops out of the robot by mechanism.keep = [NAMES] and mechanism.fix_base = true; chains"
-            f" begin at {', '.join(chains)}"
-        )
-    elif freedoms < model.nv:
-        remedy = "mechanism.fix_base = true fixes what is loose where it stands"
-    else:
-        remedy = "nothing else moves, and a plan needs an actuator that it can use"
-    whose = "its" if len(bases + loose) == 1 else "their"
-    counted = f"{freedoms} degree{'s' if freedoms > 1 else ''} of freedom"
-    return f"{floating_words(model)}: nothing drives {whose} {counted}; {remedy}"
-
-
-def refuse_many_loose(name: str, model: mujoco.MjModel) -> None:
-    """Refuse a scene with many loose bodies: each has six coordinates that nothing drives.
-
-    Raises:
-        ModelError: with the remedy.
-    """
-    _, loose = floating_bodies(model)
-    if len(loose) > 20:  # a hand's or a table's objects; two hundred have 1,200 coordinates, which take minutes
-        raise ModelError(
-            f"model '{name}': {_names(model, loose)} are loose: nothing drives these {len(loose)} bodies, and a mechanism"
-            " has at most 20 of them; mechanism.fix_base = true fixes them where they stand"
-        )
-
-
-def _names(model: mujoco.MjModel, bodies: Sequence[int]) -> str:
-    """Return the names of bodies, of many the first and how many there are beside them."""
-    return listed([model.body(b).name or f"body {b}" for b in bodies], 4)
-
 
 # The keyframe at which a mechanism is assembled by default.
 HOME_KEYFRAME = "home"
@@ -198,37 +91,40 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
     chosen = [_body_of(model, name) for name in asked.keep]
     below = _closed_chain(model, chosen) if chosen else set(range(1, model.nbody))
     above = {ancestor for body in below for ancestor in _ancestors(model, body)} - below
-    locked = _asked_locks(model, asked.lock)
     spins = asked_spins(model, asked.lock_spin)
-    locked |= dict.fromkeys(spins)
+    locked = _asked_locks(model, asked.lock) | dict.fromkeys(spins)
     floating = floating_of(model, below | above) if asked.fix_base else []
     hangs = bool({int(model.jnt_bodyid[j]) for j in floating} & set(floating_bodies(model)[0]))
     if asked.fix_base:
         joints = [j for body in sorted(above) for j in joints_of(model, body)] + floating
         locked = dict.fromkeys(joints) | locked
     dropped = [body for body in range(1, model.nbody) if body not in below | above]
-    locked = {j: position for j, position in locked.items() if int(model.jnt_bodyid[j]) not in dropped}
-    kept = [j for j in range(model.njnt) if j not in locked and int(model.jnt_bodyid[j]) not in dropped]
-    places = {model.joint(j).name: _slice(model, j) for j in kept}
-    away = {model.joint(j).name for j in range(model.njnt) if int(model.jnt_bodyid[j]) in dropped}
+    gone = [j for body in dropped for j in joints_of(model, body)]
+    locked = {j: position for j, position in locked.items() if j not in gone}
+    kept, away = sorted({*range(model.njnt)} - {*locked, *gone}), _joint_names(model, gone)
     notes = [*_lock(spec, model, locked, qpos, away, spins), *_drop(spec, model, dropped)]
     notes += leave_the_ground(spec) if hangs else ()
     for first, second in _filtered_pairs(model, set(locked), set(dropped)):
         spec.add_exclude(bodyname1=first, bodyname2=second)
     notes += _exclude(spec, asked.exclude_contacts)
-    still = {model.joint(j).name for j in locked}  # a joint that is locked needs no motor
+    still = _joint_names(model, locked)  # a joint that is locked needs no motor
     notes += add_motors(spec, [name for name in asked.drive if name not in still])
     add_forces(spec, asked.force)
     notes += set_gearing(spec, asked.gear, asked.rotor_inertia)
     if model.nkey:
-        small = spec.compile()
-        home = np.array(small.qpos0)
-        for j in range(small.njnt):
-            if small.joint(j).name in places:  # the hinges in place of a ball joint are zero at home
-                home[_slice(small, j)] = qpos[places[small.joint(j).name]]
-        if not np.array_equal(home, small.qpos0):
-            spec.add_key(name=HOME_KEYFRAME, qpos=home)
+        _add_home(spec, qpos, {model.joint(j).name: _slice(model, j) for j in kept})
     return tuple(notes)
+
+
+def _add_home(spec: mujoco.MjSpec, qpos: np.ndarray, places: Mapping[str, slice]) -> None:
+    """Add the keyframe "home" to what is selected, from a qpos (nq,) of the whole model and its joints' places there."""
+    small = spec.compile()
+    home = np.array(small.qpos0)
+    for j in range(small.njnt):
+        if small.joint(j).name in places:  # the hinges in place of a ball joint are zero at home
+            home[_slice(small, j)] = qpos[places[small.joint(j).name]]
+    if not np.array_equal(home, small.qpos0):
+        spec.add_key(name=HOME_KEYFRAME, qpos=home)
 
 
 def home_qpos(model: mujoco.MjModel, keyframe: str | None = None) -> np.ndarray:
@@ -285,6 +181,10 @@ def _asked_locks(model: mujoco.MjModel, lock: Mapping[str, float]) -> dict[int, 
     return {joints[name]: float(np.radians(x)) if name in hinges else float(x) for name, x in lock.items()}
 
 
+def _joint_names(model: mujoco.MjModel, joints: Iterable[int]) -> set[str]:
+    return {model.joint(j).name for j in joints}
+
+
 def _slice(model: mujoco.MjModel, joint: int) -> slice:
     at = int(model.jnt_qposadr[joint])
     return slice(at, at + {FREE: 7, BALL: 4}.get(int(model.jnt_type[joint]), 1))
@@ -321,7 +221,7 @@ def _lock(
             joint.pos, joint.axis = in_body(data, body, data.xanchor[j]), data.xmat[body].reshape(3, 3).T @ data.xaxis[j]
         fix_in_parent(spec.body(model.body(body).name), model, data, body)
     add_universal_joints(spec, model, [j for j in spins if j in locked], qpos)
-    gone = {model.joint(j).name for j in locked}
+    gone = _joint_names(model, locked)
     scalar = [j for j in locked if int(model.jnt_type[j]) in (HINGE, SLIDE)]
     places = {model.joint(j).name: np.array([*model.qpos0[_slice(model, j)], *place[_slice(model, j)]]) for j in scalar}
     acting = delete_users(spec, gone, away, places)

@@ -176,13 +176,18 @@ def _close_loops(spec: mujoco.MjSpec, root: ET.Element, named: Beside, hinges: S
         _CUT: [f"{hinge.link_a}-{hinge.link_b}" for hinge in hinges],
     }
     notes = [f"closures from {where}: {', '.join(names)}" for where, names in sources.items() if names]
+    return [*notes, *_left_open(loops, [joint for joint in added if joint not in closed])]
+
+
+def _left_open(loops: Sequence[ET.Element], added: Sequence[GazeboJoint]) -> list[str]:
+    """Return the notes on what is not read of loop_joints, and on joints in <gazebo> that close no loop."""
     unread = {loop.get("name", "loop"): listed(left, 6) for loop in loops if (left := _unread(loop))}
-    notes += [f"left out of loop_joint '{name}': {left}" for name, left in unread.items()]
-    open_ = [f"{joint.name} (type {joint.kind}, {' to '.join(joint.links)})" for joint in added if joint not in closed]
-    said = (
-        f"joints in <gazebo> close no loop here: {', '.join(open_)}; {', '.join(CLOSING)} joints between links that move do"
-    )
-    return [*notes, said] if open_ else notes
+    notes = [f"left out of loop_joint '{name}': {left}" for name, left in unread.items()]
+    if not added:
+        return notes
+    names = ", ".join(f"{joint.name} (type {joint.kind}, {' to '.join(joint.links)})" for joint in added)
+    legal = f"{', '.join(CLOSING)} joints between links that move do"
+    return [*notes, f"joints in <gazebo> close no loop here: {names}; {legal}"]
 
 
 def lost_when_attached(root: ET.Element, path: Path) -> list[str]:

@@ -21,7 +21,7 @@ ROOMS = {
     "models": (
         "errors", "extras", "deadline", "compiled", "reading", "catalogue", "model_text", "payload", "kinematics",
         "deletion", "conversion", "urdf_links", "urdf_loops", "rod_spins", "external_forces", "gearing",
-        "selection", "library", "digest", "tree", "closure", "reduction", "actuation", "audit",
+        "floating", "selection", "library", "digest", "tree", "closure", "reduction", "actuation", "audit",
         "coordinate_choice", "equations", "mechanism_html", "mechanism", "selected_model", "poses", "transfer", "guide",
     ),
     "planner": (

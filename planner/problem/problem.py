@@ -15,7 +15,6 @@ from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import Tables, apply_override, read_tables
 from linkplan.planner.problem import build, consistency
-from linkplan.planner.problem.consistency import start_pose
 from linkplan.planner.problem.extra import Extra, ExtraCost, ExtraLimit, checked_extras, uses
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.keys.motion_and_limits import Motor
@@ -26,6 +25,7 @@ from linkplan.planner.problem.path import SitePath, check_path
 from linkplan.planner.problem.reference import GuessedPath, Reference
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.problem.sites import BodyAngle, SitePoint
+from linkplan.planner.problem.start import start_pose
 from linkplan.planner.trajectory import Trajectory
 
 

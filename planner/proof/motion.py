@@ -1,7 +1,4 @@
-"""The motion on a box of time as series: poses, rates, and what the model needs, computed when it is first used.
-
-What holds at single instants is checked apart from it: pieces that join, prescribed states.
-"""
+"""The motion on a box of time as series: poses, rates, and what the model needs, computed when it is first used."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -11,18 +8,9 @@ from math import comb
 import numpy as np
 from flint import arb, arb_poly, arb_series
 
-from linkplan.models.errors import AssemblyError, ProblemError
-from linkplan.models.poses.assembly import close_at
-from linkplan.planner.certificate.certificate import end_state_error
-from linkplan.planner.certificate.further_checks import disagreements
-from linkplan.planner.certificate.integration import BOUNDARY_SHARE, VELOCITY_SHARE, ends_off_m
-from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.instant import Corner
-from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.sites import task_words
 from linkplan.planner.proof.branch import pose_of
 from linkplan.planner.proof.curve import forces_over
-from linkplan.planner.proof.finding import Finding, finding_of
 from linkplan.planner.proof.taylor import Matrix, product, solve, transposed
 from linkplan.planner.proof.walk import Ball, Blocks, dense, larger, loaded_tree, pose_walk
 from linkplan.planner.trajectory import Trajectory
@@ -31,110 +19,6 @@ from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 # Largest jump between two pieces, and largest difference of a planned velocity from the slope of the position, as a share
 # of the motion's span or largest speed: rounding of the program's solution. Measured: 2e-10 on fine meshes.
 JOIN_SHARE = 1e-8
-# Largest jump of an effort with a limited rate, as a share of the largest effort: as in the certificate.
-_EFFORT_JUMP = 1e-7
-# Largest difference of the start pose from the problem's own [rad or m].
-START_POSE_ERROR = 1e-6
-
-
-def position_spans(problem: Problem, trajectory: Trajectory) -> np.ndarray:
-    """Return the spans (n_s,) [rad or m] of which pieces may jump by a share: the largest of a unit.
-
-    A position at rest differs from piece to piece in its last digits, which is no jump.
-    """
-    moved, farthest = np.ptp(trajectory.position, axis=(0, 1)), np.abs(trajectory.position).max(axis=(0, 1))
-    return np.maximum(_largest_of_unit(problem, np.maximum(moved, 1e-6 * farthest)), 1e-9)
-
-
-def end_findings(problem: Problem, trajectory: Trajectory) -> list[Finding]:
-    """Return the findings on breaks, ends and waypoints, and on the slope of the planned position."""
-    span = position_spans(problem, trajectory)
-    largest = _largest_of_unit(problem, np.abs(trajectory.velocity).max(axis=(0, 1)))
-    speeds = np.maximum(largest, 1e-9 / trajectory.duration_s)
-    found = []
-    for what, of, size in (("position", trajectory.position, span), ("velocity", trajectory.velocity, speeds)):
-        jumps = (np.abs(of[0, 1:] - of[-1, :-1]) / size).max(axis=1)
-        at = int(np.argmax(jumps)) if len(jumps) else 0
-        value = float(jumps.max(initial=0.0))
-        when = float(trajectory.breaks_s[at + 1])
-        found.append(
-            finding_of(f"the pieces of {what} join", value, JOIN_SHARE, "of its span", when, f" at t = {when:.6g} s")
-        )
-    found += [_slope(trajectory, speeds), *_effort_jumps(problem, trajectory)]
-    error = float(end_state_error(problem, trajectory, float(speeds.max())))
-    found.append(finding_of("the motion starts and ends where asked", error, BOUNDARY_SHARE, "of its span"))
-    found += [
-        Finding(name="the motion is the one asked for", answer="refuted", reason=sentence)
-        for sentence in disagreements(problem, trajectory, None)
-    ]
-    return [*found, *_places(problem, trajectory), *_start(problem, trajectory)]
-
-
-def _places(problem: Problem, trajectory: Trajectory) -> list[Finding]:
-    """Return the finding on the sites and bodies prescribed at the start, the goal or a waypoint, at these instants."""
-    tasks = problem.motion.tasks
-    if not tasks:
-        return []
-    name = f"{task_words(tasks)} are where start, goal and waypoints ask"
-    try:
-        samples = samples_of(problem, trajectory)
-        off, _ = ends_off_m(problem, trajectory, samples.time, samples.q)
-    except AssemblyError as error:
-        return [Finding(name=name, answer="refuted", reason=str(error))]
-    return [finding_of(name, float(off), BOUNDARY_SHARE * problem.mechanism.extent_m, "m")]
-
-
-def _effort_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
-    """Return the findings on jumps of efforts with a limited rate, from a period to the next too."""
-    ahead = trajectory.effort[0] if trajectory.periodic else trajectory.effort[0, 1:]
-    before = trajectory.effort[-1, np.arange(-1 if trajectory.periodic else 0, len(trajectory.breaks_s) - 2)]
-    jumps = np.abs(ahead - before).max(axis=0, initial=0.0)
-    size = max(float(np.abs(trajectory.effort).max()), float(np.finfo(float).tiny))
-    return [
-        finding_of(f"the pieces of effort of {actuator.name} join", float(jumps[j]) / size, _EFFORT_JUMP, "of the largest")
-        for j, actuator in enumerate(problem.mechanism.actuators)
-        if np.isfinite(problem.limits.effort_rate[j]).any()
-    ]
-
-
-def _largest_of_unit(problem: Problem, values: np.ndarray) -> np.ndarray:
-    """Return for each coordinate (n_s,) the largest value (n_s,) of the coordinates with its unit, rad or m."""
-    hinges = np.array([joint.kind == "hinge" for joint in problem.mechanism.independent_joints])
-    return np.where(hinges, *(values[of].max(initial=0.0) for of in (hinges, ~hinges)))
-
-
-def _slope(trajectory: Trajectory, speed: np.ndarray) -> Finding:
-    """Return the finding on the difference of the planned velocity from the slope of the planned position."""
-    slope = PiecewisePolynomial(trajectory.position, trajectory.breaks_s).derivative().coefficients
-    name, velocity = "the planned velocity is the slope of the planned position", trajectory.velocity
-    if slope.shape == velocity.shape:  # coefficients of the difference bound it
-        return finding_of(name, float((np.abs(slope - velocity) / speed).max()), JOIN_SHARE, "of the largest speed")
-    time = trajectory.dense_times(24)
-    apart = (np.abs(trajectory.slope_at(time) - trajectory.velocity_at(time)) / speed).max()
-    if apart > VELOCITY_SHARE:
-        return finding_of(name, float(apart), VELOCITY_SHARE, "of the largest speed")
-    reason = f"at samples it differs by {apart:.2g} of the largest speed: the scheme is not second-order consistent"
-    return Finding(name=name, answer="sampled", reason=reason)
-
-
-def _start(problem: Problem, trajectory: Trajectory) -> list[Finding]:
-    """Return the finding on the start pose, which selects the branch: it is where the problem's branch leads to.
-
-    Where the problem prescribes no start, the branch is that of the pose from which the planner begins.
-    """
-    name, spins = "the motion starts on the problem's branch", problem.mechanism.cyclic
-    moved = np.zeros(problem.mechanism.n_q, dtype=bool)
-    moved[problem.mechanism.independent[spins]] = True
-    try:
-        begin = problem.start_pose()
-    except (AssemblyError, ProblemError) as error:
-        return [Finding(name=name, answer="refuted", reason=str(error))]
-    try:
-        own = close_at(problem.mechanism, trajectory.position[0, 0], begin)
-    except AssemblyError as error:
-        return [Finding(name=name, answer="undecided", reason=f"not proved: {error}")]
-    apart = np.where(moved, 0.0, np.abs(trajectory.start_pose - own))
-    return [finding_of(name, float(apart.max(initial=0.0)), START_POSE_ERROR, "rad or m", float(trajectory.breaks_s[0]))]
 
 
 def power_form(bernstein: np.ndarray) -> list[arb]:

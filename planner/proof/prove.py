@@ -12,13 +12,14 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.branch import Root, krawczyk, newton, series_of
 from linkplan.planner.proof.claim import Claim, Record, finding_of_claim, undecided_reason
 from linkplan.planner.proof.claims import claims_of, sampled_findings
+from linkplan.planner.proof.ends import START_POSE_ERROR, end_findings, position_spans
 from linkplan.planner.proof.existence import (
     EXISTENCE_SECONDS,
     Neighbourhood,
     first_tube,
 )
 from linkplan.planner.proof.finding import Finding, Proof, no_motion
-from linkplan.planner.proof.motion import JOIN_SHARE, START_POSE_ERROR, Piece, State, end_findings, position_spans
+from linkplan.planner.proof.motion import JOIN_SHARE, Piece, State
 from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm
 from linkplan.planner.proof.walk import Blocks, UnknownOperationError, blocks_of
 from linkplan.planner.trajectory import Trajectory

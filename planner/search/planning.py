@@ -18,12 +18,11 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import share_gained
 from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
 from linkplan.planner.refinement.state import REPORTED_CHANGE
-from linkplan.planner.search import attempts, continuations, reasons, resting, starts, waiting
+from linkplan.planner.search import attempts, continuations, reasons, starts, waiting, without_solver
 from linkplan.planner.search.finer_meshes import of_several
 from linkplan.planner.search.ladder import FULL_BUDGET, SHORT_BUDGET, Budget, Repair, Search, SearchMethod, run_search
 from linkplan.planner.search.several_motors import from_several_starts
 from linkplan.planner.search.site_path import plan_along_path
-from linkplan.planner.search.smooth_path import along_smooth_path, at_rest
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 
 __all__ = ["DIAGNOSES", "REPAIRS", "SEARCH_METHODS", "Say", "plan_motion", "silent"]
@@ -106,8 +105,8 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
     *_FIRST,
     SearchMethod(
         name="the cheapest legs of the phase plane, where meshes over time led to false motions",
-        tried=lambda search: bool(search.plans) and resting.legs_may_help(search),
-        run=resting.from_legs,
+        tried=lambda search: bool(search.plans) and without_solver.legs_may_help(search),
+        run=without_solver.from_legs,
         budget=SHORT_BUDGET,
     ),
     SearchMethod(
@@ -126,8 +125,8 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
     ),
     SearchMethod(
         name="the cheapest legs of the phase plane",
-        tried=resting.legs_may_help,
-        run=resting.from_legs,
+        tried=without_solver.legs_may_help,
+        run=without_solver.from_legs,
         budget=SHORT_BUDGET,
     ),
 )
@@ -213,7 +212,7 @@ def _planned(problem: Problem, methods: Sequence[SearchMethod], diagnoses: Seque
 
 def _found_or_smooth(search: Search, methods: Sequence[SearchMethod]) -> Plan | None:
     """Return the plan of the methods or a rest that costs less; if none passes, the smooth path that does, or None."""
-    rest = at_rest(search)
+    rest = without_solver.at_rest(search)
     if rest is not None and rest.status == "optimal":
         return rest
     plan = _found_by(search, methods)
@@ -222,7 +221,7 @@ def _found_or_smooth(search: Search, methods: Sequence[SearchMethod]) -> Plan | 
     if rest is not None:
         return rest
     with contextlib.suppress(OutOfTimeError):
-        plan = along_smooth_path(search) or plan
+        plan = without_solver.along_smooth_path(search) or plan
     return plan
 
 

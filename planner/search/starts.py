@@ -28,7 +28,6 @@ from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.search.attempts import certified, only_feasible, plan_from, without_solving
 from linkplan.planner.search.ladder import FULL_BUDGET, SHORT_BUDGET, Budget, Search, SearchMethod, run_search
 from linkplan.planner.search.presolve import only_way
-from linkplan.planner.search.resting import legs_plan
 from linkplan.planner.search.solving import (
     GRID_ERROR_FACTOR,
     GRID_ERROR_FACTOR_AT_SPEED_LIMIT,
@@ -37,6 +36,7 @@ from linkplan.planner.search.solving import (
     solve_from,
     with_longer_durations,
 )
+from linkplan.planner.search.without_solver import legs_plan
 
 # The words on the least-time plan from the phase plane's motion, among the known motions.
 PHASE_PLANE_LEAST_TIME = "least time from the phase plane"

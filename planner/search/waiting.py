@@ -15,9 +15,9 @@ from linkplan.planner.problem.keys.kinds import MIN_INTERVAL_SHARE
 from linkplan.planner.search.attempts import certified, without_solving
 from linkplan.planner.search.continuations import DURATION_FACTOR
 from linkplan.planner.search.ladder import Budget, Search
-from linkplan.planner.search.resting import held, joined
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import shortest_motion
+from linkplan.planner.search.without_solver import held, joined
 
 # Terms of an objective that a rest adds to by its effort and its length alone.
 _STILL_TERMS = {"time", "effort", "copper_loss"}

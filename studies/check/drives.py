@@ -7,12 +7,12 @@ import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.models.floating import floating_joints
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import RANGE_ROUNDING
 from linkplan.models.poses.assembly import in_loops
 from linkplan.models.poses.equilibrium import rests_on_stops, sprung_freedoms, stop_sentence
 from linkplan.models.reduction.reduced import acceleration_at, linearised
-from linkplan.models.selection import floating_joints
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.joints import Joint
 from linkplan.models.tree.passive import is_gas_spring

@@ -1,5 +1,6 @@
 """The study behind `linkplan check`: a mechanism's properties, its reach, and its faults."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from linkplan.models.closure.initial_assembly import keyframe_of
 from linkplan.models.closure.newton import OPEN_M
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError, ProblemError, listed
+from linkplan.models.floating import floating_sentence
 from linkplan.models.mechanism import Joint, Mechanism
 from linkplan.models.poses.along import RANGE_ROUNDING, ball_angles, shut_balls
 from linkplan.models.poses.assembly import close_at
@@ -17,10 +19,9 @@ from linkplan.models.poses.body_angles import turning_bodies
 from linkplan.models.poses.contacts import ContactPair, contact_pairs
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import Reach, reach, toggles
-from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.dynamics import site_names
 from linkplan.planner.files.structs import NOT_READ, Beside, Number
-from linkplan.planner.problem.consistency import check_asked_pose
+from linkplan.planner.problem.start import check_asked_pose
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.drives import (
     feeble_drives,
@@ -109,9 +110,6 @@ def inspect(
     touching = contact_pairs(mechanism, poses)
     problems, notes = _findings(mechanism, reaches)
     refused, noted = contact_findings(mechanism, touching, sweeps, motion, contacts)
-    reached = list(zip(mechanism.independent_joints, reaches, strict=True))
-    hinges = [(joint, can) for joint, can in reached if joint.kind == "hinge"]
-    ends = {joint.name: (joint.shown(can.lower.position), joint.shown(can.upper.position)) for joint, can in reached}
     return Inspection(
         name=mechanism.name,
         dof=mechanism.dof,
@@ -123,12 +121,7 @@ def inspect(
         **{f"closure_gap_{unit}": gap for unit, gap in ({"m": 0.0} | _closure_gaps(mechanism)).items()},
         branch=np.array(mechanism.dynamics.block_singularity(mechanism.home)).ravel().tolist() if mechanism.closures else [],
         **_by_kind("home", mechanism, mechanism.home),
-        reach_deg={joint.name: ends[joint.name] for joint, _ in hinges},
-        reach_m={joint.name: ends[joint.name] for joint, _ in reached if joint.kind == "slide"},
-        reach_ends={joint.name: (can.lower.reason, can.upper.reason) for joint, can in reached},
-        singular_deg=[joint.shown(position) for joint, can in hinges for position in can.singular],
-        branching_deg=[joint.shown(position) for joint, can in hinges for position, _ in can.branching],
-        toggle_deg=[joint.shown(x) for joint, can in hinges for _, x in toggles(mechanism, can.coordinate)],
+        **_reach_values(mechanism, reaches),
         actuators={
             a.name: {
                 "joint": None if a.joint is None else mechanism.joints[a.joint].name,
@@ -152,6 +145,21 @@ def inspect(
         reaches=reaches,
         pairs=touching,
     )
+
+
+def _reach_values(mechanism: Mechanism, reaches: Sequence[Reach]) -> dict[str, Any]:
+    """Return the ends of each independent joint's reach, and the special poses of hinges."""
+    reached = list(zip(mechanism.independent_joints, reaches, strict=True))
+    hinges = [(joint, can) for joint, can in reached if joint.kind == "hinge"]
+    ends = {joint.name: (joint.shown(can.lower.position), joint.shown(can.upper.position)) for joint, can in reached}
+    return {
+        "reach_deg": {joint.name: ends[joint.name] for joint, _ in hinges},
+        "reach_m": {joint.name: ends[joint.name] for joint, _ in reached if joint.kind == "slide"},
+        "reach_ends": {joint.name: (can.lower.reason, can.upper.reason) for joint, can in reached},
+        "singular_deg": [joint.shown(position) for joint, can in hinges for position in can.singular],
+        "branching_deg": [joint.shown(position) for joint, can in hinges for position, _ in can.branching],
+        "toggle_deg": [joint.shown(x) for joint, can in hinges for _, x in toggles(mechanism, can.coordinate)],
+    }
 
 
 def _by_kind(name: str, mechanism: Mechanism, pose: np.ndarray) -> dict[str, Any]:

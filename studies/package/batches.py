@@ -12,8 +12,8 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
-from linkplan.studies.output.batch_table import batch_blocks
-from linkplan.studies.output.document import Block, Report, Section
+from linkplan.studies.output.document import Block, Report
+from linkplan.studies.variations.batch.batch_blocks import batch_blocks, batch_report
 from linkplan.studies.variations.batch.study import Outcome, run_batch
 from linkplan.studies.variations.tasks.cluster import engine_of
 
@@ -93,12 +93,7 @@ class BatchResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.output.report_file import report_of
-
-        n, lost = len(self.outcome.rows), len(self.outcome.failures)
-        return report_of(
-            "Batch", f"{n - lost} of {n} cases planned", self.passed, [Section(title="Cases", blocks=self.blocks())]
-        )
+        return batch_report(self.outcome.rows, self.outcome.failures)
 
     def __repr__(self) -> str:
         return f"BatchResult({len(self.outcome.rows)} cases, {len(self.outcome.failures)} without a plan)"

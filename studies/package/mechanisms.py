@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from linkplan.inputs import Poses, Source, Subject, poses_of, source_of, subject_of
 from linkplan.models.errors import LinkplanError
+from linkplan.models.floating import floating_bodies
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.selection import floating_bodies
 from linkplan.paths import drawn
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.settings import to_toml_types

@@ -16,8 +16,6 @@ from linkplan.planner.proof.finding import OWN_MOTION
 from linkplan.studies.output.document import Block, Facts, Report, Section, Table, Text
 from linkplan.studies.output.plan_sections import plan_report
 from linkplan.studies.output.report_file import DOCUMENT, read_document, report_of
-from linkplan.studies.variations.batch.study import RECORD as BATCH
-from linkplan.studies.variations.batch.study import read_cases
 from linkplan.studies.variations.experiment.experiment_sections import experiment_report
 from linkplan.studies.variations.experiment.study import RECORD as EXPERIMENT
 from linkplan.studies.variations.experiment.study import saved_outcome
@@ -62,8 +60,8 @@ def saved_plan(folder: Path) -> Plan:
 
 
 def _record_report(path: Path) -> Report:
-    """Return the report of a record without a document: from an earlier version, or of a batch."""
-    said = read_cases(path) if path.name == BATCH else read_record(path, dict[str, Any])
+    """Return the report of a record without a document: from an earlier version."""
+    said = read_record(path, dict[str, Any])
     lacks = Text(
         text=f"This folder has no {DOCUMENT}: shown are the figures of {path.name}; animation and curves need the command"
         " to be run again.",

@@ -4,8 +4,9 @@ import mujoco
 import pytest
 
 from linkplan.models.errors import LinkplanError
+from linkplan.models.floating import floating_joints, floating_sentence
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.selection import Selection, floating_joints, floating_sentence
+from linkplan.models.selection import Selection
 from tests.support.mechanisms import replaced
 
 # A leg on a vertical rail, which stands by contact alone.

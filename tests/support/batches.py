@@ -15,7 +15,7 @@ def swept(n):
 def same_plans(first, second, n):
     """Fail where two results differ in anything but the seconds that they took."""
     names = [str(i) for i in range(n) if i != 1]
-    assert sorted(path.name for path in first.iterdir()) == sorted([".linkplan.json", "batch.json", *names])
+    assert sorted(path.name for path in first.iterdir()) == sorted([".linkplan.json", "batch.json", "report.json", *names])
     for name in names:
         for file in ("trajectory.npz", "trajectory.csv"):
             assert (first / name / file).read_bytes() == (second / name / file).read_bytes()

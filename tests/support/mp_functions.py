@@ -8,6 +8,7 @@ import operator
 import casadi as ca
 import mpmath as mp
 import numpy as np
+from flint import arb
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.trajectory import Trajectory
@@ -100,3 +101,9 @@ def mp_pose(mechanism: Mechanism, s: list, near: np.ndarray) -> list:
 def mp_effort(mechanism: Mechanism, q: list, v: list, a: list) -> list:
     """Return the reduced efforts Gamma^T B u of a motion, by the planner's own long expression."""
     return mp_values(mechanism.dynamics.inverse_dynamics, q, v, a)
+
+
+def ball(x) -> arb:
+    """Return the ball of a number of mpmath, wider than its own rounding."""
+    sign, mantissa, exponent, _ = mp.mpf(x)._mpf_
+    return arb(-int(mantissa) if sign else int(mantissa)) * arb(2) ** exponent

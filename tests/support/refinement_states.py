@@ -1,15 +1,18 @@
-"""States of a refinement for its decisions and records, without any solve."""
+"""States of a refinement for its decisions: iterates of a hinge's quarter turn whose certificates say what a test gives."""
 
 from dataclasses import replace
-from types import SimpleNamespace
+from functools import cache
 
 import numpy as np
 
-from linkplan.planner.problem.settings import MeshSettings
-from linkplan.planner.refinement.case import CertifiedIterate, ErrorReport, RefinementTarget
+from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.closed_chain.guess import first_guess
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.refinement.case import CertifiedIterate, ErrorReport, Iterate, RefinementTarget, certify_iterate
 from linkplan.planner.refinement.state import RefinementState, observed
-from linkplan.planner.solvers.solve import SUCCEEDED
+from linkplan.planner.solvers.solve import SUCCEEDED, Solution
 from linkplan.planner.transcription.mesh import uniform
+from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 
 AIMS = RefinementTarget(
     effort_limit=np.array([[-1.0, 1.0]]),
@@ -22,22 +25,22 @@ AIMS = RefinementTarget(
 )
 
 
-def solution(objective: float = 1.0, *, n: int = 10, tightened: bool = False) -> SimpleNamespace:
-    """Return a solution that the solver converged to, without held arcs."""
-    mesh = uniform(n)
-    layout = SimpleNamespace(n_u=1, durations=lambda: np.array([0]), effort=lambda: np.zeros((n, 1), dtype=int))
-    program = SimpleNamespace(mesh=mesh, layout=layout, interval=SimpleNamespace(n_path=0, own_kinds=(), own_items=()))
-    formulation = SimpleNamespace(tightening=object() if tightened else None)
-    transcribed = SimpleNamespace(
-        program=program,
-        bang_efforts=None,
-        constrained_paths=None,
-        formulation=formulation,
-        units=SimpleNamespace(time_s=1.0),
-    )
-    return SimpleNamespace(
-        transcribed=transcribed, objective=objective, status=SUCCEEDED, multipliers=None, x=np.array([1.0])
-    )
+@cache
+def turn() -> Problem:
+    """Return the problem of the turn, loaded once."""
+    return body_problem(HINGE, QUARTER_TURN + "duration_s = 1.5\n", "mesh.intervals=10")
+
+
+@cache
+def guessed(n: int) -> CertifiedIterate:
+    """Return the first guess of the turn on n even intervals as if a solver had converged to it."""
+    case = case_of(turn())
+    transcribed = case.transcribe(first_guess(case.asked, case.asked.start_pose()), uniform(n), np.array([1.5]))
+    solution = Solution(
+        transcribed=transcribed, x=transcribed.start, objective=1.0, converged=True, status=SUCCEEDED, iterations=0,
+        build_s=0.0, solve_s=0.0,
+    )  # fmt: skip
+    return certify_iterate(case, Iterate(motion=case.motion(solution), solution=solution))
 
 
 def iterate(
@@ -45,37 +48,37 @@ def iterate(
     passed: bool = True,
     exact: bool = True,
     growth=(0.0,),
+    residual_share=(0.0,),
     overrun=(0.0,),
     effort_overrun=(0.0,),
     n: int = 10,
     objective=1.0,
     tightened=False,
+    status: str = SUCCEEDED,
     **report,
 ) -> CertifiedIterate:
-    """Return a certified iterate on n even intervals; growth and overrun (n,) or the same on all."""
-    motion = SimpleNamespace(breaks_s=np.linspace(0.0, 1.0, n + 1), effort=np.ones((3, n, 1)))
-    found = SimpleNamespace(
-        motion=motion, solution=solution(objective, n=n, tightened=tightened), fixed=None, mesh=uniform(n)
+    """Return a certified iterate on n even intervals; shares of errors and overruns are (n,) or the same on all."""
+    first, given = guessed(n), (growth, residual_share, overrun, effort_overrun)
+    growth, residual, overrun, beyond = (np.broadcast_to(np.array(one, dtype=float), n) for one in given)
+    solution = replace(first.found.solution, objective=objective, status=status)
+    if tightened:
+        formulation = replace(solution.transcribed.formulation, tightening=lambda breaks: np.zeros((len(breaks) - 1, 0)))
+        solution = replace(solution, transcribed=replace(solution.transcribed, formulation=formulation))
+    certificate = replace(
+        first.certificate,
+        failures=() if passed else ("errs",),
+        growth=growth,
+        residual_share=residual,
+        effort_overrun=beyond,
     )
-    overrun = np.broadcast_to(np.array(overrun, dtype=float), n)
-    report = ErrorReport(
-        exact=exact,
-        repairable=report.pop("repairable", True),
-        leaves_positions=report.pop("leaves_positions", False),
-        overruns=bool(overrun.any()),
-        overrun=overrun,
-        integration_error_deg=1e-3,
-        **report,
-    )
-    growth = np.broadcast_to(np.array(growth, dtype=float), n)
-    beyond = np.broadcast_to(np.array(effort_overrun, dtype=float), n)
-    certificate = SimpleNamespace(passed=passed, growth=growth, residual_share=np.zeros(n), effort_overrun=beyond)
-    return CertifiedIterate(found=found, certificate=certificate, report=report)
+    report = {"repairable": True, "leaves_positions": False, "integration_error_deg": 1e-3} | report
+    report = ErrorReport(exact=exact, overruns=bool(overrun.any()), overrun=overrun, **report)
+    return CertifiedIterate(found=replace(first.found, solution=solution), certificate=certificate, report=report)
 
 
 def state(at: CertifiedIterate, *, target: RefinementTarget = AIMS, scheme: str = "radau-3", **changes) -> RefinementState:
     """Return a state at an iterate, its history as `changes` say."""
-    problem = SimpleNamespace(mesh=MeshSettings(intervals=10, scheme=scheme))
-    case = SimpleNamespace(problem=problem, target=target)
+    case = case_of(replace(turn(), mesh=turn().mesh.replace(scheme=scheme)))
+    object.__setattr__(case, "target", target)  # in place of what follows from the problem
     begin = RefinementState(asked=case, case=case, iterate=at, warm=False)
     return replace(observed(begin, at), **changes)

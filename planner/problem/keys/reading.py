@@ -33,8 +33,7 @@ def read(
         value: as TOML has it.
         where: its key, as in "motion.duration_s".
         known: checks names in a refused value; it is called with the kind of object, the name and the table's key, and
-            raises
-            for an unknown name.
+            raises for an unknown name.
         error: the exception to raise.
 
     Raises:

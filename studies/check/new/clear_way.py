@@ -4,6 +4,7 @@ import numpy as np
 
 from linkplan.models.audit import audit
 from linkplan.models.errors import AssemblyError, ProblemError, listed, one_line
+from linkplan.models.floating import floating_sentence
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import (
     RANGE_ROUNDING,
@@ -18,7 +19,6 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.controls import control_excess
 from linkplan.models.poses.equilibrium import lock_words
-from linkplan.models.selection import floating_sentence
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.limits.samples import singularity_ratios

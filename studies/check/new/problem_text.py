@@ -1,13 +1,15 @@
 """A problem file as text: the keys that are set, each with its meaning."""
 
+import os
 import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from linkplan.models.catalogue import MODELS
+from linkplan.models.errors import ModelError
 from linkplan.planner.files.tables import inline, key_text
 from linkplan.planner.problem.keys.key_table import key_table
-from linkplan.studies.check.new.first_motion import FirstMotion, relative_model_path
+from linkplan.studies.check.new.first_motion import FirstMotion
 
 # The largest width of lines, and the column of the comments after values.
 _LINE_WIDTH, _COMMENT_COLUMN = 100, 44
@@ -47,7 +49,7 @@ def file_tables(found: FirstMotion, model: str, target: Path | None) -> dict[str
     """Return the tables of a first motion's file at `target`."""
     tables = found.tables
     if model not in MODELS:
-        tables = tables | {"mechanism": tables["mechanism"] | {"model": relative_model_path(model, target)}}
+        tables = tables | {"mechanism": tables["mechanism"] | {"model": _relative_model_path(model, target)}}
     return tables
 
 
@@ -61,3 +63,13 @@ def first_text(found: FirstMotion, tables: dict[str, dict], steps: tuple[str, st
         *(line for note in found.changed for line in [*textwrap.wrap(f"CHANGED: {note}", 98), ""]),
     ]
     return problem_text(tables, found.description, begin)
+
+
+def _relative_model_path(model: str, place: Path | None) -> str:
+    """Return a model file's path relative to the folder of the problem file at `place`."""
+    if place is None:
+        return model
+    try:
+        return Path(os.path.relpath(Path(model).resolve(), place.resolve().parent)).as_posix()
+    except ValueError as error:  # another drive
+        raise ModelError(f"'{model}' and '{place}' are on different drives: {error}") from error

@@ -98,12 +98,7 @@ def bode_study(
         LinkplanError: for a pose that cannot be held, or frequencies above the Nyquist frequency.
     """
     positions = np.atleast_2d(positions)
-    chosen = sampled_law(mechanism, law, settings, effort_limit)
-    if frequency_hz is not None:
-        refuse_above_nyquist(np.asarray(frequency_hz, dtype=float), settings.period_s)
-    points = [operating_point(mechanism, s, effort_limit) for s in positions]  # or refuses a pose, before any work
-    if law == "lqr":
-        chosen = replace(chosen, settings=with_lqr_errors(settings, mechanism, points, effort_limit))
+    chosen, _ = law_at(mechanism, positions, law, settings, effort_limit, frequency_hz)
     lines = _scan_lines(mechanism, positions, line) if scanned else []
     scans = tuple(_scans(mechanism, lines, chosen, scanned, say))
     if line is not None:
@@ -147,6 +142,28 @@ def bode_study(
         is_measured=setup is not None,
         loop_name=name,
     )
+
+
+def law_at(
+    mechanism: Mechanism,
+    positions: np.ndarray,
+    law: str,
+    settings: Tracking,
+    effort_limit: np.ndarray,
+    frequency_hz: np.ndarray | None,
+) -> tuple[SampledLaw, list[OperatingPoint]]:
+    """Return a law and the operating points at independent positions (n, n_s); LQR's weights are for these points.
+
+    Raises:
+        LinkplanError: for a pose that cannot be held, or frequencies (m,) to measure at above the Nyquist frequency.
+    """
+    chosen = sampled_law(mechanism, law, settings, effort_limit)
+    if frequency_hz is not None:
+        refuse_above_nyquist(np.asarray(frequency_hz, dtype=float), settings.period_s)
+    points = [operating_point(mechanism, s, effort_limit) for s in positions]
+    if law == "lqr":
+        chosen = replace(chosen, settings=with_lqr_errors(settings, mechanism, points, effort_limit))
+    return chosen, points
 
 
 def _point(

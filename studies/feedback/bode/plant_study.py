@@ -1,8 +1,8 @@
 """The study behind `bode` with inputs and outputs: the plant from efforts to positions, predicted and measured."""
 
 import itertools
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from msgspec import structs
@@ -13,7 +13,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import contact_pairs
 from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.search.planning import silent
-from linkplan.studies.feedback.bode.bode import softness_of
+from linkplan.studies.feedback.bode.bode import law_at, softness_of
 from linkplan.studies.feedback.bode.bode_result import pose_values
 from linkplan.studies.feedback.bode.plant_result import (
     LARGEST_UNCERTAINTY,
@@ -34,13 +34,9 @@ from linkplan.studies.feedback.frequency.feedback_loops import (
     SampledLaw,
     feedback_loop,
     label_differences,
-    operating_point,
-    refuse_above_nyquist,
-    sampled_law,
-    with_lqr_errors,
 )
 from linkplan.studies.feedback.frequency.plant_modes import modes_of, plant_transfer
-from linkplan.studies.feedback.frequency.plant_sinestream import decay_time_s, measure_plants, sampled_gains
+from linkplan.studies.feedback.frequency.plant_sinestream import MeasuredPlants, decay_time_s, measure_plants, sampled_gains
 from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput, gain_unit, plant_input, plant_output
 from linkplan.studies.feedback.frequency.response import Response, largest_deviation
 from linkplan.studies.feedback.frequency.transfer_function import TransferFunction, in_right_half_plane
@@ -92,53 +88,35 @@ def plant_study(
         LinkplanError: for an unknown name, a pose that cannot be held, or frequencies above the Nyquist frequency.
     """
     ins, outs = _ports(mechanism, efforts, outputs)
-    chosen = sampled_law(mechanism, law, settings, effort_limit)
-    if frequency_hz is not None:
-        refuse_above_nyquist(np.asarray(frequency_hz, dtype=float), settings.period_s)
-    points = label_differences([operating_point(mechanism, s, effort_limit) for s in np.atleast_2d(positions)])
-    if law == "lqr":
-        chosen = replace(chosen, settings=with_lqr_errors(settings, mechanism, points, effort_limit))
-    transfers = []
-    for point in points:
-        say(f"predicted at {point.name}")
-        transfers.append({(one.name, out.name): plant_transfer(point, one.push(point), out.slopes(point.pose))
-                          for one, out in itertools.product(ins, outs)})  # fmt: skip
+    chosen, points = law_at(mechanism, np.atleast_2d(positions), law, settings, effort_limit, frequency_hz)
+    points = label_differences(points)
+    transfers = [_transfers(point, ins, outs, say) for point in points]
     grid = _curve_frequencies([one for found in transfers for one in found.values()], chosen.timing.period_s)
     held: list[tuple[str, FeedbackLoop] | None] = [None] * len(points)
     pairs = contact_pairs(mechanism, np.array([point.pose for point in points]))
-    measured: dict[int, dict[tuple[str, str], Response]] = {}
-    taken, caveats = None, ()
+    taken, measured, caveats = None, {}, ()
     moved = [out for out in outs if any(found[one.name, out.name].gain for found in transfers for one in ins)]
     if setup is not None and moved:
         in_contact = touched(pairs, len(points))
         held = _holding_loops(points, chosen, in_contact)
-        if kept := [i for i, one in enumerate(held) if one is not None]:
-            rows = len(kept) * mechanism.n_u
-            at = default_frequencies(transfers, chosen.timing, rows) if frequency_hz is None else frequency_hz
-            taken = measure_plants([held[i][1] for i in kept], ins, moved, at, effort_limit, setup, say)
-            for i, of_pose in zip(kept, taken.responses, strict=True):  # what does not move at a pose is noise there
-                measured[i] = {pair: response for pair, response in of_pose.items() if transfers[i][pair].gain}
+        kept = {i: one[1] for i, one in enumerate(held) if one is not None}
+        if kept:
+            at = frequency_hz
+            if at is None:
+                at = default_frequencies(transfers, chosen.timing, len(kept) * mechanism.n_u)
+            taken = measure_plants(list(kept.values()), ins, moved, at, effort_limit, setup, say)
+            measured = _moving(dict(zip(kept, taken.responses, strict=True)), transfers)
         caveats = tuple(_caveats(points, held, in_contact, measured, LAW_NAMES[law]))
     found = tuple(
         _point(point, ins, outs, transfers[i], grid, held[i], measured.get(i, {})) for i, point in enumerate(points)
     )
-    every = [one.measured for point in found for one in point.responses.values() if one.measured]
-    deviation = largest_deviation(every, LARGEST_UNCERTAINTY)
     return PlantStudy(
         mechanism_name=mechanism.name,
         message=plant_message(found, efforts, outputs),
         inputs=tuple(efforts),
         outputs=tuple(outputs),
         points=found,
-        measurement=None
-        if taken is None
-        else {
-            "method": "sinestream",
-            "simulated_steps": taken.simulated_steps,
-            "deviation_db": deviation[0],
-            "deviation_deg": deviation[1],
-            **taken.conditions,
-        },
+        measurement=_measurement(found, taken),
         caveats=caveats,
         contacts=contact_sentence(pairs, len(points)) if setup is not None else None,
         softness=softness_of(points) if setup is not None else None,
@@ -146,6 +124,34 @@ def plant_study(
         mechanism=mechanism,
         efforts=ins,
         positions=outs,
+    )
+
+
+def _transfers(
+    point: OperatingPoint, ins: Sequence[PlantInput], outs: Sequence[PlantOutput], say: Callable[[str], None]
+) -> dict[tuple[str, str], TransferFunction]:
+    """Return the predicted transfer functions at a point, by the names of input and output."""
+    say(f"predicted at {point.name}")
+    pairs = itertools.product(ins, outs)
+    return {(one.name, out.name): plant_transfer(point, one.push(point), out.slopes(point.pose)) for one, out in pairs}
+
+
+def _moving(
+    responses: Mapping[int, Mapping[tuple[str, str], Response]],
+    transfers: Sequence[Mapping[tuple[str, str], TransferFunction]],
+) -> dict[int, dict[tuple[str, str], Response]]:
+    """Return the measured responses without those of outputs that do not move at a pose, which are noise."""
+    return {i: {pair: one for pair, one in of.items() if transfers[i][pair].gain} for i, of in responses.items()}
+
+
+def _measurement(points: Sequence[PlantPoint], taken: MeasuredPlants | None) -> dict[str, Any] | None:
+    """Return the conditions of a measurement and its largest deviation from the prediction; None without one."""
+    if taken is None:
+        return None
+    every = [one.measured for point in points for one in point.responses.values() if one.measured]
+    db, deg = largest_deviation(every, LARGEST_UNCERTAINTY)
+    return {"method": "sinestream", "simulated_steps": taken.simulated_steps, "deviation_db": db, "deviation_deg": deg} | (
+        taken.conditions
     )
 
 

@@ -55,11 +55,16 @@ def pd_loop(point: OperatingPoint, kp: float, kd: float, timing: Sampling, kind:
 
 def radii(point: OperatingPoint, kp: np.ndarray, kd: np.ndarray, timing: Sampling) -> np.ndarray:
     """Return the largest pole's size (...,) of PD loops of gains kp, kd (...,) about a point."""
-    loop = feedback_loop(point, pd_gain(effort_map(point), 1.0, 1.0), timing)
-    return spectral_radius(closed(*loop.steered_matrices(), pd_gains(point, kp, kd)))
+    return radii_about(point, timing)(pd_gains(point, kp, kd))
 
 
-def pd_gains(point: OperatingPoint, kp: np.ndarray, kd: np.ndarray) -> np.ndarray:
+def radii_about(point: OperatingPoint, timing: Sampling) -> Callable[[np.ndarray], np.ndarray]:
+    """Return the function from gains K (..., n_u, 2 n_s) to the largest pole's size (...,) of loops about a point."""
+    matrices = feedback_loop(point, pd_gain(effort_map(point), 1.0, 1.0), timing).steered_matrices()
+    return lambda gains: spectral_radius(closed(*matrices, gains))
+
+
+def pd_gains(point: OperatingPoint, kp: float | np.ndarray, kd: float | np.ndarray) -> np.ndarray:
     """Return K (..., n_u, 2 n_s) of gains (...,)."""
     kp, kd = np.broadcast_arrays(np.asarray(kp, dtype=float), np.asarray(kd, dtype=float))
     return pd_gain(effort_map(point), kp[..., None, None], kd[..., None, None])
@@ -69,7 +74,8 @@ def critical_kd(point: OperatingPoint, kp: float, timing: Sampling) -> tuple[flo
     """Return the smallest and the largest kd at which the sampled loop is stable with the given kp, NaN if none is."""
     scale = float(np.max(np.linalg.eigvalsh(np.atleast_2d(point.inertia)))) / timing.period_s
     kd = np.concatenate([[0.0], np.geomspace(1e-6 * scale, 10 * scale, 3600)])
-    stable = radii(point, np.full_like(kd, kp), kd, timing) < 1.0
+    largest, per_kp, per_kd = radii_about(point, timing), pd_gains(point, 1.0, 0.0), pd_gains(point, 0.0, 1.0)
+    stable = largest(pd_gains(point, np.full_like(kd, kp), kd)) < 1.0
     if not np.any(stable):
         return np.nan, np.nan
     inside = np.flatnonzero(stable)
@@ -78,7 +84,7 @@ def critical_kd(point: OperatingPoint, kp: float, timing: Sampling) -> tuple[flo
         return last_good(unstable, good, bad, True, _BORDER_TOLERANCE)[0]
 
     def unstable(kd: float) -> bool | None:
-        return bool(radii(point, np.array(kp), np.array(kd), timing) >= 1.0) or None
+        return bool(largest(kp * per_kp + kd * per_kd) >= 1.0) or None
 
     first, last = int(inside[0]), int(inside[-1])
     kd = kd.tolist()

@@ -22,7 +22,7 @@ from linkplan.planner.plan.record import read_plan_record
 from linkplan.planner.problem.keys.sections import BatchFile, CaseSection
 from linkplan.planner.refinement.history import Say
 from linkplan.planner.search.batch import plan_cases
-from linkplan.studies.output.batch_table import case_row
+from linkplan.studies.variations.batch.batch_blocks import case_row
 from linkplan.studies.variations.tasks.streaming import blocks_of
 
 # A block is a sixteenth of the cases within these bounds. Short blocks spread over workers and are soon redone; long blocks

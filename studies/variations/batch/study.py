@@ -4,18 +4,17 @@ import functools
 from pathlib import Path
 from typing import Any
 
-import msgspec
 from msgspec import Struct
 
-from linkplan.models.reading import MAX_FILE_BYTES
 from linkplan.planner.files.folders import check_target, write_json
-from linkplan.planner.files.manifest import read_record
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.files.work_folders import replace_file
 from linkplan.planner.plan.folder import versions
 from linkplan.planner.problem.keys.sections import BatchFile
 from linkplan.planner.refinement.history import silent
 from linkplan.planner.search.batch import check_batch
+from linkplan.studies.output.report_file import save_report
+from linkplan.studies.variations.batch.batch_blocks import batch_report
 from linkplan.studies.variations.batch.block import Planned, case_blocks, packed, plan_block, unpacked
 from linkplan.studies.variations.tasks.engine import Engine, Say, serial
 from linkplan.studies.variations.tasks.streaming import complete
@@ -39,7 +38,6 @@ def run_batch(
     *,
     engine: Engine = serial,
     parquet: bool = False,
-    keep_records: bool = True,
 ) -> Outcome:
     """Return the outcome of a batch, and write its plans into a folder if one is given.
 
@@ -49,7 +47,6 @@ def run_batch(
         say: receives progress messages.
         engine: runs the blocks.
         parquet: write a trajectory.parquet for every plan.
-        keep_records: include the cases' records in the outcome; for ten thousand cases they are large.
 
     Raises:
         LinkplanError: for an invalid case, before any case is planned.
@@ -66,12 +63,13 @@ def run_batch(
             replace_file(part(folder, block, "zip"), functools.partial(Path.write_bytes, data=packed(answers)))
 
         def save(place: Path) -> None:
-            outcomes.append(_outcome(folder, batch, place, True))
+            outcomes.append(_outcome(folder, batch, place))
             write_json(place / RECORD, outcomes[0])
+            save_report(batch_report(outcomes[0].rows, outcomes[0].failures), place, page=False)
 
         complete(folder, case_blocks(len(batch.case)), "cases", engine, work, write, say)
         if target is None:
-            return _outcome(folder, batch, None, keep_records)
+            return _outcome(folder, batch, None)
         finish(folder, target, save, RECORD)
     return outcomes[0]
 
@@ -96,40 +94,12 @@ def _work(batch: BatchFile, target: Path | None, parquet: bool, say: Say | None,
     return plan_block(batch, block, target, parquet, say or silent)
 
 
-def _outcome(folder: Path, batch: BatchFile, place: Path | None, keep_records: bool) -> Outcome:
+def _outcome(folder: Path, batch: BatchFile, place: Path | None) -> Outcome:
     rows, failures, cases = [], [], {}
     for block, numbers in enumerate(case_blocks(len(batch.case))):
         cases_here = [batch.case[i] for i in numbers]
         for answer in unpacked(part(folder, block, "zip"), cases_here, place):
             rows.append(answer.row)
             failures += [] if answer.failure is None else [answer.failure]
-            if keep_records:
-                cases[answer.name] = answer.record
+            cases[answer.name] = answer.record
     return Outcome(rows=rows, failures=failures, cases=cases)
-
-
-class CaseRecord(Struct, frozen=True):
-    """A case: its settings and its result."""
-
-    settings: list[str]
-    status: str
-    message: str
-    objective: float | None = None
-    objective_kind: str = ""
-    duration_s: float | None = None
-    notes: list[str] = []
-
-
-class BatchRecord(Struct, frozen=True):
-    """The cases of a batch by name."""
-
-    cases: dict[str, CaseRecord]
-
-
-def read_cases(path: Path) -> dict:
-    """Return the part of a batch's record that a report shows, in JSON types.
-
-    Raises:
-        PlanFileError: if the file is damaged, or is not a batch's record.
-    """
-    return msgspec.to_builtins(read_record(path, BatchRecord, MAX_FILE_BYTES))

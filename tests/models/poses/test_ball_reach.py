@@ -6,7 +6,7 @@ import numpy as np
 import linkplan
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.reach import reach
-from linkplan.planner.problem.consistency import is_open
+from linkplan.planner.problem.start import is_open
 from linkplan.studies.check.new.clear_way import obstacle_on_way
 from tests.support.hexapod import hexapod
 from tests.support.linkages import RSSR

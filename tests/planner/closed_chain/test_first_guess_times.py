@@ -1,6 +1,6 @@
 """Times, speeds and durations of the smooth path that a search begins with, and the units that it sets."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,7 +11,10 @@ from linkplan.planner.closed_chain.guess import _shortest_duration, _smooth_path
 from linkplan.planner.closed_chain.prescribed import Demand, reference_demand, rounded_down
 from linkplan.planner.closed_chain.transcribe import choose_scales, own_objective
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.collocation import Transcribed
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, body_problem
+from tests.support.refinement_states import guessed
 
 # A damped rod on a pivot, with a motor that pulls harder one way.
 DAMPED = """<mujoco><option gravity="0 0 -{gravity}"/><worldbody><body name="rod">
@@ -104,6 +107,27 @@ def test_the_unit_of_an_effort_is_its_limit_or_what_a_slow_motion_needs(limits, 
     assert scales.time_s == guess.duration_s
 
 
+def turn_with(**origin) -> Transcribed:
+    """Return the program of a turn with units of 3 s, 2 N.m and of 5 for the objective."""
+    program = guessed(10).found.solution.transcribed
+    scales = replace(program.origin.scales, effort=np.array([2.0]), time_s=3.0)
+    formulation = replace(program.formulation, units=replace(program.units, objective=5.0))
+    return replace(program, origin=replace(program.origin, scales=scales, **origin), formulation=formulation)
+
+
+def with_effort(breaks_s: list[float], effort: np.ndarray) -> Trajectory:
+    """Return a motion at rest with the coefficients of its efforts (degree + 1, n, n_u)."""
+    still = np.zeros((2, effort.shape[1], 1))
+    return Trajectory(
+        breaks_s=np.array(breaks_s),
+        position=still,
+        velocity=still[:1],
+        effort=effort,
+        start_pose=np.zeros(1),
+        periodic=False,
+    )
+
+
 @pytest.mark.parametrize(
     ("coefficients", "breaks", "integral"),
     [
@@ -115,19 +139,16 @@ def test_the_unit_of_an_effort_is_its_limit_or_what_a_slow_motion_needs(limits, 
 )
 def test_the_own_objective_is_without_the_smoothing_of_efforts(coefficients, breaks, integral):
     """smoothing x unit of the objective x unit of time x int (u' / U)^2 dt."""
-    scales = SimpleNamespace(effort=np.array([2.0]), time_s=3.0)
-    origin = SimpleNamespace(smoothing=0.1, scales=scales, tie_weights=np.zeros(1))
-    transcribed = SimpleNamespace(origin=origin, units=SimpleNamespace(objective=5.0))
-    motion = SimpleNamespace(breaks_s=np.array(breaks), effort=np.array(coefficients)[:, :, None])
-    assert own_objective(transcribed, 7.0, motion) == pytest.approx(7.0 - 0.1 * 5.0 * 3.0 * integral)
+    program = turn_with(smoothing=0.1, tie_weights=np.zeros(1))
+    motion = with_effort(breaks, np.array(coefficients)[:, :, None])
+    assert own_objective(program, 7.0, motion) == pytest.approx(7.0 - 0.1 * 5.0 * 3.0 * integral)
 
 
 def test_the_own_objective_is_without_what_breaks_ties():
     """Weights x int u^2 dt of each actuator: of tau^2, and of 2."""
-    origin = SimpleNamespace(smoothing=0.0, tie_weights=np.array([0.5, 0.25]))
     effort = np.stack([[[0.0], [0.0], [1.0]], [[2.0], [2.0], [2.0]]], axis=2)
-    motion = SimpleNamespace(breaks_s=np.array([0.0, 3.0]), effort=effort)
-    found = own_objective(SimpleNamespace(origin=origin), 7.0, motion)
+    program = turn_with(smoothing=0.0, tie_weights=np.array([0.5, 0.25]))
+    found = own_objective(program, 7.0, with_effort([0.0, 3.0], effort))
     assert found == pytest.approx(7.0 - 0.5 * 3.0 / 5.0 - 0.25 * 4.0 * 3.0)
 
 

@@ -56,7 +56,7 @@ def test_a_joint_servos_plan_stays_within_the_ctrl_that_it_has():
 def test_a_ctrl_range_that_forbids_the_motion_is_named():
     """A softer servo, u <= 22 (0.9 - q): its forcerange alone would do for 0.2248 s, its ctrl takes 0.2363 s."""
     softer = SERVO.replace('kp="100"', 'kp="22"').format(reach=0.9)
-    plan = body_plan(softer, REACH.replace("0.8", "0.23"))
+    plan = body_plan(softer, REACH.replace("0.8", "0.23"), "mesh.intervals=10")
     assert plan.status == "infeasible"
     assert "the ctrl of s would have to come to" in plan.message
     assert "beyond its limit of 0.9" in plan.message

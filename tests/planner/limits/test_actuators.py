@@ -72,7 +72,8 @@ def test_a_step_below_a_ten_millionth_of_the_largest_effort_is_no_jump(share, ju
     [(-0.3, 0.5, 0.5), (-0.7, 0.5, 0.7), (-np.inf, 0.2, 0.2), (-np.inf, np.inf, 1.0), (0.0, 0.0, 1.0)],
 )
 def test_the_unit_of_a_servo_s_ctrl_is_the_larger_end_of_its_range(low, high, unit):
-    assert _unit(SimpleNamespace(control_lower=low, control_upper=high)) == unit
+    (servo,) = crank(SERVO).mechanism.actuators
+    assert _unit(replace(servo, control_lower=low, control_upper=high)) == unit
 
 
 # A crank with a slider in a loop: one motor on the crank, one on the slider; a servo of 10 N.m/rad on the crank, clamped.

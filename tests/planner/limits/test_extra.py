@@ -126,7 +126,7 @@ def test_the_certificate_of_a_motion_says_how_far_it_is_beyond_an_extra_limit_be
 
 @pytest.mark.slow
 def test_a_motion_that_an_extra_limit_forbids_is_infeasible_and_the_sentence_names_it(knee):
-    plan = linkplan.plan(Problem.reach(knee, **REACH, extra_limits=[speed_limit(2.0)]))
+    plan = linkplan.plan(Problem.reach(knee, **REACH, extra_limits=[speed_limit(2.0)], mesh={"intervals": 10}))
     assert plan.status == "infeasible"
     assert plan.message.startswith("infeasible: the extra limit 'hip speed' would have to come to")
     assert plan.message.endswith("beyond its limit of 2")

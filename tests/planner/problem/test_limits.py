@@ -236,7 +236,7 @@ def test_the_line_of_a_motor_on_a_dependent_joint_is_kept():
 @pytest.mark.slow
 def test_a_limit_that_forbids_a_motion_is_named_with_amount_and_instant():
     override = "motors.motor={stall_effort=4.0,no_load_speed_deg_s=90.0}"
-    plan = body_plan(HINGE, QUARTER_TURN + "duration_s = 0.8\n", override)
+    plan = body_plan(HINGE, QUARTER_TURN + "duration_s = 0.8\n", override, "mesh.intervals=10")
     assert plan.status == "infeasible", plan.message
     assert "\n" not in plan.message
     name = re.escape("torque-speed line of motor (effort / stall + speed / no-load)")

@@ -8,7 +8,7 @@ import pytest
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.reach import reach
-from linkplan.planner.problem import consistency
+from linkplan.planner.problem import start
 from linkplan.planner.problem.problem import Problem, load_problem
 
 
@@ -20,10 +20,10 @@ def test_the_reason_is_that_of_the_end_beyond_which_a_position_lies(monkeypatch,
         name: replace(getattr(found, name), reason=f"what lies {word}")
         for name, word in (("lower", "below"), ("upper", "above"))
     }
-    monkeypatch.setattr(consistency, "reach", lambda _mechanism: replace(found, **ends))
+    monkeypatch.setattr(start, "reach", lambda _mechanism: replace(found, **ends))
     at = found.upper.position if beyond > 0 else found.lower.position
     with pytest.raises(ProblemError, match=reason):
-        consistency._check_reach(mechanism, None, "goal", np.array([at + beyond]))
+        start._check_reach(mechanism, None, "goal", np.array([at + beyond]))
 
 
 def test_a_joint_of_several_is_named_alone():

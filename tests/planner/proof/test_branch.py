@@ -22,12 +22,7 @@ MODEL = """<mujoco><worldbody>
 <actuator><motor joint="O" ctrlrange="-1 1"/></actuator></mujoco>"""
 
 
-@pytest.fixture(autouse=True)
-def precision():
-    before = ctx.prec, ctx.cap
-    ctx.prec = 100
-    yield
-    ctx.prec, ctx.cap = before
+BITS = 100
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ from tests.support.arms import LOWER, UPPER
 from tests.support.four_bars import random_bars
 from tests.support.linkages import loaded
 from tests.support.mechanisms import doubled_pin, random_quaternion, replaced
-from tests.support.mp_functions import DIGITS, mp_motion, mp_pose, mp_values
+from tests.support.mp_functions import ball, mp_motion, mp_pose, mp_values
 from tests.support.plans import optimal, problem_of
 from tests.support.random_motions import motion_of, needed
 from tests.support.sites import ABOVE, BELOW, arm_of, site_problem
@@ -38,19 +38,7 @@ CENTRE, RADIUS, INTERVAL = 0.5, 0.25, 1
 KP, KV = 5.0, 0.05
 
 
-@pytest.fixture(autouse=True)
-def precision():
-    before = ctx.prec, ctx.cap
-    ctx.prec = 80
-    with mp.workdps(DIGITS):
-        yield
-    ctx.prec, ctx.cap = before
-
-
-def ball(x) -> arb:
-    """Return the ball of a number of mpmath."""
-    sign, mantissa, exponent, _ = mp.mpf(x)._mpf_
-    return arb(-int(mantissa) if sign else int(mantissa)) * arb(2) ** exponent
+BITS = 80
 
 
 def check(problem, motion: Trajectory, words: str, exact, shares=(-1.0, -0.37, 0.0, 0.62, 1.0)) -> None:

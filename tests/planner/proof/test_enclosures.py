@@ -12,24 +12,11 @@ from linkplan.planner.proof.prove import TAYLOR_ORDER, states_of
 from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm, solve
 from linkplan.planner.proof.walk import blocks_of
 from linkplan.planner.trajectory import Trajectory
-from tests.support.mp_functions import DIGITS, mp_effort, mp_motion, mp_pose, mp_values
+from tests.support.mp_functions import ball, mp_effort, mp_motion, mp_pose, mp_values
 from tests.support.plans import optimal
 from tests.support.provable import INTERVALS, swing
 
-
-@pytest.fixture(autouse=True)
-def precision():
-    before = ctx.prec, ctx.cap
-    ctx.prec = 80
-    with mp.workdps(DIGITS):
-        yield
-    ctx.prec, ctx.cap = before
-
-
-def ball(x) -> arb:
-    """Return a ball about a number of mpmath, wider than its own rounding."""
-    sign, mantissa, exponent, _ = x._mpf_
-    return arb(-int(mantissa) if sign else int(mantissa)) * arb(2) ** exponent
+BITS = 80
 
 
 def value_at(form: TaylorForm, x: arb) -> arb:

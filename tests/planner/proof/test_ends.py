@@ -7,8 +7,8 @@ import pytest
 import scipy.optimize
 
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.proof.ends import _largest_of_unit, end_findings
 from linkplan.planner.proof.finding import Finding
-from linkplan.planner.proof.motion import _largest_of_unit, end_findings
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, QUARTER_TURN, TURN, body_problem
 from tests.support.plans import optimal

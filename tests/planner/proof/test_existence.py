@@ -208,14 +208,10 @@ def test_sizes_are_spans_and_largest_speeds_and_of_what_hardly_moves_a_hundredth
 
 def test_the_defect_of_a_turn_without_efforts_is_its_acceleration():
     """Over the whole quarter turn, x from -1 to 1, the defect is exactly -A x; its remainder is zero."""
-    before, found = (ctx.prec, ctx.cap), near()
-    try:
-        ctx.prec = 100
-        blocks, piece = blocks_of(load_mechanism(HINGE)), Piece.of(without_efforts(), 0)
-        middle, whole, _ = states_of(blocks, piece, (0.5, 0.5), np.zeros(0), [arb(0)], 2)
-        (defect,) = found._defect((middle, whole), 2)
-    finally:
-        ctx.prec, ctx.cap = before
+    ctx.prec = 100
+    blocks, piece = blocks_of(load_mechanism(HINGE)), Piece.of(without_efforts(), 0)
+    middle, whole, _ = states_of(blocks, piece, (0.5, 0.5), np.zeros(0), [arb(0)], 2)
+    (defect,) = near()._defect((middle, whole), 2)
     assert [abs(float(c.mid())) for c in defect.coefficients] == pytest.approx([0.0, ACCELERATION], abs=1e-12)
     assert float(defect.remainder) < 1e-12
 

@@ -28,12 +28,7 @@ TWO = ONE + '<motor name="p" joint="P" gear="-3" ctrlrange="-9 9"/>'
 TAU = 0.375
 
 
-@pytest.fixture(autouse=True)
-def precision():
-    before = ctx.prec, ctx.cap
-    ctx.prec = 100
-    yield
-    ctx.prec, ctx.cap = before
+BITS = 100
 
 
 def motion(mechanism: Mechanism) -> Trajectory:

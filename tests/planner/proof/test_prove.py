@@ -12,8 +12,8 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.branch import newton
+from linkplan.planner.proof.ends import end_findings
 from linkplan.planner.proof.finding import Proof
-from linkplan.planner.proof.motion import end_findings
 from linkplan.planner.proof.prove import _Sweep
 from linkplan.planner.proof.prove import prove as prove_all
 from linkplan.planner.proof.walk import blocks_of

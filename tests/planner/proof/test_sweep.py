@@ -91,26 +91,23 @@ def test_what_is_left_open_on_a_box_is_told_with_the_box_s_instants():
 
 def test_the_next_box_s_branch_is_guessed_along_its_slope(monkeypatch):
     """From the end of one box to the middle of the next the guess is off by the second order of the way only."""
-    before, guesses = (ctx.prec, ctx.cap), []
+    guesses = []
 
     def noting(blocks: Blocks, s: np.ndarray, guess: np.ndarray) -> np.ndarray:
         guesses.append((guess, newton(blocks, s, guess)))
         return guesses[-1][1]
 
     monkeypatch.setattr(prove, "newton", noting)
-    try:
-        ctx.prec = 100
-        problem, motion = motion_of(load_mechanism("five-bar"), np.random.default_rng(3))
-        blocks = blocks_of(problem.mechanism)
-        sweep = _Sweep(problem=problem, trajectory=motion, blocks=blocks, claims=[], until=NO_DEADLINE, order=6)
-        sweep.slack = [arb(0)] * 2
-        piece = Piece.of(motion, 1)
-        z = motion.start_pose[list(blocks.dependent)]
-        anchor = _Anchor(region=None, end=[], z=z, slope=np.zeros_like(z), tau=0.0)
-        _, anchor = sweep._states(piece, _Box(centre=0.49, radius=0.01, halvings=0, claims=[]), anchor)
-        sweep._states(piece, _Box(centre=0.51, radius=0.01, halvings=0, claims=[]), anchor)
-    finally:
-        ctx.prec, ctx.cap = before
+    ctx.prec = 100
+    problem, motion = motion_of(load_mechanism("five-bar"), np.random.default_rng(3))
+    blocks = blocks_of(problem.mechanism)
+    sweep = _Sweep(problem=problem, trajectory=motion, blocks=blocks, claims=[], until=NO_DEADLINE, order=6)
+    sweep.slack = [arb(0)] * 2
+    piece = Piece.of(motion, 1)
+    z = motion.start_pose[list(blocks.dependent)]
+    anchor = _Anchor(region=None, end=[], z=z, slope=np.zeros_like(z), tau=0.0)
+    _, anchor = sweep._states(piece, _Box(centre=0.49, radius=0.01, halvings=0, claims=[]), anchor)
+    sweep._states(piece, _Box(centre=0.51, radius=0.01, halvings=0, claims=[]), anchor)
     guess, found = guesses[-1]
     way = np.abs(found - anchor.z).max()
     assert way > 1e-4
@@ -119,12 +116,10 @@ def test_the_next_box_s_branch_is_guessed_along_its_slope(monkeypatch):
 
 @pytest.fixture
 def five_bar():
-    """Yield a problem, a random motion and the blocks of a five-bar; balls have 100 bits in the test."""
-    before = ctx.prec, ctx.cap
+    """Return a problem, a random motion and the blocks of a five-bar; balls have 100 bits in the test."""
     ctx.prec = 100
     problem, motion = motion_of(load_mechanism("five-bar"), np.random.default_rng(3))
-    yield problem, motion, blocks_of(problem.mechanism)
-    ctx.prec, ctx.cap = before
+    return problem, motion, blocks_of(problem.mechanism)
 
 
 def sweep_of(problem, motion, blocks) -> _Sweep:

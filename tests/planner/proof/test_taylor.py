@@ -10,13 +10,12 @@ from linkplan.planner.proof.taylor import TaylorForm, above, below
 
 UNKNOWN = arb(0, math.inf)
 
+BITS = 100
+
 
 @pytest.fixture(autouse=True)
-def precision():
-    before = ctx.prec, ctx.cap
-    ctx.prec, ctx.cap = 100, 10
-    yield
-    ctx.prec, ctx.cap = before
+def short_series():
+    ctx.cap = 10
 
 
 def form(*coefficients: float, remainder: float = 0.0, whole: float = math.inf) -> TaylorForm:

@@ -8,7 +8,6 @@ import pytest
 from linkplan.planner.refinement.constrained_arcs import (
     arc_ends,
     find_constrained_paths,
-    off_limit_intervals,
     own_arcs,
     path_arcs,
 )
@@ -34,25 +33,6 @@ def program_of(rows, *, limit=(LOW, HIGH), kind="speed", n_path=0, n_equations=0
     program = SimpleNamespace(mesh=SimpleNamespace(n_intervals=len(rows)), interval=interval, functions=functions)
     own, path = ({} if n_path else {kind: [np.array(limit)]}), np.array([limit])
     return SimpleNamespace(program=program, parameters=None, formulation=SimpleNamespace(own=own, path=path))
-
-
-@pytest.mark.parametrize(
-    ("coefficients", "is_off"),
-    [
-        ((0.0, HIGH, 0.0), True),  # the parabola's largest value is HIGH / 2
-        ((0.0, LOW, 0.0), True),
-        ((HIGH, HIGH, HIGH), False),  # it is at the limit
-        ((HIGH, 0.0, 0.0), False),  # it is at the limit at its beginning alone
-        ((0.0, 0.0, LOW), False),
-        ((0.0, 0.9 * HIGH, 0.0), False),  # neither is at the limit
-    ],
-)
-def test_coefficients_keep_a_parabola_off_a_limit_that_its_middle_coefficient_alone_touches(coefficients, is_off):
-    assert off_limit_intervals(program_of([coefficients]), np.zeros(0)).tolist() == [is_off]
-
-
-def test_a_limit_of_zero_or_none_keeps_nothing_off():
-    assert not off_limit_intervals(program_of([(-1.0, 0.0, -1.0)], limit=(-np.inf, 0.0)), np.zeros(0)).any()
 
 
 def test_an_interval_is_an_arc_where_all_of_its_coefficients_are_at_one_limit():

@@ -2,7 +2,6 @@
 
 import functools
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.planning import plan_motion
 from tests.bench.contradictions import weak_case
 from tests.support import fourbar_problems
+from tests.support.plans import optimal
 from tests.support.tolerances_planner import MINIMUM_TIME
 
 # Weak four-bars that have to swing, drawn with this seed; number 10 was called infeasible at 1.0005 times its least time.
@@ -73,7 +73,7 @@ def test_a_known_motion_within_the_time_asked_forbids_the_word_infeasible(monkey
     search = Search(problem=problem, start_pose=problem.start_pose())
 
     def named(search, _details):
-        search.known.add(SimpleNamespace(duration_s=known * asked))
+        search.known.add(optimal("knee-reach", f"motion.duration_s={known * asked}").trajectory)
         return ""
 
     monkeypatch.setattr(reasons, "shortest_sentence", named)

@@ -4,7 +4,6 @@ The best known values are of an independent collocation, at the nodes of its mes
 """
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +12,7 @@ import linkplan
 from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.formulate import FIRST_TIE_WEIGHT, tie_weights
+from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.history import recording
@@ -21,6 +21,7 @@ from linkplan.planner.search.finer_meshes import FIRST_MARGIN, at_a_distance, ef
 from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.several_motors import from_several_starts
+from linkplan.planner.trajectory import Trajectory
 from tests.bench.many_robots import write_robots
 from tests.support.data import DATA
 
@@ -85,7 +86,7 @@ def test_a_slower_motion_bounds_a_least_time_that_does_not_pass(in_least_time, m
     own = several_motors.certified
 
     def failing(problem, found):
-        return own(problem, found) if problem.motion.duration_s else SimpleNamespace(passed=False)
+        return own(problem, found) if problem.motion.duration_s else Plan(problem=problem, status="failed", message="")
 
     monkeypatch.setattr(several_motors, "certified", failing)
     with recording():
@@ -117,7 +118,11 @@ def test_the_tie_weight_is_the_mean_squared_effort_in_shares_of_the_limits(in_le
 def test_a_jump_is_where_the_impulse_of_its_interval_puts_it(in_least_time):
     breaks, level = np.linspace(0.0, 1.0, 11), np.full((10, 2), 100.0)
     level[4, 0], level[5:, 0] = 100.0 - 0.3 * 200.0, -100.0  # the first effort jumps at seven tenths of the fifth interval
-    motion = SimpleNamespace(breaks_s=breaks, duration_s=1.0, effort=np.stack([level, level]))
+    still = np.zeros((2, 10, 2))
+    motion = Trajectory(
+        breaks_s=breaks, position=still, velocity=still[:1], effort=np.stack([level, level]),
+        start_pose=in_least_time.mechanism.home, periodic=False,
+    )  # fmt: skip
     assert effort_jumps(case_of(in_least_time), motion) == pytest.approx([0.47])
     smooth = case_of(leg(duration_s=0.3, minimize="effort"))
     assert len(effort_jumps(smooth, motion)) == 0

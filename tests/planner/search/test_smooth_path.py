@@ -8,11 +8,11 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
-from linkplan.planner.search import smooth_path
+from linkplan.planner.search import without_solver
 from linkplan.planner.search.ladder import SHORT_BUDGET, Search, SearchMethod
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.reasons import nothing_found
-from linkplan.planner.search.smooth_path import _is_carried
+from linkplan.planner.search.without_solver import _is_carried
 from tests.support.plans import optimal
 
 STRONG = "limits.effort={ act_O1 = [-3.0, 3.0], act_O2 = [-3.0, 3.0] }"
@@ -92,6 +92,6 @@ def test_an_effort_that_is_missing_to_rounding_of_the_largest_one_is_none(monkey
     def needed(mechanism, poses, *_motion):
         return np.tile([0.0, 2.0], (len(poses), 1)), np.full((len(poses), mechanism.dof), 2.0 * missing)
 
-    monkeypatch.setattr(smooth_path, "needed_effort", needed)
+    monkeypatch.setattr(without_solver, "needed_effort", needed)
     problem = load_problem("five-bar-reach", [STRONG])
     assert _is_carried(problem, Search(problem=problem, start_pose=problem.start_pose())) is carried

@@ -9,7 +9,7 @@ from scipy.integrate import quad
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.problem.problem import Problem, load_problem
-from linkplan.planner.search import resting, waiting
+from linkplan.planner.search import waiting, without_solver
 from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.search.planning import REPAIRS, plan_motion
 from linkplan.planner.trajectory import Trajectory
@@ -140,7 +140,7 @@ def test_a_rest_is_joined_to_a_motion_as_constants(first):
         start_pose=np.zeros(1),
         periodic=False,
     )
-    joined = resting.joined(motion, rest, first=first)
+    joined = without_solver.joined(motion, rest, first=first)
     assert joined.breaks_s.tolist() == ([0.0, 0.25, 0.5, 1.25] if first else [0.0, 0.25, 1.0, 1.25])
     rest, moves = (0.1, 0.25 + np.array([0.1, 0.9])) if first else (1.1, np.array([0.1, 0.9]))
     at = np.array([rest])
@@ -156,13 +156,13 @@ def test_a_weight_is_held_on_either_side_up_to_the_limit_there(sign, limit, held
     motion = f'kind = "reach"\nstart_deg = {{ J = {sign * 30.0} }}\ngoal_deg = {{ J = {sign * 60.0} }}\nduration_s = 4.0\n'
     limits = f"limits.effort.m=[-9, {limit}]" if sign > 0 else f"limits.effort.m=[-{limit}, 9]"
     problem = body_problem(PENDULUM.format(limit=9), motion, limits)
-    holding = resting.held(problem, "start")
+    holding = without_solver.held(problem, "start")
     assert (holding is not None) is held
     if held:
         assert holding.effort == pytest.approx([sign * 9.81 * 0.25])
-    assert resting.held(problem, "goal") is None
+    assert without_solver.held(problem, "goal") is None
     moving = replace(problem, motion=replace(problem.motion, start_speed=np.array([-0.1])))
-    assert resting.held(moving, "start") is None
+    assert without_solver.held(moving, "start") is None
 
 
 @pytest.mark.parametrize(("angle", "held"), [(0.0, True), (30.0, False)])
@@ -174,4 +174,4 @@ def test_a_pose_in_which_an_undriven_rod_would_fall_is_not_held(angle, held):
     motion = (
         f'kind = "reach"\nstart_deg = {{ J = 0.0, K = {angle} }}\ngoal_deg = {{ J = 60.0, K = 10.0 }}\nduration_s = 4.0\n'
     )
-    assert (resting.held(body_problem(both, motion), "start") is not None) is held
+    assert (without_solver.held(body_problem(both, motion), "start") is not None) is held

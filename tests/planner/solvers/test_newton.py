@@ -1,7 +1,7 @@
 """Newton steps on programs of one or two unknowns: error bounds, active bounds, violations, the nearest feasible point."""
 
 import time
-from types import SimpleNamespace
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -17,8 +17,17 @@ from linkplan.planner.solvers.newton import (
     nearest_feasible,
     newton_step,
 )
+from linkplan.planner.transcription.collocation import Transcribed
+from linkplan.planner.transcription.mesh import Layout
+from tests.support.refinement_states import guessed
 
 WIDE = np.array([1e3])
+
+
+def program(parameters: np.ndarray, bounds: tuple[np.ndarray, np.ndarray], rows: np.ndarray) -> Transcribed:
+    """Return a program with these numbers in place of its own: bounds of the unknowns, and what the rows equal."""
+    numbers = {"parameters": parameters, "lower": bounds[0], "upper": bounds[1], "row_lower": rows, "row_upper": rows}
+    return replace(guessed(10).found.solution.transcribed, **numbers)
 
 
 def steps_to_zero(slope, upper: np.ndarray = WIDE) -> NewtonStep:
@@ -32,9 +41,8 @@ def steps_to_zero(slope, upper: np.ndarray = WIDE) -> NewtonStep:
         columns=np.zeros(1, dtype=int),
     )
 
-    def numbers(target: float, most: np.ndarray) -> SimpleNamespace:
-        rows = {"row_lower": np.zeros(0), "row_upper": np.zeros(0)}
-        return SimpleNamespace(parameters=np.array([target]), lower=-WIDE, upper=most, **rows)
+    def numbers(target: float, most: np.ndarray) -> Transcribed:
+        return program(np.array([target]), (-WIDE, most), np.zeros(0))
 
     begin = Optimum(x=np.ones(1), rows=np.zeros(0), bounds=np.zeros(1))
     return newton_step(conditions, numbers(float(slope(1.0)), WIDE), begin, numbers(0.0, upper), 3)
@@ -96,9 +104,8 @@ def moved(gradient, row, begin: Optimum, asked: float, target: float = 0.0, star
         columns=np.repeat(np.arange(n + 1), n + 1),
     )
 
-    def numbers(p: float, row: float) -> SimpleNamespace:
-        wide = {"lower": np.full(n, -1e3), "upper": np.full(n, 1e3)}
-        return SimpleNamespace(parameters=np.array([p]), row_lower=np.array([row]), row_upper=np.array([row]), **wide)
+    def numbers(p: float, row: float) -> Transcribed:
+        return program(np.array([p]), (np.full(n, -1e3), np.full(n, 1e3)), np.array([row]))
 
     return newton_step(conditions, numbers(start, 0.0), begin, numbers(asked, target), 3)
 
@@ -158,17 +165,15 @@ def test_the_nearest_feasible_point_keeps_unknowns_that_are_at_a_bound(side, dis
         "jac_g": ca.Function("jac_g", [x, p], [row, ca.jacobian(row, x)]),
         "grad_f": ca.Function("grad_f", [x, p], [x[0], ca.vertcat(1.0, 0.0)]),
     }
-    layout = SimpleNamespace(effort=lambda: np.arange(2), durations=lambda: np.zeros(0, dtype=int))
+    layout = Layout(n_s=0, n_z=0, n_u=2, n_nodes=1, n_intervals=1, n_segments=0)
     bound = np.array([9.0, 9.0]), np.array([9.0, distance])
     lower, upper = (-bound[0], bound[1]) if side > 0 else (-bound[1], bound[0])
-    transcribed = SimpleNamespace(
-        program=SimpleNamespace(functions=functions, layout=layout),
-        parameters=np.zeros(0),
-        lower=lower,
-        upper=upper,
-        row_lower=np.array([2.0]),
-        row_upper=np.array([2.0]),
-        objective_scale=3.0,
+    transcribed = program(np.zeros(0), (lower, upper), np.array([2.0]))
+    units = replace(transcribed.units, objective=3.0)
+    transcribed = replace(
+        transcribed,
+        program=replace(transcribed.program, functions=functions, layout=layout),
+        formulation=replace(transcribed.formulation, units=units),
     )
     begin = time.perf_counter()
     found = nearest_feasible(transcribed, np.zeros(2))

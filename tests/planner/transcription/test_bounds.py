@@ -1,14 +1,15 @@
 """Rows on the durations of segments, against the times that the phase boundaries ask."""
 
 import itertools
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from linkplan.planner.transcription.bounds import _boundary_groups, _hold_paths, find_junctions
-from linkplan.planner.transcription.formulation import PhaseBoundary
+from linkplan.planner.transcription.formulation import PhaseBoundary, Start
+from linkplan.planner.transcription.interval import IntervalRows
 from linkplan.planner.transcription.mesh import segmented
+from tests.support.formulations import formulation
 
 # Times of two fixed waypoints, of one within a window, of one that is free, and of the goal [s].
 WINDOWS = ((0.2, 0.2), (0.4, 0.6), (0.7, 0.7), (0.0, np.inf), (1.0, 1.1))
@@ -18,8 +19,7 @@ PHASE = np.array([0, 0, 1, 1, 2, 3, 4, 4])
 def keeps_rows(durations: np.ndarray, windows, shares) -> bool:
     """Return True if segment durations (n_segments,) keep every row."""
     boundaries = [PhaseBoundary(state=np.zeros((2, 2)), time=t, share=s) for t, s in zip(windows, shares, strict=True)]
-    formulation = SimpleNamespace(boundaries=(None, *boundaries))
-    rows = _boundary_groups(formulation, segmented(durations, 30, phase=PHASE))
+    rows = _boundary_groups(formulation(None, *boundaries), segmented(durations, 30, phase=PHASE))
     return all(low - 1e-9 <= float(weight @ durations[group]) <= high + 1e-9 for group, low, high, weight in rows)
 
 
@@ -76,10 +76,10 @@ def test_an_arc_meets_a_bang_without_a_jump_where_its_effort_beside_the_switch_h
         return None, None, None, effort[:, None]
 
     junctions = find_junctions(
-        SimpleNamespace(rows=SimpleNamespace(open_end_path=(0,))),
+        formulation(rows=IntervalRows(open_end_path=(0,))),
         segmented(durations, 12),
         durations,
-        SimpleNamespace(nodes=nodes),
+        Start(states=nodes, nodes=nodes),
         np.array([[before], [np.nan], [after]]),
         np.array([[0], [1], [0]]),
     )

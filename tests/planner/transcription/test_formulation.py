@@ -1,11 +1,10 @@
 """Durations that meet the times of phase boundaries, and what a periodic problem is."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, stretched_durations
+from linkplan.planner.transcription.formulation import PhaseBoundary, stretched_durations
+from tests.support.formulations import formulation
 
 FREE = (0.0, np.inf)
 
@@ -32,5 +31,4 @@ def test_durations_are_stretched_between_prescribed_times_only(times, expected):
     [((), (), False), ((0, 1), (), False), ((0, 1, 2), (), True), ((0, 1), (2,), True), ((0,), (2,), False)],
 )
 def test_a_problem_is_periodic_if_all_states_return_but_those_that_nothing_depends_on(returns, free_at_end, periodic):
-    problem = SimpleNamespace(returns=returns, free_at_end=free_at_end, state=np.zeros((3, 2)))
-    assert Formulation.periodic.fget(problem) == periodic
+    assert formulation(returns=returns, free_at_end=free_at_end, state=np.zeros((3, 2))).periodic == periodic

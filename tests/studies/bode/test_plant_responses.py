@@ -219,11 +219,12 @@ def test_what_neither_a_tracker_nor_the_plant_holds_is_predicted_alone_with_one_
 
 @pytest.mark.slow
 def test_lqr_holds_the_pole_while_its_non_minimum_phase_trolley_is_measured():
-    found, result = plant(CRANE.replace("TURNED", "0 180 0"), ["force"], ["trolley", "load.x"], tracker="lqr")
+    crane, at = CRANE.replace("TURNED", "0 180 0"), np.geomspace(0.3, 30.0, 8)
+    found, result = plant(crane, ["force"], ["trolley", "load.x"], tracker="lqr", frequency_hz=at)
     assert result.study.points[0].held_by == "lqr"
     for one in found.values():
         known = one.measured.is_known(0.01)
-        assert known.sum() > 10
+        assert known.sum() > 5
         assert np.abs(one.measured.less_predicted_db[known]).max() < 0.1
         assert np.abs(one.measured.less_predicted_deg[known]).max() < 1.0
 

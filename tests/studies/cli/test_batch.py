@@ -10,6 +10,7 @@ from linkplan.planner.search.batch import check_batch, plan_cases
 from linkplan.planner.search.batch_file import read_batch
 from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.cli.main import main
+from linkplan.studies.report.reading import folder_report
 from tests.support.tolerances_planner import SAME_FIGURE
 
 SWEEP = """problem = "knee-reach"
@@ -68,7 +69,16 @@ def test_a_case_without_a_plan_is_said_and_does_not_spoil_the_next(batch_file, t
         "case-3": "optimal",
     }
     assert said["case-3"]["history"][-1]["what"] == "solved again"
-    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [".linkplan.json", "batch.json", "case-3", "slow"]
+    files = [".linkplan.json", "batch.json", "case-3", "report.json", "slow"]
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == files
+    (section,) = folder_report(tmp_path / "out").sections
+    cases, failure = section.blocks
+    assert [row[:3] for row in cases.rows] == [
+        ["slow", "motion.duration_s=0.25", "optimal"],
+        ["impossible", "motion.duration_s=0.1", "infeasible"],
+        ["case-3", "motion.duration_s=0.24", "optimal"],
+    ]
+    assert failure.text.startswith("impossible: ")
 
 
 @pytest.mark.slow

@@ -17,8 +17,9 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion
+from linkplan.studies.check.new.candidates import moves_of
 from linkplan.studies.check.new.clear_way import obstacle_on_way
-from linkplan.studies.check.new.first_motion import FirstMotion, first_motion, moves_of
+from linkplan.studies.check.new.first_motion import FirstMotion, first_motion
 from linkplan.studies.check.new.problem_text import problem_text
 from tests.support.data import DATA
 from tests.support.drawn_by_others import HOEKEN, MOTOR, ring

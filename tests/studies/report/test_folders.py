@@ -150,9 +150,3 @@ def test_a_record_of_too_many_tables_is_refused_before_it_is_decoded(tmp_path):
     (tmp_path / "bode.json").write_text('{"points": [' + '{"":0},' * 500_000 + "0]}")
     with pytest.raises(PlanFileError, match="has 500002 tables and lists; at most 400000 are read"):
         folder_report(tmp_path)
-
-
-def test_a_batch_without_its_cases_is_refused(tmp_path):
-    (tmp_path / "batch.json").write_text('{"cases": {"a": {"settings": 5}}}')
-    with pytest.raises(PlanFileError, match=r"got `int` - at `\$\.cases\[\.\.\.\]\.settings`"):
-        folder_report(tmp_path)

@@ -4,8 +4,9 @@ from collections.abc import Sequence
 
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.sections import CaseSection
-from linkplan.studies.output.document import Block, Text, table_of
+from linkplan.studies.output.document import Block, Report, Section, Text, table_of
 from linkplan.studies.output.plan_blocks import figure, known_digits, objective_unit
+from linkplan.studies.output.report_file import report_of
 
 
 def case_row(case: CaseSection, plan: Plan) -> list:
@@ -19,6 +20,12 @@ def case_row(case: CaseSection, plan: Plan) -> list:
     shown = None if peak is None else f"{peak[0]:.4g} {peak[1]}"
     warm = "again" if plan.solved_again else "anew"
     return [case.name, " ".join(case.set), plan.status, objective, duration, shown, seconds, warm]
+
+
+def batch_report(rows: Sequence[list], failures: Sequence[str]) -> Report:
+    """Return the report of a batch: how many cases have plans, and the blocks of all."""
+    sections = [Section(title="Cases", blocks=batch_blocks(rows, failures))]
+    return report_of("Batch", f"{len(rows) - len(failures)} of {len(rows)} cases planned", not failures, sections)
 
 
 def batch_blocks(rows: Sequence[list], failures: Sequence[str]) -> list[Block]:
