@@ -28,7 +28,8 @@ def chromium() -> Iterator:
 class Opened:
     """A page that was opened from disk: playwright's `page`, the errors it reported, the addresses it asked for.
 
-    `script` runs before those of the page. Pages opened before are closed: their mechanisms would go on moving, and take the processor's time.
+    `script` runs before those of the page. Pages opened before are closed: their mechanisms would go on moving, and take the
+    processor's time.
     """
 
     def __init__(self, browser, path: Path, width: int = 1400, scheme: str = "light", script: str = "") -> None:
