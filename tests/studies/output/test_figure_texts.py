@@ -45,12 +45,12 @@ def ode(folder: Path) -> None:
     named = {"states": ("place of the first cart", "speed of the first cart"), "efforts": ("force on the first cart",)}
     problem = linkplan.OdeProblem(
         name="a problem whose name is so long that it does not stand on one line with the message",
-        rate=lambda x, u, p, t: [x[1], u[0]],
+        rate=lambda x, u, _p, _t: [x[1], u[0]],
         start=[0, 0],
         goal=[1, 0],
         effort_limit=[[-1, 1]],
         duration_s=2.5,
-        running_cost=lambda x, u, p, t: u[0] ** 2,
+        running_cost=lambda _x, u, _p, _t: u[0] ** 2,
         **named,
     )
     linkplan.solve_ocp(problem).save(folder)
