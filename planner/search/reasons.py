@@ -48,7 +48,7 @@ def effort_sentence(problem: Problem, least: LeastLimit) -> tuple[str, dict[str,
     sentence = (
         f"{actuator.name} on {actuator.target} would have to give"
         f" {abs(needed):.4g} {actuator.unit} at t = {time[at]:.3g} s, {abs(needed - bound):.4g} {actuator.unit} beyond its"
-        f" limit of {abs(bound):.4g}"
+        f" limit of {abs(bound):.4g} {actuator.unit}"
     )
     return sentence, {"needed_effort": abs(needed), "needed_limit_factor": least.factor}
 
