@@ -1,9 +1,16 @@
 """The site: `make docs` builds it from this folder into build/site, notebooks executed, warnings as errors."""
 
 import re
+import sys
 from importlib import metadata
+from pathlib import Path
 
 from docutils import nodes
+from pygments.lexers.special import TextLexer
+from sphinx.util import logging
+
+sys.path.insert(0, str(Path(__file__).parent))
+from links import broken_links
 
 project = "linkplan"
 author = "the linkplan authors"
@@ -18,7 +25,7 @@ extensions = [
     "sphinx_copybutton",
     "sphinx-mathjax-offline",  # MathJax stands in the site: nothing is fetched from elsewhere
 ]
-exclude_patterns = ["conf.py", "notebooks/*.ipynb"]  # the site executes the notebooks' Python files
+exclude_patterns = ["conf.py", "links.py", "notebooks/*.ipynb"]  # the site executes the notebooks' Python files
 
 myst_enable_extensions = ["dollarmath", "amsmath"]
 myst_heading_anchors = 3
@@ -57,6 +64,14 @@ def mark_sentences(_app, doctree: nodes.document, _page: str) -> None:
             block["classes"].append("sentences")
 
 
+def warn_of_broken_links(app, error: Exception | None) -> None:
+    """Warn of every link of the finished site that leads nowhere, raw HTML and pictures of notebooks included."""
+    for link in [] if error else broken_links(Path(app.outdir)):
+        logging.getLogger(__name__).warning(link)
+
+
 def setup(app) -> None:
     """Connect what this site does to its pages."""
+    app.add_lexer("csv", TextLexer)
     app.connect("doctree-resolved", mark_sentences)
+    app.connect("build-finished", warn_of_broken_links)

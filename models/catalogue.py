@@ -5,7 +5,7 @@ from collections.abc import Iterable
 from importlib import resources
 from pathlib import Path
 
-from linkplan.models.errors import closest
+from linkplan.models.errors import closest, shown
 
 MODELS = {
     "optimus-knee": "the humanoid's knee: a four-bar driven at O within +-100 N.m",
@@ -28,6 +28,15 @@ def built_in_text(name: str) -> str:
 def is_text(source: str) -> bool:
     """Return True if a model's source is MJCF text and not a name or path."""
     return source.lstrip().startswith("<")
+
+
+def unknown_source(kind: str, source: str, names: Iterable[str]) -> str:
+    """Return the refusal of a source that is neither a built-in name nor there; names are told where no file was meant."""
+    names = list(names)
+    first = f"unknown {kind} '{shown(source)}'{nearest_source(source, names)}"
+    if Path(source).suffix or "/" in source:
+        return f"{first}: there is no such file"
+    return f"{first}: neither a file nor a built-in name ({', '.join(names)})"
 
 
 def nearest_source(source: str, names: Iterable[str]) -> str:

@@ -107,6 +107,11 @@ class InfeasibleError(LinkplanError):
 _UNITS = {"rad": "deg", "mm": "m", "cm": "m", "ms": "s", "us": "s", "g": "kg", "kw": "w", "khz": "hz", "kn": "n"}
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun: "1 joint", "3 joints"."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
 def listed(names: Sequence[str], most: int) -> str:
     """Return names as text; of more than `most`, the first and the number of the others: "a, b and 3 more"."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -19,11 +19,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from linkplan.models.catalogue import MODELS, built_in_text, is_text
+from linkplan.models.catalogue import MODELS, built_in_text, is_text, unknown_source
 from linkplan.models.conversion import compile_hint, conversion_notes
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.deletion import couple_narrow_tendons, leave_out_large_textures, leave_out_missing_files
-from linkplan.models.errors import ModelError, listed, nearest, one_line, shown
+from linkplan.models.errors import ModelError, listed, one_line, shown
 from linkplan.models.model_text import COMMENT, MAX_MODEL_BYTES, refuse_oversized, robot_element, urdf_root
 from linkplan.models.payload import MAX_SI_VALUE, Payload, attach
 from linkplan.models.reading import read_file
@@ -294,9 +294,7 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]
     if os.path.isdir(path):
         raise ModelError(f"model '{text}' is a folder; a model is an MJCF file or a built-in name")
     if not os.path.exists(path):
-        raise ModelError(
-            f"unknown model '{shown(text)}'{nearest(text, MODELS)}: neither a built-in name ({', '.join(MODELS)}) nor a file"
-        )
+        raise ModelError(unknown_source("model", text, MODELS))
     content = read_file(path, f"model '{text}'", MAX_MODEL_BYTES, ModelError)
     if not content.strip():
         raise ModelError(f"model '{text}' is empty; a model is an MJCF file")

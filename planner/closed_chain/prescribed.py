@@ -44,7 +44,7 @@ class Demand:
             where = f"joint {self.name} to {verb} {needed} {self.unit}"
         return (
             f"{subject} needs {where} at t = {self.time_s:.4g} s, {_figure(abs(self.needed - self.limit))} {self.unit}"
-            f" beyond its limit of {_figure(self.limit)}"
+            f" beyond its limit of {_figure(self.limit)} {self.unit}"
         )
 
 
@@ -308,7 +308,7 @@ def unheld(problem: Problem, holding: Holding) -> tuple[str, dict[str, float]]:
         actuator = mechanism.actuators[j]
         sentence = (
             f"holding the start needs {actuator.name} on {actuator.target} to give {_figure(needed[j])} {actuator.unit},"
-            f" {_figure(off)} {actuator.unit} beyond its limit of {_figure(nearest[j])}"
+            f" {_figure(off)} {actuator.unit} beyond its limit of {_figure(nearest[j])} {actuator.unit}"
         )
         return sentence, {"needed": float(needed[j]), "limit": float(nearest[j])}
     row = int(np.argmax(np.abs(holding.missed)))

@@ -12,7 +12,7 @@ from importlib import resources
 from pathlib import Path
 from typing import Any
 
-from linkplan.models.catalogue import PAYLOADS, nearest_source
+from linkplan.models.catalogue import PAYLOADS, unknown_source
 from linkplan.models.errors import ProblemError
 from linkplan.models.errors import shown as shown_name
 from linkplan.models.reading import parse_toml, read_toml
@@ -117,10 +117,7 @@ def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:
     if os.path.isdir(path):
         raise ProblemError(f"problem '{text}' is a folder; a problem is a TOML file or one of {', '.join(BUILT_IN)}")
     if not os.path.exists(path):
-        raise ProblemError(
-            f"unknown problem '{shown}'{nearest_source(text, BUILT_IN)}: neither a built-in name"
-            f" ({', '.join(BUILT_IN)}) nor a file"
-        )
+        raise ProblemError(unknown_source("problem", text, BUILT_IN))
     if path.suffix in (".xml", ".mjcf"):
         raise ProblemError(f"problem '{shown}' is a model, which check and new take; a problem is a TOML file")
     tables = read_toml(path, f"problem '{text}'")

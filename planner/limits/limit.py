@@ -212,7 +212,8 @@ class Margin:
         amount = f"{self.value:.4g} {self.unit}".rstrip()
         off = f"{abs(self.left):.3g} {self.unit}".rstrip()
         at = f"at t = {self.time_s:.4g} s"
-        return f"{self.title} {verb} {amount} {at}, {off} {self.of.facts.beyond} its limit of {self.limit:.4g}"
+        limit = f"{self.limit:.4g} {self.unit}".rstrip()
+        return f"{self.title} {verb} {amount} {at}, {off} {self.of.facts.beyond} its limit of {limit}"
 
 
 class Limit(ABC):

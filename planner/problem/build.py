@@ -27,6 +27,7 @@ from linkplan.models.poses.body_angles import body_index
 from linkplan.models.selection import Selection
 from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.files.tables import Tables, resolve_path, set_key, toml_text
+from linkplan.planner.problem.consistency import no_actuator
 from linkplan.planner.problem.extra import Extra, ExtraCost, extras_text
 from linkplan.planner.problem.force_table import force_notes, forces_of, read_force_file
 from linkplan.planner.problem.imperfections import imperfections_of
@@ -71,10 +72,7 @@ def problem_arguments(
     if mechanism is None:
         mechanism = _mechanism(tables.setdefault("mechanism", {}), folder)
     if mechanism.n_u == 0:
-        raise ProblemError(
-            f"mechanism '{mechanism.name}' has no usable actuator; a plan needs one"
-            + "".join(f"; {item.text}" for item in audit(mechanism.model))
-        )
+        raise ProblemError(no_actuator(mechanism) + "".join(f"; {item.text}" for item in audit(mechanism.model)))
     read_reference_file(tables, mechanism, folder)
     read_force_file(tables, folder)
     read_path_file(tables, folder)

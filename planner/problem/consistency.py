@@ -21,6 +21,14 @@ from linkplan.planner.transcription.scheme_names import MAX_INTERVALS
 from linkplan.planner.transcription.schemes import scheme
 
 
+def no_actuator(mechanism: Mechanism) -> str:
+    """Return the refusal of a mechanism that nothing drives."""
+    return (
+        f"mechanism '{mechanism.name}' has no usable actuator, and a plan needs one: add it to the model, or name joints"
+        " that get a motor in mechanism.drive (--drive)"
+    )
+
+
 def check_honoured(mechanism: Mechanism, unhonoured: str) -> None:
     """Refuse a model with forces that make plans wrong, unless they are to be noted, and one without an actuator."""
     falsifying = _falsifying(mechanism)
@@ -30,7 +38,7 @@ def check_honoured(mechanism: Mechanism, unhonoured: str) -> None:
             f' {"; ".join(falsifying)} (limits.unhonoured = "note" plans without them)'
         )
     if mechanism.n_u == 0:
-        raise ProblemError(f"mechanism '{mechanism.name}' has no usable actuator; a plan needs one")
+        raise ProblemError(no_actuator(mechanism))
 
 
 @functools.lru_cache(maxsize=16)

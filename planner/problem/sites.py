@@ -281,13 +281,13 @@ def _out_of_reach(mechanism: Mechanism, worst: Task, where: str, together: str, 
     if isinstance(worst, BodyAngle):
         angle, asked = (np.degrees(x) for x in (angles_of(mechanism, worst.index, pose)[0], worst.angle_rad))
         return (
-            f"{where}.{worst.body} = {asked:.6g} is out of reach{together}: {worst.body} comes no nearer than {angle:.6g}"
-            f" deg, {abs(angle - asked):.4g} deg away"
+            f"{where}.{worst.body} = {asked:.6g} deg is out of reach{together}: {worst.body} comes no nearer than"
+            f" {angle:.6g} deg, {abs(angle - asked):.4g} deg away"
         )
     place = places_of(mechanism, worst.index, pose)[0]
     return (
-        f"{where}.{worst.site} = {shown(worst.point)} is out of reach{together}: {worst.site} comes no nearer than"
-        f" {shown(np.where(np.abs(place) < 1e-6, 0.0, place))}, {worst.distance_m(place):.4g} m away"
+        f"{where}.{worst.site} = {shown(worst.point)} m is out of reach{together}: {worst.site} comes no nearer than"
+        f" {shown(np.where(np.abs(place) < 1e-6, 0.0, place))} m, {worst.distance_m(place):.4g} m away"
     )
 
 

@@ -86,7 +86,7 @@ def read_reference_file(tables: Tables, mechanism: Mechanism, folder: Path | Non
     name = checked("reference.file", section["file"])
     columns = read_csv(resolve_path(name, folder), f"reference.file '{name}'")
     if "time_s" not in columns:
-        raise ProblemError(f"reference.file '{name}' has a column time_s, got {', '.join(columns)}")
+        raise ProblemError(f"reference.file '{name}' needs a column time_s; its columns are {', '.join(columns)}")
     found = {key: value for key, value in section.items() if key != "file"} | {"time_s": columns.pop("time_s").tolist()}
     for head, values in columns.items():
         path = _key_of(head, mechanism)

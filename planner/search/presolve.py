@@ -235,7 +235,7 @@ def sentence_beyond(problem: Problem, limits: list[Limit], poses: np.ndarray, wh
             value = measured.values[k] if abs(measured.values[k]) > POSITION_ROUNDING * size else 0.0
             return (
                 f"infeasible: {title} {limit.facts.verb} {value:.6g}{unit} {when or _where(problem, poses[k])},"
-                f" {off[k]:.4g}{unit} {limit.facts.beyond} its limit of {nearest[k]:.6g}"
+                f" {off[k]:.4g}{unit} {limit.facts.beyond} its limit of {nearest[k]:.6g}{unit}"
             )
     return None
 

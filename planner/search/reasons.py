@@ -48,7 +48,7 @@ def effort_sentence(problem: Problem, least: LeastLimit) -> tuple[str, dict[str,
     sentence = (
         f"{actuator.name} on {actuator.target} would have to give"
         f" {abs(needed):.4g} {actuator.unit} at t = {time[at]:.3g} s, {abs(needed - bound):.4g} {actuator.unit} beyond its"
-        f" limit of {abs(bound):.4g}"
+        f" limit of {abs(bound):.4g} {actuator.unit}"
     )
     return sentence, {"needed_effort": abs(needed), "needed_limit_factor": least.factor}
 
@@ -75,7 +75,7 @@ def share_sentence(problem: Problem, factor: float, motion: Guess, *, at_all: bo
     if problem.mechanism.n_u == 1 and motion.effort is not None:
         actuator, needed = problem.mechanism.actuators[0], float(motion.effort(time[at : at + 1])[0, 0])
         need = f"{actuator.name} on {actuator.target} would have to give {needed:.4g} {actuator.unit}"
-        need += f", {factor:.4g} times its limit of {needed / factor:.4g}"
+        need += f", {factor:.4g} times its limit of {needed / factor:.4g} {actuator.unit}"
     else:
         need = f"all efforts would have to be {factor:.4g} times their limits"
     if not at_all:
@@ -154,7 +154,7 @@ def path_effort(problem: Problem, guess: Guess) -> PathEffort | None:
     if bound[at, column] == 0:
         sentence += " a direction in which it gives nothing"
     else:
-        sentence += f" {factors[at, column]:.4g} times its limit of {bound[at, column]:.4g}"
+        sentence += f" {factors[at, column]:.4g} times its limit of {bound[at, column]:.4g} {actuator.unit}"
     k, row = np.unravel_index(int(np.argmax(np.abs(missed))), missed.shape)
     if abs(missed[k, row]) > 1e-6 * np.abs(effort).max():
         joint = mechanism.independent_joints[row]

@@ -8,12 +8,14 @@ from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedoms
 from linkplan.models.tree.joints import where
+from linkplan.studies.check.drives import motors_hint
 
 
 def require_actuated(mechanism: Mechanism) -> None:
     """Refuse a mechanism without an actuator."""
     if mechanism.n_u == 0:
-        raise LinkplanError(f"a feedback loop needs an actuator; '{mechanism.name}' has no motor on a hinge or slide")
+        lack = f"a feedback loop needs an actuator; '{mechanism.name}' has no motor on a hinge or slide"
+        raise LinkplanError(f"{lack}: {motors_hint(mechanism)}")
 
 
 def held_pose(

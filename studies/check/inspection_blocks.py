@@ -4,6 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from linkplan.models.errors import counted
 from linkplan.models.poses.body_angles import sum_text, turning_bodies
 from linkplan.models.poses.reach import Reach
 from linkplan.models.tree.joints import where
@@ -17,7 +18,7 @@ def inspection_blocks(found: Inspection) -> list[Block]:
     mechanism = found.mechanism
     independent = ", ".join(joint.name for joint in mechanism.independent_joints)
     freedoms = f"{mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
-    first = Text(text=f"{mechanism.name}: {freedoms} ({independent} independent of {mechanism.n_q} joints)")
+    first = Text(text=f"{mechanism.name}: {freedoms} ({independent} independent of {counted(mechanism.n_q, 'joint')})")
     verdict = [Text(text=f"PROBLEM: {problem}", tone="bad") for problem in found.problems]
     verdict = verdict or [Text(text="no problems found", tone="good")]
     limits = [[a.name, a.target, a.lower, a.upper, a.unit] for a in mechanism.actuators]

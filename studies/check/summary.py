@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 
 import mujoco
 
-from linkplan.models.errors import listed
+from linkplan.models.errors import counted, listed
 from linkplan.models.mechanism import Mechanism
 from linkplan.studies.check.drives import floating_columns
 from linkplan.studies.check.inspection import Inspection
@@ -23,7 +23,7 @@ def summary_blocks(found: Inspection) -> list[Block]:
     mechanism = found.mechanism
     freedoms = f"{mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
     independent = listed([joint.name for joint in mechanism.independent_joints], MOST_COORDINATES)
-    first = Text(text=f"{mechanism.name}: {freedoms} ({independent} independent of {mechanism.n_q} joints)")
+    first = Text(text=f"{mechanism.name}: {freedoms} ({independent} independent of {counted(mechanism.n_q, 'joint')})")
     problems = grouped(mechanism, found.problems)
     verdict: list[Block] = [
         Text(text=f"PROBLEM: {text}", tone="bad") for text in _first(problems, MOST_PROBLEMS, "problems")

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import NoReturn
 
-from linkplan.models.errors import nearest, one_line
+from linkplan.models.errors import closest, nearest, one_line
 from linkplan.names import C_TRACKERS, FOLDER_FORMATS, FORMATS, LINEAR, keys_text
 from linkplan.studies.cli import option_values as values
 from linkplan.studies.cli.exit_codes import BAD_INPUT
@@ -32,6 +32,7 @@ class Parser(argparse.ArgumentParser):
         choice = re.match(r"(.*invalid choice: '(.*?)') \(choose from (.*)\)", message)
         if choice:
             message = choice[1] + nearest(choice[2], choice[3].replace("'", "").split(", ")) + f"; legal: {choice[3]}"
+        message = re.sub(r"invalid (?:float|int) value: (.*)", r"takes a number, got \1", message)
         put(sys.stderr, f"{self.prog}: {one_line(message)} ({self.prog} --help says more)\n")
         raise SystemExit(BAD_INPUT)
 
@@ -42,9 +43,12 @@ class Parser(argparse.ArgumentParser):
     def refuse_unknown(self, command: str | None, unknown: Sequence[str]) -> NoReturn:
         """Refuse arguments that a command does not take, with the option nearest to the first misspelled one."""
         parser = self if command is None else self.commands()[command]
-        options = [name for action in parser._actions for name in action.option_strings]
-        misspelled = next((word.partition("=")[0] for word in unknown if word.startswith("--")), None)
-        hint = "" if misspelled is None else nearest(misspelled, options)
+        options = [name.lstrip("-") for action in parser._actions for name in action.option_strings]
+        misspelled = next((word.partition("=")[0].lstrip("-") for word in unknown if word.startswith("--")), None)
+        match = None if misspelled is None else closest(misspelled, options)
+        hint = "" if match is None else f" (did you mean '--{match}'?)"
+        if misspelled is not None and match is None and "set" in options:
+            hint = " (keys of the problem are set by --set KEY=VALUE)"
         parser.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
 
 

@@ -7,6 +7,7 @@ import base64
 import hashlib
 import html
 import os
+import re
 from collections.abc import Sequence
 from importlib import resources
 from pathlib import Path
@@ -127,5 +128,7 @@ def read_document(path: Path) -> Report:
 
 def report_of(title: str, verdict: str, passed: bool | None, sections: Sequence[Section]) -> Report:
     """Return a report with the versions of this installation."""
-    verdict = verdict[:1].upper() + verdict[1:]
+    first = verdict.split(maxsplit=1)[0] if verdict.strip() else ""
+    if re.fullmatch(r"[a-z]+[,:;]?", first):  # a word, and not the name of an actuator, a joint or a problem
+        verdict = verdict[:1].upper() + verdict[1:]
     return Report(title=title, verdict=verdict, passed=passed, versions=versions(), sections=list(sections))

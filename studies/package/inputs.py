@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-from linkplan.models.catalogue import MODELS, nearest_source
+from linkplan.models.catalogue import MODELS, unknown_source
 from linkplan.models.errors import InfeasibleError, ModelError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
@@ -142,10 +142,7 @@ def problem_of(plan: PlanLike) -> Problem | None:
     elif source.name not in PROBLEMS:
         if os.path.exists(path):
             return None
-        raise ProblemError(
-            f"unknown plan or problem '{source.name}'{nearest_source(source.name, PROBLEMS)}: neither a plan's folder, nor a"
-            f" problem file, nor built-in ({', '.join(PROBLEMS)})"
-        )
+        raise ProblemError(unknown_source("plan or problem", source.name, PROBLEMS))
     return source.problem()
 
 
@@ -175,11 +172,7 @@ def _refuse_no_model(source: str) -> None:
         return
     refuse_saved_plan(source, "model", "give the file of its problem, an MJCF file, or a built-in name (linkplan list)")
     if not os.path.exists(Path(source)):
-        names = (*MODELS, *PROBLEMS)
-        raise ModelError(
-            f"unknown model '{source}'{nearest_source(source, names)}: neither a built-in name ({', '.join(names)})"
-            " nor a file"
-        )
+        raise ModelError(unknown_source("model or problem", source, (*MODELS, *PROBLEMS)))
 
 
 def is_problem(name: str | Path) -> bool:

@@ -137,8 +137,8 @@ def _asks_for_plant(efforts: object, positions: object, others: Mapping[str, boo
         if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(one, str) for one in value):
             raise ProblemError(f"{name} is a list of names, got {value!r}")
     if bool(efforts) != bool(positions):
-        given, missing = ("from_effort", "outputs") if efforts else ("to_position", "inputs")
-        raise ProblemError(f"{given} asks for a plant, and its {missing} are not given")
+        given, missing = ("from_effort", "to_position") if efforts else ("to_position", "from_effort")
+        raise ProblemError(f"{given} names one side of a plant; give the other side, too ({missing})")
     for name, is_asked in others.items():
         if efforts and is_asked:
             raise ProblemError(f"{name} is about the loop of a tracker, and a plant from inputs to outputs has none")

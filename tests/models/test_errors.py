@@ -32,9 +32,16 @@ def test_a_misspelt_model_is_refused_with_the_nearest_name(asked, nearest):
     assert_names(refusal(lambda: load_mechanism(asked)), f"'{asked}'", f"did you mean '{nearest}'?", *MODELS)
 
 
-@pytest.mark.parametrize("asked", ["qqq", "no/such/folder/model.xml", "", "None"])
+@pytest.mark.parametrize("asked", ["qqq", "", "None"])
 def test_a_model_that_is_nowhere_is_refused_with_the_built_in_names(asked):
     assert_names(refusal(lambda: load_mechanism(asked)), f"'{asked}'", "built-in name")
+
+
+@pytest.mark.parametrize("asked", ["no/such/folder/model.xml", "model.urdf"])
+def test_a_file_that_is_nowhere_is_refused_without_a_list_of_names(asked):
+    said = refusal(lambda: load_mechanism(asked))
+    assert_names(said, f"'{asked}'", "there is no such file")
+    assert "five-bar" not in str(said)
 
 
 @pytest.mark.parametrize(

@@ -28,15 +28,17 @@ def chromium() -> Iterator:
 class Opened:
     """A page that was opened from disk: playwright's `page`, the errors it reported, the addresses it asked for.
 
-    Pages opened before are closed: their mechanisms would go on moving, and take the processor's time.
+    `script` runs before those of the page. Pages opened before are closed: their mechanisms would go on moving, and take the
+    processor's time.
     """
 
-    def __init__(self, browser, path: Path, width: int = 1400, scheme: str = "light") -> None:
+    def __init__(self, browser, path: Path, width: int = 1400, scheme: str = "light", script: str = "") -> None:
         self.errors: list[str] = []
         self.asked: list[str] = []
         for before in browser.contexts:
             before.close()
         context = browser.new_context(viewport={"width": width, "height": 900}, color_scheme=scheme, offline=True)
+        context.add_init_script(script)
         self.page = context.new_page()
         self.page.on("pageerror", lambda error: self.errors.append(str(error)))
         self.page.on("console", lambda said: self.errors.append(said.text) if said.type in ("error", "warning") else None)

@@ -177,8 +177,9 @@ def _message(
         return f"{words} gives {asked} at {everywhere}, {sampled}"
     # The hold of one period and the delay cost this much phase at the required bandwidth with any gains.
     cost = 360.0 * wanted.bandwidth_hz * (0.5 * timing.period_s + timing.delay_s)
+    lag = "the hold and the delay alone cost" if timing.delay_steps else "the hold alone costs"
     cannot = f"{words} cannot give {asked} at {everywhere}, {sampled}"
-    return f"{cannot}: {_reason(wanted, best)}; hold and delay alone cost {cost:.3g} deg at {wanted.bandwidth_hz:g} Hz"
+    return f"{cannot}: {_reason(wanted, best)}; {lag} {cost:.3g} deg of phase at {wanted.bandwidth_hz:g} Hz"
 
 
 def _reason(wanted: Requirements, best: EvaluatedGains) -> str:

@@ -1,5 +1,6 @@
 """The output of `linkplan tune`: the [tracking] table of a problem file, and the result as a document."""
 
+import textwrap
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -89,7 +90,7 @@ def tune_figure(tuning: Tuning, path: Path | None = None) -> "Figure":
 
 def tracking_table(tuning: Tuning) -> str:
     """Return the gains as the text of the [tracking] table of a problem file."""
-    lines = [f"# {tuning.message}", "[tracking]"]
+    lines = [*textwrap.wrap(f"# {tuning.message}", 110, subsequent_indent="# ", break_on_hyphens=False), "[tracking]"]
     for key, value in tuning.tracking.items():
         rounded = {name: float(f"{gain:.6g}") for name, gain in value.items()} if isinstance(value, dict) else None
         lines.append(f"{key} = {value:.6g}" if rounded is None else f"{key} = {inline(rounded, key)}")

@@ -4,6 +4,7 @@ const BODY_COLOURS = 10;
 
 const ARC = 24; // pixels
 const SWEEP = (3 * Math.PI) / 4; // of the arc at the limit
+const FARTHEST = 1.25; // of the limit that is drawn: an arc does not run into its own tail, and the words have the number
 
 /** Return where an instant lies among times: the frame before it and the share of the way to the next. */
 function frameAt(times, time) {
@@ -152,9 +153,10 @@ function shareOf(drive, effort) {
 function drawDrive(ctx, view, drive, frame, dimension) {
   const { share, ends, full } = shareOf(drive, mixed(drive.effort, frame));
   const colour = theme.colour(full ? "bad" : "effort");
+  const drawn = Math.min(Math.max(share, -FARTHEST), FARTHEST);
   for (const mark of drive.marks) {
     if (mark.shape === "line") drawLine(ctx, view, triples(mixed(mark.at, frame), dimension), Math.abs(share), colour);
-    else drawLoad(ctx, view, mark, frame, dimension, share, ends, colour);
+    else drawLoad(ctx, view, mark, frame, dimension, drawn, ends, colour);
   }
 }
 

@@ -8,26 +8,31 @@ function showFacts(block) {
   return make("dl", { class: "facts" }, ...block.rows.flatMap(([label, value]) => [make("dt", {}, label), make("dd", {}, value)]));
 }
 
-/** Tell if a cell is a number, or a number's text with digits of its own. */
+/** Tell if a cell is a number, or a number's text with digits of its own, or with its interval. */
 function isNumber(value) {
-  return typeof value === "number" || (typeof value === "string" && value !== "" && Number.isFinite(Number(value)));
+  return typeof value === "number" || (typeof value === "string" && value !== "" && value.split(" ± ").every((part) => Number.isFinite(Number(part))));
 }
 
-/** Return a cell: numbers to the right, verdicts in words. */
-function cellOf(value) {
-  if (isNumber(value)) return make("td", { class: "number" }, typeof value === "number" ? said(value) : value);
+/** Return a cell: verdicts in words, all else to the right in a column of numbers. */
+function cellOf(value, inNumbers) {
   if (typeof value === "boolean") return make("td", { class: value ? "good" : "bad" }, value ? "yes" : "NO");
-  const text = value === null ? "–" : String(value);
-  return make("td", { class: text.length < 30 ? "short" : false }, text);
+  const text = value === null ? "–" : typeof value === "number" ? said(value) : String(value);
+  return make("td", { class: inNumbers ? "number" : text.length < 30 ? "short" : false }, text);
+}
+
+/** Tell if at least half of a column's cells that hold anything are numbers. */
+function isOfNumbers(cells) {
+  const held = cells.filter((value) => value !== null && value !== "");
+  return held.length > 0 && held.filter(isNumber).length >= held.length / 2;
 }
 
 // Tables of more rows scroll in a window of their own, their heads staying.
 const WHOLE_ROWS = 40;
 
 function showTable(block) {
-  const numbers = block.columns.map((_, k) => block.rows.some((row) => isNumber(row[k])));
+  const numbers = block.columns.map((_, k) => isOfNumbers(block.rows.map((row) => row[k])));
   const heads = block.columns.map(([head, unit], k) => make("th", { scope: "col", class: numbers[k] ? "number" : false }, labelled({ label: head, unit })));
-  const rows = block.rows.map((row) => make("tr", {}, ...row.map(cellOf)));
+  const rows = block.rows.map((row) => make("tr", {}, ...row.map((value, k) => cellOf(value, numbers[k]))));
   const table = make("table", {}, make("thead", {}, make("tr", {}, ...heads)), make("tbody", {}, ...rows));
   const inner = make("div", { class: block.rows.length > WHOLE_ROWS ? "wide" : "wide whole", tabindex: 0, role: "region", "aria-label": block.title || "table" }, table);
   return make("figure", {}, block.title ? make("figcaption", {}, block.title) : null, inner);

@@ -105,10 +105,12 @@ addEventListener("beforeprint", () => {
   document.documentElement.classList.add("printing"); // the paper's width, for what is drawn to a width
   for (const build of whenSeen.all) build();
   for (const fit of whenSized.all) fit();
+  for (const place of document.querySelectorAll(".wide")) place.firstChild.style.zoom = Math.min(1, place.clientWidth / place.scrollWidth);
   theme.set("light");
 });
 addEventListener("afterprint", () => {
   document.documentElement.classList.remove("printing");
+  for (const place of document.querySelectorAll(".wide")) place.firstChild.style.zoom = "";
   for (const one of folded) one.open = false;
   theme.set(before);
 });

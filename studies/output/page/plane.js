@@ -1,7 +1,7 @@
 // Curves in a plane: phase planes, Nyquist curves, maps. uPlot makes the axes, the curves are drawn on them.
 
 const PLANE_HEIGHT = 360;
-const SIDES = { left: 62, bottom: 46, padding: 14 };
+const SIDES = { left: 62, bottom: 46, padding: 24 };
 
 /** Return the ends of an axis: the document's, or those of all curves with a little room. */
 function endsOf(axis, rows) {
@@ -35,15 +35,18 @@ function drawHeat(u, heat) {
     return [2 * at[0] - middle[0], ...middle, 2 * at[at.length - 1] - middle[middle.length - 1]];
   };
   const [columns, rows] = [edges(heat.x, "x"), edges(heat.y, "y")];
+  const whole = make("canvas", { width: ctx.canvas.width, height: ctx.canvas.height }); // printed, single cells would show their seams
+  const cells = whole.getContext("2d");
   heat.values.forEach((row, j) =>
     row.forEach((value, i) => {
       if (value === null) return;
-      ctx.fillStyle = heatColour((value - heat.ends[0]) / (heat.ends[1] - heat.ends[0]));
+      cells.fillStyle = heatColour((value - heat.ends[0]) / (heat.ends[1] - heat.ends[0]));
       const [left, right] = [columns[i], columns[i + 1]].sort((a, b) => a - b).map(Math.round);
       const [top, bottom] = [rows[j], rows[j + 1]].sort((a, b) => a - b).map(Math.round);
-      ctx.fillRect(left, top, right - left, bottom - top);
+      cells.fillRect(left, top, right - left, bottom - top);
     }),
   );
+  ctx.drawImage(whole, 0, 0);
 }
 
 function drawMark(ctx, look, x, y, size) {
@@ -101,9 +104,8 @@ function legendOf(curves) {
     "ul",
     { class: "legend" },
     ...named.map((curve) => {
-      const colour = curve.colour === null ? "ink" : `c${curve.colour % 7}`;
       const sign = { points: "●", cross: "×", star: "★", area: "▒", dash: "╌", dots: "┈" }[curve.look] || "━";
-      return make("li", {}, make("span", { class: `sign ${colour}` }, sign), curve.name);
+      return make("li", {}, make("span", { class: `sign ${theme.named(curve.colour)}` }, sign), curve.name);
     }),
   );
 }
@@ -143,7 +145,7 @@ function buildPlane(block, place) {
       pxAlign: 0,
       padding: [SIDES.padding, SIDES.padding, 0, 0],
       scales: { x: scale("x"), y: scale("y") },
-      axes: [axisOf(block.x_axis, "x"), { ...axisOf(block.y_axis, "y"), size: SIDES.left - 20 }],
+      axes: [axisOf(block.x_axis, "x"), block.equal ? { ...axisOf(block.y_axis, "y"), size: SIDES.left - 20 } : axisOf(block.y_axis, "y")],
       series: [{}, { points: { show: false }, paths: () => null }],
       legend: { show: false },
       cursor: { show: false },
@@ -167,10 +169,11 @@ function buildPlane(block, place) {
   );
   place.style.minHeight = "";
   const follow = block.track === null || !block.group ? () => null : withDot(plot, block);
-  theme.listeners.push(() => plot.redraw(false));
+  theme.listeners.push(() => plot.redraw(false, true)); // true: a new size that waits to be drawn is kept
   whenSized(place, () => {
     if (!place.clientWidth || size().width === plot.width) return;
     plot.setSize(size());
+    for (const [side, [min, max]] of Object.entries(framed(plot))) plot.setScale(side, { min, max });
     follow();
   });
 }

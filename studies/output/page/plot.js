@@ -1,6 +1,9 @@
 // Quantities over a common axis, drawn by uPlot; plots of one group share their cursor.
 
 const HEIGHT = 210;
+const NUMBER_WIDTH = 6.6; // of a letter beside an axis [px]
+// The border that stands for a look in a legend, where style sheets know no other.
+const BORDERS = { dash: "dashed", dashdot: "dashed", dots: "dotted", points: "dotted" };
 
 /** Return the ticks of a logarithmic axis: powers of ten, their multiples where there are few, even steps within one. */
 function logTicks(low, high, most) {
@@ -41,8 +44,8 @@ function axisOf(axis, side) {
     grid: { stroke: () => theme.colour("grid"), width: 1 },
     ticks: { stroke: () => theme.colour("grid"), width: 1, size: 4 },
     gap: 4,
-    space: side === "x" ? 62 : 30,
-    size: side === "x" ? 26 : (u, values) => 14 + 6.6 * Math.max(3, ...(values || []).map((v) => (v ? v.length : 0))),
+    space: side === "x" ? (u, k, low, high) => Math.max(50, 16 + NUMBER_WIDTH * Math.max(...[low, high].map((x) => said(x, 3).length))) : 30,
+    size: side === "x" ? 26 : (u, values) => 14 + NUMBER_WIDTH * Math.max(3, ...(values || []).map((v) => (v ? v.length : 0))),
     values: (u, splits) => splits.map((v) => (v === null || v === undefined ? "" : said(v, 6))),
   };
 }
@@ -143,7 +146,7 @@ function seriesOf(one, dots) {
 /** Return the figure of a plot. */
 function showPlot(block) {
   const place = make("div", { class: "canvas", style: `min-height:${HEIGHT + 60}px` });
-  const figure = make("figure", { class: "plot" }, make("figcaption", {}, `${block.title}${measuredOf(block).size ? "; dots measured" : ""}`), place);
+  const figure = make("figure", { class: block.group ? "plot" : "plot still" }, make("figcaption", {}, `${block.title}${measuredOf(block).size ? "; dots measured" : ""}`), place);
   const cursor = block.group ? cursorOf(block.group) : null;
   const known = block.x.filter((x) => x !== null);
   if (cursor && known.length) cursor.reach(known[0], known[known.length - 1]);
@@ -169,12 +172,13 @@ function limitsSaid(block) {
 function buildPlot(block, place, cursor) {
   const table = tableOf(block);
   const measured = measuredOf(block);
+  const styled = (u, k) => `var(--${theme.named(block.series[k - 1]?.colour)})`; // an element's colour follows the style sheet
   let own = false; // the cursor is being moved by this program, not by a hand
   const options = {
     width: Math.max(place.clientWidth, 200),
     height: HEIGHT,
     pxAlign: 0,
-    padding: [8, 14, 0, 0],
+    padding: [8, 24, 0, 0],
     scales: { x: scaleOf(block.x_axis, [], 0), y: scaleOf(block.y_axis, block.limits.map((limit) => limit.value)) },
     axes: [axisOf(block.x_axis, "x"), axisOf(block.y_axis, "y")],
     series: [{ label: labelled(block.x_axis), value: (u, v) => said(v) }, ...block.series.map((one, k) => seriesOf(one, measured.get(k + 1)))],
@@ -182,9 +186,10 @@ function buildPlot(block, place, cursor) {
       y: false,
       drag: { x: false, y: false, setScale: false },
       dataIdx: (u, index, at) => nearest(u.data[index], at),
-      points: { size: 7 },
+      points: { size: 7, fill: styled, stroke: styled },
       bind: { mouseleave: () => () => (cursor ? follow(cursor.time) : null), dblclick: () => () => null },
     },
+    legend: { markers: { stroke: styled, dash: (u, k) => BORDERS[block.series[k - 1]?.look] ?? "solid" } },
     hooks: {
       ready: [() => cursor && cursor.listen(follow)],
       draw: [(u) => drawLimits(u, block.limits)],
@@ -220,7 +225,7 @@ function buildPlot(block, place, cursor) {
     plot.over.addEventListener("pointerdown", drag);
     plot.over.addEventListener("pointermove", drag);
   }
-  theme.listeners.push(() => plot.redraw(false));
+  theme.listeners.push(() => plot.redraw(false, true)); // true: a new size that waits to be drawn is kept
   whenSized(place, () => {
     if (Math.abs(place.clientWidth - plot.width) < 1 || !place.clientWidth) return;
     plot.setSize({ width: place.clientWidth, height: HEIGHT });

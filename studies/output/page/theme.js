@@ -6,9 +6,13 @@ const theme = {
   colour(name) {
     return getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
   },
-  /** Return a series's colour; those beyond the seventh begin again. */
+  /** Return the name of a series's colour; those beyond the seventh begin again. */
+  named(index) {
+    return index === null || index === undefined ? "ink" : `c${index % 7}`;
+  },
+  /** Return a series's colour. */
   series(index) {
-    return theme.colour(index === null || index === undefined ? "ink" : `c${index % 7}`);
+    return theme.colour(theme.named(index));
   },
   dark() {
     const chosen = document.documentElement.dataset.theme;

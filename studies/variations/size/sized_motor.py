@@ -103,7 +103,8 @@ def sized_motor(
         need = loads.needed_rest_s
         rest = f"; with a rest of {rounded_up(need):g} s after each motion it is within it" if need else ""
         reason = (
-            f"its rms effort of {loads.rms_effort:.4g} {actuator.unit} is beyond its limit of {motor.rms_effort:.4g}{rest}"
+            f"its rms effort of {loads.rms_effort:.4g} {actuator.unit} is beyond its limit of {motor.rms_effort:.4g}"
+            f" {actuator.unit}{rest}"
         )
     margin = 1.0 - shares[tightest] if shares else None
     per_unit, speed_unit = shown_speed(actuator.si_units[0])

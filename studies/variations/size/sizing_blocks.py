@@ -37,11 +37,11 @@ def answer(found: Sizing) -> str:
     """Return a sentence on how many motors do, and on the best one."""
     best, n, good = found.motors[0], len(found.motors), sum(one.does for one in found.motors)
     if not good:
-        return f"none of {n} motors with gears does for {found.actuator} in {found.problem}; the nearest is {best.title}"
+        return f"none of {n} motors with gears suffices for {found.actuator} in {found.problem}; the nearest is {best.title}"
     left = f"with {100 * (best.margin or 0.0):.3g} % of its {best.tightest} left"
     how = f"in {best.duration_s:.4g} s" if found.free_duration else left
     fast = "" if best.speed_up is None else f", up to {_floor(best.speed_up)} times as fast"
-    counted = f"{good} of {n} motors with gears {'does' if good == 1 else 'do'}"
+    counted = f"{good} of {n} motors with gears {'suffices' if good == 1 else 'suffice'}"
     return f"{counted} for {found.actuator} in {found.problem}; best: {best.title}, {how}{fast}"
 
 

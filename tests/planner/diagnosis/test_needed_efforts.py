@@ -51,9 +51,9 @@ def with_efforts(first: float, last: float) -> Trajectory:
 @pytest.mark.parametrize(
     ("limit", "first", "last", "words"),
     [
-        ("[-4, 4]", 5.0, -4.0, "would have to give 5 N.m at t = 0 s, 1 N.m beyond its limit of 4"),
-        ("[-4, 4]", -5.0, 4.0, "would have to give 5 N.m at t = 0 s, 1 N.m beyond its limit of 4"),
-        ("[-2, 9]", 5.0, -5.0, "would have to give 5 N.m at t = 1 s, 3 N.m beyond its limit of 2"),
+        ("[-4, 4]", 5.0, -4.0, "would have to give 5 N.m at t = 0 s, 1 N.m beyond its limit of 4 N.m"),
+        ("[-4, 4]", -5.0, 4.0, "would have to give 5 N.m at t = 0 s, 1 N.m beyond its limit of 4 N.m"),
+        ("[-2, 9]", 5.0, -5.0, "would have to give 5 N.m at t = 1 s, 3 N.m beyond its limit of 2 N.m"),
     ],
 )
 def test_the_largest_excess_of_an_effort_is_named_with_its_limit(limit, first, last, words):

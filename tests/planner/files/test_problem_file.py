@@ -152,7 +152,7 @@ MODELS = {
     ),
     "no actuator": (
         FRICTION.replace(' frictionloss="0.5"', "").replace('<motor name="motor" joint="J" ctrlrange="-4 4"/>', ""),
-        ["no usable actuator"],
+        ["no usable actuator", "mechanism.drive (--drive)"],
     ),
     "not XML": ("<mujoco><worldbody>", ["does not parse"]),
     "empty": ("", ["is empty"]),
@@ -198,7 +198,7 @@ FILES: dict[str, tuple[Callable[[Path], str | Path], list[str]]] = {
     "an unknown table": (write(b"[motoin]\nkind = 'reach'"), ["'motoin'", "did you mean 'motion'"]),
     "a name with a line's end": (write(b'"mo\\ntion" = 3'), ["unknown table or key"]),
     "a folder": (lambda folder: folder, ["is a folder", "knee-reach"]),
-    "a missing file": (lambda folder: folder / "nowhere.toml", ["nowhere.toml", "neither a built-in name"]),
+    "a missing file": (lambda folder: folder / "nowhere.toml", ["nowhere.toml", "there is no such file"]),
     "a slip in a name": (lambda _: "knee-reech", ["'knee-reech'", "did you mean 'knee-reach'"]),
     "no name": (lambda _: "", ["problem"]),
     "a name too long for a file": (lambda _: "k" * 5000, ["unknown problem"]),

@@ -129,7 +129,7 @@ def test_a_motion_that_an_extra_limit_forbids_is_infeasible_and_the_sentence_nam
     plan = linkplan.plan(Problem.reach(knee, **REACH, extra_limits=[speed_limit(2.0)], mesh={"intervals": 10}))
     assert plan.status == "infeasible"
     assert plan.message.startswith("infeasible: the extra limit 'hip speed' would have to come to")
-    assert plan.message.endswith("beyond its limit of 2")
+    assert plan.message.endswith("beyond its limit of 2 rad/s")
 
 
 def test_a_goal_beyond_an_extra_limit_is_infeasible_before_any_solve(knee):

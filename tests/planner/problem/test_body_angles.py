@@ -186,7 +186,7 @@ TO = {"goal_deg": {"J1": 0.0, "J2": 0.0}, "duration_s": 0.5}
         (BENT | TO, {"body_deg": {"link2": [5.0, -5.0]}}, ["limits.body_deg.link2", "low < high", "[5, -5]"]),
         (BENT | TO, {"body_deg": {"link2": 5.0}}, ["limits.body_deg.link2", "[low, high]", "5.0"]),
         (BENT | {"goal_body_deg": {"link2": 500.0}}, {"range_deg": {"J1": [-90.0, 90.0], "J2": [-90.0, 90.0]}},
-         ["motion.goal_body_deg.link2 = 500 is out of reach", "comes no nearer than 180 deg, 320 deg away"]),
+         ["motion.goal_body_deg.link2 = 500 deg is out of reach", "comes no nearer than 180 deg, 320 deg away"]),
     ],
 )  # fmt: skip
 def test_what_a_body_cannot_do_is_refused_in_one_line(motion, limits, words):

@@ -157,7 +157,7 @@ BAD_FILES = [
     ("time_s,J_deg\n0,1\n0.5,x\n1,2\n", "line 3, has 2 finite numbers, got '0.5,x'"),
     ("time_s,J_deg\n0,1\n0.5\n1,2\n", "line 3, has 2 finite numbers, got '0.5'"),
     ("time_s,J_deg\n0,1\n0.5,nan\n1,2\n", "line 3, has 2 finite numbers"),
-    ("t,J_deg\n0,1\n1,2\n", "has a column time_s, got t, J_deg"),
+    ("t,J_deg\n0,1\n1,2\n", "needs a column time_s; its columns are t, J_deg"),
     (
         "time_s,K_deg\n0,1\n1,2\n",
         "has columns time_s, of joints (J_deg), or of sites (NAME_x_m, NAME_y_m, NAME_z_m) and bodies (body_NAME_deg), got",

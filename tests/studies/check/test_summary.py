@@ -120,3 +120,16 @@ def test_a_platform_that_loops_hold_does_not_float(ask_json, tmp_path):
     code, found = ask_json("check", str(tmp_path / "hexapod.xml"))
     assert not found["problems"], found["problems"]
     assert code == 0
+
+
+def test_a_model_without_a_motor_is_told_how_it_gets_one(ask, tmp_path):
+    """The refusals of a plan and of a feedback loop named no remedy."""
+    arm = '<body name="arm"><joint name="J" axis="0 1 0"/><geom size="0.05" pos="0.1 0 0"/></body>'
+    path = tmp_path / "arm.xml"
+    path.write_text(f"<mujoco><worldbody>{arm}</worldbody></mujoco>", encoding="utf-8")
+    _, out, _ = ask("check", str(path))
+    assert "1 degree of freedom (J independent of 1 joint)" in out
+    for command in (["bode", str(path)], ["tune", str(path), "--bandwidth-hz", "3"]):
+        code, _, said = ask(*command)
+        assert code == 2
+        assert "'arm' has no motor on a hinge or slide: mechanism.drive = [\"J\"] puts motors on joints" in said

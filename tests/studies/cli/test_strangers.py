@@ -21,6 +21,11 @@ TYPED = [
     (["leg.toml", "plan"], ["invalid choice: 'leg.toml'", "'plan'"]),
     (["plna", "leg.toml"], ["invalid choice: 'plna' (did you mean 'plan'?)"]),
     (["plan", "leg.toml", "--ouput", "my"], ["unrecognized arguments: --ouput my (did you mean '--output'?)"]),
+    (
+        ["track", "knee-reach", "--kp", "5"],
+        ["unrecognized arguments: --kp 5 (keys of the problem are set by --set KEY=VALUE)"],
+    ),
+    (["check", "knee-reach", "--payload", "shank"], ["--payload shank (keys of the problem are set by --set KEY=VALUE)"]),
     (["-v"], ["unrecognized arguments: -v"]),
     (["plan", "leg.toml", "--verbose"], ["unrecognized arguments: --verbose", "linkplan plan --help says more"]),
     (["plan", "leg.toml", "--set", "motion.duration_s", "=", "0.2"], ["unrecognized arguments: = 0.2"]),

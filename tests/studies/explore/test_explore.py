@@ -89,6 +89,9 @@ def test_a_browser_moves_a_slider_and_saves(served, folder):
         page.get_by_text("saved problem.toml").wait_for()
         assert errors == []
         assert violations(page) == []
+        page.emulate_media(media="print")
+        assert not page.locator("form.explore").is_visible()
+        page.emulate_media(media="screen")
         # While a value is refused, the page shows no verdict of the motion before.
         page.evaluate("explored.values.duration_s = 1000; planAgain(document.querySelector('output.said'))")
         page.locator(".said.bad").wait_for()

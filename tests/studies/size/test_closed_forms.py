@@ -35,7 +35,7 @@ def test_least_times_are_those_of_the_inertia_with_the_reflected_rotor_and_the_b
         assert one.loads.rms_share == pytest.approx(2.0, rel=1e-6)
         assert one.loads.needed_rest_s == pytest.approx(3.0 * least_time(one.gear), rel=1e-6)
         assert not one.does
-        assert "beyond its limit of 1; with a rest of" in one.reason
+        assert "beyond its limit of 1 N.m; with a rest of" in one.reason
         assert one.margin == pytest.approx(-1.0, rel=1e-6)
         assert one.speed_up is None
     rest_s = 3.01 * max(map(least_time, GEARS))

@@ -65,7 +65,7 @@ def test_the_keys_of_the_best_motor_give_its_plan_again(listed):
     assert again.objective == pytest.approx(best.objective, rel=SAME_FIGURE)
     assert again.demands()[0].peak_effort == pytest.approx(best.loads.peak_effort, rel=SAME_FIGURE)
     said = str(found)
-    assert said.startswith("1 of 3 motors with gears does for act_O in knee-reach; best: big, gear 9, with ")
+    assert said.startswith("1 of 3 motors with gears suffices for act_O in knee-reach; best: big, gear 9, with ")
     assert "  gear = { act_O = 9.0 }\n  rotor_inertia = { act_O = 0.0001 }\n" in said
     assert "direct, gear 1: infeasible: act_O on joint O would have to give" in said
 
@@ -85,7 +85,7 @@ def test_no_motor_that_does_is_exit_code_one(ask, tmp_path):
     (tmp_path / "weak.csv").write_text("name,peak_effort\nweak,5\n")
     code, out, _ = ask("size", "knee-reach", "--motors", str(tmp_path / "weak.csv"))
     assert code == 1
-    assert out.startswith("none of 1 motors with gears does for act_O in knee-reach; the nearest is weak, gear 1\n")
+    assert out.startswith("none of 1 motors with gears suffices for act_O in knee-reach; the nearest is weak, gear 1\n")
 
 
 @pytest.mark.slow

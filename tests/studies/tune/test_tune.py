@@ -11,7 +11,7 @@ from linkplan.studies.feedback.frequency.feedback_loops import feedback_loop, la
 from linkplan.studies.feedback.frequency.margins import damping_ratio, margins, settling_time_s
 from linkplan.studies.feedback.tune.requirements import Requirements
 from linkplan.studies.feedback.tune.tune import tune
-from linkplan.studies.feedback.tune.tune_report import tune_blocks, tune_figure
+from linkplan.studies.feedback.tune.tune_report import tracking_table, tune_blocks, tune_figure
 from linkplan.studies.output.text import text_of
 from tests.support.oscillators import inertia_alone, mass_on_a_spring
 from tests.support.tolerances_loops import GAINS_SCALED
@@ -68,6 +68,9 @@ def test_what_cannot_be_is_refused_in_a_sentence_with_its_reason():
     found = tuned(None, "pd", 300.0, 60.0, 1e-3, 2)
     assert not found.found
     assert "cannot give 300 Hz and 60 deg" in found.message
+    said = [line for line in tracking_table(found).splitlines() if line.startswith("#")]
+    assert max(map(len, said)) <= 110  # it was one line of four hundred letters
+    assert " ".join(line.removeprefix("# ") for line in said) == found.message
     # A hold of 1 ms and a delay of 2 ms: 2.5 ms at 300 Hz.
     assert f"{360 * 300 * 2.5e-3:.3g} deg" in found.message
     assert any(f"O = {angle:.4g} deg" in found.message for angle in ANGLES_DEG)
