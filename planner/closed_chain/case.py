@@ -137,7 +137,7 @@ def _target(problem: Problem, *, kinks: bool, enclosed: bool) -> RefinementTarge
     lines = any(motor is not None and motor.line is not None for motor in problem.motors)
     bent = continuous_efforts and bool(np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent])))
     tolerance = 1e-7 if switches and (lines or bent) else None
-    if np.any(np.isfinite(problem.limits.jerk)) or objective.has("peak_effort"):
+    if problem.limits.has_jerk or objective.has("peak_effort"):
         tolerance = 1e-5  # looser, because jerk, and efforts inside their limits, may jump inside intervals
     return RefinementTarget(
         effort_limit=problem.limits.effort,

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from linkplan.planner.limits.accelerations import AccelerationLimit, JerkLimit, SiteAccelerationLimit
+from linkplan.planner.limits.accelerations import AccelerationLimit, SiteAccelerationLimit
 from linkplan.planner.limits.actuators import (
     ControlLimit,
     MotorLimit,
@@ -19,6 +19,7 @@ from linkplan.planner.limits.joints import (
     SpeedLimit,
     TendonLimit,
 )
+from linkplan.planner.limits.jerks import JerkLimit, SiteJerkLimit
 from linkplan.planner.limits.limit import Limit, Margin, Problem, Samples, limit_margin
 from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.limits.site_path import OnPathLimit
@@ -43,6 +44,7 @@ KINDS: tuple[type[Limit], ...] = (
     SitePathLimit,
     BodyAngleLimit,
     SiteAccelerationLimit,
+    SiteJerkLimit,
     OnPathLimit,
     ExtraPathLimit,
 )
@@ -51,6 +53,7 @@ KINDS: tuple[type[Limit], ...] = (
 RELAXED: tuple[type[Limit], ...] = (
     RobustLimit,
     JerkLimit,
+    SiteJerkLimit,
     SiteAccelerationLimit,
     AccelerationLimit,
     SpeedLimit,

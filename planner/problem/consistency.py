@@ -374,8 +374,10 @@ def check_objective(
         for need in term.needs:
             if lacking[need] is not None:
                 raise ProblemError(f"objective.minimize '{name}' needs {lacking[need]}")
-    for name, need in (("effort_rate", "changing efforts"), ("jerk", "changing accelerations")):
-        if np.any(np.isfinite(getattr(limits, name))) and lacking[need] is not None:
+    asked = {"effort_rate": ("changing efforts", bool(np.any(np.isfinite(limits.effort_rate))))}
+    asked |= {"site_jerk" if limits.site_jerk else "jerk": ("changing accelerations", limits.has_jerk)}
+    for name, (need, given) in asked.items():
+        if given and lacking[need] is not None:
             raise ProblemError(f"limits.{name} needs {lacking[need]}")
 
 

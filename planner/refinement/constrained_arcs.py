@@ -57,7 +57,16 @@ class FixedArcs:
 
 
 def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
-    """Return 1 or -1 (n, n_path) where a path quantity is at its upper or lower limit at all nodes, else 0."""
+    """Return 1 or -1 (n, n_path) where a path quantity is at its upper or lower limit at all nodes, else 0.
+
+    Of limits on jerk it is 0. Held at all nodes, they would be one equation more than an interval's jerk has coefficients.
+    """
+    arcs = _all_path_arcs(transcribed, x)
+    arcs[:, list(transcribed.formulation.rows.jerk_path)] = 0
+    return arcs
+
+
+def _all_path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     program, interval = transcribed.program, transcribed.program.interval
     n, m, n_path = program.mesh.n_intervals, interval.n_nodes, interval.n_path
     limit = transcribed.formulation.path.reshape(-1, 2)
@@ -78,6 +87,8 @@ def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
 def own_arcs(transcribed: Transcribed, x: np.ndarray, kinds: tuple[str, ...]) -> np.ndarray:
     """Return 1 or -1 (n, n_limits) where all coefficients of an interval are at their upper or lower limit, else 0.
 
+    With the kind "jerk" they include path quantities that depend on the jerk, by their values at all nodes.
+
     Args:
         transcribed: a program.
         x: its unknowns.
@@ -90,6 +101,8 @@ def own_arcs(transcribed: Transcribed, x: np.ndarray, kinds: tuple[str, ...]) ->
             above = np.all(values > high - SHARE_AT_LIMIT * abs(high), axis=1).astype(int)
             below = np.all(values < low + SHARE_AT_LIMIT * abs(low), axis=1).astype(int)
             arcs.append((above - below)[:, None])
+    if "jerk" in kinds:
+        arcs.append(_all_path_arcs(transcribed, x)[:, list(transcribed.formulation.rows.jerk_path)])
     return np.hstack(arcs)
 
 

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.models.poses.along import accelerations, joint_rates, sampled, site_motion
+from linkplan.models.poses.along import accelerations, joint_jerk, joint_rates, sampled, site_motion
 from linkplan.models.poses.body_angles import turning_bodies
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.planner.limits.accelerations import jerks
 from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, effort_rates
 from linkplan.planner.limits.samples import Samples
 from linkplan.planner.problem.instant import Robust
@@ -80,9 +79,9 @@ def kinds_of(problem: Problem, motion: Trajectory, rng: np.random.Generator) -> 
             limited=_rows("acceleration", i),
         ),
         Kind(
-            words=f"jerk of {driven.name}",
-            values=lambda at: jerks(at.trajectory, at.time)[:, k],
-            limited=_rows("jerk", int(mechanism.independent[k])),
+            words=f"jerk of {joint.name}",
+            values=lambda at: sampled(joint_jerk(mechanism), at.q, at.v, at.a, at.jerk)[:, i, 0],
+            limited=_rows("jerk", i),
         ),
         Kind(
             words=f"effort rate of {actuator.name}",
