@@ -374,10 +374,11 @@ def check_objective(
         for need in term.needs:
             if lacking[need] is not None:
                 raise ProblemError(f"objective.minimize '{name}' needs {lacking[need]}")
-    asked = {"effort_rate": ("changing efforts", bool(np.any(np.isfinite(limits.effort_rate))))}
-    asked |= {"site_jerk" if limits.site_jerk else "jerk": ("changing accelerations", limits.has_jerk)}
-    for name, (need, given) in asked.items():
-        if given and lacking[need] is not None:
+    needs = {"effort_rate": "changing efforts", "jerk": "changing accelerations", "site_jerk": "changing accelerations"}
+    given = {"site_jerk": bool(limits.site_jerk)}
+    given |= {name: bool(np.any(np.isfinite(getattr(limits, name)))) for name in ("effort_rate", "jerk")}
+    for name, need in needs.items():
+        if given[name] and lacking[need] is not None:
             raise ProblemError(f"limits.{name} needs {lacking[need]}")
 
 

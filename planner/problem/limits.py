@@ -63,11 +63,6 @@ class Limits:
         return self.effort / (1.0 - self.reserve)
 
     @property
-    def has_jerk(self) -> bool:
-        """Whether the jerk of a joint or a site is limited."""
-        return bool(self.site_jerk) or bool(np.any(np.isfinite(self.jerk)))
-
-    @property
     def tasks(self) -> tuple[SiteLimit | BodyLimit, ...]:
         """The limits on sites and on bodies."""
         return (*self.site, *self.body)

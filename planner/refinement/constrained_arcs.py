@@ -87,7 +87,8 @@ def _all_path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
 def own_arcs(transcribed: Transcribed, x: np.ndarray, kinds: tuple[str, ...]) -> np.ndarray:
     """Return 1 or -1 (n, n_limits) where all coefficients of an interval are at their upper or lower limit, else 0.
 
-    With the kind "jerk" they include path quantities that depend on the jerk, by their values at all nodes.
+    With the kind "jerk" they include path quantities that depend on the jerk, by their values at all nodes. Their signs
+    change where the jerk reverses: the size of a site's jerk is then at its limit before and after.
 
     Args:
         transcribed: a program.
@@ -101,8 +102,12 @@ def own_arcs(transcribed: Transcribed, x: np.ndarray, kinds: tuple[str, ...]) ->
             above = np.all(values > high - SHARE_AT_LIMIT * abs(high), axis=1).astype(int)
             below = np.all(values < low + SHARE_AT_LIMIT * abs(low), axis=1).astype(int)
             arcs.append((above - below)[:, None])
-    if "jerk" in kinds:
-        arcs.append(_all_path_arcs(transcribed, x)[:, list(transcribed.formulation.rows.jerk_path)])
+    on_jerk = list(transcribed.formulation.rows.jerk_path) if "jerk" in kinds else []
+    if on_jerk:
+        ends = transcribed.scheme.acceleration_coefficients[[0, -1]]
+        changes = np.diff(ends @ x[transcribed.program.layout.acceleration()], axis=1)[:, 0]  # (n, n_s) of accelerations
+        reverses = np.append(False, np.sum(changes[1:] * changes[:-1], axis=1) < 0)
+        arcs.append(np.cumprod(np.where(reverses, -1, 1))[:, None] * _all_path_arcs(transcribed, x)[:, on_jerk])
     return np.hstack(arcs)
 
 

@@ -144,7 +144,17 @@ def _sites(problem: Problem, motion: Trajectory, rng: np.random.Generator) -> li
     def size(at: Samples) -> np.ndarray:
         return np.linalg.norm(sampled(site_motion(mechanism, 2), at.q, at.v, at.a)[:, :, index], axis=1)
 
-    return [*found, Kind(words=f"acceleration of site {name}", values=size, limited=accelerated, signs=(1,))]
+    def with_jerk(problem: Problem, low: float, high: float) -> Problem:
+        return replace(problem, limits=replace(problem.limits, site_jerk={name: min(-low, high)}))
+
+    def jerk(at: Samples) -> np.ndarray:
+        return np.linalg.norm(sampled(site_motion(mechanism, 3), at.q, at.v, at.a, at.jerk)[:, :, index], axis=1)
+
+    return [
+        *found,
+        Kind(words=f"acceleration of site {name}", values=size, limited=accelerated, signs=(1,)),
+        Kind(words=f"jerk of site {name}", values=jerk, limited=with_jerk, signs=(1,)),
+    ]
 
 
 def _bodies(problem: Problem, rng: np.random.Generator) -> list[Kind]:
