@@ -48,7 +48,9 @@ class AccelerationLimit(Limit):
     @classmethod
     def of(cls, problem: Problem, **_: bool) -> list[Self]:
         limited = limited_joints(problem, problem.limits.acceleration)
-        return [cls(joint, column, column is None and not is_smooth(problem, moving_joint, joint)) for joint, column in limited]
+        return [
+            cls(joint, column, column is None and not is_smooth(problem, moving_joint, joint)) for joint, column in limited
+        ]
 
     @property
     def facts(self) -> Facts:

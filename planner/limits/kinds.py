@@ -11,6 +11,7 @@ from linkplan.planner.limits.actuators import (
 from linkplan.planner.limits.body import BodyAngleLimit
 from linkplan.planner.limits.efforts import EffortLimit, EffortRateLimit, RobustLimit
 from linkplan.planner.limits.extra import ExtraPathLimit
+from linkplan.planner.limits.jerks import JerkLimit, SiteJerkLimit
 from linkplan.planner.limits.joints import (
     BallLimit,
     ClosureForceLimit,
@@ -19,7 +20,6 @@ from linkplan.planner.limits.joints import (
     SpeedLimit,
     TendonLimit,
 )
-from linkplan.planner.limits.jerks import JerkLimit, SiteJerkLimit
 from linkplan.planner.limits.limit import Limit, Margin, Problem, Samples, limit_margin
 from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.limits.site_path import OnPathLimit

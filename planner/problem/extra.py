@@ -214,6 +214,18 @@ def uses(extra: Extra, mechanism: Mechanism) -> dict[str, bool]:
     return depends
 
 
+def take_jerk(extra: Extra, mechanism: Mechanism, lacking: str | None) -> bool:
+    """Check whether an extra limit or cost depends on jerk; `lacking` is what the transcription then lacks.
+
+    Raises:
+        ProblemError: as `uses`, and for a jerk that the transcription does not have.
+    """
+    given = uses(extra, mechanism)["j"]
+    if given and lacking is not None:
+        raise ProblemError(f"extra {extra.kind} '{extra.name}' has a jerk, which needs {lacking}")
+    return given
+
+
 @functools.lru_cache(maxsize=64)
 def jerk_of(extra: Extra, mechanism: Mechanism) -> tuple[int, ...]:
     """Return the independent coordinates on whose jerk an extra limit or cost depends."""

@@ -26,7 +26,8 @@ class Limits:
     square and cube] of all joints; `effort_rate` (n_u, 2) [N.m/s or N/s]; `power` (n_u, 2) [W], mechanical, of each
     actuator; `closure_force` (n_closures,) [N], the largest force of each closure; `singular_margin`, the least |det J_z|
     relative to home; `site`, limits on sites [m]; `body`, on bodies' angles [rad]; `site_acceleration` and `site_jerk`, the
-    largest by site [m/s2, m/s3]. `effort` is the limit for plans: `reserve` is the share of the actuators' own limits that is left to feedback.
+    largest by site [m/s2, m/s3].
+    `effort` is the limit for plans: `reserve` is the share of the actuators' own limits that is left to feedback.
     """
 
     effort: np.ndarray

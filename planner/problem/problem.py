@@ -16,7 +16,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import Tables, apply_override, read_tables
 from linkplan.planner.problem import build, consistency
 from linkplan.planner.problem.consistency import start_pose
-from linkplan.planner.problem.extra import Extra, ExtraCost, ExtraLimit, checked_extras, uses
+from linkplan.planner.problem.extra import Extra, ExtraCost, ExtraLimit, checked_extras, take_jerk
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.keys.motion_and_limits import Motor
 from linkplan.planner.problem.limits import Limits
@@ -312,13 +312,14 @@ class Problem:
         consistency.check_honoured(self.mechanism, self.unhonoured)
         object.__setattr__(self, "extra_limits", checked_extras(self.extra_limits, ExtraLimit, "extra_limits"))
         lacking = consistency.lacking_parts(self.motion, self.mechanism, self.motors, self.reference, self.mesh, self.limits)
-        for extra in self.extras:  # `uses` refuses what does not fit the mechanism
-            if uses(extra, self.mechanism)["j"] and lacking["changing accelerations"]:
-                raise ProblemError(f"extra {extra.kind} '{extra.name}' has a jerk and needs {lacking['changing accelerations']}")
+        jerk = [take_jerk(extra, self.mechanism, lacking["changing accelerations"]) for extra in self.extras]
+        jerk += [bool(self.limits.site_jerk), bool(np.any(np.isfinite(self.limits.jerk)))]
         consistency.check_motion(self.motion, self.objective, self.reference)
         others = {"[reference]": self.reference, "[robust]": self.robust.corners, "[guess]": self.guess}
         # Along a path the joints' jerk is not that of the only coordinate.
         others |= {"minimize 'jerk'": self.objective.has("jerk")}
+        bent = self.path is not None and len(self.path.curve.corners) > 0
+        others |= {"limit or cost on jerk along rounded corners or a spline, but along a line or an arc": bent and any(jerk)}
         check_path(self.path, self.motion.kind, others)
         consistency.check_objective(self.objective, self.motion, self.mechanism, self.limits, lacking)
         if len(self.limits.closure_force) == 0:

@@ -56,8 +56,6 @@ def kinds_of(problem: Problem, motion: Trajectory, rng: np.random.Generator) -> 
     mechanism = problem.mechanism
     j, i = int(rng.integers(mechanism.n_u)), int(rng.integers(mechanism.n_q))
     actuator, joint = mechanism.actuators[j], mechanism.joints[i]
-    k = j % mechanism.dof
-    driven = mechanism.independent_joints[k]
     effort = _rows("effort", j)
     return [
         Kind(

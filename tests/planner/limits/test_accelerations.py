@@ -158,7 +158,9 @@ ARM, RADIUS_M = (
     """<mujoco><option gravity="0 0 0"/>
   <worldbody><body>
     <joint name="J" axis="0 0 1"/><geom type="box" size=".1 .1 .1" mass="1"/><site name="elbow" pos=".5 0 0"/>
-    <body pos=".5 0 0"><joint name="K" axis="0 0 1"/><geom type="box" size=".1 .1 .1" mass="1"/><site name="tip" pos=".3 0 0"/></body>
+    <body pos=".5 0 0">
+      <joint name="K" axis="0 0 1"/><geom type="box" size=".1 .1 .1" mass="1"/><site name="tip" pos=".3 0 0"/>
+    </body>
   </body></worldbody>
   <actuator><motor name="A" joint="J" ctrlrange="-9 9"/><motor name="B" joint="K" ctrlrange="-9 9"/></actuator>
 </mujoco>""",
@@ -167,7 +169,7 @@ ARM, RADIUS_M = (
 
 
 def turning(most: float) -> tuple[Problem, Trajectory]:
-    """Return the quintic of the first joint through 3 rad in 1 s, in seven intervals, and a limit on the jerk of the elbow."""
+    """Return the quintic of the first joint through 3 rad in 1 s in seven intervals, and a limit on the elbow's jerk."""
     ends = {"J": 0.0, "K": 0.0}, {"J": float(np.degrees(3.0)), "K": 0.0}
     limits = {"site_jerk_m_s3": {"elbow": most}}
     problem = Problem.reach(load_mechanism(ARM), start_deg=ends[0], goal_deg=ends[1], duration_s=1.0, limits=limits)
@@ -209,6 +211,13 @@ def test_a_limit_on_the_jerk_of_a_site_that_forbids_a_motion_is_named():
     plan = plan_motion(mass(1.0, "effort", 0.9, site_jerk_m_s3=40.0))  # the least time is 0.928 s
     assert plan.status == "infeasible"
     assert "the jerk of site tool" in plan.message
+
+
+def test_an_own_limit_on_jerk_needs_accelerations_that_change_within_intervals():
+    own = [linkplan.ExtraLimit(name="own", expression=lambda at: at.site_jerk("B_coupler")[0], upper=1.0)]
+    problem = Problem.from_tables("knee", {**KNEE, "mesh": {"effort": "constant"}})
+    with pytest.raises(ProblemError, match="extra limit 'own' has a jerk, which needs mesh.effort polynomial, got constant"):
+        problem.replace(extra_limits=own)
 
 
 @pytest.mark.parametrize(

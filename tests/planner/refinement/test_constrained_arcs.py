@@ -73,11 +73,15 @@ def test_an_interval_is_an_arc_of_a_path_limit_where_all_of_its_nodes_are_at_one
     assert path_arcs(transcribed, np.zeros(0)).ravel().tolist() == arcs
 
 
-def test_arcs_along_a_limit_on_jerk_at_nodes_end_segments_and_are_not_held():
-    transcribed = program_of([(HIGH, HIGH), (HIGH, 0.0), (LOW, LOW)], kind="site_jerk", n_path=1, n_nodes=2, jerk_path=(0,))
-    assert own_arcs(transcribed, np.zeros(0), ("jerk",)).ravel().tolist() == [1, 0, -1]
-    assert own_arcs(transcribed, np.zeros(0), ("speed",)).size == 0
-    assert not path_arcs(transcribed, np.zeros(0)).any()
+def test_arcs_along_a_limit_on_the_size_of_a_jerk_end_where_it_reverses_and_are_not_held():
+    rows = [(HIGH, HIGH), (HIGH, 0.0), (HIGH, HIGH), (HIGH, HIGH)]
+    transcribed = program_of(rows, kind="site_jerk", n_path=1, n_nodes=2, jerk_path=(0,))
+    transcribed.scheme = SimpleNamespace(acceleration_coefficients=np.eye(2))
+    transcribed.program.layout = SimpleNamespace(acceleration=lambda: np.arange(8).reshape(4, 2, 1))
+    x = np.array([0.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 2.0])  # accelerations at both nodes of each interval
+    assert own_arcs(transcribed, x, ("jerk",)).ravel().tolist() == [1, 0, 1, -1]
+    assert own_arcs(transcribed, x, ("speed",)).size == 0
+    assert not path_arcs(transcribed, x).any()
 
 
 def test_a_path_equation_is_no_arc():

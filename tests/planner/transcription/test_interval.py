@@ -124,9 +124,9 @@ def test_unknowns_at_nodes_are_those_of_the_polynomials(name):
 @pytest.mark.parametrize("name", ["radau-3", "gauss-3", "hermite-simpson"])
 def test_the_jerk_at_nodes_and_open_ends_is_the_slope_of_the_polynomial_of_accelerations(name):
     chosen, node = scheme(name), node_symbols(2, 0, 0, 2, has_jerk=True)
-    jerk = ca.sumsqr(node.j)
+    column = ca.vertcat(node.a - node.u, ca.sumsqr(node.j), ca.SX(0))
     two = System(
-        n_s=2, n_x=0, n_z=0, n_u=2, node=ca.Function("node", [node.stacked, ca.SX.sym("p", 0)], [ca.vertcat(node.a, jerk, 0)]),
+        n_s=2, n_x=0, n_z=0, n_u=2, node=ca.Function("node", [node.stacked, ca.SX.sym("p", 0)], [column]),
         n_equations=2, n_path=1, kinds=("dynamics", "dynamics", "site_jerk"), has_jerk=True,
     )  # fmt: skip
     draw = np.random.default_rng(3)
