@@ -216,7 +216,7 @@ def test_a_limit_on_the_jerk_of_a_site_that_forbids_a_motion_is_named():
 def test_an_own_limit_on_jerk_needs_accelerations_that_change_within_intervals():
     own = [linkplan.ExtraLimit(name="own", expression=lambda at: at.site_jerk("B_coupler")[0], upper=1.0)]
     problem = Problem.from_tables("knee", {**KNEE, "mesh": {"effort": "constant"}})
-    with pytest.raises(ProblemError, match="extra limit 'own' has a jerk, which needs mesh.effort polynomial, got constant"):
+    with pytest.raises(ProblemError, match="'own' has a jerk, which needs mesh\\.effort polynomial"):
         problem.replace(extra_limits=own)
 
 
