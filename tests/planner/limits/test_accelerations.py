@@ -200,6 +200,18 @@ def test_the_jerk_of_a_turning_site_is_measured_and_proved_between_the_nodes():
         assert found.answer == answer, found.sentence()
 
 
+def test_rounding_of_a_position_far_from_zero_is_no_jerk_in_a_proof():
+    """x = 1000 m + 40 m/s3 t^3 / 6 in one millisecond: the last digits of x have a third derivative of about 1e-3 m/s3."""
+    problem, h = mass(1.0, "effort", 1.0, jerk_m_s3=40.0 * (1 + 1e-6), site_jerk_m_s3=40.0 * (1 + 1e-6)), 1e-3
+    motion = Trajectory(
+        breaks_s=np.array([0.0, h]), position=1000.0 + np.array([0.0, 0.0, 0.0, 40 * h**3 / 6]).reshape(4, 1, 1),
+        velocity=np.array([0.0, 0.0, 40 * h**2 / 2]).reshape(3, 1, 1), effort=np.zeros((1, 1, 1)),
+        start_pose=np.array([1000.0]), periodic=False,
+    )  # fmt: skip
+    found = [one for one in prove(problem, motion, existence=False).findings if "jerk of" in one.name]
+    assert [one.answer for one in found] == ["proved", "proved"], [one.sentence() for one in found]
+
+
 def test_a_limit_on_jerk_forbids_jumps_of_the_joints_that_move_the_site_alone():
     problem, _ = turning(1.0)
     of_tip = replace(problem, limits=replace(problem.limits, site_jerk={"tip": 1.0}))
