@@ -59,7 +59,7 @@ class FixedArcs:
 def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     """Return 1 or -1 (n, n_path) where a path quantity is at its upper or lower limit at all nodes, else 0.
 
-    Of limits on jerk it is 0. Held at all nodes, they would be one equation more than an interval's jerk has coefficients.
+    For limits on jerk it is 0: held at all nodes of an interval, they are one equation more than its jerk has coefficients.
     """
     arcs = _all_path_arcs(transcribed, x)
     arcs[:, list(transcribed.formulation.rows.jerk_path)] = 0
@@ -67,6 +67,7 @@ def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
 
 
 def _all_path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
+    """Return the arcs of `path_arcs` with those of limits on jerk."""
     program, interval = transcribed.program, transcribed.program.interval
     n, m, n_path = program.mesh.n_intervals, interval.n_nodes, interval.n_path
     limit = transcribed.formulation.path.reshape(-1, 2)

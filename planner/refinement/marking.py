@@ -71,7 +71,7 @@ def tightened_share(overrun: np.ndarray) -> np.ndarray:
 def tightenings_of(margins: tuple[Margin, ...], breaks_s: np.ndarray) -> tuple[Tightening, ...]:
     """Return the tightening of each limit that a motion with breaks (n + 1,) [s] overruns, by its margin.
 
-    An infinite overrun, as of the jerk where an acceleration jumps, is of no limit too wide.
+    A limit with an infinite overrun, such as a jerk where an acceleration jumps, is not tightened.
     """
     relative = (breaks_s - breaks_s[0]) / (breaks_s[-1] - breaks_s[0])
     return tuple(
