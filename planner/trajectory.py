@@ -6,6 +6,12 @@ import numpy as np
 
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
+# A change of acceleration from one interval to the next, or from rest, that is below this share of the largest acceleration
+# is rounding and no jump.
+NO_JUMP_SHARE = 1e-7
+# A speed below this share of the largest is rest.
+_REST_SHARE = 1e-9
+
 
 class OnIntervals:
     """The times of a motion whose intervals end at `breaks_s` (n + 1,) [s]."""
@@ -129,6 +135,27 @@ class Trajectory(OnIntervals):
         """Return v' (n, n_s) [rad/s2 or m/s2] at times (n,); zero outside a motion that is not periodic."""
         acceleration = PiecewisePolynomial(self.velocity, self.breaks_s).derivative()(self.times_within(time_s))
         return np.where(self._inside(time_s)[:, None], acceleration, 0.0)
+
+    def jerk_at(self, time_s: np.ndarray) -> np.ndarray:
+        """Return v'' (n, n_s) [rad/s3 or m/s3] within the intervals at times (n,) of the motion."""
+        velocity = PiecewisePolynomial(self.velocity, self.breaks_s)
+        return velocity.derivative().derivative()(self.times_within(time_s))
+
+    def acceleration_jumps(self) -> np.ndarray:
+        """Return the changes of acceleration (n_breaks, n_s) [rad/s2 or m/s2] at the breaks; rounding is zero.
+
+        The first and the last are those from and to rest, zero for a joint that moves there. Those of a periodic motion are
+        the change to the next period, and zero.
+        """
+        coefficients = PiecewisePolynomial(self.velocity, self.breaks_s).derivative().coefficients
+        before, after = coefficients[-1], coefficients[0]
+        if self.periodic:
+            steps = np.vstack([after - np.roll(before, 1, axis=0), np.zeros((1, self.n_s))])
+        else:
+            rest = np.abs(self.velocity[[0, -1], [0, -1]]) <= _REST_SHARE * np.abs(self.velocity).max()
+            steps = np.vstack([rest[0] * after[0], after[1:] - before[:-1], rest[1] * -before[-1]])
+        size = NO_JUMP_SHARE * max(float(np.abs(coefficients).max()), float(np.finfo(float).tiny))
+        return np.where(np.abs(steps) > size, steps, 0.0)
 
     def effort_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return u (n, n_u) [N.m or N] at times (n,); outside the motion that of the nearer end."""

@@ -49,8 +49,30 @@ def joint_acceleration(mechanism: Mechanism) -> ca.Function:
 
 
 @functools.lru_cache(maxsize=16)
+def joint_jerk(mechanism: Mechanism) -> ca.Function:
+    """Return the function from q, v, a and the independent joints' jerk to every joint's jerk (n_q,)."""
+    return _slope_along(mechanism, joint_acceleration(mechanism))
+
+
+def _slope_along(mechanism: Mechanism, of: ca.Function) -> ca.Function:
+    """Return the function from q, v, a and the independent joints' jerk j to the slope by time of a function of q, v, a.
+
+    It is the derivative of f(q, v, a) in the direction (Gamma v, a, j).
+    """
+    q, v, a, j = (ca.SX.sym(name, n) for name, n in zip("qvaj", (mechanism.n_q, *[mechanism.dof] * 3), strict=True))
+    value = of(q, v, a)
+    slope = ca.jtimes(ca.vec(value), ca.vertcat(q, v, a), ca.vertcat(mechanism.dynamics.velocity_map(q) @ v, a, j))
+    return ca.Function(f"{of.name()}_slope", [q, v, a, j], [ca.reshape(ca.densify(slope), *value.shape)])
+
+
+@functools.lru_cache(maxsize=16)
 def site_motion(mechanism: Mechanism, order: int) -> ca.Function:
-    """Return the function from q, v and a to the velocities (order 1) or accelerations (2) of all sites (3, n_sites)."""
+    """Return the function from q, v and a to the velocities (order 1) or accelerations (2) of all sites (3, n_sites).
+
+    That to their jerks (3) takes the independent joints' jerk as well.
+    """
+    if order == 3:
+        return _slope_along(mechanism, site_motion(mechanism, 2))
     n_q, n_s = mechanism.n_q, mechanism.dof
     q, v, a, rates = (ca.SX.sym(name, n) for name, n in zip("qvar", (n_q, n_s, n_s, n_q), strict=True))
     places = ca.vec(mechanism.dynamics.site_places(q))

@@ -183,7 +183,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         "a closure's force": samples.closure_forces,
     }
     failures += [sentence for what, values in figures.items() for sentence in not_finite(what, values, time)]
-    unknown = extras_not_finite(problem.objective.extra, mechanism, time, q, v, a, u, *samples.forces)
+    unknown = extras_not_finite(problem.objective.extra, mechanism, time, q, *samples.motion)
     if not np.all(np.isfinite(integrated.position)) and until.passed:
         failures.insert(0, f"its integration ran out of the plan's {problem.solver.max_time_s:g} s (solver.max_time_s)")
     failures += _integration_failures(in_deg, in_m)

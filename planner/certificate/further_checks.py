@@ -20,7 +20,6 @@ from linkplan.models.poses.contacts import Contact, may_collide, meetings, new_m
 from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE, exact_bounds, relative_violation
-from linkplan.planner.limits.accelerations import jerks
 from linkplan.planner.limits.efforts import effort_rates
 from linkplan.planner.problem.instant import Scales, force_inputs, free_instant
 from linkplan.planner.problem.objective import motor_losses
@@ -135,7 +134,7 @@ def objective_value(problem: Problem, trajectory: Trajectory) -> tuple[float, fl
     rate, _ = effort_rates(trajectory, time)
     wanted = s if reference is None else reference.derivative(time - trajectory.breaks_s[0])
     with np.errstate(over="ignore", invalid="ignore"):  # the duration in an edited file may be 1e-200 s
-        jerk = jerks(trajectory, time)
+        jerk = trajectory.jerk_at(time)
     columns = (q, v, a, u, rate, wanted, jerk, *problem.mechanism.forces_at(time))
     values = sampled(ca.Function("objective", [*symbols, *force_inputs(at)], [ca.densify(integrands)]), *columns)[:, :, 0]
     peak = objective.weight("peak_effort") and objective.weight("peak_effort") * peak_share(problem, trajectory)

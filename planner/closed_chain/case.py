@@ -28,6 +28,7 @@ from linkplan.planner.closed_chain.prescribed import (
 )
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
+from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.plan.plan import Plan, tracking_errors
 from linkplan.planner.problem.extra import as_no_number
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
@@ -137,7 +138,7 @@ def _target(problem: Problem, *, kinks: bool, enclosed: bool) -> RefinementTarge
     lines = any(motor is not None and motor.line is not None for motor in problem.motors)
     bent = continuous_efforts and bool(np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent])))
     tolerance = 1e-7 if switches and (lines or bent) else None
-    if np.any(np.isfinite(problem.limits.jerk)) or objective.has("peak_effort"):
+    if any(limit.rows.jerk for limit in limits_of(problem)) or objective.has("peak_effort"):
         tolerance = 1e-5  # looser, because jerk, and efforts inside their limits, may jump inside intervals
     return RefinementTarget(
         effort_limit=problem.limits.effort,

@@ -18,8 +18,10 @@ from linkplan.planner.closed_chain.mechanics import (
     node_numbers,
 )
 from linkplan.planner.limits.body import expression_of, scaled_coordinate, unit_of
+from linkplan.planner.limits.jerks import smooth_columns
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import Limit
+from linkplan.planner.problem.extra import jerk_of
 from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.problem import Problem
@@ -150,10 +152,13 @@ def formulate(
 def _node_terms(problem: Problem, limits: tuple[Limit, ...], *, least_limit: bool) -> NodeTerms:
     """Return the terms that are evaluated at a node."""
     passed = {(index, axis) for waypoint in problem.motion.waypoints for index, axis, _ in waypoint.open_coordinates}
+    at_nodes = tuple(limit for limit in limits if limit.rows.node is not None or limit.rows.n_unknowns)
+    costs = () if least_limit else problem.objective.extra
     return NodeTerms(
         running=() if least_limit else tuple(term for term in problem.objective.terms.values() if term.exact is None),
-        limits=tuple(limit for limit in limits if limit.rows.node is not None or limit.rows.n_unknowns),
+        limits=at_nodes,
         passed=tuple(sorted(passed)),
+        has_jerk=any(limit.rows.jerk for limit in at_nodes) or any(jerk_of(cost, problem.mechanism) for cost in costs),
     )
 
 
@@ -197,6 +202,8 @@ def _interval_rows(
     at_nodes = [limit for limit in limits if limit.rows.node is not None]
     own_rows = IntervalRows(
         costs=costs,
+        jerk_path=tuple(k for k, limit in enumerate(at_nodes) if limit.rows.jerk),
+        smooth_columns=smooth_columns(problem),
         open_end_path=tuple(k for k, limit in enumerate(at_nodes) if limit.facts.jumps_with_effort),
         **{field: tuple(entries) for field, entries in fields.items()},
     )

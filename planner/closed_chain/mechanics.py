@@ -139,12 +139,14 @@ class NodeTerms:
     """The terms evaluated at a node, which determine the structure of its functions.
 
     `running` are the objective's terms that are integrals of a quantity at nodes. `limits` have rows or unknowns at nodes.
-    `passed` are the coordinates (index, axis) of sites and bodies that waypoints prescribe.
+    `passed` are the coordinates (index, axis) of sites and bodies that waypoints prescribe. `has_jerk` tells whether any of
+    these takes the independent joints' jerk.
     """
 
     running: tuple[Term, ...] = ()
     limits: tuple[Limit, ...] = ()
     passed: tuple[tuple[int, int], ...] = ()
+    has_jerk: bool = False
 
     @property
     def tracked(self) -> bool:
@@ -175,7 +177,7 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     scales; numbers of the limits; numbers of the payload; forces over time.
     """
     n_s, n_q, n_u = mechanism.dof, mechanism.n_q, mechanism.n_u
-    node = node_symbols(n_s, 0, n_algebraic(mechanism, asked), n_u)
+    node = node_symbols(n_s, 0, n_algebraic(mechanism, asked), n_u, has_jerk=asked.has_jerk)
     n_z = node.z.numel()
     parts = [0, n_q - n_s, n_q - n_s + n_lifted(mechanism), n_z - asked.n_unknowns, n_z]
     z, lifted, working, unknowns = ca.vertsplit(node.z, parts)
@@ -216,6 +218,7 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
         units=given,
         rates=rates,
         reference=given["reference"] * given["position"] if asked.tracked else None,
+        jerk=node.j * rate / given["time"] ** 2 if asked.has_jerk else None,
         positive_power=working * given["power"] if asked.works else None,
     )
     numbers = _split(given["limits"], [limit.rows.n_numbers for limit in asked.limits])
@@ -244,6 +247,7 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
         n_equations=equations.numel(),
         n_path=path.numel(),
         kinds=kinds,
+        has_jerk=asked.has_jerk,
     )
 
 

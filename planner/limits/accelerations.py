@@ -1,8 +1,7 @@
-"""Limits on the acceleration of a joint or a site, and on the rate of change of a joint's, the jerk.
+"""Limits on the acceleration of a joint or a site.
 
 The accelerations of independent joints are polynomials of the program, whose coefficients are bounded at every instant; a
-dependent joint's and a site's are bounded at nodes. A joint with a limit on jerk has a continuous acceleration
-(`bounds.linear_rows`), which is zero where the motion begins or ends with the joint at rest.
+dependent joint's and a site's are bounded at nodes, and at open ends if they may jump there.
 """
 
 from collections.abc import Iterator
@@ -14,6 +13,7 @@ import numpy as np
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.poses.along import accelerations, sampled, site_motion
+from linkplan.planner.limits.jerks import is_smooth, moving_joint, moving_site
 from linkplan.planner.limits.limit import (
     Bounds,
     Claimed,
@@ -31,31 +31,33 @@ from linkplan.planner.limits.limit import (
     with_limits,
 )
 from linkplan.planner.problem.instant import free_instant
-from linkplan.planner.transcription.bernstein import PiecewisePolynomial
-
-# A change of acceleration from one interval to the next, or from rest, that is below this share of the largest acceleration
-# is rounding and no jump.
-_NO_JUMP_SHARE = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
 class AccelerationLimit(Limit):
-    """The acceleration of one joint; `column` is its index among the independent joints, None for a dependent one."""
+    """The acceleration of one joint; `column` is its index among the independent joints, None for a dependent one.
+
+    `jumps` tells whether a dependent one may jump.
+    """
 
     key: ClassVar[str] = "acceleration"
     item: int
     column: int | None = None
+    jumps: bool = False
 
     @classmethod
     def of(cls, problem: Problem, **_: bool) -> list[Self]:
-        return [cls(*of) for of in limited_joints(problem, problem.limits.acceleration)]
+        limited = limited_joints(problem, problem.limits.acceleration)
+        return [
+            cls(joint, column, column is None and not is_smooth(problem, moving_joint, joint)) for joint, column in limited
+        ]
 
     @property
     def facts(self) -> Facts:
         words = "the acceleration of joint {}"
         if self.column is not None:
             return Facts(kind=self.key, words=words, tightened=None)
-        return Facts(kind=self.key, words=words, jumps_with_effort=True)
+        return Facts(kind=self.key, words=words, jumps_with_effort=self.jumps)
 
     @property
     def rows(self) -> Rows:
@@ -90,61 +92,23 @@ class AccelerationLimit(Limit):
 
 
 @dataclass(frozen=True, slots=True)
-class JerkLimit(Limit):
-    """The jerk of one independent joint; `column` is its index among these."""
-
-    key: ClassVar[str] = "jerk"
-    facts: ClassVar[Facts] = Facts(kind=key, words="the jerk of joint {}", tightened=None)
-    item: int
-    column: int
-
-    @classmethod
-    def of(cls, problem: Problem, **_: bool) -> list[Self]:
-        return [cls(joint, column) for joint, column in limited_joints(problem, problem.limits.jerk) if column is not None]
-
-    @property
-    def rows(self) -> Rows:
-        return Rows(interval=lambda _: ("jerk_columns", self.column))
-
-    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
-        return tuple(problem.limits.jerk[self.item] * scales.time_s**3 / scales.position[self.column])
-
-    def measured(self, at: Samples) -> Measured:
-        joint, bounds = at.problem.mechanism.joints[self.item], at.problem.limits.jerk[self.item]
-        values = jerks(at.trajectory, at.time, jumps=True)[:, self.column]
-        return Measured(joint.name, joint.shown(1.0) * values, joint.shown(1.0) * bounds, f"{joint.unit}/s3")
-
-    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
-        joint = problem.mechanism.joints[self.item]
-        yield Claimed(
-            name=f"jerk of {joint.name}",
-            unit=f"{joint.unit}/s3",
-            bounds=problem.limits.jerk[self.item],
-            value=lambda at: at.rate * at.rate * at.v[self.column].derivative().derivative(),
-            of_planned=True,
-            per_unit=joint.shown(1.0),
-        )
-
-    @classmethod
-    def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, jerk=times(problem.limits.jerk, factor))
-
-
-@dataclass(frozen=True, slots=True)
 class SiteAccelerationLimit(Limit):
-    """The acceleration of one site, by its size; `site` is its index in the model."""
+    """The acceleration of one site, by its size; `site` is its index in the model, `jumps` as of `AccelerationLimit`."""
 
     key: ClassVar[str] = "site_acceleration"
-    facts: ClassVar[Facts] = Facts(
-        kind=key, words="the acceleration of site {}", tightened=Tightened.SQUARED, jumps_with_effort=True
-    )
     item: int
     site: int
+    jumps: bool
 
     @classmethod
     def of(cls, problem: Problem, **_: bool) -> list[Self]:
-        model = problem.mechanism.model
-        return [cls(item, model.site(name).id) for item, name in enumerate(problem.limits.site_acceleration)]
+        sites = [problem.mechanism.model.site(name).id for name in problem.limits.site_acceleration]
+        return [cls(item, site, not is_smooth(problem, moving_site, site)) for item, site in enumerate(sites)]
+
+    @property
+    def facts(self) -> Facts:
+        words, squared = "the acceleration of site {}", Tightened.SQUARED
+        return Facts(kind=self.key, words=words, tightened=squared, jumps_with_effort=self.jumps)
 
     @property
     def rows(self) -> Rows:
@@ -182,27 +146,3 @@ class SiteAccelerationLimit(Limit):
     def _limit(self, problem: Problem) -> tuple[str, float]:
         """Return the site's name and its largest acceleration [m/s2]."""
         return list(problem.limits.site_acceleration.items())[self.item]
-
-
-def jerks(trajectory: Trajectory, time: np.ndarray, *, jumps: bool = False) -> np.ndarray:
-    """Return the independent joints' jerk (n, n_s) [rad/s3 or m/s3] within the intervals.
-
-    With `jumps`, the first sample after a jump of acceleration is infinite, with its sign. So is the first or last one of a
-    motion that begins or ends at rest with an acceleration.
-    """
-    slope = PiecewisePolynomial(trajectory.velocity, trajectory.breaks_s).derivative()
-    found = slope.derivative()(time)
-    if not jumps:
-        return found
-    before, after = slope.coefficients[-1], slope.coefficients[0]  # (n, n_s) at the ends of the intervals
-    if trajectory.periodic:
-        steps = np.vstack([after - np.roll(before, 1, axis=0), np.zeros((1, trajectory.n_s))])
-    else:
-        still = [np.abs(v) <= 1e-9 * np.abs(trajectory.velocity).max() for v in trajectory.velocity[[0, -1], [0, -1]]]
-        steps = np.vstack([still[0] * after[0], after[1:] - before[:-1], still[1] * -before[-1]])
-    index = np.searchsorted(trajectory.breaks_s[1:-1], time, side="right")
-    size = _NO_JUMP_SHARE * max(float(np.abs(slope.coefficients).max()), np.finfo(float).tiny)
-    for k, j in zip(*np.nonzero(np.abs(steps) > size), strict=True):
-        at = np.flatnonzero(index == k)[:1] if k < len(before) else [len(time) - 1]
-        found[at, j] = np.inf * np.sign(steps[k, j])
-    return found

@@ -7,6 +7,7 @@ from typing import ClassVar, Self
 import casadi as ca
 import numpy as np
 
+from linkplan.planner.limits.jerks import smooth_columns
 from linkplan.planner.limits.limit import (
     Bounds,
     Claimed,
@@ -21,8 +22,8 @@ from linkplan.planner.limits.limit import (
     Tightened,
     Trajectory,
 )
-from linkplan.planner.problem.extra import Expression, ExtraLimit, expressed, extra_along, uses
-from linkplan.planner.problem.instant import force_inputs, free_instant
+from linkplan.planner.problem.extra import Expression, ExtraLimit, expressed, extra_along, jerk_of, uses
+from linkplan.planner.problem.instant import free_instant, motion_symbols
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,14 +34,23 @@ class ExtraPathLimit(Limit):
     item: int
     expression: Expression
     jumps_with_effort: bool
+    moved_by: tuple[int, ...]  # the independent joints on whose jerk it depends
     of_position: bool
     extra: ExtraLimit = field(compare=False)
 
     @classmethod
     def of(cls, problem: Problem, **_: bool) -> list[Self]:
         depends = [uses(one, problem.mechanism) for one in problem.extra_limits]
+        jumps = len(smooth_columns(problem)) < problem.mechanism.dof  # accelerations
         return [
-            cls(item, one.expression, of["u"] or of["a"], not (of["v"] or of["a"] or of["u"]), one)
+            cls(
+                item,
+                one.expression,
+                of["u"] or of["j"] or (of["a"] and jumps),
+                jerk_of(one, problem.mechanism),
+                not (of["v"] or of["a"] or of["u"] or of["j"]),
+                one,
+            )
             for item, (one, of) in enumerate(zip(problem.extra_limits, depends, strict=True))
         ]
 
@@ -62,6 +72,7 @@ class ExtraPathLimit(Limit):
             node=lambda at, numbers: expressed(self.extra, at) / numbers,
             n_numbers=1,
             numbers=lambda problem: (problem.extra_limits[self.item].size,),
+            jerk=self.moved_by,
         )
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
@@ -70,14 +81,16 @@ class ExtraPathLimit(Limit):
 
     def measured(self, at: Poses) -> Measured:
         limit = at.problem.extra_limits[self.item]
-        motion = (at.q, at.v, at.a, at.u, *at.forces) if isinstance(at, Samples) else (at.q,)
-        values = extra_along(self.extra, at.problem.mechanism, *motion)
+        values = extra_along(self.extra, at.problem.mechanism, at.q, *(at.motion if isinstance(at, Samples) else ()))
+        if self.moved_by:  # where accelerations jump, the jerk is infinite
+            jumps = np.any(at.acceleration_jumps[:, self.moved_by], axis=1)
+            values = np.where(jumps, np.inf if np.isfinite(limit.upper) else -np.inf, values)
         return Measured(limit.name, values, (limit.lower, limit.upper), limit.unit, limit.size)
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
-        at, symbols = free_instant(problem.mechanism)
+        at, _ = free_instant(problem.mechanism)
         limit = problem.extra_limits[self.item]
-        value = ca.Function("extra", [*symbols[:4], *force_inputs(at)], [ca.densify(expressed(limit, at))])
+        value = ca.Function("extra", motion_symbols(at), [ca.densify(expressed(limit, at))])
         name, bounds = f"extra limit '{limit.name}'", (limit.lower, limit.upper)
         yield Claimed(name=name, unit=limit.unit, bounds=bounds, value=value)
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from linkplan.planner.limits.accelerations import AccelerationLimit, JerkLimit, SiteAccelerationLimit
+from linkplan.planner.limits.accelerations import AccelerationLimit, SiteAccelerationLimit
 from linkplan.planner.limits.actuators import (
     ControlLimit,
     MotorLimit,
@@ -11,6 +11,7 @@ from linkplan.planner.limits.actuators import (
 from linkplan.planner.limits.body import BodyAngleLimit
 from linkplan.planner.limits.efforts import EffortLimit, EffortRateLimit, RobustLimit
 from linkplan.planner.limits.extra import ExtraPathLimit
+from linkplan.planner.limits.jerks import JerkLimit, SiteJerkLimit
 from linkplan.planner.limits.joints import (
     BallLimit,
     ClosureForceLimit,
@@ -43,6 +44,7 @@ KINDS: tuple[type[Limit], ...] = (
     SitePathLimit,
     BodyAngleLimit,
     SiteAccelerationLimit,
+    SiteJerkLimit,
     OnPathLimit,
     ExtraPathLimit,
 )
@@ -51,6 +53,7 @@ KINDS: tuple[type[Limit], ...] = (
 RELAXED: tuple[type[Limit], ...] = (
     RobustLimit,
     JerkLimit,
+    SiteJerkLimit,
     SiteAccelerationLimit,
     AccelerationLimit,
     SpeedLimit,

@@ -101,6 +101,7 @@ class Rows:
         interval_numbers: the values of the parameters of that row.
         unknowns: the kind of equation of its `n_unknowns` algebraic unknowns, and the expressions that they equal.
         start_of_unknowns: their values along a motion (n, n_unknowns).
+        jerk: the independent coordinates on whose jerk the row depends; their accelerations have no jumps.
     """
 
     node: Callable[[Instant, ca.SX], ca.SX] | None = None
@@ -111,6 +112,7 @@ class Rows:
     n_unknowns: int = 0
     unknowns: Callable[[Instant, ca.SX], tuple[str, list[ca.SX]]] | None = None
     start_of_unknowns: Callable[[Problem, Scales, MotionArrays], np.ndarray] | None = None
+    jerk: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -143,9 +145,8 @@ class Claimed:
         unit: in which it is shown, `per_unit` times SI.
         bounds: [low, high].
         value: in the balls of a `proof.motion.Kinetics` (of a `State` if `of_planned`), or a CasADi function of the pose q,
-            or of q, v, a and u of the independent joints, after which `force_inputs` may follow, or one function of q for
-            each interval of the trajectory.
-        of_planned: whether the value needs planned positions and efforts only, and no speeds.
+            or of the first of `motion_symbols`, or one function of q for each interval of the trajectory.
+        of_planned: whether the value needs planned positions and efforts only, and no speeds, or is of one kinetics.
         slack: the allowances of both bounds; those for rounding by default.
         unknown: why the value cannot be enclosed.
     """

@@ -65,6 +65,25 @@ class Samples(Poses):
         return self.problem.mechanism.forces_at(self.time)
 
     @cached_property
+    def jerk(self) -> np.ndarray:
+        """The independent joints' jerk (n, n_s) within the intervals."""
+        return self.trajectory.jerk_at(self.time)
+
+    @cached_property
+    def acceleration_jumps(self) -> np.ndarray:
+        """The jumps of acceleration (n, n_s), each at the first sample after it or the motion's last; else zero."""
+        motion, jumps, found = self.trajectory, self.trajectory.acceleration_jumps(), np.zeros(self.v.shape)
+        interval, first = np.unique(np.searchsorted(motion.breaks_s[1:-1], self.time, side="right"), return_index=True)
+        found[first] = jumps[interval]
+        found[-1] += jumps[-1]
+        return found
+
+    @property
+    def motion(self) -> tuple[np.ndarray, ...]:
+        """The independent joints' speeds and accelerations, efforts, jerk, and forces over time."""
+        return (self.v, self.a, self.u, self.jerk, *self.forces)
+
+    @cached_property
     def actuator_speeds(self) -> np.ndarray:
         """The actuators' speeds (n, n_u) [rad/s or m/s]."""
         return actuator_speeds(self.problem, self.q, self.v)

@@ -234,8 +234,11 @@ def check_objective(
         for need in term.needs:
             if lacking[need] is not None:
                 raise ProblemError(f"objective.minimize '{name}' needs {lacking[need]}")
-    for name, need in (("effort_rate", "changing efforts"), ("jerk", "changing accelerations")):
-        if np.any(np.isfinite(getattr(limits, name))) and lacking[need] is not None:
+    needs = {"effort_rate": "changing efforts", "jerk": "changing accelerations", "site_jerk": "changing accelerations"}
+    given = {"site_jerk": bool(limits.site_jerk)}
+    given |= {name: bool(np.any(np.isfinite(getattr(limits, name)))) for name in ("effort_rate", "jerk")}
+    for name, need in needs.items():
+        if given[name] and lacking[need] is not None:
             raise ProblemError(f"limits.{name} needs {lacking[need]}")
 
 

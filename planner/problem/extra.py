@@ -13,7 +13,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.body_angles import body_index, turning
 from linkplan.models.tree.dynamics import site_index
-from linkplan.planner.problem.instant import Instant, force_inputs, free_instant
+from linkplan.planner.problem.instant import Instant, free_instant, jerk_columns, motion_symbols
 
 # Names appear in sentences.
 MAX_NAME_CHARACTERS = 100
@@ -35,8 +35,8 @@ class _Named:
 class NamedInstant:
     """One instant of a motion for users' expressions, in SI: `at.position_rad["O"]`, `at.site("foot")[2]`.
 
-    Every joint, dependent or not, has a position [rad or m], a velocity and an acceleration; every actuator has an effort
-    [N.m or N].
+    Every joint, dependent or not, has a position [rad or m], a velocity, an acceleration and a jerk; every actuator has an
+    effort [N.m or N].
     """
 
     instant: Instant
@@ -58,6 +58,11 @@ class NamedInstant:
         return _Named("joint in at.acceleration_rad_s2", _joints(self.instant.mechanism), accelerations)
 
     @property
+    def jerk_rad_s3(self) -> _Named:
+        """The joints' jerks [rad/s3 or m/s3] by name."""
+        return _Named("joint in at.jerk_rad_s3", _joints(self.instant.mechanism), self.instant.joint_jerks)
+
+    @property
     def effort(self) -> _Named:
         """The actuators' efforts [N.m or N] by name."""
         names = tuple(actuator.name for actuator in self.instant.mechanism.actuators)
@@ -74,6 +79,10 @@ class NamedInstant:
     def site_acceleration(self, name: str) -> ca.SX:
         """Return the acceleration (3,) [m/s2] of a site in the world."""
         return self._of_site("site_acceleration", name, self.instant.site_accelerations)
+
+    def site_jerk(self, name: str) -> ca.SX:
+        """Return the jerk (3,) [m/s3] of a site in the world."""
+        return self._of_site("site_jerk", name, self.instant.site_jerks)
 
     def body_angle_rad(self, name: str) -> ca.SX:
         """Return the angle [rad] of a body, the sum of the angles of the hinges that turn it."""
@@ -182,7 +191,7 @@ def expressed(extra: Extra, at: Instant) -> ca.SX:
 
 @functools.lru_cache(maxsize=64)
 def uses(extra: Extra, mechanism: Mechanism) -> dict[str, bool]:
-    """Return for each of q, v, a and u whether an expression depends on it.
+    """Return for each of q, v, a, u and j, the jerk, whether an expression depends on it.
 
     Raises:
         ProblemError: as `expressed`, for a constant expression, and for one that has NaN as a constant.
@@ -196,22 +205,41 @@ def uses(extra: Extra, mechanism: Mechanism) -> dict[str, bool]:
     constants = [function.instruction_constant(k) for k in codes if function.instruction_id(k) == ca.OP_CONST]
     if np.isnan(constants).any():
         raise ProblemError(f"extra {extra.kind} '{extra.name}': its expression has the constant nan, which is no number")
-    depends = {name: ca.depends_on(found, one) for name, one in zip("qvau", symbols, strict=False)}
+    depends = {name: ca.depends_on(found, one) for name, one in zip("qvauj", motion_symbols(instant), strict=False)}
     if not any(depends.values()):
         raise ProblemError(
-            f"extra {extra.kind} '{extra.name}': its expression depends on position, velocity, acceleration or effort,"
+            f"extra {extra.kind} '{extra.name}': its expression depends on position, velocity, acceleration, jerk or effort,"
             " got a constant"
         )
     return depends
 
 
-def extra_along(extra: Extra, mechanism: Mechanism, *motion: np.ndarray) -> np.ndarray:
-    """Return the values (n,) of an extra limit or cost along q (n, n_q), or along q, v, a (n, n_s) and u (n, n_u).
+def take_jerk(extra: Extra, mechanism: Mechanism, lacking: str | None) -> bool:
+    """Check whether an extra limit or cost depends on jerk; `lacking` is what the transcription then lacks.
 
-    After u come the forces over time of `Mechanism.forces_at`.
+    Raises:
+        ProblemError: as `uses`, and for a jerk that the transcription does not have.
     """
-    instant, (q, v, a, u, *_) = free_instant(mechanism)
-    inputs = [q, v, a, u, *force_inputs(instant)][: len(motion)]
+    given = uses(extra, mechanism)["j"]
+    if given and lacking is not None:
+        raise ProblemError(f"extra {extra.kind} '{extra.name}' has a jerk, which needs {lacking}")
+    return given
+
+
+@functools.lru_cache(maxsize=64)
+def jerk_of(extra: Extra, mechanism: Mechanism) -> tuple[int, ...]:
+    """Return the independent coordinates on whose jerk an extra limit or cost depends."""
+    instant, _ = free_instant(mechanism)
+    return jerk_columns(instant, expressed(extra, instant))
+
+
+def extra_along(extra: Extra, mechanism: Mechanism, *motion: np.ndarray) -> np.ndarray:
+    """Return the values (n,) of an extra limit or cost along q (n, n_q), or along q, v, a (n, n_s), u (n, n_u) and jerk.
+
+    After the jerk (n, n_s) come the forces over time of `Mechanism.forces_at`.
+    """
+    instant, _ = free_instant(mechanism)
+    inputs = motion_symbols(instant)[: len(motion)]
     function = ca.Function("extra", inputs, [ca.densify(expressed(extra, instant))])
     return sampled(function, *motion).reshape(-1)
 

@@ -21,7 +21,7 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import joint_acceleration, sampled, site_motion
+from linkplan.models.poses.along import joint_acceleration, joint_jerk, sampled, site_motion
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.reduction.reduced import ReducedDynamics
 from linkplan.models.tree.joints import unit_steps
@@ -166,6 +166,11 @@ def force_inputs(at: "Instant") -> list[ca.SX]:
     return [] if at.mechanism.forces is None else [at.forces]
 
 
+def motion_symbols(at: "Instant") -> list[ca.SX]:
+    """Return the symbols q, v, a, u and the jerk of an instant as inputs of a function, and `force_inputs`."""
+    return [at.q, at.v, at.a, at.u, at.jerk, *force_inputs(at)]
+
+
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Scales:
     """Units in which the unknowns are of order one.
@@ -222,7 +227,7 @@ class Instant:
         units: the program's units by name: time, position, effort, residual, length, power, force.
         rates: rates (n_q,) of all joints if they are unknowns of the program; otherwise they follow from the loops.
         reference: independent positions (n_s,) that are tracked.
-        effort_rate, jerk: u' (n_u,) and a' (n_s,).
+        effort_rate, jerk: u' (n_u,) and a' (n_s,), if they are known.
         losses: copper loss per squared effort (n_u,) of the motors.
         positive_power: of each actuator (n_u,) if it is an unknown of the program; otherwise max(0, u w).
     """
@@ -255,6 +260,11 @@ class Instant:
         return joint_acceleration(self.mechanism)(self.q, self.v, self.a)
 
     @cached_property
+    def joint_jerks(self) -> ca.SX:
+        """The jerks (n_q,) of all joints."""
+        return joint_jerk(self.mechanism)(self.q, self.v, self.a, self.jerk)
+
+    @cached_property
     def site_velocities(self) -> ca.SX:
         """The velocities (3, n_sites) of the model's sites in the world."""
         return site_motion(self.mechanism, 1)(self.q, self.v, self.a)
@@ -263,6 +273,11 @@ class Instant:
     def site_accelerations(self) -> ca.SX:
         """The accelerations (3, n_sites) of the model's sites in the world."""
         return site_motion(self.mechanism, 2)(self.q, self.v, self.a)
+
+    @cached_property
+    def site_jerks(self) -> ca.SX:
+        """The jerks (3, n_sites) of the model's sites in the world."""
+        return site_motion(self.mechanism, 3)(self.q, self.v, self.a, self.jerk)
 
     def of_pose(self, name: str) -> ca.SX:
         """Return the value of a function of the reduced dynamics that depends on the pose only."""
@@ -321,3 +336,8 @@ def free_instant(mechanism: Mechanism, losses: np.ndarray | None = None) -> tupl
     call = with_parameters(mechanism.forced, forces)
     given = {"effort_rate": rate, "jerk": jerk, "reference": reference, "losses": losses}
     return Instant(mechanism=mechanism, q=q, v=v, a=a, u=u, payload=payload, forces=forces, call=call, **given), symbols
+
+
+def jerk_columns(at: Instant, value: ca.SX) -> tuple[int, ...]:
+    """Return the independent coordinates on whose jerk an expression of a `free_instant` depends."""
+    return tuple(k for k in range(at.mechanism.dof) if ca.depends_on(value, at.jerk[k]))

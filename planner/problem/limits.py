@@ -25,8 +25,9 @@ class Limits:
     `effort` (n_u, 2) [N.m or N]; `position`, `speed`, `acceleration` and `jerk` (n_q, 2) [rad or m, and per second, its
     square and cube] of all joints; `effort_rate` (n_u, 2) [N.m/s or N/s]; `power` (n_u, 2) [W], mechanical, of each
     actuator; `closure_force` (n_closures,) [N], the largest force of each closure; `singular_margin`, the least |det J_z|
-    relative to home; `site`, limits on sites [m]; `body`, on bodies' angles [rad]; `site_acceleration`, the largest by site
-    [m/s2]. `effort` is the limit for plans: `reserve` is the share of the actuators' own limits that is left to feedback.
+    relative to home; `site`, limits on sites [m]; `body`, on bodies' angles [rad]; `site_acceleration` and `site_jerk`, the
+    largest by site [m/s2, m/s3].
+    `effort` is the limit for plans: `reserve` is the share of the actuators' own limits that is left to feedback.
     """
 
     effort: np.ndarray
@@ -42,6 +43,7 @@ class Limits:
     site: tuple[SiteLimit, ...] = ()
     body: tuple[BodyLimit, ...] = ()
     site_acceleration: Mapping[str, float] = field(default_factory=dict)
+    site_jerk: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "site", tuple(self.site))
@@ -97,14 +99,15 @@ def limits_of(section: LimitsSection, mechanism: Mechanism) -> Limits:
         position=position,
         speed=_rate_rows(section, "speed", "_s", mechanism),
         acceleration=_rate_rows(section, "acceleration", "_s2", mechanism),
-        jerk=_jerk_rows(section, mechanism),
+        jerk=_rate_rows(section, "jerk", "_s3", mechanism),
         effort_rate=_actuator_rows(section.effort_rate, "limits.effort_rate", mechanism),
         power=_actuator_rows(section.power_w, "limits.power_w", mechanism),
         closure_force=forces,
         singular_margin=section.singular_margin,
         site=site_limits_of(section.site, mechanism),
         body=body_limits_of(section.body_deg, mechanism),
-        site_acceleration=_of_sites(section.site_acceleration_m_s2, mechanism),
+        site_acceleration=_of_sites(section.site_acceleration_m_s2, "site_acceleration_m_s2", mechanism),
+        site_jerk=_of_sites(section.site_jerk_m_s3, "site_jerk_m_s3", mechanism),
     )
 
 
@@ -150,22 +153,10 @@ def _rate_rows(section: LimitsSection, name: str, per: str, mechanism: Mechanism
     return rows
 
 
-def _jerk_rows(section: LimitsSection, mechanism: Mechanism) -> np.ndarray:
-    """Return the limits on jerk (n_q, 2), refused for dependent joints: their accelerations are no polynomials."""
-    rows = _rate_rows(section, "jerk", "_s3", mechanism)
-    for index in np.flatnonzero(np.isfinite(rows).any(axis=1)):
-        if index not in mechanism.independent:
-            joint, own = mechanism.joints[index], ", ".join(one.name for one in mechanism.independent_joints)
-            raise ProblemError(
-                f"limits.jerk_{joint.unit}_s3 is of independent joints ({own}), got {joint.name}, which follows from them"
-            )
-    return rows
-
-
-def _of_sites(table: dict[str, float], mechanism: Mechanism) -> dict[str, float]:
-    """Return the largest accelerations by site, refused for unknown names."""
+def _of_sites(table: dict[str, float], key: str, mechanism: Mechanism) -> dict[str, float]:
+    """Return the largest values by site, refused for unknown names."""
     for name in table:
-        site_index(mechanism.model, name, "limits.site_acceleration_m_s2", ProblemError)
+        site_index(mechanism.model, name, f"limits.{key}", ProblemError)
     return dict(table)
 
 

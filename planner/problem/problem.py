@@ -15,7 +15,7 @@ from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import Tables, apply_override, read_tables
 from linkplan.planner.problem import build, consistency
-from linkplan.planner.problem.extra import Extra, ExtraCost, ExtraLimit, checked_extras, uses
+from linkplan.planner.problem.extra import Extra, ExtraCost, ExtraLimit, checked_extras, take_jerk
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.keys.motion_and_limits import Motor
 from linkplan.planner.problem.limits import Limits
@@ -59,9 +59,9 @@ class Problem:
             `period_s` and `interpolation`.
         path: `site` with `points` [m] or a `file`, and `shape`, "polyline", "spline" or "arc", and `blend_m`, of `follow`.
         limits: `effort`, `range_deg`, `speed_deg_s`, `acceleration_deg_s2`, `jerk_deg_s3`, `effort_rate`, `power_w`,
-            `closure_force`, `site_acceleration_m_s2`, each by name, and `singular_margin`, `contacts`; `site`, boxes
-            {"foot": {"z": [0.0, inf]}}, walls {"normal": n, "at": p} and tubes {"along": points, "radius_m": r}, one or a
-            list by site; `body_deg`, [low, high] by body. By default the model's own.
+            `closure_force`, `site_acceleration_m_s2`, `site_jerk_m_s3`, each by name, and `singular_margin`, `contacts`;
+            `site`, boxes {"foot": {"z": [0.0, inf]}}, walls {"normal": n, "at": p} and tubes {"along": points, "radius_m":
+            r}, one or a list by site; `body_deg`, [low, high] by body. By default the model's own.
         reserve: the share of every effort limit that is left to feedback, such as 0.2; also a key of `limits`.
         motors: by actuator: `torque_constant`, `resistance_ohm`, `stall_effort`, `no_load_speed_deg_s`.
         guess: `path_deg`, positions at equal times by joint, or `plan`, a saved plan's folder.
@@ -311,13 +311,15 @@ class Problem:
         object.__setattr__(self, "tracking", self.tracking.tracked())
         consistency.check_honoured(self.mechanism, self.unhonoured)
         object.__setattr__(self, "extra_limits", checked_extras(self.extra_limits, ExtraLimit, "extra_limits"))
-        for extra in self.extras:
-            uses(extra, self.mechanism)  # refuses what does not fit the mechanism
         lacking = consistency.lacking_parts(self.motion, self.mechanism, self.motors, self.reference, self.mesh, self.limits)
+        jerk = [take_jerk(extra, self.mechanism, lacking["changing accelerations"]) for extra in self.extras]
+        jerk += [bool(self.limits.site_jerk), bool(np.any(np.isfinite(self.limits.jerk)))]
         consistency.check_motion(self.motion, self.objective, self.reference)
         others = {"[reference]": self.reference, "[robust]": self.robust.corners, "[guess]": self.guess}
         # Along a path the joints' jerk is not that of the only coordinate.
-        others |= {"minimize 'jerk'": self.objective.has("jerk"), "limits.jerk": np.any(np.isfinite(self.limits.jerk))}
+        others |= {"minimize 'jerk'": self.objective.has("jerk")}
+        bent = self.path is not None and len(self.path.curve.corners) > 0
+        others |= {"limit or cost on jerk along rounded corners or a spline, but along a line or an arc": bent and any(jerk)}
         check_path(self.path, self.motion.kind, others)
         consistency.check_objective(self.objective, self.motion, self.mechanism, self.limits, lacking)
         if len(self.limits.closure_force) == 0:

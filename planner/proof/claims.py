@@ -24,7 +24,7 @@ from linkplan.planner.proof.motion import Kinetics, State
 from linkplan.planner.proof.walk import Ball, UnknownOperationError, walk_of
 from linkplan.planner.trajectory import Trajectory
 
-# Of functions of q, v, a and u; further ones take the forces over time.
+# Of functions of q, v, a and u; further ones take the jerk and the forces over time (`motion_symbols`).
 _MOTION_INPUTS = 4
 _NOT_ENCLOSED = "balls do not enclose one of its operations"
 
@@ -75,10 +75,14 @@ def _values(one: Claimed, problem: Problem) -> Callable[[State], list[Ball]]:
         return lambda state: [walk(state.q)[0][0, 0]]
 
     def at(kinetics: Kinetics) -> Ball:
-        v, a = ([of[i] for i in of_s] for of in (kinetics.rates, kinetics.accelerations))
-        forces = kinetics.state.forces if value.n_in() > _MOTION_INPUTS else ()
-        return walk(kinetics.state.q, v, a, kinetics.state.u, *forces)[0][0, 0]
+        of_time = [kinetics.rates, kinetics.accelerations]
+        of_time += [kinetics.jerks] if value.n_in() > _MOTION_INPUTS else []
+        v, a, *jerk = ([of[i] for i in of_s] for of in of_time)
+        forces = kinetics.state.forces if jerk else ()
+        return walk(kinetics.state.q, v, a, kinetics.state.u, *jerk, *forces)[0][0, 0]
 
+    if value.n_in() > _MOTION_INPUTS and value.jac_sparsity(0, _MOTION_INPUTS).nnz():
+        return lambda state: [at(state.of_velocity)]
     return of_kinetics(at)
 
 

@@ -7,12 +7,13 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.planner.certificate.certificate import end_state_error
 from linkplan.planner.certificate.further_checks import disagreements
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE, VELOCITY_SHARE, ends_off_m
+from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import task_words
 from linkplan.planner.proof.finding import Finding, finding_of
 from linkplan.planner.proof.motion import JOIN_SHARE
-from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.trajectory import NO_JUMP_SHARE, Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
 # Largest jump of an effort with a limited rate, as a share of the largest effort: as in the certificate.
@@ -44,7 +45,7 @@ def end_findings(problem: Problem, trajectory: Trajectory) -> list[Finding]:
         found.append(
             finding_of(f"the pieces of {what} join", value, JOIN_SHARE, "of its span", when, f" at t = {when:.6g} s")
         )
-    found += [_slope(trajectory, speeds), *_effort_jumps(problem, trajectory)]
+    found += [_slope(trajectory, speeds), *_effort_jumps(problem, trajectory), *_acceleration_jumps(problem, trajectory)]
     error = float(end_state_error(problem, trajectory, float(speeds.max())))
     found.append(finding_of("the motion starts and ends where asked", error, BOUNDARY_SHARE, "of its span"))
     found += [
@@ -78,6 +79,23 @@ def _effort_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
         finding_of(f"the pieces of effort of {actuator.name} join", float(jumps[j]) / size, _EFFORT_JUMP, "of the largest")
         for j, actuator in enumerate(problem.mechanism.actuators)
         if np.isfinite(problem.limits.effort_rate[j]).any()
+    ]
+
+
+def _acceleration_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
+    """Return the findings on jumps of accelerations with a limited rate, and on those from and to rest."""
+    columns = sorted({column for limit in limits_of(problem) for column in limit.rows.jerk})
+    size = max(float(np.abs(trajectory.acceleration_at(trajectory.dense_times(4))).max()), float(np.finfo(float).tiny))
+    jumps = np.abs(trajectory.acceleration_jumps())
+    return [
+        finding_of(
+            f"the pieces of acceleration of {problem.mechanism.independent_joints[column].name} join",
+            float(jumps[:, column].max()) / size,
+            NO_JUMP_SHARE,
+            "of the largest",
+            float(trajectory.breaks_s[np.argmax(jumps[:, column])]),
+        )
+        for column in columns
     ]
 
 

@@ -79,6 +79,14 @@ class Kinetics:
     _trees: dict[float, list[Ball]] = field(default_factory=dict)
     _efforts: dict[Corner | None, list[Ball]] = field(default_factory=dict)
 
+    @cached_property
+    def jerks(self) -> list[Ball]:
+        """The jerks (n_q,) of all joints.
+
+        Those of `State.of_velocity` are the planned ones: rounding of the position is large in its third derivative.
+        """
+        return [self.state.rate * x.derivative() for x in self.accelerations]
+
     def needed(self, corner: Corner | None = None) -> tuple[list[Ball], list[Ball]]:
         """Return the reduced efforts tau (n_s,), and the multipliers J_z^-T (...)_z, of the model or a corner's machine."""
         state, factor = self.state, 1.0 if corner is None else corner.payload_factor

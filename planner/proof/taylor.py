@@ -117,11 +117,13 @@ class TaylorForm:
     def of(cls, middle: Ball, box: Ball, order: int) -> "TaylorForm":
         """Return the form of at most `order` coefficients from the series at the middle and over the whole box.
 
-        Beside a kink there are fewer: as many as the function has bounded derivatives, and beside a jump none but the range.
+        Derivatives of series have fewer. So has the form beside a kink: as many as the function has bounded derivatives, and
+        beside a jump none but the range.
         """
         if isinstance(box, arb):
             return cls(coefficients=[box], remainder=arb(0), whole=box)
-        n = next((k for k in range(order) if not box[k + 1].is_finite()), order)
+        known = min(order, box.prec - 1)  # a coefficient beyond the known ones reads as zero
+        n = next((k for k in range(known) if not box[k + 1].is_finite()), known)
         if not n:
             return cls(coefficients=[box[0]], remainder=arb(0), whole=box[0])
         first = middle if isinstance(middle, arb_series) else arb_series([middle])

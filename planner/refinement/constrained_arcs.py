@@ -57,7 +57,17 @@ class FixedArcs:
 
 
 def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
-    """Return 1 or -1 (n, n_path) where a path quantity is at its upper or lower limit at all nodes, else 0."""
+    """Return 1 or -1 (n, n_path) where a path quantity is at its upper or lower limit at all nodes, else 0.
+
+    For limits on jerk it is 0: held at all nodes of an interval, they are one equation more than its jerk has coefficients.
+    """
+    arcs = _all_path_arcs(transcribed, x)
+    arcs[:, list(transcribed.formulation.rows.jerk_path)] = 0
+    return arcs
+
+
+def _all_path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
+    """Return the arcs of `path_arcs` with those of limits on jerk."""
     program, interval = transcribed.program, transcribed.program.interval
     n, m, n_path = program.mesh.n_intervals, interval.n_nodes, interval.n_path
     limit = transcribed.formulation.path.reshape(-1, 2)
@@ -78,6 +88,9 @@ def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
 def own_arcs(transcribed: Transcribed, x: np.ndarray, kinds: tuple[str, ...]) -> np.ndarray:
     """Return 1 or -1 (n, n_limits) where all coefficients of an interval are at their upper or lower limit, else 0.
 
+    With the kind "jerk" they include path quantities that depend on the jerk, by their values at all nodes. Their signs
+    change where the jerk reverses: the size of a site's jerk is then at its limit before and after.
+
     Args:
         transcribed: a program.
         x: its unknowns.
@@ -90,6 +103,12 @@ def own_arcs(transcribed: Transcribed, x: np.ndarray, kinds: tuple[str, ...]) ->
             above = np.all(values > high - SHARE_AT_LIMIT * abs(high), axis=1).astype(int)
             below = np.all(values < low + SHARE_AT_LIMIT * abs(low), axis=1).astype(int)
             arcs.append((above - below)[:, None])
+    on_jerk = list(transcribed.formulation.rows.jerk_path) if "jerk" in kinds else []
+    if on_jerk:
+        ends = transcribed.scheme.acceleration_coefficients[[0, -1]]
+        changes = np.diff(ends @ x[transcribed.program.layout.acceleration()], axis=1)[:, 0]  # (n, n_s) of accelerations
+        reverses = np.append(False, np.sum(changes[1:] * changes[:-1], axis=1) < 0)
+        arcs.append(np.cumprod(np.where(reverses, -1, 1))[:, None] * _all_path_arcs(transcribed, x)[:, on_jerk])
     return np.hstack(arcs)
 
 

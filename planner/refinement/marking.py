@@ -69,12 +69,15 @@ def tightened_share(overrun: np.ndarray) -> np.ndarray:
 
 
 def tightenings_of(margins: tuple[Margin, ...], breaks_s: np.ndarray) -> tuple[Tightening, ...]:
-    """Return the tightening of each limit that a motion with breaks (n + 1,) [s] overruns, by its margin."""
+    """Return the tightening of each limit that a motion with breaks (n + 1,) [s] overruns, by its margin.
+
+    A limit with an infinite overrun, such as a jerk where an acceleration jumps, is not tightened.
+    """
     relative = (breaks_s - breaks_s[0]) / (breaks_s[-1] - breaks_s[0])
     return tuple(
         Tightening(what=one.what, item=one.item, breaks=relative, share=tightened_share(one.overrun), upper=one.upper)
         for one in margins
-        if one.of.facts.tightened not in (None, Tightened.IN_PROBLEM) and not one.kept
+        if one.of.facts.tightened not in (None, Tightened.IN_PROBLEM) and not one.kept and np.isfinite(one.left)
     )
 
 

@@ -209,7 +209,7 @@ def _extras_not_finite(search: Search) -> list[str]:
     times, poses = even_poses(problem, path)
     v, a = path.velocity(times), path.acceleration(times)
     effort, _ = needed_effort(problem.mechanism, poses, v, a, times)
-    motion = (poses, v, a, effort, *problem.mechanism.forces_at(times))
+    motion = (poses, v, a, effort, np.gradient(a, times, axis=0), *problem.mechanism.forces_at(times))
     found = extras_not_finite(problem.extras, problem.mechanism, times, *motion)
     return [f"{sentence} along the smooth path" for sentence in found]
 

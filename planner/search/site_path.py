@@ -17,6 +17,7 @@ from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.case import finished
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.closed_chain.prescribed import motion_along
+from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.motion import Waypoint
@@ -27,6 +28,9 @@ from linkplan.planner.trajectory import Trajectory
 # path, and the program of one freedom is small. Excess of the least time over that of an independent path parameterisation,
 # with 1, 2 and 3: of a five-bar's polyline with two corners 5e-4, 1.5e-4 and 1e-4, of a line below 1e-7 each.
 _MORE_INTERVALS = 3
+# Pieces of an interval on which the joints' motion is a polynomial, if a limit is on jerk: on fifteen intervals, one piece
+# each misses the third derivative by 2e-7, and has jumps of acceleration of 1e-7.
+_PIECES_FOR_JERK = 3
 
 
 def plan_along_path(problem: Problem, start_pose: np.ndarray, plan_of: Callable[[Problem], Plan]) -> Plan:
@@ -88,5 +92,6 @@ def _in_joints(problem: Problem, mechanism: GuidedMechanism, along: Trajectory) 
         duration_s=along.duration_s,
         start_pose=along.start_pose[:-1],
     )
-    motion = motion_along(problem, guess, along.breaks_s)
+    n = _PIECES_FOR_JERK if any(limit.rows.jerk for limit in limits_of(problem)) else 1
+    motion = motion_along(problem, guess, np.append(along.times_at(np.arange(n) / n), along.breaks_s[-1]))
     return replace(motion, effort=np.clip(motion.effort, *problem.limits.effort.T))  # rounding

@@ -155,7 +155,7 @@ def _accelerations_without_jumps(
     first, last = chosen.acceleration_coefficients[[0, -1]]
     speeds = slice(layout.n_s, 2 * layout.n_s)
     rests = [np.all(formulation.boundaries[end].state[speeds] == 0.0, axis=1) for end in (0, -1)]
-    for column in formulation.rows.has_jerk(layout.n_s):
+    for column in formulation.rows.smooth_columns:
         at = layout.acceleration()[:, :, column]  # (n, m)
         following = np.roll(at, -1, axis=0)
         pairs = np.hstack([at, following])[: None if formulation.periodic else -1]

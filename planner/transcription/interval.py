@@ -49,6 +49,8 @@ class IntervalRows:
       (algebraic unknown, coordinate).
     * `squared_sums`: algebraic unknowns, as polynomials through the nodes, with the sum of their squares.
     * `open_end_path`: path quantities that jump with the effort and are therefore bounded at open ends too.
+    * `jerk_path`: path quantities that depend on the rates of accelerations.
+    * `smooth_columns`: second-order coordinates whose acceleration has no jumps, because a limit or a cost is on its rate.
 
     Weights, alpha and beta are parameters of the program (eta) and not part of its structure.
     """
@@ -65,6 +67,8 @@ class IntervalRows:
     power_levers: tuple[tuple[int, tuple[tuple[int, int], ...]], ...] = ()
     squared_sums: tuple[tuple[int, ...], ...] = ()
     open_end_path: tuple[int, ...] = ()
+    jerk_path: tuple[int, ...] = ()
+    smooth_columns: tuple[int, ...] = ()
 
     @property
     def encloses(self) -> bool:
@@ -74,10 +78,6 @@ class IntervalRows:
     def n_eta(self, n_u: int, n_s: int) -> int:
         """Return the number of an interval's own parameters: weights of its costs, then alpha and beta of each motor."""
         return sum({"time": 1, "jerk": n_s}.get(cost, n_u) for cost in self.costs) + 2 * len(self.motor_columns)
-
-    def has_jerk(self, n_s: int) -> tuple[int, ...]:
-        """Return the coordinates whose acceleration has no jumps, because a limit or a cost is on its rate."""
-        return tuple(range(n_s)) if "jerk" in self.costs else self.jerk_columns
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -197,9 +197,9 @@ def build_chain(system: System, scheme: Scheme, rows: IntervalRows, node: NodeFu
     )
     w, share, eta = ca.SX.sym("w", layout.size), ca.SX.sym("share"), ca.SX.sym("eta", rows.n_eta(system.n_u, system.n_s))
     parts = _Parts(layout, scheme, w, share)
-    xi = parts.node_columns()  # (n_xi, m + n_open_ends)
+    xi = parts.node_columns(has_jerk=system.has_jerk)  # (n_xi, m + n_open_ends)
     if n_open_ends:
-        xi = ca.horzcat(xi, parts.open_end_columns(scheme, node.open_end_z))
+        xi = ca.horzcat(xi, parts.open_end_columns(scheme, node.open_end_z, has_jerk=system.has_jerk))
     own, kinds, items = _own_rows(parts, scheme, system, rows, eta)
     cost = _own_cost(parts, rows, eta)
     stacked = ca.vec(xi)
@@ -277,10 +277,15 @@ class _Parts:
         self.a, self.r = rows(layout.acceleration()), rows(layout.rate())
         self.z, self.u = rows(layout.dependent()), rows(layout.effort())
         self.open_end_dependent = rows(layout.open_end_dependent())
-        self.h = share * w[int(layout.durations()[0])]
+        self.h, self.nodes = share * w[int(layout.durations()[0])], scheme.nodes
         self.matrix = {n: ca.SX(ca.DM(getattr(scheme, n))) for n in scheme.__slots__ if n not in ("name", "consistent")}
 
-    def node_columns(self) -> ca.SX:
+    def jerk_at(self, points: np.ndarray) -> ca.SX:
+        """Return the accelerations' rates (n, n_s) at shares (n,) of the interval."""
+        coefficients = _slope(self.matrix["acceleration_coefficients"] @ self.a) / self.h
+        return ca.DM(bernstein_matrix(coefficients.shape[0] - 1, points)) @ coefficients
+
+    def node_columns(self, *, has_jerk: bool) -> ca.SX:
         """Return xi (n_xi, m) of the interval's nodes."""
         matrix, h = self.matrix, self.h
         m = matrix["nodes"].numel()
@@ -288,9 +293,10 @@ class _Parts:
         v = ca.repmat(self.v0, m, 1) + h * matrix["velocity"] @ self.a
         x = ca.repmat(self.x0, m, 1) + h * matrix["velocity"] @ self.r
         u = matrix["effort_at"] @ self.u
-        return ca.horzcat(s, v, self.a, x, self.r, self.z, u).T
+        j = [self.jerk_at(self.nodes)] if has_jerk else []
+        return ca.horzcat(s, v, self.a, *j, x, self.r, self.z, u).T
 
-    def open_end_columns(self, scheme: Scheme, open_end_z: tuple[int, ...]) -> ca.SX:
+    def open_end_columns(self, scheme: Scheme, open_end_z: tuple[int, ...], *, has_jerk: bool) -> ca.SX:
         """Return xi (n_xi, n_open_ends) of the interval's open ends."""
         extrapolate, columns = ca.SX(ca.DM(scheme.at_open_ends)), []
         for i, end in enumerate(scheme.open_ends):
@@ -299,7 +305,8 @@ class _Parts:
                 z[0, j] = self.open_end_dependent[i, k]
             s, v, x = (self.s1, self.v1, self.x1) if end else (self.s0, self.v0, self.x0)
             a, r = extrapolate[i, :] @ self.a, extrapolate[i, :] @ self.r
-            columns.append(ca.horzcat(s, v, a, x, r, z, self.u[-1 if end else 0, :]).T)
+            j = [self.jerk_at(np.array([end]))] if has_jerk else []
+            columns.append(ca.horzcat(s, v, a, *j, x, r, z, self.u[-1 if end else 0, :]).T)
         return ca.horzcat(*columns)
 
 

@@ -121,7 +121,7 @@ def chain_key(system: System, scheme: Scheme, rows: IntervalRows, node: NodeFunc
 
 
 def _sizes(system: System) -> tuple[int, ...]:
-    return (system.n_s, system.n_x, system.n_z, system.n_u, system.n_equations, system.n_path)
+    return (system.n_s, system.n_x, system.n_z, system.n_u, system.n_equations, system.n_path, system.has_jerk)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -1,10 +1,10 @@
 """A continuous problem at one instant: equations, bounded quantities and running cost, with their derivatives at a node.
 
-A node is (s, v, a, x, r, z, u): positions, velocities and accelerations of second-order coordinates, states x of first-order
-equations with their rates r, algebraic unknowns z, efforts u. A system is independent of meshes. Mechanisms and users'
-differential equations are both converted to systems. The functions of a node are the expensive ones. They depend on neither
-scheme nor mesh, so every transcription of a system uses the same. Sparse matrices are columns of nonzeros, each with its
-pattern.
+A node is (s, v, a, j, x, r, z, u): positions, velocities and accelerations of second-order coordinates, the accelerations'
+rates j (jerks) where a system takes them, states x of first-order equations with their rates r, algebraic unknowns z,
+efforts u. A system is independent of meshes. Mechanisms and users' differential equations are both converted to systems. The
+functions of a node are the expensive ones. They depend on neither scheme nor mesh, so every transcription of a system uses
+the same. Sparse matrices are columns of nonzeros, each with its pattern.
 """
 
 from dataclasses import dataclass, fields
@@ -38,6 +38,7 @@ class System:
     n_equations: int
     n_path: int
     kinds: tuple[str, ...]  # the kind of each equation and path quantity, for messages and tests
+    has_jerk: bool = False  # whether a node's unknowns include the rates of its accelerations
 
     def __post_init__(self) -> None:
         if len(self.kinds) != self.n_equations + self.n_path:
@@ -46,7 +47,7 @@ class System:
     @property
     def n_xi(self) -> int:
         """The number of a node's unknowns."""
-        return 3 * self.n_s + 2 * self.n_x + self.n_z + self.n_u
+        return (4 if self.has_jerk else 3) * self.n_s + 2 * self.n_x + self.n_z + self.n_u
 
     @property
     def n_theta(self) -> int:
@@ -66,6 +67,7 @@ class NodeSymbols:
     s: ca.SX
     v: ca.SX
     a: ca.SX
+    j: ca.SX
     x: ca.SX
     r: ca.SX
     z: ca.SX
@@ -74,12 +76,12 @@ class NodeSymbols:
     @property
     def stacked(self) -> ca.SX:
         """The unknowns in the order of xi."""
-        return ca.vertcat(self.s, self.v, self.a, self.x, self.r, self.z, self.u)
+        return ca.vertcat(self.s, self.v, self.a, self.j, self.x, self.r, self.z, self.u)
 
 
-def node_symbols(n_s: int, n_x: int, n_z: int, n_u: int) -> NodeSymbols:
+def node_symbols(n_s: int, n_x: int, n_z: int, n_u: int, *, has_jerk: bool = False) -> NodeSymbols:
     """Return fresh symbols for a node's unknowns."""
-    sizes = {"s": n_s, "v": n_s, "a": n_s, "x": n_x, "r": n_x, "z": n_z, "u": n_u}
+    sizes = {"s": n_s, "v": n_s, "a": n_s, "j": n_s if has_jerk else 0, "x": n_x, "r": n_x, "z": n_z, "u": n_u}
     return NodeSymbols(**{name: ca.SX.sym(name, size) for name, size in sizes.items()})
 
 

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.models.poses.along import accelerations, joint_rates, sampled, site_motion
+from linkplan.models.poses.along import accelerations, joint_jerk, joint_rates, sampled, site_motion
 from linkplan.models.poses.body_angles import turning_bodies
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.planner.limits.accelerations import jerks
 from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, effort_rates
 from linkplan.planner.limits.samples import Samples
 from linkplan.planner.problem.instant import Robust
@@ -57,8 +56,6 @@ def kinds_of(problem: Problem, motion: Trajectory, rng: np.random.Generator) -> 
     mechanism = problem.mechanism
     j, i = int(rng.integers(mechanism.n_u)), int(rng.integers(mechanism.n_q))
     actuator, joint = mechanism.actuators[j], mechanism.joints[i]
-    k = j % mechanism.dof
-    driven = mechanism.independent_joints[k]
     effort = _rows("effort", j)
     return [
         Kind(
@@ -80,9 +77,9 @@ def kinds_of(problem: Problem, motion: Trajectory, rng: np.random.Generator) -> 
             limited=_rows("acceleration", i),
         ),
         Kind(
-            words=f"jerk of {driven.name}",
-            values=lambda at: jerks(at.trajectory, at.time)[:, k],
-            limited=_rows("jerk", int(mechanism.independent[k])),
+            words=f"jerk of {joint.name}",
+            values=lambda at: sampled(joint_jerk(mechanism), at.q, at.v, at.a, at.jerk)[:, i, 0],
+            limited=_rows("jerk", i),
         ),
         Kind(
             words=f"effort rate of {actuator.name}",
@@ -145,7 +142,17 @@ def _sites(problem: Problem, motion: Trajectory, rng: np.random.Generator) -> li
     def size(at: Samples) -> np.ndarray:
         return np.linalg.norm(sampled(site_motion(mechanism, 2), at.q, at.v, at.a)[:, :, index], axis=1)
 
-    return [*found, Kind(words=f"acceleration of site {name}", values=size, limited=accelerated, signs=(1,))]
+    def with_jerk(problem: Problem, low: float, high: float) -> Problem:
+        return replace(problem, limits=replace(problem.limits, site_jerk={name: min(-low, high)}))
+
+    def jerk(at: Samples) -> np.ndarray:
+        return np.linalg.norm(sampled(site_motion(mechanism, 3), at.q, at.v, at.a, at.jerk)[:, :, index], axis=1)
+
+    return [
+        *found,
+        Kind(words=f"acceleration of site {name}", values=size, limited=accelerated, signs=(1,)),
+        Kind(words=f"jerk of site {name}", values=jerk, limited=with_jerk, signs=(1,)),
+    ]
 
 
 def _bodies(problem: Problem, rng: np.random.Generator) -> list[Kind]:

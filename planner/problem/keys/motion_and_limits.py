@@ -184,9 +184,12 @@ class LimitsSection(Section, frozen=True):
         "hinges' accelerations, dependent joints too: a number for both ways, or [low, high]", "deg/s2", "none"
     )
     jerk_deg_s3: kinds.Speeds = by_joint(
-        "independent hinges' jerk; accelerations then have no jumps, not even from rest", "deg/s3", "none"
+        "hinges' jerk, dependent joints too; accelerations then have no jumps, not even from rest", "deg/s3", "none"
     )
-    site_acceleration_m_s2: kinds.SiteLimits = by_name("the largest acceleration of a site", "m/s2", "none")
+    site_acceleration_m_s2: kinds.SiteAccelerations = by_name("the largest acceleration of a site", "m/s2", "none")
+    site_jerk_m_s3: kinds.SiteJerks = by_name(
+        "the largest jerk of a site; accelerations then have no jumps, not even from rest", "m/s3", "none"
+    )
     effort_rate: kinds.ActuatorLimits = by_name(
         "rate of efforts by actuator; efforts then have no jumps", "N.m/s, N/s", "none"
     )

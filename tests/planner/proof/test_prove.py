@@ -174,6 +174,8 @@ def test_a_motion_on_the_other_branch_is_refuted():
         ("limits.speed_deg_s.C={}", "speed of C"),
         ("limits.acceleration_deg_s2.C={}", "acceleration of C"),
         ("limits.jerk_deg_s3.O={}", "jerk of O"),
+        ("limits.jerk_deg_s3.C={}", "jerk of C"),
+        ("limits.site_jerk_m_s3.B_coupler={}", "jerk of site B_coupler"),
         ("limits.site_acceleration_m_s2.B_coupler={}", "acceleration of site B_coupler"),
         ("limits.power_w.act_O={}", "power of act_O"),
         ("limits.closure_force.B={}", "closure force of B"),

@@ -46,6 +46,14 @@ def test_beside_a_kink_a_form_has_as_many_coefficients_as_are_known(box, coeffic
     assert float(found.whole.mid()) == 1.0
 
 
+def test_a_series_with_fewer_coefficients_than_the_form_has_its_last_one_as_remainder():
+    """Beyond its known coefficients a series reads as zero, which would be no remainder at all."""
+    over = arb_series([1.0, 2.0, 3.0, 4.0], prec=4).derivative()
+    found = TaylorForm.of(arb_series([10, 20, 30], prec=4).derivative(), over, 3)
+    assert [float(c.mid()) for c in found.coefficients] == [20.0, 60.0]
+    assert float(found.remainder) == 12.0
+
+
 @pytest.mark.parametrize(("low", "high", "answer"), [(-1.0, 4.0, True), (0.0, 4.0, None), (-1.0, 3.0, None)])
 def test_without_a_remainder_the_range_over_the_box_alone_is_judged(low, high, answer):
     found = TaylorForm(coefficients=[arb(1)], remainder=UNKNOWN, whole=arb(1.5, 2.0)).verdict(arb(low), arb(high))

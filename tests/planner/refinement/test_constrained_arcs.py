@@ -15,7 +15,9 @@ from linkplan.planner.refinement.constrained_arcs import (
 LOW, HIGH = -2.0, 4.0
 
 
-def program_of(rows, *, limit=(LOW, HIGH), kind="speed", n_path=0, n_equations=0, n_nodes=0) -> SimpleNamespace:
+def program_of(
+    rows, *, limit=(LOW, HIGH), kind="speed", n_path=0, n_equations=0, n_nodes=0, jerk_path=()
+) -> SimpleNamespace:
     """Return a program with rows (n, n_rows): of each interval's own limit, then of its nodes' equations and path limit."""
     rows = np.array(rows, dtype=float)
     n_own = rows.shape[1] - n_nodes * (n_equations + n_path)
@@ -32,7 +34,8 @@ def program_of(rows, *, limit=(LOW, HIGH), kind="speed", n_path=0, n_equations=0
     functions = {"nlp": lambda _x, _parameters: (0.0, rows.ravel())}
     program = SimpleNamespace(mesh=SimpleNamespace(n_intervals=len(rows)), interval=interval, functions=functions)
     own, path = ({} if n_path else {kind: [np.array(limit)]}), np.array([limit])
-    return SimpleNamespace(program=program, parameters=None, formulation=SimpleNamespace(own=own, path=path))
+    formulation = SimpleNamespace(own=own, path=path, rows=SimpleNamespace(jerk_path=jerk_path))
+    return SimpleNamespace(program=program, parameters=None, formulation=formulation)
 
 
 def test_an_interval_is_an_arc_where_all_of_its_coefficients_are_at_one_limit():
@@ -48,6 +51,17 @@ def test_an_interval_is_an_arc_of_a_path_limit_where_all_of_its_nodes_are_at_one
     rows = [(7.0, 0.0, first, 0.0, second) for first, second in nodes]
     transcribed = program_of(rows, kind=kind, n_path=1, n_equations=1, n_nodes=2)
     assert path_arcs(transcribed, np.zeros(0)).ravel().tolist() == arcs
+
+
+def test_arcs_along_a_limit_on_the_size_of_a_jerk_end_where_it_reverses_and_are_not_held():
+    rows = [(HIGH, HIGH), (HIGH, 0.0), (HIGH, HIGH), (HIGH, HIGH)]
+    transcribed = program_of(rows, kind="site_jerk", n_path=1, n_nodes=2, jerk_path=(0,))
+    transcribed.scheme = SimpleNamespace(acceleration_coefficients=np.eye(2))
+    transcribed.program.layout = SimpleNamespace(acceleration=lambda: np.arange(8).reshape(4, 2, 1))
+    x = np.array([0.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 2.0])  # accelerations at both nodes of each interval
+    assert own_arcs(transcribed, x, ("jerk",)).ravel().tolist() == [1, 0, 1, -1]
+    assert own_arcs(transcribed, x, ("speed",)).size == 0
+    assert not path_arcs(transcribed, x).any()
 
 
 def test_a_path_equation_is_no_arc():

@@ -29,6 +29,11 @@ def test_a_range_is_tightened_in_the_problem_and_not_on_intervals():
     assert tightenings_of((over,), np.arange(4.0)) == ()
 
 
+def test_an_infinite_overrun_is_not_removed_by_a_tightening():
+    """A jump of acceleration is of an infinite jerk; bounds tightened by it would be no numbers."""
+    assert tightenings_of((speed_margin(0, [0.0, np.inf]),), np.arange(3.0)) == ()
+
+
 @pytest.mark.parametrize("begin_s", [0.0, 2.0])
 def test_a_speed_limit_is_tightened_on_the_intervals_where_it_is_overrun_at_shares_of_the_duration(begin_s):
     margins = (speed_margin(0, [0.0, 0.0]), speed_margin(1, [0.0, 1e-3]))

@@ -275,7 +275,13 @@ def test_a_path_file_is_read_and_kept_in_the_problem(tmp_path):
             "takes no [robust]",
         ),
         ({"minimize": "jerk", "duration_s": 0.6}, "motion.kind 'follow' takes no minimize 'jerk'"),
-        ({"limits": {"jerk_deg_s3": {"q1": 1e6}}}, "motion.kind 'follow' takes no limits.jerk"),
+        (
+            {
+                "limits": {"site_jerk_m_s3": {"tip": 40.0}},
+                "path": {"site": "tip", "points": [LINE[0], [0.45, 0.0, 0.1], LINE[1]], "shape": "spline"},
+            },
+            "takes no limit or cost on jerk along rounded corners or a spline, but along a line or an arc",
+        ),
         ({"path": {"site": "tip", "points": [LINE[0], [0.5, 0.1, 0.0]]}}, "path leaves the reach of site tip"),
     ],
 )
@@ -284,6 +290,18 @@ def test_paths_that_cannot_be_followed_are_refused_in_one_line(changes: dict, sa
         followed(**changes)
     assert said in str(error.value)
     assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("key", "of", "most"), [("site_jerk_m_s3", "tip", 40.0), ("jerk_deg_s3", "q2", 9e3)])
+def test_jerks_along_a_line_stay_within_their_limits(key, of, most):
+    """The third differences of the sampled joints and places are a second way to them."""
+    plan = plan_motion(followed(minimize="effort", duration_s=0.9, mesh={"intervals": 20}, limits={key: {of: most}}))
+    assert plan.status == "optimal", plan.message
+    time = np.linspace(0.0, 0.9, 601)
+    q = plan.trajectory.position_at(time)
+    values = places_of(plan.problem.mechanism, 0, q) if of == "tip" else np.degrees(q[:, 1:])
+    found = np.linalg.norm(np.diff(values, 3, axis=0), axis=1) / (time[1] - time[0]) ** 3
+    assert 0.99 * most < found.max() < 1.0001 * most
 
 
 def test_a_path_belongs_to_its_kind_of_motion():

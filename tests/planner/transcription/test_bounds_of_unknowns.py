@@ -104,6 +104,15 @@ def test_efforts_without_jumps_end_an_interval_where_they_begin_the_next(periodi
     assert not high.any()
 
 
+def test_smooth_accelerations_end_an_interval_where_they_begin_the_next_and_are_zero_at_rest():
+    at_rest, mesh = PhaseBoundary(state=np.zeros((2, 2)), time=FREE_TIME), uniform(2)
+    problem, layout = formulation(at_rest, boundary(), rows=IntervalRows(smooth_columns=(0,))), layout_of(mesh)
+    linear, _, _ = linear_rows(problem, layout, mesh, SCHEME, None)
+    x = np.zeros(layout.size)
+    x[layout.acceleration()[:, :, 0]] = [[1.0, 2.0, 3.0], [4.5, 4.0, 4.0]]
+    assert np.array(linear.dm()) @ x == pytest.approx([3.0 - 4.5, 1.0])
+
+
 def test_the_time_of_a_boundary_after_several_segments_is_a_row():
     mesh = segmented(np.array([1.0, 2.0, 3.0]), 9, phase=np.array([0, 0, 1]))
     problem = formulation(boundary(), boundary(time=(2.5, 2.5)), boundary(time=(4.0, 9.0)))

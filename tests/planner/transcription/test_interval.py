@@ -121,6 +121,25 @@ def test_unknowns_at_nodes_are_those_of_the_polynomials(name):
     assert along == pytest.approx(x0 + WIDTH * through(r).integ()(tau))
 
 
+@pytest.mark.parametrize("name", ["radau-3", "gauss-3", "hermite-simpson"])
+def test_the_jerk_at_nodes_and_open_ends_is_the_slope_of_the_polynomial_of_accelerations(name):
+    chosen, node = scheme(name), node_symbols(2, 0, 0, 2, has_jerk=True)
+    column = ca.vertcat(node.a - node.u, ca.sumsqr(node.j), ca.SX(0))
+    two = System(
+        n_s=2, n_x=0, n_z=0, n_u=2, node=ca.Function("node", [node.stacked, ca.SX.sym("p", 0)], [column]),
+        n_equations=2, n_path=1, kinds=("dynamics", "dynamics", "site_jerk"), has_jerk=True,
+    )  # fmt: skip
+    draw = np.random.default_rng(3)
+    a = draw.normal(size=(chosen.n_nodes, 2))
+    w = np.concatenate([draw.normal(size=4), a.ravel(), draw.normal(size=chosen.effort_at.shape[1] * 2 + 4), [DURATION]])
+    chain = build_chain(two, chosen, IntervalRows(open_end_path=(0,)), build_node(two, (0,)))
+    found = np.array(chain.nodes(w, SHARE))[6:8].T
+    at = np.append(chosen.nodes, chosen.open_ends)
+    fits = [np.polynomial.Polynomial(np.polynomial.polynomial.polyfit(chosen.nodes, column, 2)) for column in a.T]
+    assert len(found) == len(at)
+    assert found == pytest.approx(np.array([fit.deriv()(at) / WIDTH for fit in fits]).T)
+
+
 def position_end(chosen, s0: float, v0: float, a: np.ndarray) -> float:
     """Return where a position ends by the last of the scheme's coefficients."""
     return s0 + WIDTH * v0 + WIDTH**2 * float(chosen.position_coefficients[-1] @ a)
