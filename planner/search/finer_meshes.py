@@ -27,7 +27,7 @@ from linkplan.planner.refinement.marking import degree_of, rough_of
 from linkplan.planner.refinement.state import Refined
 from linkplan.planner.refinement.switch_search import mesh_with_switches
 from linkplan.planner.trajectory import Trajectory
-from linkplan.planner.transcription.mesh import Mesh, divided, uniform
+from linkplan.planner.transcription.mesh import Mesh, divided, uniform, without_empty
 
 # |det J_z| relative to home that iterates keep at first, and at last where the first one binds and less is asked for. Next
 # to a singular pose no mesh is fine enough, and a tenth of the last one saves a two-thousandth of the time.
@@ -50,6 +50,8 @@ _JUMP_SHARE, _WORTH_AN_UNKNOWN = 0.4, 1e-4
 _MOST_RESIDUAL, _MOST_TIGHTENED = 0.2, 3e-4
 # A mesh's limits are tightened so often; where that does not do, or costs more than settles, the mesh is made finer.
 _MAX_TIGHTENINGS = 2
+# Two switch times have met if a segment is shorter than this share of a mean interval: its rounding would be a motion's.
+_MET_SHARE = 1e-2
 # A solve that begins at the last mesh's motion takes at most so many iterations, and twice as many in another transcription.
 _MOST_ITERATIONS = 150
 # The motion that is kept is changed on at most so many meshes.
@@ -147,12 +149,11 @@ def _solved(way: _Way, coarse: Iterate, rows: bool) -> Iterate | None:
     few = settings.replace(max_iterations=min(most, settings.max_iterations or most))
     case = replace(way.case, problem=replace(way.case.problem, solver=few))
     found: list[Iterate] = []
+    mesh, durations = without_empty(way.mesh, way.durations, _MET_SHARE * way.durations.sum() / len(way.mesh.fraction))
     free = case.asked.motion.duration_s is None
     lost = _LOST_SHARE_AT_FIRST if another and not free else _LOST_SHARE
     for adaptive in (free, not free):
-        finer = attempt(
-            case, start, way.mesh, way.durations, way.what, close=True, adaptive=adaptive, position_rows=rows
-        )  # fmt: skip
+        finer = attempt(case, start, mesh, durations, way.what, close=True, adaptive=adaptive, position_rows=rows)
         if finer is not None:
             found.append(finer)
             if share_gained(finer.solution.objective, coarse.solution.objective) <= lost:

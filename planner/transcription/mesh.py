@@ -218,6 +218,15 @@ def halved(mesh: Mesh, which: np.ndarray) -> Mesh:
     return divided(mesh, np.where(which, 2, 1))
 
 
+def without_empty(mesh: Mesh, durations: np.ndarray, least_s: float) -> tuple[Mesh, np.ndarray]:
+    """Return a mesh without segments shorter than `least_s` [s], but one of each phase, and the others' durations [s]."""
+    longest = np.array([durations[mesh.phase == phase].max() for phase in mesh.phase])
+    stays = (durations >= least_s) | (durations == longest)
+    of_these = stays[mesh.segment]
+    segment = (np.cumsum(stays) - 1)[mesh.segment[of_these]]
+    return Mesh(fraction=mesh.fraction[of_these], segment=segment, phase=mesh.phase[stays]), durations[stays]
+
+
 def divided(mesh: Mesh, pieces: np.ndarray) -> Mesh:
     """Return the mesh with each interval divided into so many pieces (n,)."""
     fraction = np.repeat(mesh.fraction / pieces, pieces)

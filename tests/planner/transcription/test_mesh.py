@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.transcription.mesh import Mesh, broken, halved, segmented, uniform
+from linkplan.planner.transcription.mesh import Mesh, broken, halved, segmented, uniform, without_empty
 
 DURATIONS = np.array([0.1, 3.0, 0.2])
 
@@ -53,3 +53,14 @@ def test_a_uniform_mesh_has_equal_intervals_in_one_segment():
     mesh = uniform(4)
     np.testing.assert_allclose(mesh.breaks(np.array([2.0])), [0.0, 0.5, 1.0, 1.5, 2.0])
     assert mesh.boundaries().tolist() == [0, 4]
+
+
+def test_a_segment_without_a_duration_goes_unless_it_is_the_longest_of_its_phase():
+    durations = np.array([1e-6, 3.0, 1e-7])
+    mesh, left = without_empty(three_segments(), durations, 1e-3)
+    assert left.tolist() == [3.0, 1e-7]
+    assert np.bincount(mesh.segment).tolist() == [9, 3]
+    assert mesh.phase.tolist() == [0, 1]
+    same, left = without_empty(three_segments(), DURATIONS, 0.1)
+    assert left.tolist() == DURATIONS.tolist()
+    assert same.n_intervals == 15
