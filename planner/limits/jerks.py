@@ -8,7 +8,7 @@ the motion begins or ends with the joint at rest.
 
 import functools
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import casadi as ca
@@ -21,6 +21,7 @@ from linkplan.planner.limits.limit import (
     Bounds,
     Claimed,
     Facts,
+    Instant,
     Limit,
     Measured,
     Problem,
@@ -67,7 +68,7 @@ class JerkLimit(Limit):
     def rows(self) -> Rows:
         if self.column is not None:
             return Rows(interval=lambda _: ("jerk_columns", self.column), jerk=self.moved_by)
-        return Rows(node=lambda at, _: at.units["time"] ** 3 * at.joint_jerks[self.item], jerk=self.moved_by)
+        return _node_rows(self.moved_by, lambda at, _: at.units["time"] ** 3 * at.joint_jerks[self.item])
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         unit = 1.0 if self.column is None else scales.position[self.column]
@@ -117,12 +118,8 @@ class SiteJerkLimit(Limit):
 
     @property
     def rows(self) -> Rows:
-        return Rows(
-            node=lambda at, numbers: ca.sumsqr(at.site_jerks[:, self.site] * numbers),
-            n_numbers=1,
-            numbers=lambda problem: (1.0 / self._limit(problem)[1],),
-            jerk=self.moved_by,
-        )
+        rows = _node_rows(self.moved_by, lambda at, numbers: ca.sumsqr(at.site_jerks[:, self.site] * numbers))
+        return replace(rows, n_numbers=1, numbers=lambda problem: (1.0 / self._limit(problem)[1],))
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return -np.inf, 1.0
@@ -154,6 +151,11 @@ class SiteJerkLimit(Limit):
     def _limit(self, problem: Problem) -> tuple[str, float]:
         """Return the site's name and its largest jerk [m/s3]."""
         return list(problem.limits.site_jerk.items())[self.item]
+
+
+def _node_rows(moved_by: tuple[int, ...], node: Callable[[Instant, ca.SX], ca.SX]) -> Rows:
+    """Return the row of a jerk at a node; a joint or site that nothing moves has none, and the program no jerk for it."""
+    return Rows(node=node, jerk=moved_by) if moved_by else Rows(node=lambda *_: ca.SX(0))
 
 
 def smooth_columns(problem: Problem) -> tuple[int, ...]:

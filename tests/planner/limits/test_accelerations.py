@@ -218,6 +218,15 @@ def test_a_limit_on_jerk_forbids_jumps_of_the_joints_that_move_the_site_alone():
     assert [smooth_columns(one) for one in (problem, of_tip)] == [(0,), (0, 1)]
 
 
+def test_a_limit_on_the_jerk_of_a_site_at_rest_forbids_no_jump():
+    """C is a pin of the frame."""
+    problem = Problem.from_tables("knee", {**KNEE, "limits": {"site_jerk_m_s3": {"C": 1.0}}})
+    assert smooth_columns(problem) == ()
+    plan = plan_motion(problem)
+    assert plan.status == "optimal"
+    assert [margin.left for margin in plan.certificate.margins if margin.of.key == "site_jerk"] == [1.0]
+
+
 @pytest.mark.slow
 def test_a_limit_on_the_jerk_of_a_site_that_forbids_a_motion_is_named():
     plan = plan_motion(mass(1.0, "effort", 0.9, site_jerk_m_s3=40.0))  # the least time is 0.928 s
