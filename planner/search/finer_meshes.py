@@ -18,6 +18,7 @@ from linkplan.models.deadline import check
 from linkplan.planner.closed_chain.case import MechanismCase
 from linkplan.planner.closed_chain.formulate import TIE_WEIGHT
 from linkplan.planner.closed_chain.guess import motion_of, with_force_times
+from linkplan.planner.limits.jerks import smooth_columns
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.actions import nearest_on
@@ -246,12 +247,18 @@ def _next_way(case: MechanismCase, before: CertifiedIterate, at: CertifiedIterat
         return _Way(tightened, mesh, durations, "limits tightened between the nodes")
     cost = -gain / _settled_change(case)  # of tightening
     if case.n_tightenings and (at.overruns or (at.passed and cost > 1)):
-        overrun = at.report.overrun if at.overruns else before.report.overrun
+        overrun = at.report.overrun if at.overruns else _overrun_before(before, at)
         mesh = divided(mesh, np.where(overrun > 0, _enough(case, np.full(len(overrun), max(cost, 2.0))), 1))
         return _Way(_loosened(case, _margin_of(case)), mesh, durations, "limits as asked again, on a finer mesh")
     if settled:
         return None
     return _Way(case, divided(mesh, 1 + rough_of(at.found.motion)), durations, "finer mesh")
+
+
+def _overrun_before(before: CertifiedIterate, at: CertifiedIterate) -> np.ndarray:
+    """Return by how much a motion overran its limits, at the middles (n,) of another one's intervals."""
+    first, breaks = (one.found.motion.breaks_s / one.found.motion.duration_s for one in (before, at))
+    return before.report.overrun[np.searchsorted(first[1:-1], 0.5 * (breaks[1:] + breaks[:-1]))]
 
 
 def _nearer(case: MechanismCase, at: CertifiedIterate) -> MechanismCase:
@@ -306,7 +313,7 @@ def _enough(case: MechanismCase, worst: np.ndarray) -> np.ndarray:
 
 
 def jumps_of(case: MechanismCase, found: Iterate) -> np.ndarray:
-    """Return the increasing times (n,) [s] at which efforts jump, or at which arcs along limits end.
+    """Return the increasing times (n,) [s] at which efforts or limited jerks jump, or at which arcs along limits end.
 
     The limits are those on speed, acceleration and jerk.
     """
@@ -315,7 +322,17 @@ def jumps_of(case: MechanismCase, found: Iterate) -> np.ndarray:
     motion, jumps = found.motion, effort_jumps(case, found.motion)
     arcs = own_arcs(found.solution.transcribed, found.solution.x, ("speed", "acceleration", "jerk"))
     ends = arc_ends(arcs, motion.breaks_s, jumps, motion.breaks_s[found.mesh.boundaries()])
-    return _apart(np.sort(np.append(jumps, ends)), motion.breaks_s[[0, -1]], motion)
+    every = np.concatenate([jumps, ends, _jerk_jumps(case, motion)])
+    return _apart(np.sort(every), motion.breaks_s[[0, -1]], motion)
+
+
+def _jerk_jumps(case: MechanismCase, motion: Trajectory) -> np.ndarray:
+    """Return the times (n,) [s] at which jerks jump, increasing: a site's turns about while its size stays at the limit."""
+    columns = list(smooth_columns(case.problem))
+    if not columns or case.problem.objective.has("jerk"):
+        return np.zeros(0)
+    mean = np.diff(motion.acceleration_at(motion.breaks_s)[:, columns], axis=0) / np.diff(motion.breaks_s)[:, None]
+    return _jumps(mean / np.maximum(np.ptp(mean, axis=0), 1e-300), motion)
 
 
 def effort_jumps(case: MechanismCase, motion: Trajectory) -> np.ndarray:
@@ -327,17 +344,21 @@ def effort_jumps(case: MechanismCase, motion: Trajectory) -> np.ndarray:
         return np.zeros(0)
     limit, mean = case.asked.limits.effort, motion.effort.mean(axis=0)  # of Bernstein coefficients: that of the polynomial
     span = np.ptp(limit, axis=1)
-    level = mean / np.where(np.isfinite(span) & (span > 0), span, np.maximum(np.ptp(mean, axis=0), 1e-300))
+    return _jumps(mean / np.where(np.isfinite(span) & (span > 0), span, np.maximum(np.ptp(mean, axis=0), 1e-300)), motion)
+
+
+def _jumps(level: np.ndarray, motion: Trajectory) -> np.ndarray:
+    """Return the increasing times (n,) [s] at which a column of the intervals' means (n_intervals, m) jumps."""
     breaks, found = motion.breaks_s, []
     widths = np.diff(breaks) / motion.duration_s
-    for effort in level.T:
+    for column in level.T:
         k = 1
-        while k < len(effort) - 1:
-            before, after = effort[k - 1], effort[k + 1]
+        while k < len(column) - 1:
+            before, after = column[k - 1], column[k + 1]
             if abs(after - before) <= _JUMP_SHARE or widths[k] ** 2 * abs(after - before) <= _WORTH_AN_UNKNOWN:
                 k += 1
                 continue
-            share = float(np.clip((effort[k] - after) / (before - after), 0.0, 1.0))
+            share = float(np.clip((column[k] - after) / (before - after), 0.0, 1.0))
             found.append(float(breaks[k] + share * (breaks[k + 1] - breaks[k])))
             k += 2
     return _apart(np.array(sorted(found)), breaks[[0, -1]], motion)

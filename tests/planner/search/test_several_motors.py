@@ -128,6 +128,18 @@ def test_a_jump_is_where_the_impulse_of_its_interval_puts_it(in_least_time):
     assert len(effort_jumps(smooth, motion)) == 0
 
 
+@pytest.mark.slow
+def test_a_motion_within_a_limit_on_the_jerk_of_a_site_has_segments_that_end_where_the_jerk_turns_about():
+    """Its size stays at the limit. On meshes without these ends, the same motion costs 0.3 % more."""
+    mechanism = linkplan.load_mechanism(DATA / "leg_with_four_bar_knee.xml")
+    limits = {"contacts": "note", "site_jerk_m_s3": {"toe": 2e4}}
+    asked = {"duration_s": 0.28, "minimize": "effort", "mesh": {"intervals": 40}, "limits": limits}
+    plan = linkplan.plan(linkplan.Problem.reach(mechanism, **ENDS, **asked))
+    assert plan.status == "optimal"
+    assert plan.history[-1].segments > 1
+    assert plan.objective == pytest.approx(859.65, rel=1e-3)
+
+
 def test_one_motor_given_breaks_and_robust_corners_have_another_search(in_least_time):
     assert of_several(in_least_time)
     assert not of_several(load_problem("knee-reach"))
