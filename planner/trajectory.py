@@ -139,7 +139,8 @@ class Trajectory(OnIntervals):
     def jerk_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return v'' (n, n_s) [rad/s3 or m/s3] within the intervals at times (n,) of the motion."""
         velocity = PiecewisePolynomial(self.velocity, self.breaks_s)
-        return velocity.derivative().derivative()(self.times_within(time_s))
+        with np.errstate(over="ignore", invalid="ignore"):  # the duration in an edited file may be 1e-200 s
+            return velocity.derivative().derivative()(self.times_within(time_s))
 
     def acceleration_jumps(self) -> np.ndarray:
         """Return the changes of acceleration (n_breaks, n_s) [rad/s2 or m/s2] at the breaks; rounding is zero.

@@ -25,7 +25,7 @@ def no_actuator(mechanism: Mechanism) -> str:
     """Return the refusal of a mechanism that nothing drives."""
     return (
         f"mechanism '{mechanism.name}' has no usable actuator, and a plan needs one: add it to the model, or name joints"
-        " that get a motor in mechanism.drive (--drive)"
+        " that get a motor in mechanism.drive"
     )
 
 

@@ -46,7 +46,7 @@ def saved(knee, tmp_path_factory):
         (lambda at: at.site("C"), "CasADi scalar of the instant that it is given, got shape (3, 1)"),
         (lambda _: 3.0, "got a value of type float"),
         (lambda _: None, "got a value of type NoneType"),
-        (lambda _: ca.SX(3.0), "depends on position, velocity, acceleration or effort, got a constant"),
+        (lambda _: ca.SX(3.0), "depends on position, velocity, acceleration, jerk or effort, got a constant"),
         (lambda at: at.site("C")[5], "its expression fails with RuntimeError"),
         (lambda at: 1 if angle(at) > 0 else 0, "its expression fails with RuntimeError"),
         (lambda at: at.nothing, "its expression fails with AttributeError"),

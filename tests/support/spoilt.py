@@ -111,7 +111,8 @@ def answers_beside_limits(mechanism: Mechanism, rng: np.random.Generator) -> lis
 
 
 def _answer(proof: Proof, kind: Kind, case: str, expected: str) -> Answer:
-    of = [finding for finding in proof.findings if kind.words in finding.name]
+    own = [finding for finding in proof.findings if not finding.name.startswith("the pieces of")]
+    of = [finding for finding in own if kind.words in finding.name]
     answers = tuple(sorted({finding.answer for finding in of}))
     reason = "; ".join(finding.reason or f"bound {finding.bound}, mark {finding.mark}" for finding in of)
     return Answer(words=kind.words, case=case, expected=expected, answers=answers, reason=reason)

@@ -152,7 +152,7 @@ MODELS = {
     ),
     "no actuator": (
         FRICTION.replace(' frictionloss="0.5"', "").replace('<motor name="motor" joint="J" ctrlrange="-4 4"/>', ""),
-        ["no usable actuator", "mechanism.drive (--drive)"],
+        ["no usable actuator", "a motor in mechanism.drive"],
     ),
     "not XML": ("<mujoco><worldbody>", ["does not parse"]),
     "empty": ("", ["is empty"]),

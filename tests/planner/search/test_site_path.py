@@ -259,7 +259,7 @@ def test_a_path_file_is_read_and_kept_in_the_problem(tmp_path):
         ({"path": {"site": "tip", "points": [LINE[0], [0.9, 0.0, 0.0]]}}, "path leaves the reach of site tip at"),
         (
             {"path": {"site": "tip", "points": [[0.9, 0.0, 0.0], LINE[1]]}},
-            "the begin of path.tip = [0.9, 0, 0] is out of reach",
+            "the begin of path.tip = [0.9, 0, 0] m is out of reach",
         ),
         ({"path": {"site": "tip", "points": LINE, "shape": "arc"}}, "has three points, got 2"),
         ({"path": {"site": "hand", "points": LINE}}, "unknown site 'hand' in path.site"),

@@ -316,7 +316,7 @@ def test_the_command_writes_a_folder_with_its_costs(tmp_path, capsys):
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["no-such-model", "--to", "c"], "unknown model 'no-such-model'"),
+        (["no-such-model", "--to", "c"], "unknown model or problem 'no-such-model'"),
         (["optimus-knee", "--to", "c++"], "unknown format 'c++'"),
         (["knee-reach", "--to", "c", "--tracker", "mpc"], "legal: pd, pd+ff, lqr, gs-pd+ff"),
         (["knee-reach", "--to", "c", "--every-s", "0.1"], "--every-s"),
