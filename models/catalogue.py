@@ -31,7 +31,7 @@ def is_text(source: str) -> bool:
 
 
 def unknown_source(kind: str, source: str, names: Iterable[str]) -> str:
-    """Return the refusal of a source that is neither a built-in name nor there; names are told where no file was meant."""
+    """Return the refusal of a source that is no built-in name and no existing file; it lists the names, not for a path."""
     names = list(names)
     first = f"unknown {kind} '{shown(source)}'{nearest_source(source, names)}"
     if Path(source).suffix or "/" in source:

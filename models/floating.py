@@ -20,7 +20,9 @@ from linkplan.models.kinematics import (
 
 
 def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
-    """Return the joints of bodies on what stands still that translate in a plane or in space, or fall along a rail.
+    """Return the joints of floating bodies.
+
+    Their parents stand still, and they translate in a plane or in space, or fall along a rail.
 
     A base that actuators drive does not float, nor does one that loops or actuated cables tie to the world or to what stands
     on it. Of floating bases that are tied to one another, such as the plates of a chassis, only the heaviest is returned.

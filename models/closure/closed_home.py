@@ -52,7 +52,7 @@ class ClosedHome:
         """Refuse a home that is singular, or an end of reach, for independent coordinates `free`.
 
         Raises:
-            AssemblyError: with the way to another home where there is one.
+            AssemblyError: for such a home. The message says how to choose another one, where there is one.
         """
         try:
             refuse_singular_assembly(self.loop, self.pose, free, self.about)

@@ -37,7 +37,7 @@ from linkplan.planner.problem.instant import free_instant
 class AccelerationLimit(Limit):
     """The acceleration of one joint; `column` is its index among the independent joints, None for a dependent one.
 
-    `jumps` tells whether a dependent one may jump.
+    `jumps` tells whether the acceleration of a dependent joint may jump.
     """
 
     key: ClassVar[str] = "acceleration"

@@ -236,7 +236,7 @@ def jerk_of(extra: Extra, mechanism: Mechanism) -> tuple[int, ...]:
 def extra_along(extra: Extra, mechanism: Mechanism, *motion: np.ndarray) -> np.ndarray:
     """Return the values (n,) of an extra limit or cost along q (n, n_q), or along q, v, a (n, n_s), u (n, n_u) and jerk.
 
-    After the jerk (n, n_s) come the forces over time of `Mechanism.forces_at`.
+    The jerk has the shape (n, n_s). The forces over time, as of `Mechanism.forces_at`, follow it.
     """
     instant, _ = free_instant(mechanism)
     inputs = motion_symbols(instant)[: len(motion)]

@@ -70,7 +70,7 @@ def _places(problem: Problem, trajectory: Trajectory) -> list[Finding]:
 
 
 def _effort_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
-    """Return the findings on jumps of efforts with a limited rate, from a period to the next too."""
+    """Return the findings on jumps of efforts whose rate is limited, also from one period to the next."""
     ahead = trajectory.effort[0] if trajectory.periodic else trajectory.effort[0, 1:]
     before = trajectory.effort[-1, np.arange(-1 if trajectory.periodic else 0, len(trajectory.breaks_s) - 2)]
     jumps = np.abs(ahead - before).max(axis=0, initial=0.0)
@@ -83,7 +83,7 @@ def _effort_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
 
 
 def _acceleration_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
-    """Return the findings on jumps of accelerations with a limited rate, and on those from and to rest."""
+    """Return the findings on jumps of accelerations whose rate is limited, also from rest and to rest."""
     columns = sorted({column for limit in limits_of(problem) for column in limit.rows.jerk})
     size = max(float(np.abs(trajectory.acceleration_at(trajectory.dense_times(4))).max()), float(np.finfo(float).tiny))
     jumps = np.abs(trajectory.acceleration_jumps())

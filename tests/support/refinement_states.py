@@ -27,7 +27,7 @@ AIMS = RefinementTarget(
 
 @cache
 def turn() -> Problem:
-    """Return the problem of the turn, loaded once."""
+    """Return the problem of a quarter turn, which is loaded once."""
     return body_problem(HINGE, QUARTER_TURN + "duration_s = 1.5\n", "mesh.intervals=10")
 
 

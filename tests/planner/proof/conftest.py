@@ -1,4 +1,4 @@
-"""Balls have the precision in these tests that a test's module asks for as `BITS`, and their own again after each test."""
+"""Each test computes with the precision of balls that its module sets as `BITS`; the default returns after the test."""
 
 import mpmath as mp
 import pytest

@@ -158,7 +158,7 @@ def test_a_bound_becomes_active_where_it_is_violated_and_inactive_where_it_pulls
 @pytest.mark.parametrize(("distance", "held"), [(0.0, True), (3e-8, True), (3e-7, False)])
 @pytest.mark.parametrize("side", [+1, -1])
 def test_the_nearest_feasible_point_keeps_unknowns_that_are_at_a_bound(side, distance, held):
-    """x_0 - side x_1 = 2 from (0, 0): half each, but for x_1, which stays where it is within 1e-7 of a bound of it."""
+    """Nearest to (0, 0) with x_0 - side x_1 = 2, both change by one, unless x_1 is within 1e-7 of a bound and is held."""
     x, p = ca.MX.sym("x", 2), ca.MX.sym("p", 0)
     row = x[0] - side * x[1]
     functions = {
