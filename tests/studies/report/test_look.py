@@ -78,9 +78,9 @@ def table(n_columns: int = 3) -> Table:
     )
 
 
-def opened(browser, folder, *blocks, folded: bool = False, **more) -> Opened:
+def opened(browser, folder, *blocks, folded: bool = False, title: str = "First", **more) -> Opened:
     """Return the page of blocks."""
-    section = Section(title="First", blocks=list(blocks), folded=folded)
+    section = Section(title=title, blocks=list(blocks), folded=folded)
     write_report(report_of("Tried", "Passed", True, [section]), folder / "report.html")
     return Opened(browser, folder / "report.html", **more)
 
@@ -233,3 +233,17 @@ def test_the_arc_of_an_effort_far_beyond_its_limit_does_not_run_into_its_own_tai
     behind, drawn = page.ask("swept.slice(0, 2)")
     assert drawn < 0 < behind  # the range between the limits, and the effort
     assert behind / 2 < abs(drawn) < 2 * 3.14
+
+
+def test_the_mark_of_a_folded_section_stands_beside_a_title_of_two_lines(browser, tmp_path):
+    """It stood on a line of its own, above the title."""
+    page = opened(browser, tmp_path, table(), folded=True, title="Over time: payload +20 %, one period of delay", width=400)
+    page.settle()
+    lines, below = page.ask("""(() => {
+      const summary = document.querySelector("summary"), title = summary.firstElementChild;
+      const style = getComputedStyle(title), margins = parseFloat(style.marginTop) + parseFloat(style.marginBottom);
+      const height = title.getBoundingClientRect().height, line = parseFloat(style.fontSize);
+      return [height / line, summary.getBoundingClientRect().height - height - margins];
+    })()""")
+    assert lines > 2
+    assert below < 10
