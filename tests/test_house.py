@@ -38,6 +38,7 @@ ROOMS = {
 }  # fmt: skip
 TRANSCRIPTION_MAY = {
     "linkplan.models.compiled.functions",
+    "linkplan.models.compiled.lanes",
     "linkplan.models.deadline",
     "linkplan.models.errors",
 }

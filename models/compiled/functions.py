@@ -1,9 +1,10 @@
-"""Compiled functions: CasADi writes C, the machine's compiler builds it, and a cache keeps the library by a key.
+"""Compiled functions: C code, the machine's compiler that builds it, and a cache that keeps the library by a key.
 
 CasADi's interpreter is about ten times slower on long expressions than compiled code. The functions of one library are the
-fields of a dataclass, whose other fields are kept with them. The key hashes what the functions compute and the tools that
-compile them (`tools_hash`), so a cached library is found before the functions are built. Without a usable cache (`cache.py`)
-or a compiler, the functions are interpreted.
+fields of a dataclass, whose other fields are kept with them. If it has a field `lanes`, its functions are evaluated at many
+samples, and each call takes several of them (`lanes.py`); CasADi writes the code of others. The key hashes what the functions
+compute and the tools that compile them (`tools_hash`), so a cached library is found before the functions are built. Without a
+usable cache (`cache.py`) or a compiler, the functions are interpreted.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from linkplan.models.compiled.cache import (
     work_folder,
 )  # fmt: skip
 from linkplan.models.compiled.finish_compiling import run_with_children
+from linkplan.models.compiled.lanes import N_LANES, in_lanes
 from linkplan.models.deadline import NO_DEADLINE, Deadline, waiting_for_child
 from linkplan.models.errors import one_line
 
@@ -85,13 +87,11 @@ CodeT = TypeVar("CodeT", bound="DataclassInstance")
 # -O1 compiles in half the time of -O2, and its straight-line code is as fast. Products and sums are not fused, so compiled
 # functions give exactly the interpreter's numbers, and a plan does not depend on the state of the cache.
 _FLAGS = ("-O1", "-ffp-contract=off", "-fPIC", "-shared")
-# Larger sources take seconds to minutes with optimisation and a fifth of that with -O0: an arm of seven motors 21 s and 5 s.
-# Code with -O0 is three times as fast as the interpreter, optimised code ten times, but two thirds of a solve's time is that
-# of the linear systems: plans of two to four motors take a quarter less from 90 than from 250 kB.
+# Larger sources of straight-line code take seconds to minutes with optimisation, and a fifth of that with -O0.
 _LARGE_BYTES, _LARGE_FLAGS = 90_000, ("-O0", "-ffp-contract=off", "-fPIC", "-shared")
 # Time after which a hanging compiler is ended; these functions compile in seconds.
 _COMPILER_TIMEOUT_S = 120.0
-# Functions with more instructions do not compile within that time: writing three million takes 27 s.
+# Functions with more instructions do not compile within that time: CasADi writes three million in 27 s.
 _MAX_INSTRUCTIONS = 2_000_000
 # The sources that write the C code: this package.
 _SOURCES = sorted(Path(__file__).parent.glob("*.py"))
@@ -150,8 +150,13 @@ def _loaded(folder: Path, key: str, kind: type[CodeT], file: tuple[int, ...]) ->
         return None
     mark_used(folder, key)
     library, record = entry
-    functions = {name: ca.external(name, str(library)) for name in record.pop("functions")}
-    return kind(**functions, **record)
+    return _opened(library, record, kind)
+
+
+def _opened(library: Path, record: dict, kind: type[CodeT]) -> CodeT:
+    """Return the functions of a library with what its record says of them."""
+    functions = {name: ca.external(name, str(library)) for name in record["functions"]}
+    return kind(**functions, **{name: value for name, value in record.items() if name != "functions"})
 
 
 def compiled(key: str, kind: type[CodeT], build: Callable[[], CodeT], deadline: Deadline = NO_DEADLINE) -> CodeT:
@@ -174,7 +179,7 @@ def compiled(key: str, kind: type[CodeT], build: Callable[[], CodeT], deadline: 
                 run_with_children(command, work, min(_COMPILER_TIMEOUT_S, left))
             library = keep_entry(work / f"{key}.so", record, folder, key)
         evict(folder, key)
-        return replace(functions, **{name: ca.external(name, str(library)) for name in _names(functions)})
+        return _opened(library, record, kind)
     except (OSError, subprocess.SubprocessError, RuntimeError) as error:
         if isinstance(error, subprocess.TimeoutExpired) and left < _COMPILER_TIMEOUT_S:  # the deadline ended it
             return functions
@@ -244,11 +249,17 @@ def _is_endless(functions: DataclassInstance) -> bool:
 
 def _written(functions: DataclassInstance, work: Path, key: str) -> tuple[dict, list[str]]:
     """Write the functions as C into a folder; return their record for the cache and the command that compiles them."""
-    generator, names = ca.CodeGenerator(f"{key}.c"), _names(functions)
-    for name in names:
-        generator.add(getattr(functions, name))
-    generator.generate(f"{work}{os.sep}")
-    flags = _FLAGS if (work / f"{key}.c").stat().st_size <= _LARGE_BYTES else _LARGE_FLAGS
+    names, flags = _names(functions), _FLAGS
+    code = in_lanes([getattr(functions, name) for name in names]) if hasattr(functions, "lanes") else None
+    if code is not None:
+        (work / f"{key}.c").write_text(code, encoding="ascii")
+        functions = replace(functions, lanes=N_LANES)
+    else:
+        generator = ca.CodeGenerator(f"{key}.c")
+        for name in names:
+            generator.add(getattr(functions, name))
+        generator.generate(f"{work}{os.sep}")
+        flags = _FLAGS if (work / f"{key}.c").stat().st_size <= _LARGE_BYTES else _LARGE_FLAGS
     command = [*(compiler() or ()), *flags, f"{key}.c", "-o", f"{key}.so", "-lm"]
     record: dict[str, object] = {"functions": list(names)}
     for field in fields(functions):

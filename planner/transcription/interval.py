@@ -101,6 +101,7 @@ class ChainFunctions:
     n_own: int
     own_kinds: tuple[str, ...]  # per own row: "continuity", "speed", "position", "state", "effort_rate", "power", ...
     own_items: tuple[int, ...]  # per own row: index into the columns of its kind
+    lanes: int = 1  # the samples of one call, side by side
 
     def __post_init__(self) -> None:
         convert_lists(self)

@@ -16,6 +16,7 @@ is found before derivatives are built, because the key hashes only the node's ex
 
 import functools
 import hashlib
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
@@ -23,6 +24,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.compiled.functions import tools_hash
+from linkplan.models.compiled.lanes import over_columns
 from linkplan.planner.transcription.interval import IntervalFunctions, IntervalRows, open_end_path
 from linkplan.planner.transcription.mesh import Layout, Mesh, Triplets, pattern, scatter
 from linkplan.planner.transcription.schemes import Scheme
@@ -161,6 +163,8 @@ def build_program(
     node, chain = interval.node, interval.chain
     n_xi, n_theta = node.node_value.size1_in(0), node.node_value.size1_in(1)
     n_eta = chain.own.size1_in(2)
+    at_nodes = functools.partial(over_columns, lanes=node.lanes, n=m * n)
+    at_intervals = functools.partial(over_columns, lanes=chain.lanes, n=n)
     gather = _gather(layout, mesh)  # (n, n_w) index of each interval's unknowns
     n_open_ends = interval.n_open_ends
     size = (1 + n_eta + (m + n_open_ends) * n_theta) * n
@@ -170,22 +174,22 @@ def build_program(
     share, eta, theta = P[0, :], P[1 : 1 + n_eta, :], P[1 + n_eta :, :]
     ends = _Ends(endpoint, layout, x, p[size:]) if endpoint else None
     A, c = linear.dm(), ca.DM(cost)
-    points = ca.reshape(chain.nodes.map(n)(w, share), (m + n_open_ends) * n_xi, n)
+    points = ca.reshape(at_intervals(chain.nodes)(w, share), (m + n_open_ends) * n_xi, n)
     xi, theta_nodes = ca.reshape(points[: m * n_xi, :], n_xi, m * n), ca.reshape(theta[: m * n_theta, :], n_theta, m * n)
     open_ends = _OpenEnds(interval, points[m * n_xi :, :], theta[m * n_theta :, :])
 
-    own_rows, own_costs = chain.own.map(n)(w, share, eta)
-    g_nodes = ca.reshape(node.node_value.map(m * n)(xi, theta_nodes), m * n_f, n)
+    own_rows, own_costs = at_intervals(chain.own)(w, share, eta)
+    g_nodes = ca.reshape(at_nodes(node.node_value)(xi, theta_nodes), m * n_f, n)
     g = ca.vertcat(ca.vec(ca.vertcat(own_rows, g_nodes, open_ends.rows)), A @ x, *([ends.rows] if ends else []))
-    costs = node.node_cost.map(m * n)(xi, theta_nodes)
+    costs = at_nodes(node.node_cost)(xi, theta_nodes)
     running = ca.reshape(costs, m, n)
     h = share * x[layout.durations()[mesh.segment].tolist()].T
     f = ca.sum2(own_costs) + ca.dot(h, ca.DM(interval.weights).T @ running) + ca.dot(c, x) + (ends.cost if ends else 0)
 
     # CasADi's map distributes columns in order: nodes k m to (k + 1) m - 1 belong to interval k.
     # Jacobian: the intervals' nonzeros, then the linear rows' nonzeros, permuted into column order.
-    node_jacobian = node.node_jacobian.map(m * n)(xi, theta_nodes)
-    values = chain.chain_jacobian.map(n)(w, share, eta, node_jacobian, open_ends.jacobian)
+    node_jacobian = at_nodes(node.node_jacobian)(xi, theta_nodes)
+    values = at_intervals(chain.chain_jacobian)(w, share, eta, node_jacobian, open_ends.jacobian)
     rows, columns = chain.jacobian_pattern
     global_rows = (rows[None, :] + interval.n_rows * np.arange(n)[:, None]).ravel()
     global_rows = np.concatenate([global_rows, linear.rows + n * interval.n_rows])
@@ -199,8 +203,8 @@ def build_program(
         n_rows += endpoint.n_rows
     jacobian = _assemble(nonzeros, global_rows, global_columns, (n_rows, layout.size))
 
-    running_gradient = node.node_cost_gradient.map(m * n)(xi, theta_nodes)
-    gradients = chain.chain_gradient.map(n)(w, share, eta, costs, running_gradient)
+    running_gradient = at_nodes(node.node_cost_gradient)(xi, theta_nodes)
+    gradients = at_intervals(chain.chain_gradient)(w, share, eta, costs, running_gradient)
     gradient = scatter(gather.ravel(), layout.size) @ ca.vec(gradients) + c
     if ends:
         gradient += scatter(ends.gradient_places, layout.size) @ ends.gradient
@@ -210,10 +214,10 @@ def build_program(
     first_open_end = interval.n_own + m * n_f
     lam_nodes = ca.reshape(lam[interval.n_own : first_open_end, :], n_f, m * n)
     lam_running = ca.reshape(lam_f * ca.DM(interval.weights) @ h, 1, m * n)
-    node_gradient, node_hessian = node.node_hessian.map(m * n)(xi, theta_nodes, ca.vertcat(lam_nodes, lam_running))
+    node_gradient, node_hessian = at_nodes(node.node_hessian)(xi, theta_nodes, ca.vertcat(lam_nodes, lam_running))
     open_end_gradient, open_end_hessian = open_ends.hessian(lam[first_open_end:, :])
     gradients_at = ca.vertcat(ca.reshape(node_gradient, n_xi * m, n), open_end_gradient)
-    hess_values = chain.chain_hessian.map(n)(
+    hess_values = at_intervals(chain.chain_hessian)(
         w,
         share,
         eta,
@@ -255,16 +259,20 @@ class _OpenEnds:
         if interval.n_open_ends:
             n_xi, n_theta = (points.shape[0] // interval.n_open_ends, theta.shape[0] // interval.n_open_ends)
             self._at = ca.reshape(points, n_xi, self._count), ca.reshape(theta, n_theta, self._count)
-            rows = interval.node.open_end_value.map(self._count)(*self._at)
+            rows = self._over("value")(*self._at)
             self.rows = ca.reshape(rows, interval.n_open_ends * len(interval.open_end_rows), self._n)
-            self.jacobian = interval.node.open_end_jacobian.map(self._count)(*self._at)
+            self.jacobian = self._over("jacobian")(*self._at)
+
+    def _over(self, name: str) -> Callable:
+        node = self._interval.node
+        return over_columns(getattr(node, f"open_end_{name}"), node.lanes, self._count)
 
     def hessian(self, lam: ca.MX) -> tuple[ca.MX, ca.MX]:
         """Return gradients (n_open_ends * n_xi, n) and the Hessians' values for multipliers (n_open_ends * n_rows, n)."""
         if not self._interval.n_open_ends:
             return ca.MX(0, self._n), ca.MX(0, 0)
         lam = ca.vertcat(ca.reshape(lam, len(self._interval.open_end_rows), self._count), ca.MX.zeros(1, self._count))
-        gradient, hessian = self._interval.node.open_end_hessian.map(self._count)(*self._at, lam)
+        gradient, hessian = self._over("hessian")(*self._at, lam)
         return ca.reshape(gradient, gradient.shape[0] * self._interval.n_open_ends, self._n), hessian
 
 

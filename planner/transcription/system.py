@@ -137,6 +137,7 @@ class NodeFunctions:
     open_end_hessian_pattern: Pattern = _EMPTY_PATTERN
     open_end_rows: tuple[int, ...] = ()
     open_end_z: tuple[int, ...] = ()
+    lanes: int = 1  # the samples of one call, side by side
 
     def __post_init__(self) -> None:
         convert_lists(self)

@@ -10,6 +10,7 @@ import pytest
 from linkplan.models.compiled import functions as module
 from linkplan.models.compiled.cache import cache_folder
 from linkplan.models.compiled.functions import cached, compiled, compiler
+from linkplan.models.compiled.lanes import N_LANES, over_columns
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.limits.actuators import PowerLimit
@@ -21,6 +22,8 @@ from linkplan.planner.transcription.schemes import scheme
 from linkplan.planner.transcription.system import NodeFunctions, build_node
 from tests.support.tolerances_planner import COMPILED
 
+# No multiple of the samples that one call evaluates.
+SAMPLES = N_LANES + 3
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")
 
 
@@ -51,8 +54,10 @@ def test_compiled_functions_give_the_interpreted_ones_numbers_to_the_last_bit(ki
     for name in names:
         slow = getattr(interpreted, name)
         assert "External" in getattr(fast, name).class_name()
-        arguments = [rng.uniform(0.5, 1.5, size=slow.size_in(i)) for i in range(slow.n_in())]
-        for a, b in zip(slow.call(arguments), getattr(fast, name).call(arguments), strict=True):
+        columns = [(slow.size1_in(i), SAMPLES * slow.size2_in(i)) for i in range(slow.n_in())]
+        arguments = [ca.DM(rng.uniform(0.5, 1.5, size=size)) for size in columns]
+        found = [over_columns(getattr(of, name), of.lanes, SAMPLES)(*arguments) for of in (interpreted, fast)]
+        for a, b in zip(*(one if isinstance(one, tuple) else (one,) for one in found), strict=True):
             np.testing.assert_array_equal(np.array(b), np.array(a))
 
 
