@@ -22,14 +22,14 @@ def pytest_collection_modifyitems(config, items):
 def own_cache(tmp_path_factory):
     """Keep compiled functions in a folder of this run, which all its workers share: a key is a hash of what is compiled.
 
-    Nothing is compiled in the background of a test: it would take a quarter of the processors' time, and the functions give
-    the same numbers (`test_compiled.py`). Tests of that process, commands in their own processes, and long solves compile.
+    No function is compiled because a test before wanted it too: the functions give the same numbers (`test_compiled.py`).
+    Tests of compiled functions, commands in their own processes, and long solves compile.
     """
     base = tmp_path_factory.getbasetemp()
     run = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
     patch = pytest.MonkeyPatch()
     patch.setenv("LINKPLAN_CACHE", str(run / "cache"))
-    patch.setattr("linkplan.models.compiled.functions.compile_in_background", lambda _key, _functions: None)
+    patch.setattr("linkplan.models.compiled.functions.wanted_again", lambda _folder, _key: False)
     yield
     patch.undo()
 

@@ -140,8 +140,8 @@ def mpc(
         errors: errors and efforts of unit cost.
         horizon_s: length of the prediction [s], rounded up to blocks of whole control periods.
         effort_limit: (n_u, 2) [N.m or N].
-        compile_mode: "auto" compiles the program of the prediction in the background from the second use on, "always" at
-            once, "never" interprets it, with the same numbers ten times slower.
+        compile_mode: "auto" compiles the program of the prediction at the second use, "always" at once, "never" interprets
+            it, with the same numbers and two to three times slower.
 
     Raises:
         GainError: if no stabilising gain exists.

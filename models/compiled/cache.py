@@ -173,8 +173,7 @@ def keep_entry(built: Path, entry: dict, folder: Path, key: str) -> Path:
     for path in (built, record):
         path.chmod(0o600)
         os.replace(path, folder / path.name)
-    for mark in ("wanted", "begun"):
-        (folder / f"{key}.{mark}").unlink(missing_ok=True)
+    (folder / f"{key}.wanted").unlink(missing_ok=True)
     return folder / f"{key}.so"
 
 
@@ -190,42 +189,24 @@ def work_folder(folder: Path) -> Iterator[Path]:
     Raises:
         OSError: when it cannot be made.
     """
-    work = new_work_folder(folder)
+    work = Path(tempfile.mkdtemp(prefix=_WORK, dir=folder))
     try:
         yield work
     finally:
         shutil.rmtree(work, ignore_errors=True)
 
 
-def new_work_folder(folder: Path) -> Path:
-    """Return a new folder to compile in; whoever compiles there removes it.
-
-    Raises:
-        OSError: when it cannot be made.
-    """
-    return Path(tempfile.mkdtemp(prefix=_WORK, dir=folder))
-
-
 def wanted_again(folder: Path, key: str) -> bool:
-    """Mark a key as wanted; return True if it was wanted before and no process has begun to compile it recently.
+    """Mark a key as wanted; return True if it was wanted before.
 
     Raises:
         OSError: when the disk refuses.
     """
-    mark, begun = folder / f"{key}.wanted", folder / f"{key}.begun"
     try:
-        mark.touch(mode=0o600, exist_ok=False)
+        (folder / f"{key}.wanted").touch(mode=0o600, exist_ok=False)
     except FileExistsError:
-        pass
-    else:
-        return False
-    try:
-        begun.touch(mode=0o600, exist_ok=False)
-    except FileExistsError:
-        if time.time() - begun.stat().st_mtime < _MAX_COMPILATION_AGE_S:
-            return False
-        begun.touch()
-    return True
+        return True
+    return False
 
 
 def sweep(folder: Path) -> None:

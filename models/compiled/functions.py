@@ -2,9 +2,9 @@
 
 CasADi's interpreter is about ten times slower on long expressions than compiled code. The functions of one library are the
 fields of a dataclass, whose other fields are kept with them. If it has a field `lanes`, its functions are evaluated at many
-samples, and each call takes several of them (`lanes.py`); CasADi writes the code of others. The key hashes what the functions
-compute and the tools that compile them (`tools_hash`), so a cached library is found before the functions are built. Without a
-usable cache (`cache.py`) or a compiler, the functions are interpreted.
+samples, and each call takes several of them (`lanes.py`); CasADi writes the code of others. The key hashes what the
+functions compute and the tools that compile them (`tools_hash`), so a cached library is found before the functions are
+built. Without a usable cache (`cache.py`) or a compiler, the functions are interpreted.
 """
 
 from __future__ import annotations
@@ -12,12 +12,11 @@ from __future__ import annotations
 import contextlib
 import functools
 import hashlib
-import json
 import os
 import shlex
 import shutil
+import signal
 import subprocess
-import sys
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
@@ -32,13 +31,11 @@ from linkplan.models.compiled.cache import (
     find_entry,
     keep_entry,
     mark_used,
-    new_work_folder,
     sweep,
     trusted_folder,
     wanted_again,
     work_folder,
 )  # fmt: skip
-from linkplan.models.compiled.finish_compiling import run_with_children
 from linkplan.models.compiled.lanes import N_LANES, in_lanes
 from linkplan.models.deadline import NO_DEADLINE, Deadline, waiting_for_child
 from linkplan.models.errors import one_line
@@ -193,58 +190,55 @@ def compiled_as_asked(
 ) -> CodeT:
     """Return functions compiled as a mode asks for: "always", "never", or "auto".
 
-    "auto" takes them from the cache, or interpreted while a second wish for them has them compiled in the background.
+    "auto" takes them from the cache, or interpreted at the first wish and compiled at the second: functions that are used
+    once are not worth compiling.
     """
-    if mode == "always":
-        return compiled(key, kind, build, deadline)
     found = None if mode == "never" else cached(key, kind)
     if found is not None:
         return found
-    found = build()
-    if mode == "auto":
-        compile_in_background(key, found)
-    return found
+    if mode == "always" or (mode == "auto" and _wanted_again(key)):
+        return compiled(key, kind, build, deadline)
+    return build()
+
+
+def _wanted_again(key: str) -> bool:
+    """Leave a mark of a key in the cache; return True if there was one."""
+    with contextlib.suppress(OSError):
+        return compiler() is not None and wanted_again(trusted_folder(make=True), key)
+    return False
 
 
 def _names(functions: DataclassInstance) -> tuple[str, ...]:
     return tuple(field.name for field in fields(functions) if isinstance(getattr(functions, field.name), ca.Function))
 
 
-class _DetachedProcess(subprocess.Popen):
-    """A process that nobody waits for: deleting the object while it runs gives no warning."""
-
-    def __del__(self) -> None:
-        super().__del__(_warn=lambda *_, **__: None)  # pyright: ignore[reportCallIssue]  its private argument
-
-
-def compile_in_background(key: str, functions: DataclassInstance) -> subprocess.Popen | None:
-    """Compile functions in a separate process if they were wanted before; return the process.
-
-    The first request only leaves a mark in the cache, because functions that are used once are not worth compiling. A later
-    request, in this process or another, starts the compilation. Without a compiler or disk space nothing happens.
-    """
-    if compiler() is None or _is_endless(functions):
-        return None
-    with contextlib.suppress(OSError, subprocess.SubprocessError):
-        folder = trusted_folder(make=True)
-        if not wanted_again(folder, key):
-            return None
-        work = new_work_folder(folder)
-        record, command = _written(functions, work, key)
-        (work / f"{key}.record").write_text(json.dumps(record), encoding="utf-8")
-        # -P: Python does not import from the current folder.
-        finish = [sys.executable, "-P", "-m", "linkplan.models.compiled.finish_compiling"]
-        nothing = subprocess.DEVNULL
-        return _DetachedProcess(  # in a new session: an interrupt of the planner does not end it
-            [*finish, str(folder), str(work), key, str(_COMPILER_TIMEOUT_S), *command],
-            stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True,
-        )  # fmt: skip
-    return None
-
-
 def _is_endless(functions: DataclassInstance) -> bool:
     """Check whether functions are too long to compile within the timeout."""
     return sum(getattr(functions, name).n_instructions() for name in _names(functions)) > _MAX_INSTRUCTIONS
+
+
+def run_with_children(command: list[str], work: Path, timeout_s: float) -> None:
+    """Run a program in a folder; kill it with its children when it exceeds the timeout or is interrupted.
+
+    Raises:
+        OSError: when it cannot be started.
+        subprocess.SubprocessError: when it fails or exceeds the timeout.
+    """
+    nothing = subprocess.DEVNULL
+    with subprocess.Popen(
+        command, cwd=work, stdin=nothing, stdout=nothing, stderr=nothing, start_new_session=True
+    ) as process:
+        try:
+            code = process.wait(timeout_s)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                if hasattr(os, "killpg"):
+                    os.killpg(process.pid, signal.SIGKILL)
+                else:
+                    process.kill()
+            raise
+    if code:
+        raise subprocess.CalledProcessError(code, command)
 
 
 def _written(functions: DataclassInstance, work: Path, key: str) -> tuple[dict, list[str]]:

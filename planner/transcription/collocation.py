@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from linkplan.models.compiled.functions import CodeT, compiled_as_asked
+from linkplan.models.compiled.functions import CodeT, cached, compiled_as_asked
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.planner.transcription.bounds import (
     bang_coefficients,
@@ -32,7 +32,7 @@ from linkplan.planner.transcription.system import Endpoint, NodeFunctions, build
 
 # Efforts stay this share inside their limits, so that rounding in evaluating the polynomial cannot exceed a limit.
 _LIMIT_ROUNDING_SHARE = 4e-15
-# From this many intervals on, compiling (about a second) costs less than a dozen interpreted iterations.
+# From this many intervals on, compiling (half a second) costs less than a dozen interpreted iterations.
 _MIN_COMPILED_INTERVALS = 400
 
 
@@ -206,8 +206,11 @@ def _interval(
     at_once = mode == "always" or (mode == "auto" and n_intervals >= _MIN_COMPILED_INTERVALS)
 
     def code(kind: type[CodeT], key: str, build: Callable[[], CodeT]) -> CodeT:
-        built = build if at_once else lambda: _built(_BuildRequest(key=(key, kind), by=build))
-        return compiled_as_asked(key, kind, built, "always" if at_once else mode, deadline)
+        if at_once:
+            return compiled_as_asked(key, kind, build, "always", deadline)
+        found = None if mode == "never" else cached(key, kind)
+        by = functools.partial(compiled_as_asked, key, kind, build, mode, deadline)  # once in a process
+        return _built(_BuildRequest(key=(key, kind, mode), by=by)) if found is None else found
 
     at_open_ends = open_end_path(chosen, rows)
     node = code(NodeFunctions, node_key(system, at_open_ends), lambda: build_node(system, at_open_ends))

@@ -4,7 +4,7 @@
     python -m tests.bench.many --draw docs/pictures/many-motors.png -o JSON
 
 FOLDER holds problem files NAME-KIND.toml, and may hold best_known.json; by default the own robots are written and planned.
-Processor time is user and system time of `linkplan plan` with all processes that it starts, compilers in the background too.
+Processor time is user and system time of `linkplan plan` with all processes that it starts, compilers too.
 The peer (`tests.bench.many_peer`) loads, builds and solves once; what it finds has no certificate.
 """
 

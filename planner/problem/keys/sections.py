@@ -150,7 +150,7 @@ class SolverSection(Section, frozen=True):
     """Settings of the solver."""
 
     compile: kinds.Compile = key(
-        "C functions, of mpc too, from the cache or compiled beside the second use; or always; or never", default="auto"
+        "C functions, of mpc too, from the cache or compiled at the second use; or always; or never", default="auto"
     )
     max_time_s: kinds.SolveTime = key(
         "limit on the processor time of a whole plan: search, refinement, certificate", "s", default=600.0

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from linkplan.models.compiled import functions as module
-from linkplan.models.compiled.cache import cache_folder
-from linkplan.models.compiled.functions import cached, compiled, compiler
+from linkplan.models.compiled.cache import cache_folder, wanted_again
+from linkplan.models.compiled.functions import cached, compiled, compiled_as_asked, compiler
 from linkplan.models.compiled.lanes import N_LANES, over_columns
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
@@ -80,6 +80,19 @@ def test_what_is_compiled_once_is_found_again_whole(folder):
 def test_a_cached_function_is_not_built_again():
     compiled("k1", NodeFunctions, built)
     compiled("k1", NodeFunctions, lambda: pytest.fail("built again"))
+
+
+@needs_compiler
+def test_auto_compiles_what_is_wanted_a_second_time(folder, monkeypatch):
+    monkeypatch.setattr(module, "wanted_again", wanted_again)
+    monkeypatch.setattr(module, "compiled", lambda key, *_: asked.append(key))
+    asked, functions = [], built()
+    for mode in ("never", "auto", "never"):
+        assert compiled_as_asked("k1", NodeFunctions, lambda: functions, mode) is functions
+    assert asked == []
+    assert [path.name for path in folder.iterdir()] == ["k1.wanted"]
+    compiled_as_asked("k1", NodeFunctions, lambda: functions, "auto")
+    assert asked == ["k1"]
 
 
 def test_without_a_compiler_the_interpreter_serves(folder, monkeypatch):

@@ -6,7 +6,6 @@ import casadi as ca
 import pytest
 
 from linkplan.models.compiled import functions as compiled
-from linkplan.models.compiled.functions import compile_in_background  # itself: tests compile nothing in the background
 from linkplan.planner.transcription import system
 
 
@@ -35,4 +34,3 @@ def test_no_compiler_is_begun_on_what_none_ends(monkeypatch, tmp_path):
     long = _Code(value=ca.Function("value", [x], [ca.sin(x)]))
     monkeypatch.setattr(compiled, "_MAX_INSTRUCTIONS", 0)
     assert compiled.compiled("key", _Code, lambda: long) is long
-    assert [compile_in_background("key", long) for _ in range(2)] == [None, None]
