@@ -129,10 +129,12 @@ def side_by_side(
     states: np.ndarray,
     shares: np.ndarray,
     until: Deadline = NO_DEADLINE,
+    halvings: int = 3,
 ) -> np.ndarray | None:
     """Return the states (n_intervals, m, n) at shares of every interval, each from its own initial state; None on failure.
 
-    One step leads from each share to the next, for all intervals in one call. `flow` repeats intervals with too long steps.
+    One step leads from each share to the next, for all intervals in one call. Intervals with too long steps are repeated
+    with half of them, `halvings` times, and then by `flow`.
 
     Args:
         rate: see `strides`.
@@ -141,6 +143,7 @@ def side_by_side(
         states: (n_intervals, n) at their beginnings.
         shares: (m,) of an interval, increasing, above 0 and up to 1.
         until: deadline.
+        halvings: see above.
     """
     n, ends, found = len(widths_s), states.T, []
     good, one, slope = np.ones(n, dtype=bool), _step(rate).map(n), rate.map(n)
@@ -155,7 +158,15 @@ def side_by_side(
             good &= _short(before, ends, np.vstack(errors), 1, INTEGRATION_RTOL) & np.all(np.isfinite(ends), axis=0)
             found.append(ends.T)
     reached = np.stack(found, axis=1)
-    for k in np.flatnonzero(~good):
+    long = np.flatnonzero(~good)
+    if halvings and len(long):
+        finer = np.column_stack([shares - 0.5 * np.diff(shares, prepend=0.0), shares]).ravel()
+        again = side_by_side(rate, widths_s[long], inputs[long], states[long], finer, until, halvings - 1)
+        if again is None:
+            return None
+        reached[long] = again[:, 1::2]
+        return reached
+    for k in long:
         again = flow(called(rate, inputs[k], widths_s[k]), widths_s[k], states[k], shares, until)
         if again is None:
             return None

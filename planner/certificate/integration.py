@@ -20,7 +20,8 @@ from linkplan.models.deadline import NO_DEADLINE, Deadline, OutOfTimeError
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.certificate.flow import INTEGRATION_RTOL, STIFF_EVALUATIONS, called, flow, strides
+from linkplan.models.poses.assembly import strides as one_stride
+from linkplan.planner.certificate.flow import INTEGRATION_RTOL, STIFF_EVALUATIONS, called, flow, side_by_side, strides
 from linkplan.planner.problem.instant import position_units
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
@@ -198,22 +199,17 @@ def _integrated_with_restarts(
     begins = np.hstack([trajectory.position[0], trajectory.velocity[0]])
     ends = np.hstack([trajectory.position[-1], trajectory.velocity[-1]])
     poses = follow(mechanism, trajectory.position[0], trajectory.start_pose, until)
-    last, step = np.array([1.0]), 1e-6  # the finite differences' step, in shares of the motion's spans and speeds
-
-    def arrives(k: int, begin: np.ndarray) -> np.ndarray | None:
-        pose = poses[k] if np.array_equal(begin, begins[k]) else follow(mechanism, begin[None, :n_s], poses[k], until)[0]
-        reached = flow(called(function, inputs[k], widths[k]), widths[k], np.concatenate([pose, begin[n_s:]]), last, until)
-        return None if reached is None else np.concatenate([reached[0, :n_q][mechanism.independent], reached[0, n_q:]])
-
-    defects, transitions = np.zeros((n, 2 * n_s)), np.zeros((n, 2 * n_s, 2 * n_s))
-    for k in range(n):
-        there = [arrives(k, begins[k])]
-        there += [arrives(k, begins[k] + step * unit[i] * np.eye(2 * n_s)[i]) for i in range(2 * n_s)]
-        if any(reached is None for reached in there):
-            return None
-        # Of errors in units.
-        transitions[k] = np.array([(reached - there[0]) / step for reached in there[1:]]).T / unit[:, None]
-        defects[k] = (there[0] - ends[k]) / unit
+    step = 1e-6  # of finite differences, in shares of the motion's spans and speeds
+    aside = np.vstack([np.zeros(2 * n_s), step * np.diag(unit)])
+    count, starts = len(aside), (begins[:, None] + aside).reshape(-1, 2 * n_s)
+    poses, inputs = (np.repeat(of, count, axis=0) for of in (poses, inputs))
+    states = np.hstack([one_stride(mechanism, poses, starts[:, :n_s]), starts[:, n_s:]])
+    reached = side_by_side(function, np.repeat(widths, count), inputs, states, np.array([0.5, 1.0]), until)
+    if reached is None:
+        return None
+    ends_reached = np.hstack([reached[:, 1, mechanism.independent], reached[:, 1, n_q:]])
+    there = ends_reached.reshape(n, count, 2 * n_s) / unit  # of errors in units
+    defects, transitions = there[:, 0] - ends / unit, ((there[:, 1:] - there[:, :1]) / step).transpose(0, 2, 1)
     _, errors, restarts = propagated(defects, transitions, RESTART_GROWTH)
     if not restarts:
         return None
