@@ -20,7 +20,7 @@ from linkplan.planner.closed_chain.mechanics import (
 from linkplan.planner.limits.body import expression_of, scaled_coordinate, unit_of
 from linkplan.planner.limits.jerks import smooth_columns
 from linkplan.planner.limits.kinds import limits_of
-from linkplan.planner.limits.limit import Limit
+from linkplan.planner.limits.limit import Limit, WhichJoints
 from linkplan.planner.problem.extra import jerk_of
 from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.limits import free_bounds
@@ -74,7 +74,7 @@ def formulate(
     problem: Problem,
     scales: Scales,
     *,
-    position_rows: bool = False,
+    position_rows: WhichJoints = False,
     enclosed: bool = False,
     least_limit: bool = False,
     tightenings: tuple[Tightening, ...] = (),
@@ -86,7 +86,7 @@ def formulate(
     Args:
         problem: what to plan.
         scales: units of its unknowns.
-        position_rows: impose the ranges of independent joints between the nodes too.
+        position_rows: impose the ranges of independent joints between the nodes too, of all or of some by their index.
         enclosed: impose limits on power and pin force between the nodes too.
         least_limit: omit the objective, because only a motion is sought.
         tightenings: amounts by which limits are tightened along the motion, because it overran them between nodes.

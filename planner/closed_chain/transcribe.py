@@ -11,6 +11,7 @@ from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT, formulate,
 from linkplan.planner.closed_chain.guess import Guess, even_poses, poses_along
 from linkplan.planner.closed_chain.mechanics import is_lifted, lifted_start
 from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.limit import WhichJoints
 from linkplan.planner.problem.instant import Scales, position_units
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.marking import Tightening
@@ -82,7 +83,7 @@ def transcribe(
     durations: np.ndarray,
     *,
     scales: Scales | None = None,
-    position_rows: bool = False,
+    position_rows: WhichJoints = False,
     enclosed: bool = False,
     least_limit: bool = False,
     bang_efforts: np.ndarray | None = None,
@@ -99,7 +100,7 @@ def transcribe(
         mesh: intervals; its segments have `durations` (n_segments,) [s] in the guess.
         durations: guessed durations of the segments.
         scales: units; chosen from the guess by default.
-        position_rows: impose the ranges of independent joints between the nodes too.
+        position_rows: impose the ranges of independent joints between the nodes too, of all or of some by their index.
         enclosed: impose limits on power and pin force between the nodes too.
         least_limit: minimise the common factor on the effort limits instead of the objective.
         bang_efforts: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
@@ -176,7 +177,7 @@ def _with_numbers_of(problem: Problem, transcribed: Transcribed, tightenings: tu
     return formulate(
         problem,
         origin.scales,
-        position_rows=bool(rows.position_columns),
+        position_rows=rows.position_columns,
         enclosed=rows.encloses,
         tightenings=tightenings,
         smoothing=origin.smoothing,

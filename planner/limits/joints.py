@@ -37,6 +37,7 @@ from linkplan.planner.limits.limit import (
     Scales,
     Tightened,
     Trajectory,
+    WhichJoints,
     limited_joints,
     limited_rows,
     times,
@@ -187,9 +188,10 @@ class RangeLimit(Limit):
     column: int | None
 
     @classmethod
-    def of(cls, problem: Problem, *, position_rows: bool = False, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, *, position_rows: WhichJoints = False, **_: bool) -> list[Self]:
         if position_rows:
-            return [cls(int(joint), column) for column, joint in enumerate(problem.mechanism.independent)]
+            every = enumerate(problem.mechanism.independent)
+            return [cls(int(joint), k) for k, joint in every if position_rows is True or k in position_rows]
         return [cls(joint, None) for joint in limited_rows(problem.limits.position)]
 
     @property

@@ -20,7 +20,7 @@ from linkplan.planner.limits.joints import (
     SpeedLimit,
     TendonLimit,
 )
-from linkplan.planner.limits.limit import Limit, Margin, Problem, Samples, limit_margin
+from linkplan.planner.limits.limit import Limit, Margin, Problem, Samples, WhichJoints, limit_margin
 from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.limits.site_path import OnPathLimit
 from linkplan.planner.problem.instant import unit_scales
@@ -72,7 +72,7 @@ RELAXED: tuple[type[Limit], ...] = (
 )
 
 
-def limits_of(problem: Problem, *, enclosed: bool = False, position_rows: bool = False) -> tuple[Limit, ...]:
+def limits_of(problem: Problem, *, enclosed: bool = False, position_rows: WhichJoints = False) -> tuple[Limit, ...]:
     """Return a problem's limits; the arguments are those of `Limit.of`."""
     return tuple(limit for kind in KINDS for limit in kind.of(problem, enclosed=enclosed, position_rows=position_rows))
 

@@ -9,7 +9,7 @@ A new kind is one file with a final class that has the members of `Limit`, and o
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, ClassVar, Self
@@ -40,9 +40,12 @@ __all__ = [
     "Scales",
     "Tightened",
     "Trajectory",
+    "WhichJoints",
 ]
 
 Bounds = tuple[float, float]
+# Of which independent joints: of none, of all, or of some by their index.
+WhichJoints = bool | Collection[int]
 MotionArrays = tuple[np.ndarray, ...]  # q (n, n_q), v and a (n, n_s), u (n, n_u), and those of `Mechanism.forces_at`
 # Between nodes a motion slightly exceeds its values at the nodes. A limit that must admit it is widened by this factor.
 BETWEEN_NODES_FACTOR = 1.001
@@ -226,10 +229,11 @@ class Limit(ABC):
 
     @classmethod
     @abstractmethod
-    def of(cls, problem: Problem, **options: bool) -> list[Self]:
+    def of(cls, problem: Problem, **options: WhichJoints) -> list[Self]:
         """Return the limits of this kind that a problem has.
 
-        Options: `enclosed` imposes enclosable limits at every instant, `position_rows` the ranges of independent joints.
+        Options: `enclosed` imposes enclosable limits at every instant, `position_rows` the ranges of independent joints, of
+        all or of some by their index.
         """
 
     @property

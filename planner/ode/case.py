@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from linkplan.planner.limits.limit import WhichJoints
 from linkplan.planner.ode.certificate import (
     INTEGRATION_SHARE,
     LIMIT_SLACK,
@@ -55,10 +56,10 @@ class OdeCase:
         )
 
     def transcribe(
-        self, start: Start, mesh: Mesh, durations: np.ndarray, *, position_rows: bool = False, **arcs: Any
+        self, start: Start, mesh: Mesh, durations: np.ndarray, *, position_rows: WhichJoints = False, **arcs: Any
     ) -> Transcribed:
         """Return the program from a start."""
-        formulation = formulate_ode(self.problem, self.units, state_rows=position_rows, tightenings=self.tightenings)
+        formulation = formulate_ode(self.problem, self.units, state_rows=bool(position_rows), tightenings=self.tightenings)
         settings, solver = self.problem.mesh, self.problem.solver
         chosen = scheme(settings.scheme, settings.effort)
         how = {"compile_mode": solver.compile, "deadline": solver.deadline}

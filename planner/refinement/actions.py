@@ -7,6 +7,7 @@ import numpy as np
 
 from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
+from linkplan.planner.limits.limit import WhichJoints
 from linkplan.planner.refinement.case import Case, Iterate, attempt, certify_iterate
 from linkplan.planner.refinement.constrained_arcs import FixedArcs, interval_breaks, released
 from linkplan.planner.refinement.history import progress, record, step_of
@@ -228,14 +229,16 @@ class ReduceEffortOverrun:
         return replace(counted, iterate=at, best=at, ended=False) if better else counted
 
 
-def nearest_on(case: Case, coarse: Iterate, mesh: Mesh, *, position_rows: bool, by_newton: bool = False) -> Iterate | None:
+def nearest_on(
+    case: Case, coarse: Iterate, mesh: Mesh, *, position_rows: WhichJoints, by_newton: bool = False
+) -> Iterate | None:
     """Return the motion on a finer mesh that is nearest to that of a coarser one; None without one.
 
     Args:
         case: what is solved.
         coarse: the coarser motion.
         mesh: the finer mesh.
-        position_rows: whether ranges are kept between the nodes by constraint rows.
+        position_rows: as of `attempt`.
         by_newton: whether only Newton's steps are tried, and not the interior point method, which takes ten times as long.
     """
     what, before = "the same motion on a finer mesh", coarse.solution.transcribed

@@ -10,6 +10,7 @@ import numpy as np
 
 from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
+from linkplan.planner.limits.limit import WhichJoints
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.history import amend_last_step, progress, record, recorded, step_of
@@ -138,7 +139,7 @@ class Case(Protocol):
         mesh: Mesh,
         durations: np.ndarray,
         *,
-        position_rows: bool = False,
+        position_rows: WhichJoints = False,
         bang_efforts: np.ndarray | None = None,
         constrained_paths: np.ndarray | None = None,
     ) -> Transcribed:
@@ -194,7 +195,7 @@ def attempt(
     warm: bool = False,
     close: bool = False,
     adaptive: bool = False,
-    position_rows: bool = False,
+    position_rows: WhichJoints = False,
     bang_efforts: np.ndarray | None = None,
     fixed: FixedArcs | None = None,
 ) -> Iterate | None:
@@ -209,7 +210,7 @@ def attempt(
         warm: as of `linkplan.planner.solvers.solve.build_solver`.
         close: likewise.
         adaptive: likewise.
-        position_rows: whether ranges are kept between the nodes by constraint rows.
+        position_rows: whether ranges are kept between the nodes by constraint rows, or of which independent coordinates.
         bang_efforts: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
         fixed: what refinement holds along arcs; in place of `bang_efforts`.
     """

@@ -75,11 +75,11 @@ class _Way:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Kept:
-    """A motion that passes, the case that it solves, and whether ranges are kept by rows."""
+    """A motion that passes, the case that it solves, and the coordinates whose ranges are kept by rows."""
 
     case: MechanismCase
     at: CertifiedIterate
-    rows: bool
+    rows: frozenset[int]
 
 
 def of_several(problem: Problem) -> bool:
@@ -105,12 +105,13 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
     kept: list[_Kept] = []  # the motions that pass, each better than the one before, and then the last one
     last: _Kept | None = None
     way: _Way | None = _first_way(case, at)
-    rows = False  # whether ranges are kept between the nodes too: at nodes alone, a motion along one flips between them
+    # The independent coordinates whose ranges are kept between the nodes too: at nodes alone, a motion along one flips.
+    rows: frozenset[int] = frozenset()
     for _ in range(_MAX_MESHES):
         check()
         if way is None:
             break
-        rows = rows or _rides_a_range(case.asked, at)
+        rows |= along_ranges(case.asked, at.found.motion)
         finer = _solved(way, at.found, rows)
         if finer is None:
             break
@@ -138,7 +139,7 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
     )  # fmt: skip
 
 
-def _solved(way: _Way, coarse: Iterate, rows: bool) -> Iterate | None:
+def _solved(way: _Way, coarse: Iterate, rows: frozenset[int]) -> Iterate | None:
     """Return the solution of the next solve from a motion; None without one.
 
     The barrier follows the iterates where the duration is free. With a given one it falls from a small value, which takes
@@ -176,13 +177,15 @@ def at_a_distance(case: MechanismCase, start_pose: np.ndarray) -> MechanismCase:
     return replace(case, problem=replace(case.problem, limits=limits))
 
 
-def _rides_a_range(problem: Problem, at: CertifiedIterate) -> bool:
-    """True if a coefficient of an independent joint's position is at an end of its range or beyond."""
-    motion = at.found.motion
+def along_ranges(problem: Problem, motion: Trajectory) -> frozenset[int]:
+    """Return the independent coordinates with a coefficient of their position at an end of their range or beyond.
+
+    The first and last interval do not count, where a motion begins and ends.
+    """
     limit = problem.limits.position[problem.mechanism.independent]
     near = _NEAR_RANGE * np.where(np.isfinite(np.ptp(limit, axis=1)), np.ptp(limit, axis=1), 0.0)
     inside = (motion.position > limit[:, 0] + near) & (motion.position < limit[:, 1] - near)
-    return not bool(np.all(inside[:, 1:-1]))
+    return frozenset(np.flatnonzero(~np.all(inside[:, 1:-1], axis=(0, 1))).tolist())
 
 
 def _repaired(kept: _Kept) -> CertifiedIterate:

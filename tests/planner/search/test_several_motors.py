@@ -12,12 +12,13 @@ import linkplan
 from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.formulate import FIRST_TIE_WEIGHT, tie_weights
+from linkplan.planner.limits.joints import RangeLimit
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import several_motors
-from linkplan.planner.search.finer_meshes import FIRST_MARGIN, at_a_distance, effort_jumps, of_several
+from linkplan.planner.search.finer_meshes import FIRST_MARGIN, along_ranges, at_a_distance, effort_jumps, of_several
 from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.several_motors import from_several_starts
@@ -73,6 +74,22 @@ def test_solves_keep_a_distance_from_singular_poses_that_the_certificate_does_no
     case = at_a_distance(case_of(in_least_time), in_least_time.start_pose())
     assert case.problem.limits.singular_margin == FIRST_MARGIN
     assert case.asked.limits.singular_margin == 0.0
+
+
+@pytest.mark.parametrize(("beyond_rad", "along"), [(-1e-5, {0}), (1e-2, set())])
+def test_ranges_are_kept_between_the_nodes_where_a_motion_comes_to_their_ends(quickest, beyond_rad, along):
+    problem, motion = quickest.problem, quickest.trajectory
+    joints, position = problem.mechanism.independent, problem.limits.position.copy()
+    position[joints] = [-np.inf, motion.position[:, 1:-1, 0].max() + beyond_rad], [-np.inf, np.inf]
+    ranged = replace(problem, limits=replace(problem.limits, position=position))
+    assert along_ranges(ranged, motion) == along
+
+
+def test_rows_between_the_nodes_are_those_of_the_joints_that_need_them(in_least_time):
+    joints = in_least_time.mechanism.independent
+    for asked, found in ((True, [0, 1]), ({1}, [1])):
+        limits = RangeLimit.of(in_least_time, position_rows=asked)
+        assert [(limit.item, limit.column) for limit in limits] == [(joints[k], k) for k in found]
 
 
 def test_a_margin_that_is_asked_for_is_kept():
