@@ -14,7 +14,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.models.deadline import check
+from linkplan.models.deadline import Deadline, check
+from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.closed_chain.case import MechanismCase
 from linkplan.planner.closed_chain.formulate import TIE_WEIGHT
 from linkplan.planner.closed_chain.guess import motion_of, with_force_times
@@ -55,6 +56,9 @@ _MAX_TIGHTENINGS = 2
 _MET_SHARE = 1e-2
 # A solve that begins at the last mesh's motion takes at most so many iterations, and twice as many in another transcription.
 _MOST_ITERATIONS = 150
+# Once a motion passes, further meshes take at most this share of the time: what is left is for changing it, so that it can
+# be proved.
+_SHARE_OF_MESHES = 2.0 / 3.0
 # The motion that is kept is changed on at most so many meshes.
 _MAX_RESTORATIONS = 4
 # A joint is at an end of its range within this share of it.
@@ -105,14 +109,16 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
     kept: list[_Kept] = []  # the motions that pass, each better than the one before, and then the last one
     last: _Kept | None = None
     way: _Way | None = _first_way(case, at)
+    deadline = case.problem.solver.deadline
     # The independent coordinates whose ranges are kept between the nodes too: at nodes alone, a motion along one flips.
     rows: frozenset[int] = frozenset()
+    while_better, until = deadline.within_share(_SHARE_OF_MESHES), deadline
     for _ in range(_MAX_MESHES):
         check()
-        if way is None:
+        if way is None or until.passed:
             break
         rows |= along_ranges(case.asked, at.found.motion)
-        finer = _solved(way, at.found, rows)
+        finer = _solved(way, at.found, rows, until)
         if finer is None:
             break
         before, at = at, certify_iterate(case, finer)
@@ -125,11 +131,12 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
             alike = bool(kept) and _margin_of(kept[-1].case) == _margin_of(last.case)
             moved = max(gain, 0.0) if alike else 0.0
             kept.append(last)
+            until = while_better
     if last is not None and last not in kept:
         kept.append(last)
     for one in reversed(kept):
         at = _repaired(one)
-        if _is_sound(at):
+        if is_sound(at.certificate):
             break
     if at.certificate is None:
         return None
@@ -139,8 +146,8 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
     )  # fmt: skip
 
 
-def _solved(way: _Way, coarse: Iterate, rows: frozenset[int]) -> Iterate | None:
-    """Return the solution of the next solve from a motion; None without one.
+def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -> Iterate | None:
+    """Return the solution of the next solve from a motion; None without one, or without one by a deadline.
 
     The barrier follows the iterates where the duration is free. With a given one it falls from a small value, which takes
     fewer iterations. The other one is tried where the motion is lost.
@@ -148,7 +155,7 @@ def _solved(way: _Way, coarse: Iterate, rows: frozenset[int]) -> Iterate | None:
     start, settings = replace(motion_of(coarse.motion), share_of_effort=1.0), way.case.problem.solver
     another = coarse.solution.transcribed.scheme.name != way.case.problem.mesh.scheme
     most = 2 * _MOST_ITERATIONS if another else _MOST_ITERATIONS
-    few = settings.replace(max_iterations=min(most, settings.max_iterations or most))
+    few = settings.replace(max_iterations=min(most, settings.max_iterations or most), deadline=until)
     case = replace(way.case, problem=replace(way.case.problem, solver=few))
     found: list[Iterate] = []
     mesh, durations = without_empty(way.mesh, way.durations, _MET_SHARE * way.durations.sum() / len(way.mesh.fraction))
@@ -163,9 +170,9 @@ def _solved(way: _Way, coarse: Iterate, rows: frozenset[int]) -> Iterate | None:
     return min(found, key=lambda finer: finer.solution.objective, default=None)
 
 
-def _is_sound(at: CertifiedIterate) -> bool:
+def is_sound(certificate: Certificate | None) -> bool:
     """True if a motion passes and needs no more effort between the nodes than a proof allows."""
-    return at.passed and float(at.certificate.effort_overrun.max(initial=0.0)) <= 1.0
+    return certificate is not None and certificate.passed and float(certificate.effort_overrun.max(initial=0.0)) <= 1.0
 
 
 def at_a_distance(case: MechanismCase, start_pose: np.ndarray) -> MechanismCase:
@@ -197,7 +204,7 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
     case = replace(case, problem=replace(case.problem, solver=solver))
     asked = replace(case, problem=case.asked)
     for steps in range(_MAX_RESTORATIONS):
-        if _is_sound(at) or case.problem.solver.deadline.passed:
+        if is_sound(at.certificate) or case.problem.solver.deadline.passed:
             break
         mesh = divided(at.found.mesh, _inexact(case, at))
         if steps and at.certificate is not None and at.overruns:  # by as little as this mesh errs
@@ -205,7 +212,8 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
         found = nearest_on(case, at.found, mesh, position_rows=kept.rows, by_newton=not at.passed)
         if found is None and not at.passed:  # efforts and other limits that bind together leave no freedom
             mesh = divided(at.found.mesh, _coarse(case, at))
-            found = _solved(_Way(kept.case, mesh, _durations(at), "finer mesh"), at.found, kept.rows)
+            way = _Way(kept.case, mesh, _durations(at), "finer mesh")
+            found = _solved(way, at.found, kept.rows, kept.case.problem.solver.deadline)
         changed = None if found is None else certify_iterate(asked, found)
         if changed is None or changed.certificate is None or (at.passed and not changed.passed):
             break

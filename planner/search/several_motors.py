@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.models.deadline import OutOfTimeError
+from linkplan.models.deadline import Deadline, OutOfTimeError
 from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
 from linkplan.planner.closed_chain.formulate import FIRST_TIE_WEIGHT, TIE_WEIGHT, tie_weights
@@ -22,19 +22,22 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt, share_gained
 from linkplan.planner.refinement.history import progress
 from linkplan.planner.search.attempts import certified, objective_of, only_feasible, without_solving
-from linkplan.planner.search.finer_meshes import FIRST_MARGIN, LAST_MARGIN, at_a_distance
+from linkplan.planner.search.finer_meshes import FIRST_MARGIN, LAST_MARGIN, at_a_distance, is_sound
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.solving import first_mesh, with_longer_durations
+from linkplan.planner.search.without_solver import slower
 
 # A first solve takes at most so many iterations.
 FIRST_ITERATIONS = 200
 # At least and at most so many first solves that lead to a motion, and so many starts in all.
 _FEWEST_FOUND, _MOST_FOUND, _MOST_STARTS = 2, 6, 10
+# Once one has led to a motion, they take at most this share of the time: what is left is for the best one's refinement.
+_SHARE_OF_FIRST = 1.0 / 3.0
 # Objectives of first solves that are no further apart than this share are of one motion.
 _ALIKE_SHARE = 1e-3
 # So many of the best motions are refined.
 _MOST_REFINED = 3
-# The factors on the duration of a motion that does not pass, with which a slower one is tried.
+# The factors on the duration of a motion that does not pass, in which one of little effort is sought.
 _SLOWER_FACTORS = (1.05, 1.3)
 _TIES = f"; ties between the joints with time to spare are broken by a weight of {TIE_WEIGHT:g} on squared efforts"
 # The factors on the duration of the smooth path from which a free duration is sought.
@@ -67,7 +70,13 @@ def from_several_starts(search: Search, budget: Budget) -> Plan | None:
         plans.append(certified(problem, found))
         if plans[-1].passed:
             break
-    best = _best(plans) or (_slower(problem, firsts[0]) if firsts else None)
+    best = _best([plan for plan in plans if is_sound(plan.certificate)])
+    if best is None and problem.motion.duration_s is None:
+        known = [plan.trajectory for plan in plans if plan.trajectory is not None]
+        a_little = slower(problem, [*known, *(first.found.motion for first in firsts[:1])])
+        if a_little is not None:
+            return a_little
+    best = best or _best(plans) or (_slower(problem, firsts[0]) if firsts else None)
     if best is None:
         return plans[0] if plans else None
     better = min(first.objective for first in firsts)
@@ -117,13 +126,17 @@ def _first_solutions(search: Search, problem: Problem) -> list[_First]:
     """Return the first solutions of different motions, the best first, until the best one was found twice."""
     case = _first_case(problem, search.start_pose)
     found: list[_First] = []
+    while_better = search.deadline.within_share(_SHARE_OF_FIRST)
     for number, (what, guess) in enumerate(search.deadline.take(itertools.islice(_starts(search, problem), _MOST_STARTS))):
         mesh, durations = first_mesh(case.problem, guess)
+        if found and while_better.passed:
+            break
         try:
             if not closes(problem, guess):
                 continue
             adaptive = number % 2 == 0 and problem.motion.duration_s is None
-            one = attempt(_in_time(case, found), guess, mesh, durations, f"start from {what}", adaptive=adaptive)
+            timed = _in_time(case, found, while_better)
+            one = attempt(timed, guess, mesh, durations, f"start from {what}", adaptive=adaptive)
         except OutOfTimeError:
             break
         if one is not None:
@@ -139,10 +152,15 @@ def _first_solutions(search: Search, problem: Problem) -> list[_First]:
     return different
 
 
-def _in_time(case: MechanismCase, found: list[_First]) -> MechanismCase:
-    """Return a case whose solve takes at most three times the iterations of the shortest one that led to a motion."""
-    solver = case.problem.solver
-    most = min((3 * first.found.solution.iterations for first in found), default=FIRST_ITERATIONS)
+def _in_time(case: MechanismCase, found: list[_First], while_better: Deadline) -> MechanismCase:
+    """Return a case whose solve takes at most three times the iterations of the shortest one that led to a motion.
+
+    Once there is one, the solve has time until the deadline `while_better`.
+    """
+    if not found:
+        return case
+    solver = case.problem.solver.replace(deadline=while_better)
+    most = 3 * min(first.found.solution.iterations for first in found)
     solver = solver.replace(max_iterations=min(most, solver.max_iterations or most))
     return replace(case, problem=replace(case.problem, solver=solver))
 

@@ -4,6 +4,9 @@ Large robots with a drive for each freedom move along almost any slow path. The 
 programs of ten thousand unknowns, or stall next to an optimum that no digit of the objective shows.
 """
 
+import contextlib
+import itertools
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -14,7 +17,7 @@ from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.further_checks import negligible_objective, objective_value
 from linkplan.planner.closed_chain.case import finished
-from linkplan.planner.closed_chain.guess import even_poses, stretched
+from linkplan.planner.closed_chain.guess import Guess, even_poses, motion_of, stretched
 from linkplan.planner.closed_chain.prescribed import SQUARES_AT_REST, Holding, holding_at, motion_along
 from linkplan.planner.phase_plane.cheapest_legs import cheapest_legs, legs_apply
 from linkplan.planner.plan.plan import Plan
@@ -22,10 +25,14 @@ from linkplan.planner.problem.keys.kinds import MIN_INTERVAL_SHARE
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress
 from linkplan.planner.search.attempts import without_solving
+from linkplan.planner.search.finer_meshes import is_sound
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.solving import first_mesh, longest
 from linkplan.planner.solvers.solve import OUT_OF_TIME
 from linkplan.planner.trajectory import Trajectory
+
+# The factors on the duration of a motion that does not pass, with which it is tried again.
+_SLOWER_FACTORS = (1.001, 1.003, 1.01, 1.03)
 
 
 def along_smooth_path(search: Search) -> Plan | None:
@@ -40,7 +47,7 @@ def along_smooth_path(search: Search) -> Plan | None:
     # A search that is out of time has this motion at hand, however late the solver's first iteration let it end.
     problem = replace(asked, solver=asked.solver.replace(deadline=Deadline().within(asked.solver.max_time_s)))
     try:
-        if not _is_carried(problem, search):
+        if not _is_carried(problem, search.smooth):
             return None
         progress("the smooth path itself")
         mesh, durations = first_mesh(problem, search.smooth)
@@ -79,10 +86,30 @@ def at_rest(search: Search) -> Plan | None:
     return plan if plan.passed else None
 
 
-def _is_carried(problem: Problem, search: Search) -> bool:
-    """Tell if the actuators carry the smooth path within their limits at its samples."""
-    times, poses = even_poses(problem, search.smooth)
-    v, a = search.smooth.velocity(times), search.smooth.acceleration(times)
+def slower(problem: Problem, motions: Iterable[Trajectory]) -> Plan | None:
+    """Return the plan of the first motion that passes and can be proved if it is a little slower; None without one.
+
+    A motion that overruns its limits by as much as a mesh errs needs less effort and speed if it takes longer.
+    """
+    problem = replace(problem, solver=problem.solver.replace(deadline=problem.solver.judging_deadline))
+    for motion, factor in itertools.product(motions, _SLOWER_FACTORS):
+        guess = stretched(motion_of(motion), factor * motion.duration_s)
+        if guess.duration_s > longest(problem):
+            continue
+        with contextlib.suppress(AssemblyError):
+            if _is_carried(problem, guess):
+                found = motion_along(problem, guess, factor * motion.breaks_s)
+                said = f"motion of {found.duration_s:.6g} s; in {motion.duration_s:.6g} s it does not pass its certificate"
+                plan = without_solving(problem, found, objective_value(problem, found)[0], said)
+                if is_sound(plan.certificate):
+                    return plan
+    return None
+
+
+def _is_carried(problem: Problem, guess: Guess) -> bool:
+    """Tell if the actuators carry a guess within their limits at its samples."""
+    times, poses = even_poses(problem, guess)
+    v, a = guess.velocity(times), guess.acceleration(times)
     effort, missing = needed_effort(problem.mechanism, poses, v, a, times)
     low, high = problem.limits.effort.T
     largest = np.abs(effort).max(initial=0.0)

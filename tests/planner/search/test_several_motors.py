@@ -22,6 +22,7 @@ from linkplan.planner.search.finer_meshes import FIRST_MARGIN, along_ranges, at_
 from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.several_motors import from_several_starts
+from linkplan.planner.search.without_solver import slower
 from linkplan.planner.trajectory import Trajectory
 from tests.bench.many_robots import write_robots
 from tests.support.data import DATA
@@ -113,6 +114,21 @@ def test_a_slower_motion_bounds_a_least_time_that_does_not_pass(in_least_time, m
     assert plan.objective == pytest.approx(1.05 * LEAST_TIME_S, rel=2e-3)
     assert "a motion with 0.1867" in plan.message  # its duration, without what breaks ties
     assert "was found that does not pass its certificate" in plan.message
+
+
+@pytest.mark.parametrize(("share", "factor"), [(0.999, 1.001), (0.99, 1.01), (0.9, None)])
+def test_a_motion_that_overruns_its_efforts_a_little_passes_if_it_is_a_little_slower(quickest, share, factor):
+    """Efforts of inertia fall with the square of the duration; a tenth too much is no error of a mesh."""
+    limits = replace(quickest.problem.limits, effort=share * quickest.problem.limits.effort)
+    plan = slower(replace(quickest.problem, limits=limits), [quickest.trajectory])
+    if factor is None:
+        assert plan is None
+        return
+    assert plan.status == "feasible"
+    assert plan.trajectory.duration_s == pytest.approx(factor * quickest.trajectory.duration_s)
+    assert plan.with_proof().proof.verdict == "proved"
+    motion = replace(plan.problem.motion, max_duration_s=quickest.trajectory.duration_s)
+    assert slower(replace(plan.problem, motion=motion), [quickest.trajectory]) is None
 
 
 def test_a_least_time_with_joints_along_their_speed_limits_is_proved(tmp_path):
