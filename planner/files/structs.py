@@ -1,4 +1,7 @@
-"""The result of a study as a frozen struct: its fields are its JSON, except those of type `Beside`."""
+"""The result of a study as a frozen struct: its fields are its JSON, except those of type `Beside`.
+
+A value that follows from the fields is a property of type `InJson`, and its JSON has it after the fields.
+"""
 
 import functools
 from collections.abc import Mapping
@@ -26,6 +29,10 @@ else:
             return cls
 
 
+class InJson(property):
+    """A property of a struct that its JSON has, too."""
+
+
 NOT_READ: Any = None
 """The default of a field of type `Beside`: its value in a struct that is read from JSON."""
 
@@ -38,9 +45,10 @@ def json_values(struct: Struct) -> dict[str, Any]:
 
 @functools.cache
 def _json_fields(kind: type[Struct]) -> tuple[tuple[str, str, Any], ...]:
-    """Return the attribute, the key and the omitted value of the fields in the JSON."""
+    """Return the attribute, the key and the omitted value of the fields and properties in the JSON."""
     omits = kind.__struct_config__.omit_defaults
-    return tuple((f.name, f.encode_name, f.default if omits else UNSET) for f in fields(kind) if f.type is not Beside)
+    own = [(f.name, f.encode_name, f.default if omits else UNSET) for f in fields(kind) if f.type is not Beside]
+    return (*own, *((name, name, UNSET) for name, value in vars(kind).items() if isinstance(value, InJson)))
 
 
 def read_struct(kind: type[S], values: Mapping) -> S:
@@ -49,8 +57,9 @@ def read_struct(kind: type[S], values: Mapping) -> S:
     Raises:
         msgspec.ValidationError: if a value is missing or has another type.
     """
-    return convert(values, kind, dec_hook=_read)
+    return convert(values, kind, dec_hook=read_value)
 
 
-def _read(kind: type, value: object) -> object:
+def read_value(kind: type, value: object) -> object:
+    """Return a value of a type that only this file knows, an array or a `Number`, from its JSON."""
     return np.array(value, dtype=float) if kind is np.ndarray else kind("nan" if value is None else value)

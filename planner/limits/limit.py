@@ -16,9 +16,11 @@ from typing import Any, ClassVar, Self
 
 import casadi as ca
 import numpy as np
+from msgspec import Struct, structs
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
+from linkplan.planner.files.structs import Beside, InJson
 from linkplan.planner.limits.samples import Poses, Samples, least_between, samples_of
 from linkplan.planner.problem.extra import as_no_number
 from linkplan.planner.problem.instant import Instant, Scales
@@ -161,26 +163,25 @@ class Claimed:
     unknown: str = ""
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Margin:
+class Margin(Struct, frozen=True, eq=False, kw_only=True):
     """The worst instant of a limit: `value` against `limit` in `unit`; `left` is negative if the limit is overrun.
 
     `of` is the limit, `name` the name of its actuator, closure, tendon or site.
     """
 
-    of: Limit
+    of: Beside[Limit]
     name: str
     value: float
     limit: float
     left: float
     unit: str
     time_s: float
-    overrun: np.ndarray  # (n_intervals,) overrun in each interval as a share of the limit, 0 if it is kept
-    upper: bool  # whether the limit is an upper one
-    size: float  # of which overruns are shares
-    slack: float = 0.0  # the overrun that is rounding
+    overrun: Beside[np.ndarray]  # (n_intervals,) overrun in each interval as a share of the limit, 0 if it is kept
+    upper: Beside[bool]  # whether the limit is an upper one
+    size: Beside[float]  # of which overruns are shares
+    slack: Beside[float] = 0.0  # the overrun that is rounding
 
-    @property
+    @InJson
     def what(self) -> str:
         """The kind of limit."""
         return self.of.facts.kind
@@ -378,4 +379,4 @@ def _sampled_finely(margin: Margin, measured: Measured, samples: Samples) -> Mar
     upper = bool(high - fine[row, k] <= fine[row, k] - low)
     bound, gap = (high if upper else low), float(least.min())
     value, instant = bound - gap if upper else bound + gap, float(near[row, k])
-    return replace(margin, value=value, limit=float(bound), left=gap, time_s=instant, overrun=overrun, upper=upper)
+    return structs.replace(margin, value=value, limit=float(bound), left=gap, time_s=instant, overrun=overrun, upper=upper)

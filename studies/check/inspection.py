@@ -131,9 +131,7 @@ def inspect(
             }
             for a in mechanism.actuators
         },
-        contacts=[
-            {"geoms": [pair.first, pair.second], "poses": len(pair.poses), "depth_m": pair.depth_m} for pair in touching
-        ],
+        contacts=[{"geoms": pair.geoms, "poses": len(pair.poses), "depth_m": pair.depth_m} for pair in touching],
         problems=tuple(dict.fromkeys([*problems, *refused])),
         notes=(*notes, *noted),
         sites_at_home_m=sites_at_home(mechanism),

@@ -86,7 +86,7 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
         rows.append((label, error <= allowed, error, allowed, "m", None))
     if mechanism.closures:
         allowed = max(CLOSURE_M, mechanism.closed_m)
-        held, at = certificate.closure_gap_m <= allowed, when.get("closure_gap_m")
+        held, at = certificate.largest_gap_m <= allowed, when.get("closure_gap_m")
         for unit, gap in certificate.closure_gaps.items():
             limit = allowed / max(closure.per_unit for closure in mechanism.closures if closure.unit == unit)
             rows.append(("gap of the kinematic loops", held, gap, limit, unit, at))
@@ -109,11 +109,11 @@ def _contacts(plan: Plan, certificate: Certificate) -> list[Item]:
     return [
         _item(
             f"contact of {geom_names(meeting)}, depth",
-            plan.problem.contacts != "refuse" or meeting.since is None,
+            plan.problem.contacts != "refuse" or meeting.since_s is None,
             1e3 * meeting.depth_m,
-            0.0 if plan.problem.contacts == "refuse" and meeting.since is not None else None,
+            0.0 if plan.problem.contacts == "refuse" and meeting.since_s is not None else None,
             "mm",
-            meeting.deepest_at,
+            meeting.deepest_at_s,
         )
         for meeting in certificate.contacts
     ]

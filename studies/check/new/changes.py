@@ -226,7 +226,7 @@ def left_out_notes(mechanism: Mechanism) -> list[str]:
 
 def overlapping_bodies(contacts: Iterable[Contact]) -> list[list[str]]:
     """Return the pairs of links that overlap by construction in a plan's contacts; contacts with the ground are kept."""
-    return _not_on_ground(meeting for meeting in contacts if meeting.since is None)
+    return _not_on_ground(meeting for meeting in contacts if meeting.since_s is None)
 
 
 def _not_on_ground(contacts: Iterable[Contact | ContactPair]) -> list[list[str]]:

@@ -35,8 +35,8 @@ def test_the_powers_are_those_of_bang_bang_motion(plan):
 
 def test_text_and_record_have_both(plan):
     said, certificate = record(plan), plan.certificate
-    assert said["peak_motor_power_w"]["M"] == pytest.approx(certificate.peak_motor_power[0])
-    assert said["peak_brake_power_w"]["M"] == pytest.approx(certificate.peak_brake_power[0])
+    assert said.peak_motor_power_w["M"] == pytest.approx(certificate.peak_motor_power[0])
+    assert said.peak_brake_power_w["M"] == pytest.approx(certificate.peak_brake_power[0])
     text = text_of(plan_blocks(plan))
     for what, power in (("motor", certificate.peak_motor_power[0]), ("brake", certificate.peak_brake_power[0])):
         assert float(re.search(rf"largest power of M as {what}\s+([\d.]+)\s+W", text)[1]) == pytest.approx(power, rel=1e-3)
