@@ -15,7 +15,7 @@ import numpy as np
 from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.lqr import Errors, Regulator, regulate, regulator
-from linkplan.controllers.trackers.tracker import times
+from linkplan.controllers.trackers.tracker import ordered_product
 from linkplan.models.closure.rank import RANK_TOLERANCE
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
@@ -45,7 +45,7 @@ class IntegralLQR:
         reference = self.reference
         error = reference.position_rad[k] - position_rad
         state = np.concatenate([error, reference.velocity_rad_s[k] - velocity_rad_s, memory], axis=-1)
-        effort = reference.effort[k] + times(self.gains[k], state)
+        effort = reference.effort[k] + ordered_product(self.gains[k], state)
         low, high = self.effort_limit.T
         free = np.all((effort >= low) & (effort <= high), axis=-1, keepdims=True)
         return effort, np.where(free, memory + reference.period_s * error[..., self.integrated], memory)

@@ -25,7 +25,7 @@ from linkplan.planner.certificate.integration import (
 from linkplan.planner.files.structs import Beside, InJson
 from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, end_sizes
 from linkplan.planner.limits.joints import RANGE_SLACK
-from linkplan.planner.limits.kinds import margins
+from linkplan.planner.limits.kinds import margins_along
 from linkplan.planner.limits.limit import Margin
 from linkplan.planner.limits.samples import Samples, samples_of, singularity_ratios
 from linkplan.planner.problem.extra import extras_not_finite, not_finite
@@ -161,7 +161,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     closure_gap = peak("closure_gap_m", mechanism.gaps_m(q))
     closure_gaps = {unit: float(gap.max()) for unit, gap in mechanism.gaps_by_unit(q).items()}
     ratio = float(singularity_ratios(problem, q).min())
-    of_limits = margins(samples)
+    of_limits = margins_along(samples)
     # The speed of a motion that stands still is one at which it hardly leaves its place in its time.
     speed = max(float(np.abs(v).max()) or INTEGRATION_M / trajectory.duration_s, _MIN_SPAN / trajectory.duration_s)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed

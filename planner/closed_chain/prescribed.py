@@ -7,7 +7,7 @@ import numpy as np
 
 from linkplan.models.poses.along import demanded, effort_within, joint_rates, least_effort, missed_rounding, needed_effort
 from linkplan.models.poses.assembly import close_at, follow
-from linkplan.planner.closed_chain.guess import Guess, first_guess, force_times, motion_of, poses_along, stretched
+from linkplan.planner.closed_chain.guess import Guess, first_guess, force_times, guess_from, poses_along, stretched
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import Margin, limit_margin
 from linkplan.planner.limits.samples import samples_of
@@ -151,7 +151,7 @@ def at_rate_along(problem: Problem, motion: Trajectory, rate: float) -> Trajecto
     Raises:
         AssemblyError: if its loops cannot close.
     """
-    faster = stretched(motion_of(motion), motion.duration_s / rate)
+    faster = stretched(guess_from(motion), motion.duration_s / rate)
     found = motion_along(problem, faster, (motion.breaks_s - motion.breaks_s[0]) / rate)
     return replace(found, periodic=motion.periodic)
 

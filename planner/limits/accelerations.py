@@ -27,7 +27,7 @@ from linkplan.planner.limits.limit import (
     Tightened,
     Trajectory,
     limited_joints,
-    times,
+    scaled_bounds,
     with_limits,
 )
 from linkplan.planner.problem.instant import free_instant
@@ -88,7 +88,7 @@ class AccelerationLimit(Limit):
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, acceleration=times(problem.limits.acceleration, factor))
+        return with_limits(problem, acceleration=scaled_bounds(problem.limits.acceleration, factor))
 
 
 @dataclass(frozen=True, slots=True)

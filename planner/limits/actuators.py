@@ -33,7 +33,7 @@ from linkplan.planner.limits.limit import (
     Tightened,
     Trajectory,
     limited_rows,
-    times,
+    scaled_bounds,
     with_limits,
 )
 from linkplan.planner.limits.samples import samples_of
@@ -115,7 +115,7 @@ class PowerLimit(Limit):
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, power=times(problem.limits.power, factor))
+        return with_limits(problem, power=scaled_bounds(problem.limits.power, factor))
 
 
 @dataclass(frozen=True, slots=True)

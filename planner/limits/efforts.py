@@ -26,7 +26,7 @@ from linkplan.planner.limits.limit import (
     Scales,
     Trajectory,
     limited_rows,
-    times,
+    scaled_bounds,
     with_limits,
 )
 from linkplan.planner.problem.instant import Corner, Robust
@@ -76,7 +76,7 @@ class EffortLimit(Limit):
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, effort=times(problem.limits.effort, factor))
+        return with_limits(problem, effort=scaled_bounds(problem.limits.effort, factor))
 
 
 def end_sizes(bounds: np.ndarray) -> np.ndarray:

@@ -31,7 +31,7 @@ from linkplan.planner.limits.limit import (
     Tightened,
     Trajectory,
     limited_joints,
-    times,
+    scaled_bounds,
     with_limits,
 )
 from linkplan.planner.problem.extra import jerk_of
@@ -95,7 +95,7 @@ class JerkLimit(Limit):
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, jerk=times(problem.limits.jerk, factor))
+        return with_limits(problem, jerk=scaled_bounds(problem.limits.jerk, factor))
 
 
 @dataclass(frozen=True, slots=True)

@@ -39,7 +39,7 @@ from linkplan.planner.limits.limit import (
     Trajectory,
     limited_joints,
     limited_rows,
-    times,
+    scaled_bounds,
     with_limits,
 )
 
@@ -218,7 +218,7 @@ class RangeLimit(Limit):
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, position=times(problem.limits.position, factor))
+        return with_limits(problem, position=scaled_bounds(problem.limits.position, factor))
 
 
 @dataclass(frozen=True, slots=True)
@@ -263,7 +263,7 @@ class SpeedLimit(Limit):
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, speed=times(problem.limits.speed, factor))
+        return with_limits(problem, speed=scaled_bounds(problem.limits.speed, factor))
 
 
 def _of_joint(at: Poses, item: int, name: str, values: np.ndarray, bounds: np.ndarray, size: float = 0.0) -> Measured:

@@ -266,7 +266,7 @@ def with_limits(problem: Problem, **changes: Any) -> Problem:
     return replace(problem, limits=replace(problem.limits, **changes))
 
 
-def times(values: np.ndarray, factor: float) -> np.ndarray:
+def scaled_bounds(values: np.ndarray, factor: float) -> np.ndarray:
     """Return bounds (n, 2) times a factor; an infinite one removes zeros too."""
     return values * factor if np.isfinite(factor) else np.broadcast_to([-np.inf, np.inf], np.shape(values)).copy()
 

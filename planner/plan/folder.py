@@ -34,7 +34,7 @@ def versions() -> dict[str, str]:
     }
 
 
-def record(plan: Plan) -> PlanRecord:
+def record_of(plan: Plan) -> PlanRecord:
     """Return the record of a plan for `plan.json` and `linkplan plan --json`."""
     problem, mechanism = plan.problem, plan.problem.mechanism
     names = [actuator.name for actuator in mechanism.actuators]
@@ -104,7 +104,7 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
     if plan.trajectory is None:
         raise PlanFileError(f"nothing to save: {plan.message}")
     beside = _from(place or folder, plan.problem)
-    write_json(folder / "plan.json", structs.replace(record(plan), model_from_here=beside))
+    write_json(folder / "plan.json", structs.replace(record_of(plan), model_from_here=beside))
     trajectory = plan.trajectory
     arrays = {name: getattr(trajectory, name) for name in ARRAYS}
     table = motion_table(plan.problem, plan.trajectory, jumps=jumps)

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from flint import arb, arb_mat, arb_series, ctx
 
-from linkplan.planner.proof.taylor import NotSeparatedError, solve
+from linkplan.planner.proof.taylor import NotSeparatedError, solve_enclosed
 from linkplan.planner.proof.walk import Ball, Blocks, dense
 
 # Krawczyk's trial ball is enlarged up to so often by half, until the operator maps it into itself.
@@ -118,7 +118,7 @@ def series_of(blocks: Blocks, s: Sequence[arb_series], root: Sequence[arb], orde
         left = [arb_series([-phi_i[k] for k in range(known, cap)], prec=cap - known) for phi_i in map(_series, phi)]
         tangent = blocks.tangent([arb_series(x.coeffs(), prec=cap - known) for x in q])[0]
         J_z = {(i, j): tangent[i, c] for i in range(n) for j, c in enumerate(blocks.dependent) if (i, c) in tangent}
-        (added,) = solve(J_z, [left])
+        (added,) = solve_enclosed(J_z, [left])
         for of, more in zip(coefficients, map(_series, added), strict=True):
             of += [more[k] for k in range(cap - known)]
     ctx.cap = order

@@ -36,7 +36,7 @@ from linkplan.planner.proof.contraction import LinearBox, contracted, size_of
 from linkplan.planner.proof.curve import forces_over
 from linkplan.planner.proof.finding import OWN_MOTION, Finding, no_motion
 from linkplan.planner.proof.motion import Piece, State
-from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm, above, solve
+from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm, above, solve_enclosed
 from linkplan.planner.proof.walk import Ball, Walk, constant_term, dense, force_symbols, walk_of
 from linkplan.planner.trajectory import Trajectory
 
@@ -169,7 +169,7 @@ class Neighbourhood:
         inertia, found = _model_of(self._mechanism)[0], []
         for state, cap in zip(states, (order + 2, order + 3), strict=True):
             ctx.cap = cap
-            found += solve(inertia(state.q)[0], [state.of_position.residual])
+            found += solve_enclosed(inertia(state.q)[0], [state.of_position.residual])
         return [TaylorForm.of(a, b, order) for a, b in zip(*found, strict=True)]
 
     def _box(self, states: tuple[State, State], at: tuple[float, float], defect, forms) -> LinearBox:
@@ -261,7 +261,7 @@ def _slopes_at(mechanism: Mechanism, q, v, a, u, forces=()) -> list[list[Ball]]:
     """Return df/d(s, v) (n_s, 2 n_s) at poses q and rates v, from any accelerations a (n_s,)."""
     inertia_of, residual, slopes = _model_of(mechanism)
     inertia, n_s = inertia_of(q)[0], len(v)
-    (defect,) = solve(inertia, [dense(residual(q, v, a, u, *forces)[0], n_s)])
+    (defect,) = solve_enclosed(inertia, [dense(residual(q, v, a, u, *forces)[0], n_s)])
     by = slopes(q, v, [x - y for x, y in zip(a, defect, strict=True)], u, *forces)[0]
-    columns = solve(inertia, [[-x for x in dense(by, n_s, column)] for column in range(2 * n_s)])
+    columns = solve_enclosed(inertia, [[-x for x in dense(by, n_s, column)] for column in range(2 * n_s)])
     return [[column[i] for column in columns] for i in range(n_s)]

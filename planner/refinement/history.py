@@ -1,6 +1,6 @@
 """The record of the solves that lead to a plan, and its progress.
 
-A plan is made inside `recording`. Whatever solves calls `record` and `progress` there; no function passes a record on.
+A plan is made inside `recording`. Whatever solves calls `add_step` and `progress` there; no function passes a record on.
 """
 
 from collections.abc import Callable, Iterator
@@ -63,7 +63,7 @@ def recorded() -> tuple[Step, ...]:
     return tuple(_STEPS.get() or ())
 
 
-def record(step: Step) -> None:
+def add_step(step: Step) -> None:
     """Add a step to the record; outside of `recording` it is not kept."""
     steps = _STEPS.get()
     if steps is not None:

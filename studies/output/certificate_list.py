@@ -16,7 +16,7 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.sites import task_words
 from linkplan.studies.output.document import Checklist, Item
-from linkplan.studies.output.draw_plan import LEAST_SHOWN, Motion
+from linkplan.studies.output.draw_plan import LEAST_SHOWN, DrawnMotion
 from linkplan.studies.output.numbers import significant
 
 # The first words of the certificate's sentence on the velocity. The verdict also uses the integrated velocity, so the
@@ -24,7 +24,7 @@ from linkplan.studies.output.numbers import significant
 _NOT_ITS_VELOCITY = "the planned velocity is not"
 
 
-def certificate_list(plan: Plan, motion: Motion, group: str) -> Checklist:
+def certificate_list(plan: Plan, motion: DrawnMotion, group: str) -> Checklist:
     """Return the checklist of a plan's certificate; its instants move the cursor of `group`."""
     certificate = plan.certificate
     assert certificate is not None  # of a motion
@@ -37,7 +37,7 @@ def certificate_list(plan: Plan, motion: Motion, group: str) -> Checklist:
     return Checklist(title="Checks between the nodes", group=group, items=items)
 
 
-def _efforts(plan: Plan, motion: Motion) -> list[Item]:
+def _efforts(plan: Plan, motion: DrawnMotion) -> list[Item]:
     items = []
     for j, actuator in enumerate(plan.problem.mechanism.actuators):
         values, (low, high) = motion.effort[:, j], plan.problem.limits.effort[j]

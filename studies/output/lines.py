@@ -7,7 +7,7 @@ from typing import TypedDict
 import numpy as np
 
 from linkplan.studies.output.document import Axis, Limit, Plot, Series
-from linkplan.studies.output.numbers import drawn_rows, rounded, times
+from linkplan.studies.output.numbers import drawn_rows, rounded, rounded_times
 
 # More lines of one unit are divided among several plots.
 _MAX_LINES_PER_PLOT = 9
@@ -84,7 +84,7 @@ def plots(
                 group=group,
                 x_axis=x_axis,
                 y_axis=Axis(label=what, unit=unit, log=log, ends=ends),
-                x=times(x[rows]),
+                x=rounded_times(x[rows]),
                 series=series,
                 limits=() if log else _limits(of_it, values),
                 period=period,

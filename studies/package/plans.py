@@ -285,7 +285,7 @@ class Plan(planned.Plan, Shown):
     @property
     def struct(self) -> PlanRecord:
         """The record of plan.json; with a reserve or ranges it has the price of robustness, too."""
-        return structs.replace(plan_folder.record(self), price=saved_price(self) or UNSET)
+        return structs.replace(plan_folder.record_of(self), price=saved_price(self) or UNSET)
 
 
 def _problem(problem: object) -> Problem:

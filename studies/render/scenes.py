@@ -13,7 +13,7 @@ from linkplan.models.poses.solids import Solid, body_frames, solids, visible_geo
 from linkplan.studies.output.body_colours import body_colours, plain_geoms
 from linkplan.studies.render.efforts import effort_shapes
 from linkplan.studies.render.framing import axes_of, corners
-from linkplan.studies.render.motion import Motion
+from linkplan.studies.render.motion import TrackedMotion
 from linkplan.studies.render.shapes import PAYLOAD, Shape, bones, faded, ghostly
 
 
@@ -85,7 +85,7 @@ def ground_pins(mechanism: Mechanism) -> tuple[Shape, ...]:
     return bones(pins, rod_radius(mechanism), body_colours(mechanism))
 
 
-def film_scenes(motion: Motion, instants: np.ndarray, direction: tuple[float, float]) -> list[Scene]:
+def film_scenes(motion: TrackedMotion, instants: np.ndarray, direction: tuple[float, float]) -> list[Scene]:
     """Return the pictures of a film at control instants (n,), seen along an azimuth and elevation [rad]."""
     mechanism = motion.mechanism
     tracked, planned = skeletons(mechanism, motion.pose[instants]), skeletons(mechanism, motion.reference[instants])
@@ -103,7 +103,7 @@ def film_scenes(motion: Motion, instants: np.ndarray, direction: tuple[float, fl
     ]
 
 
-def stroboscopic_scene(motion: Motion, instants: np.ndarray, direction: tuple[float, float]) -> Scene:
+def stroboscopic_scene(motion: TrackedMotion, instants: np.ndarray, direction: tuple[float, float]) -> Scene:
     """Return several instants (n,) of a motion in one picture, earlier ones fainter, with the efforts of the last."""
     mechanism = motion.mechanism
     ground = ground_pins(mechanism)
@@ -115,7 +115,7 @@ def stroboscopic_scene(motion: Motion, instants: np.ndarray, direction: tuple[fl
     return Scene(figures=figures, efforts=_all_efforts(motion, instants[-1:], direction)[0])
 
 
-def _all_efforts(motion: Motion, instants: np.ndarray, direction: tuple[float, float]) -> list[tuple[Shape, ...]]:
+def _all_efforts(motion: TrackedMotion, instants: np.ndarray, direction: tuple[float, float]) -> list[tuple[Shape, ...]]:
     mechanism, data = motion.mechanism, mujoco.MjData(motion.mechanism.model)
     towards = -axes_of(*direction)[2]
     found = []
@@ -141,7 +141,7 @@ def place_bodies(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -
     mujoco.mj_tendon(model, data)
 
 
-def all_points(motion: Motion, direction: tuple[float, float]) -> np.ndarray:
+def all_points(motion: TrackedMotion, direction: tuple[float, float]) -> np.ndarray:
     """Return points (n, 3) [m] around everything visible in a motion's pictures, tracked and planned.
 
     These are pins, geoms, tendons, and the largest efforts, seen along an azimuth and elevation [rad], at 60 instants. Fixed

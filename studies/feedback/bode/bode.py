@@ -113,7 +113,7 @@ def bode_study(
         bounds = [margins(loop, channel) for loop in loops]
         measured: dict[int, dict[str, Response]] = {}
         if setup is not None and stable:
-            at = default_frequencies([bounds[i] for i in stable], chosen.timing) if frequency_hz is None else frequency_hz
+            at = loop_frequencies([bounds[i] for i in stable], chosen.timing) if frequency_hz is None else frequency_hz
             taken = measure([loops[i] for i in stable], at, effort_limit, setup, channel=channel, say=say)
             steps, conditions = steps + taken.simulated_steps, taken.conditions
             measured = dict(zip(stable, taken.responses, strict=True))
@@ -356,7 +356,7 @@ def _with_worst(positions: np.ndarray, scans: Sequence[Scan]) -> np.ndarray:
     return positions
 
 
-def default_frequencies(bounds: Sequence[Margins], timing: Sampling) -> np.ndarray:
+def loop_frequencies(bounds: Sequence[Margins], timing: Sampling) -> np.ndarray:
     """Return twenty frequencies [Hz] from 1/20 to 40 times the loops' crossovers, up to 0.45 of the sampling rate.
 
     They start at 1 Hz or below.

@@ -10,7 +10,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.studies.feedback.frequency.feedback_loops import SampledLaw, operating_point
 from linkplan.studies.feedback.frequency.margins import Margins, margins
-from linkplan.studies.feedback.frequency.worst import local_minima
+from linkplan.studies.feedback.frequency.worst import refined_minima
 from linkplan.studies.output.plan_blocks import radius_figure
 
 # A parameter below this share of its line is shown as zero: a minimum is only found to the square root of rounding.
@@ -129,10 +129,10 @@ def scan_line(mechanism: Mechanism, line: Line, law: SampledLaw, channel: int, c
         return np.inf if value is None else value
 
     even = np.linspace(line.low, line.high, count)
-    places = {float(x) for x in even} | set(local_minima(lambda x: stability(at(x)), even))
+    places = {float(x) for x in even} | set(refined_minima(lambda x: stability(at(x)), even))
     if all(bounds is None or bounds.stable for bounds in map(at, places)):
         for name in ("gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg"):
-            places |= set(local_minima(functools.partial(figure, name), even))
+            places |= set(refined_minima(functools.partial(figure, name), even))
     known = {x: bounds for x in sorted(places) if (bounds := at(x)) is not None}
     if not known:
         return None

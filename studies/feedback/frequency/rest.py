@@ -17,7 +17,7 @@ from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, c
 LEAST_RESPONSE_AT_REST = 0.95
 
 
-def at_rest(point: OperatingPoint, gains: np.ndarray, channel: int) -> tuple[np.ndarray, np.ndarray]:
+def rest_response(point: OperatingPoint, gains: np.ndarray, channel: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the response and the stiffness at rest (n,) of a coordinate's loop for gains (n, n_u, 2 n_s).
 
     The loops of the other coordinates are closed. The response is the complementary sensitivity at frequency zero: 0.95

@@ -25,7 +25,7 @@ from linkplan.studies.feedback.frequency.feedback_loops import (
     outputs_of,
 )
 from linkplan.studies.feedback.frequency.plant_modes import plant_modes
-from linkplan.studies.feedback.frequency.worst import local_minima
+from linkplan.studies.feedback.frequency.worst import refined_minima
 from linkplan.studies.feedback.tune.requirements import (
     UNSTABLE_SHORTFALL,
     EvaluatedGains,
@@ -34,7 +34,7 @@ from linkplan.studies.feedback.tune.requirements import (
     shortfall,
 )
 from linkplan.studies.feedback.tune.search import MAX_ROUNDS, found_gains
-from linkplan.studies.feedback.tune.tuning import Tuning, motor_gains, tracking_values, tuned_joints
+from linkplan.studies.feedback.tune.tuning import Tuning, gains_by_motor, tracking_values, tuned_joints
 
 
 def tune(
@@ -95,7 +95,7 @@ def tune(
         points = _along(points, worst)
         best = evaluated(points, wanted, law)
     found = best.shortfall == 0.0
-    motors = () if law.name == "lqr" else motor_gains(best, mechanism)
+    motors = () if law.name == "lqr" else gains_by_motor(best, mechanism)
     tracking = tracking_values(best, mechanism)
     gains = {key: value for key, value in tracking.items() if key != "delay_periods"} | {"delay_s": timing.delay_s}
     return Tuning(
@@ -150,7 +150,7 @@ def _worst(mechanism: Mechanism, line: Line, law: SampledLaw, wanted: Requiremen
         return -min(short, UNSTABLE_SHORTFALL + (found[0].spectral_radius or 0.0))
 
     even = np.linspace(line.low, line.high, SCAN_POSITIONS)
-    places = sorted([*even, *local_minima(reserve, even)], key=reserve)[:3]
+    places = sorted([*even, *refined_minima(reserve, even)], key=reserve)[:3]
     return [operating_point(mechanism, line.at(float(x)), law.effort_limit) for x in places if np.isfinite(reserve(x))]
 
 

@@ -11,7 +11,7 @@ from linkplan.models.tree.joints import Joint
 from linkplan.planner.files.tables import inline
 from linkplan.studies.feedback.bode.scan import figures
 from linkplan.studies.feedback.tune.requirements import JudgedLoop
-from linkplan.studies.feedback.tune.tuning import Tuning, joint_gains
+from linkplan.studies.feedback.tune.tuning import Tuning, gains_by_joint
 from linkplan.studies.output.document import Axis, Block, Facts, Limit, Plot, Series, Table, Text, table_of
 from linkplan.studies.output.numbers import rounded
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def gain_lines(tuning: Tuning) -> list[tuple[str, str]]:
     """Return PD gains as pairs of a heading and a text, with units: at each joint, and at each motor of one joint."""
     lines = []
-    gains = joint_gains(tuning.best, tuning.mechanism)
+    gains = gains_by_joint(tuning.best, tuning.mechanism)
     for joint in tuning.joints:
         (kp, kd), per = gains[joint.name], joint.gain_units
         where = f"the joint {joint.name}" if len(tuning.mechanism.channels) == 1 else joint.name

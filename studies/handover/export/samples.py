@@ -66,7 +66,7 @@ class Samples:
         return np.einsum("ksu,ku->ks", maps, self.effort)
 
 
-def samples_of(plan: Plan, every_s: float | None = None) -> Samples:
+def exported_samples(plan: Plan, every_s: float | None = None) -> Samples:
     """Return a plan's samples: every `every_s` seconds from its start and at its end, or ten in each interval of its mesh.
 
     Raises:

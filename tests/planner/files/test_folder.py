@@ -16,7 +16,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import to_json_types, write_json, write_whole
 from linkplan.planner.files.manifest import MANIFEST
 from linkplan.planner.files.tables import read_tables
-from linkplan.planner.plan.folder import read_plan, record, write_plan
+from linkplan.planner.plan.folder import read_plan, record_of, write_plan
 from linkplan.planner.plan.plan import motion_table
 from linkplan.planner.plan.record import PLAN_FORMAT
 from linkplan.planner.problem.problem import Problem
@@ -94,7 +94,7 @@ def test_the_record_is_json_with_its_units_in_its_names(saved):
 @pytest.mark.slow
 def test_the_record_of_an_infeasible_plan_is_json_too(tmp_path):
     plan = planned("knee-reach", "limits.speed_deg_s.O=500")
-    write_json(tmp_path / "plan.json", record(plan))
+    write_json(tmp_path / "plan.json", record_of(plan))
     said = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
     assert (said["status"], said["certificate"], said["duration_s"]) == ("infeasible", None, None)
 
