@@ -34,7 +34,7 @@ def check_honoured(mechanism: Mechanism, unhonoured: str) -> None:
     falsifying = _falsifying(mechanism)
     if falsifying and unhonoured == "refuse":
         raise ProblemError(
-            f"mechanism '{mechanism.name}' cannot be planned, its model has forces that the planner does not honour:"
+            f"mechanism '{mechanism.name}' cannot be planned, its model has forces that plans neglect:"
             f' {"; ".join(falsifying)} (limits.unhonoured = "note" plans without them)'
         )
     if mechanism.n_u == 0:

@@ -245,7 +245,7 @@ def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[list[st
     problems += [*beyond, *coincident_sites(mechanism)]
     notes += ends
     for item in audit(mechanism.model):
-        (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)
+        (problems if item.falsifies else notes).append(f"neglected in plans: {item.text}" if item.falsifies else item.text)
     return problems, notes
 
 

@@ -209,7 +209,7 @@ class LimitsSection(Section, frozen=True):
         "refuse a plan along which geoms collide, or note it and plan without contact forces", default="refuse"
     )
     unhonoured: kinds.Contacts = key(
-        "refuse a model with forces that the planner does not honour, or note and omit them", default="refuse"
+        "refuse a model with forces that plans neglect, or note them and plan without them", default="refuse"
     )
 
 

@@ -41,7 +41,7 @@ def quick_loops(point: OperatingPoint, gains: np.ndarray, timing: Sampling, chan
     frequency = np.geomspace(1e-5 * timing.nyquist_hz, timing.nyquist_hz, 300)
     L = np.einsum("mui,fiw->mfuw", gains, loop.plant(frequency))
     all_closed = 1.0 / (1.0 + L) if n_u == 1 else np.linalg.inv(np.eye(n_u) + L)
-    poles = np.linalg.eigvals(closed(*loop.steered_matrices(), gains[..., loop.steered_entries]))
+    poles = np.linalg.eigvals(closed(*loop.actuated_matrices(), gains[..., loop.actuated_entries]))
     found = []
     for channel in channels:
         read, push = channel_effort(point, channel)
