@@ -126,7 +126,7 @@ def read_manifest(folder: Path) -> Manifest | None:
         return None
     except (OSError, ValueError, RecursionError, msgspec.DecodeError) as error:
         raise PlanFileError(
-            f"'{folder}' has a {MANIFEST} that is damaged or of another version; name a new folder"
+            f"'{folder}' has a {MANIFEST} that is damaged or that another version wrote; name a new folder"
         ) from error
     return manifest
 

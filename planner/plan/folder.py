@@ -219,7 +219,7 @@ def _certified(
     """
     mechanism = problem.mechanism
     if other := trajectory.misfit(mechanism.dof, mechanism.n_u, mechanism.n_q):
-        raise PlanFileError(f"'{folder / 'trajectory.npz'}' is of another mechanism than '{mechanism.name}': {other}")
+        raise PlanFileError(f"'{folder / 'trajectory.npz'}' does not fit mechanism '{mechanism.name}': {other}")
     try:
         certificate = known or with_contacts(problem, trajectory, certify(problem, trajectory))
     except AssemblyError as error:

@@ -70,7 +70,7 @@ def motion_of_plan(plan: Plan, outputs: OutputMap) -> OutputMotion:
     mechanism = plan.problem.mechanism
     if compiled_bytes(mechanism.model) != compiled_bytes(outputs.mechanism.model):
         raise ProblemError(
-            f"the plan '{plan.problem.name}' is of another model, payload included, than the table; give its problem file"
+            f"the plan '{plan.problem.name}' has another model or payload than the table; give its problem file"
         )
     samples = exported_samples(plan)
     index = [mechanism.joint_index(joint.name) for joint in outputs.joints]

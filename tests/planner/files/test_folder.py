@@ -276,15 +276,15 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "breaks that run back": (with_arrays(breaks_s=np.linspace(1, 0, 41)), "breaks must increase"),
     "a single break": (with_arrays(breaks_s=np.array(0.16)), "trajectory.npz"),
     "an interval missing": (with_arrays(effort=ONES[:3, 1:]), "intervals"),
-    "two joints": (with_arrays(position=np.ones((5, 40, 2)), velocity=np.ones((4, 40, 2))), "of another mechanism"),
+    "two joints": (with_arrays(position=np.ones((5, 40, 2)), velocity=np.ones((4, 40, 2))), "does not fit mechanism"),
     "two joints' velocities": (with_arrays(velocity=np.ones((4, 40, 2))), "trajectory.npz"),
-    "two actuators": (with_arrays(effort=np.ones((3, 40, 2))), "of another mechanism"),
+    "two actuators": (with_arrays(effort=np.ones((3, 40, 2))), "does not fit mechanism"),
     "a flat position": (with_arrays(position=ONES[:, :, 0]), "trajectory.npz"),
     "a flat velocity": (with_arrays(velocity=ONES[:, :, 0]), "trajectory.npz"),
     "a flat effort": (with_arrays(effort=ONES[:3, :, 0]), "trajectory.npz"),
     "no coefficients": (with_arrays(effort=ONES[:0]), "trajectory.npz"),
     "a start pose that is a column": (with_arrays(start_pose=np.zeros((3, 1))), "trajectory.npz"),
-    "a start pose of another mechanism": (with_arrays(start_pose=np.zeros(5)), "of another mechanism"),
+    "a start pose of another mechanism": (with_arrays(start_pose=np.zeros(5)), "does not fit mechanism"),
     "an empty start pose": (with_arrays(start_pose=np.zeros(0)), "it has 0 joints in its start pose, the mechanism 3"),
     "a motion out of reach": (with_arrays(position=5 + np.ones((5, 40, 1))), "trajectory.npz"),
 }
@@ -312,7 +312,7 @@ def test_a_broken_folder_is_refused_in_one_line(case, saved):
 def test_a_guess_of_another_mechanism_is_refused_by_what_differs(changes, said, saved):
     with_arrays(**changes)(saved)
     _, tables, _ = read_tables("knee-sine")
-    with pytest.raises(ProblemError, match="the guess is of another mechanism than 'optimus-knee'") as refused:
+    with pytest.raises(ProblemError, match="the guess does not fit mechanism 'optimus-knee'") as refused:
         Problem.from_tables("guessed", tables | {"guess": {"plan": str(saved)}})
     assert said in str(refused.value)
 
