@@ -4,15 +4,13 @@ A value that follows from the fields is a property of type `InJson`, and its JSO
 """
 
 import functools
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
-from msgspec import UNSET, Struct, convert
+from msgspec import UNSET, Struct
 from msgspec.structs import fields
 
 T = TypeVar("T")
-S = TypeVar("S", bound=Struct)
 
 if TYPE_CHECKING:
     Beside = Annotated[T, "not in the JSON"]
@@ -51,15 +49,6 @@ def _json_fields(kind: type[Struct]) -> tuple[tuple[str, str, Any], ...]:
     return (*own, *((name, name, UNSET) for name, value in vars(kind).items() if isinstance(value, InJson)))
 
 
-def read_struct(kind: type[S], values: Mapping) -> S:
-    """Return the struct of a JSON object; null in an array, or for a `Number`, is not a number.
-
-    Raises:
-        msgspec.ValidationError: if a value is missing or has another type.
-    """
-    return convert(values, kind, dec_hook=read_value)
-
-
 def read_value(kind: type, value: object) -> object:
-    """Return a value of a type that only this file knows, an array or a `Number`, from its JSON."""
+    """Return an array or a `Number` from its JSON, where null is not a number: msgspec's hook to read a struct."""
     return np.array(value, dtype=float) if kind is np.ndarray else kind("nan" if value is None else value)
