@@ -74,7 +74,7 @@ def _equalities(
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Plant:
+class ImperfectPlant:
     """A machine's own model, and its initial closed pose (n_q,) and consistent rates (n_q,)."""
 
     model: mujoco.MjModel
@@ -95,7 +95,7 @@ def as_modelled(one: Imperfections) -> bool:
 
 def plant(
     mechanism: Mechanism, reference: SampledReference, loop: ControlLoop, imperfect: Imperfections, substeps: int
-) -> Plant:
+) -> ImperfectPlant:
     """Return the plant of one machine.
 
     Raises:
@@ -115,7 +115,7 @@ def plant(
     if machine.com_shift_m is not None or machine.length_factor:
         _change_geometry(model, data, machine)
     pose, rates = start_of(model, data, mechanism, reference, imperfect)
-    return Plant(model=model, pose=pose, rates=rates)
+    return ImperfectPlant(model=model, pose=pose, rates=rates)
 
 
 def prepare(model: mujoco.MjModel, mechanism: Mechanism, timestep_s: float, effort_limit: np.ndarray) -> None:

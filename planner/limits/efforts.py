@@ -16,9 +16,9 @@ from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
     Bounds,
     Claimed,
-    Facts,
     Instant,
     Limit,
+    LimitFacts,
     Measured,
     Problem,
     Rows,
@@ -42,7 +42,7 @@ class EffortLimit(Limit):
     """The effort of one actuator; the bounds of the efforts' coefficients impose it at every instant."""
 
     key: ClassVar[str] = "effort"
-    facts: ClassVar[Facts] = Facts(kind=key, words="the effort of {}", tightened=None, jumps_with_effort=True)
+    facts: ClassVar[LimitFacts] = LimitFacts(kind=key, words="the effort of {}", tightened=None, jumps_with_effort=True)
     item: int
 
     @classmethod
@@ -96,7 +96,7 @@ class EffortRateLimit(Limit):
     """The rate of one actuator's effort."""
 
     key: ClassVar[str] = "effort_rate"
-    facts: ClassVar[Facts] = Facts(kind=key, words="the effort rate of {}", tightened=None)
+    facts: ClassVar[LimitFacts] = LimitFacts(kind=key, words="the effort rate of {}", tightened=None)
     item: int
 
     @classmethod
@@ -148,7 +148,7 @@ class RobustLimit(Limit):
     """The effort of one actuator at one of the `corners`; `item` counts the actuators of the first corner, then the next."""
 
     key: ClassVar[str] = "robust"
-    facts: ClassVar[Facts] = Facts(kind=key, words="the effort of {}", jumps_with_effort=True)
+    facts: ClassVar[LimitFacts] = LimitFacts(kind=key, words="the effort of {}", jumps_with_effort=True)
     item: int
     corners: tuple[Corner, ...]
     corner: int

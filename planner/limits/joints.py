@@ -25,9 +25,9 @@ from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
     Bounds,
     Claimed,
-    Facts,
     Instant,
     Limit,
+    LimitFacts,
     Measured,
     MotionArrays,
     Poses,
@@ -52,7 +52,7 @@ class ClosureForceLimit(Limit):
     """The force of one closure, as a share of its rating; `places` are its indices among all forces if it is an unknown."""
 
     key: ClassVar[str] = "closure_force"
-    facts: ClassVar[Facts] = Facts(
+    facts: ClassVar[LimitFacts] = LimitFacts(
         kind=key,
         words="the closure force of {}",
         tightened=Tightened.SQUARED,
@@ -125,7 +125,7 @@ class SingularMarginLimit(Limit):
     """
 
     key: ClassVar[str] = "singular_margin"
-    facts: ClassVar[Facts] = Facts(
+    facts: ClassVar[LimitFacts] = LimitFacts(
         kind=key, row_kind="singular", words="the distance from a singular pose, relative to home,", beyond="short of"
     )
     item: int
@@ -175,7 +175,7 @@ class RangeLimit(Limit):
     """The range of one joint; `column` is its index among the independent joints if intervals have rows for it."""
 
     key: ClassVar[str] = "position"
-    facts: ClassVar[Facts] = Facts(
+    facts: ClassVar[LimitFacts] = LimitFacts(
         kind=key,
         words="joint {}",
         bound="the range of {}",
@@ -226,7 +226,7 @@ class SpeedLimit(Limit):
     """The speed of one joint; `column` is its index among the independent joints, None for a dependent one."""
 
     key: ClassVar[str] = "speed"
-    facts: ClassVar[Facts] = Facts(kind=key, words="the speed of joint {}", bound="the speed limit of {}")
+    facts: ClassVar[LimitFacts] = LimitFacts(kind=key, words="the speed of joint {}", bound="the speed limit of {}")
     item: int
     column: int | None = None
 
@@ -293,7 +293,7 @@ class BallLimit(Limit):
     """The angle of one ball joint."""
 
     key: ClassVar[str] = "ball"
-    facts: ClassVar[Facts] = Facts(
+    facts: ClassVar[LimitFacts] = LimitFacts(
         kind=key, words="the angle of ball joint {}", tightened=Tightened.SQUARED, of_position=True
     )
     item: int
@@ -339,7 +339,7 @@ class TendonLimit(Limit):
     """The length of one tendon."""
 
     key: ClassVar[str] = "tendon"
-    facts: ClassVar[Facts] = Facts(
+    facts: ClassVar[LimitFacts] = LimitFacts(
         kind=key, words="the length of tendon {}", tightened=Tightened.IN_UNITS, of_position=True, by_size=True
     )
     item: int

@@ -30,9 +30,9 @@ from linkplan.planner.trajectory import Trajectory
 __all__ = [
     "Bounds",
     "Claimed",
-    "Facts",
     "Instant",
     "Limit",
+    "LimitFacts",
     "Margin",
     "Measured",
     "Poses",
@@ -62,7 +62,7 @@ class Tightened(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Facts:
+class LimitFacts:
     """What is true of all instants of a limit.
 
     Args:
@@ -235,7 +235,7 @@ class Limit(ABC):
 
     @property
     @abstractmethod
-    def facts(self) -> Facts:
+    def facts(self) -> LimitFacts:
         """What is true of it at all instants."""
 
     @property

@@ -25,7 +25,7 @@ _MOST_INFLATIONS = 6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Root:
+class EnclosedRoot:
     """A root z for every s of a box: `enclosure` contains it, and it is the only one in `region`."""
 
     enclosure: list[arb]
@@ -67,7 +67,7 @@ def newton(blocks: Blocks, s: np.ndarray, z: np.ndarray) -> np.ndarray:
     raise NotSeparatedError("Newton's method did not converge")
 
 
-def krawczyk(blocks: Blocks, s: Sequence[arb], guess: np.ndarray) -> Root:
+def krawczyk(blocks: Blocks, s: Sequence[arb], guess: np.ndarray) -> EnclosedRoot:
     """Return the root near a guess for every s of a box.
 
     Raises:
@@ -75,7 +75,7 @@ def krawczyk(blocks: Blocks, s: Sequence[arb], guess: np.ndarray) -> Root:
     """
     n = blocks.rank
     if n == 0:
-        return Root(enclosure=[], region=[])
+        return EnclosedRoot(enclosure=[], region=[])
     at = np.empty(n + len(s))
     at[list(blocks.independent)], at[list(blocks.dependent)] = [float(x.mid()) for x in s], guess
     J = blocks.numbers(at)[1][:, list(blocks.dependent)]
@@ -96,7 +96,7 @@ def krawczyk(blocks: Blocks, s: Sequence[arb], guess: np.ndarray) -> Root:
         J_z = arb_mat(n, n, entries)  # pyright: ignore[reportArgumentType]  constants, no series
         moved = step + (one - C * J_z) * arb_mat(n, 1, around)
         if all(around[i].contains_interior(moved[i, 0]) for i in range(n)):
-            return Root(enclosure=[start[i] + moved[i, 0] for i in range(n)], region=region)
+            return EnclosedRoot(enclosure=[start[i] + moved[i, 0] for i in range(n)], region=region)
         if not all(moved[i, 0].is_finite() for i in range(n)):
             break
     raise NotSeparatedError("Krawczyk's operator does not map the box into itself")

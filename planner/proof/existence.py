@@ -59,7 +59,7 @@ class NoMotionError(ArithmeticError):
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Tube:
+class ErrorTube:
     """Half the widths (m, 2 n_s) of a tube around positions and velocities, up to increasing instants (m,) [s]."""
 
     until_s: np.ndarray
@@ -75,9 +75,9 @@ class Tube:
         return self.radii[min(np.searchsorted(self.until_s, end_s), len(self.radii) - 1)]
 
 
-def first_tube(trajectory: Trajectory) -> Tube:
+def first_tube(trajectory: Trajectory) -> ErrorTube:
     """Return a tube of one width around a motion."""
-    return Tube(until_s=np.array([np.inf]), radii=_FIRST_TUBE_SHARE * _sizes(trajectory)[None])
+    return ErrorTube(until_s=np.array([np.inf]), radii=_FIRST_TUBE_SHARE * _sizes(trajectory)[None])
 
 
 class Neighbourhood:
@@ -86,14 +86,14 @@ class Neighbourhood:
     `failure` says why there are none. `next_tube` is that of another attempt, None if there is none or it is hopeless.
     """
 
-    def __init__(self, mechanism: Mechanism, trajectory: Trajectory, tube: Tube) -> None:
+    def __init__(self, mechanism: Mechanism, trajectory: Trajectory, tube: ErrorTube) -> None:
         self._mechanism, self._n_s, self._boxes, self._last = mechanism, mechanism.dof, [], None
         self._tube, self._sizes = tube, _sizes(trajectory)
         self._acceleration = float(np.abs(trajectory.acceleration_at(trajectory.dense_times(2))).max(initial=1e-9))
         self._units = (trajectory.duration_s**-2, trajectory.duration_s**-1)  # of df/ds and df/dv
         self._speed = max(float(np.abs(trajectory.velocity).max()), 1e-9)
         self.failure = ""
-        self.next_tube: Tube | None = None
+        self.next_tube: ErrorTube | None = None
 
     def takes(self, states: tuple[State, State], at: tuple[float, float], halvings: int, order: int) -> bool:
         """Add the bounds on a box, centre and radius in tau; return False if it has to be halved for them."""
@@ -137,7 +137,7 @@ class Neighbourhood:
             # A wider tube is hopeless where Z, which grows with it at most in proportion, is expected above one.
             wider = float((tube / self._tube.radii).mean(axis=0).max())
         if self._tube.is_guess and (wider < 1 or wider * contraction < 1):
-            self.next_tube = Tube(until_s=np.array([box.end_s for box in self._boxes]), radii=tube)
+            self.next_tube = ErrorTube(until_s=np.array([box.end_s for box in self._boxes]), radii=tube)
         if not contraction <= MAX_CONTRACTION:
             raise NoMotionError(f"the contraction is {contraction:.2g}, which is above {MAX_CONTRACTION:g}")
         radii = bounds / (1 - contraction)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from linkplan.models.errors import LinkplanError
-from linkplan.planner.phase_plane.grid import Plane as PhaseGrid
+from linkplan.planner.phase_plane.grid import PhasePlane as PhaseGrid
 from linkplan.planner.phase_plane.grid import grid_of, plane_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.output.document import Axis, Plane, Series

@@ -23,7 +23,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion, price_of, saved_price, with_price
 from linkplan.planner.search.replan import NextMotion, Replanner
 from linkplan.reporting import LOG, Listener, Progress, listener
-from linkplan.results import Result, Shown
+from linkplan.results import Reported, Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -213,7 +213,7 @@ class Planner:
         return self._planner.step(_problem(problem))
 
 
-class Plan(planned.Plan, Shown):
+class Plan(planned.Plan, Reported):
     """A certified motion, or the reason why there is none. `str(plan)` is its report; `to_dict()` has every value.
 
     Times are in seconds from the motion's start. It is the planner's plan; its own members need files, figures and reports,

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from linkplan.studies.output.document import Block, Report
 
 
-class Shown(ABC):
+class Reported(ABC):
     """What has a struct, blocks and a report; its JSON, text and page follow.
 
     A base class in place of a function for each member, so that all are shown in the same way.
@@ -67,7 +67,7 @@ class Shown(ABC):
         return text_of(in_brief(self.blocks()))
 
 
-class Result(Shown):
+class Result(Reported):
     """The result of a study. Each kind has `passed`, `blocks`, `document` and `draw`; the rest follows."""
 
     __slots__ = ()

@@ -10,7 +10,15 @@ from mujoco.batch import MODEL_FIELDS
 
 from linkplan.controllers.imperfections.batch_effects import FIELDS
 from linkplan.controllers.imperfections.driving import act, driving, take
-from linkplan.controllers.imperfections.imperfections import Clock, Drives, Imperfections, Machine, Push, Sensors, Start
+from linkplan.controllers.imperfections.imperfections import (
+    Clock,
+    Drives,
+    Imperfections,
+    Machine,
+    Push,
+    Sensors,
+    StartErrors,
+)
 from linkplan.controllers.imperfections.plant import plant
 from linkplan.controllers.imperfections.sensing import measure, sensing
 from linkplan.controllers.reference import sample, state_at
@@ -160,7 +168,7 @@ def test_a_shifted_payload_is_the_mechanism_with_that_payload():
 
 def test_a_longer_link_is_longer_and_the_loop_is_closed_with_it():
     mechanism, reference = reach()
-    longer = Imperfections(machine=Machine(length_factor={"coupler": 1.01}), start=Start(velocity_error=1.0))
+    longer = Imperfections(machine=Machine(length_factor={"coupler": 1.01}), start=StartErrors(velocity_error=1.0))
     built = plant(mechanism, reference, LOOP, longer, 1)
     data = mujoco.MjData(built.model)
     data.qpos[:], data.qvel[:] = built.pose, built.rates

@@ -7,7 +7,15 @@ import mujoco
 import numpy as np
 import pytest
 
-from linkplan.controllers.imperfections.imperfections import Clock, Drives, Imperfections, Machine, Push, Sensors, Start
+from linkplan.controllers.imperfections.imperfections import (
+    Clock,
+    Drives,
+    Imperfections,
+    Machine,
+    Push,
+    Sensors,
+    StartErrors,
+)
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.mechanism import Mechanism, load_mechanism
@@ -199,7 +207,7 @@ CASES = {
     ),
     "link_length": (Imperfections(machine=Machine(length_factor={"rod": 1.05})), lambda: Plain(text=mjcf(length=1.05))),
     "start_error": (
-        Imperfections(start=Start(position_error=0.02, velocity_error=-0.3)),
+        Imperfections(start=StartErrors(position_error=0.02, velocity_error=-0.3)),
         lambda: Plain(start=(0.02, -0.3)),
     ),
     "push_force": (

@@ -16,7 +16,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.search.planning import silent
 from linkplan.studies.feedback.bode.bode import SAME_POSE_SHARE, SCAN_POSITIONS
-from linkplan.studies.feedback.bode.scan import Line, judge_of
+from linkplan.studies.feedback.bode.scan import PoseLine, judge_of
 from linkplan.studies.feedback.frequency.feedback_loops import (
     LAW_NAMES,
     OperatingPoint,
@@ -43,7 +43,7 @@ def tune(
     law: SampledLaw,
     *,
     say: Callable[[str], None] = silent,
-    line: Line | None = None,
+    line: PoseLine | None = None,
     note: str | None = None,
 ) -> Tuning:
     """Return gains that meet the requirements at every point, or the closest gains and the reason.
@@ -137,7 +137,7 @@ def _along(points: Sequence[OperatingPoint], added: Sequence[OperatingPoint]) ->
     return sorted(every, key=lambda point: float(point.state[0])) if points[0].mechanism.dof == 1 else every
 
 
-def _worst(mechanism: Mechanism, line: Line, law: SampledLaw, wanted: Requirements) -> list[OperatingPoint]:
+def _worst(mechanism: Mechanism, line: PoseLine, law: SampledLaw, wanted: Requirements) -> list[OperatingPoint]:
     """Return up to three points of a line with the largest shortfall, among its local maxima."""
     judge = judge_of(mechanism, line, law, mechanism.channels)
 
@@ -155,7 +155,7 @@ def _worst(mechanism: Mechanism, line: Line, law: SampledLaw, wanted: Requiremen
 
 
 def _message(
-    points: Sequence[OperatingPoint], wanted: Requirements, best: EvaluatedGains, found: bool, line: Line | None
+    points: Sequence[OperatingPoint], wanted: Requirements, best: EvaluatedGains, found: bool, line: PoseLine | None
 ) -> str:
     timing, words = best.law.timing, LAW_NAMES[best.law.name]
     asked = f"{wanted.bandwidth_hz:g} Hz and {wanted.phase_margin_deg:g} deg"

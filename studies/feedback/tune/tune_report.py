@@ -12,7 +12,7 @@ from linkplan.planner.files.tables import inline
 from linkplan.studies.feedback.bode.scan import figures
 from linkplan.studies.feedback.tune.requirements import JudgedLoop
 from linkplan.studies.feedback.tune.tuning import Tuning, gains_by_joint
-from linkplan.studies.output.document import Axis, Block, Facts, Limit, Plot, Series, Table, Text, table_of
+from linkplan.studies.output.document import Axis, Block, DrawnLimit, Facts, Plot, Series, Table, Text, table_of
 from linkplan.studies.output.numbers import rounded
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ def tune_plots(tuning: Tuning, loops: Sequence[JudgedLoop], of: str) -> list[Plo
                 y_axis=Axis(label=what, unit=per, ends=(0.0, 1.12 * highest or 1.0)),
                 x=rounded(at[order]),
                 series=series,
-                limits=[Limit(name=words, value=float(x)) for x in asked],
+                limits=[DrawnLimit(name=words, value=float(x)) for x in asked],
             )
         )
     return found

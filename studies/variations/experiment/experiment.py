@@ -28,7 +28,7 @@ from linkplan.planner.problem.settings import number, whole
 from linkplan.studies.compare.compare import control_loop, tracking_reference
 from linkplan.studies.compare.user_tracker import TrackerLike, known_tracker
 from linkplan.studies.variations.experiment.design import DESIGNS, MOST_SAMPLES, machines_by_design
-from linkplan.studies.variations.sensitivity.scheme import MORRIS, SOBOL, Scheme, salib_version
+from linkplan.studies.variations.sensitivity.scheme import MORRIS, SOBOL, SamplingScheme, salib_version
 
 
 def default_imperfections(plan: Plan) -> dict:
@@ -134,7 +134,7 @@ class Experiment:
     section: ImperfectionFactors
     values: np.ndarray
     draws: np.ndarray
-    scheme: Scheme | None
+    scheme: SamplingScheme | None
     reference: SampledReference
     loop: ControlLoop
     tube: np.ndarray
