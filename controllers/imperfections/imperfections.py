@@ -95,7 +95,7 @@ class Push:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class StartErrors:
+class Start:
     """The errors of initial position and velocity of the independent joints."""
 
     position_error: Each = 0.0
@@ -110,7 +110,7 @@ class Imperfections:
     sensors: Sensors = Sensors()
     drives: Drives = Drives()
     machine: Machine = Machine()
-    start: StartErrors = StartErrors()
+    start: Start = Start()
     pushes: tuple[Push, ...] = ()
 
 
@@ -170,7 +170,7 @@ def imperfections_from(
             rate_limit=each(actuators, "torque_rate", np.inf),
         ),
         machine=machine,
-        start=StartErrors(
+        start=Start(
             position_error=coordinates("start_error"),
             velocity_error=coordinates("start_velocity_error", "_deg_s", "_m_s"),
         ),

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from linkplan.controllers.feedback_loop import states_of
-from linkplan.controllers.imperfections.imperfections import Imperfections, Push, StartErrors
+from linkplan.controllers.imperfections.imperfections import Imperfections, Push, Start
 from linkplan.controllers.mujoco_plant import DIVERGED, MujocoPlant
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.simulate import Ensemble, simulate
@@ -115,7 +115,7 @@ def test_a_tracker_of_single_states_is_asked_for_each():
 
 def test_a_tracker_that_raises_for_one_machine_is_told_of_in_one_line_and_the_others_go_on():
     mechanism, reference = reach()
-    backwards = Imperfections(start=StartErrors(velocity_error=-3.0))
+    backwards = Imperfections(start=Start(velocity_error=-3.0))
     found = run_machines(mechanism, reference, _Single(), LOOP, [Imperfections(), backwards])
     assert found.failure[0] is None
     assert "this state is not for me" in found.failure[1]

@@ -4,7 +4,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from linkplan.controllers.imperfections.imperfections import Drives, Imperfections, Machine, StartErrors
+from linkplan.controllers.imperfections.imperfections import Drives, Imperfections, Machine, Start
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
@@ -57,7 +57,7 @@ def test_what_acts_is_what_the_end_of_a_servos_range_leaves():
 def test_a_machine_is_the_same_to_the_last_bit_whatever_runs_beside_it(text):
     machines = [
         Imperfections(
-            start=StartErrors(position_error=1e-3 * i),
+            start=Start(position_error=1e-3 * i),
             machine=Machine(mass_factor=1 + 0.1 * i, viscous=1e-3),
             drives=Drives(constant_factor=1.0 + 0.01 * i),
         )
@@ -74,7 +74,7 @@ def test_a_machine_is_the_same_to_the_last_bit_whatever_runs_beside_it(text):
 
 
 def test_a_start_beside_the_path_closes_the_loop_of_a_ball_joint():
-    _, ensemble = both(RSSR, np.zeros((3, 1)), [Imperfections(start=StartErrors(position_error=np.array([0.02, 0.0])))])
+    _, ensemble = both(RSSR, np.zeros((3, 1)), [Imperfections(start=Start(position_error=np.array([0.02, 0.0])))])
     mechanism = load_mechanism(RSSR)
     assert mechanism.gap_m(ensemble.pose[0, 0]) < 1e-9
     assert ensemble.pose[0, 0, mechanism.independent[0]] == pytest.approx(mechanism.home[mechanism.independent[0]] + 0.02)
@@ -84,7 +84,7 @@ def test_a_start_beside_the_path_closes_the_loop_of_a_ball_joint():
 def test_a_start_far_beside_the_path_is_on_the_path_s_branch(off):
     """A crank that nothing stops: Newton's method from the plan's own start would not close the loop there."""
     mechanism = load_mechanism("slider-crank")
-    _, ensemble = both("slider-crank", np.zeros((2, 1)), [Imperfections(start=StartErrors(position_error=off))])
+    _, ensemble = both("slider-crank", np.zeros((2, 1)), [Imperfections(start=Start(position_error=off))])
     assert ensemble.failure == (None,)
     there = close_at(mechanism, mechanism.home[mechanism.independent] + off)
     assert ensemble.pose[0, 0] == pytest.approx(there, abs=1e-9)

@@ -17,7 +17,7 @@ from linkplan.controllers.imperfections.imperfections import (
     Machine,
     Push,
     Sensors,
-    StartErrors,
+    Start,
 )
 from linkplan.controllers.imperfections.plant import plant
 from linkplan.controllers.imperfections.sensing import measure, sensing
@@ -168,7 +168,7 @@ def test_a_shifted_payload_is_the_mechanism_with_that_payload():
 
 def test_a_longer_link_is_longer_and_the_loop_is_closed_with_it():
     mechanism, reference = reach()
-    longer = Imperfections(machine=Machine(length_factor={"coupler": 1.01}), start=StartErrors(velocity_error=1.0))
+    longer = Imperfections(machine=Machine(length_factor={"coupler": 1.01}), start=Start(velocity_error=1.0))
     built = plant(mechanism, reference, LOOP, longer, 1)
     data = mujoco.MjData(built.model)
     data.qpos[:], data.qvel[:] = built.pose, built.rates

@@ -13,7 +13,7 @@ from linkplan.controllers.imperfections.imperfections import (
     Imperfections,
     Machine,
     Push,
-    StartErrors,
+    Start,
 )
 from linkplan.controllers.imperfections.plant import closed_pose, plant
 from linkplan.controllers.reference import SampledReference, sample
@@ -128,25 +128,25 @@ def test_a_push_on_a_body_acts_at_its_centre_of_mass_in_the_world_s_axes():
 def test_viscous_friction_lets_speed_decay_exponentially():
     """MuJoCo damps implicitly: a step divides the speed by 1 + h d / I."""
     rate = 6.0
-    found = turned(machine=Machine(viscous=rate * HINGE_INERTIA), start=StartErrors(velocity_error=2.0))
+    found = turned(machine=Machine(viscous=rate * HINGE_INERTIA), start=Start(velocity_error=2.0))
     assert found.velocity[-1, 0, 0] == pytest.approx(2.0 * np.exp(-rate * 0.1), rel=0.01)
 
 
 def test_coulomb_friction_slows_at_a_constant_rate_whatever_the_speed():
-    found = turned(machine=Machine(coulomb=0.9), start=StartErrors(velocity_error=2.0))
+    found = turned(machine=Machine(coulomb=0.9), start=Start(velocity_error=2.0))
     assert found.velocity[-1, 0, 0] == pytest.approx(2.0 - 0.9 * 0.1 / HINGE_INERTIA, rel=0.01)
     assert found.velocity[50, 0, 0] == pytest.approx(2.0 - 0.9 * 0.05 / HINGE_INERTIA, rel=0.01)
 
 
 def test_coulomb_friction_stops_what_moves_and_holds_what_pushes_less():
-    assert abs(turned(machine=Machine(coulomb=0.9), start=StartErrors(velocity_error=0.2)).velocity[-1, 0, 0]) < 1e-6
+    assert abs(turned(machine=Machine(coulomb=0.9), start=Start(velocity_error=0.2)).velocity[-1, 0, 0]) < 1e-6
     held = turned(0.8, machine=Machine(coulomb=0.9))
     assert abs(held.pose[-1, 0, 0]) < 1e-5
     assert turned(1.2, machine=Machine(coulomb=0.9)).velocity[-1, 0, 0] == pytest.approx(0.3 * 0.1 / HINGE_INERTIA, rel=0.01)
 
 
 def test_a_start_error_is_where_and_how_fast_the_machine_starts():
-    found = turned(start=StartErrors(position_error=0.02, velocity_error=-0.3))
+    found = turned(start=Start(position_error=0.02, velocity_error=-0.3))
     assert found.pose[0, 0, 0] == 0.02
     assert found.velocity[0, 0, 0] == -0.3
     assert found.pose[-1, 0, 0] == pytest.approx(0.02 - 0.3 * 0.1, rel=1e-9)
@@ -158,7 +158,7 @@ def test_a_start_error_is_where_and_how_fast_the_machine_starts():
 def acceleration(machine: Machine, speed: float, effort: float = 0.0) -> tuple[float, np.ndarray, float]:
     """Return the acceleration of O [rad/s2] in MuJoCo at a speed [rad/s], Gamma there, and the reduced inertia [kg m2]."""
     mechanism, reference = reach()
-    imperfect = Imperfections(machine=machine, start=StartErrors(velocity_error=speed - reference.velocity_rad_s[0]))
+    imperfect = Imperfections(machine=machine, start=Start(velocity_error=speed - reference.velocity_rad_s[0]))
     built = plant(mechanism, reference, LOOP, imperfect, 1)
     data = mujoco.MjData(built.model)
     data.qpos[:], data.qvel[:], data.ctrl[:] = built.pose, built.rates, effort

@@ -14,7 +14,7 @@ from linkplan.controllers.imperfections.imperfections import (
     Machine,
     Push,
     Sensors,
-    StartErrors,
+    Start,
 )
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
@@ -207,7 +207,7 @@ CASES = {
     ),
     "link_length": (Imperfections(machine=Machine(length_factor={"rod": 1.05})), lambda: Plain(text=mjcf(length=1.05))),
     "start_error": (
-        Imperfections(start=StartErrors(position_error=0.02, velocity_error=-0.3)),
+        Imperfections(start=Start(position_error=0.02, velocity_error=-0.3)),
         lambda: Plain(start=(0.02, -0.3)),
     ),
     "push_force": (

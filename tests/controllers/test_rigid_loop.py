@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 from linkplan.controllers import rigid_plant
-from linkplan.controllers.imperfections.imperfections import Clock, Imperfections, StartErrors
+from linkplan.controllers.imperfections.imperfections import Clock, Imperfections, Start
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rigid_plant import LOST, RigidPlant
@@ -101,7 +101,7 @@ def test_a_long_period_is_integrated_in_steps_of_the_simulator():
     """A rod falls for half a second under a held effort: scipy's answer, for a slow clock beside a fast one too."""
     mechanism = load_mechanism(PENDULUM.format(limit=9))
     rest = sample(mechanism, resting(1.0), 0.5, 1.0)
-    machines = [Imperfections(start=StartErrors(position_error=1.0), clock=Clock(period_factor=f)) for f in (1.0, 0.01)]
+    machines = [Imperfections(start=Start(position_error=1.0), clock=Clock(period_factor=f)) for f in (1.0, 0.01)]
     runs = simulate(RigidPlant(mechanism=mechanism), Ramp(), rest, machines)
     inertia = 0.01 + 0.25  # kg m2 about the pivot
 
@@ -140,7 +140,7 @@ def test_a_loop_stays_closed_over_a_whole_motion():
 
 def test_a_run_that_is_lost_ends_there_and_harms_no_other():
     mechanism, reference = reach("knee-reach", 1e-3, 0.05)
-    machines = [Imperfections(start=StartErrors(position_error=off)) for off in (0.05, -0.05)]
+    machines = [Imperfections(start=Start(position_error=off)) for off in (0.05, -0.05)]
     law = Shove(reference=reference, start=float(reference.position_rad[0, 0]))
     both = simulate(RigidPlant(mechanism=mechanism), law, reference, machines)
     alone = simulate(RigidPlant(mechanism=mechanism), law, reference, machines[:1])
@@ -174,7 +174,7 @@ def errors_of_computed_torque(mechanism: Mechanism, reference: SampledReference,
     law, off = computed_torque(mechanism, reference, FREQUENCY, 1.0), OFF[: mechanism.dof]
     free = ControlLoop(effort_limit=np.tile([-np.inf, np.inf], (mechanism.n_u, 1)))
     plant = MujocoPlant(mechanism=mechanism, loop=free) if simulated else RigidPlant(mechanism=mechanism)
-    runs = simulate(plant, law, reference, [Imperfections(start=StartErrors(position_error=-off))])
+    runs = simulate(plant, law, reference, [Imperfections(start=Start(position_error=-off))])
     time = FREQUENCY * reference.time_s[:, None]
     return reference.position_rad - runs.pose[:, 0, mechanism.independent], off * (1 + time) * np.exp(-time)
 

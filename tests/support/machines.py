@@ -12,7 +12,7 @@ from linkplan.controllers.imperfections.imperfections import (
     Machine,
     Push,
     Sensors,
-    StartErrors,
+    Start,
 )
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
@@ -89,6 +89,6 @@ def everything(seed: int) -> Imperfections:
             length_factor={"coupler": 1 + 0.005 * size[16]},
             loop_solref=(3e-4, 1.0 + size[17]),
         ),
-        start=StartErrors(position_error=1e-3 * size[18], velocity_error=0.1 * size[19]),
+        start=Start(position_error=1e-3 * size[18], velocity_error=0.1 * size[19]),
         pushes=(Push(start_s=0.00505, duration_s=0.003, body="coupler", force=np.array([10.0, 0.0, 5.0])),),
     )
