@@ -336,6 +336,11 @@ def test_a_figure_of_the_record_that_is_no_number_is_refused(place, value, saved
         read_plan(saved, anyway=True)
 
 
+def test_a_solve_without_an_objective_has_one_that_is_not_a_number(saved):
+    with_record(lambda said: said["history"][0].update(objective=None))(saved)
+    assert np.isnan(read_plan(saved).history[0].objective)
+
+
 def test_a_solve_of_the_history_without_its_time_is_refused(saved):
     with_record(lambda said: said["history"][0].pop("solve_s") and None)(saved)
     with pytest.raises(PlanFileError, match=r"missing required field `solve_s` - at `\$\.history"):
