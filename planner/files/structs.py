@@ -7,7 +7,7 @@ import functools
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
-from msgspec import UNSET, Struct
+from msgspec import UNSET, Struct, convert
 from msgspec.structs import fields
 
 T = TypeVar("T")
@@ -51,4 +51,4 @@ def _json_fields(kind: type[Struct]) -> tuple[tuple[str, str, Any], ...]:
 
 def read_value(kind: type, value: object) -> object:
     """Return an array or a `Number` from its JSON, where null is not a number: msgspec's hook to read a struct."""
-    return np.array(value, dtype=float) if kind is np.ndarray else kind("nan" if value is None else value)
+    return np.array(value, dtype=float) if kind is np.ndarray else kind("nan" if value is None else convert(value, float))

@@ -329,9 +329,14 @@ def test_what_is_no_plan_is_refused(what, tmp_path):
 
 
 @pytest.mark.parametrize("value", ["x", True, [1], 10**400, np.nan], ids=["text", "bool", "list", "huge", "nan"])
-@pytest.mark.parametrize("place", ["objective", "details"])
+@pytest.mark.parametrize("place", ["objective", "details", "history"])
 def test_a_figure_of_the_record_that_is_no_number_is_refused(place, value, saved):
-    with_record(lambda said: said.update({place: value if place == "objective" else {"price": value}}))(saved)
+    new = {"objective": value, "details": {"price": value}}
+
+    def edit(said: dict) -> None:
+        said.update({"history": [said["history"][0] | {"objective": value}]} if place == "history" else {place: new[place]})
+
+    with_record(edit)(saved)
     with pytest.raises(PlanFileError, match=r"plan\.json' is (not a record that linkplan wrote|truncated or not JSON)"):
         read_plan(saved, anyway=True)
 
