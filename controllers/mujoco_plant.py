@@ -15,7 +15,7 @@ from mujoco.batch import Batch
 from linkplan.controllers.imperfections.batch_effects import ClosureWatch, PushState, SiteForces, pushing, spread
 from linkplan.controllers.imperfections.driving import DriveState, act, driving, stretches, take
 from linkplan.controllers.imperfections.imperfections import Imperfections
-from linkplan.controllers.imperfections.plant import Plant, as_modelled, held_before, plant
+from linkplan.controllers.imperfections.plant import ImperfectPlant, as_modelled, held_before, plant
 from linkplan.controllers.imperfections.servos import servo_inversion, speed_gains
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
@@ -37,7 +37,7 @@ class MujocoPlant:
     mechanism: Mechanism
     loop: ControlLoop
     threads: int = 0  # of the simulator; 0 for one for each core
-    built: dict[tuple[SampledReference, Imperfections], Plant | str] = field(default_factory=dict)
+    built: dict[tuple[SampledReference, Imperfections], ImperfectPlant | str] = field(default_factory=dict)
 
     def begin(
         self, reference: SampledReference, machines: Sequence[Imperfections]
@@ -74,7 +74,7 @@ class MujocoPlant:
         )  # fmt: skip
         return stepper, failure
 
-    def _build(self, reference: SampledReference, one: Imperfections, substeps: int) -> Plant | str:
+    def _build(self, reference: SampledReference, one: Imperfections, substeps: int) -> ImperfectPlant | str:
         if (reference, one) in self.built:
             return self.built[reference, one]
         try:
@@ -102,7 +102,9 @@ class PlantAsItStands:
     ) -> tuple["MujocoStepper", list[str | None]]:
         """Return a copy of the model for each machine. Only the machines' drives are used."""
         mechanism, n = self.mechanism, len(machines)
-        one = Plant(model=mechanism.model, pose=mechanism.q_of(mechanism.model.qpos0), rates=np.zeros(mechanism.n_q))
+        one = ImperfectPlant(
+            model=mechanism.model, pose=mechanism.q_of(mechanism.model.qpos0), rates=np.zeros(mechanism.n_q)
+        )
         periods = [reference.period_s] * n
         drives = driving([machine.drives for machine in machines], [0.0] * n, periods, 1, self.loop.effort_limit)
         return MujocoStepper(mechanism, [one] * n, drives, 1, watched=True), [None] * n
@@ -129,11 +131,11 @@ class MujocoStepper:
     def __init__(
         self,
         mechanism: Mechanism,
-        plants: Sequence[Plant],
+        plants: Sequence[ImperfectPlant],
         drives: DriveState,
         substeps: int,
         *,
-        base: Plant | None = None,
+        base: ImperfectPlant | None = None,
         pushes: PushState | None = None,
         gains: np.ndarray | None = None,
         threads: int = 0,

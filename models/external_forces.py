@@ -16,7 +16,7 @@ from linkplan.models.errors import ModelError, choose
 from linkplan.models.kinematics import clamped_joints
 
 
-class Curve(Protocol):
+class ForceCurve(Protocol):
     """Columns over time."""
 
     def derivative(self, time_s: np.ndarray, order: int = 0) -> np.ndarray:
@@ -33,7 +33,7 @@ class ForcesOverTime:
     """Forces on sites by name; `curve` has the columns (3 n_sites,) [N]: x, y, z in the world of each site in turn."""
 
     sites: tuple[str, ...]
-    curve: Curve
+    curve: ForceCurve
 
 
 # The site at the world's origin whose axes are those of the forces.

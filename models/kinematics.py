@@ -12,9 +12,8 @@ BALL = int(mujoco.mjtJoint.mjJNT_BALL)
 FREE = int(mujoco.mjtJoint.mjJNT_FREE)
 # The only legal value of `mechanism.solref`.
 STIFF = "stiff"
-# The impedance of the built-in models, close to MuJoCo's maximum of 0.9999, as MJCF text and as numbers (MuJoCo, "Solver
-# parameters": d_0, d_width, width [m], midpoint, power).
-STIFF_IMPEDANCE = "0.999 0.999 0.001"
+# The impedance of the built-in models, close to MuJoCo's maximum of 0.9999 (MuJoCo, "Solver parameters": d_0, d_width,
+# width [m], midpoint, power).
 STIFF_SOLIMP = (0.999, 0.999, 0.001, 0.5, 2.0)
 CONNECT, WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
 

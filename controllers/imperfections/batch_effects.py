@@ -14,7 +14,7 @@ import numpy as np
 from mujoco.batch import Batch
 
 from linkplan.controllers.imperfections.imperfections import Imperfections, Push
-from linkplan.controllers.imperfections.plant import Plant, body_index
+from linkplan.controllers.imperfections.plant import ImperfectPlant, body_index
 from linkplan.controllers.trackers.tracker import added
 from linkplan.models.errors import LinkplanError
 from linkplan.models.kinematics import tied_points
@@ -66,7 +66,7 @@ class PushState:
 
 
 def pushing(
-    machines: Sequence[Imperfections], plants: Sequence[Plant], mechanism: Mechanism, substeps: int
+    machines: Sequence[Imperfections], plants: Sequence[ImperfectPlant], mechanism: Mechanism, substeps: int
 ) -> PushState | None:
     """Return the pushes on machines, or None if no machine has one.
 

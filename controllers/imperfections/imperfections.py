@@ -1,4 +1,4 @@
-"""The imperfections of one machine: small frozen values in SI units, each neutral by default.
+"""The imperfections of one machine: small frozen values in SI units, each neutral by default, and how files give them.
 
 All of them belong to the plant and to the feedback loop. The tracker does not use them.
 
@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
+
+from linkplan.models.mechanism import Mechanism
 
 # One value for all joints (or actuators), or an array with one for each.
 Each = float | np.ndarray
@@ -110,6 +112,95 @@ class Imperfections:
     machine: Machine = Machine()
     start: Start = Start()
     pushes: tuple[Push, ...] = ()
+
+
+def imperfections_from(
+    given: Mapping[str, Mapping[str, float]],
+    mechanism: Mechanism,
+    noise_seed: tuple[int, ...],
+    push_body: str | None = None,
+    push_joint: str | None = None,
+) -> Imperfections:
+    """Return the imperfections with values in a problem file's units.
+
+    Args:
+        given: the values by key of [imperfections], and by joint, actuator or body ("" for the whole machine).
+        mechanism: the mechanism.
+        noise_seed: of the sensors' noise.
+        push_body: what a push's force acts on.
+        push_joint: what its effort acts on.
+    """
+    one = {key: found[""] for key, found in given.items() if "" in found}
+    independent = [joint.name for joint in mechanism.independent_joints]
+    joints = [joint.name for joint in mechanism.joints]
+    actuators = [actuator.name for actuator in mechanism.actuators]
+
+    def each(names: list[str], key: str, neutral: float) -> np.ndarray:
+        return np.array([given.get(key, {}).get(name, neutral) for name in names])
+
+    def coordinates(stem: str, angle: str = "_deg", length: str = "_m") -> np.ndarray:
+        return np.radians(each(independent, stem + angle, 0.0)) + each(independent, stem + length, 0.0)
+
+    machine = Machine(
+        viscous=each(joints, "viscous_friction", 0.0),
+        coulomb=each(joints, "coulomb_friction", 0.0),
+        mass_factor=one.get("payload_mass_factor", 1.0),
+        com_shift_m=_vector(one, "payload_com_{}_m"),
+        length_factor=given.get("link_length_factor", {}),
+        loop_solref=_solref(one, mechanism),
+    )
+    return Imperfections(
+        clock=Clock(
+            period_factor=one.get("period_factor", 1.0),
+            phase_periods=one.get("phase_periods", 0.0),
+            delay_periods=one.get("delay_periods", 0.0),
+        ),
+        sensors=Sensors(
+            resolution=coordinates("encoder_resolution"),
+            offset=coordinates("encoder_offset"),
+            noise=coordinates("position_noise"),
+            velocity_noise=coordinates("velocity_noise", "_deg_s", "_m_s"),
+            velocity_filter_hz=one.get("velocity_filter_hz"),
+            noise_seed=noise_seed,
+        ),
+        drives=Drives(
+            resolution=each(actuators, "torque_resolution", 0.0),
+            constant_factor=each(actuators, "torque_constant_factor", 1.0),
+            bandwidth_hz=each(actuators, "torque_bandwidth_hz", np.inf),
+            rate_limit=each(actuators, "torque_rate", np.inf),
+        ),
+        machine=machine,
+        start=Start(
+            position_error=coordinates("start_error"),
+            velocity_error=coordinates("start_velocity_error", "_deg_s", "_m_s"),
+        ),
+        pushes=_pushes(one, push_body, push_joint),
+    )
+
+
+def _vector(one: Mapping[str, float], key: str) -> np.ndarray | None:
+    names = [key.format(axis) for axis in "xyz"]
+    return np.array([one.get(name, 0.0) for name in names]) if any(name in one for name in names) else None
+
+
+def _solref(one: Mapping[str, float], mechanism: Mechanism) -> tuple[float, float] | None:
+    names = ("loop_time_constant_s", "loop_damping_ratio")
+    if not any(name in one for name in names) or not mechanism.model.neq:
+        return None
+    own = mechanism.model.eq_solref[0]
+    return one.get(names[0], float(own[0])), one.get(names[1], float(own[1]))
+
+
+def _pushes(one: Mapping[str, float], body: str | None, joint: str | None) -> tuple[Push, ...]:
+    start, duration = one.get("push_start_s", 0.0), one.get("push_duration_s", 0.0)
+    pushes = []
+    if body is not None:
+        force = _vector(one, "push_force_{}_n")
+        pushes.append(Push(start_s=start, duration_s=duration, body=body, force=force))
+    if joint is not None:
+        effort = one.get("push_effort", 0.0)
+        pushes.append(Push(start_s=start, duration_s=duration, joint=joint, effort=effort))
+    return tuple(pushes)
 
 
 def stacked(values: Sequence, width: int) -> np.ndarray:

@@ -16,7 +16,7 @@ from linkplan.controllers.integrator import simulates_servos
 from linkplan.controllers.reference import SampledReference, state_at
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.actuation.actuators import Actuator, constant_arms
-from linkplan.models.closure.newton import solve
+from linkplan.models.closure.newton import root_by_newton
 from linkplan.models.errors import AssemblyError, LinkplanError, choose
 from linkplan.models.kinematics import make_dry, tied_points
 from linkplan.models.mechanism import Mechanism
@@ -39,7 +39,7 @@ def closed_pose(model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism
     Raises:
         AssemblyError: if the loop does not close there.
     """
-    q, r = solve(lambda q: _equalities(model, data, mechanism, q), pose, mechanism.dependent.tolist())
+    q, r = root_by_newton(lambda q: _equalities(model, data, mechanism, q), pose, mechanism.dependent.tolist())
     changed = np.linalg.svd(_equalities(model, data, mechanism, q)[1])[0][:, : len(mechanism.dependent)]
     residual = float(np.abs(changed.T @ r).max(initial=0.0))
     if residual > mechanism.closed_m:
@@ -74,7 +74,7 @@ def _equalities(
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Plant:
+class ImperfectPlant:
     """A machine's own model, and its initial closed pose (n_q,) and consistent rates (n_q,)."""
 
     model: mujoco.MjModel
@@ -95,7 +95,7 @@ def as_modelled(one: Imperfections) -> bool:
 
 def plant(
     mechanism: Mechanism, reference: SampledReference, loop: ControlLoop, imperfect: Imperfections, substeps: int
-) -> Plant:
+) -> ImperfectPlant:
     """Return the plant of one machine.
 
     Raises:
@@ -115,7 +115,7 @@ def plant(
     if machine.com_shift_m is not None or machine.length_factor:
         _change_geometry(model, data, machine)
     pose, rates = start_of(model, data, mechanism, reference, imperfect)
-    return Plant(model=model, pose=pose, rates=rates)
+    return ImperfectPlant(model=model, pose=pose, rates=rates)
 
 
 def prepare(model: mujoco.MjModel, mechanism: Mechanism, timestep_s: float, effort_limit: np.ndarray) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.lqr import Errors, Regulator, regulate, regulator
-from linkplan.controllers.trackers.tracker import times
+from linkplan.controllers.trackers.tracker import ordered_product
 from linkplan.models.closure.rank import RANK_TOLERANCE
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
@@ -45,7 +45,7 @@ class IntegralLQR:
         reference = self.reference
         error = reference.position_rad[k] - position_rad
         state = np.concatenate([error, reference.velocity_rad_s[k] - velocity_rad_s, memory], axis=-1)
-        effort = reference.effort[k] + times(self.gains[k], state)
+        effort = reference.effort[k] + ordered_product(self.gains[k], state)
         low, high = self.effort_limit.T
         free = np.all((effort >= low) & (effort <= high), axis=-1, keepdims=True)
         return effort, np.where(free, memory + reference.period_s * error[..., self.integrated], memory)
@@ -102,14 +102,15 @@ def integral_lqr(
     plain, kept = regulator(mechanism, reference, errors)
     n, m, n_u = plain.B.shape
     n_s, half = mechanism.dof, m // 2
-    steered = kept[:half]
-    size = np.broadcast_to(errors.position, n_s)[steered]
+    actuated = kept[:half]
+    size = np.broadcast_to(errors.position, n_s)[actuated]
     # The last instant, where the Riccati recursion begins.
     last = slice(n - 1, n)
     state = reference.pose_rad[last], reference.velocity_rad_s[last], reference.effort[last]
     A_c, B_c = linearise(mechanism, *state, *(w[last] for w in reference.forces))
     chosen = integrable(
-        A_c[0, n_s + steered[:, None], steered] * size / size[:, None], B_c[0, n_s + steered] * errors.effort / size[:, None]
+        A_c[0, n_s + actuated[:, None], actuated] * size / size[:, None],
+        B_c[0, n_s + actuated] * errors.effort / size[:, None],
     )
     if not len(chosen):
         raise LinkplanError(
@@ -122,7 +123,7 @@ def integral_lqr(
     # The regulator's state is x - x_ref, so the integral decreases with the position.
     A[:, m + np.arange(p), chosen] = -reference.period_s
     A[:, m:, m:] = np.eye(p)
-    weights = np.concatenate([size, np.broadcast_to(errors.velocity, n_s)[steered], integral_time_s * size[chosen]])
+    weights = np.concatenate([size, np.broadcast_to(errors.velocity, n_s)[actuated], integral_time_s * size[chosen]])
     R = np.diag(np.asarray(errors.effort, dtype=float) ** -2.0)
     found: Regulator = regulate(A, B, np.diag(weights**-2.0), R, repeats=reference.cycle is not None)
     gains = np.zeros((n, n_u, 2 * n_s + p))
@@ -132,6 +133,6 @@ def integral_lqr(
     return IntegralLQR(
         reference=reference,
         gains=gains[np.arange(reference.n) % n],
-        integrated=steered[chosen],
+        integrated=actuated[chosen],
         effort_limit=np.array(effort_limit, dtype=float),
     )

@@ -21,7 +21,7 @@ import numpy as np
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.lqr import Errors, Regulator, regulator
 from linkplan.controllers.trackers.prediction import Predictor, predictor
-from linkplan.controllers.trackers.tracker import times
+from linkplan.controllers.trackers.tracker import ordered_product
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, sampled
@@ -83,9 +83,9 @@ class MPC:
         error = np.concatenate(
             [position_rad - reference.position_rad[k], velocity_rad_s - reference.velocity_rad_s[k]], axis=-1
         )[:, self.kept]
-        effort = reference.effort[k] - times(self.regulator.gains[at], error)
+        effort = reference.effort[k] - ordered_product(self.regulator.gains[at], error)
         # The first row is the effort that the LQR applies now, the others are its corrections in the blocks.
-        predicted, next_memory = np.hstack([effort, times(self.alone[at], error)]), self.start(len(position_rad))
+        predicted, next_memory = np.hstack([effort, ordered_product(self.alone[at], error)]), self.start(len(position_rad))
         low, high = self.bounds[at]
         for row in np.flatnonzero(((predicted < low) | (predicted > high)).any(axis=1)):
             before = predicted[row, effort.shape[1] :] if np.isnan(memory[row, 0]) else memory[row]

@@ -10,8 +10,8 @@ The feedback loop calls every tracker through `steps_of`. There are two kinds:
 
 Positions of slides are in m, their velocities in m/s.
 
-The efforts of one state must not depend on the other states of its batch, to the last bit. `times` ensures this for
-products.
+The efforts of one state must not depend on the other states of its batch, to the last bit. `ordered_product` ensures this
+for products.
 
 `StateFeedback` is the linear law. Feedforward adds the efforts of the reference motion.
 """
@@ -24,7 +24,7 @@ import numpy as np
 from linkplan.controllers.reference import SampledReference
 
 
-def times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+def ordered_product(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Return M x (..., p) of M (..., p, m) and x (..., m), summed over m from the first column to the last.
 
     BLAS chooses its kernels, and so the order of summation, by the size of the batch, which changes the last bit.
@@ -110,8 +110,8 @@ class StateFeedback:
     def effort(self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray) -> np.ndarray:
         """Return efforts (..., n_u) [N.m or N] for states (..., n_s)."""
         reference, gains, n_s = self.reference, self.gains[k], position_rad.shape[-1]
-        on_position = times(gains[:, :n_s], reference.position_rad[k] - position_rad)
-        effort = on_position + times(gains[:, n_s:], reference.velocity_rad_s[k] - velocity_rad_s)
+        on_position = ordered_product(gains[:, :n_s], reference.position_rad[k] - position_rad)
+        effort = on_position + ordered_product(gains[:, n_s:], reference.velocity_rad_s[k] - velocity_rad_s)
         return reference.effort[k] + effort if self.feedforward else effort
 
 

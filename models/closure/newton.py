@@ -108,11 +108,11 @@ def close(loop: KinematicLoop, start: np.ndarray, free: Sequence[int] | None = N
     The pose may be open.
     """
     rcond = _LEAST_SINGULAR_SHARE if loop.rank_tolerance <= RANK_TOLERANCE else loop.rank_tolerance
-    q, phi = solve(loop.residual, start, list(range(len(start)) if free is None else free), rcond)
+    q, phi = root_by_newton(loop.residual, start, list(range(len(start)) if free is None else free), rcond)
     return q, loop.gap(phi)
 
 
-def solve(
+def root_by_newton(
     residual: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     start: np.ndarray,
     free: list[int],

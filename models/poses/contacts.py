@@ -12,6 +12,7 @@ from itertools import combinations, pairwise
 
 import mujoco
 import numpy as np
+from msgspec import Struct
 
 from linkplan.models.closure.rank import FILE_ROUNDING_SHARE
 from linkplan.models.deadline import NO_DEADLINE, Deadline, one_thread_at_a_time
@@ -40,28 +41,25 @@ class ContactPair:
     are the machine's base.
     """
 
-    first: str
-    second: str
+    geoms: tuple[str, str]
     bodies: tuple[str, str]
     poses: tuple[int, ...]
     depth_m: float
     on_ground: bool
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Contact:
+class Contact(Struct, frozen=True, eq=False, kw_only=True):
     """Two geoms in contact along a motion.
 
-    `since` is the first instant of a contact that is not there by construction. It is None for an overlap that is as deep at
-    home, or that is at a pin which the two bodies share.
+    `since_s` is the first instant of a contact that is not there by construction. It is None for an overlap that is as deep
+    at home, or that is at a pin which the two bodies share.
     """
 
-    first: str
-    second: str
+    geoms: tuple[str, str]
     bodies: tuple[str, str]
-    since: float | None
+    since_s: float | None
     depth_m: float
-    deepest_at: float
+    deepest_at_s: float
     home_depth_m: float
     on_ground: bool = False
 
@@ -99,8 +97,7 @@ def contact_pairs(mechanism: Mechanism, poses: np.ndarray) -> tuple[ContactPair,
     pairs, of = np.unique(np.ravel_multi_index(np.array(geoms, dtype=int), 2 * (model.ngeom,)), return_inverse=True)
     return tuple(
         ContactPair(
-            first=geom_name(model, first),
-            second=geom_name(model, second),
+            geoms=(geom_name(model, first), geom_name(model, second)),
             bodies=_bodies(model, (first, second)),
             poses=tuple(np.unique(number[of == i].astype(int)).tolist()),
             depth_m=float(depth[of == i].max()),
@@ -144,7 +141,7 @@ def meetings(
     seen = _sampled_between(mechanism, seen, sample, position_at, size)
     pairs = sorted({pair for _, _, one in seen for pair, (clearance, _) in one.clearance.items() if clearance <= 0})
     found = [_meeting(mechanism, pair, at_home, seen, sample, position_at) for pair in pairs]
-    return tuple(sorted(found, key=lambda meeting: np.inf if meeting.since is None else meeting.since))
+    return tuple(sorted(found, key=lambda meeting: np.inf if meeting.since_s is None else meeting.since_s))
 
 
 def _meeting(mechanism: Mechanism, pair: Pair, at_home: _PoseSample, seen, sample, position_at) -> Contact:
@@ -158,12 +155,11 @@ def _meeting(mechanism: Mechanism, pair: Pair, at_home: _PoseSample, seen, sampl
     if len(deeper):
         since, deepest = _onset(mechanism, pair, allowed, int(deeper[0]), seen, sample, position_at), int(np.argmax(away))
     return Contact(
-        first=geom_name(model, pair[0]),
-        second=geom_name(model, pair[1]),
+        geoms=(geom_name(model, pair[0]), geom_name(model, pair[1])),
         bodies=_bodies(model, pair),
-        since=since,
+        since_s=since,
         depth_m=float(depth[deepest]),
-        deepest_at=seen[deepest][0],
+        deepest_at_s=seen[deepest][0],
         home_depth_m=max(0.0, -at_home.clearance.get(pair, (np.inf, np.inf))[0]),
         on_ground=_on_ground(mechanism, pair),
     )
@@ -339,4 +335,4 @@ def exclusion(bodies: tuple[str, str]) -> str:
 
 def new_meetings(found: Iterable[Contact]) -> tuple[Contact, ...]:
     """Return the contacts that are not there by construction."""
-    return tuple(meeting for meeting in found if meeting.since is not None)
+    return tuple(meeting for meeting in found if meeting.since_s is not None)

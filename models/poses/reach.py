@@ -317,7 +317,7 @@ def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> n
             phi, jacobian = np.array(dynamics.closure(q)).ravel(), np.array(dynamics.closure_jacobian(q))
             return np.append(phi, tangent @ ((q - near) / unit) - distance), np.vstack([jacobian, tangent / unit])
 
-        return newton.solve(residual, near + distance * unit * tangent, free)[0]
+        return newton.root_by_newton(residual, near + distance * unit * tangent, free)[0]
 
     def fold(distance: float) -> float:
         q = along(distance)

@@ -40,7 +40,7 @@ _NEAR_STRIDES, _NEAR_NEWTON_STEPS = 4, 2
 
 
 @functools.lru_cache(maxsize=64)
-def newton_step(dynamics: ReducedDynamics) -> ca.Function:
+def closing_step(dynamics: ReducedDynamics) -> ca.Function:
     """Return the function q -> Newton's step in z: `closure_step` without Gamma, its most expensive part."""
     q = ca.SX.sym("q", dynamics.closure.size1_in(0))
     return ca.Function("newton_step", [q], dynamics.closure_step.call([q])[:1])
@@ -50,7 +50,7 @@ def corrected(dynamics: ReducedDynamics, q: ca.MX, newton_steps: int) -> ca.MX:
     """Return the pose q (n_q,) after Newton steps in its dependent coordinates."""
     dependent, q = list(dynamics.dependent), ca.MX(q)
     for _ in range(newton_steps if dependent else 0):
-        q[dependent] += newton_step(dynamics)(q)
+        q[dependent] += closing_step(dynamics)(q)
     return q
 
 
@@ -83,7 +83,7 @@ def calls_near(dynamics: ReducedDynamics) -> list[tuple[ca.Function, int]]:
     """Return the functions that `closed_near` calls, and how often."""
     if not dynamics.dependent:
         return []
-    calls = [(dynamics.velocity_map, _NEAR_STRIDES), (newton_step(dynamics), _NEAR_STRIDES * _NEAR_NEWTON_STEPS)]
+    calls = [(dynamics.velocity_map, _NEAR_STRIDES), (closing_step(dynamics), _NEAR_STRIDES * _NEAR_NEWTON_STEPS)]
     return [*calls, (dynamics.independent_closure, 1)]
 
 

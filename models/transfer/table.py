@@ -29,7 +29,7 @@ BESIDE_MAP = 3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class End:
+class MapEnd:
     """An end of a table's axis [rad or m]: the reason for it, and the distance kept from a singular pose."""
 
     position: float
@@ -59,7 +59,7 @@ class TransferTable:
     outputs: OutputMap
     tolerance: float
     grid: Grid
-    ends: tuple[tuple[End, End], ...]
+    ends: tuple[tuple[MapEnd, MapEnd], ...]
     dead_centres: tuple[tuple[int, float], ...]
     inverse: Inverse | None
     inverse_note: str
@@ -123,7 +123,7 @@ def _refined(outputs: OutputMap) -> list[str]:
     return [name for name in REFINED if with_length or name != "motor_position"]
 
 
-def _ends(outputs: OutputMap, k: int, found: Reach, asked: tuple[float, float] | None) -> tuple[End, End]:
+def _ends(outputs: OutputMap, k: int, found: Reach, asked: tuple[float, float] | None) -> tuple[MapEnd, MapEnd]:
     """Return the ends of an axis: those asked for, or the reach less a margin to singular poses."""
     joint, home = outputs.joints[k], float(outputs.home[k])
     low, high = found.once
@@ -135,7 +135,7 @@ def _ends(outputs: OutputMap, k: int, found: Reach, asked: tuple[float, float] |
         raise ModelError(f"joint {joint.name} cannot move from home: {found.lower.reason}; {found.upper.reason}")
     for end, sign, position in ((found.lower, 1, low), (found.upper, -1, high)):
         margin = _SINGULAR_MARGIN_SHARE * width if end.reason == "singular pose" else 0.0
-        ends.append(End(position=position + sign * margin, reason=end.reason, margin=margin))
+        ends.append(MapEnd(position=position + sign * margin, reason=end.reason, margin=margin))
     if asked is None:
         return ends[0], ends[1]
     if not ends[0].position <= asked[0] < asked[1] <= ends[1].position:
@@ -149,10 +149,10 @@ def _ends(outputs: OutputMap, k: int, found: Reach, asked: tuple[float, float] |
             f"the range of {joint.name} is at least {share:g} of its reach of {joint.text(width, 6)}"
             f" {joint.unit} wide, got {joint.shown(asked[0]):g} to {joint.shown(asked[1]):g}"
         )
-    return End(position=asked[0], reason="asked for"), End(position=asked[1], reason="asked for")
+    return MapEnd(position=asked[0], reason="asked for"), MapEnd(position=asked[1], reason="asked for")
 
 
-def _dead_centres(outputs: OutputMap, found: Reach, ends: tuple[End, End]) -> tuple[tuple[int, float], ...]:
+def _dead_centres(outputs: OutputMap, found: Reach, ends: tuple[MapEnd, MapEnd]) -> tuple[tuple[int, float], ...]:
     """Return the pairs (place among the motors, output position) at which a motor on a joint reverses."""
     motors = {actuator.joint: place for place, actuator in enumerate(outputs.actuators)}
     return tuple(

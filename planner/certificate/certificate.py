@@ -5,9 +5,8 @@ and checks the loops' gap, every joint's range and speed, and the distance to a 
 model under the planned effort and compares the state with the planned state.
 """
 
-from dataclasses import dataclass
-
 import numpy as np
+from msgspec import UNSET, Struct, UnsetType
 
 from linkplan.models.poses.along import demanded, least_effort, missed_rounding, sampled, whole_turns
 from linkplan.models.poses.contacts import Contact
@@ -23,9 +22,10 @@ from linkplan.planner.certificate.integration import (
     waypoint_off_m,
     waypoint_times,
 )
+from linkplan.planner.files.structs import Beside, InJson
 from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, end_sizes
 from linkplan.planner.limits.joints import RANGE_SLACK
-from linkplan.planner.limits.kinds import margins
+from linkplan.planner.limits.kinds import margins_along
 from linkplan.planner.limits.limit import Margin
 from linkplan.planner.limits.samples import Samples, samples_of, singularity_ratios
 from linkplan.planner.problem.extra import extras_not_finite, not_finite
@@ -45,8 +45,7 @@ _MIN_SPAN = 1e-9
 DYNAMICS_SHARE = 0.02
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Certificate:
+class Certificate(Struct, frozen=True, eq=False, kw_only=True):
     """Findings on one motion, with a list of failures that is empty if it passes.
 
     Efforts are in the actuators' units. `worst_time_s` is the time of each finding's worst value.
@@ -58,26 +57,25 @@ class Certificate:
     velocity_residual: float  # largest |s' - v|, as a share of the motion's largest speed
     boundary_error: float  # of the prescribed states at the ends, as a share of the motion's span and largest speed
     site_error_m: float  # of the sites, and of bodies as arcs at the extent, prescribed at start, waypoints and goal
-    closure_gap_m: float  # largest; angles count as the displacement at the mechanism's extent
-    closure_gaps: dict[str, float]  # largest by unit: "m" of points and slides, "rad" of angles, hinges and their tendons
+    largest_gap_m: Beside[float]  # of the closures; angles count as the displacement at the mechanism's extent
+    closure_gaps: Beside[dict[str, float]]  # largest by unit: "m" of points and slides, "rad" of angles, hinges and tendons
     integration_error_deg: float
     integration_error_m: float
     integration_restarts: int  # restarts of the integration because of an unstable motion; 0 as a rule
     singularity_ratio: float  # least det J_z along the motion, relative to home
-    peak_effort: np.ndarray  # (n_u,)
-    peak_motor_power: np.ndarray  # (n_u,) [W], mechanical, that the actuator gives
-    peak_brake_power: np.ndarray  # (n_u,) [W], mechanical, that the actuator takes
-    peak_closure_force: np.ndarray  # (n_closures,) [N]
+    peak_effort: Beside[np.ndarray]  # (n_u,)
+    peak_motor_power: Beside[np.ndarray]  # (n_u,) [W], mechanical, that the actuator gives
+    peak_brake_power: Beside[np.ndarray]  # (n_u,) [W], mechanical, that the actuator takes
+    peak_closure_force: Beside[np.ndarray]  # (n_closures,) [N]
     margins: tuple[Margin, ...]  # of the limits other than effort
-    growth: np.ndarray  # (n_intervals,) growth of the integration error, as a share of the allowed total
-    dynamics_allowed: float  # the largest dynamics residual that passes
-    residual_share: np.ndarray  # (n_intervals,) dynamics residual, as a share of the allowed one
-    effort_overrun: np.ndarray  # (n_intervals,) needed effort beyond its limit, as a share of a proof's allowance
+    growth: Beside[np.ndarray]  # (n_intervals,) growth of the integration error, as a share of the allowed total
+    dynamics_allowed: Beside[float]  # the largest dynamics residual that passes
+    residual_share: Beside[np.ndarray]  # (n_intervals,) dynamics residual, as a share of the allowed one
+    effort_overrun: Beside[np.ndarray]  # (n_intervals,) needed effort beyond its limit, as a share of a proof's allowance
     worst_time_s: dict[str, float]
     failures: tuple[str, ...]
-    unrepairable: tuple[
-        str, ...
-    ] = ()  # failures that no other mesh removes: a servo's range, contacts, a rounded loop's gap
+    # Failures that no other mesh removes: a servo's range, contacts, a rounded loop's gap.
+    unrepairable: Beside[tuple[str, ...]] = ()
     contacts: tuple[Contact, ...] = ()  # of geoms along the motion, see linkplan.planner.certificate.further_checks
 
     @property
@@ -85,10 +83,43 @@ class Certificate:
         """The largest mechanical power (n_u,) [W] of each actuator, as motor or as brake."""
         return np.maximum(self.peak_motor_power, self.peak_brake_power)
 
-    @property
+    @InJson
     def passed(self) -> bool:
         """Whether there is no failure."""
         return not self.failures
+
+    @InJson
+    def closure_gap_m(self) -> float:
+        """The largest gap of closures of points and slides [m]."""
+        return self.closure_gaps.get("m", 0.0)
+
+    @InJson
+    def closure_gap_rad(self) -> float | UnsetType:
+        """The largest gap of closures of angles, hinges and their tendons [rad], if there are any."""
+        return self.closure_gaps.get("rad", UNSET)
+
+    @InJson
+    def joint_margin_deg(self) -> dict[str, float]:
+        """The distances of hinges from their ranges [deg] by name."""
+        return self._left("position", "deg")
+
+    @InJson
+    def joint_margin_m(self) -> dict[str, float]:
+        """The distances of slides from their ranges [m] by name."""
+        return self._left("position", "m")
+
+    @InJson
+    def speed_margin_deg_s(self) -> dict[str, float]:
+        """The differences of hinges' speeds from their limits [deg/s] by name."""
+        return self._left("speed", "deg/s")
+
+    @InJson
+    def speed_margin_m_s(self) -> dict[str, float]:
+        """The differences of slides' speeds from their limits [m/s] by name."""
+        return self._left("speed", "m/s")
+
+    def _left(self, what: str, unit: str) -> dict[str, float]:
+        return {margin.name: margin.left for margin in self.margins if (margin.what, margin.unit) == (what, unit)}
 
     @property
     def repairable(self) -> bool:
@@ -130,7 +161,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     closure_gap = peak("closure_gap_m", mechanism.gaps_m(q))
     closure_gaps = {unit: float(gap.max()) for unit, gap in mechanism.gaps_by_unit(q).items()}
     ratio = float(singularity_ratios(problem, q).min())
-    of_limits = margins(samples)
+    of_limits = margins_along(samples)
     # The speed of a motion that stands still is one at which it hardly leaves its place in its time.
     speed = max(float(np.abs(v).max()) or INTEGRATION_M / trajectory.duration_s, _MIN_SPAN / trajectory.duration_s)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
@@ -196,7 +227,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         velocity_residual=velocity_residual,
         boundary_error=boundary_error,
         site_error_m=site_error,
-        closure_gap_m=closure_gap,
+        largest_gap_m=closure_gap,
         closure_gaps=closure_gaps,
         integration_error_deg=in_deg,
         integration_error_m=in_m,
@@ -211,7 +242,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         dynamics_allowed=allowed,
         residual_share=residual.reshape(len(growth), -1).max(axis=1) / allowed,
         effort_overrun=beyond.reshape(len(growth), -1).max(axis=1),
-        worst_time_s=worst,
+        worst_time_s=worst | {margin.bound.removeprefix("the "): margin.time_s for margin in of_limits},
         failures=tuple(failures),
         unrepairable=(*unrepairable, *((opened,) if rounded else ())),
     )

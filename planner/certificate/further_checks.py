@@ -7,10 +7,10 @@ objective as an independent quadrature.
 """
 
 import json
-from dataclasses import replace
 
 import casadi as ca
 import numpy as np
+from msgspec.structs import replace
 
 from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
@@ -202,7 +202,7 @@ def unavoidable(problem: Problem, trajectory: Trajectory, certificate: Certifica
     start, goal = problem.motion.start, problem.motion.goal
     if problem.contacts != "refuse" or problem.mechanism.dof != 1 or start is None or goal is None:
         return False
-    met = np.array([meeting.since for meeting in new_meetings(certificate.contacts)])
+    met = np.array([meeting.since_s for meeting in new_meetings(certificate.contacts)])
     at = trajectory.position_at(met)[:, 0] if len(met) else np.empty(0)
     low, high = sorted((float(start[0]), float(goal[0])))
     return bool(np.any((low <= at) & (at <= high)))
@@ -214,8 +214,8 @@ def _failure(found: tuple[Contact, ...]) -> str:
     already = f", {1e3 * first.home_depth_m:.2g} mm at home" if first.home_depth_m > 0 else ""
     more = f", and {others} more pair{'s' if others > 1 else ''} of geoms after them" if others else ""
     return (
-        f"{geom_names(first)} collide at t = {first.since:.5g} s and penetrate by up to {1e3 * first.depth_m:.2g} mm, at"
-        f' t = {first.deepest_at:.5g} s{already}{more}; contact forces are not planned for (limits.contacts = "note"'
+        f"{geom_names(first)} collide at t = {first.since_s:.5g} s and penetrate by up to {1e3 * first.depth_m:.2g} mm, at"
+        f' t = {first.deepest_at_s:.5g} s{already}{more}; contact forces are not planned for (limits.contacts = "note"'
         " plans without them)"
     )
 
@@ -224,7 +224,7 @@ def geom_names(meeting: Contact) -> str:
     """Return a phrase that names two geoms and their bodies."""
     first, second = (
         f"{geom} ({body})" if not geom.endswith(f" of {body}") else geom
-        for geom, body in zip((meeting.first, meeting.second), meeting.bodies, strict=True)
+        for geom, body in zip(meeting.geoms, meeting.bodies, strict=True)
     )
     return f"geoms {first} and {second}"
 
@@ -232,10 +232,10 @@ def geom_names(meeting: Contact) -> str:
 def contact_notes(found: tuple[Contact, ...]) -> tuple[str, ...]:
     """Return phrases on the contacts that a plan neglects: one for each that begins on the way, one for all the others."""
     begun = [
-        f"contact of {geom_names(meeting)} from t = {meeting.since:.5g} s on, {_neglected(meeting.depth_m)}"
+        f"contact of {geom_names(meeting)} from t = {meeting.since_s:.5g} s on, {_neglected(meeting.depth_m)}"
         for meeting in new_meetings(found)
     ]
-    constant = [meeting for meeting in found if meeting.since is None]
+    constant = [meeting for meeting in found if meeting.since_s is None]
     if not constant:
         return tuple(begun)
     which = geom_names(constant[0]) if len(constant) == 1 else f"{len(constant)} pairs of geoms"

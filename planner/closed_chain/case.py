@@ -14,7 +14,7 @@ from linkplan.models.tree.friction import frictions_of
 from linkplan.planner.certificate.certificate import INTEGRATION_M, Certificate, certify
 from linkplan.planner.certificate.further_checks import objective_value, with_contacts
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
-from linkplan.planner.closed_chain.guess import Guess, motion_of
+from linkplan.planner.closed_chain.guess import Guess, guess_from
 from linkplan.planner.closed_chain.prescribed import (
     at_rate,
     highest_rate,
@@ -78,7 +78,7 @@ class MechanismCase:
 
     def start_from(self, motion: Trajectory) -> Guess:
         """Return a trajectory as a guess."""
-        return motion_of(motion)
+        return guess_from(motion)
 
     def certify(self, motion: Trajectory) -> Certificate | None:
         """Return a trajectory's certificate; None if it leaves its assembly branch or the deadline passes."""

@@ -49,7 +49,7 @@ class Guess:
     share_of_effort: float = 0.95  # of the limits, at most: solvers that do not begin close to it need room
 
 
-def motion_of(trajectory: Trajectory) -> Guess:
+def guess_from(trajectory: Trajectory) -> Guess:
     """Return a trajectory as a guess."""
     return Guess(
         position=trajectory.position_at,
@@ -187,7 +187,7 @@ def users_guess(problem: Problem, start_pose: np.ndarray) -> Guess | None:
     else:
         duration = motion.duration_s or given.duration_s
         guess = replace(
-            stretched(motion_of(given), duration),
+            stretched(guess_from(given), duration),
             effort=lambda t: given.effort_at(given.duration_s / duration * t),
             boundaries_s=boundary_times(problem, duration),
         )

@@ -7,7 +7,7 @@ import numpy as np
 
 from linkplan.models.poses.along import demanded, effort_within, joint_rates, least_effort, missed_rounding, needed_effort
 from linkplan.models.poses.assembly import close_at, follow
-from linkplan.planner.closed_chain.guess import Guess, first_guess, force_times, motion_of, poses_along, stretched
+from linkplan.planner.closed_chain.guess import Guess, first_guess, force_times, guess_from, poses_along, stretched
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import Margin, limit_margin
 from linkplan.planner.limits.samples import samples_of
@@ -24,7 +24,7 @@ _REFERENCE_DEGREE = 8
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Demand:
+class Shortfall:
     """The largest excess of a motion over a limit; `needed` and `limit` are in the units of problem files."""
 
     what: str  # "effort", "range" or "speed"
@@ -151,7 +151,7 @@ def at_rate_along(problem: Problem, motion: Trajectory, rate: float) -> Trajecto
     Raises:
         AssemblyError: if its loops cannot close.
     """
-    faster = stretched(motion_of(motion), motion.duration_s / rate)
+    faster = stretched(guess_from(motion), motion.duration_s / rate)
     found = motion_along(problem, faster, (motion.breaks_s - motion.breaks_s[0]) / rate)
     return replace(found, periodic=motion.periodic)
 
@@ -172,7 +172,7 @@ def highest_kept_rate(keeps: Callable[[float], bool], slowest: float, fastest: f
     return low
 
 
-def reference_demand(problem: Problem, start_pose: np.ndarray) -> Demand | None:
+def reference_demand(problem: Problem, start_pose: np.ndarray) -> Shortfall | None:
     """Return the largest excess over a limit, relative to it, of the reference followed exactly; None if it keeps all.
 
     The time of the excess is refined to the reference's own peak.
@@ -216,11 +216,11 @@ def reference_demand(problem: Problem, start_pose: np.ndarray) -> Demand | None:
     needed = sign * -float(best.fun)
     if what == "effort":
         actuator = mechanism.actuators[column]
-        return Demand(
+        return Shortfall(
             what=what, name=actuator.name, needed=needed, limit=float(limit), unit=actuator.unit, time_s=float(best.x)
         )
     joint = mechanism.joints[column]
-    return Demand(
+    return Shortfall(
         what=what,
         name=joint.name,
         needed=joint.shown(needed),

@@ -17,6 +17,7 @@ from msgspec import Struct
 
 from linkplan.models.errors import PlanFileError
 from linkplan.models.reading import MAX_FILE_BYTES, read_file, too_deep
+from linkplan.planner.files.structs import read_value
 
 # The records of plans, experiments and reports have some hundred kilobytes.
 MAX_RECORD_BYTES = 8_000_000
@@ -62,7 +63,7 @@ def read_record(path: Path, kind: type[Record], max_bytes: int = MAX_RECORD_BYTE
     if containers > most:
         raise PlanFileError(f"'{path}' has {containers} tables and lists; at most {most} are read")
     try:
-        record = msgspec.json.decode(content, type=kind)
+        record = msgspec.json.decode(content, type=kind, dec_hook=read_value)
     except msgspec.ValidationError as error:
         raise PlanFileError(f"'{path}' is not a record that linkplan wrote: {error}") from error
     except (ValueError, RecursionError) as error:
@@ -125,7 +126,7 @@ def read_manifest(folder: Path) -> Manifest | None:
         return None
     except (OSError, ValueError, RecursionError, msgspec.DecodeError) as error:
         raise PlanFileError(
-            f"'{folder}' has a {MANIFEST} that is damaged or of another version; name a new folder"
+            f"'{folder}' has a {MANIFEST} that is damaged or that another version wrote; name a new folder"
         ) from error
     return manifest
 

@@ -1,7 +1,9 @@
-"""The result of a study as a frozen struct: its fields are its JSON, except those of type `Beside`."""
+"""The result of a study as a frozen struct: its fields are its JSON, except those of type `Beside`.
+
+A value that follows from the fields is a property of type `InJson`, and its JSON has it after the fields.
+"""
 
 import functools
-from collections.abc import Mapping
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import numpy as np
@@ -9,7 +11,6 @@ from msgspec import UNSET, Struct, convert
 from msgspec.structs import fields
 
 T = TypeVar("T")
-S = TypeVar("S", bound=Struct)
 
 if TYPE_CHECKING:
     Beside = Annotated[T, "not in the JSON"]
@@ -26,6 +27,10 @@ else:
             return cls
 
 
+class InJson(property):
+    """A property of a struct that its JSON has, too."""
+
+
 NOT_READ: Any = None
 """The default of a field of type `Beside`: its value in a struct that is read from JSON."""
 
@@ -38,19 +43,12 @@ def json_values(struct: Struct) -> dict[str, Any]:
 
 @functools.cache
 def _json_fields(kind: type[Struct]) -> tuple[tuple[str, str, Any], ...]:
-    """Return the attribute, the key and the omitted value of the fields in the JSON."""
+    """Return the attribute, the key and the omitted value of the fields and properties in the JSON."""
     omits = kind.__struct_config__.omit_defaults
-    return tuple((f.name, f.encode_name, f.default if omits else UNSET) for f in fields(kind) if f.type is not Beside)
+    own = [(f.name, f.encode_name, f.default if omits else UNSET) for f in fields(kind) if f.type is not Beside]
+    return (*own, *((name, name, UNSET) for name, value in vars(kind).items() if isinstance(value, InJson)))
 
 
-def read_struct(kind: type[S], values: Mapping) -> S:
-    """Return the struct of a JSON object; null in an array, or for a `Number`, is not a number.
-
-    Raises:
-        msgspec.ValidationError: if a value is missing or has another type.
-    """
-    return convert(values, kind, dec_hook=_read)
-
-
-def _read(kind: type, value: object) -> object:
-    return np.array(value, dtype=float) if kind is np.ndarray else kind("nan" if value is None else value)
+def read_value(kind: type, value: object) -> object:
+    """Return an array or a `Number` from its JSON, where null is not a number: msgspec's hook to read a struct."""
+    return np.array(value, dtype=float) if kind is np.ndarray else kind("nan" if value is None else convert(value, float))

@@ -17,8 +17,8 @@ from linkplan.planner.limits.jerks import is_smooth, moving_joint, moving_site
 from linkplan.planner.limits.limit import (
     Bounds,
     Claimed,
-    Facts,
     Limit,
+    LimitFacts,
     Measured,
     Problem,
     Rows,
@@ -27,7 +27,7 @@ from linkplan.planner.limits.limit import (
     Tightened,
     Trajectory,
     limited_joints,
-    times,
+    scaled_bounds,
     with_limits,
 )
 from linkplan.planner.problem.instant import free_instant
@@ -53,11 +53,11 @@ class AccelerationLimit(Limit):
         ]
 
     @property
-    def facts(self) -> Facts:
+    def facts(self) -> LimitFacts:
         words = "the acceleration of joint {}"
         if self.column is not None:
-            return Facts(kind=self.key, words=words, tightened=None)
-        return Facts(kind=self.key, words=words, jumps_with_effort=self.jumps)
+            return LimitFacts(kind=self.key, words=words, tightened=None)
+        return LimitFacts(kind=self.key, words=words, jumps_with_effort=self.jumps)
 
     @property
     def rows(self) -> Rows:
@@ -88,7 +88,7 @@ class AccelerationLimit(Limit):
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, acceleration=times(problem.limits.acceleration, factor))
+        return with_limits(problem, acceleration=scaled_bounds(problem.limits.acceleration, factor))
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,9 +106,9 @@ class SiteAccelerationLimit(Limit):
         return [cls(item, site, not is_smooth(problem, moving_site, site)) for item, site in enumerate(sites)]
 
     @property
-    def facts(self) -> Facts:
+    def facts(self) -> LimitFacts:
         words, squared = "the acceleration of site {}", Tightened.SQUARED
-        return Facts(kind=self.key, words=words, tightened=squared, jumps_with_effort=self.jumps)
+        return LimitFacts(kind=self.key, words=words, tightened=squared, jumps_with_effort=self.jumps)
 
     @property
     def rows(self) -> Rows:

@@ -21,9 +21,9 @@ from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
     Bounds,
     Claimed,
-    Facts,
     Instant,
     Limit,
+    LimitFacts,
     Measured,
     MotionArrays,
     Problem,
@@ -33,7 +33,7 @@ from linkplan.planner.limits.limit import (
     Tightened,
     Trajectory,
     limited_rows,
-    times,
+    scaled_bounds,
     with_limits,
 )
 from linkplan.planner.limits.samples import samples_of
@@ -52,7 +52,7 @@ class PowerLimit(Limit):
     """
 
     key: ClassVar[str] = "power"
-    facts: ClassVar[Facts] = Facts(kind=key, words="the power of {}", enclosable=True, jumps_with_effort=True)
+    facts: ClassVar[LimitFacts] = LimitFacts(kind=key, words="the power of {}", enclosable=True, jumps_with_effort=True)
     item: int
     column: int | None = None
     levers: tuple[int, ...] = ()
@@ -115,7 +115,7 @@ class PowerLimit(Limit):
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, power=times(problem.limits.power, factor))
+        return with_limits(problem, power=scaled_bounds(problem.limits.power, factor))
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +123,7 @@ class MotorLimit(Limit):
     """The line of one actuator's motor; `column` is the coordinate that it drives directly, if any."""
 
     key: ClassVar[str] = "motor"
-    facts: ClassVar[Facts] = Facts(
+    facts: ClassVar[LimitFacts] = LimitFacts(
         kind=key, words="the torque-speed line of {} (effort / stall + speed / no-load)", jumps_with_effort=True
     )
     item: int
@@ -183,7 +183,7 @@ class ControlLimit(Limit):
     """The ctrl of one servo."""
 
     key: ClassVar[str] = "control"
-    facts: ClassVar[Facts] = Facts(
+    facts: ClassVar[LimitFacts] = LimitFacts(
         kind=key, words="the ctrl of {}", tightened=Tightened.IN_UNITS, jumps_with_effort=True, by_size=True
     )
     item: int

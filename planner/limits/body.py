@@ -17,9 +17,9 @@ from linkplan.planner.limits.joints import RANGE_SLACK
 from linkplan.planner.limits.limit import (
     Bounds,
     Claimed,
-    Facts,
     Instant,
     Limit,
+    LimitFacts,
     Measured,
     Poses,
     Problem,
@@ -41,7 +41,7 @@ class BodyAngleLimit(Limit):
     """The limit on the angle of one body, number `item` of limits.body_deg; `body` is its index in the model."""
 
     key: ClassVar[str] = "body"
-    facts: ClassVar[Facts] = Facts(
+    facts: ClassVar[LimitFacts] = LimitFacts(
         kind=key, words="the angle of body {}", tightened=Tightened.IN_UNITS, of_position=True, by_size=True
     )
     item: int

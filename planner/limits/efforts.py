@@ -16,9 +16,9 @@ from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
     Bounds,
     Claimed,
-    Facts,
     Instant,
     Limit,
+    LimitFacts,
     Measured,
     Problem,
     Rows,
@@ -26,7 +26,7 @@ from linkplan.planner.limits.limit import (
     Scales,
     Trajectory,
     limited_rows,
-    times,
+    scaled_bounds,
     with_limits,
 )
 from linkplan.planner.problem.instant import Corner, Robust
@@ -42,7 +42,7 @@ class EffortLimit(Limit):
     """The effort of one actuator; the bounds of the efforts' coefficients impose it at every instant."""
 
     key: ClassVar[str] = "effort"
-    facts: ClassVar[Facts] = Facts(kind=key, words="the effort of {}", tightened=None, jumps_with_effort=True)
+    facts: ClassVar[LimitFacts] = LimitFacts(kind=key, words="the effort of {}", tightened=None, jumps_with_effort=True)
     item: int
 
     @classmethod
@@ -76,7 +76,7 @@ class EffortLimit(Limit):
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, effort=times(problem.limits.effort, factor))
+        return with_limits(problem, effort=scaled_bounds(problem.limits.effort, factor))
 
 
 def end_sizes(bounds: np.ndarray) -> np.ndarray:
@@ -96,7 +96,7 @@ class EffortRateLimit(Limit):
     """The rate of one actuator's effort."""
 
     key: ClassVar[str] = "effort_rate"
-    facts: ClassVar[Facts] = Facts(kind=key, words="the effort rate of {}", tightened=None)
+    facts: ClassVar[LimitFacts] = LimitFacts(kind=key, words="the effort rate of {}", tightened=None)
     item: int
 
     @classmethod
@@ -148,7 +148,7 @@ class RobustLimit(Limit):
     """The effort of one actuator at one of the `corners`; `item` counts the actuators of the first corner, then the next."""
 
     key: ClassVar[str] = "robust"
-    facts: ClassVar[Facts] = Facts(kind=key, words="the effort of {}", jumps_with_effort=True)
+    facts: ClassVar[LimitFacts] = LimitFacts(kind=key, words="the effort of {}", jumps_with_effort=True)
     item: int
     corners: tuple[Corner, ...]
     corner: int

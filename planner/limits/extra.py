@@ -11,8 +11,8 @@ from linkplan.planner.limits.jerks import smooth_columns
 from linkplan.planner.limits.limit import (
     Bounds,
     Claimed,
-    Facts,
     Limit,
+    LimitFacts,
     Measured,
     Poses,
     Problem,
@@ -55,8 +55,8 @@ class ExtraPathLimit(Limit):
         ]
 
     @property
-    def facts(self) -> Facts:
-        return Facts(
+    def facts(self) -> LimitFacts:
+        return LimitFacts(
             kind=self.key,
             row_kind="path",  # the effect of effort on it is unknown
             words="the extra limit '{}'",

@@ -20,9 +20,9 @@ from linkplan.models.poses.along import joint_jerk, joint_rates, sampled, site_m
 from linkplan.planner.limits.limit import (
     Bounds,
     Claimed,
-    Facts,
     Instant,
     Limit,
+    LimitFacts,
     Measured,
     Problem,
     Rows,
@@ -31,7 +31,7 @@ from linkplan.planner.limits.limit import (
     Tightened,
     Trajectory,
     limited_joints,
-    times,
+    scaled_bounds,
     with_limits,
 )
 from linkplan.planner.problem.extra import jerk_of
@@ -58,11 +58,11 @@ class JerkLimit(Limit):
         ]
 
     @property
-    def facts(self) -> Facts:
+    def facts(self) -> LimitFacts:
         words = "the jerk of joint {}"
         if self.column is not None:
-            return Facts(kind=self.key, words=words, tightened=None)
-        return Facts(kind=self.key, words=words, jumps_with_effort=True)
+            return LimitFacts(kind=self.key, words=words, tightened=None)
+        return LimitFacts(kind=self.key, words=words, jumps_with_effort=True)
 
     @property
     def rows(self) -> Rows:
@@ -95,7 +95,7 @@ class JerkLimit(Limit):
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, jerk=times(problem.limits.jerk, factor))
+        return with_limits(problem, jerk=scaled_bounds(problem.limits.jerk, factor))
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +103,7 @@ class SiteJerkLimit(Limit):
     """The jerk of one site, by its size; `site` is its index in the model, `moved_by` as of `JerkLimit`."""
 
     key: ClassVar[str] = "site_jerk"
-    facts: ClassVar[Facts] = Facts(
+    facts: ClassVar[LimitFacts] = LimitFacts(
         kind=key, words="the jerk of site {}", tightened=Tightened.SQUARED, jumps_with_effort=True
     )
     item: int

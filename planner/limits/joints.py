@@ -25,9 +25,9 @@ from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
     Bounds,
     Claimed,
-    Facts,
     Instant,
     Limit,
+    LimitFacts,
     Measured,
     MotionArrays,
     Poses,
@@ -40,7 +40,7 @@ from linkplan.planner.limits.limit import (
     WhichJoints,
     limited_joints,
     limited_rows,
-    times,
+    scaled_bounds,
     with_limits,
 )
 
@@ -53,7 +53,7 @@ class ClosureForceLimit(Limit):
     """The force of one closure, as a share of its rating; `places` are its indices among all forces if it is an unknown."""
 
     key: ClassVar[str] = "closure_force"
-    facts: ClassVar[Facts] = Facts(
+    facts: ClassVar[LimitFacts] = LimitFacts(
         kind=key,
         words="the closure force of {}",
         tightened=Tightened.SQUARED,
@@ -126,7 +126,7 @@ class SingularMarginLimit(Limit):
     """
 
     key: ClassVar[str] = "singular_margin"
-    facts: ClassVar[Facts] = Facts(
+    facts: ClassVar[LimitFacts] = LimitFacts(
         kind=key, row_kind="singular", words="the distance from a singular pose, relative to home,", beyond="short of"
     )
     item: int
@@ -176,7 +176,7 @@ class RangeLimit(Limit):
     """The range of one joint; `column` is its index among the independent joints if intervals have rows for it."""
 
     key: ClassVar[str] = "position"
-    facts: ClassVar[Facts] = Facts(
+    facts: ClassVar[LimitFacts] = LimitFacts(
         kind=key,
         words="joint {}",
         bound="the range of {}",
@@ -220,7 +220,7 @@ class RangeLimit(Limit):
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, position=times(problem.limits.position, factor))
+        return with_limits(problem, position=scaled_bounds(problem.limits.position, factor))
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +228,7 @@ class SpeedLimit(Limit):
     """The speed of one joint; `column` is its index among the independent joints, None for a dependent one."""
 
     key: ClassVar[str] = "speed"
-    facts: ClassVar[Facts] = Facts(kind=key, words="the speed of joint {}", bound="the speed limit of {}")
+    facts: ClassVar[LimitFacts] = LimitFacts(kind=key, words="the speed of joint {}", bound="the speed limit of {}")
     item: int
     column: int | None = None
 
@@ -265,7 +265,7 @@ class SpeedLimit(Limit):
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, speed=times(problem.limits.speed, factor))
+        return with_limits(problem, speed=scaled_bounds(problem.limits.speed, factor))
 
 
 def _of_joint(at: Poses, item: int, name: str, values: np.ndarray, bounds: np.ndarray, size: float = 0.0) -> Measured:
@@ -295,7 +295,7 @@ class BallLimit(Limit):
     """The angle of one ball joint."""
 
     key: ClassVar[str] = "ball"
-    facts: ClassVar[Facts] = Facts(
+    facts: ClassVar[LimitFacts] = LimitFacts(
         kind=key, words="the angle of ball joint {}", tightened=Tightened.SQUARED, of_position=True
     )
     item: int
@@ -341,7 +341,7 @@ class TendonLimit(Limit):
     """The length of one tendon."""
 
     key: ClassVar[str] = "tendon"
-    facts: ClassVar[Facts] = Facts(
+    facts: ClassVar[LimitFacts] = LimitFacts(
         kind=key, words="the length of tendon {}", tightened=Tightened.IN_UNITS, of_position=True, by_size=True
     )
     item: int

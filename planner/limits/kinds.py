@@ -88,7 +88,7 @@ def relaxed_kinds(problem: Problem) -> list[type[Limit]]:
     return [kind for kind in RELAXED if kind.of(problem)]
 
 
-def margins(samples: Samples) -> tuple[Margin, ...]:
+def margins_along(samples: Samples) -> tuple[Margin, ...]:
     """Return the margins of all limits along a motion but those of efforts, which the certificate compares with needs."""
     return tuple(limit_margin(limit, samples) for limit in limits_of(samples.problem) if not isinstance(limit, EffortLimit))
 

@@ -16,9 +16,11 @@ from typing import Any, ClassVar, Self
 
 import casadi as ca
 import numpy as np
+from msgspec import Struct, structs
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError
+from linkplan.planner.files.structs import Beside, InJson
 from linkplan.planner.limits.samples import Poses, Samples, least_between, samples_of
 from linkplan.planner.problem.extra import as_no_number
 from linkplan.planner.problem.instant import Instant, Scales
@@ -28,9 +30,9 @@ from linkplan.planner.trajectory import Trajectory
 __all__ = [
     "Bounds",
     "Claimed",
-    "Facts",
     "Instant",
     "Limit",
+    "LimitFacts",
     "Margin",
     "Measured",
     "Poses",
@@ -63,7 +65,7 @@ class Tightened(Enum):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Facts:
+class LimitFacts:
     """What is true of all instants of a limit.
 
     Args:
@@ -164,26 +166,25 @@ class Claimed:
     unknown: str = ""
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Margin:
+class Margin(Struct, frozen=True, eq=False, kw_only=True):
     """The worst instant of a limit: `value` against `limit` in `unit`; `left` is negative if the limit is overrun.
 
     `of` is the limit, `name` the name of its actuator, closure, tendon or site.
     """
 
-    of: Limit
+    of: Beside[Limit]
     name: str
     value: float
     limit: float
     left: float
     unit: str
     time_s: float
-    overrun: np.ndarray  # (n_intervals,) overrun in each interval as a share of the limit, 0 if it is kept
-    upper: bool  # whether the limit is an upper one
-    size: float  # of which overruns are shares
-    slack: float = 0.0  # the overrun that is rounding
+    overrun: Beside[np.ndarray]  # (n_intervals,) overrun in each interval as a share of the limit, 0 if it is kept
+    upper: Beside[bool]  # whether the limit is an upper one
+    size: Beside[float]  # of which overruns are shares
+    slack: Beside[float] = 0.0  # the overrun that is rounding
 
-    @property
+    @InJson
     def what(self) -> str:
         """The kind of limit."""
         return self.of.facts.kind
@@ -238,7 +239,7 @@ class Limit(ABC):
 
     @property
     @abstractmethod
-    def facts(self) -> Facts:
+    def facts(self) -> LimitFacts:
         """What is true of it at all instants."""
 
     @property
@@ -269,7 +270,7 @@ def with_limits(problem: Problem, **changes: Any) -> Problem:
     return replace(problem, limits=replace(problem.limits, **changes))
 
 
-def times(values: np.ndarray, factor: float) -> np.ndarray:
+def scaled_bounds(values: np.ndarray, factor: float) -> np.ndarray:
     """Return bounds (n, 2) times a factor; an infinite one removes zeros too."""
     return values * factor if np.isfinite(factor) else np.broadcast_to([-np.inf, np.inf], np.shape(values)).copy()
 
@@ -382,4 +383,4 @@ def _sampled_finely(margin: Margin, measured: Measured, samples: Samples) -> Mar
     upper = bool(high - fine[row, k] <= fine[row, k] - low)
     bound, gap = (high if upper else low), float(least.min())
     value, instant = bound - gap if upper else bound + gap, float(near[row, k])
-    return replace(margin, value=value, limit=float(bound), left=gap, time_s=instant, overrun=overrun, upper=upper)
+    return structs.replace(margin, value=value, limit=float(bound), left=gap, time_s=instant, overrun=overrun, upper=upper)

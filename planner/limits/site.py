@@ -21,9 +21,9 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.limits.limit import (
     Bounds,
     Claimed,
-    Facts,
     Instant,
     Limit,
+    LimitFacts,
     Measured,
     Poses,
     Problem,
@@ -41,7 +41,7 @@ from linkplan.planner.problem.sites import SiteLimit
 _TUBE_SHARPNESS = 100.0
 
 
-_SLAB = Facts(kind="site", tightened=Tightened.IN_UNITS, of_position=True, by_size=True)
+_SLAB = LimitFacts(kind="site", tightened=Tightened.IN_UNITS, of_position=True, by_size=True)
 _TUBE = replace(_SLAB, kind="tube", tightened=Tightened.SQUARED)
 
 
@@ -62,7 +62,7 @@ class SitePathLimit(Limit):
         return len(self.shape) == 3
 
     @property
-    def facts(self) -> Facts:
+    def facts(self) -> LimitFacts:
         return _TUBE if self.is_tube else _SLAB
 
     @property

@@ -18,8 +18,8 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.limits.limit import (
     Bounds,
     Claimed,
-    Facts,
     Limit,
+    LimitFacts,
     Measured,
     Poses,
     Problem,
@@ -49,8 +49,8 @@ class OnPathLimit(Limit):
         return [] if problem.path is None else [cls()]
 
     @property
-    def facts(self) -> Facts:
-        return Facts(kind="path", tightened=None, of_position=True)
+    def facts(self) -> LimitFacts:
+        return LimitFacts(kind="path", tightened=None, of_position=True)
 
     @property
     def rows(self) -> Rows:

@@ -145,7 +145,7 @@ def functions_not_finite(problem: OdeProblem, motion: OdeTrajectory) -> list[str
 
 def running_cost(problem: OdeProblem, trajectory: OdeTrajectory, chosen: Scheme) -> np.ndarray:
     """Return the running cost of each interval (n,) by the quadrature of the transcription."""
-    # The right end of an interval is the next one's left end, where efforts may jump: a hair inside.
+    # The right end of an interval is the next one's left end, where efforts may jump: just before it.
     time = trajectory.times_at(np.clip(chosen.nodes, 0.0, 1.0 - 1e-12))
     x, u = trajectory.state_at(time), trajectory.effort_at(time)
     rate = np.array(problem.function("running_cost")(x.T, u.T, problem.parameters, time[None]))

@@ -16,7 +16,7 @@ import numpy as np
 
 from linkplan.models.deadline import Deadline
 from linkplan.planner.closed_chain.guess import Guess, guess_along, stretched
-from linkplan.planner.phase_plane.grid import Plane, grid_of, plane_of
+from linkplan.planner.phase_plane.grid import PhasePlane, grid_of, plane_of
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem
 
@@ -169,7 +169,7 @@ def parts_of(motion: Motion) -> list[Part]:
     ]
 
 
-def _resting_places(plane: Plane, part: Part) -> tuple[float | None, float | None]:
+def _resting_places(plane: PhasePlane, part: Part) -> tuple[float | None, float | None]:
     """Return where full effort stops a part that begins at speed, and where one that ends at speed begins from rest.
 
     None for an end at rest, and where no rest is within the grid. The second place is a little further away than need be.
@@ -191,7 +191,7 @@ def _resting_places(plane: Plane, part: Part) -> tuple[float | None, float | Non
     return found[0], found[1]
 
 
-def _stop(plane: Plane, part: Part, start: int, rest: float):
+def _stop(plane: PhasePlane, part: Part, start: int, rest: float):
     """Return the leg (indices, w, directions of the push) by which full effort stops a part that begins at speed."""
     v = part.speeds[0]
     way = int(np.sign(v))
@@ -200,7 +200,7 @@ def _stop(plane: Plane, part: Part, start: int, rest: float):
     return index, np.pad(w, (0, len(index) - len(w))), np.full(len(index), -way)
 
 
-def _arriving(plane: Plane, ends: list[tuple[int, float]], deadline: Deadline) -> dict[tuple[int, int], np.ndarray]:
+def _arriving(plane: PhasePlane, ends: list[tuple[int, float]], deadline: Deadline) -> dict[tuple[int, int], np.ndarray]:
     """Return the braking legs (w at cell ends) by where and in which direction they arrive at places with speeds."""
     found = {}
     for place, v in ends:
@@ -211,7 +211,7 @@ def _arriving(plane: Plane, ends: list[tuple[int, float]], deadline: Deadline) -
     return found
 
 
-def _legs(plane: Plane, part: Part, deadline: Deadline):
+def _legs(plane: PhasePlane, part: Part, deadline: Deadline):
     """Return a part's legs (indices, w, directions of the push at each), the quickest by way of a grid of turns.
 
     None where there is no way. Dijkstra over the places where a motion may rest.
@@ -254,7 +254,7 @@ def _legs(plane: Plane, part: Part, deadline: Deadline):
     return None
 
 
-def _duration(plane: Plane, leg) -> float:
+def _duration(plane: PhasePlane, leg) -> float:
     index, w, _ = leg
     first, last = int(index[0]), int(index[-1])
     cells = plane.cells[first:last] if first <= last else plane.cells[last:first][::-1]
@@ -262,7 +262,7 @@ def _duration(plane: Plane, leg) -> float:
     return float((2 * cells / np.maximum(v[1:] + v[:-1], _MIN_SPEED)).sum())
 
 
-def _joined(plane: Plane, index: np.ndarray, push: np.ndarray, goal: int, way: int, brake: np.ndarray | None):
+def _joined(plane: PhasePlane, index: np.ndarray, push: np.ndarray, goal: int, way: int, brake: np.ndarray | None):
     """Return a pushing leg up to where it crosses the braking leg into the goal, then that one; None without a crossing."""
     if brake is None or not (goal - index[0]) * way > 0:
         return None
@@ -287,7 +287,7 @@ def _joined(plane: Plane, index: np.ndarray, push: np.ndarray, goal: int, way: i
     return ahead, w, effort
 
 
-def _guess(plane: Plane, parts: list[Part], ways: list, start_pose: np.ndarray) -> Guess:
+def _guess(plane: PhasePlane, parts: list[Part], ways: list, start_pose: np.ndarray) -> Guess:
     """Return parts' legs as a guess: position and velocity by Hermite cubics over time, efforts as they push."""
     import scipy
 

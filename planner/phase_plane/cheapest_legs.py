@@ -17,7 +17,7 @@ import numpy as np
 
 from linkplan.planner.closed_chain.guess import Guess, guess_along
 from linkplan.planner.phase_plane.bang_bang_motions import parts_of, phase_plane_applies
-from linkplan.planner.phase_plane.grid import Plane, grid_of, plane_of
+from linkplan.planner.phase_plane.grid import PhasePlane, grid_of, plane_of
 from linkplan.planner.problem.problem import Problem
 
 # Cells of the grid, cells of a leg while turning places are tried, and how many are tried on either side of the way.
@@ -95,7 +95,7 @@ def cheapest_legs(problem: Problem, start_pose: np.ndarray, rest: float | None) 
 class _Way:
     """The plane over which legs go, the duration asked [s], and the squared effort of a rest or None."""
 
-    plane: Plane
+    plane: PhasePlane
     asked: float
     rest: float | None
 
@@ -172,7 +172,7 @@ def _solved(
     return (np.array(found["x"]).ravel(), float(found["f"]) / scale) if solver.stats()["success"] else None
 
 
-def _joined(plane: Plane, parts: list, speeds: np.ndarray, cost: float) -> Legs:
+def _joined(plane: PhasePlane, parts: list, speeds: np.ndarray, cost: float) -> Legs:
     """Return legs one after another, from the speeds at the cell ends inside them.
 
     Within a cell the energy goes on as smoothly as between cells, and the speed follows from the inertia there.

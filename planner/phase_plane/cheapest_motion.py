@@ -1,9 +1,9 @@
 """Motions of least effort in a given time, for one degree of freedom: dynamic programming over position, speed and time.
 
-With the reduced inertia M, x = integral of sqrt(M) ds and y = dx/dt, the dynamics are y' = (F + D v - R sign v) / sqrt(M): a
-`Plane`'s force, drag and rub. The least cost from a state is that of a step, and the least from the state after it (Bellman,
-Dynamic Programming, Princeton 1957). The dynamics do not depend on time, so one matrix interpolates after every step. On a
-coarse grid this is no optimum, but it has the swings of one that is near the best of all.
+With the reduced inertia M, x = integral of sqrt(M) ds and y = dx/dt, the dynamics are y' = (F + D v - R sign v) / sqrt(M):
+the force, drag and rub of a `PhasePlane`. The least cost from a state is that of a step, and the least from the state after
+it (Bellman, Dynamic Programming, Princeton 1957). The dynamics do not depend on time, so one matrix interpolates after every
+step. On a coarse grid this is no optimum, but it has the swings of one that is near the best of all.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ import numpy as np
 
 from linkplan.planner.closed_chain.guess import Guess, guess_along
 from linkplan.planner.phase_plane.bang_bang_motions import Part, parts_of
-from linkplan.planner.phase_plane.grid import Plane, grid_of, plane_of
+from linkplan.planner.phase_plane.grid import PhasePlane, grid_of, plane_of
 from linkplan.planner.problem.problem import Problem
 
 
@@ -20,7 +20,7 @@ from linkplan.planner.problem.problem import Problem
 class _Steps:
     """Steps of `step_s` over a plane: a push of 0 is full effort backwards, one of 1 full effort forwards."""
 
-    plane: Plane
+    plane: PhasePlane
     x: np.ndarray  # (n,) at the plane's positions
     scale: np.ndarray  # (n_u,) the largest efforts
     step_s: float

@@ -20,7 +20,7 @@ from linkplan.planner.problem.problem import Problem
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Plane:
+class PhasePlane:
     """A grid over s: positions (n,) of cell ends, and there the reduced inertia and its energy's gains.
 
     d(M w)/ds = dW[direction]/ds + drag v - rub along the motion, exact but for dampers that are not linear.
@@ -189,7 +189,7 @@ def _graded(problem: Problem, s: np.ndarray, poses: np.ndarray) -> np.ndarray:
     return np.interp(np.linspace(0.0, progress[-1], len(s)), progress, s)
 
 
-def plane_of(problem: Problem, s: np.ndarray, poses: np.ndarray, limit: np.ndarray) -> Plane:
+def plane_of(problem: Problem, s: np.ndarray, poses: np.ndarray, limit: np.ndarray) -> PhasePlane:
     """Return the plane over a grid's positions (n,) and poses (2 n - 1, n_q), with effort limits (n_u, 2)."""
     dynamics, n = problem.mechanism.dynamics, len(poses)
 
@@ -206,7 +206,7 @@ def plane_of(problem: Problem, s: np.ndarray, poses: np.ndarray, limit: np.ndarr
     works = {way: np.concatenate([[0.0], np.cumsum(gain)]) for way, gain in gains.items()}
     rub = sliding_friction(problem.mechanism, poses)
     fastest = _top(problem, poses[::2])
-    return Plane(
+    return PhasePlane(
         s=s,
         cells=np.diff(s),
         inertia=inertia[::2],

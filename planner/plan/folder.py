@@ -1,6 +1,5 @@
 """Plans on disk: `plan.json`, `trajectory.npz` and `trajectory.csv` in a folder."""
 
-import dataclasses
 import functools
 import os
 from collections.abc import Callable, Sequence
@@ -9,20 +8,19 @@ from importlib import metadata
 from pathlib import Path
 
 import numpy as np
-from msgspec.structs import asdict
+from msgspec import structs
 
 from linkplan.models.digest import part_hashes
 from linkplan.models.errors import AssemblyError, CertificateError, LinkplanError, PlanFileError, shown
-from linkplan.models.poses.contacts import Contact
 from linkplan.planner.certificate.certificate import Certificate, certify
+from linkplan.planner.certificate.demands import Demand
 from linkplan.planner.certificate.further_checks import disagreements, with_contacts
 from linkplan.planner.files.columns import ARRAYS, csv_bytes, parquet_bytes, read_trajectory
-from linkplan.planner.files.folders import complete, plain_record, write_json
+from linkplan.planner.files.folders import complete, write_json
+from linkplan.planner.files.structs import json_values
 from linkplan.planner.files.tables import apply_override
-from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
-from linkplan.planner.limits.limit import Margin
 from linkplan.planner.plan.plan import Plan, motion_table, not_honoured
-from linkplan.planner.plan.record import PLAN_FORMAT, PlanRecord, extra_records, history_of, read_plan_record
+from linkplan.planner.plan.record import PLAN_FORMAT, MeshRecord, PlanRecord, extra_records, read_plan_record
 from linkplan.planner.problem.extra import ExtraCost, ExtraLimit, extras_text
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -36,7 +34,7 @@ def versions() -> dict[str, str]:
     }
 
 
-def record(plan: Plan) -> dict:
+def record_of(plan: Plan) -> PlanRecord:
     """Return the record of a plan for `plan.json` and `linkplan plan --json`."""
     problem, mechanism = plan.problem, plan.problem.mechanism
     names = [actuator.name for actuator in mechanism.actuators]
@@ -45,97 +43,48 @@ def record(plan: Plan) -> dict:
     def peaks(of: str, names: Sequence[str]) -> dict | None:
         return None if certificate is None else dict(zip(names, getattr(certificate, of), strict=True))
 
-    return plain_record(
-        {
-            "format": PLAN_FORMAT,
-            "name": problem.name,
-            "status": plan.status,
-            "message": plan.message,
-            "objective": plan.objective,
-            "objective_kind": problem.objective.name,
-            "duration_s": plan.duration_s,
-            "peak_effort": peaks("peak_effort", names),
-            "peak_power_w": peaks("peak_power", names),
-            "peak_motor_power_w": peaks("peak_motor_power", names),
-            "peak_brake_power_w": peaks("peak_brake_power", names),
-            "peak_closure_force_n": peaks("peak_closure_force", mechanism.closure_names),
-            "effort_limit": dict(zip(names, problem.limits.effort, strict=True)),
-            "effort_unit": {actuator.name: actuator.unit for actuator in mechanism.actuators},
-            "demands": _demands(plan),
-            "certificate": None if certificate is None else certificate_record(certificate),
-            "proof": None if plan.proof is None else plan.proof.record(),
-            "mesh": {"scheme": plan.scheme, "intervals": plan.intervals},
-            "time_s": {
-                "build": sum(step.build_s for step in plan.history),
-                "solve": sum(step.solve_s for step in plan.history),
-            },
-            "details": plan.details,
-            "history": [dataclasses.asdict(step) for step in plan.history],
-            "notes": list(problem.notes),
-            "not_honoured": list(not_honoured(plan)),
-            "versions": versions(),
-            "fingerprint": part_hashes(mechanism.model),
-            "problem": problem.source,
-            "extras": [asdict(one) for one in (*extra_records(problem.extras), *problem.unread_extras)],
-        }
+    return PlanRecord(
+        format=PLAN_FORMAT,
+        name=problem.name,
+        status=plan.status,
+        message=plan.message,
+        objective=plan.objective,
+        objective_kind=problem.objective.name,
+        duration_s=plan.duration_s,
+        peak_effort=peaks("peak_effort", names),
+        peak_power_w=peaks("peak_power", names),
+        peak_motor_power_w=peaks("peak_motor_power", names),
+        peak_brake_power_w=peaks("peak_brake_power", names),
+        peak_closure_force_n=peaks("peak_closure_force", mechanism.closure_names),
+        effort_limit=dict(zip(names, problem.limits.effort, strict=True)),
+        effort_unit={actuator.name: actuator.unit for actuator in mechanism.actuators},
+        demands=_demands(plan),
+        certificate=certificate,
+        proof=None if plan.proof is None else json_values(plan.proof),
+        mesh=MeshRecord(scheme=plan.scheme, intervals=plan.intervals),
+        time_s={
+            "build": sum(step.build_s for step in plan.history),
+            "solve": sum(step.solve_s for step in plan.history),
+        },
+        details=plan.details,
+        history=plan.history,
+        notes=problem.notes,
+        not_honoured=not_honoured(plan),
+        versions=versions(),
+        fingerprint=part_hashes(mechanism.model),
+        problem=problem.source,
+        extras=[*extra_records(problem.extras), *problem.unread_extras],
     )
 
 
-def _demands(plan: Plan) -> list[dict] | None:
+def _demands(plan: Plan) -> tuple[Demand, ...] | None:
     """Return the demands on the actuators; None without a motion, or where its loops do not close."""
     if plan.trajectory is None:
         return None
     try:
-        return [asdict(one) for one in plan.demands()]
+        return plan.demands()
     except AssemblyError:
         return None
-
-
-def certificate_record(certificate: Certificate) -> dict:
-    """Return a certificate's values by name, with units in the names."""
-
-    def of_joints(what: str, unit: str) -> dict[str, float]:
-        return {margin.name: margin.left for margin in certificate.margins if (margin.what, margin.unit) == (what, unit)}
-
-    of_joint = (RangeLimit, SpeedLimit)
-    when = {m.bound.removeprefix("the "): m.time_s for m in certificate.margins if isinstance(m.of, of_joint)}
-    return {
-        "passed": certificate.passed,
-        "failures": list(certificate.failures),
-        "effort_excess": certificate.effort_excess,
-        "inverse_dynamics_excess": certificate.inverse_dynamics_excess,
-        "dynamics_residual": certificate.dynamics_residual,
-        "velocity_residual": certificate.velocity_residual,
-        "boundary_error": certificate.boundary_error,
-        "site_error_m": certificate.site_error_m,
-        **{f"closure_gap_{unit}": gap for unit, gap in ({"m": 0.0} | certificate.closure_gaps).items()},
-        "integration_error_deg": certificate.integration_error_deg,
-        "integration_error_m": certificate.integration_error_m,
-        "integration_restarts": certificate.integration_restarts,
-        "joint_margin_deg": of_joints("position", "deg"),
-        "joint_margin_m": of_joints("position", "m"),
-        "speed_margin_deg_s": of_joints("speed", "deg/s"),
-        "speed_margin_m_s": of_joints("speed", "m/s"),
-        "singularity_ratio": certificate.singularity_ratio,
-        "contacts": [_contact_record(meeting) for meeting in certificate.contacts],
-        "margins": [_margin_record(margin) for margin in certificate.margins if not isinstance(margin.of, of_joint)],
-        "worst_time_s": certificate.worst_time_s | when,
-    }
-
-
-def _margin_record(margin: Margin) -> dict:
-    return {name: getattr(margin, name) for name in ("what", "name", "value", "limit", "left", "unit", "time_s")}
-
-
-def _contact_record(meeting: Contact) -> dict:
-    return {
-        "geoms": [meeting.first, meeting.second],
-        "bodies": list(meeting.bodies),
-        "since_s": meeting.since,
-        "depth_m": meeting.depth_m,
-        "deepest_at_s": meeting.deepest_at,
-        "home_depth_m": meeting.home_depth_m,
-    }
 
 
 def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bool = False, parquet: bool = False) -> None:
@@ -154,7 +103,8 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
     """
     if plan.trajectory is None:
         raise PlanFileError(f"nothing to save: {plan.message}")
-    write_json(folder / "plan.json", record(plan) | {"model_from_here": _from(place or folder, plan.problem)})
+    beside = _from(place or folder, plan.problem)
+    write_json(folder / "plan.json", structs.replace(record_of(plan), model_from_here=beside))
     trajectory = plan.trajectory
     arrays = {name: getattr(trajectory, name) for name in ARRAYS}
     table = motion_table(plan.problem, plan.trajectory, jumps=jumps)
@@ -269,7 +219,7 @@ def _certified(
     """
     mechanism = problem.mechanism
     if other := trajectory.misfit(mechanism.dof, mechanism.n_u, mechanism.n_q):
-        raise PlanFileError(f"'{folder / 'trajectory.npz'}' is of another mechanism than '{mechanism.name}': {other}")
+        raise PlanFileError(f"'{folder / 'trajectory.npz'}' does not fit mechanism '{mechanism.name}': {other}")
     try:
         certificate = known or with_contacts(problem, trajectory, certify(problem, trajectory))
     except AssemblyError as error:
@@ -280,7 +230,7 @@ def _certified(
     lost_cost = not problem.objective.extra and any(one.kind == "cost" for one in saved.extras)
     misses = (*certificate.failures, *disagreements(problem, trajectory, None if lost_cost else saved.objective))
     if misses:
-        certificate = replace(certificate, failures=misses)
+        certificate = structs.replace(certificate, failures=misses)
         status, message = "failed", f"failed: the motion on disk does not pass its certificate: {'; '.join(misses)}"
     return Plan(
         problem=problem,
@@ -289,7 +239,7 @@ def _certified(
         objective=None if status == "failed" else saved.objective,
         trajectory=trajectory,
         certificate=certificate,
-        history=history_of(saved),
+        history=saved.history,
         read_scheme=saved.mesh.scheme,
         details={name: value for name, value in saved.details.items() if value is not None},
     )
@@ -344,7 +294,7 @@ def _possible_models(saved: PlanRecord, folder: Path) -> list[str | None]:
     """Return the names or paths under which a saved plan's model may be found, the path relative to the plan first."""
     section, relative = saved.problem.get("mechanism"), saved.model_from_here
     models: list[str | None] = [section.get("model")] if isinstance(section, dict) else [None]
-    if relative is not None and os.path.isfile(folder / relative):
+    if isinstance(relative, str) and os.path.isfile(folder / relative):
         models.insert(0, str((folder / relative).resolve()))
     return list(dict.fromkeys(model for model in models if model is None or isinstance(model, str)))
 

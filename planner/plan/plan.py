@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import TYPE_CHECKING, Self
 
 import numpy as np
+from msgspec import structs
 
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import InfeasibleError, LinkplanError, ProblemError
@@ -285,7 +286,7 @@ class Plan:
         if proof.passed or not self.passed or self.certificate is None:
             return replace(self, proof=proof)
         refuted = tuple(f"the proof refutes: {finding.sentence()}" for finding in proof.of("refuted"))
-        certificate = replace(self.certificate, failures=refuted)
+        certificate = structs.replace(self.certificate, failures=refuted)
         message = f"failed: the motion does not pass its certificate between the samples: {'; '.join(refuted)}"
         return replace(self, proof=proof, status="failed", message=message, objective=None, certificate=certificate)
 

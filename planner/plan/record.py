@@ -1,11 +1,11 @@
-"""The part of a saved plan's record, `plan.json`, that is read back."""
+"""The record of a plan, `plan.json`."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
-from msgspec import Meta, Struct, structs
+from msgspec import UNSET, Struct, UnsetType
 
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.manifest import read_record
@@ -14,24 +14,8 @@ from linkplan.planner.problem.extra import Extra
 from linkplan.planner.refinement.history import Step
 
 PLAN_FORMAT = 1
-_Count = Annotated[int, Meta(ge=0)]
-_Seconds = Annotated[float, Meta(ge=0)]
-
-
-class StepRecord(Struct, frozen=True):
-    """One solve of a plan's history: the saved fields of `Step`; an objective that is not a number is null."""
-
-    what: str
-    scheme: str
-    intervals: _Count
-    segments: _Count
-    converged: bool
-    solver_status: str
-    objective: float | None
-    integration_error_deg: float | None
-    build_s: _Seconds
-    solve_s: _Seconds
-    integration_error: float | None = None
+# The type of a field that is not read: it is for people, or follows from the motion.
+NotRead = Any
 
 
 class ExtraRecord(Struct, frozen=True):
@@ -46,28 +30,48 @@ class ExtraRecord(Struct, frozen=True):
 
 
 class MeshRecord(Struct, frozen=True):
-    """The final mesh's transcription; its intervals follow from the motion."""
+    """The transcription and the number of intervals of the final mesh."""
 
     scheme: str | None = None
+    intervals: NotRead = None
 
 
-class PlanRecord(Struct, frozen=True):
-    """The fields of `plan.json` that are read; the others are for people, or follow from the motion."""
+class PlanRecord(Struct, frozen=True, eq=False, kw_only=True):
+    """The record of a plan. Its fields are `plan.json`, which may lack those with a default value.
+
+    Efforts and powers are by actuator, closure forces by closure. `model_from_here` is the path of the model's file relative
+    to the plan's folder, and `fingerprint` has a hash of each part of the model.
+    """
 
     format: int
     name: str
     status: str
     message: str
-    problem: dict[str, Any]
     objective: float | None = None
+    objective_kind: NotRead = None
+    duration_s: NotRead = None
+    peak_effort: NotRead = None
+    peak_power_w: NotRead = None
+    peak_motor_power_w: NotRead = None
+    peak_brake_power_w: NotRead = None
+    peak_closure_force_n: NotRead = None
+    effort_limit: NotRead = None
+    effort_unit: NotRead = None
+    demands: NotRead = None
+    certificate: NotRead = None
+    proof: dict[str, Any] | None = None
     mesh: MeshRecord = MeshRecord()
-    details: dict[str, float | None] = {}
-    history: list[StepRecord] = []
+    time_s: NotRead = None
+    details: Mapping[str, float | None] = {}
+    history: tuple[Step, ...] = ()
+    notes: NotRead = None
+    not_honoured: NotRead = None
     versions: dict[str, str] = {}
     fingerprint: dict[str, str] | None = None
-    model_from_here: str | None = None
+    problem: dict[str, Any]
     extras: list[ExtraRecord] = []
-    proof: dict[str, Any] | None = None
+    price: NotRead = UNSET
+    model_from_here: str | UnsetType | None = UNSET
 
 
 def read_plan_record(folder: Path) -> PlanRecord:
@@ -101,9 +105,3 @@ def extra_records(extras: Sequence[Extra]) -> list[ExtraRecord]:
         finite = {name: value for name, value in numbers.items() if math.isfinite(value)}
         found.append(ExtraRecord(kind=one.kind, name=one.name, unit=one.unit, **finite))
     return found
-
-
-def history_of(saved: PlanRecord) -> tuple[Step, ...]:
-    """Return the solves of a saved plan's history."""
-    rows = (structs.asdict(row) for row in saved.history)
-    return tuple(Step(**{**row, "objective": math.nan if row["objective"] is None else row["objective"]}) for row in rows)

@@ -34,7 +34,7 @@ from linkplan.planner.problem.imperfections import imperfections_of
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.keys.reading import KEYS, read, refuse_unknown_keys
 from linkplan.planner.problem.keys.sections import MechanismSection, MotionSection, ProblemFile
-from linkplan.planner.problem.limits import actuator_index, closure_index, limits_of, motors_of
+from linkplan.planner.problem.limits import actuator_index, closure_index, limits_from, motors_of
 from linkplan.planner.problem.motion_table import motion_of
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.path import read_path_file, site_path_of
@@ -82,7 +82,7 @@ def problem_arguments(
     if others is not None:
         notes.append(coordinates_note(mechanism, others))
         mechanism = _in_coordinates(tables, mechanism, others, folder)
-    limits = limits_of(asked.limits, mechanism)
+    limits = limits_from(asked.limits, mechanism)
     reference, reference_notes = reference_of(asked.reference, mechanism, limits.position)
     path = site_path_of(asked.path, mechanism)
     motion = motion_of(asked.motion, mechanism, reference, limits, path)

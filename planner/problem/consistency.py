@@ -34,7 +34,7 @@ def check_honoured(mechanism: Mechanism, unhonoured: str) -> None:
     falsifying = _falsifying(mechanism)
     if falsifying and unhonoured == "refuse":
         raise ProblemError(
-            f"mechanism '{mechanism.name}' cannot be planned, its model has forces that the planner does not honour:"
+            f"mechanism '{mechanism.name}' cannot be planned, its model has forces that plans neglect:"
             f' {"; ".join(falsifying)} (limits.unhonoured = "note" plans without them)'
         )
     if mechanism.n_u == 0:
@@ -267,6 +267,6 @@ def check_shapes(
     if isinstance(guess, GuessedPath) and guess.path.shape[1] != n_s:
         raise ProblemError(f"the guess moves {guess.path.shape[1]} joints, '{mechanism.name}' has {n_s} independent ones")
     if isinstance(guess, Trajectory) and (other := guess.misfit(n_s, mechanism.n_u, mechanism.n_q)):
-        raise ProblemError(f"the guess is of another mechanism than '{mechanism.name}': {other}")
+        raise ProblemError(f"the guess does not fit mechanism '{mechanism.name}': {other}")
     if len(motors) != mechanism.n_u:
         raise ProblemError(f"motors needs one entry for each of {mechanism.n_u} actuators, got {len(motors)}")

@@ -74,7 +74,7 @@ class Limits:
         return tuple(int(i) for i in np.flatnonzero(np.isfinite(self.closure_force)))
 
 
-def limits_of(section: LimitsSection, mechanism: Mechanism) -> Limits:
+def limits_from(section: LimitsSection, mechanism: Mechanism) -> Limits:
     """Return the limits of a [limits] table; the model's own limits are the default."""
     effort = np.array(mechanism.effort_limit)
     for name, value in section.effort.items():

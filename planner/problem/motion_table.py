@@ -130,9 +130,9 @@ def _state(
     result = []
     if default is None:
         values = _with_rests(values, f"{where}.{key}", mechanism)
-    for index, steered in zip(mechanism.independent, mechanism.actuated, strict=True):
+    for index, actuated in zip(mechanism.independent, mechanism.actuated, strict=True):
         joint = mechanism.joints[index]
-        if index not in values and default is None and steered:
+        if index not in values and default is None and actuated:
             named = sorted(mechanism.joints[i].name for i in values)
             as_many = len(values) == mechanism.dof
             hint = f"; mechanism.independent = {json.dumps(named)} plans in what is named" if as_many else ""

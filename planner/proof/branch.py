@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from flint import arb, arb_mat, arb_series, ctx
 
-from linkplan.planner.proof.taylor import NotSeparatedError, solve
+from linkplan.planner.proof.taylor import NotSeparatedError, solve_enclosed
 from linkplan.planner.proof.walk import Ball, Blocks, dense
 
 # Krawczyk's trial ball is enlarged up to so often by half, until the operator maps it into itself.
@@ -25,7 +25,7 @@ _MOST_INFLATIONS = 6
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Root:
+class EnclosedRoot:
     """A root z for every s of a box: `enclosure` contains it, and it is the only one in `region`."""
 
     enclosure: list[arb]
@@ -67,7 +67,7 @@ def newton(blocks: Blocks, s: np.ndarray, z: np.ndarray) -> np.ndarray:
     raise NotSeparatedError("Newton's method did not converge")
 
 
-def krawczyk(blocks: Blocks, s: Sequence[arb], guess: np.ndarray) -> Root:
+def krawczyk(blocks: Blocks, s: Sequence[arb], guess: np.ndarray) -> EnclosedRoot:
     """Return the root near a guess for every s of a box.
 
     Raises:
@@ -75,7 +75,7 @@ def krawczyk(blocks: Blocks, s: Sequence[arb], guess: np.ndarray) -> Root:
     """
     n = blocks.rank
     if n == 0:
-        return Root(enclosure=[], region=[])
+        return EnclosedRoot(enclosure=[], region=[])
     at = np.empty(n + len(s))
     at[list(blocks.independent)], at[list(blocks.dependent)] = [float(x.mid()) for x in s], guess
     J = blocks.numbers(at)[1][:, list(blocks.dependent)]
@@ -96,7 +96,7 @@ def krawczyk(blocks: Blocks, s: Sequence[arb], guess: np.ndarray) -> Root:
         J_z = arb_mat(n, n, entries)  # pyright: ignore[reportArgumentType]  constants, no series
         moved = step + (one - C * J_z) * arb_mat(n, 1, around)
         if all(around[i].contains_interior(moved[i, 0]) for i in range(n)):
-            return Root(enclosure=[start[i] + moved[i, 0] for i in range(n)], region=region)
+            return EnclosedRoot(enclosure=[start[i] + moved[i, 0] for i in range(n)], region=region)
         if not all(moved[i, 0].is_finite() for i in range(n)):
             break
     raise NotSeparatedError("Krawczyk's operator does not map the box into itself")
@@ -118,7 +118,7 @@ def series_of(blocks: Blocks, s: Sequence[arb_series], root: Sequence[arb], orde
         left = [arb_series([-phi_i[k] for k in range(known, cap)], prec=cap - known) for phi_i in map(_series, phi)]
         tangent = blocks.tangent([arb_series(x.coeffs(), prec=cap - known) for x in q])[0]
         J_z = {(i, j): tangent[i, c] for i in range(n) for j, c in enumerate(blocks.dependent) if (i, c) in tangent}
-        (added,) = solve(J_z, [left])
+        (added,) = solve_enclosed(J_z, [left])
         for of, more in zip(coefficients, map(_series, added), strict=True):
             of += [more[k] for k in range(cap - known)]
     ctx.cap = order

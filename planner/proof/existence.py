@@ -36,7 +36,7 @@ from linkplan.planner.proof.contraction import LinearBox, contracted, size_of
 from linkplan.planner.proof.curve import forces_over
 from linkplan.planner.proof.finding import OWN_MOTION, Finding, no_motion
 from linkplan.planner.proof.motion import Piece, State
-from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm, above, solve
+from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm, above, solve_enclosed
 from linkplan.planner.proof.walk import Ball, Walk, constant_term, dense, force_symbols, walk_of
 from linkplan.planner.trajectory import Trajectory
 
@@ -59,7 +59,7 @@ class NoMotionError(ArithmeticError):
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Tube:
+class ErrorTube:
     """Half the widths (m, 2 n_s) of a tube around positions and velocities, up to increasing instants (m,) [s]."""
 
     until_s: np.ndarray
@@ -75,9 +75,9 @@ class Tube:
         return self.radii[min(np.searchsorted(self.until_s, end_s), len(self.radii) - 1)]
 
 
-def first_tube(trajectory: Trajectory) -> Tube:
+def first_tube(trajectory: Trajectory) -> ErrorTube:
     """Return a tube of one width around a motion."""
-    return Tube(until_s=np.array([np.inf]), radii=_FIRST_TUBE_SHARE * _sizes(trajectory)[None])
+    return ErrorTube(until_s=np.array([np.inf]), radii=_FIRST_TUBE_SHARE * _sizes(trajectory)[None])
 
 
 class Neighbourhood:
@@ -86,14 +86,14 @@ class Neighbourhood:
     `failure` says why there are none. `next_tube` is that of another attempt, None if there is none or it is hopeless.
     """
 
-    def __init__(self, mechanism: Mechanism, trajectory: Trajectory, tube: Tube) -> None:
+    def __init__(self, mechanism: Mechanism, trajectory: Trajectory, tube: ErrorTube) -> None:
         self._mechanism, self._n_s, self._boxes, self._last = mechanism, mechanism.dof, [], None
         self._tube, self._sizes = tube, _sizes(trajectory)
         self._acceleration = float(np.abs(trajectory.acceleration_at(trajectory.dense_times(2))).max(initial=1e-9))
         self._units = (trajectory.duration_s**-2, trajectory.duration_s**-1)  # of df/ds and df/dv
         self._speed = max(float(np.abs(trajectory.velocity).max()), 1e-9)
         self.failure = ""
-        self.next_tube: Tube | None = None
+        self.next_tube: ErrorTube | None = None
 
     def takes(self, states: tuple[State, State], at: tuple[float, float], halvings: int, order: int) -> bool:
         """Add the bounds on a box, centre and radius in tau; return False if it has to be halved for them."""
@@ -137,7 +137,7 @@ class Neighbourhood:
             # A wider tube is hopeless where Z, which grows with it at most in proportion, is expected above one.
             wider = float((tube / self._tube.radii).mean(axis=0).max())
         if self._tube.is_guess and (wider < 1 or wider * contraction < 1):
-            self.next_tube = Tube(until_s=np.array([box.end_s for box in self._boxes]), radii=tube)
+            self.next_tube = ErrorTube(until_s=np.array([box.end_s for box in self._boxes]), radii=tube)
         if not contraction <= MAX_CONTRACTION:
             raise NoMotionError(f"the contraction is {contraction:.2g}, which is above {MAX_CONTRACTION:g}")
         radii = bounds / (1 - contraction)
@@ -169,7 +169,7 @@ class Neighbourhood:
         inertia, found = _model_of(self._mechanism)[0], []
         for state, cap in zip(states, (order + 2, order + 3), strict=True):
             ctx.cap = cap
-            found += solve(inertia(state.q)[0], [state.of_position.residual])
+            found += solve_enclosed(inertia(state.q)[0], [state.of_position.residual])
         return [TaylorForm.of(a, b, order) for a, b in zip(*found, strict=True)]
 
     def _box(self, states: tuple[State, State], at: tuple[float, float], defect, forms) -> LinearBox:
@@ -261,7 +261,7 @@ def _slopes_at(mechanism: Mechanism, q, v, a, u, forces=()) -> list[list[Ball]]:
     """Return df/d(s, v) (n_s, 2 n_s) at poses q and rates v, from any accelerations a (n_s,)."""
     inertia_of, residual, slopes = _model_of(mechanism)
     inertia, n_s = inertia_of(q)[0], len(v)
-    (defect,) = solve(inertia, [dense(residual(q, v, a, u, *forces)[0], n_s)])
+    (defect,) = solve_enclosed(inertia, [dense(residual(q, v, a, u, *forces)[0], n_s)])
     by = slopes(q, v, [x - y for x, y in zip(a, defect, strict=True)], u, *forces)[0]
-    columns = solve(inertia, [[-x for x in dense(by, n_s, column)] for column in range(2 * n_s)])
+    columns = solve_enclosed(inertia, [[-x for x in dense(by, n_s, column)] for column in range(2 * n_s)])
     return [[column[i] for column in columns] for i in range(n_s)]

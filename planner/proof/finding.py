@@ -1,15 +1,17 @@
 """The result of a proof: claims on the whole motion, each proved, refuted, undecided or sampled."""
 
 import math
-from dataclasses import asdict, dataclass
+
+from msgspec import Struct
+
+from linkplan.planner.files.structs import Beside, InJson
 
 ANSWERS = ("proved", "refuted", "undecided", "sampled")
 # Begins the names of the findings on a motion of the model near a plan.
 OWN_MOTION = "the model's own motion under the planned efforts"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Finding:
+class Finding(Struct, frozen=True, kw_only=True):
     """One claim and its answer.
 
     `bound` encloses the worst value on the whole motion, in `unit`; for a refuted claim it is a value that certainly occurs,
@@ -34,14 +36,13 @@ class Finding:
         return f"{self.name}: {self.answer}, {self.reason}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Proof:
+class Proof(Struct, frozen=True, kw_only=True):
     """Findings on one motion; `boxes` were evaluated in `seconds` of processor time.
 
     `existence_seconds` were spent besides on a motion of the model near the plan.
     """
 
-    findings: tuple[Finding, ...]
+    findings: Beside[tuple[Finding, ...]]
     boxes: int
     seconds: float
     existence_seconds: float = 0.0
@@ -50,17 +51,22 @@ class Proof:
         """Return the findings with an answer: "proved", "refuted", "undecided" or "sampled"."""
         return tuple(finding for finding in self.findings if finding.answer == answer)
 
+    proved = InJson(lambda self: self.of("proved"))
+    refuted = InJson(lambda self: self.of("refuted"))
+    undecided = InJson(lambda self: self.of("undecided"))
+    sampled = InJson(lambda self: self.of("sampled"))
+
     @property
     def passed(self) -> bool:
         """Whether no claim is refuted."""
         return not self.of("refuted")
 
-    @property
+    @InJson
     def complete(self) -> bool:
         """Whether every claim that can be enclosed is proved."""
         return self.passed and not self.of("undecided")
 
-    @property
+    @InJson
     def verdict(self) -> str:
         """The verdict in a word: "proved", "undecided" or "refuted"."""
         return "proved" if self.complete else "undecided" if self.passed else "refuted"
@@ -70,12 +76,6 @@ class Proof:
         counts = ", ".join(f"{len(self.of(answer))} {answer}" for answer in ANSWERS if self.of(answer))
         besides = f", existence in {self.existence_seconds:.2g} s" if self.existence_seconds >= 0.01 else ""
         return f"{self.verdict}: {counts}; {self.boxes} boxes in {self.seconds:.2g} s{besides}"
-
-    def record(self) -> dict:
-        """Return the lists of findings by answer, and the cost."""
-        lists = {answer: [asdict(finding) for finding in self.of(answer)] for answer in ANSWERS}
-        cost = {"boxes": self.boxes, "seconds": self.seconds, "existence_seconds": self.existence_seconds}
-        return lists | {"complete": self.complete} | cost
 
 
 def finding_of(name: str, value: float, mark: float, unit: str, time_s: float | None = None, where: str = "") -> Finding:

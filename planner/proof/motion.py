@@ -11,7 +11,7 @@ from flint import arb, arb_poly, arb_series
 from linkplan.planner.problem.instant import Corner
 from linkplan.planner.proof.branch import pose_of
 from linkplan.planner.proof.curve import forces_over
-from linkplan.planner.proof.taylor import Matrix, product, solve, transposed
+from linkplan.planner.proof.taylor import Matrix, product, solve_enclosed, transposed
 from linkplan.planner.proof.walk import Ball, Blocks, dense, larger, loaded_tree, pose_walk
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
@@ -121,7 +121,7 @@ class Kinetics:
         P, n_s, n_u = state.effort_map, len(tau), len(state.u)
         rows, columns = (sorted({place[axis] for place in P}) for axis in (0, 1))  # the others are zero everywhere
         if n_s == n_u == len(rows) == len(columns):
-            (found,) = solve(P, [tau])
+            (found,) = solve_enclosed(P, [tau])
             return [x / factor for x in found]
         left = [t / factor - c for t, c in zip(tau, product(P, state.u, n_s), strict=True)]
         P = {(rows.index(i), columns.index(k)): x for (i, k), x in P.items()}
@@ -158,9 +158,9 @@ def _least(P: Matrix, of: Sequence[Ball], n_columns: int) -> list[Ball]:
     """Return P^+ b (n_columns,) for a matrix of full rank."""
     PT, n_rows = transposed(P), len(of)
     if n_columns >= n_rows:
-        (inner,) = solve(_squared(P, n_rows), [of])
+        (inner,) = solve_enclosed(_squared(P, n_rows), [of])
         return product(PT, inner, n_columns)
-    (found,) = solve(_squared(PT, n_columns), [product(PT, of, n_columns)])
+    (found,) = solve_enclosed(_squared(PT, n_columns), [product(PT, of, n_columns)])
     return found
 
 
@@ -261,7 +261,7 @@ class State:
         of_z = [forces[i] for i in self.blocks.dependent]
         if all(isinstance(x, arb) and x.is_zero() for x in of_z):
             return of_s, of_z
-        (found,) = solve(transposed(self.tangent_z), [of_z])
+        (found,) = solve_enclosed(transposed(self.tangent_z), [of_z])
         return [x - y for x, y in zip(of_s, product(transposed(self.tangent_s), found, len(of_s)), strict=True)], found
 
     @cached_property
@@ -285,7 +285,7 @@ class State:
         right = product(self.tangent_s, of_s, n)
         if rates is not None:
             right = [x + y for x, y in zip(right, dense(self.blocks.convective(self.q, rates)[0], n), strict=True)]
-        (found,) = solve(self.tangent_z, [[-x for x in right]])
+        (found,) = solve_enclosed(self.tangent_z, [[-x for x in right]])
         return found
 
     @property

@@ -9,7 +9,7 @@ from flint import arb, arb_poly, arb_series, ctx
 
 from linkplan.models.deadline import NO_DEADLINE, Deadline, OutOfTimeError
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.proof.branch import Root, krawczyk, newton, series_of
+from linkplan.planner.proof.branch import EnclosedRoot, krawczyk, newton, series_of
 from linkplan.planner.proof.claim import Claim, Record, finding_of_claim, undecided_reason
 from linkplan.planner.proof.claims import claims_of, sampled_findings
 from linkplan.planner.proof.ends import START_POSE_ERROR, end_findings, position_spans
@@ -307,7 +307,7 @@ def _boxes(halvings: int, claims: list[int]) -> list[_Box]:
 
 def states_of(
     blocks: Blocks, piece: Piece, box: tuple[float, float], guess: np.ndarray, slack: Sequence[arb], order: int
-) -> tuple[State, State, Root]:
+) -> tuple[State, State, EnclosedRoot]:
     """Return the motion at the middle of a box and over the box, and the root of the closure over the box.
 
     Args:

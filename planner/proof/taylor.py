@@ -26,7 +26,7 @@ class NotSeparatedError(ArithmeticError):
     """The balls are too wide: a pivot may vanish, or a root is not isolated."""
 
 
-def solve(matrix: Matrix, columns: Sequence[Sequence[Ball | None]]) -> list[list[Ball]]:
+def solve_enclosed(matrix: Matrix, columns: Sequence[Sequence[Ball | None]]) -> list[list[Ball]]:
     """Return the solutions x (n,) of A x = b for several right sides b (n,); None is a zero.
 
     Args:

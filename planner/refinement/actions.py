@@ -10,7 +10,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.planner.limits.limit import WhichJoints
 from linkplan.planner.refinement.case import Case, Iterate, attempt, certify_iterate
 from linkplan.planner.refinement.constrained_arcs import FixedArcs, interval_breaks, released
-from linkplan.planner.refinement.history import progress, record, step_of
+from linkplan.planner.refinement.history import add_step, progress, step_of
 from linkplan.planner.refinement.marking import most_overrun, widths_of
 from linkplan.planner.refinement.state import RefinementState, observed
 from linkplan.planner.refinement.switch_search import mesh_with_switches, settle_switch_times
@@ -259,7 +259,7 @@ def nearest_on(
     solution = nearest_feasible(transcribed, begin)
     if not (solution.converged or by_newton):
         solution = nearest_inside(transcribed, begin, case.problem.solver)
-    record(step_of(what, transcribed, solution))
+    add_step(step_of(what, transcribed, solution))
     motion = case.motion(solution) if solution.converged else None
     return None if motion is None else Iterate(motion=motion, solution=solution, fixed=coarse.fixed)
 

@@ -13,7 +13,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.planner.limits.limit import WhichJoints
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
-from linkplan.planner.refinement.history import amend_last_step, progress, record, recorded, step_of
+from linkplan.planner.refinement.history import add_step, amend_last_step, progress, recorded, step_of
 from linkplan.planner.solvers.solve import Solution, solve
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh
@@ -226,7 +226,7 @@ def attempt(
     except (AssemblyError, OutOfTimeError):  # the loops of the start open between the instants at which it was sampled
         return None
     solution = solve(transcribed, settings.solver, warm=warm, close=close, adaptive=adaptive)
-    record(step_of(what, transcribed, solution))
+    add_step(step_of(what, transcribed, solution))
     if not solution.converged:
         return None
     motion = case.motion(solution)

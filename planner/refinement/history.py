@@ -1,17 +1,23 @@
 """The record of the solves that lead to a plan, and its progress.
 
-A plan is made inside `recording`. Whatever solves calls `record` and `progress` there; no function passes a record on.
+A plan is made inside `recording`. Whatever solves calls `add_step` and `progress` there; no function passes a record on.
 """
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass, replace
+from typing import Annotated
 
+from msgspec import Meta, Struct
+from msgspec.structs import replace
+
+from linkplan.planner.files.structs import Number
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed
 
 Say = Callable[[str], None]
+_Count = Annotated[int, Meta(ge=0)]
+_Seconds = Annotated[float, Meta(ge=0)]
 
 
 def silent(text: str) -> None:
@@ -19,20 +25,19 @@ def silent(text: str) -> None:
     del text
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Step:
+class Step(Struct, frozen=True, eq=False, kw_only=True):
     """One solve on the way to a plan: what was tried, on how many intervals, and what came of it."""
 
     what: str
     scheme: str
-    intervals: int
-    segments: int
+    intervals: _Count
+    segments: _Count
     converged: bool
     solver_status: str
-    objective: float
+    objective: Number
     integration_error_deg: float | None
-    build_s: float
-    solve_s: float
+    build_s: _Seconds
+    solve_s: _Seconds
     integration_error: float | None = None  # of a differential equation, as a share of its states' sizes
 
 
@@ -58,7 +63,7 @@ def recorded() -> tuple[Step, ...]:
     return tuple(_STEPS.get() or ())
 
 
-def record(step: Step) -> None:
+def add_step(step: Step) -> None:
     """Add a step to the record; outside of `recording` it is not kept."""
     steps = _STEPS.get()
     if steps is not None:

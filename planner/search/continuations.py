@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.closed_chain.guess import Guess, motion_of, poses_along, stretched
+from linkplan.planner.closed_chain.guess import Guess, guess_from, poses_along, stretched
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
@@ -183,7 +183,7 @@ def _step(problem: Problem, at: Continued, allowed: float) -> Continued | None:
     mesh = transcribed.program.mesh
     durations = np.bincount(mesh.segment, weights=np.diff(better.motion.breaks_s))
     return Continued(
-        start=motion_of(better.motion),
+        start=guess_from(better.motion),
         mesh=mesh,
         shares=durations / durations.sum(),
         scheme=transcribed.scheme.name,

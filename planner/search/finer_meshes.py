@@ -18,7 +18,7 @@ from linkplan.models.deadline import Deadline, check
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.closed_chain.case import MechanismCase
 from linkplan.planner.closed_chain.formulate import TIE_WEIGHT
-from linkplan.planner.closed_chain.guess import motion_of, with_force_times
+from linkplan.planner.closed_chain.guess import guess_from, with_force_times
 from linkplan.planner.limits.jerks import smooth_columns
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
@@ -152,7 +152,7 @@ def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -
     The barrier follows the iterates where the duration is free. With a given one it falls from a small value, which takes
     fewer iterations. The other one is tried where the motion is lost.
     """
-    start, settings = replace(motion_of(coarse.motion), share_of_effort=1.0), way.case.problem.solver
+    start, settings = replace(guess_from(coarse.motion), share_of_effort=1.0), way.case.problem.solver
     another = coarse.solution.transcribed.scheme.name != way.case.problem.mesh.scheme
     most = 2 * _MOST_ITERATIONS if another else _MOST_ITERATIONS
     few = settings.replace(max_iterations=min(most, settings.max_iterations or most), deadline=until)

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
-from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses
+from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, perturbed_guesses
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.history import record, step_of
+from linkplan.planner.refinement.history import add_step, step_of
 from linkplan.planner.refinement.switch_search import MESH_ERROR_SHARE, mesh_with_switches
 from linkplan.planner.refinement.switches import find_bang_efforts, find_switch_times
 from linkplan.planner.search.solving import first_mesh
@@ -56,7 +56,7 @@ def settled_limit(problem: Problem, found: LeastLimit) -> LeastLimit:
     """
     for _ in range(3):  # a message names the factor to four digits
         mesh = halved(found.mesh, np.ones(found.mesh.n_intervals, dtype=bool))
-        finer = least_limit(problem, motion_of(found.trajectory), mesh, found.durations)
+        finer = least_limit(problem, guess_from(found.trajectory), mesh, found.durations)
         if finer is None:
             return found
         before, found = found, finer
@@ -89,7 +89,7 @@ def least_limit(
         except AssemblyError:  # the first motion leaves the reach between its nodes
             break
         solution = solve(transcribed, problem.solver)
-        record(step_of("least effort limit", transcribed, solution))
+        add_step(step_of("least effort limit", transcribed, solution))
         if not solution.converged:
             break
         factor = float(solution.x[transcribed.program.layout.extra()][0])
@@ -113,5 +113,5 @@ def least_limit(
         bang_efforts = find_bang_efforts(best.trajectory, factor * limit, np.cumsum(durations)[:-1]) / factor
         for bound in limit.T:  # as the limits' own numbers, free of rounding
             bang_efforts = np.where(np.isclose(bang_efforts, bound, rtol=1e-9), bound, bang_efforts)
-        guess = motion_of(best.trajectory)
+        guess = guess_from(best.trajectory)
     return best

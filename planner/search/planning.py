@@ -8,7 +8,9 @@ one. A new method is one function, `(Search, Budget) -> Plan | None`, and one ro
 
 import contextlib
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
+
+from msgspec import Struct
 
 from linkplan.models.deadline import OutOfTimeError, one_thread_at_a_time
 from linkplan.planner.closed_chain.case import LOCALLY, plan_hold, plan_prescribed
@@ -257,8 +259,7 @@ def _diagnosed(search: Search, diagnoses: Sequence[Diagnosis]) -> Plan:
     return reasons.nothing_found(search)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Price:
+class Price(Struct, frozen=True, kw_only=True):
     """The objectives of a plan with a reserve or corners and of the nominal plan, in the objective's unit."""
 
     objective: float

@@ -9,7 +9,7 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import demanded, least_effort, needed_effort
-from linkplan.planner.closed_chain.guess import Guess, even_poses, motion_of
+from linkplan.planner.closed_chain.guess import Guess, even_poses, guess_from
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
 from linkplan.planner.limits.actuators import ControlLimit
 from linkplan.planner.limits.joints import RangeLimit
@@ -19,7 +19,7 @@ from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.extra import extras_not_finite
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.history import progress, record, recorded, step_of
+from linkplan.planner.refinement.history import add_step, progress, recorded, step_of
 from linkplan.planner.search.ladder import SHORT_BUDGET, Search
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts
 from linkplan.planner.search.presolve import plain_contradiction
@@ -376,9 +376,9 @@ def least_of(
     if factor is None:
         return motion
     near, far = 1.0, factor
-    transcribed = transcribe(kind.relaxed(problem, far), motion_of(motion), mesh, durations)
+    transcribed = transcribe(kind.relaxed(problem, far), guess_from(motion), mesh, durations)
     best = solve(transcribed, problem.solver)
-    record(step_of(f"least {kind.key}", transcribed, best))
+    add_step(step_of(f"least {kind.key}", transcribed, best))
     if not best.converged:
         return motion
     solver = build_solver(transcribed.program, problem.solver, warm=True)
@@ -391,7 +391,7 @@ def least_of(
             best, far = trial, middle
         else:
             near = middle
-    record(step_of(f"least {kind.key}", best.transcribed, best))
+    add_step(step_of(f"least {kind.key}", best.transcribed, best))
     try:
         return trajectory_of(best.transcribed, best.x, problem.limits.effort)
     except AssemblyError:

@@ -17,6 +17,7 @@ import time
 from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import structs
 
 from linkplan.models.deadline import OutOfTimeError, one_thread_at_a_time
 from linkplan.planner.closed_chain.case import case_of, finished
@@ -24,7 +25,7 @@ from linkplan.planner.closed_chain.transcribe import is_program_of, own_objectiv
 from linkplan.planner.limits.kinds import structure_of
 from linkplan.planner.plan.plan import MotionTable, Plan, sample_motion
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.history import Say, record, recorded, recording, silent, step_of
+from linkplan.planner.refinement.history import Say, add_step, recorded, recording, silent, step_of
 from linkplan.planner.refinement.switch_search import bounded_by_guess
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.presolve import plain_contradiction
@@ -221,7 +222,7 @@ class Replanner:
             if trajectory is None or certificate is None:
                 return None
             step = step_of("constraints tightened" if recorded() else "solved again", solution.transcribed, solution)
-            record(replace(step, integration_error_deg=certificate.integration_error_deg))
+            add_step(structs.replace(step, integration_error_deg=certificate.integration_error_deg))
             if not case.error_report(certificate).overruns or case.n_tightenings == 2:
                 break  # a motion that overruns its limits still is planned anew
             # Tightening starts anew, because the kept program's own tightening belongs to another motion.

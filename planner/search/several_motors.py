@@ -16,7 +16,7 @@ from linkplan.models.deadline import Deadline, OutOfTimeError
 from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
 from linkplan.planner.closed_chain.formulate import FIRST_TIE_WEIGHT, TIE_WEIGHT, tie_weights
-from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, stretched
+from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, perturbed_guesses, stretched
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt, share_gained
@@ -106,7 +106,7 @@ def _slower(problem: Problem, first: _First) -> Plan | None:
             break
         fixed = replace(problem.motion, duration_s=duration, min_duration_s=None, max_duration_s=None)
         slower = replace(problem, objective="effort", motion=fixed)
-        case, guess = _first_case(slower, motion.start_pose), stretched(motion_of(motion), duration)
+        case, guess = _first_case(slower, motion.start_pose), stretched(guess_from(motion), duration)
         found = attempt(case, guess, *first_mesh(case.problem, guess), f"{factor:g} times slower", adaptive=True)
         plan = None if found is None else certified(slower, found)
         if plan is not None and plan.passed:

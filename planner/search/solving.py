@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, stretched, with_force_times
+from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, stretched, with_force_times
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
@@ -99,7 +99,7 @@ def with_longer_durations(problem: Problem, found: Iterate) -> tuple[Iterate, st
             break
         longer *= 30.0
         duration = min(longer, problem.motion.max_duration_s or np.inf)
-        start = stretched(motion_of(found.motion), duration)
+        start = stretched(guess_from(found.motion), duration)
         shares = found.solution.x[found.solution.transcribed.program.layout.durations()]
         further = solve_from(problem, start, found.mesh, duration * shares / shares.sum(), "from a longer motion")
         if further is None:

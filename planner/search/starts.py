@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.planner.closed_chain.guess import Guess, closes, motion_of, perturbed_guesses, stretched, swinging_guesses
+from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, perturbed_guesses, stretched, swinging_guesses
 from linkplan.planner.limits.joints import SpeedLimit
 from linkplan.planner.limits.kinds import relaxed_kinds
 from linkplan.planner.limits.samples import singularity_ratios
@@ -231,7 +231,7 @@ def least_time_motion(search: Search, budget: Budget) -> Guess | None:
 def with_switch_times(plan: Plan) -> Guess:
     """Return a plan's motion as a guess that knows the switch times of its mesh."""
     trajectory = plan.require_motion("start from")
-    guess = motion_of(trajectory)
+    guess = guess_from(trajectory)
     if plan.solved is None or plan.solved.program.mesh.n_phases > 1:
         return guess
     mesh, breaks = plan.solved.program.mesh, trajectory.breaks_s

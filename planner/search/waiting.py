@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.planner.certificate.further_checks import objective_value
-from linkplan.planner.closed_chain.guess import motion_of, stretched
+from linkplan.planner.closed_chain.guess import guess_from, stretched
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import MIN_INTERVAL_SHARE
 from linkplan.planner.search.attempts import certified, without_solving
@@ -86,7 +86,7 @@ def _a_little_longer(search: Search, budget: Budget, quick: Plan) -> Plan | None
     # In the transcription that the least-time motion's certificate passed with.
     mesh = problem.mesh.replace(scheme=quick.solved.scheme.name, refine="intervals")
     problem = replace(problem, guess=None, mesh=mesh, motion=replace(problem.motion, duration_s=duration))
-    start, mesh = stretched(motion_of(motion), duration), quick.solved.program.mesh
+    start, mesh = stretched(guess_from(motion), duration), quick.solved.program.mesh
     lengths = np.bincount(mesh.segment, weights=np.diff(motion.breaks_s))
     durations = lengths * duration / lengths.sum()
     what = "the least-time motion with a little more time"

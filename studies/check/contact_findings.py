@@ -14,7 +14,7 @@ from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
 def reach_sentence(pair: ContactPair, n_poses: int) -> str:
     """Return the sentence on geoms that collide somewhere within reach."""
     return (
-        f"geoms {pair.first} and {pair.second} collide in {len(pair.poses)} of {n_poses} poses within reach, up to"
+        f"geoms {' and '.join(pair.geoms)} collide in {len(pair.poses)} of {n_poses} poses within reach, up to"
         f" {1e3 * pair.depth_m:.2g} mm deep"
     )
 
@@ -44,7 +44,7 @@ def contact_findings(
             for pair in pairs
             if pair not in pads
         ], [
-            f"geoms {pair.first} and {pair.second} meet towards an end of the reach, as a gripper's pads or a stop do, up to"
+            f"geoms {' and '.join(pair.geoms)} meet towards an end of the reach, as a gripper's pads or a stop do, up to"
             f" {1e3 * pair.depth_m:.2g} mm deep: a motion ends before they meet"
             for pair in pads
         ]
@@ -55,10 +55,10 @@ def contact_findings(
 
     problems, notes, named = [], [], set()
     found = meetings(mechanism, way, path.poses, position_at)
-    notes.extend(contact_notes(tuple(meeting for meeting in found if meeting.since is None)))
+    notes.extend(contact_notes(tuple(meeting for meeting in found if meeting.since_s is None)))
     for meeting in found:
-        named.add((meeting.first, meeting.second))
-        if meeting.since is None:
+        named.add(meeting.geoms)
+        if meeting.since_s is None:
             continue
         if treatment == "note":
             notes.append(f"{_on_the_way(mechanism, meeting, path, position_at)}: contact forces are not planned for")
@@ -66,7 +66,7 @@ def contact_findings(
             said = _on_the_way(mechanism, meeting, path, position_at)
             problems.append(f'{said}: a plan through it is refused unless limits.contacts = "note"')
     for pair in pairs:
-        if (pair.first, pair.second) not in named:
+        if pair.geoms not in named:
             notes.append(f"{reach_sentence(pair, n_poses)}, but not along {path.title}")
     return problems, notes
 
@@ -83,6 +83,6 @@ def _meet_at_an_end(pair: ContactPair, sweeps: Sequence[int]) -> bool:
 
 
 def _on_the_way(mechanism: Mechanism, meeting: Contact, path: KinematicLoopPath, position_at) -> str:
-    at = position_at(np.array([meeting.since]))[0]
+    at = position_at(np.array([meeting.since_s]))[0]
     place, depth = where(mechanism.independent_joints, at, 5), f"up to {1e3 * meeting.depth_m:.2g} mm deep"
     return f"{geom_names(meeting)} collide at {place} on {path.title}, {depth}"

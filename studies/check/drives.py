@@ -109,7 +109,7 @@ def undriven(mechanism: Mechanism, column: int, *, steerable: bool) -> tuple[str
     if steerable:
         return f"joint {joint.name} has no actuator: it is moved through the others only (underactuated){ends}", False
     if column in sprung_freedoms(mechanism):
-        return f"joint {joint.name} has no actuator and is not steered by the others: springs hold it", False
+        return f"joint {joint.name} has no actuator and the others do not move it: springs hold it", False
     said = "" if is_damped(mechanism, mechanism.home, column) else " and nothing damps it"
     return f"joint {joint.name} moves freely: no actuator drives it{said}{ends}", True
 

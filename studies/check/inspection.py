@@ -131,9 +131,7 @@ def inspect(
             }
             for a in mechanism.actuators
         },
-        contacts=[
-            {"geoms": [pair.first, pair.second], "poses": len(pair.poses), "depth_m": pair.depth_m} for pair in touching
-        ],
+        contacts=[{"geoms": pair.geoms, "poses": len(pair.poses), "depth_m": pair.depth_m} for pair in touching],
         problems=tuple(dict.fromkeys([*problems, *refused])),
         notes=(*notes, *noted),
         sites_at_home_m=sites_at_home(mechanism),
@@ -247,7 +245,7 @@ def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[list[st
     problems += [*beyond, *coincident_sites(mechanism)]
     notes += ends
     for item in audit(mechanism.model):
-        (problems if item.falsifies else notes).append(f"not honoured: {item.text}" if item.falsifies else item.text)
+        (problems if item.falsifies else notes).append(f"neglected in plans: {item.text}" if item.falsifies else item.text)
     return problems, notes
 
 

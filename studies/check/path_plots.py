@@ -55,8 +55,8 @@ def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
     from linkplan.studies.output.figure import figure_of, one_screen
 
     mechanism = found.mechanism
-    steered = [can for can in found.reaches if mechanism.actuated[can.coordinate]]
-    reaches = (steered or found.reaches)[:MAX_FIGURES]
+    actuated = [can for can in found.reaches if mechanism.actuated[can.coordinate]]
+    reaches = (actuated or found.reaches)[:MAX_FIGURES]
     rows: list[list] = []
     for can in reaches:
         poses = thinned(swept(mechanism, can), most_poses(mechanism))

@@ -76,7 +76,7 @@ def _first(sentences: Sequence[str], most: int, what: str) -> list[str]:
 def _reaches(found: Inspection) -> list[Block]:
     """Return the table of the first coordinates' reach; a floating base and rods' spins are left out."""
     mechanism, floating = found.mechanism, floating_columns(found.mechanism)
-    steered = [can for can in found.reaches if can.coordinate not in floating]
-    of = [can for can in steered if mechanism.actuated[can.coordinate]]
+    grounded = [can for can in found.reaches if can.coordinate not in floating]
+    of = [can for can in grounded if mechanism.actuated[can.coordinate]]
     more = f"; of {len(of)} coordinates the first {MOST_COORDINATES}" if len(of) > MOST_COORDINATES else ""
     return [reach_table(found, of[:MOST_COORDINATES], more)] if of else []

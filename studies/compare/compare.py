@@ -261,14 +261,14 @@ def run_figures(plan: Plan, rollout: Rollout) -> dict:
 def error_figures(mechanism: Mechanism, error: np.ndarray) -> dict[str, float]:
     """Return rms, largest and final size of errors (n, n_s) [rad or m], of hinges in degrees and of slides in metres."""
     record = {}
-    for unit, (which, factor) in steered_by_unit(mechanism).items():
+    for unit, (which, factor) in actuated_by_unit(mechanism).items():
         size = factor * np.linalg.norm(error[:, which], axis=1)
         figures = {"rms": np.sqrt(np.mean(size**2)), "max": size.max(), "final": size[-1]}
         record |= {f"{name}_error_{unit}": float(value) for name, value in figures.items()}
     return record
 
 
-def steered_by_unit(mechanism: Mechanism) -> dict[str, tuple[np.ndarray, float]]:
+def actuated_by_unit(mechanism: Mechanism) -> dict[str, tuple[np.ndarray, float]]:
     """Return a mask (n_s,) of the controllable independent joints for each of their units, and the unit's factor from SI."""
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     units = {"deg": (hinge & mechanism.actuated, 180 / np.pi), "m": (~hinge & mechanism.actuated, 1.0)}

@@ -8,7 +8,7 @@ import numpy as np
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.studies.compare.compare import Comparison, gap_units, run_figures, steered_by_unit, tracking_reference
+from linkplan.studies.compare.compare import Comparison, actuated_by_unit, gap_units, run_figures, tracking_reference
 from linkplan.studies.compare.comparison_notes import comparison_notes
 from linkplan.studies.compare.document import document_rows
 from linkplan.studies.output.document import Block, Plot, Table, Text, table_of
@@ -65,7 +65,7 @@ def largest(sizes: np.ndarray, most: int) -> list[int]:
 def _tables(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> list[Table]:
     """Return the table of trackers and, for many actuators, a second one of their peak efforts."""
     plan = comparison.plan
-    units = [*steered_by_unit(plan.problem.mechanism)]
+    units = [*actuated_by_unit(plan.problem.mechanism)]
     actuators = plan.problem.mechanism.actuators
     few, (lengths, angles) = actuators if len(actuators) <= MAX_PEAK_COLUMNS else [], gap_units(comparison.plan)
     heads = [

@@ -11,7 +11,7 @@ from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.check.holding import why_no_loop
 from linkplan.studies.check.softness import gap_sentence, softness_error
-from linkplan.studies.compare.compare import Comparison, error_figures, steered_by_unit
+from linkplan.studies.compare.compare import Comparison, actuated_by_unit, error_figures
 
 # Below this travel [deg or m], a motion stands still, and an error has no travel to be compared with.
 _STANDS_STILL = 1e-9
@@ -94,7 +94,7 @@ def lost_notes(comparison: Comparison) -> list[str]:
     errors = {name: error_figures(mechanism, run.error_rad) for name, run in comparison.nominal.items() if run.stable}
     reference = next(iter(comparison.nominal.values())).reference_rad
     travels = error_figures(mechanism, reference - reference[0])
-    for unit in steered_by_unit(mechanism):
+    for unit in actuated_by_unit(mechanism):
         largest, travel = f"max_error_{unit}", travels[f"max_error_{unit}"]
         lost = {name: found[largest] for name, found in errors.items() if found[largest] > travel > _STANDS_STILL}
         if lost:

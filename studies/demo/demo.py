@@ -9,7 +9,7 @@ from msgspec.structs import replace
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.files.folders import write_json, write_whole
-from linkplan.planner.plan.folder import record, versions
+from linkplan.planner.plan.folder import record_of, versions
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
@@ -175,7 +175,7 @@ def _plans(place: Path, said: dict, say: Say) -> dict[str, Plan]:
         folder = place / "plans" / name
         folder.mkdir(parents=True)
         save_plan(plan, folder)
-        plans[name], said["plans"][name] = plan, record(plan)
+        plans[name], said["plans"][name] = plan, record_of(plan)
     return plans
 
 

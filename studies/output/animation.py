@@ -13,7 +13,7 @@ from linkplan.models.tree.coordinates import joint_label
 from linkplan.studies.output.bodies import Drawing, bodies_of, cut_pin_labels, drawing_of, floors_of
 from linkplan.studies.output.document import Animation, Ghost
 from linkplan.studies.output.drives import drives_of
-from linkplan.studies.output.numbers import direction_name, rounded, times
+from linkplan.studies.output.numbers import direction_name, rounded, rounded_times
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -72,7 +72,7 @@ def animation(
         group=group,
         dimension=2 if flat else 3,
         axes=(direction_name(right), direction_name(up)),
-        times=times(time_s),
+        times=rounded_times(time_s),
         bodies=bodies_of(drawing, poses),
         ghosts=[
             Ghost(

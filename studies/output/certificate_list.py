@@ -16,7 +16,7 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.sites import task_words
 from linkplan.studies.output.document import Checklist, Item
-from linkplan.studies.output.draw_plan import LEAST_SHOWN, Motion
+from linkplan.studies.output.draw_plan import LEAST_SHOWN, DrawnMotion
 from linkplan.studies.output.numbers import significant
 
 # The first words of the certificate's sentence on the velocity. The verdict also uses the integrated velocity, so the
@@ -24,7 +24,7 @@ from linkplan.studies.output.numbers import significant
 _NOT_ITS_VELOCITY = "the planned velocity is not"
 
 
-def certificate_list(plan: Plan, motion: Motion, group: str) -> Checklist:
+def certificate_list(plan: Plan, motion: DrawnMotion, group: str) -> Checklist:
     """Return the checklist of a plan's certificate; its instants move the cursor of `group`."""
     certificate = plan.certificate
     assert certificate is not None  # of a motion
@@ -37,7 +37,7 @@ def certificate_list(plan: Plan, motion: Motion, group: str) -> Checklist:
     return Checklist(title="Checks between the nodes", group=group, items=items)
 
 
-def _efforts(plan: Plan, motion: Motion) -> list[Item]:
+def _efforts(plan: Plan, motion: DrawnMotion) -> list[Item]:
     items = []
     for j, actuator in enumerate(plan.problem.mechanism.actuators):
         values, (low, high) = motion.effort[:, j], plan.problem.limits.effort[j]
@@ -86,7 +86,7 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
         rows.append((label, error <= allowed, error, allowed, "m", None))
     if mechanism.closures:
         allowed = max(CLOSURE_M, mechanism.closed_m)
-        held, at = certificate.closure_gap_m <= allowed, when.get("closure_gap_m")
+        held, at = certificate.largest_gap_m <= allowed, when.get("closure_gap_m")
         for unit, gap in certificate.closure_gaps.items():
             limit = allowed / max(closure.per_unit for closure in mechanism.closures if closure.unit == unit)
             rows.append(("gap of the kinematic loops", held, gap, limit, unit, at))
@@ -109,11 +109,11 @@ def _contacts(plan: Plan, certificate: Certificate) -> list[Item]:
     return [
         _item(
             f"contact of {geom_names(meeting)}, depth",
-            plan.problem.contacts != "refuse" or meeting.since is None,
+            plan.problem.contacts != "refuse" or meeting.since_s is None,
             1e3 * meeting.depth_m,
-            0.0 if plan.problem.contacts == "refuse" and meeting.since is not None else None,
+            0.0 if plan.problem.contacts == "refuse" and meeting.since_s is not None else None,
             "mm",
-            meeting.deepest_at,
+            meeting.deepest_at_s,
         )
         for meeting in certificate.contacts
     ]

@@ -133,7 +133,7 @@ class Series(Struct, frozen=True, kw_only=True, eq=False):
     width: float = 1.6
 
 
-class Limit(Struct, frozen=True, kw_only=True, eq=False):
+class DrawnLimit(Struct, frozen=True, kw_only=True, eq=False):
     """A limit drawn across a plot, in the unit of its vertical axis."""
 
     name: str
@@ -152,7 +152,7 @@ class Plot(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, e
     y_axis: Axis
     x: Numbers
     series: Sequence[Series]
-    limits: Sequence[Limit] = ()
+    limits: Sequence[DrawnLimit] = ()
     period: float | None = None
 
     def __post_init__(self) -> None:

@@ -28,7 +28,7 @@ LEAST_SHOWN = 1e-9
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Motion:
+class DrawnMotion:
     """A plan at instants (n,) [s]; at a jump in effort there is an instant on each side.
 
     `position`, `velocity`, `acceleration` (n, n_s) of the independent joints [rad or m, and per second]; `pose`, `rates`
@@ -46,7 +46,7 @@ class Motion:
     closure_force: np.ndarray
 
 
-def motion_of(plan: Plan) -> Motion:
+def drawn_motion(plan: Plan) -> DrawnMotion:
     """Return a plan's motion at instants spread over every interval: 12 steps each, but 300 to 700 steps in all.
 
     Raises:
@@ -60,7 +60,7 @@ def motion_of(plan: Plan) -> Motion:
     u = trajectory.effort_at(time)
     u = np.where(np.abs(u).max(axis=0) > LEAST_SHOWN, u, 0.0)
     q = follow(problem.mechanism, s, trajectory.start_pose)
-    return Motion(
+    return DrawnMotion(
         time_s=time,
         position=s,
         velocity=v,
@@ -78,7 +78,7 @@ def plan_figure(plan: Plan, path: Path | None = None) -> "Figure":
     from linkplan.studies.output.draw_bodies import draw_poses, draw_sites
     from linkplan.studies.output.figure import figure_of, side_by_side
 
-    motion = motion_of(plan)
+    motion = drawn_motion(plan)
     drawn = time_plots(plan, motion)
     shown = [*drawn["position"], *drawn["speed"], *drawn["effort"]]
     poses = motion.pose[np.linspace(0, len(motion.pose) - 1, 5).astype(int)]
@@ -90,7 +90,7 @@ def plan_figure(plan: Plan, path: Path | None = None) -> "Figure":
     return figure_of(side_by_side(shown, [mechanism]), path, title=title, columns=2, panel_in=(6.2, 2.7))
 
 
-def time_plots(plan: Plan, motion: Motion, group: str = "", period: float | None = None) -> dict[str, list[Plot]]:
+def time_plots(plan: Plan, motion: DrawnMotion, group: str = "", period: float | None = None) -> dict[str, list[Plot]]:
     """Return the plots of a plan's motion over time, by what they show."""
     mechanism, limits, time = plan.problem.mechanism, plan.problem.limits, motion.time_s
     independent, dependent = list(mechanism.independent), list(mechanism.dependent)
@@ -146,7 +146,7 @@ def time_plots(plan: Plan, motion: Motion, group: str = "", period: float | None
     }
 
 
-def force_plots(plan: Plan, motion: Motion, group: str = "", period: float | None = None) -> list[Plot]:
+def force_plots(plan: Plan, motion: DrawnMotion, group: str = "", period: float | None = None) -> list[Plot]:
     """Return the plots of the forces in every pin: in cut pins, which the closures hold, and in the pins of the tree."""
     mechanism, limits = plan.problem.mechanism, plan.problem.limits.closure_force
     cut = [
@@ -166,7 +166,7 @@ def force_plots(plan: Plan, motion: Motion, group: str = "", period: float | Non
     return [*plots(title, "force", TIME, motion.time_s, lines, group=group, period=period), *applied]
 
 
-def _applied(mechanism: Mechanism, motion: Motion) -> list[Line]:
+def _applied(mechanism: Mechanism, motion: DrawnMotion) -> list[Line]:
     """Return the components of the forces over time that are not zero throughout."""
     if mechanism.forces is None:
         return []
@@ -175,7 +175,7 @@ def _applied(mechanism: Mechanism, motion: Motion) -> list[Line]:
     return [Line(name=head, values=values, unit="N") for head, values in zip(heads, forces.T, strict=True) if np.any(values)]
 
 
-def _site_lines(plan: Plan, motion: Motion) -> list[Line]:
+def _site_lines(plan: Plan, motion: DrawnMotion) -> list[Line]:
     """Return the moving coordinates of the sites that a problem names, in millimetres."""
     mechanism, lines = plan.problem.mechanism, []
     for name, index in plan.problem.sites.items():
@@ -186,7 +186,7 @@ def _site_lines(plan: Plan, motion: Motion) -> list[Line]:
     return lines
 
 
-def _body_lines(plan: Plan, motion: Motion) -> list[Line]:
+def _body_lines(plan: Plan, motion: DrawnMotion) -> list[Line]:
     """Return the angles of the bodies that a problem names, with their limits, in degrees."""
     problem = plan.problem
     limits = {one.body: (float(np.degrees(one.low)), float(np.degrees(one.high))) for one in problem.limits.body}

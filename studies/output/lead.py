@@ -4,8 +4,8 @@ import numpy as np
 
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.output.document import Facts
-from linkplan.studies.output.draw_plan import Motion
-from linkplan.studies.output.plan_blocks import figure, known_digits, least_margin, objective_unit
+from linkplan.studies.output.draw_plan import DrawnMotion
+from linkplan.studies.output.plan_blocks import figure, least_margin, objective_digits, objective_unit
 
 
 def verdict_sentence(plan: Plan) -> str:
@@ -15,9 +15,9 @@ def verdict_sentence(plan: Plan) -> str:
     return f"{plan.message}; every limit is kept at and between the nodes"
 
 
-def lead_facts(plan: Plan, motion: Motion) -> Facts:
+def lead_facts(plan: Plan, motion: DrawnMotion) -> Facts:
     """Return the facts of a plan with a motion that its reader looks for first."""
-    problem, digits = plan.problem, known_digits(plan)
+    problem, digits = plan.problem, objective_digits(plan)
     rows = [_peak_effort(plan, motion), least_margin(plan)]
     rows.append(("duration", f"{figure(plan.trajectory.duration_s, digits)} s"))
     if plan.objective is not None:
@@ -26,7 +26,7 @@ def lead_facts(plan: Plan, motion: Motion) -> Facts:
     return Facts(rows=[row for row in rows if row is not None])
 
 
-def _peak_effort(plan: Plan, motion: Motion) -> tuple[str, str] | None:
+def _peak_effort(plan: Plan, motion: DrawnMotion) -> tuple[str, str] | None:
     """Return the largest effort as a share of its limit, with its instant; without limits, the largest effort."""
     actuators = plan.problem.mechanism.actuators
     if not actuators:

@@ -6,8 +6,8 @@ from typing import TypedDict
 
 import numpy as np
 
-from linkplan.studies.output.document import Axis, Limit, Plot, Series
-from linkplan.studies.output.numbers import drawn_rows, rounded, times
+from linkplan.studies.output.document import Axis, DrawnLimit, Plot, Series
+from linkplan.studies.output.numbers import drawn_rows, rounded, rounded_times
 
 # More lines of one unit are divided among several plots.
 _MAX_LINES_PER_PLOT = 9
@@ -84,7 +84,7 @@ def plots(
                 group=group,
                 x_axis=x_axis,
                 y_axis=Axis(label=what, unit=unit, log=log, ends=ends),
-                x=times(x[rows]),
+                x=rounded_times(x[rows]),
                 series=series,
                 limits=() if log else _limits(of_it, values),
                 period=period,
@@ -108,7 +108,7 @@ def _title(title: str, units: Sequence[str], drawn: Sequence[Line], lines: Seque
     return title + (f" [{unit}]" if len(units) > 1 else "") + ("" if whole else f": {drawn[0].name} to {drawn[-1].name}")
 
 
-def _limits(lines: Sequence[Line], values: np.ndarray) -> list[Limit]:
+def _limits(lines: Sequence[Line], values: np.ndarray) -> list[DrawnLimit]:
     """Return the limits of lines; limits that several lines share appear once.
 
     A limit of more than twice the largest value of each of its lines is left out: it would press the lines flat.
@@ -120,7 +120,7 @@ def _limits(lines: Sequence[Line], values: np.ndarray) -> list[Limit]:
         for bound in (float(f"{bound:.6g}") for bound in line.limits if np.isfinite(bound)):
             named.setdefault(bound, []).append(line.name)
             near |= {bound} if abs(bound) <= 2 * known.max(initial=0.0) else set()
-    return [Limit(name=_of(names, len(lines)), value=value) for value, names in named.items() if value in near]
+    return [DrawnLimit(name=_of(names, len(lines)), value=value) for value, names in named.items() if value in near]
 
 
 def _of(names: Sequence[str], n_lines: int) -> str:

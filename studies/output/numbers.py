@@ -51,7 +51,7 @@ def _plain(value: float) -> float | int | None:
     return value if math.isfinite(value) else None
 
 
-def times(values: np.ndarray) -> list:
+def rounded_times(values: np.ndarray) -> list:
     """Return instants (n,) [s] to a millionth of their span, as lists."""
     return rounded(values, digits=7)
 

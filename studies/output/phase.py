@@ -3,15 +3,15 @@
 import numpy as np
 
 from linkplan.models.errors import LinkplanError
-from linkplan.planner.phase_plane.grid import Plane as PhaseGrid
+from linkplan.planner.phase_plane.grid import PhasePlane as PhaseGrid
 from linkplan.planner.phase_plane.grid import grid_of, plane_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.output.document import Axis, Plane, Series
-from linkplan.studies.output.draw_plan import Motion
-from linkplan.studies.output.numbers import drawn_rows, rounded, times
+from linkplan.studies.output.draw_plan import DrawnMotion
+from linkplan.studies.output.numbers import drawn_rows, rounded, rounded_times
 
 
-def phase_plane(plan: Plan, motion: Motion, group: str, period: float | None) -> Plane | None:
+def phase_plane(plan: Plan, motion: DrawnMotion, group: str, period: float | None) -> Plane | None:
     """Return the phase plane of a plan; None for several degrees of freedom."""
     mechanism = plan.problem.mechanism
     if mechanism.dof != 1:
@@ -34,12 +34,12 @@ def phase_plane(plan: Plan, motion: Motion, group: str, period: float | None) ->
         curves=[*curves, path],
         group=group,
         track=len(curves),
-        track_times=times(motion.time_s[rows]),
+        track_times=rounded_times(motion.time_s[rows]),
         period=period,
     )
 
 
-def _limit_curves(plan: Plan, motion: Motion, most: float) -> list[tuple[str, np.ndarray, np.ndarray, str, int]]:
+def _limit_curves(plan: Plan, motion: DrawnMotion, most: float) -> list[tuple[str, np.ndarray, np.ndarray, str, int]]:
     """Return curves: name, positions, speeds (signed), look, colour; none if the grid cannot cover the motion."""
     problem, s = plan.problem, motion.position[:, 0]
     places = np.array([s[0], s.max(), s.min(), s[-1]])

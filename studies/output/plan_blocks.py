@@ -32,7 +32,7 @@ _TITLES = {
 _OPEN_TITLES = (_TITLES["refuted"], _TITLES["undecided"])
 
 
-def known_digits(plan: Plan) -> int:
+def objective_digits(plan: Plan) -> int:
     """Return the number of known digits of a plan's duration and objective, from its integration error.
 
     The error of the integrated state as a share of the joints' travel is about the relative error of the motion's figures.
@@ -141,7 +141,7 @@ def _facts(plan: Plan) -> Facts:
 
 def facts(plan: Plan) -> list[tuple[str, str]]:
     """Return the duration, the objective and the largest efforts of a plan with a motion, each with its unit."""
-    problem, digits = plan.problem, known_digits(plan)
+    problem, digits = plan.problem, objective_digits(plan)
     duration = figure(plan.trajectory.duration_s, digits)
     rows = [("duration", f"{duration} s, {plan.scheme}, {plan.intervals} intervals")]
     if plan.objective is not None:
@@ -158,7 +158,7 @@ def solves(plan: Plan) -> Table:
     """Return the table of the solves before a plan."""
     heads = ["what was tried", "scheme", "intervals", "segments", "solved", "solver's answer", "objective [SI]"]
     heads += ["integration error [deg]", "time to build [s]", "time to solve [s]"]
-    digits = min(known_digits(plan), 6)
+    digits = min(objective_digits(plan), 6)
     rows = [
         [
             step.what,

@@ -14,7 +14,7 @@ from linkplan.studies.output.actuator_blocks import demand_blocks
 from linkplan.studies.output.animation import animation, frames_of
 from linkplan.studies.output.certificate_list import certificate_list
 from linkplan.studies.output.document import Block, Code, Facts, Plot, Report, Section, Text
-from linkplan.studies.output.draw_plan import force_plots, motion_of, time_plots
+from linkplan.studies.output.draw_plan import drawn_motion, force_plots, time_plots
 from linkplan.studies.output.lead import lead_facts, verdict_sentence
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.phase import phase_plane
@@ -41,7 +41,7 @@ def plan_sections(plan: Plan, *, animated: bool = True, verdict: bool = True) ->
     if plan.trajectory is None or plan.certificate is None:
         return [Section(title=title, blocks=[*first, about, *_notes(plan), _solves(plan), *_problem(plan)])]
     try:
-        motion = motion_of(plan)
+        motion = drawn_motion(plan)
     except AssemblyError as error:
         lost = Text(text=f"The motion cannot be drawn: {error}", tone="bad")
         return [Section(title=title, blocks=[*first, about, *_notes(plan), lost, *_problem(plan)])]

@@ -8,11 +8,11 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.instant import corner_efforts_along
 from linkplan.planner.search.planning import saved_price
 from linkplan.studies.output.document import Block, Facts, Plot, Section, Table, Text
-from linkplan.studies.output.draw_plan import Motion
+from linkplan.studies.output.draw_plan import DrawnMotion
 from linkplan.studies.output.lines import TIME, Line, plots
 
 
-def robust_section(plan: Plan, motion: Motion, group: str, period: float | None) -> Section | None:
+def robust_section(plan: Plan, motion: DrawnMotion, group: str, period: float | None) -> Section | None:
     """Return the section of a plan's reserve and corners; None if it has neither."""
     corners, reserve = plan.problem.robust.corners, plan.problem.limits.reserve
     if not corners and not reserve:
@@ -66,7 +66,7 @@ def _table(plan: Plan) -> Table:
     return Table(title="Corners of the ranges, each certified between the nodes", columns=[*heads, ("at", "s")], rows=rows)
 
 
-def _efforts(plan: Plan, motion: Motion, group: str, period: float | None) -> list[Plot]:
+def _efforts(plan: Plan, motion: DrawnMotion, group: str, period: float | None) -> list[Plot]:
     """Return the plots of the effort that every corner and the model need of each actuator."""
     problem, mechanism = plan.problem, plan.problem.mechanism
     corners = problem.robust.corners

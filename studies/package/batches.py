@@ -14,7 +14,7 @@ from linkplan.reporting import Progress, listener
 from linkplan.results import Result
 from linkplan.studies.output.document import Block, Report
 from linkplan.studies.variations.batch.batch_blocks import batch_blocks, batch_report
-from linkplan.studies.variations.batch.study import Outcome, run_batch
+from linkplan.studies.variations.batch.study import BatchOutcome, run_batch
 from linkplan.studies.variations.tasks.cluster import engine_of
 
 
@@ -75,7 +75,7 @@ def _text_of(problem: Problem) -> str:
 class BatchResult(Result):
     """The plans of a batch. `str(result)` is the table; `to_dict()` has every case's record, with units in the names."""
 
-    outcome: Outcome
+    outcome: BatchOutcome
 
     @property
     def passed(self) -> bool:

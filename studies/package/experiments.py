@@ -26,7 +26,7 @@ from linkplan.studies.variations.experiment.experiment import Settings, plan_dig
 from linkplan.studies.variations.experiment.experiment_blocks import outcome_blocks, sensitivity
 from linkplan.studies.variations.experiment.sensitivity import Sensitivity
 from linkplan.studies.variations.experiment.statistics import Estimate
-from linkplan.studies.variations.experiment.study import Outcome, experiment_figure, run_experiment
+from linkplan.studies.variations.experiment.study import ExperimentOutcome, experiment_figure, run_experiment
 from linkplan.studies.variations.tasks.cluster import engine_of
 from linkplan.typed_commands import sample_again
 
@@ -122,7 +122,7 @@ def experiment(
 class ExperimentResult(Result):
     """An experiment's results. `str(result)` is the table; `to_dict()` has every figure with its unit and direction."""
 
-    outcome: Outcome
+    outcome: ExperimentOutcome
     folder: Path | None = None
     """The folder with the results, if one was given."""
 
@@ -179,7 +179,7 @@ class SensitivityResult(Result):
 
     record_name = "sensitivity"
     found: Sensitivity
-    outcome: Outcome
+    outcome: ExperimentOutcome
 
     def ranking(self, tracker: str, metric: str | None = None) -> tuple[str, ...]:
         """Return the imperfections' labels, the most important first."""

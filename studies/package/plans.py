@@ -5,9 +5,11 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
+
+from msgspec import UNSET, structs
 
 from linkplan.inputs import PlanLike, Source, plan_of, source_of, with_motion
 from linkplan.models.deadline import NO_DEADLINE, OutOfTimeError
@@ -21,11 +23,12 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion, price_of, saved_price, with_price
 from linkplan.planner.search.replan import NextMotion, Replanner
 from linkplan.reporting import LOG, Listener, Progress, listener
-from linkplan.results import Result
+from linkplan.results import Reported, Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from linkplan.planner.plan.record import PlanRecord
     from linkplan.planner.proof.prove import Proof
     from linkplan.studies.output.document import Block, Report
 
@@ -103,8 +106,8 @@ def prove(plan: PlanLike, *, existence: bool = True, progress: Progress | None =
 class ProofResult(Result):
     """The proof of a plan's limits. `str(result)` is the list of claims; `to_dict()` has every one."""
 
-    plan: planned.Plan
     proof: Proof
+    plan: planned.Plan
 
     @property
     def passed(self) -> bool:
@@ -113,7 +116,7 @@ class ProofResult(Result):
 
     def to_dict(self) -> dict:
         """Return the claims that are proved, refuted, undecided or sampled, in JSON types."""
-        return plain_record({"plan": self.plan.problem.name, "verdict": self.proof.verdict} | self.proof.record())
+        return {"plan": self.plan.problem.name} | plain_record(self.proof)
 
     def blocks(self) -> list[Block]:
         """Return the claims as a document."""
@@ -210,7 +213,7 @@ class Planner:
         return self._planner.step(_problem(problem))
 
 
-class Plan(planned.Plan):
+class Plan(planned.Plan, Reported):
     """A certified motion, or the reason why there is none. `str(plan)` is its report; `to_dict()` has every value.
 
     Times are in seconds from the motion's start. It is the planner's plan; its own members need files, figures and reports,
@@ -265,16 +268,6 @@ class Plan(planned.Plan):
         write_whole(target, write)
         return target
 
-    def report(self, path: str | Path) -> Path:
-        """Write the plan's report, one HTML file that opens offline, and return its path.
-
-        Raises:
-            LinkplanError: if another file exists at the path.
-        """
-        from linkplan.studies.output.report_file import write_report
-
-        return write_report(self.document(), path_of(path, "path"))
-
     def document(self) -> Report:
         """Return the report as a document."""
         from linkplan.studies.output.plan_sections import plan_report
@@ -289,23 +282,10 @@ class Plan(planned.Plan):
         price = saved_price(self)
         return [*plan_blocks(self), *([] if price is None else [Text(text=price.sentence())])]
 
-    def to_dict(self) -> dict:
-        """Return the record of plan.json: status, message, certificate, history, problem, versions; units in names.
-
-        With a reserve or ranges it has the price of robustness, too.
-        """
-        price = saved_price(self)
-        return plan_folder.record(self) | ({} if price is None else {"price": asdict(price)})
-
-    def _repr_html_(self) -> str:
-        from linkplan.studies.output.text import html_of, in_brief
-
-        return html_of(in_brief(self.blocks()))
-
-    def __str__(self) -> str:
-        from linkplan.studies.output.text import in_brief, text_of
-
-        return text_of(in_brief(self.blocks()))
+    @property
+    def struct(self) -> PlanRecord:
+        """The record of plan.json; with a reserve or ranges it has the price of robustness, too."""
+        return structs.replace(plan_folder.record_of(self), price=saved_price(self) or UNSET)
 
 
 def _problem(problem: object) -> Problem:

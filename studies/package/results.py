@@ -19,11 +19,56 @@ if TYPE_CHECKING:
     from linkplan.studies.output.document import Block, Report
 
 
-class Result(ABC):
-    """The result of a study. Each kind has `passed`, `blocks`, `document` and `draw`; the rest follows.
+class Reported(ABC):
+    """What has a struct, blocks and a report; its JSON, text and page follow.
 
-    A base class in place of a function for each member, so that every result is saved, drawn and shown in the same way.
+    A base class in place of a function for each member, so that all are shown in the same way.
     """
+
+    __slots__ = ()
+
+    @property
+    @abstractmethod
+    def struct(self) -> Struct:
+        """The frozen struct. Its fields are the JSON, except those of type `Beside`."""
+
+    def to_dict(self) -> dict:
+        """Return all values by name, with units in the names, in JSON types."""
+        from linkplan.planner.files.folders import plain_record
+
+        return plain_record(self.struct)
+
+    @abstractmethod
+    def blocks(self) -> list[Block]:
+        """Return the result as a document's blocks."""
+
+    @abstractmethod
+    def document(self) -> Report:
+        """Return the result's report."""
+
+    def report(self, path: str | Path) -> Path:
+        """Write the report, one HTML file that opens offline, and return its path.
+
+        Raises:
+            LinkplanError: if another file exists at the path.
+        """
+        from linkplan.studies.output.report_file import write_report
+
+        return write_report(self.document(), path_of(path, "path"))
+
+    def _repr_html_(self) -> str:
+        from linkplan.studies.output.text import html_of, in_brief
+
+        return html_of(in_brief(self.blocks()))
+
+    def __str__(self) -> str:
+        from linkplan.studies.output.text import in_brief, text_of
+
+        return text_of(in_brief(self.blocks()))
+
+
+class Result(Reported):
+    """The result of a study. Each kind has `passed`, `blocks`, `document` and `draw`; the rest follows."""
 
     __slots__ = ()
     record_name = ""
@@ -38,16 +83,6 @@ class Result(ABC):
     def struct(self) -> Struct:
         """The frozen struct, a result's first field. Its own fields are the JSON, except those of type `Beside`."""
         return getattr(self, fields(cast("Any", self))[0].name)
-
-    def to_dict(self) -> dict:
-        """Return all values by name, with units in the names, in JSON types."""
-        from linkplan.planner.files.folders import plain_record
-
-        return plain_record(self.struct)
-
-    @abstractmethod
-    def blocks(self) -> list[Block]:
-        """Return the result as a document's blocks."""
 
     def to_frame(self, table: str | int = 0) -> pandas.DataFrame:
         """Return one of the result's tables as a pandas table, with units in the columns' names and digits as shown.
@@ -70,10 +105,6 @@ class Result(ABC):
         heads = [f"{head} [{unit}]" if unit else head for head, unit in found[0].columns]
         return pandas.DataFrame([list(row) for row in found[0].rows], columns=heads)
 
-    @abstractmethod
-    def document(self) -> Report:
-        """Return the result's report."""
-
     def draw(self, place: Path) -> None:
         """Write figures and tables into an existing folder; by default there are none."""
         del place
@@ -91,26 +122,6 @@ class Result(ABC):
         if not self.record_name:
             raise LinkplanError("this result is written while it is made: give its function a folder")
         return saved(self, folder, self.draw, report=report)
-
-    def report(self, path: str | Path) -> Path:
-        """Write the report, one HTML file that opens offline, and return its path.
-
-        Raises:
-            LinkplanError: if another file exists at the path.
-        """
-        from linkplan.studies.output.report_file import write_report
-
-        return write_report(self.document(), path_of(path, "path"))
-
-    def _repr_html_(self) -> str:
-        from linkplan.studies.output.text import html_of, in_brief
-
-        return html_of(in_brief(self.blocks()))
-
-    def __str__(self) -> str:
-        from linkplan.studies.output.text import in_brief, text_of
-
-        return text_of(in_brief(self.blocks()))
 
 
 def saved(result: Result, folder: str | Path, draw: Callable[[Path], object], *, report: bool) -> Path:

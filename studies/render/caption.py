@@ -8,7 +8,7 @@ import matplotlib
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
-from linkplan.studies.render.motion import Motion
+from linkplan.studies.render.motion import TrackedMotion
 from linkplan.studies.render.shapes import load_colour
 
 # The smallest legible height of letters [px].
@@ -20,21 +20,21 @@ INK = (30, 30, 30)
 Line = tuple[str, tuple[int, int, int]]
 
 
-def frame_lines(motion: Motion, k: int, slow: float) -> list[Line]:
+def frame_lines(motion: TrackedMotion, k: int, slow: float) -> list[Line]:
     """Return the lines on a frame at control instant k: time and slowness, then each effort in its load's colour."""
     decimals = max(0, int(np.ceil(-np.log10(motion.duration_s))) + 2)
     pace = f"  {slow:g}x slower" if slow > 1 else f"  {1 / slow:g}x faster" if slow < 1 else ""
     return [(f"t = {motion.time_s[k]:.{decimals}f} s{pace}", INK), *effort_lines(motion, k)]
 
 
-def head_share(motion: Motion, size: tuple[int, int]) -> float:
+def head_share(motion: TrackedMotion, size: tuple[int, int]) -> float:
     """Return the share of a picture's height that its caption takes, for a size in pixels."""
     lines = 1 + min(motion.mechanism.n_u, _MAX_EFFORT_LINES + 1)
     letters = _letters_px(size[1], size[0])
     return min(0.4, (lines * 1.25 + 1.0) * letters / size[1])
 
 
-def effort_lines(motion: Motion, k: int) -> list[Line]:
+def effort_lines(motion: TrackedMotion, k: int) -> list[Line]:
     """Return a line on each effort at control instant k, with its limit, in its load's colour."""
     lines = []
     for actuator, effort, limit, share in zip(

@@ -10,7 +10,7 @@ import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.studies.output.effort_marks import effort_marks
-from linkplan.studies.render.shapes import Shape, arrow, load_colour
+from linkplan.studies.render.shapes import RenderedShape, arrow, load_colour
 
 # Sizes are shares of the mechanism's extent. The offset towards the eye keeps arrows in front of the links.
 _ARROW_LENGTH, _SHAFT_RADIUS, _EYE_OFFSET = 0.45, 0.012, 0.06
@@ -41,7 +41,7 @@ def effort_shapes(
     share: float,
     size: float,
     towards: np.ndarray,
-) -> tuple[Shape, ...]:
+) -> tuple[RenderedShape, ...]:
     """Return the shapes of an actuator's effort at the current pose.
 
     Args:
@@ -54,7 +54,7 @@ def effort_shapes(
     """
     if not np.isfinite(share):
         return ()
-    shapes: tuple[Shape, ...] = ()
+    shapes: tuple[RenderedShape, ...] = ()
     for kind, at, axis in effort_marks(model, data, actuator):
         if kind == "line":
             shapes += _along_line(at, share, size)
@@ -63,7 +63,7 @@ def effort_shapes(
     return shapes
 
 
-def _arc(centre, axis: np.ndarray, share: float, size: float, towards: np.ndarray) -> tuple[Shape, ...]:
+def _arc(centre, axis: np.ndarray, share: float, size: float, towards: np.ndarray) -> tuple[RenderedShape, ...]:
     """Return an arc about an axis (3,) that starts at the top and is right-handed for a positive `share`.
 
     An effort at its limit has an arc of 270 degrees.
@@ -83,7 +83,7 @@ def _arc(centre, axis: np.ndarray, share: float, size: float, towards: np.ndarra
     return _arrow(points, abs(whole) * radius, share, size)
 
 
-def _straight(start, direction: np.ndarray, share: float, size: float, towards: np.ndarray) -> tuple[Shape, ...]:
+def _straight(start, direction: np.ndarray, share: float, size: float, towards: np.ndarray) -> tuple[RenderedShape, ...]:
     """Return an arrow from a point with a length in proportion to `share`."""
     if abs(share) < _MIN_DRAWN_SHARE:
         return ()
@@ -99,12 +99,12 @@ def _stretches(long: float, size: float, step: float) -> np.ndarray:
     return np.append(shaft, np.linspace(long - head, long, _HEAD_PARTS + 1)[1:])
 
 
-def _arrow(points: np.ndarray, long: float, share: float, size: float) -> tuple[Shape, ...]:
+def _arrow(points: np.ndarray, long: float, share: float, size: float) -> tuple[RenderedShape, ...]:
     base = size * min(_HEAD_RADIUS, max(_SHAFT_RADIUS, _HEAD_RADIUS * _MAX_HEAD_SHARE * long / (_HEAD_LENGTH * size)))
     thin = size * min(_SHAFT_RADIUS, 0.6 * base / size)
     return arrow(points, thin, load_colour(share), _HEAD_PARTS, base)
 
 
-def _along_line(points: np.ndarray, share: float, size: float) -> tuple[Shape, ...]:
+def _along_line(points: np.ndarray, share: float, size: float) -> tuple[RenderedShape, ...]:
     thick = (0.4 + 0.6 * min(abs(share), 1.0)) * _SHAFT_RADIUS * size
-    return tuple(Shape(start=a, end=b, radius=thick, rgba=load_colour(share)) for a, b in itertools.pairwise(points))
+    return tuple(RenderedShape(start=a, end=b, radius=thick, rgba=load_colour(share)) for a, b in itertools.pairwise(points))

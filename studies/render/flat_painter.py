@@ -14,7 +14,7 @@ from linkplan.models.poses.solids import geom_solids, outline, thickened
 from linkplan.studies.output.body_colours import body_colours
 from linkplan.studies.render.framing import FOOT_MARGIN, SIDE_MARGIN, axes_of
 from linkplan.studies.render.scenes import Figure, Scene, place_bodies
-from linkplan.studies.render.shapes import GHOST, Shape
+from linkplan.studies.render.shapes import GHOST, RenderedShape
 
 _DOTS_PER_INCH = 100.0
 
@@ -48,7 +48,7 @@ class FlatPainter:
         canvas.draw()
         return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[:height, :width, :3])
 
-    def _add(self, axes, shapes: tuple[Shape, ...], layer: int) -> None:
+    def _add(self, axes, shapes: tuple[RenderedShape, ...], layer: int) -> None:
         far_first = sorted(shapes, key=lambda shape: -float((shape.start + shape.end) @ self.sight))
         balls = [shape for shape in far_first if np.array_equal(shape.start, shape.end)]
         rods = [shape for shape in far_first if not np.array_equal(shape.start, shape.end)]

@@ -17,7 +17,7 @@ from linkplan.studies.output.body_colours import body_colours
 from linkplan.studies.render.caption import effort_lines
 from linkplan.studies.render.efforts import effort_shapes
 from linkplan.studies.render.framing import axes_of, framed, own_direction
-from linkplan.studies.render.motion import Motion, tracked_motion
+from linkplan.studies.render.motion import TrackedMotion, tracked_motion
 from linkplan.studies.render.mujoco_painter import add_figure, add_shapes
 from linkplan.studies.render.scenes import Figure, all_points, beside_geoms, place_bodies, rod_radius
 from linkplan.studies.render.shapes import bones, ghostly
@@ -56,7 +56,7 @@ def with_gains(tracking: Tracking, kp_factor: float, kd_factor: float) -> Tracki
     )
 
 
-def shown(motion: Motion, words: Callable[[int], Rows]) -> Shown:
+def shown(motion: TrackedMotion, words: Callable[[int], Rows]) -> Shown:
     """Return a motion for the viewer."""
     mechanism, model = motion.mechanism, motion.mechanism.model
     colours, radius, size = body_colours(mechanism), rod_radius(mechanism), mechanism.extent_m
@@ -89,7 +89,7 @@ def aim(plan: Plan, tracker: str) -> Callable[[mujoco.MjvCamera], None]:
     return framed(all_points(motion, direction), *direction, float(np.radians(model.vis.global_.fovy)), 1.5).aim
 
 
-def _words(motion: Motion, tracking: Tracking, controls: Controls, k: int) -> Rows:
+def _words(motion: TrackedMotion, tracking: Tracking, controls: Controls, k: int) -> Rows:
     factors = [f"  (x{factor:.3g})" if factor != 1.0 else "" for factor in (controls.kp_factor, controls.kd_factor)]
     if controls.tracker == "lqr":
         hinge = any(joint.kind == "hinge" for joint in motion.mechanism.independent_joints)

@@ -15,7 +15,7 @@ MAX_FILM_FRAMES = 20_000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Motion:
+class TrackedMotion:
     """A run at its control instants (n,) [s]: poses and planned poses (n, n_q), efforts (n, n_u) and their limits (n_u, 2).
 
     `shares` (n, n_u) are the efforts as shares of their limits. `repeats` is True for a periodic motion.
@@ -43,7 +43,7 @@ class Motion:
         return int(np.clip(np.searchsorted(self.time_s, time_s + 1e-9, side="right") - 1, 0, len(self.time_s) - 1))
 
 
-def tracked_motion(plan: Plan, tracker: str, reference: SampledReference | None = None) -> Motion:
+def tracked_motion(plan: Plan, tracker: str, reference: SampledReference | None = None) -> TrackedMotion:
     """Return a plan's motion tracked in MuJoCo; `reference` is the plan's reference, if it is already computed.
 
     Raises:
@@ -55,7 +55,7 @@ def tracked_motion(plan: Plan, tracker: str, reference: SampledReference | None 
     if kept < 2:
         raise ProblemError(f"the run with {tracker} diverges at once: there is no motion to draw")
     effort, limit = run.applied[:kept], np.array(run.effort_limit)
-    return Motion(
+    return TrackedMotion(
         mechanism=plan.problem.mechanism,
         name=plan.problem.name,
         tracker=tracker,

@@ -14,7 +14,7 @@ from linkplan.models.poses.solids import visible_geoms
 from linkplan.studies.render.framing import Eye
 from linkplan.studies.render.gl import context_class
 from linkplan.studies.render.scenes import Figure, Scene, bounded_geoms, place_bodies
-from linkplan.studies.render.shapes import GHOST, Shape
+from linkplan.studies.render.shapes import GHOST, RenderedShape
 
 _MOVING = int(mujoco.mjtCatBit.mjCAT_DYNAMIC)
 
@@ -153,7 +153,7 @@ def add_figure(scene, model: mujoco.MjModel, data: mujoco.MjData, option: mujoco
     add_shapes(scene, figure.shapes)
 
 
-def add_shapes(scene, shapes: Sequence[Shape]) -> None:
+def add_shapes(scene, shapes: Sequence[RenderedShape]) -> None:
     """Add shapes to a scene of MuJoCo, up to its capacity."""
     for shape in shapes:
         if scene.ngeom >= scene.maxgeom - 1:

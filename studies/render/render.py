@@ -20,7 +20,7 @@ from linkplan.studies.render.film_file import write_gif, write_mp4, write_png
 from linkplan.studies.render.flat_painter import flat_painter
 from linkplan.studies.render.framing import framed
 from linkplan.studies.render.gl import GL
-from linkplan.studies.render.motion import Motion, frame_times, own_slowness, tracked_motion
+from linkplan.studies.render.motion import TrackedMotion, frame_times, own_slowness, tracked_motion
 from linkplan.studies.render.scenes import Scene, all_points, coloured_model, film_scenes, stroboscopic_scene
 from linkplan.studies.render.settings import SUFFIXES, RenderSettings
 
@@ -118,7 +118,7 @@ def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callab
 
 
 @contextlib.contextmanager
-def _painter(motion: Motion, camera: Camera, settings: RenderSettings, gl: GL) -> Iterator[Paint]:
+def _painter(motion: TrackedMotion, camera: Camera, settings: RenderSettings, gl: GL) -> Iterator[Paint]:
     model, size, points = motion.mechanism.model, settings.size, all_points(motion, camera.direction)
     head = head_share(motion, size)
     if gl.name is None:
@@ -134,7 +134,7 @@ def _painter(motion: Motion, camera: Camera, settings: RenderSettings, gl: GL) -
         yield painter.paint
 
 
-def picture(motion: Motion, camera: Camera, settings: RenderSettings, paint: Paint) -> np.ndarray:
+def picture(motion: TrackedMotion, camera: Camera, settings: RenderSettings, paint: Paint) -> np.ndarray:
     """Return one image: an instant with the plan's ghost, or several instants of the run, the last one opaque.
 
     Raises:
@@ -154,7 +154,9 @@ def picture(motion: Motion, camera: Camera, settings: RenderSettings, paint: Pai
     return written(image, [(said, INK), *effort_lines(motion, int(instants[-1]))], _foot(motion, ghost=False))
 
 
-def _write_film(path: Path, motion: Motion, instants, camera: Camera, settings: RenderSettings, slow, paint, say) -> None:
+def _write_film(
+    path: Path, motion: TrackedMotion, instants, camera: Camera, settings: RenderSettings, slow, paint, say
+) -> None:
     n, foot, chunk_size = len(instants), _foot(motion, ghost=True), 50
 
     def images(chosen: np.ndarray) -> Iterator[np.ndarray]:
@@ -185,7 +187,7 @@ def _write_film(path: Path, motion: Motion, instants, camera: Camera, settings: 
     write_file_whole(path, SUFFIXES, write)
 
 
-def _foot(motion: Motion, *, ghost: bool) -> str:
+def _foot(motion: TrackedMotion, *, ghost: bool) -> str:
     return (
         f"{motion.name}, tracked by {motion.tracker}"
         + ("" if motion.stable else ", which is unstable")

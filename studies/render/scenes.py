@@ -13,8 +13,8 @@ from linkplan.models.poses.solids import Solid, body_frames, solids, visible_geo
 from linkplan.studies.output.body_colours import body_colours, plain_geoms
 from linkplan.studies.render.efforts import effort_shapes
 from linkplan.studies.render.framing import axes_of, corners
-from linkplan.studies.render.motion import Motion
-from linkplan.studies.render.shapes import PAYLOAD, Shape, bones, faded, ghostly
+from linkplan.studies.render.motion import TrackedMotion
+from linkplan.studies.render.shapes import PAYLOAD, RenderedShape, bones, faded, ghostly
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -22,8 +22,8 @@ class Figure:
     """A mechanism in one pose: MuJoCo's qpos, the shapes of its skeleton and of the ground's pins, and its appearance."""
 
     qpos: np.ndarray
-    shapes: tuple[Shape, ...]
-    ground: tuple[Shape, ...] = ()
+    shapes: tuple[RenderedShape, ...]
+    ground: tuple[RenderedShape, ...] = ()
     ghost: bool = False
     alpha: float = 1.0
 
@@ -33,7 +33,7 @@ class Scene:
     """One picture: figures, the main one last, and efforts as shapes."""
 
     figures: tuple[Figure, ...]
-    efforts: tuple[Shape, ...]
+    efforts: tuple[RenderedShape, ...]
 
 
 def coloured_model(mechanism: Mechanism) -> mujoco.MjModel:
@@ -54,7 +54,7 @@ def rod_radius(mechanism: Mechanism) -> float:
     return 0.009 * mechanism.extent_m
 
 
-def skeletons(mechanism: Mechanism, poses: np.ndarray) -> list[tuple[Shape, ...]]:
+def skeletons(mechanism: Mechanism, poses: np.ndarray) -> list[tuple[RenderedShape, ...]]:
     """Return the skeleton of the moving bodies at each of the poses (n, n_q)."""
     pins, colours = pins_in_space(mechanism, poses), body_colours(mechanism)
     pins.pop(0, None)
@@ -67,7 +67,7 @@ def skeletons(mechanism: Mechanism, poses: np.ndarray) -> list[tuple[Shape, ...]
 
 def beside_geoms(
     mechanism: Mechanism, poses: np.ndarray, colours: dict[int, tuple[float, ...]], shown: Sequence[Solid]
-) -> list[tuple[Shape, ...]]:
+) -> list[tuple[RenderedShape, ...]]:
     """Return solids that are no geoms of the model, the payload and arms to sites, at each of the poses (n, n_q)."""
     places, turns = body_frames(mechanism, poses)
     found = []
@@ -75,17 +75,17 @@ def beside_geoms(
         ends = [place[solid.body] + solid.points[[0, -1]] @ turn[solid.body].T for solid in shown]
         looks = [PAYLOAD if solid.kind == "payload" else tuple(colours[solid.body]) for solid in shown]
         rods = zip(ends, shown, looks, strict=True)
-        found.append(tuple(Shape(start=a, end=b, radius=solid.radius, rgba=look) for (a, b), solid, look in rods))
+        found.append(tuple(RenderedShape(start=a, end=b, radius=solid.radius, rgba=look) for (a, b), solid, look in rods))
     return found
 
 
-def ground_pins(mechanism: Mechanism) -> tuple[Shape, ...]:
+def ground_pins(mechanism: Mechanism) -> tuple[RenderedShape, ...]:
     """Return the pins of a mechanism on the ground as balls."""
     pins = {body: points[0] for body, points in pins_in_space(mechanism, mechanism.home[None]).items() if body == 0}
     return bones(pins, rod_radius(mechanism), body_colours(mechanism))
 
 
-def film_scenes(motion: Motion, instants: np.ndarray, direction: tuple[float, float]) -> list[Scene]:
+def film_scenes(motion: TrackedMotion, instants: np.ndarray, direction: tuple[float, float]) -> list[Scene]:
     """Return the pictures of a film at control instants (n,), seen along an azimuth and elevation [rad]."""
     mechanism = motion.mechanism
     tracked, planned = skeletons(mechanism, motion.pose[instants]), skeletons(mechanism, motion.reference[instants])
@@ -103,7 +103,7 @@ def film_scenes(motion: Motion, instants: np.ndarray, direction: tuple[float, fl
     ]
 
 
-def stroboscopic_scene(motion: Motion, instants: np.ndarray, direction: tuple[float, float]) -> Scene:
+def stroboscopic_scene(motion: TrackedMotion, instants: np.ndarray, direction: tuple[float, float]) -> Scene:
     """Return several instants (n,) of a motion in one picture, earlier ones fainter, with the efforts of the last."""
     mechanism = motion.mechanism
     ground = ground_pins(mechanism)
@@ -115,7 +115,9 @@ def stroboscopic_scene(motion: Motion, instants: np.ndarray, direction: tuple[fl
     return Scene(figures=figures, efforts=_all_efforts(motion, instants[-1:], direction)[0])
 
 
-def _all_efforts(motion: Motion, instants: np.ndarray, direction: tuple[float, float]) -> list[tuple[Shape, ...]]:
+def _all_efforts(
+    motion: TrackedMotion, instants: np.ndarray, direction: tuple[float, float]
+) -> list[tuple[RenderedShape, ...]]:
     mechanism, data = motion.mechanism, mujoco.MjData(motion.mechanism.model)
     towards = -axes_of(*direction)[2]
     found = []
@@ -141,7 +143,7 @@ def place_bodies(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -
     mujoco.mj_tendon(model, data)
 
 
-def all_points(motion: Motion, direction: tuple[float, float]) -> np.ndarray:
+def all_points(motion: TrackedMotion, direction: tuple[float, float]) -> np.ndarray:
     """Return points (n, 3) [m] around everything visible in a motion's pictures, tracked and planned.
 
     These are pins, geoms, tendons, and the largest efforts, seen along an azimuth and elevation [rad], at 60 instants. Fixed

@@ -13,7 +13,7 @@ PAYLOAD = (0.55, 0.51, 0.45, 1.0)  # rgba of the payload
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Shape:
+class RenderedShape:
     """A capsule from `start` to `end` (3,) [m]; with zero length it is a ball."""
 
     start: np.ndarray
@@ -22,7 +22,7 @@ class Shape:
     rgba: tuple[float, ...]
 
 
-def bones(pins: dict[int, np.ndarray], radius: float, colours: dict[int, tuple[float, ...]]) -> tuple[Shape, ...]:
+def bones(pins: dict[int, np.ndarray], radius: float, colours: dict[int, tuple[float, ...]]) -> tuple[RenderedShape, ...]:
     """Return a skeleton at one instant: rods between a body's pins, and balls at the pins on the ground (body 0).
 
     Args:
@@ -36,24 +36,24 @@ def bones(pins: dict[int, np.ndarray], radius: float, colours: dict[int, tuple[f
         if body == 0:
             ends = [(point, point) for point in points]
         thick = 1.6 * radius if body == 0 else radius
-        found += [Shape(start=a, end=b, radius=thick, rgba=tuple(colours[body])) for a, b in ends]
+        found += [RenderedShape(start=a, end=b, radius=thick, rgba=tuple(colours[body])) for a, b in ends]
     return tuple(found)
 
 
-def arrow(points: np.ndarray, radius: float, rgba: tuple[float, ...], head: int, base: float) -> tuple[Shape, ...]:
+def arrow(points: np.ndarray, radius: float, rgba: tuple[float, ...], head: int, base: float) -> tuple[RenderedShape, ...]:
     """Return an arrow along points (n, 3) [m]; its last `head` segments taper from the radius `base` [m]."""
     n = len(points) - 1
     thick = np.append(np.full(n - head, radius), np.linspace(base, 0.05 * base, head))
     pairs = zip(points[:-1], points[1:], thick, strict=True)
-    return tuple(Shape(start=a, end=b, radius=float(r), rgba=rgba) for a, b, r in pairs)
+    return tuple(RenderedShape(start=a, end=b, radius=float(r), rgba=rgba) for a, b, r in pairs)
 
 
-def faded(shapes: Sequence[Shape], alpha: float) -> tuple[Shape, ...]:
+def faded(shapes: Sequence[RenderedShape], alpha: float) -> tuple[RenderedShape, ...]:
     """Return shapes with their opacity multiplied by `alpha`, from 0 to 1."""
     return tuple(replace(shape, rgba=(*shape.rgba[:3], alpha * shape.rgba[3])) for shape in shapes)
 
 
-def ghostly(shapes: Sequence[Shape]) -> tuple[Shape, ...]:
+def ghostly(shapes: Sequence[RenderedShape]) -> tuple[RenderedShape, ...]:
     """Return shapes in the ghost's colour."""
     return tuple(replace(shape, rgba=GHOST) for shape in shapes)
 

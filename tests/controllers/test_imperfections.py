@@ -10,7 +10,15 @@ from mujoco.batch import MODEL_FIELDS
 
 from linkplan.controllers.imperfections.batch_effects import FIELDS
 from linkplan.controllers.imperfections.driving import act, driving, take
-from linkplan.controllers.imperfections.imperfections import Clock, Drives, Imperfections, Machine, Push, Sensors, Start
+from linkplan.controllers.imperfections.imperfections import (
+    Clock,
+    Drives,
+    Imperfections,
+    Machine,
+    Push,
+    Sensors,
+    Start,
+)
 from linkplan.controllers.imperfections.plant import plant
 from linkplan.controllers.imperfections.sensing import measure, sensing
 from linkplan.controllers.reference import sample, state_at

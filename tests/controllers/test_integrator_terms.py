@@ -8,7 +8,7 @@ import pytest
 from linkplan.controllers.feedback_loop import states_of
 from linkplan.controllers.imperfections.driving import driving
 from linkplan.controllers.imperfections.imperfections import Drives
-from linkplan.controllers.imperfections.plant import Plant, prepare
+from linkplan.controllers.imperfections.plant import ImperfectPlant, prepare
 from linkplan.controllers.integrator import simulator_step
 from linkplan.controllers.mujoco_plant import MujocoStepper
 from linkplan.models.mechanism import load_mechanism
@@ -54,7 +54,7 @@ def differences(mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.nd
     prepare(model, mechanism, STEP_S, UNLIMITED)
 
     def stepped(x: np.ndarray) -> np.ndarray:
-        start = Plant(model=model, pose=x[:2], rates=x[2:4])
+        start = ImperfectPlant(model=model, pose=x[:2], rates=x[2:4])
         stepper = MujocoStepper(mechanism, [start], driving([Drives()], [0.0], [STEP_S], 1, UNLIMITED), 1)
         stepper.hold(x[4:][None], np.empty((1, 2)), np.empty((1, 2)))
         return np.concatenate(states_of(stepper), axis=1)[0]

@@ -3,11 +3,12 @@
 import json
 import re
 
+import msgspec
 import pytest
 
 import linkplan
 from linkplan.planner.files.folders import plain_record
-from linkplan.planner.files.structs import Beside, read_struct
+from linkplan.planner.files.structs import Beside, read_value
 from linkplan.results import Result
 from tests.support.sources import ROOT, SOURCES
 
@@ -72,13 +73,25 @@ def test_the_json_of_a_result_is_read_back_as_its_struct(plan, name):
     assert isinstance(result, Result)
     assert type(result).__name__ == kind
     said = json.loads(json.dumps(result.to_dict(), allow_nan=False))
-    again = read_struct(type(result.struct), said)
+    again = msgspec.convert(said, type(result.struct), dec_hook=read_value)
     assert plain_record(again) == said
     beside = [key for key in type(again).__struct_fields__ if type(again).__annotations__.get(key) is Beside]
     assert all(getattr(again, key) is None for key in beside)
 
 
+def test_the_certificate_and_the_history_in_plan_json_are_the_plan_s_own_structs(plan):
+    said, certificate = plan.to_dict(), plan.certificate
+    assert (plan.struct.certificate, plan.struct.history) == (certificate, plan.history)
+    assert said["certificate"]["joint_margin_deg"] == certificate.joint_margin_deg
+    assert set(said["certificate"]["joint_margin_deg"]) == {"O", "A", "C"}
+    assert not said["certificate"]["joint_margin_m"]
+    assert [one["left"] for one in said["certificate"]["margins"]] == [one.left for one in certificate.margins]
+    assert "growth" not in said["certificate"]
+    assert [one["objective"] for one in said["history"]] == [step.objective for step in plan.history]
+
+
 def test_every_kind_of_result_is_a_struct_and_tried_above():
+    assert all(hasattr(linkplan, name) for name in linkplan.__all__)  # imports every file of the package
     kinds = {kind.__name__: kind for kind in Result.__subclasses__() if kind.__name__ not in OF_THE_PLANNER}
     assert {kind for kind, _ in MADE.values()} == set(kinds)
     assert not [name for name, kind in kinds.items() if "to_dict" in vars(kind)]

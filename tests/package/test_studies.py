@@ -8,6 +8,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import linkplan
+from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.pd import pd
 from linkplan.models.errors import LinkplanError, ProblemError
 
@@ -147,7 +148,7 @@ class Nameless:
         ),
         (
             lambda plan: linkplan.track(plan, 7),
-            "a tracker is one of pd, pd+ff, lqr, lqi, gs-pd+ff, ct, mpc, an object with a name and effort",
+            f"a tracker is one of {', '.join(TRACKERS)}, an object with a name and effort",
         ),
         (lambda plan: linkplan.track(plan, lambda reference: None), "returns an object with a name and effort"),  # noqa: ARG005
         (lambda plan: linkplan.track(plan, Nameless()), "a tracker's name has at most 50 printable characters"),

@@ -6,6 +6,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
+from msgspec import structs
 
 from linkplan.controllers.reference import sample
 from linkplan.controllers.rollout import ControlLoop
@@ -99,7 +100,7 @@ def test_the_price_is_what_the_machine_as_modelled_does_better():
     price = price_of(plan)
     assert price.nominal == pytest.approx(optimal("knee-sprint").objective, rel=1e-9)
     assert f"{100 * (plan.objective / price.nominal - 1):+.3g} %" in price.sentence()
-    assert "80 times as much" in replace(price, objective=80 * price.nominal).sentence()
+    assert "80 times as much" in structs.replace(price, objective=80 * price.nominal).sentence()
     assert price_of(optimal("knee-sprint")) is None
 
 

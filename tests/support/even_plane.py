@@ -2,13 +2,13 @@
 
 import numpy as np
 
-from linkplan.planner.phase_plane.grid import Plane
+from linkplan.planner.phase_plane.grid import PhasePlane
 
 
-def even_plane(n: int = 401, *, force: float = 0.0, drag: float = 0.0, rub: float = 0.0, top: float = np.inf) -> Plane:
+def even_plane(n: int = 401, *, force: float = 0.0, drag: float = 0.0, rub: float = 0.0, top: float = np.inf) -> PhasePlane:
     """Return the plane of 2 kg on the way from 0 to 4 m, under a constant force either way."""
     s = np.linspace(0.0, 4.0, n)
-    return Plane(
+    return PhasePlane(
         s=s,
         cells=np.diff(s),
         inertia=np.full(n, 2.0),

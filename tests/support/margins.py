@@ -1,6 +1,6 @@
 """The margins of a certificate by joint."""
 
-from dataclasses import replace
+from msgspec.structs import replace
 
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.limits.limit import Margin

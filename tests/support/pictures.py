@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.studies.render.efforts import load_shares
-from linkplan.studies.render.motion import Motion
+from linkplan.studies.render.motion import TrackedMotion
 from linkplan.studies.render.scenes import Scene
 
 # Control instants, their period [s], the wave's height [rad or m] and how far the run is astray in its second half.
@@ -15,7 +15,7 @@ N, PERIOD_S, WAVE, ASTRAY = 41, 0.005, 0.3, 0.1
 
 
 @cache
-def waved(source: str, wave: float = WAVE, astray: float = ASTRAY) -> Motion:
+def waved(source: str, wave: float = WAVE, astray: float = ASTRAY) -> TrackedMotion:
     """Return a motion of a mechanism's first coordinate: a wave from home, with an effort that grows to its limit.
 
     Over the first half it is tracked exactly, over the second it is astray.
@@ -27,7 +27,7 @@ def waved(source: str, wave: float = WAVE, astray: float = ASTRAY) -> Motion:
     tracked = follow(mechanism, _wave(mechanism, wave * np.sin(np.pi * np.arange(N) / (N - 1)) - off), mechanism.home)
     limit = mechanism.effort_limit
     effort = np.outer(np.linspace(0.0, 1.0, N), limit[:, 1])
-    return Motion(
+    return TrackedMotion(
         mechanism=mechanism,
         name=mechanism.name,
         tracker="pd",

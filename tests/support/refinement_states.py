@@ -4,6 +4,7 @@ from dataclasses import replace
 from functools import cache
 
 import numpy as np
+from msgspec import structs
 
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess
@@ -64,7 +65,7 @@ def iterate(
     if tightened:
         formulation = replace(solution.transcribed.formulation, tightening=lambda breaks: np.zeros((len(breaks) - 1, 0)))
         solution = replace(solution, transcribed=replace(solution.transcribed, formulation=formulation))
-    certificate = replace(
+    certificate = structs.replace(
         first.certificate,
         failures=() if passed else ("errs",),
         growth=growth,

@@ -19,10 +19,6 @@ class WaypointSection(Section, frozen=True):
     time_s: kinds.Positive | kinds.Free = key("the time of passage", "s", default="free")
 
 
-# Examples of values at home and at rest.
-_HOME = "{ {free_hinge} = {free_hinge_home} }"
-_SITE_HOME = "{ {site} = {site_home} }"
-_ZERO = "{ {free_hinge} = 0.0 }"
 # The default of start and goal.
 _OPEN = "free in a periodic motion; a reach needs it, and a hold its start"
 _END = "at the end, or after half a period"
@@ -209,7 +205,7 @@ class LimitsSection(Section, frozen=True):
         "refuse a plan along which geoms collide, or note it and plan without contact forces", default="refuse"
     )
     unhonoured: kinds.Contacts = key(
-        "refuse a model with forces that the planner does not honour, or note and omit them", default="refuse"
+        "refuse a model with forces that plans neglect, or note them and plan without them", default="refuse"
     )
 
 

@@ -19,9 +19,9 @@ from linkplan.studies.check.new.changes import left_out, raised_limits
 from linkplan.studies.check.new.clear_way import obstacle_on_way, servos_hold, tendons_kept, why_stuck
 from linkplan.studies.check.new.hanging import (
     at_gravity_equilibrium,
-    at_rest,
     driven_columns,
     is_equilibrium,
+    resting_positions,
     rests_by_itself,
     with_home,
 )
@@ -113,9 +113,9 @@ def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: in
     rest = np.setdiff1d(np.arange(mechanism.dof), moved)
     goal[rest] = start[rest]
     try:
-        start = at_rest(mechanism, start, mechanism.home)
+        start = resting_positions(mechanism, start, mechanism.home)
         goal[rest] = start[rest]
-        goal = at_rest(mechanism, goal, close_at(mechanism, start))
+        goal = resting_positions(mechanism, goal, close_at(mechanism, start))
         tables = _tables(mechanism, start, goal)
         problem = Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
         if np.array_equal(start, goal):

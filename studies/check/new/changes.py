@@ -209,7 +209,7 @@ def raised_notes(mechanism: Mechanism, tables: Mapping[str, Mapping]) -> list[st
 
 @functools.lru_cache(maxsize=4)
 def left_out(mechanism: Mechanism) -> tuple[str, ...]:
-    """Return the forces in a model that plans do not honour, each as a phrase."""
+    """Return the forces in a model that plans neglect, each as a phrase."""
     return tuple(element.text for element in audit(mechanism.model) if element.falsifies)
 
 
@@ -219,14 +219,14 @@ def left_out_notes(mechanism: Mechanism) -> list[str]:
     said = f"{len(forces)} forces" if len(forces) > 1 else "forces"
     what = "; ".join(grouped(mechanism, forces)[:3])
     return [
-        f"plans do not honour {said} that act in the simulation, and are made without them: {what}"
+        f"plans neglect {said} that act in the simulation: {what}"
         ' (limits.unhonoured = "note"; by default such a problem is refused)'
     ] * bool(forces)
 
 
 def overlapping_bodies(contacts: Iterable[Contact]) -> list[list[str]]:
     """Return the pairs of links that overlap by construction in a plan's contacts; contacts with the ground are kept."""
-    return _not_on_ground(meeting for meeting in contacts if meeting.since is None)
+    return _not_on_ground(meeting for meeting in contacts if meeting.since_s is None)
 
 
 def _not_on_ground(contacts: Iterable[Contact | ContactPair]) -> list[list[str]]:

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from msgspec import structs
 
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import LinkplanError, ProblemError, listed, one_line
@@ -172,7 +173,7 @@ def _without_contacts(found: FirstMotion, plan: Plan) -> FirstMotion:
     if not pairs or plan.certificate is None:
         return found
     left = tuple(meeting for meeting in plan.certificate.contacts if list(meeting.bodies) not in pairs)
-    plan = replace(plan, certificate=replace(plan.certificate, contacts=left))
+    plan = replace(plan, certificate=structs.replace(plan.certificate, contacts=left))
     return _with_table(found, plan, with_exclusions(found.tables["mechanism"], pairs), overlap_sentence(pairs))
 
 

@@ -70,7 +70,7 @@ def _rounded(joint: Joint, position: float, decimals: int = 3) -> float:
     return joint.read(round(joint.shown(position), decimals) + 0.0)
 
 
-def at_rest(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray:
+def resting_positions(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> np.ndarray:
     """Return positions (n_s,) with the hanging joints moved to equilibrium; unchanged if home is no equilibrium.
 
     Args:

@@ -18,7 +18,7 @@ from linkplan.studies.feedback.bode.scan import stability
 from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, OperatingPoint, feedback_loop
 from linkplan.studies.feedback.frequency.floquet import floquet, frozen_radii, linear_law
 from linkplan.studies.feedback.frequency.margins import Margins, margins
-from linkplan.studies.feedback.frequency.worst import local_minima
+from linkplan.studies.feedback.frequency.worst import refined_minima
 
 
 def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], None] = silent) -> AlongMotion:
@@ -39,7 +39,7 @@ def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], 
         every = [(margins(loop, channel, refine=False), channel) for channel in mechanism.channels]
         return min(every, key=lambda one: stability(one[0]))
 
-    between = [round(k) for k in local_minima(lambda k: stability(worst(round(k))[0]), instants)]
+    between = [round(k) for k in refined_minima(lambda k: stability(worst(round(k))[0]), instants)]
     joints, frozen = mechanism.independent_joints, []
     for k in np.unique([*instants, *between]):
         bounds, channel = worst(k)

@@ -15,7 +15,7 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.search.planning import silent
 from linkplan.studies.check.softness import gap_sentence, held_gap
 from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy, PoseLoops, WorstMargins, pose_values
-from linkplan.studies.feedback.bode.scan import Line, Scan, coordinate_line, scan_line
+from linkplan.studies.feedback.bode.scan import PoseLine, Scan, coordinate_line, scan_line
 from linkplan.studies.feedback.bode.touching import contact_sentence, touched
 from linkplan.studies.feedback.frequency.excitation import EXCITATIONS, Setup
 from linkplan.studies.feedback.frequency.feedback_loops import (
@@ -73,7 +73,7 @@ def bode_study(
     setup: Setup | None = None,
     frequency_hz: np.ndarray | None = None,
     scanned: int = SCAN_POSITIONS,
-    line: Line | None = None,
+    line: PoseLine | None = None,
     note: str | None = None,
 ) -> BodeStudy:
     """Return a tracker's loops at independent positions (n, n_s) [rad or m].
@@ -113,7 +113,7 @@ def bode_study(
         bounds = [margins(loop, channel) for loop in loops]
         measured: dict[int, dict[str, Response]] = {}
         if setup is not None and stable:
-            at = default_frequencies([bounds[i] for i in stable], chosen.timing) if frequency_hz is None else frequency_hz
+            at = loop_frequencies([bounds[i] for i in stable], chosen.timing) if frequency_hz is None else frequency_hz
             taken = measure([loops[i] for i in stable], at, effort_limit, setup, channel=channel, say=say)
             steps, conditions = steps + taken.simulated_steps, taken.conditions
             measured = dict(zip(stable, taken.responses, strict=True))
@@ -316,7 +316,7 @@ def _settles(loops: Sequence[FeedbackLoop], in_contact: np.ndarray, effort_limit
 
 def _scans(
     mechanism: Mechanism,
-    lines: Sequence[tuple[int | None, Line]],
+    lines: Sequence[tuple[int | None, PoseLine]],
     law: SampledLaw,
     count: int,
     say: Callable[[str], None],
@@ -329,7 +329,7 @@ def _scans(
                 yield found
 
 
-def _scan_lines(mechanism: Mechanism, positions: np.ndarray, line: Line | None) -> list[tuple[int | None, Line]]:
+def _scan_lines(mechanism: Mechanism, positions: np.ndarray, line: PoseLine | None) -> list[tuple[int | None, PoseLine]]:
     """Return the lines to scan, with their coordinate or None for a motion.
 
     By default there is a line for each coordinate over its reach and all positions (n, n_s). The other coordinates are as
@@ -337,7 +337,7 @@ def _scan_lines(mechanism: Mechanism, positions: np.ndarray, line: Line | None) 
     """
     if line is not None:
         return [(0 if mechanism.dof == 1 else None, line)]
-    lines: list[tuple[int | None, Line]] = []
+    lines: list[tuple[int | None, PoseLine]] = []
     for channel in mechanism.channels:
         low, high = inner_reach(mechanism, channel)
         low, high = min(low, float(positions[:, channel].min())), max(high, float(positions[:, channel].max()))
@@ -356,7 +356,7 @@ def _with_worst(positions: np.ndarray, scans: Sequence[Scan]) -> np.ndarray:
     return positions
 
 
-def default_frequencies(bounds: Sequence[Margins], timing: Sampling) -> np.ndarray:
+def loop_frequencies(bounds: Sequence[Margins], timing: Sampling) -> np.ndarray:
     """Return twenty frequencies [Hz] from 1/20 to 40 times the loops' crossovers, up to 0.45 of the sampling rate.
 
     They start at 1 Hz or below.

@@ -16,9 +16,9 @@ from linkplan.studies.feedback.frequency.rest import LEAST_RESPONSE_AT_REST
 from linkplan.studies.output.document import (
     Axis,
     Block,
+    DrawnLimit,
     Facts,
     Heat,
-    Limit,
     Plane,
     Plot,
     Series,
@@ -176,7 +176,9 @@ def responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> dic
     for quantity, title in titles.items():
         title = title[:1].upper() + title[1:]
         ends = (-40.0, 20.0) if quantity != "loop" else None
-        limit = Limit(name="crossover at", value=0.0) if quantity == "loop" else Limit(name="bandwidth at", value=-3.0)
+        limit = (
+            DrawnLimit(name="crossover at", value=0.0) if quantity == "loop" else DrawnLimit(name="bandwidth at", value=-3.0)
+        )
         gain, phase, off_db, off_deg = [], [], [], []
         drawn: list[tuple[np.ndarray, np.ndarray]] = []
         for k, entry in enumerate(entries):
@@ -200,7 +202,7 @@ def responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> dic
             for off, less in ((off_db, less_db), (off_deg, less_deg)):  # a line through coherent ones, a dot for each
                 coherent = np.where(response.coherence > LEAST_COHERENCE, less, np.nan)
                 off += [(entry.point.name, response.frequency_hz, coherent, look), ("", response.frequency_hz, less, dots)]
-        limits = {"gain": [limit], "phase": [Limit(name="phase", value=-180.0)] if quantity == "loop" else []}
+        limits = {"gain": [limit], "phase": [DrawnLimit(name="phase", value=-180.0)] if quantity == "loop" else []}
         found[quantity] = [
             frequency_plot(f"{title}: gain", "gain", "dB", gain, group, limits["gain"], ends),
             frequency_plot(f"{title}: phase", "phase", "deg", phase, group, limits["phase"]),
@@ -272,7 +274,7 @@ def sensitivities(entries: Sequence[BodePoint], group: str) -> list[Plot]:
                 dots = {**look, "look": "points"}
                 curves.append((f"{entry.point.name}, measured", response.frequency_hz, response.gain_db, dots))
         ends = None if quantity == "control" else (-50.0, 25.0)
-        limits = [] if quantity == "control" else [Limit(name="gain one,", value=0.0)]
+        limits = [] if quantity == "control" else [DrawnLimit(name="gain one,", value=0.0)]
         found.append(frequency_plot(title, "gain", unit, curves, group, limits, ends))
     return found
 

@@ -5,13 +5,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from linkplan.studies.feedback.frequency.response import Response
-from linkplan.studies.output.document import Axis, Limit, Plot, Series
+from linkplan.studies.output.document import Axis, DrawnLimit, Plot, Series
 from linkplan.studies.output.numbers import rounded
 
 FREQUENCY = Axis(label="frequency", unit="Hz", log=True)
 
 
-def frequency_plot(title: str, what: str, unit: str, curves, group: str, limits: Sequence[Limit] = (), ends=None) -> Plot:
+def frequency_plot(
+    title: str, what: str, unit: str, curves, group: str, limits: Sequence[DrawnLimit] = (), ends=None
+) -> Plot:
     """Return a plot of curves over frequency. Each curve is a tuple of name, frequencies [Hz], values and line style."""
     series = [
         Series(name=name, x=rounded(frequency, log=True), y=rounded(values), **look)

@@ -15,7 +15,7 @@ from linkplan.studies.feedback.frequency.stability_map import (
     stability_map,
 )
 from linkplan.studies.feedback.frequency.trial import settle_trials
-from linkplan.studies.feedback.frequency.worst import local_minima
+from linkplan.studies.feedback.frequency.worst import refined_minima
 
 # Gains simulated in MuJoCo lie this share above and below the stability boundary.
 TRIAL_GAIN_SHARE = 0.02
@@ -46,7 +46,7 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
             return np.inf
 
     if len(positions) > 1:
-        positions = np.sort([*positions, *local_minima(largest, positions)])
+        positions = np.sort([*positions, *refined_minima(largest, positions)])
     points = [point_at(x) for x in positions]
     critical = np.array([critical_kd(point, own_kp, law.timing) for point in points])
     inertia = np.array([float(point.inertia[0, 0]) for point in points])

@@ -103,7 +103,7 @@ def plant_study(
         if kept:
             at = frequency_hz
             if at is None:
-                at = default_frequencies(transfers, chosen.timing, len(kept) * mechanism.n_u)
+                at = plant_frequencies(transfers, chosen.timing, len(kept) * mechanism.n_u)
             taken = measure_plants(list(kept.values()), ins, moved, at, effort_limit, setup, say)
             measured = _moving(dict(zip(kept, taken.responses, strict=True)), transfers)
         caveats = tuple(_caveats(points, held, in_contact, measured, LAW_NAMES[law]))
@@ -288,7 +288,7 @@ def _curve_frequencies(transfers: Sequence[TransferFunction], period_s: float) -
     return np.unique(np.concatenate([np.geomspace(*ends, _EVEN_POINTS), beside]))
 
 
-def default_frequencies(
+def plant_frequencies(
     transfers: Sequence[dict[tuple[str, str], TransferFunction]], timing: Sampling, n_rows: int
 ) -> np.ndarray:
     """Return twenty frequencies [Hz] around the modes of all responses, or else around their other roots.

@@ -14,7 +14,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.start import check_asked_pose
 from linkplan.studies.check.holding import require_actuated
 from linkplan.studies.feedback.bode.bode import REACH_SHARES, inner_reach
-from linkplan.studies.feedback.bode.scan import Line, coordinate_line, motion_line, reduced_limits
+from linkplan.studies.feedback.bode.scan import PoseLine, coordinate_line, motion_line, reduced_limits
 from linkplan.studies.feedback.frequency.feedback_loops import operating_point
 
 _DEFAULT_POSES = 5
@@ -29,7 +29,7 @@ class LoopPoses:
 
     positions: np.ndarray
     note: str | None = None
-    line: Line | None = None
+    line: PoseLine | None = None
 
 
 def loop_poses(

@@ -10,7 +10,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.studies.feedback.frequency.feedback_loops import SampledLaw, operating_point
 from linkplan.studies.feedback.frequency.margins import Margins, margins
-from linkplan.studies.feedback.frequency.worst import local_minima
+from linkplan.studies.feedback.frequency.worst import refined_minima
 from linkplan.studies.output.plan_blocks import radius_figure
 
 # A parameter below this share of its line is shown as zero: a minimum is only found to the square root of rounding.
@@ -20,7 +20,7 @@ _EFFORT_RESERVE = 0.05
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Line:
+class PoseLine:
     """A continuous line of positions s (n_s,) [rad or m]. Its parameter is a coordinate's position or the time [s]."""
 
     name: str
@@ -48,12 +48,12 @@ class Line:
         return f"{self.name} = {self.text(x, 4)} {self.unit}"
 
 
-def coordinate_line(mechanism: Mechanism, channel: int, low: float, high: float, others: np.ndarray) -> Line:
+def coordinate_line(mechanism: Mechanism, channel: int, low: float, high: float, others: np.ndarray) -> PoseLine:
     """Return the line of a coordinate from low to high [rad or m], with the other coordinates as in `others` (n_s,)."""
     joint = mechanism.independent_joints[channel]
     states = np.tile(np.asarray(others, dtype=float), (2, 1))
     states[:, channel] = low, high
-    return Line(
+    return PoseLine(
         name=joint.name,
         unit=joint.unit,
         factor=joint.shown(1.0),
@@ -64,10 +64,10 @@ def coordinate_line(mechanism: Mechanism, channel: int, low: float, high: float,
     )
 
 
-def motion_line(time_s: np.ndarray, positions: np.ndarray) -> Line:
+def motion_line(time_s: np.ndarray, positions: np.ndarray) -> PoseLine:
     """Return the line of a motion: positions (m, n_s) at times (m,) [s]."""
     low, high = float(time_s[0]), float(time_s[-1])
-    return Line(name="t", unit="s", factor=1.0, low=low, high=high, nodes=np.array(time_s), states=np.array(positions))
+    return PoseLine(name="t", unit="s", factor=1.0, low=low, high=high, nodes=np.array(time_s), states=np.array(positions))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -75,7 +75,7 @@ class Scan:
     """Margins of one coordinate's loop along a line at parameters (n,), which include every local minimum."""
 
     channel: int
-    line: Line
+    line: PoseLine
     positions: np.ndarray
     margins: tuple[Margins, ...]
 
@@ -112,7 +112,7 @@ def stability(found: Margins | None) -> float:
     return 1.0 - (found.spectral_radius or 2.0)
 
 
-def scan_line(mechanism: Mechanism, line: Line, law: SampledLaw, channel: int, count: int) -> Scan | None:
+def scan_line(mechanism: Mechanism, line: PoseLine, law: SampledLaw, channel: int, count: int) -> Scan | None:
     """Return the margins of a coordinate's loop along a line, where efforts hold the mechanism; None if nowhere.
 
     `count` parameters are evenly spaced. The others are the local minima of `stability` and, if all loops are stable, of
@@ -129,10 +129,10 @@ def scan_line(mechanism: Mechanism, line: Line, law: SampledLaw, channel: int, c
         return np.inf if value is None else value
 
     even = np.linspace(line.low, line.high, count)
-    places = {float(x) for x in even} | set(local_minima(lambda x: stability(at(x)), even))
+    places = {float(x) for x in even} | set(refined_minima(lambda x: stability(at(x)), even))
     if all(bounds is None or bounds.stable for bounds in map(at, places)):
         for name in ("gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg"):
-            places |= set(local_minima(functools.partial(figure, name), even))
+            places |= set(refined_minima(functools.partial(figure, name), even))
     known = {x: bounds for x in sorted(places) if (bounds := at(x)) is not None}
     if not known:
         return None
@@ -153,7 +153,9 @@ def bounds_text(bounds: Margins) -> str:
     return f"unstable, largest pole {radius_figure(bounds.spectral_radius)}"
 
 
-def judge_of(mechanism: Mechanism, line: Line, law: SampledLaw, channels: Sequence[int]) -> Callable[[float], list[Margins]]:
+def judge_of(
+    mechanism: Mechanism, line: PoseLine, law: SampledLaw, channels: Sequence[int]
+) -> Callable[[float], list[Margins]]:
     """Return the function from a line's parameter to the margins of the channels' loops; none where no effort holds it."""
     inside = reduced_limits(law.effort_limit)
 

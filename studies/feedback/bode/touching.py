@@ -21,7 +21,7 @@ def contact_sentence(pairs: Sequence[ContactPair], n: int) -> str | None:
     if not pairs:
         return None
     deepest = sorted(pairs, key=lambda pair: -pair.depth_m)
-    named = listed([f"{pair.first} and {pair.second}" for pair in deepest], 3)
+    named = listed([" and ".join(pair.geoms) for pair in deepest], 3)
     exclusions = " ".join(dict.fromkeys(exclusion(pair.bodies) for pair in deepest[:3]))
     count = int(touched(pairs, n).sum())
     return (

@@ -181,17 +181,17 @@ class FeedbackLoop:
     @property
     def matrix(self) -> np.ndarray:
         """The closed loop's matrix (M, M), without passive spins. A sampled loop's state includes the past commands."""
-        return closed(*self.steered_matrices(), self.gain[:, self.steered_entries])
+        return closed(*self.actuated_matrices(), self.gain[:, self.actuated_entries])
 
-    def steered_matrices(self) -> tuple[np.ndarray, np.ndarray]:
+    def actuated_matrices(self) -> tuple[np.ndarray, np.ndarray]:
         """Return A (M, M) and B (M, n_u) of the open loop without passive spins."""
-        kept = self.steered_entries
+        kept = self.actuated_entries
         A, B, late = self.A[kept][:, kept], self.B[kept], self.B_late[kept]
         return (A, B) if self.kind == CONTINUOUS else augmented(A, B, late, self.timing)
 
     @property
-    def steered_entries(self) -> np.ndarray:
-        """The indices of the state's entries that belong to steered coordinates."""
+    def actuated_entries(self) -> np.ndarray:
+        """The indices of the state's entries that belong to actuated coordinates."""
         return np.flatnonzero(np.tile(self.point.mechanism.actuated, 2))
 
     @property
@@ -210,9 +210,9 @@ class FeedbackLoop:
         """Return the loop as python-control's state space: open, from commands to K x, or closed, from commands to x."""
         import control
 
-        A, B = self.steered_matrices()
-        state = np.eye(len(self.steered_entries), len(A))
-        read = state if closed else self.gain[:, self.steered_entries] @ state
+        A, B = self.actuated_matrices()
+        state = np.eye(len(self.actuated_entries), len(A))
+        read = state if closed else self.gain[:, self.actuated_entries] @ state
         period_s = 0 if self.kind == CONTINUOUS else self.timing.period_s
         return control.StateSpace(self.matrix if closed else A, B, read, 0, period_s)
 

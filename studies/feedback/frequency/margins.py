@@ -16,8 +16,8 @@ from msgspec.structs import replace
 from linkplan.controllers.sampling import MOST_DELAY_PERIODS
 from linkplan.models.poses.sign_change import sign_change
 from linkplan.studies.feedback.frequency.feedback_loops import CONTINUOUS, SIMULATED, FeedbackLoop, feedback_loop
-from linkplan.studies.feedback.frequency.rest import at_rest
-from linkplan.studies.feedback.frequency.worst import local_minima
+from linkplan.studies.feedback.frequency.rest import rest_response
+from linkplan.studies.feedback.frequency.worst import refined_minima
 
 # Phase crossings below this frequency are ignored: a double integrator tends to -180 deg as the frequency tends to zero.
 _LOWEST_PHASE_CROSSING_HZ = 0.02
@@ -146,7 +146,7 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
     delays = np.mod(pm, 2 * np.pi) / (2 * np.pi * crossover)
     complementary = 1.0 - sensitivity
     first = abs(complementary[0])
-    response, stiffness = at_rest(loop.point, loop.gain[None], channel)
+    response, stiffness = rest_response(loop.point, loop.gain[None], channel)
     alpha = 1.0 / _peak(frequency, np.abs(sensitivity - 0.5), lambda f: abs(1.0 / (1.0 + at(f)) - 0.5))[1]
     peak_hz, peak = _peak(frequency, np.abs(sensitivity), lambda f: abs(1.0 / (1.0 + at(f))))
     resonance_hz, resonance = _peak(frequency, np.abs(complementary), lambda f: abs(1.0 - 1.0 / (1.0 + at(f))))
@@ -189,7 +189,7 @@ def _roots(
 def _peak(frequency: np.ndarray, values: np.ndarray, function: Callable[[float], float]) -> tuple[float, float]:
     """Return the frequency [Hz] of a function's largest value, and the value, refined from values (n,) on a grid."""
     high = values > 0.5 * values.max()  # the grid meets even a narrow peak at half its height or more
-    places = local_minima(lambda x: -function(float(np.exp(x))), np.log(frequency), np.where(high, -values, np.inf))
+    places = refined_minima(lambda x: -function(float(np.exp(x))), np.log(frequency), np.where(high, -values, np.inf))
     k = int(np.argmax(values))
     peaks = [(float(values[k]), float(frequency[k])), *((function(float(f)), float(f)) for f in np.exp(places))]
     value, at = max(peaks)

@@ -50,8 +50,8 @@ def plant_transfer(point: OperatingPoint, push: np.ndarray, row: np.ndarray) -> 
 def plant_matrices(point: OperatingPoint, pushes: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return A, B and C of x' = A x + B u, y = C x for inputs `pushes` (n_u, n) and outputs `rows` (m, n_s)."""
     mechanism = point.mechanism
-    steered = mechanism.actuated | bool(np.any(rows[:, ~mechanism.actuated]))
-    kept = np.flatnonzero(np.tile(steered, 2))
+    actuated = mechanism.actuated | bool(np.any(rows[:, ~mechanism.actuated]))
+    kept = np.flatnonzero(np.tile(actuated, 2))
     A, B = (found[0] for found in linearise(mechanism, point.pose[None], point.velocity[None], point.hold[None]))
     return A[kept][:, kept], B[kept] @ pushes, np.hstack([rows, np.zeros_like(rows)])[:, kept]
 

@@ -160,8 +160,8 @@ def _sizes(
     A test signal moves each coordinate little and does not saturate an actuator.
     """
     mechanism, n_u = loop.point.mechanism, len(effort_limit)
-    steered = mechanism.actuated
-    units = unit_steps(mechanism.joints, mechanism.extent_m)[mechanism.independent][steered]
+    actuated = mechanism.actuated
+    units = unit_steps(mechanism.joints, mechanism.extent_m)[mechanism.independent][actuated]
     G = loop.plant(frequency_hz)
     U = np.linalg.inv(np.eye(n_u) + loop.gain @ G)  # (n, n_u, n_u): commands for unit signals, one actuator's in a column
     X = (G @ U)[:, : mechanism.dof]
@@ -169,7 +169,7 @@ def _sizes(
     room = np.min(np.abs(effort_limit - loop.point.hold[:, None]), axis=1)
     room = np.full(n_u, np.inf) if setup.amplitude is not None else EFFORT_SHARE * room
     with np.errstate(divide="ignore", invalid="ignore"):
-        moves = np.min(wanted[:, None] / np.abs(X[:, steered]), axis=1)
+        moves = np.min(wanted[:, None] / np.abs(X[:, actuated]), axis=1)
         amplitude = np.minimum(moves, np.min(room[:, None] / np.abs(U), axis=1)).T
     Y = np.stack([output.slopes(loop.point.pose) for output in outputs]) @ X
     largest = [np.max(amplitude.T[:, None] * np.abs(of), axis=2) for of in (Y, U)]  # (n, n_y), (n, n_u)

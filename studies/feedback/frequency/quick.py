@@ -11,7 +11,7 @@ import numpy as np
 from linkplan.controllers.sampling import Sampling, closed
 from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, channel_effort, feedback_loop
 from linkplan.studies.feedback.frequency.margins import damping_ratio, settling_time_s
-from linkplan.studies.feedback.frequency.rest import at_rest
+from linkplan.studies.feedback.frequency.rest import rest_response
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -41,13 +41,13 @@ def quick_loops(point: OperatingPoint, gains: np.ndarray, timing: Sampling, chan
     frequency = np.geomspace(1e-5 * timing.nyquist_hz, timing.nyquist_hz, 300)
     L = np.einsum("mui,fiw->mfuw", gains, loop.plant(frequency))
     all_closed = 1.0 / (1.0 + L) if n_u == 1 else np.linalg.inv(np.eye(n_u) + L)
-    poles = np.linalg.eigvals(closed(*loop.steered_matrices(), gains[..., loop.steered_entries]))
+    poles = np.linalg.eigvals(closed(*loop.actuated_matrices(), gains[..., loop.actuated_entries]))
     found = []
     for channel in channels:
         read, push = channel_effort(point, channel)
         S = read @ all_closed @ push
         phase_margin_deg, bandwidth_hz = _crossings(S, frequency)
-        response, stiffness = at_rest(point, gains, channel)
+        response, stiffness = rest_response(point, gains, channel)
         found.append(
             QuickMargins(
                 radius=np.abs(poles).max(axis=-1),

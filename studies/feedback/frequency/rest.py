@@ -17,7 +17,7 @@ from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, c
 LEAST_RESPONSE_AT_REST = 0.95
 
 
-def at_rest(point: OperatingPoint, gains: np.ndarray, channel: int) -> tuple[np.ndarray, np.ndarray]:
+def rest_response(point: OperatingPoint, gains: np.ndarray, channel: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the response and the stiffness at rest (n,) of a coordinate's loop for gains (n, n_u, 2 n_s).
 
     The loops of the other coordinates are closed. The response is the complementary sensitivity at frequency zero: 0.95
@@ -25,12 +25,12 @@ def at_rest(point: OperatingPoint, gains: np.ndarray, channel: int) -> tuple[np.
     over the steady error that it causes, while the other coordinates are free to give way. Both are meaningless for an
     unstable loop.
     """
-    n_s, steered = point.mechanism.dof, np.flatnonzero(point.mechanism.actuated).tolist()
+    n_s, actuated = point.mechanism.dof, np.flatnonzero(point.mechanism.actuated).tolist()
     still = (point.pose[None], point.velocity[None], point.hold[None])
-    A, B = (matrix[0, n_s:][steered] for matrix in linearise(point.mechanism, *still))
-    A, K = A[:, steered], gains[:, :, steered]
+    A, B = (matrix[0, n_s:][actuated] for matrix in linearise(point.mechanism, *still))
+    A, K = A[:, actuated], gains[:, :, actuated]
     read, push = channel_effort(point, channel)
-    i, inertia = steered.index(channel), point.inertia[np.ix_(steered, steered)]
+    i, inertia = actuated.index(channel), point.inertia[np.ix_(actuated, actuated)]
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         inverse = _inverses(B @ K - A)
         response = np.einsum("u,nus,ns->n", read, K, inverse @ (B @ push))

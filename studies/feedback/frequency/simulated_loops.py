@@ -9,7 +9,7 @@ import numpy as np
 from linkplan.controllers.feedback_loop import run_loop, states_of
 from linkplan.controllers.imperfections.driving import driving
 from linkplan.controllers.imperfections.imperfections import Drives
-from linkplan.controllers.imperfections.plant import Plant, prepare
+from linkplan.controllers.imperfections.plant import ImperfectPlant, prepare
 from linkplan.controllers.imperfections.servos import speed_gains
 from linkplan.controllers.mujoco_plant import MujocoStepper, simulation_conditions
 from linkplan.controllers.reference import SampledReference
@@ -20,7 +20,7 @@ from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, cha
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class StateFeedback:
+class SimulatedFeedback:
     """The law u_k = u_ff + K (x_ref - x_k), x = (s, v). Its memory (n, 1) is the number of each simulation.
 
     `drive` u_ff + K x_ref (t, n, n_u) [N.m or N] and `gain` K (t, n, n_u, 2 n_s).
@@ -72,7 +72,7 @@ class SimulatedLoops:
         model = copy.copy(mechanism.model)
         prepare(model, mechanism, timing.timestep_s, np.array(effort_limit))
         rates = joint_rates(mechanism, np.asarray(pose), np.asarray(velocity))
-        starts = [Plant(model=model, pose=q, rates=v) for q, v in zip(pose, rates, strict=True)]
+        starts = [ImperfectPlant(model=model, pose=q, rates=v) for q, v in zip(pose, rates, strict=True)]
         n, self.gain, self.timing, self.periods = len(pose), np.array(gain), timing, 0
         delays = [timing.delay_steps / timing.substeps] * n
         drives = driving([Drives()] * n, delays, [timing.timestep_s] * n, timing.substeps, effort_limit)
@@ -122,7 +122,7 @@ class SimulatedLoops:
         drive = np.zeros((t, *self.gain.shape[:2]))
         of = self.gain[ids] if gain is None else gain[:, None]
         drive[:, ids] = feedforward + np.matmul(of, reference[:, :, :, None])[:, :, :, 0]
-        log = run_loop(stepper, StateFeedback(drive=drive, gain=gains), t)
+        log = run_loop(stepper, SimulatedFeedback(drive=drive, gain=gains), t)
         self.periods += t
         return log.pose[:, ids], log.velocity[:, ids], log.commanded[:, ids]
 

@@ -60,7 +60,7 @@ def radii(point: OperatingPoint, kp: np.ndarray, kd: np.ndarray, timing: Samplin
 
 def radii_about(point: OperatingPoint, timing: Sampling) -> Callable[[np.ndarray], np.ndarray]:
     """Return the function from gains K (..., n_u, 2 n_s) to the largest pole's size (...,) of loops about a point."""
-    matrices = feedback_loop(point, pd_gain(effort_map(point), 1.0, 1.0), timing).steered_matrices()
+    matrices = feedback_loop(point, pd_gain(effort_map(point), 1.0, 1.0), timing).actuated_matrices()
     return lambda gains: spectral_radius(closed(*matrices, gains))
 
 

@@ -28,7 +28,7 @@ def last_good(
     return good, why
 
 
-def local_minima(function: Callable[[float], float], at: np.ndarray, values: np.ndarray | None = None) -> list[float]:
+def refined_minima(function: Callable[[float], float], at: np.ndarray, values: np.ndarray | None = None) -> list[float]:
     """Return the arguments of the local minima near the minima of the scanned values (n,) at increasing arguments (n,).
 
     Each minimum is refined between its neighbours by Brent's bounded minimisation (Brent, Algorithms for Minimization

@@ -16,7 +16,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.search.planning import silent
 from linkplan.studies.feedback.bode.bode import SAME_POSE_SHARE, SCAN_POSITIONS
-from linkplan.studies.feedback.bode.scan import Line, judge_of
+from linkplan.studies.feedback.bode.scan import PoseLine, judge_of
 from linkplan.studies.feedback.frequency.feedback_loops import (
     LAW_NAMES,
     OperatingPoint,
@@ -25,7 +25,7 @@ from linkplan.studies.feedback.frequency.feedback_loops import (
     outputs_of,
 )
 from linkplan.studies.feedback.frequency.plant_modes import plant_modes
-from linkplan.studies.feedback.frequency.worst import local_minima
+from linkplan.studies.feedback.frequency.worst import refined_minima
 from linkplan.studies.feedback.tune.requirements import (
     UNSTABLE_SHORTFALL,
     EvaluatedGains,
@@ -34,7 +34,7 @@ from linkplan.studies.feedback.tune.requirements import (
     shortfall,
 )
 from linkplan.studies.feedback.tune.search import MAX_ROUNDS, found_gains
-from linkplan.studies.feedback.tune.tuning import Tuning, motor_gains, tracking_values, tuned_joints
+from linkplan.studies.feedback.tune.tuning import Tuning, gains_by_motor, tracking_values, tuned_joints
 
 
 def tune(
@@ -43,7 +43,7 @@ def tune(
     law: SampledLaw,
     *,
     say: Callable[[str], None] = silent,
-    line: Line | None = None,
+    line: PoseLine | None = None,
     note: str | None = None,
 ) -> Tuning:
     """Return gains that meet the requirements at every point, or the closest gains and the reason.
@@ -95,7 +95,7 @@ def tune(
         points = _along(points, worst)
         best = evaluated(points, wanted, law)
     found = best.shortfall == 0.0
-    motors = () if law.name == "lqr" else motor_gains(best, mechanism)
+    motors = () if law.name == "lqr" else gains_by_motor(best, mechanism)
     tracking = tracking_values(best, mechanism)
     gains = {key: value for key, value in tracking.items() if key != "delay_periods"} | {"delay_s": timing.delay_s}
     return Tuning(
@@ -137,7 +137,7 @@ def _along(points: Sequence[OperatingPoint], added: Sequence[OperatingPoint]) ->
     return sorted(every, key=lambda point: float(point.state[0])) if points[0].mechanism.dof == 1 else every
 
 
-def _worst(mechanism: Mechanism, line: Line, law: SampledLaw, wanted: Requirements) -> list[OperatingPoint]:
+def _worst(mechanism: Mechanism, line: PoseLine, law: SampledLaw, wanted: Requirements) -> list[OperatingPoint]:
     """Return up to three points of a line with the largest shortfall, among its local maxima."""
     judge = judge_of(mechanism, line, law, mechanism.channels)
 
@@ -150,12 +150,12 @@ def _worst(mechanism: Mechanism, line: Line, law: SampledLaw, wanted: Requiremen
         return -min(short, UNSTABLE_SHORTFALL + (found[0].spectral_radius or 0.0))
 
     even = np.linspace(line.low, line.high, SCAN_POSITIONS)
-    places = sorted([*even, *local_minima(reserve, even)], key=reserve)[:3]
+    places = sorted([*even, *refined_minima(reserve, even)], key=reserve)[:3]
     return [operating_point(mechanism, line.at(float(x)), law.effort_limit) for x in places if np.isfinite(reserve(x))]
 
 
 def _message(
-    points: Sequence[OperatingPoint], wanted: Requirements, best: EvaluatedGains, found: bool, line: Line | None
+    points: Sequence[OperatingPoint], wanted: Requirements, best: EvaluatedGains, found: bool, line: PoseLine | None
 ) -> str:
     timing, words = best.law.timing, LAW_NAMES[best.law.name]
     asked = f"{wanted.bandwidth_hz:g} Hz and {wanted.phase_margin_deg:g} deg"

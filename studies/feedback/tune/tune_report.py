@@ -11,8 +11,8 @@ from linkplan.models.tree.joints import Joint
 from linkplan.planner.files.tables import inline
 from linkplan.studies.feedback.bode.scan import figures
 from linkplan.studies.feedback.tune.requirements import JudgedLoop
-from linkplan.studies.feedback.tune.tuning import Tuning, joint_gains
-from linkplan.studies.output.document import Axis, Block, Facts, Limit, Plot, Series, Table, Text, table_of
+from linkplan.studies.feedback.tune.tuning import Tuning, gains_by_joint
+from linkplan.studies.output.document import Axis, Block, DrawnLimit, Facts, Plot, Series, Table, Text, table_of
 from linkplan.studies.output.numbers import rounded
 
 if TYPE_CHECKING:
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 def gain_lines(tuning: Tuning) -> list[tuple[str, str]]:
     """Return PD gains as pairs of a heading and a text, with units: at each joint, and at each motor of one joint."""
     lines = []
-    gains = joint_gains(tuning.best, tuning.mechanism)
+    gains = gains_by_joint(tuning.best, tuning.mechanism)
     for joint in tuning.joints:
         (kp, kd), per = gains[joint.name], joint.gain_units
         where = f"the joint {joint.name}" if len(tuning.mechanism.channels) == 1 else joint.name
@@ -70,7 +70,7 @@ def tune_plots(tuning: Tuning, loops: Sequence[JudgedLoop], of: str) -> list[Plo
                 y_axis=Axis(label=what, unit=per, ends=(0.0, 1.12 * highest or 1.0)),
                 x=rounded(at[order]),
                 series=series,
-                limits=[Limit(name=words, value=float(x)) for x in asked],
+                limits=[DrawnLimit(name=words, value=float(x)) for x in asked],
             )
         )
     return found

@@ -82,7 +82,7 @@ def tuned_joints(mechanism: Mechanism) -> list[Joint]:
     return [mechanism.independent_joints[channel] for channel in mechanism.channels]
 
 
-def joint_gains(best: EvaluatedGains, mechanism: Mechanism) -> dict[str, tuple[float, float]]:
+def gains_by_joint(best: EvaluatedGains, mechanism: Mechanism) -> dict[str, tuple[float, float]]:
     """Return kp and kd of every joint with a loop, by its name."""
     gains = np.array(best.law.settings.gains(mechanism.independent_joints)).T
     names = (joint.name for joint in tuned_joints(mechanism))
@@ -102,7 +102,7 @@ def tracking_values(best: EvaluatedGains, mechanism: Mechanism) -> dict[str, Any
     return values
 
 
-def motor_gains(best: EvaluatedGains, mechanism: Mechanism) -> tuple[MotorGains, ...]:
+def gains_by_motor(best: EvaluatedGains, mechanism: Mechanism) -> tuple[MotorGains, ...]:
     """Return the motors' gains that give the joints' gains, K_o = G^T K_m G at every pose, for motors of one joint each.
 
     A motor that moves with several joints is left out: no gains of its own give their loops.
@@ -110,7 +110,7 @@ def motor_gains(best: EvaluatedGains, mechanism: Mechanism) -> tuple[MotorGains,
     joints = tuned_joints(mechanism)
     poses = np.array([loop.point.pose for loop in best.loops if loop.channel == mechanism.channels[0]])
     ratio = sampled(mechanism.dynamics.effort_map, poses)[:, list(mechanism.channels)].transpose(0, 2, 1)  # (n, n_u, n_o)
-    gains = [np.diag(values) for values in zip(*joint_gains(best, mechanism).values(), strict=True)]
+    gains = [np.diag(values) for values in zip(*gains_by_joint(best, mechanism).values(), strict=True)]
     kp, kd = (gains_at_motors(ratio, values) for values in gains)
     acts = np.abs(ratio).max(axis=0) > ROUNDING_SHARE * np.abs(ratio).max(axis=(0, 1))
     found = []

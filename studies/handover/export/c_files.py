@@ -19,7 +19,7 @@ from linkplan.studies.handover.export.c_model import (
     test_text,
 )
 from linkplan.studies.handover.export.c_operations import in_single_precision, operations
-from linkplan.studies.handover.export.c_text import cmake_text
+from linkplan.studies.handover.export.c_text import write_texts
 from linkplan.studies.output.document import Block, Text, table_of
 
 # States at which the error of single precision is measured, and the factor from what was seen to what is stated.
@@ -72,18 +72,11 @@ def write_model(code: ModelCode, place: Path, *, compiled: bool | None = None) -
         said = ", ".join(f"{n} {kind}" for kind, n in row["operations"].items()) or "none"
         error = "" if row["float_error"] is None else f"; float {row['float_error']:.1e}"
         lines.append(f"  {row['function']}: {said}{error}")
-    texts = {
-        f"{code.prefix}.h": header_text(code, lines),
-        f"{code.prefix}.c": source_text(code),
-        f"{code.prefix}_test.c": test_text(code),
-        "CMakeLists.txt": cmake_text(code.prefix),
-    }
-    for name, text in texts.items():
-        (place / name).write_text(text, encoding="utf-8")
+    files = write_texts(place, code.prefix, header_text(code, lines), source_text(code), test_text(code))
     return {
         "mechanism": code.mechanism.name,
         "format": "c",
-        "files": sorted(texts),
+        "files": files,
         "model_hash": code.mechanism.fingerprint(),
         "max_newton_steps": MAX_NEWTON_STEPS,
         "functions": cost,

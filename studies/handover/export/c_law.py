@@ -9,28 +9,21 @@ from linkplan.studies.handover.export.c_text import (
     MATH,
     NO_LIMIT,
     bounded,
-    cmake_text,
     declared_array,
     header_of,
     limit_macros,
+    write_texts,
 )
 from linkplan.studies.handover.export.law_tables import ROW_SHARE, LawTables, arrays_of
 
 
 def write_law(tables: LawTables, place: Path, *, compiled: bool = True) -> dict:
     """Write header, source, test and CMake file into a folder, and return what the code costs; `compiled` measures sizes."""
-    texts = {
-        f"{tables.prefix}.h": _header(tables),
-        f"{tables.prefix}.c": _source(tables),
-        f"{tables.prefix}_test.c": _test(tables),
-        "CMakeLists.txt": cmake_text(tables.prefix),
-    }
-    for name, text in texts.items():
-        (place / name).write_text(text, encoding="utf-8")
+    files = write_texts(place, tables.prefix, _header(tables), _source(tables), _test(tables))
     return {
         "mechanism": tables.mechanism.name,
         "format": "c",
-        "files": sorted(texts),
+        "files": files,
         "tracker": tables.tracker,
         "instants": len(tables.time_s),
         "duration_s": float(tables.time_s[-1]),

@@ -1,6 +1,7 @@
 """Pieces of C text: comments, arrays, test programs, CMake files."""
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 
@@ -144,6 +145,14 @@ int main(void)
         + "\n".join(calls)
         + '\n  }\n  if (!failed) printf("as in Python\\n");\n  return failed;\n}\n'
     )
+
+
+def write_texts(place: Path, prefix: str, header: str, source: str, test: str) -> list[str]:
+    """Write header, source, test and CMake file into a folder, and return the files' names."""
+    texts = {f"{prefix}.h": header, f"{prefix}.c": source, f"{prefix}_test.c": test, "CMakeLists.txt": cmake_text(prefix)}
+    for name, text in texts.items():
+        (place / name).write_text(text, encoding="utf-8")
+    return sorted(texts)
 
 
 def cmake_text(prefix: str) -> str:

@@ -10,7 +10,7 @@ from linkplan.studies.handover.export.formats import FORMATS
 from linkplan.studies.handover.export.keyframes import keyframes_text, model_with_keyframes_text
 from linkplan.studies.handover.export.matlab import mat_bytes
 from linkplan.studies.handover.export.ros import joint_trajectory_text
-from linkplan.studies.handover.export.samples import Samples, samples_of
+from linkplan.studies.handover.export.samples import ExportedSamples, exported_samples
 
 
 def exported(plan: Plan, to: str, every_s: float | None = None, joints: Sequence[str] = ()) -> bytes:
@@ -30,7 +30,7 @@ def exported(plan: Plan, to: str, every_s: float | None = None, joints: Sequence
         raise LinkplanError(f"nothing to export, the plan has no motion: {plan.message}")
     if joints and to != "ros":
         raise ProblemError(f"joints are chosen for the format ros only, got {to}")
-    samples = samples_of(plan, every_s)
+    samples = exported_samples(plan, every_s)
     return joint_trajectory_text(samples, joints).encode("utf-8") if joints else _WRITERS[to](samples)
 
 
@@ -39,7 +39,7 @@ def about(plan: Plan) -> dict[str, str]:
     return {"linkplan": version("linkplan"), "plan": plan.problem.name, "mechanism": plan.problem.mechanism.name}
 
 
-_WRITERS: Mapping[str, Callable[[Samples], bytes]] = {
+_WRITERS: Mapping[str, Callable[[ExportedSamples], bytes]] = {
     "keyframes": lambda samples: keyframes_text(samples).encode("utf-8"),
     "mjcf": lambda samples: model_with_keyframes_text(samples).encode("utf-8"),
     "ros": lambda samples: joint_trajectory_text(samples).encode("utf-8"),

@@ -6,10 +6,10 @@ from collections.abc import Iterable
 
 import scipy.io
 
-from linkplan.studies.handover.export.samples import Samples
+from linkplan.studies.handover.export.samples import ExportedSamples
 
 
-def mat_bytes(samples: Samples) -> bytes:
+def mat_bytes(samples: ExportedSamples) -> bytes:
     """Return a MATLAB 5 file: time_s (n, 1), and structs position, speed, acceleration, effort, site, body by name.
 
     `units` has the same structs with a unit for each name, `names` has the names of the model.

@@ -8,10 +8,10 @@ import numpy as np
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.studies.handover.export.output_joints import with_outputs
-from linkplan.studies.handover.export.samples import Samples
+from linkplan.studies.handover.export.samples import ExportedSamples
 
 
-def joint_trajectory_text(samples: Samples, joints: Sequence[str] = ()) -> str:
+def joint_trajectory_text(samples: ExportedSamples, joints: Sequence[str] = ()) -> str:
     """Return the YAML of a trajectory_msgs/msg/JointTrajectory: the independent joints, in radians or metres.
 
     `effort` of a joint is the actuators' effort on that coordinate, Gamma^T B u [N.m or N]. For a motor on the joint it is

@@ -16,7 +16,7 @@ _MAX_SAMPLES = 1_000_000
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Samples:
+class ExportedSamples:
     """A plan's motion at instants (n,) [s] from its start.
 
     `q` and `rates` (n, n_q) are the positions and speeds of all coordinates [rad or m, and per second], `velocity` and
@@ -66,7 +66,7 @@ class Samples:
         return np.einsum("ksu,ku->ks", maps, self.effort)
 
 
-def samples_of(plan: Plan, every_s: float | None = None) -> Samples:
+def exported_samples(plan: Plan, every_s: float | None = None) -> ExportedSamples:
     """Return a plan's samples: every `every_s` seconds from its start and at its end, or ten in each interval of its mesh.
 
     Raises:
@@ -90,7 +90,7 @@ def samples_of(plan: Plan, every_s: float | None = None) -> Samples:
         return np.column_stack(columns)
 
     at = table.time_s
-    return Samples(
+    return ExportedSamples(
         plan=plan,
         time_s=at,
         table=table,

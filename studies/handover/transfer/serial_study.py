@@ -12,7 +12,7 @@ from linkplan.models.transfer.rest import OutputMotion, SerialErrors, rest_value
 from linkplan.models.transfer.serial import SerialModel, serial_model
 from linkplan.models.transfer.table import TransferTable
 from linkplan.planner.plan.plan import Plan
-from linkplan.studies.handover.export.samples import samples_of
+from linkplan.studies.handover.export.samples import exported_samples
 from linkplan.studies.output.document import Block, Plot, Text, table_of
 from linkplan.studies.output.lines import TIME, Line, plots
 
@@ -70,9 +70,9 @@ def motion_of_plan(plan: Plan, outputs: OutputMap) -> OutputMotion:
     mechanism = plan.problem.mechanism
     if compiled_bytes(mechanism.model) != compiled_bytes(outputs.mechanism.model):
         raise ProblemError(
-            f"the plan '{plan.problem.name}' is of another model, payload included, than the table; give its problem file"
+            f"the plan '{plan.problem.name}' has another model or payload than the table; give its problem file"
         )
-    samples = samples_of(plan)
+    samples = exported_samples(plan)
     index = [mechanism.joint_index(joint.name) for joint in outputs.joints]
     return OutputMotion(
         time_s=samples.time_s,

@@ -5,13 +5,13 @@ from collections.abc import Sequence
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.sections import CaseSection
 from linkplan.studies.output.document import Block, Report, Section, Text, table_of
-from linkplan.studies.output.plan_blocks import figure, known_digits, objective_unit
+from linkplan.studies.output.plan_blocks import figure, objective_digits, objective_unit
 from linkplan.studies.output.report_file import report_of
 
 
 def case_row(case: CaseSection, plan: Plan) -> list:
     """Return a case's row of the table."""
-    problem, digits = plan.problem, known_digits(plan)
+    problem, digits = plan.problem, objective_digits(plan)
     duration = None if plan.duration_s is None else figure(plan.duration_s, digits)
     objective = None if plan.objective is None else f"{figure(plan.objective, min(digits, 6))}{objective_unit(problem)}"
     peaks = () if plan.certificate is None else zip(plan.certificate.peak_effort, problem.mechanism.actuators, strict=True)

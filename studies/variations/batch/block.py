@@ -17,7 +17,8 @@ from msgspec.structs import replace
 from linkplan.models.errors import PlanFileError, one_line
 from linkplan.models.reading import MAX_FILE_BYTES
 from linkplan.planner.files.columns import read_member, read_trajectory
-from linkplan.planner.plan.folder import record, write_plan
+from linkplan.planner.files.folders import plain_record
+from linkplan.planner.plan.folder import record_of, write_plan
 from linkplan.planner.plan.record import read_plan_record
 from linkplan.planner.problem.keys.sections import BatchFile, CaseSection
 from linkplan.planner.refinement.history import Say
@@ -66,7 +67,7 @@ def plan_block(batch: BatchFile, block: int, target: Path | None, parquet: bool,
                 write_plan(plan, Path(place), target / case.name, parquet=parquet)
                 files = {path.name: path.read_bytes() for path in sorted(Path(place).iterdir())}
         failure = None if plan.passed else f"{case.name}: {plan.message}"
-        said = {"settings": list(case.set), **record(plan)}
+        said = {"settings": list(case.set), **plain_record(record_of(plan))}
         answer = Planned(name=case.name, row=case_row(case, plan), record=said, failure=failure, files=files)
         found.append(answer)
     return found

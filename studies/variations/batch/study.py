@@ -23,7 +23,7 @@ from linkplan.studies.variations.tasks.unfinished import finish, part, parts_fol
 RECORD = "batch.json"
 
 
-class Outcome(Struct, frozen=True, kw_only=True, eq=False):
+class BatchOutcome(Struct, frozen=True, kw_only=True, eq=False):
     """The results of a batch: the record of each case, rows of the table, a sentence for each case without a plan."""
 
     cases: dict[str, dict[str, Any]]
@@ -38,7 +38,7 @@ def run_batch(
     *,
     engine: Engine = serial,
     parquet: bool = False,
-) -> Outcome:
+) -> BatchOutcome:
     """Return the outcome of a batch, and write its plans into a folder if one is given.
 
     Args:
@@ -94,7 +94,7 @@ def _work(batch: BatchFile, target: Path | None, parquet: bool, say: Say | None,
     return plan_block(batch, block, target, parquet, say or silent)
 
 
-def _outcome(folder: Path, batch: BatchFile, place: Path | None) -> Outcome:
+def _outcome(folder: Path, batch: BatchFile, place: Path | None) -> BatchOutcome:
     rows, failures, cases = [], [], {}
     for block, numbers in enumerate(case_blocks(len(batch.case))):
         cases_here = [batch.case[i] for i in numbers]
@@ -102,4 +102,4 @@ def _outcome(folder: Path, batch: BatchFile, place: Path | None) -> Outcome:
             rows.append(answer.row)
             failures += [] if answer.failure is None else [answer.failure]
             cases[answer.name] = answer.record
-    return Outcome(rows=rows, failures=failures, cases=cases)
+    return BatchOutcome(rows=rows, failures=failures, cases=cases)

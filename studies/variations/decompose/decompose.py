@@ -137,13 +137,13 @@ def decompose(
 def joints_by_unit(experiment: Experiment) -> dict[str, np.ndarray]:
     """Return the indices of the controllable independent joints, by their unit."""
     mechanism = experiment.plan.problem.mechanism
-    steered = mechanism.actuated
+    actuated = mechanism.actuated
     units = np.array([joint.unit for joint in mechanism.independent_joints])
-    return {str(unit): np.flatnonzero(steered & (units == unit)) for unit in dict.fromkeys(units[steered])}
+    return {str(unit): np.flatnonzero(actuated & (units == unit)) for unit in dict.fromkeys(units[actuated])}
 
 
 def _by_unit(experiment: Experiment, errors: np.ndarray, increments: np.ndarray) -> dict[str, Shares]:
-    """Return the parts of errors and increments (n_rungs, t, n, n_s) [rad or m], for the joints of each unit."""
+    """Return the parts of errors and increments (n_steps, t, n, n_s) [rad or m], for the joints of each unit."""
     joints = experiment.plan.problem.mechanism.independent_joints
     factor = np.array([joint.shown(1.0) for joint in joints])
     errors, increments = factor * errors, factor * increments

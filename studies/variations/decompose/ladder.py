@@ -1,6 +1,6 @@
-"""The ladder from the ideal to the real feedback loop: each rung switches on one more cause of error.
+"""The steps from the ideal to the real feedback loop: each switches on one more cause of error.
 
-The first rungs simulate the rigid kinematic loop with accurately integrated reduced dynamics, the fourth a MuJoCo machine as
+The first steps simulate the rigid kinematic loop with accurately integrated reduced dynamics, the fourth a MuJoCo machine as
 modelled. The last three causes (`SWITCHES`) act on each other: a payload costs little until it meets an effort limit. All
 combinations of them are simulated, and the increment of each is its mean over all orders (Shapley, A Value for n-Person
 Games, 1953).
@@ -44,10 +44,10 @@ _FEEDFORWARD_TOLERANCE = 1e-9
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Ladder:
-    """One tracker's errors on the rungs, and the reasons for failed machines.
+    """One tracker's errors on the steps, and the reasons for failed machines.
 
-    `errors` (n_rungs, t, n, n_s): s_ref - s [rad or m] after each cause is switched on, in the order of `CAUSES`.
-    `increments` (n_rungs, t, n, n_s) add up to the last of them: what each cause adds, those of `SWITCHES` in the mean over
+    `errors` (n_steps, t, n, n_s): s_ref - s [rad or m] after each cause is switched on, in the order of `CAUSES`.
+    `increments` (n_steps, t, n, n_s) add up to the last of them: what each cause adds, those of `SWITCHES` in the mean over
     their orders.
     """
 
@@ -82,7 +82,7 @@ class Completed:
 
 
 def run_ladder(experiment: Experiment, asked: TrackerLike) -> Ladder:
-    """Return a tracker's errors on all rungs, for all machines of an experiment.
+    """Return a tracker's errors on all steps, for all machines of an experiment.
 
     Raises:
         ProblemError: for a tracker that cannot be built for another control period.
@@ -151,7 +151,7 @@ def _words_of(ran: Mapping[frozenset[str], "_Found"]) -> list[tuple[str, "_Found
 
 # Errors (t, n or 1, n_s), and the reason for each failed run.
 _Found = tuple[np.ndarray, Sequence[str | None]]
-# The rung of each key of [imperfections]; all other keys are model errors.
+# The step of each key of [imperfections]; all other keys are model errors.
 _GROUPS = {
     **dict.fromkeys(("period_factor", "phase_periods", "delay_periods"), "sampling"),
     **dict.fromkeys(("loop_time_constant_s", "loop_damping_ratio"), "simulator"),

@@ -8,7 +8,7 @@ import numpy as np
 from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.imperfections import Factor, Spread
 from linkplan.studies.variations.sensitivity.influence import NORMAL_QUANTILE
-from linkplan.studies.variations.sensitivity.scheme import SENSITIVE, SOBOL, Scheme, scheme_of
+from linkplan.studies.variations.sensitivity.scheme import SENSITIVE, SOBOL, SamplingScheme, scheme_of
 
 # The first two designs compare trackers over the machines. The others measure the influence of each imperfection.
 LATIN_HYPERCUBE = "latin-hypercube"
@@ -25,7 +25,7 @@ _MIN_PROBABILITY = 2.0**-31
 
 def machines_by_design(
     factors: Sequence[Factor], design: str, samples: int, levels: int, seed: int
-) -> tuple[np.ndarray, np.ndarray, Scheme | None]:
+) -> tuple[np.ndarray, np.ndarray, SamplingScheme | None]:
     """Return the factors' values (n, d) in a problem file's units, noise draws (n,), and a sensitivity design's scheme.
 
     Fixed factors are the same in every sample. In a Latin hypercube, each factor's range is divided into intervals of equal

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from msgspec import Struct
 
-from linkplan.controllers.imperfections.imperfections import Imperfections
+from linkplan.controllers.imperfections.imperfections import Imperfections, imperfections_from
 from linkplan.controllers.imperfections.plant import plant
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
@@ -28,8 +28,7 @@ from linkplan.planner.problem.settings import number, whole
 from linkplan.studies.compare.compare import control_loop, tracking_reference
 from linkplan.studies.compare.user_tracker import TrackerLike, known_tracker
 from linkplan.studies.variations.experiment.design import DESIGNS, MOST_SAMPLES, machines_by_design
-from linkplan.studies.variations.experiment.machines import machine_of
-from linkplan.studies.variations.sensitivity.scheme import MORRIS, SOBOL, Scheme, salib_version
+from linkplan.studies.variations.sensitivity.scheme import MORRIS, SOBOL, SamplingScheme, salib_version
 
 
 def default_imperfections(plan: Plan) -> dict:
@@ -135,7 +134,7 @@ class Experiment:
     section: ImperfectionFactors
     values: np.ndarray
     draws: np.ndarray
-    scheme: Scheme | None
+    scheme: SamplingScheme | None
     reference: SampledReference
     loop: ControlLoop
     tube: np.ndarray
@@ -156,6 +155,16 @@ class Experiment:
         """Return a sample's machine, which is the same for every tracker and in every experiment with these settings."""
         mechanism, noise = self.plan.problem.mechanism, (self.settings.seed, 1, int(self.draws[sample]))
         return machine_of(self.section, self.values[sample], mechanism, noise)
+
+
+def machine_of(
+    section: ImperfectionFactors, values: np.ndarray, mechanism: Mechanism, noise_seed: tuple[int, ...]
+) -> Imperfections:
+    """Return the machine with a value for each of the section's factors, and with the noise of a seed."""
+    given: dict[str, dict[str, float]] = {}
+    for factor, value in zip(section.factors, values, strict=True):
+        given.setdefault(factor.key, {})[factor.name] = float(value)
+    return imperfections_from(given, mechanism, noise_seed, section.push_body, section.push_joint)
 
 
 def experiment_of(plan: Plan, settings: Settings) -> Experiment:
@@ -180,7 +189,7 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     passive = ~mechanism.actuated  # uncontrollable
     middle = np.median(values, axis=0)
-    plant(mechanism, reference, loop, machine_of(section, middle.tolist(), mechanism, (0,)), 1)  # raises errors early
+    plant(mechanism, reference, loop, machine_of(section, middle, mechanism, (0,)), 1)  # raises errors early
     _refuse_late_push(section, values, float(reference.time_s[-1]))
     return Experiment(
         plan=plan,

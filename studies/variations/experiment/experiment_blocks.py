@@ -8,7 +8,7 @@ from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
 from linkplan.studies.variations.experiment.experiment import Experiment
 from linkplan.studies.variations.experiment.sensitivity_blocks import sensitivity_blocks
 from linkplan.studies.variations.experiment.statistics import Estimate, Pair
-from linkplan.studies.variations.experiment.study import Outcome
+from linkplan.studies.variations.experiment.study import ExperimentOutcome
 
 _WORDS = (("rms", "rms"), ("max", "largest"), ("final", "final"))
 # The columns of the second table of trackers: metric, head, unit, factor.
@@ -23,7 +23,7 @@ _OTHERS = (
 )
 
 
-def outcome_blocks(outcome: Outcome) -> list[Block]:
+def outcome_blocks(outcome: ExperimentOutcome) -> list[Block]:
     """Return the tables of an outcome; means only if the machines are distributed like the imperfections."""
     found: list[Block] = []
     if outcome.distributed:
@@ -32,13 +32,13 @@ def outcome_blocks(outcome: Outcome) -> list[Block]:
     return found + sensitivity(outcome)
 
 
-def sensitivity(outcome: Outcome) -> list[Block]:
+def sensitivity(outcome: ExperimentOutcome) -> list[Block]:
     """Return the influence of each imperfection; nothing without a design of sensitivity analysis."""
     found = outcome.sensitivity
     return sensitivity_blocks(outcome.name, found, outcome.experiment.settings.seed) if found is not None else []
 
 
-def summary(outcome: Outcome) -> list[Block]:
+def summary(outcome: ExperimentOutcome) -> list[Block]:
     """Return what was simulated, each tracker's means, and the failures."""
     tables = _tables(outcome) if outcome.distributed else []
     notes = [Text(text=note, tone="note") for note in outcome.notes]
@@ -65,7 +65,7 @@ def estimated(one: Estimate) -> str:
     return f"{one.value:.{digits}f} ± {one.half:.{digits}f}"
 
 
-def _facts(outcome: Outcome) -> Facts:
+def _facts(outcome: ExperimentOutcome) -> Facts:
     experiment, settings = outcome.experiment, outcome.experiment.settings
     reference = experiment.reference
     rows = [
@@ -77,7 +77,7 @@ def _facts(outcome: Outcome) -> Facts:
     return Facts(rows=rows)
 
 
-def _tables(outcome: Outcome) -> list[Table]:
+def _tables(outcome: ExperimentOutcome) -> list[Table]:
     units = [name.removeprefix("rms_error_") for name in outcome.metrics if name.startswith("rms_error_")]
     errors = [(f"{which}_error_{unit}", f"{word} error", unit) for unit in units for which, word in _WORDS]
     largest = [(name, f"95th percentile of the {word}", unit) for name, word, unit in errors if name.startswith("max")]
@@ -103,7 +103,7 @@ def _tables(outcome: Outcome) -> list[Table]:
     return [first, table_of("Efforts, energy and closure, means", others, rows)]
 
 
-def _failures(outcome: Outcome) -> list[Text]:
+def _failures(outcome: ExperimentOutcome) -> list[Text]:
     said = [
         f"{tracker}: {count} of {outcome.samples} runs failed: {text}"
         for tracker, one in outcome.trackers.items()
@@ -112,7 +112,7 @@ def _failures(outcome: Outcome) -> list[Text]:
     return [Text(text=text, tone="bad") for text in said]
 
 
-def pairs(outcome: Outcome) -> list[Table]:
+def pairs(outcome: ExperimentOutcome) -> list[Table]:
     """Return the table of pairs of trackers, if there are several trackers."""
     if not outcome.pairs:
         return []
@@ -140,7 +140,7 @@ def _interval(one: Estimate) -> str | None:
     return f"{math.floor(1000 * one.low) / 10:g} to {math.ceil(1000 * one.high) / 10:g}"
 
 
-def worst(outcome: Outcome) -> Table:
+def worst(outcome: ExperimentOutcome) -> Table:
     """Return the table of each tracker's worst machines."""
     results, rows = outcome.results, []
     largest = next(name for name in outcome.metrics if name.startswith("max_error"))

@@ -12,13 +12,13 @@ from linkplan.studies.output.report_file import report_of
 from linkplan.studies.variations.experiment.distributions import SHOWN, distributions
 from linkplan.studies.variations.experiment.experiment import Experiment
 from linkplan.studies.variations.experiment.experiment_blocks import pairs, sensitivity, summary, tube_text, worst
-from linkplan.studies.variations.experiment.study import Outcome
+from linkplan.studies.variations.experiment.study import ExperimentOutcome
 
 # The command that runs a tracker's sample again.
 Again = Callable[[str, int], str]
 
 
-def experiment_sections(outcome: Outcome, again: Again | None) -> list[Section]:
+def experiment_sections(outcome: ExperimentOutcome, again: Again | None) -> list[Section]:
     """Return the sections of an experiment; `again` returns the command that runs a sample again, if there is one."""
     experiment, metrics = outcome.experiment, outcome.metrics
     drawn = [name for start in SHOWN for name in metrics if name.startswith(start)]
@@ -41,7 +41,7 @@ def experiment_sections(outcome: Outcome, again: Again | None) -> list[Section]:
     return [*found, *section("Imperfections of the machines", [_imperfections(experiment)])]
 
 
-def _commands(outcome: Outcome, again: Again | None) -> list[Code]:
+def _commands(outcome: ExperimentOutcome, again: Again | None) -> list[Code]:
     if again is None:
         return []
     commands = [again(name, sample) for name, one in outcome.trackers.items() for sample in one.worst]
@@ -75,7 +75,7 @@ def _spread(factor: Factor) -> str:
     return f"{spread.first:.4g}"
 
 
-def experiment_report(outcome: Outcome, again: Again | None = None) -> Report:
+def experiment_report(outcome: ExperimentOutcome, again: Again | None = None) -> Report:
     """Return the report of an experiment and its plan; `again` returns the command that runs a sample again."""
     plan = outcome.experiment.plan
     best = max(outcome.trackers.values(), key=lambda one: one.success.value)
@@ -88,7 +88,7 @@ def experiment_report(outcome: Outcome, again: Again | None = None) -> Report:
     return report_of(title, verdict, None if best.success.value > 0 or not outcome.distributed else False, sections)
 
 
-def _foremost(outcome: Outcome) -> str:
+def _foremost(outcome: ExperimentOutcome) -> str:
     """Return each tracker's imperfection with the largest influence on the first rms error."""
     found = outcome.sensitivity
     return ", ".join(f"{found.ranking(tracker, found.mains[0])[0]} ({tracker})" for tracker in found.trackers)

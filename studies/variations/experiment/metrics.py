@@ -8,7 +8,7 @@ from msgspec import Struct
 from linkplan.controllers.reference import state_at
 from linkplan.controllers.simulate import Ensemble
 from linkplan.models.mechanism import Mechanism
-from linkplan.studies.compare.compare import error_figures, steered_by_unit
+from linkplan.studies.compare.compare import actuated_by_unit, error_figures
 from linkplan.studies.variations.experiment.experiment import Experiment
 
 
@@ -25,7 +25,7 @@ def metrics_of(mechanism: Mechanism) -> Mapping[str, Metric]:
     efforts = list(dict.fromkeys(actuator.unit for actuator in mechanism.actuators))
     effort = efforts[0] if len(efforts) == 1 else "N.m or N"
     found: dict[str, Metric] = {}
-    for unit in steered_by_unit(mechanism):
+    for unit in actuated_by_unit(mechanism):
         found |= {
             f"rms_error_{unit}": Metric(text="rms error", unit=unit),
             f"max_error_{unit}": Metric(text="largest error", unit=unit),
@@ -65,7 +65,7 @@ def measured(ensemble: Ensemble, i: int, experiment: Experiment) -> dict:
         np.maximum(position - reference.position_rad.max(axis=0), reference.position_rad.min(axis=0) - position), 0
     )
     found = {"failure": None, "success": bool(np.all(inside))} | error_figures(mechanism, error)
-    for unit, (which, factor) in steered_by_unit(mechanism).items():
+    for unit, (which, factor) in actuated_by_unit(mechanism).items():
         found[f"overshoot_{unit}"] = float(factor * np.linalg.norm(beyond[:, which], axis=1).max())
     period = float(time[1] - time[0]) if len(time) > 1 else reference.period_s
     size = np.sqrt(np.sum(applied**2, axis=1))

@@ -13,7 +13,7 @@ from linkplan.studies.variations.experiment.design import ends_of, varied
 from linkplan.studies.variations.experiment.metrics import Metric, metrics_of
 from linkplan.studies.variations.experiment.statistics import Estimate
 from linkplan.studies.variations.sensitivity.influence import Influence, influence_of
-from linkplan.studies.variations.sensitivity.scheme import MORRIS, ONE_AT_A_TIME, SOBOL, Scheme
+from linkplan.studies.variations.sensitivity.scheme import MORRIS, ONE_AT_A_TIME, SOBOL, SamplingScheme
 
 SUCCESS = "success"
 _SUCCESS = Metric(text="share of successes", unit="1", better="more")
@@ -80,7 +80,7 @@ class Sensitivity(Struct, frozen=True, kw_only=True, eq=False):
 
 
 def sensitivity_of(
-    scheme: Scheme,
+    scheme: SamplingScheme,
     factors: Sequence[Factor],
     results: Mapping[str, np.ndarray],
     trackers: Sequence[str],

@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 RECORD, RESULTS = "experiment.json", "results.parquet"
 
 
-class Outcome(Summary, frozen=True, kw_only=True, eq=False, omit_defaults=True):
+class ExperimentOutcome(Summary, frozen=True, kw_only=True, eq=False, omit_defaults=True):
     """An experiment's inputs, its results as columns, and their summary, whose fields are keys of the JSON.
 
     `machines` and `sensitivity` are present for a sensitivity design. The summary then covers only statistically independent
@@ -91,7 +91,7 @@ def run_experiment(
     engine: Engine = serial,
     threads: int = 0,
     own: Mapping[str, TrackerLike] | None = None,
-) -> Outcome:
+) -> ExperimentOutcome:
     """Return an experiment's outcome, and write it into a folder if one is given.
 
     Args:
@@ -132,7 +132,7 @@ def run_experiment(
     return outcome
 
 
-def experiment_figure(outcome: Outcome, path: Path | None) -> "Figure":
+def experiment_figure(outcome: ExperimentOutcome, path: Path | None) -> "Figure":
     """Return the figure of an experiment's distributions, saved at `path` if given."""
     from linkplan.studies.output.figure import figure_of
     from linkplan.studies.variations.experiment.distributions import SHOWN, distributions
@@ -144,7 +144,7 @@ def experiment_figure(outcome: Outcome, path: Path | None) -> "Figure":
     return figure_of(drawn, path, title=title, columns=3, panel_in=(4.0, 3.0))
 
 
-def _save(outcome: Outcome, folder: Path, place: Path) -> None:
+def _save(outcome: ExperimentOutcome, folder: Path, place: Path) -> None:
     """Write an outcome's files into an empty folder, and check that the record and the results can be read."""
     from linkplan.studies.variations.experiment.sensitivity_blocks import save_tornados
 
@@ -160,7 +160,7 @@ def _save(outcome: Outcome, folder: Path, place: Path) -> None:
         experiment_figure(outcome, place / "experiment.png")
 
 
-def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: AskedRecord) -> Outcome:
+def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: AskedRecord) -> ExperimentOutcome:
     mechanism = experiment.plan.problem.mechanism
     metrics = metrics_of(mechanism)
     settings, scheme = experiment.settings, experiment.scheme
@@ -170,7 +170,7 @@ def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: A
     if scheme is not None:
         factors = experiment.section.factors
         sensitivity = sensitivity_of(scheme, factors, results, settings.trackers, mechanism, settings.seed)
-    return Outcome(
+    return ExperimentOutcome(
         **structs.asdict(summary),
         name=experiment.plan.problem.name,
         asked=asked,
@@ -217,7 +217,7 @@ def refuse_changed_tracker(folder: Path, tracker: str) -> None:
     refuse_other_sources({name: known for name, known in sources.items() if name == tracker.strip()})
 
 
-def saved_outcome(folder: Path) -> Outcome:
+def saved_outcome(folder: Path) -> ExperimentOutcome:
     """Return the outcome of a folder with results.
 
     Raises:

@@ -16,7 +16,7 @@ from linkplan.studies.variations.sensitivity.scheme import (
     MORRIS_LEVELS,
     ONE_AT_A_TIME,
     SOBOL,
-    Scheme,
+    SamplingScheme,
     salib,
     unit_cube,
 )
@@ -54,7 +54,7 @@ class Influence:
         return np.argsort(np.where(np.isnan(self.importance), np.inf, -self.importance), kind="stable")
 
 
-def influence_of(scheme: Scheme, figures: np.ndarray, seed: int = 0) -> Influence:
+def influence_of(scheme: SamplingScheme, figures: np.ndarray, seed: int = 0) -> Influence:
     """Return the influences of the factors on a figure.
 
     Args:
@@ -85,7 +85,7 @@ _PARTS = {
 _Found = tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]
 
 
-def _one_at_a_time(scheme: Scheme, whole: np.ndarray, kept: np.ndarray, seed: int) -> _Found:
+def _one_at_a_time(scheme: SamplingScheme, whole: np.ndarray, kept: np.ndarray, seed: int) -> _Found:
     """Return the range of the figure over both ends and the middle, as a mean over noise draws with Student's interval."""
     from scipy.stats import t
 
@@ -106,7 +106,7 @@ def _one_at_a_time(scheme: Scheme, whole: np.ndarray, kept: np.ndarray, seed: in
     return importance, importance - half, importance + half, dict(zip(_PARTS[ONE_AT_A_TIME], ends, strict=True))
 
 
-def _morris(scheme: Scheme, whole: np.ndarray, kept: np.ndarray, seed: int) -> _Found:
+def _morris(scheme: SamplingScheme, whole: np.ndarray, kept: np.ndarray, seed: int) -> _Found:
     points = scheme.points
     if scheme.noisy:  # the column of the noise marks where the draw changes
         changed = scheme.draws.reshape(scheme.n_groups, scheme.size)
@@ -131,7 +131,7 @@ def _morris(scheme: Scheme, whole: np.ndarray, kept: np.ndarray, seed: int) -> _
     return importance, importance - half, importance + half, {"mean": mean, "spread": spread}
 
 
-def _sobol(scheme: Scheme, whole: np.ndarray, kept: np.ndarray, seed: int) -> _Found:
+def _sobol(scheme: SamplingScheme, whole: np.ndarray, kept: np.ndarray, seed: int) -> _Found:
     del kept
     d = scheme.n_factors
     if np.ptp(whole) <= _ROUNDING_SHARE * np.abs(whole).max():  # no variance

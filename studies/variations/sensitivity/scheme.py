@@ -22,7 +22,7 @@ _MIN_GROUPS = {ONE_AT_A_TIME: 2, MORRIS: 4, SOBOL: 16}
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Scheme:
+class SamplingScheme:
     """Trials of factors: `points` (n, d) in [0, 1] and numbers of noise draws (n,), in `n_groups` groups of equal size.
 
     With `noisy`, the noise is a factor in addition to the d factors of the points. A coordinate of a point is the share of
@@ -55,7 +55,7 @@ class Scheme:
         return (place == 0) | (place == self.size - 1) if self.design == SOBOL else place == 0
 
 
-def scheme_of(design: str, n_factors: int, noisy: bool, samples: int, seed: int) -> Scheme:
+def scheme_of(design: str, n_factors: int, noisy: bool, samples: int, seed: int) -> SamplingScheme:
     """Return the scheme of a design with as many whole groups as fit into a number of samples.
 
     One at a time without noise always has one group: the middle and both ends of each factor. Sobol's design has a power of
@@ -86,7 +86,7 @@ def scheme_of(design: str, n_factors: int, noisy: bool, samples: int, seed: int)
         # Each group has its own draws: a level of noise has no meaning outside its group.
         pairs = np.column_stack([np.arange(len(cube)) // size, cube[:, -1]])
         draws = np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1)
-    return Scheme(design=design, points=points, draws=draws, n_groups=groups, noisy=noisy)
+    return SamplingScheme(design=design, points=points, draws=draws, n_groups=groups, noisy=noisy)
 
 
 def _cube(design: str, d: int, groups: int, seed: int, noisy: bool) -> np.ndarray:

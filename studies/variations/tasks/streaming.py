@@ -98,7 +98,7 @@ def complete(
         say: receives progress messages.
     """
     there = done(folder)
-    progress = Progress(sum(map(len, tasks)), sum(len(tasks[task]) for task in there), things, say)
+    progress = StreamProgress(sum(map(len, tasks)), sum(len(tasks[task]) for task in there), things, say)
     todo = [task for task in range(len(tasks)) if task not in there]
     with contextlib.closing(streamed(engine, work, todo, say)) as results:
         for task, result in results:
@@ -106,7 +106,7 @@ def complete(
             progress.more(len(tasks[task]))
 
 
-class Progress:
+class StreamProgress:
     """Counts the finished of `total` things and reports them with the remaining time. Mutable: it counts."""
 
     def __init__(self, total: int, done: int, things: str, say: Say) -> None:

@@ -376,7 +376,7 @@ def test_newton_ends_where_only_rounding_can_be_reduced(gap_m):
         evaluated.append(float(q[0]))
         return np.array([np.cos(q[0]) - 0.8, gap_m]), np.array([[-np.sin(q[0])], [0.0]])
 
-    q, phi = newton.solve(residual, np.array([0.6]), [0])
+    q, phi = newton.root_by_newton(residual, np.array([0.6]), [0])
     assert abs(q[0] - np.arccos(0.8)) < 1e-15
     assert phi[1] == gap_m
     assert len(evaluated) <= 6

@@ -280,7 +280,7 @@ def test_the_payload_named_none_is_no_payload():
 def touching(name: str) -> set[frozenset[str]]:
     poses = knee_reach(name).poses[::5]
     pairs = contact_pairs(knee(name), poses)
-    return {frozenset((pair.first, pair.second)) for pair in pairs if len(pair.poses) == len(poses)}
+    return {frozenset(pair.geoms) for pair in pairs if len(pair.poses) == len(poses)}
 
 
 def test_the_sources_coupler_and_ball_b_touch_at_every_pose():

@@ -47,7 +47,7 @@ def test_where_newton_crosses_the_fold_at_once_the_last_pose_ends_the_reach(monk
     near = reach(mechanism).poses[1]
     folds = [float(mechanism.dynamics.block_singularity(near + np.array([0.0, turn, 0.0]))) for turn in (0.0, np.pi)]
     assert folds[0] * folds[1] < 0
-    monkeypatch.setattr(reach_file.newton, "solve", lambda *_: (near + np.array([0.0, np.pi, 0.0]), np.zeros(1)))
+    monkeypatch.setattr(reach_file.newton, "root_by_newton", lambda *_: (near + np.array([0.0, np.pi, 0.0]), np.zeros(1)))
     monkeypatch.setattr(reach_file, "sign_change", lambda *_, **__: pytest.fail("no root is bracketed"))
     np.testing.assert_array_equal(reach_file._singular_pose(mechanism, near, 0), near)
 

@@ -192,6 +192,16 @@ def test_the_fastest_of_each_joint_agrees_with_the_closed_form():
     np.testing.assert_allclose(np.radians(fastest), expected, rtol=EXTREME)
 
 
+def test_margins_of_joints_stand_by_name_in_the_units_of_hinges_and_of_slides():
+    problem = problem_of("knee-linear-reach", "limits.speed_m_s.DB=9", "limits.speed_deg_s.C=9e3")
+    certificate = certify(problem, planned("knee-linear-reach").trajectory)
+    left = {(margin.what, margin.name): margin.left for margin in certificate.margins}
+    assert certificate.joint_margin_m == {"DB": left["position", "DB"]}
+    assert certificate.joint_margin_deg["C"] == left["position", "C"]
+    assert certificate.speed_margin_m_s == {"DB": left["speed", "DB"]}
+    assert certificate.speed_margin_deg_s == {"C": left["speed", "C"]}
+
+
 def test_what_nothing_limits_has_no_margin():
     kinds = [margin.what for margin in found(motion()).margins]
     assert kinds == ["position"] * 3

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 from scipy.optimize import brentq
 
 from linkplan.models.poses.contacts import Contact
@@ -14,7 +15,7 @@ from tests.support.bodies import body_plan
 
 def meeting(since: float | None, depth_m: float = 1e-3, home_depth_m: float = 0.0, first: str = "a") -> Contact:
     depths = {"depth_m": depth_m, "home_depth_m": home_depth_m}
-    return Contact(first=first, second="b", bodies=("A", "B"), since=since, deepest_at=since or 0.0, **depths)
+    return Contact(geoms=(first, "b"), bodies=("A", "B"), since_s=since, deepest_at_s=since or 0.0, **depths)
 
 
 # A ball on a hinge of 0.5 m that swings towards a wall, 0.05 m beyond the goal or 0.1 m before it.
@@ -43,26 +44,26 @@ def test_a_collision_is_unavoidable_at_a_pose_between_start_and_goal(swing, star
     motion = replace(plan.problem.motion, start=np.radians([start]), goal=np.radians([goal]))
     problem, trajectory = replace(plan.problem, contacts="refuse", motion=motion), plan.trajectory
     since = brentq(lambda t: float(trajectory.position_at(np.array([t]))[0, 0]) - np.radians(pose), 0, trajectory.duration_s)
-    certificate = replace(plan.certificate, contacts=(meeting(since),))
+    certificate = structs.replace(plan.certificate, contacts=(meeting(since),))
     assert unavoidable(problem, trajectory, certificate) is expected
     assert not unavoidable(replace(problem, contacts="note"), trajectory, certificate)
-    assert not unavoidable(problem, trajectory, replace(certificate, contacts=(meeting(None),)))
+    assert not unavoidable(problem, trajectory, structs.replace(certificate, contacts=(meeting(None),)))
 
 
 @pytest.mark.parametrize("beyond", [0.05, -0.1])
 def test_a_collision_is_found_where_the_ball_reaches_the_wall_and_refused_unless_contacts_are_noted(swing, beyond):
     plan = swing[beyond]
-    certificate = replace(plan.certificate, contacts=())
+    certificate = structs.replace(plan.certificate, contacts=())
     noted = with_contacts(plan.problem, plan.trajectory, certificate)
     refused = with_contacts(replace(plan.problem, contacts="refuse"), plan.trajectory, certificate)
     assert noted.failures == certificate.failures
     assert bool(noted.contacts) is bool(refused.failures) is (beyond < 0)
     if beyond < 0:
         (found,) = noted.contacts
-        place = 0.5 * np.sin(plan.trajectory.position_at(np.array([found.since]))[0, 0])
+        place = 0.5 * np.sin(plan.trajectory.position_at(np.array([found.since_s]))[0, 0])
         assert place == pytest.approx(GOAL_M + beyond, abs=1e-5)
         assert refused.unrepairable == refused.failures
-        assert f"collide at t = {found.since:.5g} s" in refused.failures[0]
+        assert f"collide at t = {found.since_s:.5g} s" in refused.failures[0]
 
 
 @pytest.mark.parametrize(("share", "sure"), [(1.01, True), (0.99, False), (np.nan, False)])
@@ -70,7 +71,7 @@ def test_a_collision_is_found_where_the_ball_reaches_the_wall_and_refused_unless
 def test_a_collision_is_sure_where_it_is_ten_times_deeper_than_the_motion_is_exact(swing, monkeypatch, share, sure, others):
     """The extent times 0.01 degrees, and 1 mm of the slides."""
     problem, trajectory = replace(swing[0.05].problem, contacts="refuse"), swing[0.05].trajectory
-    off = replace(swing[0.05].certificate, integration_error_deg=0.01, integration_error_m=1e-3)
+    off = structs.replace(swing[0.05].certificate, integration_error_deg=0.01, integration_error_m=1e-3)
     depth = share * 10 * (problem.mechanism.extent_m * np.radians(0.01) + 1e-3)
     found = tuple(meeting(0.5, depth_m) for depth_m in (*others, depth))
     monkeypatch.setattr(further_checks, "meetings", lambda *_: found)

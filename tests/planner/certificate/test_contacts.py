@@ -14,7 +14,8 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import meetings
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.case import finished
-from linkplan.planner.plan.folder import read_plan, record, write_plan
+from linkplan.planner.files.folders import plain_record
+from linkplan.planner.plan.folder import read_plan, record_of, write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.planning import plan_motion
@@ -77,14 +78,14 @@ def test_a_plan_that_meets_a_block_is_refused_with_the_geoms_the_instant_and_the
     instant, deepest = scanned(made)
     assert 0 < instant < made.trajectory.duration_s
     (met,) = made.certificate.contacts
-    assert {met.first, met.second} == {"block", "L3"}
-    assert met.since == pytest.approx(instant, abs=SCAN_S)
+    assert set(met.geoms) == {"block", "L3"}
+    assert met.since_s == pytest.approx(instant, abs=SCAN_S)
     assert met.depth_m == pytest.approx(deepest, abs=DEPTH_M)
     assert met.home_depth_m == 0.0
     assert made.status == "failed"
     assert not made.certificate.passed
     assert "geoms block (world) and L3 (rocker) collide at t = " in made.message
-    assert f"t = {instant:.3g}" in made.message.replace(f"{met.since:.5g}", f"{met.since:.3g}")
+    assert f"t = {instant:.3g}" in made.message.replace(f"{met.since_s:.5g}", f"{met.since_s:.3g}")
     assert "\n" not in made.message
 
 
@@ -100,9 +101,9 @@ def test_a_problem_can_ask_for_contacts_to_be_noted_only(free):
     made = judged(free, with_block(), "limits.contacts=note")
     assert made.status == "optimal"
     assert made.certificate.passed
-    (text,) = record(made)["not_honoured"]
+    (text,) = record_of(made).not_honoured
     assert text.startswith("contact of geoms block (world) and L3 (rocker) from t = ")
-    (kept,) = record(made)["certificate"]["contacts"]
+    (kept,) = plain_record(record_of(made))["certificate"]["contacts"]
     assert kept["geoms"] == ["block", "L3"]
     assert 0 < kept["since_s"] < kept["deepest_at_s"] <= made.trajectory.duration_s
 
@@ -116,12 +117,12 @@ def test_other_words_for_contacts_are_refused():
 def test_links_that_overlap_on_their_pin_are_named_and_not_refused(free):
     made = judged(free, KNEE.replace('contype="0" conaffinity="0"', 'contype="1" conaffinity="1"'))
     assert made.status == "optimal"
-    named = {frozenset((met.first, met.second)) for met in made.certificate.contacts}
+    named = {frozenset(met.geoms) for met in made.certificate.contacts}
     assert frozenset(("L2", "B")) in named
     assert any(
-        '["coupler", "rocker"]' in text and "on a pin that they share" in text for text in record(made)["not_honoured"]
+        '["coupler", "rocker"]' in text and "on a pin that they share" in text for text in record_of(made).not_honoured
     )
-    assert record(judged(free, KNEE))["not_honoured"] == []
+    assert record_of(judged(free, KNEE)).not_honoured == ()
 
 
 @pytest.mark.slow
@@ -134,8 +135,8 @@ def test_bodies_on_one_pin_that_meet_elsewhere_are_refused(free):
     made = judged(free, horns)
     instant, _ = scanned(made)
     (met,) = made.certificate.contacts
-    assert {met.first, met.second} == {"horn", "L3"}
-    assert met.since == pytest.approx(instant, abs=SCAN_S)
+    assert set(met.geoms) == {"horn", "L3"}
+    assert met.since_s == pytest.approx(instant, abs=SCAN_S)
     assert made.status == "failed"
 
 
@@ -158,8 +159,8 @@ def test_a_gate_thinner_than_a_step_of_the_samples_is_not_jumped():
         touched.append(data.ncon)
     assert touched == [0] * len(time)
     (met,) = meetings(mechanism, time, poses, position_at)
-    assert {met.first, met.second} == {"plate", "tip"}
-    data.qpos[:] = follow(mechanism, position_at(np.array([met.since])))[0]
+    assert set(met.geoms) == {"plate", "tip"}
+    data.qpos[:] = follow(mechanism, position_at(np.array([met.since_s])))[0]
     mujoco.mj_fwdPosition(mechanism.model, data)
     assert data.contact.dist.min() == pytest.approx(0.0, abs=mechanism.extent_m * TOUCHING)
 
@@ -176,7 +177,7 @@ def test_an_explicit_pair_with_a_margin_meets_at_its_margin(free):
     (met,) = made.certificate.contacts
     bare = judged(free, with_block()).certificate.contacts[0]
     assert met.depth_m - bare.depth_m == pytest.approx(0.003, abs=DEPTH_M)
-    assert met.since < bare.since
+    assert met.since_s < bare.since_s
 
 
 @pytest.mark.slow
@@ -236,8 +237,8 @@ def met_by_the_foot(*heights: float) -> tuple[float | None, float]:
         return np.interp(t, time, heights)[:, None]
 
     (met,) = meetings(mechanism, time, follow(mechanism, position_at(time)), position_at)
-    assert {met.first, met.second} == {"floor", "sole"}
-    return met.since, met.depth_m
+    assert set(met.geoms) == {"floor", "sole"}
+    return met.since_s, met.depth_m
 
 
 def test_an_overlap_at_home_is_accepted_as_deep_as_it_is_there():

@@ -8,7 +8,7 @@ import pytest
 
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.integration import RESTART_GROWTH, integrate
-from linkplan.planner.closed_chain.guess import first_guess, motion_of
+from linkplan.planner.closed_chain.guess import first_guess, guess_from
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.problem import Problem
@@ -98,7 +98,7 @@ def test_a_least_time_motion_is_lengthened_to_the_fixed_duration_that_is_asked()
         HINGE, f'kind = "reach"\nstart_deg = {{ J = 10.0 }}\ngoal_deg = {{ J = 100.0 }}\nduration_s = {T}\n'
     )
     with recording() as steps:
-        reached = continued(problem, motion_of(quick), 40, KnownMotions())
+        reached = continued(problem, guess_from(quick), 40, KnownMotions())
     assert reached is not None
     assert reached.start.duration_s == pytest.approx(T)
     assert not reached.enough
@@ -114,7 +114,7 @@ def test_a_free_duration_is_lengthened_until_more_time_saves_next_to_nothing():
     quick = body_plan(given, motion, "objective.minimize=time")
     assert quick.status == "optimal", quick.message
     problem = body_problem(given, motion)
-    reached = continued(problem, motion_of(quick.trajectory), 40, KnownMotions())
+    reached = continued(problem, guess_from(quick.trajectory), 40, KnownMotions())
     assert reached is not None
     best = plan_motion(problem)
     assert best.status == "optimal", best.message
@@ -139,7 +139,7 @@ def test_a_least_duration_is_kept_by_a_motion_that_is_lengthened():
     T = quick.duration_s
     motion = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\nduration_s = "free"\n'
     problem = body_problem(HINGE, motion + f"min_duration_s = {4 * T}\nmax_duration_s = {6 * T}\n")
-    reached = continued(problem, motion_of(quick), 40, KnownMotions())
+    reached = continued(problem, guess_from(quick), 40, KnownMotions())
     assert reached is not None
     assert reached.longest_s >= 4 * T
     assert reached.start.duration_s >= 4 * T * (1 - 1e-9)

@@ -8,7 +8,7 @@ import pytest
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.closed_chain.guess import _shortest_duration, _smooth_path, boundary_times, first_guess
-from linkplan.planner.closed_chain.prescribed import Demand, reference_demand, rounded_down
+from linkplan.planner.closed_chain.prescribed import Shortfall, reference_demand, rounded_down
 from linkplan.planner.closed_chain.transcribe import choose_scales, own_objective
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -156,13 +156,13 @@ def test_the_own_objective_is_without_what_breaks_ties():
 
 
 def test_a_demand_says_how_far_beyond_its_limit_a_motion_goes():
-    effort = Demand(what="effort", name="m", needed=120.04, limit=99.9, unit="N.m", time_s=0.25)
+    effort = Shortfall(what="effort", name="m", needed=120.04, limit=99.9, unit="N.m", time_s=0.25)
     assert effort.sentence("it") == "it needs m to give 120.0 N.m at t = 0.25 s, 20.14 N.m beyond its limit of 99.9 N.m"
-    speed = Demand(what="speed", name="J", needed=-531.26, limit=-450.0, unit="deg/s", time_s=1.0)
+    speed = Shortfall(what="speed", name="J", needed=-531.26, limit=-450.0, unit="deg/s", time_s=1.0)
     assert speed.sentence("it") == (
         "it needs joint J to move at -531.3 deg/s at t = 1 s, 81.26 deg/s beyond its limit of -450.0 deg/s"
     )
-    reach = Demand(what="range", name="J", needed=0.14512, limit=0.12, unit="m", time_s=0.5)
+    reach = Shortfall(what="range", name="J", needed=0.14512, limit=0.12, unit="m", time_s=0.5)
     assert "to reach 0.1451 m at t = 0.5 s, 0.02512 m beyond its limit of 0.12" in reach.sentence("it")
 
 

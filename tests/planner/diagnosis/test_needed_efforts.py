@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.closed_chain.guess import Guess, motion_of
+from linkplan.planner.closed_chain.guess import Guess, guess_from
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.least_limit import LeastLimit
@@ -75,16 +75,16 @@ def test_what_no_actuator_gives_is_named_with_its_joint():
     asked, one = two_hinges(""), with_efforts(0.0, 0.0)
     arrays = {name: np.repeat(getattr(one, name), 2, axis=2) for name in ("position", "velocity")}
     both = replace(one, **arrays, start_pose=np.repeat(one.start_pose, 2))
-    found = path_effort(asked, motion_of(both))
+    found = path_effort(asked, guess_from(both))
     assert found.sentence.endswith(f", and no actuator gives the {PEAK_EFFORT:.4g} N.m on K")
-    assert "no actuator gives" not in path_effort(problem(), motion_of(one)).sentence
+    assert "no actuator gives" not in path_effort(problem(), guess_from(one)).sentence
 
 
 def test_rounding_is_no_effort_that_no_actuator_gives():
     """Two motors share an effort that passes through zero half-way: their sum is not the effort to the last bit."""
     second = '<motor name="other" joint="J" gear="0.3" ctrlrange="-4 4"/></actuator>'
     geared = problem(mjcf=HINGE.replace("</actuator>", second))
-    assert "no actuator gives" not in path_effort(geared, motion_of(with_efforts(0.0, 0.0))).sentence
+    assert "no actuator gives" not in path_effort(geared, guess_from(with_efforts(0.0, 0.0))).sentence
 
 
 @pytest.mark.parametrize(("share", "refused"), [(0.09, True), (0.11, False)])
@@ -123,7 +123,7 @@ def test_of_an_excess_that_lasts_its_first_instant_is_named():
     ],
 )
 def test_a_path_needs_the_effort_of_its_inertia_as_a_share_of_the_limit_on_its_side(limit, factor, words):
-    found = path_effort(problem(limit), motion_of(with_efforts(0.0, 0.0)))
+    found = path_effort(problem(limit), guess_from(with_efforts(0.0, 0.0)))
     assert found.factor == pytest.approx(factor)
     assert words in found.sentence
     low, high = np.fromstring(limit.strip("[]"), sep=",")
@@ -132,7 +132,7 @@ def test_a_path_needs_the_effort_of_its_inertia_as_a_share_of_the_limit_on_its_s
 
 @pytest.mark.parametrize("limit", ["[-2, 0]", "[-2, -1]"])
 def test_in_a_direction_in_which_an_actuator_gives_nothing_the_other_limit_is_its_measure(limit):
-    pushing = motion_of(with_efforts(0.0, 0.0))
+    pushing = guess_from(with_efforts(0.0, 0.0))
     found = path_effort(problem(limit), pushing)
     assert found.factor == pytest.approx(PEAK_EFFORT / 2)
     first, last = found.sentence.split(" at t = ")
@@ -143,7 +143,7 @@ def test_in_a_direction_in_which_an_actuator_gives_nothing_the_other_limit_is_it
 def test_the_weight_that_a_path_is_held_against_is_no_effort_of_its_inertia():
     """A pendulum of 4.905 N.m and 0.26 kg m2, so slow that only its weight counts, and so fast that its inertia does."""
     asked = problem("[-10, 10]", PENDULUM.format(limit=10))
-    inertia, angle, turn = 0.26, np.radians(100.0), motion_of(with_efforts(0.0, 0.0))
+    inertia, angle, turn = 0.26, np.radians(100.0), guess_from(with_efforts(0.0, 0.0))
     for duration in (100.0, 0.5):
         slow = Guess(
             position=lambda t, d=duration: turn.position(t / d),

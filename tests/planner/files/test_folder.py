@@ -16,7 +16,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import to_json_types, write_json, write_whole
 from linkplan.planner.files.manifest import MANIFEST
 from linkplan.planner.files.tables import read_tables
-from linkplan.planner.plan.folder import read_plan, record, write_plan
+from linkplan.planner.plan.folder import read_plan, record_of, write_plan
 from linkplan.planner.plan.plan import motion_table
 from linkplan.planner.plan.record import PLAN_FORMAT
 from linkplan.planner.problem.problem import Problem
@@ -94,7 +94,7 @@ def test_the_record_is_json_with_its_units_in_its_names(saved):
 @pytest.mark.slow
 def test_the_record_of_an_infeasible_plan_is_json_too(tmp_path):
     plan = planned("knee-reach", "limits.speed_deg_s.O=500")
-    write_json(tmp_path / "plan.json", record(plan))
+    write_json(tmp_path / "plan.json", record_of(plan))
     said = json.loads((tmp_path / "plan.json").read_text(encoding="utf-8"), parse_constant=pytest.fail)
     assert (said["status"], said["certificate"], said["duration_s"]) == ("infeasible", None, None)
 
@@ -276,15 +276,15 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "breaks that run back": (with_arrays(breaks_s=np.linspace(1, 0, 41)), "breaks must increase"),
     "a single break": (with_arrays(breaks_s=np.array(0.16)), "trajectory.npz"),
     "an interval missing": (with_arrays(effort=ONES[:3, 1:]), "intervals"),
-    "two joints": (with_arrays(position=np.ones((5, 40, 2)), velocity=np.ones((4, 40, 2))), "of another mechanism"),
+    "two joints": (with_arrays(position=np.ones((5, 40, 2)), velocity=np.ones((4, 40, 2))), "does not fit mechanism"),
     "two joints' velocities": (with_arrays(velocity=np.ones((4, 40, 2))), "trajectory.npz"),
-    "two actuators": (with_arrays(effort=np.ones((3, 40, 2))), "of another mechanism"),
+    "two actuators": (with_arrays(effort=np.ones((3, 40, 2))), "does not fit mechanism"),
     "a flat position": (with_arrays(position=ONES[:, :, 0]), "trajectory.npz"),
     "a flat velocity": (with_arrays(velocity=ONES[:, :, 0]), "trajectory.npz"),
     "a flat effort": (with_arrays(effort=ONES[:3, :, 0]), "trajectory.npz"),
     "no coefficients": (with_arrays(effort=ONES[:0]), "trajectory.npz"),
     "a start pose that is a column": (with_arrays(start_pose=np.zeros((3, 1))), "trajectory.npz"),
-    "a start pose of another mechanism": (with_arrays(start_pose=np.zeros(5)), "of another mechanism"),
+    "a start pose of another mechanism": (with_arrays(start_pose=np.zeros(5)), "does not fit mechanism"),
     "an empty start pose": (with_arrays(start_pose=np.zeros(0)), "it has 0 joints in its start pose, the mechanism 3"),
     "a motion out of reach": (with_arrays(position=5 + np.ones((5, 40, 1))), "trajectory.npz"),
 }
@@ -312,7 +312,7 @@ def test_a_broken_folder_is_refused_in_one_line(case, saved):
 def test_a_guess_of_another_mechanism_is_refused_by_what_differs(changes, said, saved):
     with_arrays(**changes)(saved)
     _, tables, _ = read_tables("knee-sine")
-    with pytest.raises(ProblemError, match="the guess is of another mechanism than 'optimus-knee'") as refused:
+    with pytest.raises(ProblemError, match="the guess does not fit mechanism 'optimus-knee'") as refused:
         Problem.from_tables("guessed", tables | {"guess": {"plan": str(saved)}})
     assert said in str(refused.value)
 
@@ -329,11 +329,21 @@ def test_what_is_no_plan_is_refused(what, tmp_path):
 
 
 @pytest.mark.parametrize("value", ["x", True, [1], 10**400, np.nan], ids=["text", "bool", "list", "huge", "nan"])
-@pytest.mark.parametrize("place", ["objective", "details"])
+@pytest.mark.parametrize("place", ["objective", "details", "history"])
 def test_a_figure_of_the_record_that_is_no_number_is_refused(place, value, saved):
-    with_record(lambda said: said.update({place: value if place == "objective" else {"price": value}}))(saved)
+    new = {"objective": value, "details": {"price": value}}
+
+    def edit(said: dict) -> None:
+        said.update({"history": [said["history"][0] | {"objective": value}]} if place == "history" else {place: new[place]})
+
+    with_record(edit)(saved)
     with pytest.raises(PlanFileError, match=r"plan\.json' is (not a record that linkplan wrote|truncated or not JSON)"):
         read_plan(saved, anyway=True)
+
+
+def test_a_solve_without_an_objective_has_one_that_is_not_a_number(saved):
+    with_record(lambda said: said["history"][0].update(objective=None))(saved)
+    assert np.isnan(read_plan(saved).history[0].objective)
 
 
 def test_a_solve_of_the_history_without_its_time_is_refused(saved):

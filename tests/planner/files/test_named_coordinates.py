@@ -7,7 +7,7 @@ import pytest
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.files.tables import read_tables
-from linkplan.planner.plan.folder import record
+from linkplan.planner.plan.folder import record_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.batch import plan_cases
@@ -43,8 +43,8 @@ def test_a_motion_of_a_joint_that_is_not_driven_is_planned_in_it_and_says_so():
     by_hand = plan(problem(AT_C, mechanism={"model": "optimus-knee", "independent": ["C"]}))
     assert found.objective == pytest.approx(by_hand.objective, rel=1e-9)
     assert f"note: {note}" in text_of(plan_blocks(found))
-    assert record(found)["notes"] == [note]
-    assert record(found)["problem"]["mechanism"]["independent"] == ["C"]
+    assert record_of(found).notes == (note,)
+    assert record_of(found).problem["mechanism"]["independent"] == ["C"]
 
 
 def test_of_two_freedoms_one_may_be_named_by_a_dependent_joint():
@@ -110,7 +110,7 @@ def test_the_notes_are_printed_where_there_is_no_motion_too():
     none = plan_motion(problem(free | {"max_duration_s": 1e-3, "start_speed_deg_s": {"C": 0.0}}))
     assert none.trajectory is None
     assert "note: the motion names C" in text_of(plan_blocks(none))
-    assert json.dumps(record(none)["notes"])
+    assert json.dumps(record_of(none).notes)
 
 
 def test_work_with_a_limit_on_the_effort_rate_needs_no_word_on_the_mesh():

@@ -148,7 +148,7 @@ FRICTION = """<mujoco><worldbody><body name="arm"><joint name="J" type="hinge" a
 MODELS = {
     "springyield": (
         FRICTION.replace('frictionloss="0.5"', 'stiffness="1" springyield="1"'),
-        ["springyield of joint J", "does not honour"],
+        ["springyield of joint J", "forces that plans neglect"],
     ),
     "no actuator": (
         FRICTION.replace(' frictionloss="0.5"', "").replace('<motor name="motor" joint="J" ctrlrange="-4 4"/>', ""),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.limits.kinds import margins
+from linkplan.planner.limits.kinds import margins_along
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, body_problem
@@ -23,7 +23,7 @@ def margin(*limit: str):
         periodic=False,
     )
     samples = samples_of(problem, motion)
-    (found,) = margins(samples)
+    (found,) = margins_along(samples)
     return found
 
 

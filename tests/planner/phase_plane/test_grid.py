@@ -7,7 +7,7 @@ import pytest
 
 from linkplan.models.poses.along import sampled
 from linkplan.planner.limits.samples import singularity_ratios
-from linkplan.planner.phase_plane.grid import Plane, _around, _drag, _kept, grid_of, plane_of
+from linkplan.planner.phase_plane.grid import PhasePlane, _around, _drag, _kept, grid_of, plane_of
 from linkplan.planner.problem.problem import Problem, load_problem
 from tests.support.even_plane import even_plane
 
@@ -31,7 +31,7 @@ def grid(problem: Problem, n_cells: int = 200, **how) -> tuple[np.ndarray, np.nd
     return grid_of(problem, places, problem.start_pose(), n_cells, **how)
 
 
-def plane(problem: Problem, n_cells: int = 200) -> Plane:
+def plane(problem: Problem, n_cells: int = 200) -> PhasePlane:
     return plane_of(problem, *grid(problem, n_cells), problem.limits.effort)
 
 

@@ -11,7 +11,7 @@ from scipy.integrate import solve_ivp
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.planner.proof.contraction import LinearBox, contracted
-from linkplan.planner.proof.existence import Neighbourhood, Tube, _sizes, _slopes_at, first_tube
+from linkplan.planner.proof.existence import ErrorTube, Neighbourhood, _sizes, _slopes_at, first_tube
 from linkplan.planner.proof.finding import Finding
 from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import prove, states_of
@@ -130,7 +130,7 @@ def test_the_first_tube_s_bounds_make_a_second_one_in_which_a_motion_is_proved(n
 
 
 def test_a_tube_is_as_wide_as_its_bounds_up_to_an_instant():
-    tube = Tube(until_s=np.array([0.5, 1.0]), radii=np.array([[1.0, 2.0], [3.0, 4.0]]))
+    tube = ErrorTube(until_s=np.array([0.5, 1.0]), radii=np.array([[1.0, 2.0], [3.0, 4.0]]))
     assert [list(tube.at(t)) for t in (0.2, 0.5, 0.6, 1.0, 1.1)] == [[1, 2], [1, 2], [3, 4], [3, 4], [3, 4]]
 
 

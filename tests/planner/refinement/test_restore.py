@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from linkplan.planner.closed_chain.case import case_of
-from linkplan.planner.closed_chain.guess import first_guess, motion_of
+from linkplan.planner.closed_chain.guess import first_guess, guess_from
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.proof.prove import prove
@@ -73,7 +73,7 @@ def test_a_feasible_point_stays(coarse):
 def test_no_feasible_point_is_nearer(coarse, inside):
     """The optimum on a finer mesh is feasible there too, and further from the coarse motion."""
     found, case = coarse.best.found, coarse.asked
-    finer = attempt(case, motion_of(found.motion), uniform(14), np.array([0.16]), "once").solution
+    finer = attempt(case, guess_from(found.motion), uniform(14), np.array([0.16]), "once").solution
     transcribed, layout = finer.transcribed, finer.transcribed.program.layout
     begin = transcribed.start
     near = nearest_inside(transcribed, begin, SolverSettings()) if inside else nearest_feasible(transcribed, begin)

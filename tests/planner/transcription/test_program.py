@@ -7,7 +7,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.planner.closed_chain.guess import first_guess, motion_of
+from linkplan.planner.closed_chain.guess import first_guess, guess_from
 from linkplan.planner.closed_chain.transcribe import Transcribed, choose_scales, trajectory_of, transcribe
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.transcription.mesh import Mesh, halved, segmented, uniform
@@ -61,7 +61,7 @@ def built(case: tuple) -> Transcribed:
     durations = duration * (np.array([1.0]) if segments == 1 else np.array([0.4, 0.6]))
     mesh = uniform(3) if segments == 1 else segmented(durations, 6)
     rows = {"position_rows": positions, "enclosed": speeds == "powers"}
-    return transcribe(problem, motion_of(plan.trajectory), mesh, durations, **rows, least_limit=least)
+    return transcribe(problem, guess_from(plan.trajectory), mesh, durations, **rows, least_limit=least)
 
 
 def point(transcribed: Transcribed, seed: int) -> np.ndarray:
@@ -185,7 +185,7 @@ def test_a_planned_motion_written_back_keeps_every_row(name):
     plan = planned(name)
     mesh, durations = mesh_of(plan)
     problem = replace(plan.problem, mesh=plan.problem.mesh.replace(scheme=plan.scheme))  # its degree may have been raised
-    transcribed = transcribe(problem, motion_of(plan.trajectory), mesh, durations)
+    transcribed = transcribe(problem, guess_from(plan.trajectory), mesh, durations)
     x = np.array(transcribed.start)  # holds back from the limits, where a guess wants room and a plan does not
     x[transcribed.program.layout.effort()] = plan.trajectory.effort.transpose(1, 0, 2) / transcribed.units.effort
     rows = np.array(transcribed.program.functions["nlp"](x, transcribed.parameters)[1]).ravel()
@@ -262,7 +262,7 @@ def test_an_open_loop_breaks_the_closure_rows_by_its_gap():
 @pytest.mark.parametrize("what", ["time_s", "position", "effort", "residual", "length_m"])
 def test_a_plan_does_not_depend_on_the_units_of_its_program(what):
     plan = planned("knee-reach")
-    problem, guess = plan.problem, motion_of(plan.trajectory)
+    problem, guess = plan.problem, guess_from(plan.trajectory)
     scales = choose_scales(problem, guess)
     other = replace(scales, **{what: 1.9 * getattr(scales, what)})
     mesh, durations = uniform(10), np.array([guess.duration_s])

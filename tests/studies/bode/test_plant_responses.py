@@ -10,7 +10,7 @@ import scipy.linalg
 import linkplan
 from linkplan.controllers.sampling import Sampling
 from linkplan.models.poses.assembly import close_at
-from linkplan.studies.feedback.bode.plant_study import default_frequencies
+from linkplan.studies.feedback.bode.plant_study import plant_frequencies
 from tests.support.figures import curves, dots, saved_figures
 from tests.support.tolerances_loops import MEASURED_DB, MEASURED_DEG
 
@@ -350,7 +350,7 @@ def test_a_slider_at_its_dead_centre_does_not_move_and_is_measured_elsewhere():
 def test_the_default_frequencies_start_higher_where_many_simulations_would_take_long():
     study = linkplan.bode("cart-pole", from_effort=["act_cart"], to_position=["cart"], measure=False).study
     (one,) = [{name: one.transfer for name, one in point.responses.items()} for point in study.points]
-    few, many = (default_frequencies([one], Sampling(period_s=1e-3, substeps=10), rows) for rows in (1, 100))
+    few, many = (plant_frequencies([one], Sampling(period_s=1e-3, substeps=10), rows) for rows in (1, 100))
     assert (few[0], few[-1]) == pytest.approx((few[-1] / 9 * 0.705 / 0.8038, many[-1]), rel=1e-3)
     assert many[0] > 1.5 * few[0]
     assert len(many) == len(few) == 20

@@ -16,7 +16,7 @@ from linkplan.studies.feedback.frequency.feedback_loops import feedback_loop, la
 from linkplan.studies.feedback.frequency.margins import _roots as crossings
 from linkplan.studies.feedback.frequency.margins import margins
 from linkplan.studies.feedback.frequency.stability_map import critical_kd
-from linkplan.studies.feedback.frequency.worst import local_minima
+from linkplan.studies.feedback.frequency.worst import refined_minima
 from linkplan.studies.feedback.tune.tune import Requirements, tune
 from linkplan.studies.output.text import text_of
 from tests.support.tolerances_loops import ON_A_GRID
@@ -55,7 +55,7 @@ def test_the_least_gain_margin_over_the_reach_is_the_largest_stable_damping_gain
 
 def test_local_minima_are_found_between_the_places_of_a_scan():
     at = np.linspace(0.0, 10.0, 12)
-    found = local_minima(lambda x: float(np.cos(2.0 * x) + 0.01 * x), at)
+    found = refined_minima(lambda x: float(np.cos(2.0 * x) + 0.01 * x), at)
     exact = [brentq(lambda x: -2 * np.sin(2 * x) + 0.01, a, a + 1.0) for a in (1.1, 4.2, 7.3)]
     assert sorted(found)[:3] == pytest.approx(exact, abs=1e-3)
 
@@ -66,7 +66,7 @@ def test_dips_that_are_rounding_are_no_minima():
     def looked_at(x: float) -> float:
         raise AssertionError(x)
 
-    assert local_minima(looked_at, at, rounding) == []
+    assert refined_minima(looked_at, at, rounding) == []
 
 
 def test_a_gain_that_is_real_but_for_rounding_turns_nowhere():

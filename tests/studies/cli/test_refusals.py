@@ -4,6 +4,7 @@ import shutil
 
 import pytest
 
+from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.studies.cli.main import main
 
 OPEN_TREE = """<mujoco><worldbody><body><joint name="h" axis="0 1 0"/><geom size="0.1"/></body></worldbody></mujoco>"""
@@ -82,7 +83,7 @@ REFUSALS = [
     (["tune", "optimus-knee", "--bandwidth-hz", "10", "--phase-margin-deg", "200"], ["0 to 180"]),
     (["tune", "knee-reach", "--bandwidth-hz", "9", "--set", "tracking.lqr_position_deg=1,0"], ["'1,0'", "write 1.5"]),
     (["tune", "knee-reach", "--bandwidth-hz", "9", "--set", "tracking.lqr_position_deg=1e-300"], ["from 1e-09", "1e-300"]),
-    (["track", "knee-reach", "--tracker", "smc"], ["smc", "pd, pd+ff, lqr, lqi, gs-pd+ff, ct, mpc"]),
+    (["track", "knee-reach", "--tracker", "smc"], ["smc", ", ".join(TRACKERS)]),
     (["track", "no-such-plan"], ["no-such-plan"]),
     (["track", "{not_a_plan}"], ["has no plan.json"]),
     (["track", "{a_plan}", "--sample", "3"], ["holds no experiment", "experiment.json"]),

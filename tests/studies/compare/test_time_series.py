@@ -14,7 +14,6 @@ from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.contacts import contact_pairs
 from linkplan.models.poses.reach import reach
-from linkplan.planner.plan.folder import certificate_record
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.check.contact_findings import contact_findings
@@ -171,7 +170,7 @@ def test_gears_that_give_way_are_off_by_an_angle_and_by_no_length():
     assert "[um]" not in text
     (row,) = (line for line in text_of(plan_blocks(plan)).splitlines() if line.startswith("closure gap"))
     assert row.endswith("rad")
-    assert certificate_record(plan.certificate)["closure_gap_rad"] == 0
+    assert plan.certificate.closure_gap_rad == 0
 
 
 def test_a_loop_that_gapes_wide_is_off_by_all_of_it():

@@ -18,7 +18,7 @@ from linkplan.models.payload import BUILT_IN as PAYLOADS
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.handover.export.export import exported
 from linkplan.studies.handover.export.formats import FORMATS
-from linkplan.studies.handover.export.samples import samples_of
+from linkplan.studies.handover.export.samples import exported_samples
 from tests.support.plans import optimal
 
 # What MuJoCo's own soft loops and steps make of a planned motion that is replayed without feedback [deg].
@@ -54,7 +54,7 @@ def replayed(model: mujoco.MjModel, time: np.ndarray, qpos: np.ndarray, qvel: np
 
 
 def test_keyframes_are_the_plan_s_poses_speeds_and_controls(plan):
-    model, samples = with_keyframes(plan), samples_of(plan)
+    model, samples = with_keyframes(plan), exported_samples(plan)
     keys = slice(model.nkey - len(samples.time_s), None)  # the model has one of its own
     np.testing.assert_array_equal(model.key_time[keys], samples.time_s)
     np.testing.assert_array_equal(model.key_qpos[keys], samples.qpos())
@@ -69,7 +69,7 @@ def test_keyframes_are_the_plan_s_poses_speeds_and_controls(plan):
 @pytest.mark.slow
 def test_keyframes_replayed_in_mujoco_give_the_same_motion(plan):
     model = mujoco.MjModel.from_xml_string(exported(plan, "mjcf").decode())
-    keys = np.flatnonzero(model.key_time > 0)[0] - 1 + np.arange(len(samples_of(plan).time_s))
+    keys = np.flatnonzero(model.key_time > 0)[0] - 1 + np.arange(len(exported_samples(plan).time_s))
     arrays = (model.key_time[keys], model.key_qpos[keys], model.key_qvel[keys], model.key_ctrl[keys])
     assert np.ptp(np.degrees(arrays[1]), axis=0).min() > 10  # it moves
     off = np.degrees(replayed(model, *arrays) - arrays[1])
@@ -81,7 +81,7 @@ def test_the_table_replayed_in_mujoco_gives_the_same_motion(plan):
     table = np.genfromtxt(io.BytesIO(exported(plan, "csv")), delimiter=",", names=True, deletechars="")
     _, model, _ = compile_model("optimus-knee", PAYLOADS["shank"])
     joints = [model.joint(j).name for j in range(model.njnt)]
-    samples = samples_of(plan)
+    samples = exported_samples(plan)
     q, rates = (np.radians(np.column_stack([table[f"{j}_{unit}"] for j in joints])) for unit in ("deg", "deg_s"))
     np.testing.assert_allclose(q, samples.qpos(), atol=1e-10)
     found = replayed(model, table["time_s"], q, rates, table["act_O_Nm"][:, None])
@@ -97,7 +97,7 @@ def test_the_whole_model_has_the_payload_and_moves_as_planned(plan):
 
 
 def test_ros_reads_radians_rates_and_the_effort_on_the_joint(plan):
-    said, samples = yaml.safe_load(exported(plan, "ros")), samples_of(plan)
+    said, samples = yaml.safe_load(exported(plan, "ros")), exported_samples(plan)
     assert said["joint_names"] == ["O"]
     assert set(said) == {"header", "joint_names", "points"}
     points = said["points"]
@@ -113,7 +113,7 @@ def test_ros_reads_radians_rates_and_the_effort_on_the_joint(plan):
 
 def test_ros_effort_of_a_linear_drive_is_its_force_on_the_coordinate():
     plan = optimal("knee-linear-reach")
-    said, samples = yaml.safe_load(exported(plan, "ros")), samples_of(plan)
+    said, samples = yaml.safe_load(exported(plan, "ros")), exported_samples(plan)
     (name,) = said["joint_names"]
     assert name == plan.problem.mechanism.independent_joints[0].name
     effort = np.array([point["effort"] for point in said["points"]])
@@ -125,7 +125,7 @@ def test_ros_effort_of_a_linear_drive_is_its_force_on_the_coordinate():
 
 
 def test_ros_on_another_joint_has_its_motion_and_the_power_of_the_motor(plan):
-    said, samples = yaml.safe_load(exported(plan, "ros", joints=["C"])), samples_of(plan)
+    said, samples = yaml.safe_load(exported(plan, "ros", joints=["C"])), exported_samples(plan)
     assert said["joint_names"] == ["C"]
     found = {
         key: np.array([p[key] for p in said["points"]])[:, 0]
@@ -151,7 +151,7 @@ def test_output_joints_that_cannot_be_are_refused(plan, to, joints, said):
 
 def test_matlab_has_each_quantity_and_its_unit_in_structs_of_one_shape(plan):
     said = scipy.io.loadmat(io.BytesIO(exported(plan, "mat")), simplify_cells=True)
-    table = samples_of(plan).table
+    table = exported_samples(plan).table
     np.testing.assert_array_equal(said["time_s"], table.time_s)
     for group, values in (("position", table.position_deg), ("speed", table.speed_deg_s), ("effort", table.effort)):
         assert set(said[group]) == set(said["units"][group]) == set(values)
@@ -164,7 +164,7 @@ def test_matlab_has_each_quantity_and_its_unit_in_structs_of_one_shape(plan):
 
 def test_parquet_has_the_csv_s_columns_exactly_and_their_units(plan):
     read = pyarrow.parquet.read_table(io.BytesIO(exported(plan, "parquet")))
-    columns = samples_of(plan).table.columns()
+    columns = exported_samples(plan).table.columns()
     assert read.column_names == list(columns)
     for head, values in columns.items():
         np.testing.assert_array_equal(read[head].to_numpy(), values)
@@ -177,15 +177,15 @@ def test_parquet_has_the_csv_s_columns_exactly_and_their_units(plan):
 
 
 def test_samples_stand_as_far_apart_as_asked_and_at_the_end(plan):
-    time = samples_of(plan, 0.03).time_s
+    time = exported_samples(plan, 0.03).time_s
     np.testing.assert_allclose(time, [0.0, 0.03, 0.06, 0.09, 0.12, 0.15, 0.16], atol=1e-12)
-    np.testing.assert_allclose(samples_of(plan, 0.04).time_s, [0.0, 0.04, 0.08, 0.12, 0.16], atol=1e-12)
+    np.testing.assert_allclose(exported_samples(plan, 0.04).time_s, [0.0, 0.04, 0.08, 0.12, 0.16], atol=1e-12)
 
 
 @pytest.mark.parametrize("every", [0.0, -1.0, float("nan"), float("inf"), 0.2, 1e-9])
 def test_a_time_between_samples_that_is_none_is_refused(plan, every):
     with pytest.raises(ProblemError, match="samples"):
-        samples_of(plan, every)
+        exported_samples(plan, every)
 
 
 @pytest.mark.parametrize("to", FORMATS)

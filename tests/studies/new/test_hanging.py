@@ -13,7 +13,13 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.new.changes import changed_mechanism
 from linkplan.studies.check.new.first_motion import FirstMotion, first_motion
-from linkplan.studies.check.new.hanging import at_gravity_equilibrium, at_rest, hanging_columns, hanging_pose, is_equilibrium
+from linkplan.studies.check.new.hanging import (
+    at_gravity_equilibrium,
+    hanging_columns,
+    hanging_pose,
+    is_equilibrium,
+    resting_positions,
+)
 from tests.support.drawn_by_others import arm, ring
 
 
@@ -144,7 +150,7 @@ def test_a_joint_that_cannot_hang_at_rest_on_the_way_is_named_with_its_lock():
         </worldbody><actuator><motor joint="a" ctrlrange="-9 9"/></actuator></mujoco>"""
     )
     with pytest.raises(AssemblyError, match=r"on the way; mechanism.lock = \{ b = 0 \} holds it"):
-        at_rest(mechanism, np.array([1.0, 0.0]), mechanism.home)
+        resting_positions(mechanism, np.array([1.0, 0.0]), mechanism.home)
 
 
 def test_the_locks_of_joints_that_coast_are_named_too(monkeypatch, tmp_path):

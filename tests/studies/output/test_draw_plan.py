@@ -11,7 +11,7 @@ from linkplan.planner.problem.limits import Limits, free_bounds
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
-from linkplan.studies.output.draw_plan import motion_of, plan_figure, time_plots
+from linkplan.studies.output.draw_plan import drawn_motion, plan_figure, time_plots
 from tests.support.arms import LOWER, UPPER
 from tests.support.figures import curves, saved_figures
 from tests.support.plans import optimal
@@ -142,8 +142,8 @@ def test_the_names_of_pins_are_those_of_joints_and_closures():
 def test_efforts_of_rounding_size_are_drawn_as_zero():
     plan = optimal("knee-reach")
     coasting = replace(plan, trajectory=replace(plan.trajectory, effort=1e-15 * plan.trajectory.effort))
-    plots = time_plots(coasting, motion_of(coasting))
+    plots = time_plots(coasting, drawn_motion(coasting))
     for what in ("effort", "power"):
         (line,) = plots[what][0].series
         assert not np.any(line.y)
-    assert motion_of(plan).effort.any()
+    assert drawn_motion(plan).effort.any()

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from linkplan.studies.output.document import Axis, Limit, Plot, Series
+from linkplan.studies.output.document import Axis, DrawnLimit, Plot, Series
 from linkplan.studies.output.figure import figure_of, one_screen
 from linkplan.studies.output.lines import TIME, Line, plots
 
@@ -57,7 +57,7 @@ def test_a_limit_of_all_lines_is_named_so_where_some_stay_far_below_it():
 @pytest.mark.parametrize(("values", "below"), [([31.0, 30.5], True), ([10.0, 29.0], False)])
 def test_the_name_of_a_limit_is_beside_the_curves(values, below):
     axis = Axis(label="bandwidth", unit="Hz", ends=(0.0, 34.0))
-    limit = Limit(name="wanted at least", value=30.0)
+    limit = DrawnLimit(name="wanted at least", value=30.0)
     plot = Plot(
         title="", group="g", x_axis=Axis(label="O", unit="deg"), y_axis=axis, x=[0.0, 1.0],
         series=[Series(name="bandwidth", y=values)], limits=[limit],

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import linkplan
-from linkplan.planner.plan.folder import record
+from linkplan.planner.plan.folder import record_of
 from linkplan.studies.output.plan_blocks import plan_blocks
 from linkplan.studies.output.text import text_of
 
@@ -34,9 +34,9 @@ def test_the_powers_are_those_of_bang_bang_motion(plan):
 
 
 def test_text_and_record_have_both(plan):
-    said, certificate = record(plan), plan.certificate
-    assert said["peak_motor_power_w"]["M"] == pytest.approx(certificate.peak_motor_power[0])
-    assert said["peak_brake_power_w"]["M"] == pytest.approx(certificate.peak_brake_power[0])
+    said, certificate = record_of(plan), plan.certificate
+    assert said.peak_motor_power_w["M"] == pytest.approx(certificate.peak_motor_power[0])
+    assert said.peak_brake_power_w["M"] == pytest.approx(certificate.peak_brake_power[0])
     text = text_of(plan_blocks(plan))
     for what, power in (("motor", certificate.peak_motor_power[0]), ("brake", certificate.peak_brake_power[0])):
         assert float(re.search(rf"largest power of M as {what}\s+([\d.]+)\s+W", text)[1]) == pytest.approx(power, rel=1e-3)

@@ -17,7 +17,7 @@ from linkplan.studies.variations.tasks import streaming
 from linkplan.studies.variations.tasks.cluster import cluster
 from linkplan.studies.variations.tasks.engine import Pool, processes, serial
 from linkplan.studies.variations.tasks.site import Refused, at_site
-from linkplan.studies.variations.tasks.streaming import Progress, complete, streamed
+from linkplan.studies.variations.tasks.streaming import StreamProgress, complete, streamed
 
 
 def squared(task, threads):
@@ -131,7 +131,7 @@ def clients(distributed):
 
 def test_progress_counts_and_says_what_was_done_before():
     said = []
-    progress = Progress(10, 4, "samples", said.append)
+    progress = StreamProgress(10, 4, "samples", said.append)
     progress.more(3)
     progress.more(3)
     assert said[0] == "4 of 10 samples are done already"

@@ -92,7 +92,7 @@ def test_the_command_states_the_errors_along_a_plan(saved_reach, tmp_path, capsy
 
 def test_a_plan_of_another_payload_is_refused(saved_reach, capsys):
     assert main(["transfer", "optimus-knee", "--joints", "C", "--along", str(saved_reach)]) == 2
-    assert "payload included, than the table; give its problem file" in capsys.readouterr().err.strip().splitlines()[-1]
+    assert "has another model or payload than the table" in capsys.readouterr().err.strip().splitlines()[-1]
 
 
 def test_a_linkage_without_a_serial_equivalent_says_why():
