@@ -17,7 +17,7 @@ from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.further_checks import negligible_objective, objective_value
 from linkplan.planner.closed_chain.case import finished
-from linkplan.planner.closed_chain.guess import Guess, even_poses, motion_of, stretched
+from linkplan.planner.closed_chain.guess import Guess, even_poses, guess_from, stretched
 from linkplan.planner.closed_chain.prescribed import SQUARES_AT_REST, Holding, holding_at, motion_along
 from linkplan.planner.phase_plane.cheapest_legs import cheapest_legs, legs_apply
 from linkplan.planner.plan.plan import Plan
@@ -93,7 +93,7 @@ def slower(problem: Problem, motions: Iterable[Trajectory]) -> Plan | None:
     """
     problem = replace(problem, solver=problem.solver.replace(deadline=problem.solver.judging_deadline))
     for motion, factor in itertools.product(motions, _SLOWER_FACTORS):
-        guess = stretched(motion_of(motion), factor * motion.duration_s)
+        guess = stretched(guess_from(motion), factor * motion.duration_s)
         if guess.duration_s > longest(problem):
             continue
         with contextlib.suppress(AssemblyError):
