@@ -1,11 +1,9 @@
 """A plan's motion as a table, in any order and beyond its ends, and its distance from a reference."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from linkplan.planner.plan.plan import motion_table, tracking_errors
+from linkplan.planner.plan.plan import Plan, motion_table, tracking_errors
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
@@ -55,9 +53,8 @@ def test_the_distance_from_a_reference_is_its_mean_square_and_its_largest():
 
     The mean is over time: the second interval is three times as long as the first.
     """
-    reference = SimpleNamespace(derivative=lambda t: ((np.pi + 0.25) * t + 1.5)[:, None])
-    problem = SimpleNamespace(reference_over=lambda _duration_s: reference)
-    plan = SimpleNamespace(problem=problem, trajectory=turning())
-    rms, largest = tracking_errors(plan)
+    rows = f"time_s = [0.0, 2.0]\nposition_deg = {{ J = {np.degrees([1.5, 2.0 + 2 * np.pi]).tolist()} }}\n"
+    along = body_problem(HINGE, f'kind = "track"\n[reference]\nspline = "natural"\n{rows}')
+    rms, largest = tracking_errors(Plan(problem=along, status="optimal", message="", trajectory=turning()))
     assert largest == pytest.approx(0.5)
     assert rms == pytest.approx(np.sqrt(1.0 / 12.0))  # of 0.5 - t / 4 over 2 s

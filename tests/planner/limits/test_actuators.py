@@ -1,13 +1,15 @@
 """The rates of efforts, against those of polynomials that jump from one interval to the next; rows and units of limits."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 
+from linkplan.models.poses.assembly import close_at
 from linkplan.planner.limits.actuators import ControlLimit, MotorLimit, PowerLimit, _unit, clamped_allowance
 from linkplan.planner.limits.efforts import effort_rates
+from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
@@ -101,8 +103,13 @@ def test_at_every_instant_powers_are_limited_of_actuators_with_a_coordinate_and_
 
 
 def test_a_motor_s_row_is_the_share_of_its_line():
-    at = SimpleNamespace(u=[0.0, 3.0], actuator_speeds=[0.0, 2.0])
-    assert MotorLimit(1).rows.node(at, [1 / 6, 1 / 8]) == pytest.approx(3 / 6 + 2 / 8)
+    mechanism = crank(MOTORS).mechanism
+    at, (q, v, _, u, *_) = free_instant(mechanism)
+    row = ca.Function("row", [q, v, u], [MotorLimit(1).rows.node(at, [1 / 6, 1 / 8])])
+    pose = close_at(mechanism, np.array([0.5]))
+    _, _, speed = np.array(mechanism.dynamics.velocity_map(pose)).ravel() * 2.0
+    assert abs(speed) > 0.1
+    assert float(row(pose, 2.0, [7.0, 3.0])) == pytest.approx(3 / 6 + speed / 8)
 
 
 def test_a_servo_s_range_is_widened_at_both_ends_by_a_share_of_the_larger_one():

@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -199,10 +198,12 @@ def test_slopes_are_tight_by_their_own_size_or_by_the_motion_s_rates(stiffness, 
 
 
 def test_sizes_are_spans_and_largest_speeds_and_of_what_hardly_moves_a_hundredth_of_the_others():
-    position = np.array([[[1.0, 0.0], [3.0, 1e-3]]])
-    motion = SimpleNamespace(position=position, velocity=np.array([[[-5.0, 4.0], [2.0, 0.0]]]))
+    motion = Trajectory(
+        breaks_s=np.arange(3.0), position=np.array([[[1.0, 0.0], [3.0, 1e-3]]] * 2),
+        velocity=np.array([[[-5.0, 4.0], [2.0, 0.0]]]), effort=np.zeros((1, 2, 1)), start_pose=np.zeros(2), periodic=False,
+    )  # fmt: skip
     np.testing.assert_allclose(_sizes(motion), [2.0, 0.02, 5.0, 4.0], rtol=1e-6)
-    still = SimpleNamespace(position=0 * position, velocity=0 * position)
+    still = replace(motion, position=0 * motion.position, velocity=0 * motion.velocity)
     np.testing.assert_allclose(_sizes(still), 1e-9)
 
 
