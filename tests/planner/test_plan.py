@@ -7,6 +7,7 @@ from linkplan.planner.plan.plan import Plan, motion_table, tracking_errors
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
+from tests.support.motions import motion_along
 
 BEGIN = 0.7
 BREAKS = BEGIN + np.array([0.0, 0.5, 2.0])
@@ -15,10 +16,7 @@ BREAKS = BEGIN + np.array([0.0, 0.5, 2.0])
 def turning(start: float = 2.0, *, periodic: bool = True) -> Trajectory:
     """Return a hinge's turn at a constant speed over two seconds from 0.7 s on, with efforts of 3 and then 4."""
     s = start + np.pi * (BREAKS - BEGIN)
-    return Trajectory(
-        breaks_s=BREAKS, position=np.array([s[:-1], s[1:]])[:, :, None], velocity=np.full((1, 2, 1), np.pi),
-        effort=np.array([[[3.0], [4.0]]]), start_pose=np.full(1, start), periodic=periodic,
-    )  # fmt: skip
+    return motion_along(BREAKS, [s[:-1], s[1:]], effort=[[[3.0], [4.0]]], periodic=periodic)
 
 
 def problem() -> Problem:

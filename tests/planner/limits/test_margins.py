@@ -5,18 +5,15 @@ import pytest
 
 from linkplan.planner.limits.limit import Measured, margin_of
 from linkplan.planner.limits.samples import Samples, samples_of
-from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
+from tests.support.motions import motion_along
 
 
 def parabolas() -> Samples:
     """Return a hinge's motion by 20 (t - 0.37)^2 + 3 in its first second, and 20 (t - 1.37)^2 - 2 in the next."""
     begin, slope, end = 20 * 0.37**2, -40 * 0.37, 20 * 0.63**2
     position = np.array([begin, begin + slope / 2, end])[:, None] + np.array([3.0, -2.0])
-    motion = Trajectory(
-        breaks_s=np.arange(3.0), position=position[:, :, None], velocity=np.array([[[slope]] * 2, [[40 * 0.63]] * 2]),
-        effort=np.zeros((1, 2, 1)), start_pose=position[0, :1], periodic=False,
-    )  # fmt: skip
+    motion = motion_along(np.arange(3.0), position)
     return samples_of(body_problem(HINGE, QUARTER_TURN + "duration_s = 2.0\n"), motion)
 
 

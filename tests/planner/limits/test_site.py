@@ -13,6 +13,7 @@ from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
+from tests.support.motions import motion_along
 
 ARM = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="J" axis="0 -1 0"/>
 <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><site name="tip" pos="1 0 0"/></body></worldbody>
@@ -37,14 +38,7 @@ def motion(n: int = 3) -> Trajectory:
     speed = (END - BEGIN) * 6 * share * (1 - share) / DURATION_S
     h = np.diff(breaks)
     p = np.array([place[:-1], place[:-1] + h * speed[:-1] / 3, place[1:] - h * speed[1:] / 3, place[1:]])
-    return Trajectory(
-        breaks_s=breaks,
-        position=p[:, :, None],
-        velocity=(3 * np.diff(p, axis=0) / h)[:, :, None],
-        effort=np.zeros((1, n, 1)),
-        start_pose=np.array([BEGIN]),
-        periodic=False,
-    )
+    return motion_along(breaks, p)
 
 
 def margin_of(asked: Problem) -> Margin:

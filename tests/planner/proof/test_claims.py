@@ -26,6 +26,7 @@ from tests.support.arms import LOWER, UPPER
 from tests.support.four_bars import random_bars
 from tests.support.linkages import loaded
 from tests.support.mechanisms import doubled_pin, random_quaternion, replaced
+from tests.support.motions import motion_along
 from tests.support.mp_functions import ball, mp_motion, mp_pose, mp_values
 from tests.support.plans import optimal, problem_of
 from tests.support.random_motions import motion_of, needed
@@ -267,10 +268,7 @@ def test_the_distance_from_a_reference_is_that_of_its_sine():
     """bias + amplitude sin(2 pi f t + phase), in the joint's own angle."""
     asked = "reference.frequency_hz=1.5", "reference.phase_deg.O=25.0", "reference.bias_deg.O=-4.0"
     problem = problem_of("knee-sine", *asked)
-    motion = Trajectory(
-        breaks_s=np.array([0.0, 2 / 3]), position=np.array([[[-1.0]], [[1.0]]]), velocity=np.full((1, 1, 1), 3.0),
-        effort=np.zeros((1, 1, 1)), start_pose=problem.mechanism.home, periodic=True,
-    )  # fmt: skip
+    motion = motion_along([0.0, 2 / 3], [[[-1.0]], [[1.0]]], start_pose=problem.mechanism.home, periodic=True)
     (claim,) = reference_claims(problem, motion)
     reference, time, angle = problem.reference, 0.37, 0.2
     exact = angle - (reference.bias[0] + reference.amplitude[0] * np.sin(2 * np.pi * 1.5 * time + np.radians(25.0)))

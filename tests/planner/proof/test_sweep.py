@@ -15,8 +15,8 @@ from linkplan.planner.proof.claim import Record
 from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import _Anchor, _Box, _boxes, _closure_findings, _linked, _Sweep
 from linkplan.planner.proof.walk import Blocks, blocks_of
-from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
+from tests.support.motions import motion_along
 from tests.support.random_motions import motion_of
 
 
@@ -69,10 +69,7 @@ def test_the_loops_close_where_the_start_pose_is_a_millionth_from_the_closed_one
 def test_what_is_left_open_on_a_box_is_told_with_the_box_s_instants():
     """The box from a quarter to three quarters of an interval of two seconds that begins after one."""
     problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n")
-    motion = Trajectory(
-        breaks_s=np.array([0.0, 1.0, 3.0]), position=np.zeros((2, 2, 1)), velocity=np.zeros((1, 2, 1)),
-        effort=np.zeros((1, 2, 1)), start_pose=np.zeros(1), periodic=False,
-    )  # fmt: skip
+    motion = motion_along([0.0, 1.0, 3.0], np.zeros((2, 2, 1)))
     sweep = sweep_of(problem, motion, blocks_of(problem.mechanism))
     sweep.records = [Record(), Record()]
     box = _Box(centre=0.5, radius=0.25, halvings=1, claims=[0, 1])
