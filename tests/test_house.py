@@ -36,11 +36,7 @@ ROOMS = {
         "output", "check", "compare", "variations", "feedback", "render", "handover", "report", "explore", "demo", "cli",
     ),
 }  # fmt: skip
-TRANSCRIPTION_MAY = {
-    "linkplan.models.compiled.functions",
-    "linkplan.models.deadline",
-    "linkplan.models.errors",
-}
+TRANSCRIPTION_MAY = {"linkplan.models.compiled.functions", "linkplan.models.deadline", "linkplan.models.errors"}
 
 
 def test_every_package_has_sources_to_look_at():

@@ -7,14 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from linkplan.controllers.imperfections.imperfections import (
-    Clock,
-    Drives,
-    Imperfections,
-    Machine,
-    Push,
-    Start,
-)
+from linkplan.controllers.imperfections.imperfections import Clock, Drives, Imperfections, Machine, Push, Start
 from linkplan.controllers.imperfections.plant import closed_pose, plant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop

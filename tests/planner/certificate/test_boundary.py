@@ -4,12 +4,7 @@ import numpy as np
 import pytest
 
 from linkplan.planner.certificate.certificate import _waypoint_error
-from linkplan.planner.certificate.integration import (
-    ends_off_m,
-    exact_bounds,
-    relative_violation,
-    waypoint_off_m,
-)
+from linkplan.planner.certificate.integration import ends_off_m, exact_bounds, relative_violation, waypoint_off_m
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from tests.support.motions import motion_along

@@ -72,8 +72,7 @@ def test_a_periodic_motion_meets_its_start_and_in_its_middle_its_goal_to_a_milli
 
 
 @pytest.mark.parametrize(
-    ("minimize", "agreeing", "differing"),
-    [("effort", (0.991, 1.009), (0.988, 1.012)), ("work", (0.955, 1.9), (0.94, 2.1))],
+    ("minimize", "agreeing", "differing"), [("effort", (0.991, 1.009), (0.988, 1.012)), ("work", (0.955, 1.9), (0.94, 2.1))]
 )
 def test_a_saved_objective_is_the_motion_s_but_for_quadrature_and_smoothing(minimize, agreeing, differing):
     """The squared effort's mean is a third of its peak's square; work is put in up to the middle: I v^2 / 2 there.

@@ -20,10 +20,7 @@ def margin(*limit: str):
     return found
 
 
-@pytest.mark.parametrize(
-    ("stall", "no_load", "most"),
-    [(4.0, 4.0, 1.0), (4.0, 5.0, 0.9), (2.0, 10.0, 1.5), (5.0, 2.0, 1.4)],
-)
+@pytest.mark.parametrize(("stall", "no_load", "most"), [(4.0, 4.0, 1.0), (4.0, 5.0, 0.9), (2.0, 10.0, 1.5), (5.0, 2.0, 1.4)])
 def test_a_motors_line_is_the_sum_of_the_shares_of_its_stall_effort_and_no_load_speed(stall, no_load, most):
     line = margin(f"motors.motor={{stall_effort={stall},no_load_speed_deg_s={float(np.degrees(no_load))}}}")
     assert line.value == pytest.approx(most, rel=1e-9)

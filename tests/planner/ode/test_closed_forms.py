@@ -17,13 +17,7 @@ from tests.support.ode import (
     solved,
     squared_effort,
 )
-from tests.support.tolerances_planner import (
-    ODE_BOUND_BY_A_STATE,
-    ODE_CLOSED_FORM,
-    ODE_GAIN,
-    ODE_LIMIT,
-    ODE_STATE,
-)
+from tests.support.tolerances_planner import ODE_BOUND_BY_A_STATE, ODE_CLOSED_FORM, ODE_GAIN, ODE_LIMIT, ODE_STATE
 
 # Time in the dynamics, the cost and the path.
 
@@ -210,12 +204,7 @@ PUSH = np.array([0.0, 1.0])
 def test_the_least_energy_to_move_an_oscillator_is_that_of_its_gramian(T):
     start, goal = np.array([0.5, -1.0]), np.array([1.0, 2.0])
     plan = solved(
-        rate=oscillator,
-        start=start,
-        goal=goal,
-        effort_limit=FREE_EFFORT,
-        duration_s=T,
-        running_cost=squared_effort,
+        rate=oscillator, start=start, goal=goal, effort_limit=FREE_EFFORT, duration_s=T, running_cost=squared_effort
     )
     c, s = np.cos(2 * T), np.sin(2 * T)
     gramian = np.array([[T / 2 - s / 4, (1 - c) / 4], [(1 - c) / 4, T / 2 + s / 4]])

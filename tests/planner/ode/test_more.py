@@ -290,14 +290,7 @@ def test_thrusters_are_fired_as_sparingly_as_is_known():
 
     def rate(x, u, p, t):  # noqa: ARG001
         left, right = u[0] - u[1], u[2] - u[3]
-        return [
-            x[3],
-            x[4],
-            x[5],
-            (left + right) * ca.cos(x[2]),
-            (left + right) * ca.sin(x[2]),
-            0.2 * (left - right),
-        ]
+        return [x[3], x[4], x[5], (left + right) * ca.cos(x[2]), (left + right) * ca.sin(x[2]), 0.2 * (left - right)]
 
     plan = solved(
         rate=rate,

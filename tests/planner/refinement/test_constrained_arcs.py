@@ -7,12 +7,7 @@ import pytest
 
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess
-from linkplan.planner.refinement.constrained_arcs import (
-    arc_ends,
-    find_constrained_paths,
-    own_arcs,
-    path_arcs,
-)
+from linkplan.planner.refinement.constrained_arcs import arc_ends, find_constrained_paths, own_arcs, path_arcs
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem

@@ -26,10 +26,7 @@ from tests.support.data import DATA
 from tests.support.motions import motion_along
 
 LEAST_TIME_S, LEAST_EFFORT = 0.18663512, 850.59
-ENDS = {
-    "start_deg": {"hip_pitch": 20.0, "knee_motor": 5.0},
-    "goal_deg": {"hip_pitch": -50.0, "knee_motor": 38.0},
-}
+ENDS = {"start_deg": {"hip_pitch": 20.0, "knee_motor": 5.0}, "goal_deg": {"hip_pitch": -50.0, "knee_motor": 38.0}}
 
 
 def leg(**asked):

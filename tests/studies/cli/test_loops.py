@@ -18,12 +18,10 @@ OF_HERTZ = "frequency [Hz]"
 SHOWN = 1e-3
 LABELS = {
     "bode.png": [
-        *[(OF_HERTZ, what) for what in ("gain [dB]", "phase [deg]", "difference [dB]", "difference [deg]") for _ in "ab"],
+        *[(OF_HERTZ, what) for what in ("gain [dB]", "phase [deg]", "difference [dB]", "difference [deg]") for _ in "ab"]
     ],
     "nyquist.png": [("real part of L", "imaginary part of L")],
-    "sensitivity.png": [
-        *((OF_HERTZ, "gain [dB]"), (OF_HERTZ, "gain [dB]"), (OF_HERTZ, "gain [dB of (N.m)/rad]")),
-    ],
+    "sensitivity.png": [*((OF_HERTZ, "gain [dB]"), (OF_HERTZ, "gain [dB]"), (OF_HERTZ, "gain [dB of (N.m)/rad]"))],
     "margins.png": [
         *(("O [deg]", what) for what in (OF_HERTZ, "margin [deg]", OF_HERTZ)),
         ("", "|S|, blank where it is\nunstable; red amplifies [dB]"),
