@@ -88,7 +88,7 @@ def test_a_speed_that_only_touches_its_limit_is_not_said_to_overrun_it():
     limit = np.radians(60.0)
     problem = replace(problem, limits=replace(problem.limits, speed=np.array([[-limit, limit]])))
     velocity = limit * np.array([0.0, 1.0, 1.0, 1.0])
-    touching = motion_along([0.0, 1.0], np.concatenate([[0.0], np.cumsum(velocity) / 4]))
+    touching = motion_along([0.0, 1.0], np.concatenate([[0.0], np.cumsum(velocity) / 4]), velocity=velocity)
     assert margin_of(certify(problem, touching), "speed", 0).left == 0.0
     beyond = replace(touching, velocity=(1 + 1e-9) * touching.velocity)
     assert margin_of(certify(problem, beyond), "speed", 0).left == pytest.approx(-1e-9 * 60.0, rel=EXCESS)
