@@ -90,7 +90,7 @@ def test_a_spatial_loop_with_ball_joints_is_proved():
 
 def test_dry_friction_is_enclosed():
     problem, motion = rubbing_swing()
-    proof = prove(problem, motion, existence=False)
+    proof = prove(problem, motion)
     assert answers(proof, INVERSE) == {"proved"}
     assert answers(proof, "loops close") == {"proved"}
     (bound,) = [finding.bound for finding in proof.findings if INVERSE in finding.name]
@@ -99,14 +99,14 @@ def test_dry_friction_is_enclosed():
 
 def test_the_knees_bound_is_the_largest_effort_of_dense_samples():
     problem, motion = knee()
-    (bound,) = [f.bound for f in prove(problem, motion, existence=False).findings if INVERSE in f.name]
+    (bound,) = [f.bound for f in prove(problem, motion).findings if INVERSE in f.name]
     largest = np.abs(needed(problem.mechanism, motion, motion.dense_times(200))).max()
     assert largest <= bound <= largest * (1 + 1e-6)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
 def test_an_effort_a_billionth_below_its_mark_is_proved_and_above_it_is_refuted(seed):
-    below, above = (prove(*beside_its_limit(seed, share), existence=False) for share in (-1e-9, 1e-9))
+    below, above = (prove(*beside_its_limit(seed, share)) for share in (-1e-9, 1e-9))
     assert answers(below, INVERSE) == {"proved"}
     assert answers(below, "loops close") == {"proved"}
     assert answers(above, INVERSE) == {"refuted"}
@@ -185,12 +185,11 @@ def test_a_motion_on_the_other_branch_is_refuted():
 def test_every_kind_of_limit_is_proved_above_its_largest_value_and_refuted_below(override, words):
     _, motion = knee()
     wide = 89.0 if "position" in words else 1e6
-    loose = prove(problem_of("knee-reach", override.format(wide)), motion, existence=False)
-    (bound,) = [finding.bound for finding in loose.findings if words in finding.name]
+    (bound,) = [f.bound for f in prove(problem_of("knee-reach", override.format(wide)), motion).findings if words in f.name]
     size = np.sqrt(bound) if "force" in words or "site" in words else abs(bound)
     for factor, answer in ((1 + 1e-4, "proved"), (1 - 1e-2, "refuted")):
         narrow = problem_of("knee-reach", override.format(size * factor))
-        assert answers(prove(narrow, motion, existence=False), words) == {answer}, (words, factor)
+        assert answers(prove(narrow, motion), words) == {answer}, (words, factor)
 
 
 def test_corners_of_the_ranges_are_proved_and_refuted():
@@ -204,8 +203,8 @@ def test_corners_of_the_ranges_are_proved_and_refuted():
 
 def test_failures_of_the_certificate_refute_a_plan():
     problem, motion = knee()
-    assert prove(problem, motion, existence=False).passed
-    assert not prove(problem, motion, ("a contact",), existence=False).passed
+    assert prove(problem, motion).passed
+    assert not prove(problem, motion, ("a contact",)).passed
 
 
 def test_a_plan_without_a_motion_has_no_proof():
