@@ -55,22 +55,21 @@ def time_for_proofs():
 
 @pytest.fixture(autouse=True, scope="session")
 def mechanisms_loaded_once():
-    """Load a mechanism of a built-in name or a text once for each table [mechanism]: many problems have the same one."""
-    load, known = build._mechanism, {}
+    """Load the mechanism of a built-in name or a text once for many problems, each of which has a copy of its own."""
+    load, known = build.load_mechanism, {}
 
-    def remembered(section, folder):
-        model = str(section.get("model"))
-        if model not in MODELS and "<mujoco" not in model:
-            return load(section, folder)
-        key = repr(sorted(section.items()))
+    def remembered(source, **more):
+        if source not in MODELS and "<mujoco" not in source:
+            return load(source, **more)
+        key = repr((source, sorted(more.items())))
         if key not in known:
-            known[key] = load(section, folder)
+            known[key] = load(source, **more)
         if len(known) > MOST_MECHANISMS:
             known.pop(next(iter(known)))
         return known[key]
 
     patch = pytest.MonkeyPatch()
-    patch.setattr(build, "_mechanism", remembered)
+    patch.setattr(build, "load_mechanism", remembered)
     yield
     patch.undo()
 
