@@ -76,7 +76,7 @@ def mechanisms_loaded_once():
 
 @pytest.fixture(autouse=True, scope="session")
 def blank_figures():
-    """Save figures unplaced and as empty files: drawing took a fifth of the studies' time. See `drawn_figures`."""
+    """Save figures as empty files, and place nothing in them: both took a fifth of the time of commands' tests."""
 
     def save(figure, path, *options, **more):
         if isinstance(path, Path):
@@ -86,7 +86,7 @@ def blank_figures():
 
     patch = pytest.MonkeyPatch()
     patch.setattr(Figure, "savefig", save)
-    patch.setattr(figures, "_lay_out", lambda figure: figure.set_layout_engine(None))
+    patch.setattr(figures, "_lay_out", lambda _figure: None)
     yield
     patch.undo()
 
