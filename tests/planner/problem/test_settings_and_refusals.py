@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -9,7 +10,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.reach import End, reach
 from linkplan.planner.problem.extra import ExtraCost, checked_extras
-from linkplan.planner.problem.instant import Corner, Robust, corner_efforts_along
+from linkplan.planner.problem.instant import Corner, Robust, corner_efforts_along, free_instant
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.problem.sites import SitePoint, _squared, shown
@@ -118,6 +119,12 @@ def test_an_extra_cost_s_name_has_at_most_a_hundred_characters(length, legal):
     else:
         with pytest.raises(ProblemError, match="at most 100 characters, got 101"):
             named()
+
+
+def test_an_actuator_s_power_counts_where_it_drives():
+    at, (q, v, _, u, *_) = free_instant(load_mechanism(HINGE))
+    power = ca.Function("power", [q, v, u], [at.positive_powers])
+    assert [float(power(0.3, *given)) for given in ((5.0, 2.0), (4.0, -3.0), (-6.0, -1.0))] == [10.0, 0.0, 6.0]
 
 
 # Ranges of machines.
