@@ -2,8 +2,18 @@
 
 import os
 import signal
+from pathlib import Path
 
 import pytest
+from matplotlib.figure import Figure
+
+from linkplan.models.catalogue import MODELS
+from linkplan.planner.problem import build
+from linkplan.studies.output import figure as figures
+
+DRAW, LAY_OUT = Figure.savefig, figures._lay_out
+# As many mechanisms are kept as a file's tests have at most, not those of a whole run.
+MOST_MECHANISMS = 64
 
 
 def pytest_addoption(parser):
@@ -41,6 +51,51 @@ def time_for_proofs():
     patch.setattr("linkplan.plans._PROOF_SECONDS", 60.0)
     yield
     patch.undo()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def mechanisms_loaded_once():
+    """Load the mechanism of a built-in name or a text once for many problems, each of which has a copy of its own."""
+    load, known = build.load_mechanism, {}
+
+    def remembered(source, **more):
+        if source not in MODELS and "<mujoco" not in source:
+            return load(source, **more)
+        key = repr((source, sorted(more.items())))
+        if key not in known:
+            known[key] = load(source, **more)
+        if len(known) > MOST_MECHANISMS:
+            known.pop(next(iter(known)))
+        return known[key]
+
+    patch = pytest.MonkeyPatch()
+    patch.setattr(build, "load_mechanism", remembered)
+    yield
+    patch.undo()
+
+
+@pytest.fixture(autouse=True, scope="session")
+def blank_figures():
+    """Save figures as empty files, and place nothing in them: both took a fifth of the time of commands' tests."""
+
+    def save(figure, path, *options, **more):
+        if isinstance(path, Path):
+            path.touch()
+        else:
+            DRAW(figure, path, *options, **more)
+
+    patch = pytest.MonkeyPatch()
+    patch.setattr(Figure, "savefig", save)
+    patch.setattr(figures, "_lay_out", lambda _figure: None)
+    yield
+    patch.undo()
+
+
+@pytest.fixture
+def drawn_figures(monkeypatch):
+    """Draw the figures of a test that looks at them."""
+    monkeypatch.setattr(Figure, "savefig", DRAW)
+    monkeypatch.setattr(figures, "_lay_out", LAY_OUT)
 
 
 @pytest.fixture

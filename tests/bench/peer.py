@@ -92,10 +92,7 @@ def _first(name: str, duration: float | None, most: float, held: list[list[objec
         peer: lambda solve=solve, duration=duration: solve(duration) for peer, solve in there.items()
     }
     works[_PLAN] = _in_turn(whole)
-    programs = {
-        f"{_ALONE}, interpreted": load_problem(name, ["solver.compile=never"]),
-        f"{_ALONE}, compiled": problem,
-    }
+    programs = {f"{_ALONE}, interpreted": load_problem(name, ["solver.compile=never"]), f"{_ALONE}, compiled": problem}
     works |= {label: lambda asked=asked: first_solve(asked) for label, asked in programs.items()}
     times = medians_s(works)
     solver = float(np.median(spent_in_solver[-REPEATS:]))

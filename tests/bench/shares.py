@@ -45,11 +45,7 @@ class Timed:
 
     def parts(self, around_s: float) -> dict[str, float]:
         """Return the time [s] of the last call by parts, Python's from the time around it."""
-        return {
-            "evaluation": self.evaluation,
-            "linear algebra": self.whole - self.evaluation,
-            "call": around_s - self.whole,
-        }
+        return {"evaluation": self.evaluation, "linear algebra": self.whole - self.evaluation, "call": around_s - self.whole}
 
 
 @contextlib.contextmanager

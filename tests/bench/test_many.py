@@ -82,6 +82,7 @@ def test_an_objective_is_over_the_least_of_all_that_are_known_and_a_failure_over
     assert replace(ROW, peer_objective=None, best_known=None).over_best is None
 
 
+@pytest.mark.usefixtures("drawn_figures")
 def test_the_figure_shows_failures_apart_from_certified_plans(tmp_path):
     rows = [ROW, replace(ROW, kind="effort11", motors=2, status="failed", peer_objective=None)]
     many.draw(rows, tmp_path / "many.png")

@@ -15,6 +15,7 @@ from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.simulate import Ensemble, simulate
 from linkplan.models.mechanism import load_mechanism
 from tests.support.machines import LOOP, everything, feedback, follower, reach, run_alone, run_machines
+from tests.support.motions import motion_along
 from tests.support.tolerances_loops import SAME_RUN
 
 
@@ -45,15 +46,11 @@ def test_a_machine_without_imperfections_is_the_single_run(law, delay):
 def test_several_degrees_of_freedom_and_several_steps_a_period_are_the_single_run_too():
     from linkplan.controllers.reference import sample
     from linkplan.controllers.trackers.pd import pd
-    from linkplan.planner.trajectory import Trajectory
 
     mechanism = load_mechanism("five-bar")
     at = mechanism.home[mechanism.independent]
     position = np.stack([at, at + 0.1])[:, None]
-    still = Trajectory(
-        breaks_s=np.array([0.0, 0.05]), position=position, velocity=np.full((1, 1, 2), 2.0), effort=np.zeros((1, 1, 2)),
-        start_pose=mechanism.home, periodic=False,
-    )  # fmt: skip
+    still = motion_along([0.0, 0.05], position, start_pose=mechanism.home)
     reference = sample(mechanism, still, 3e-4, 0.03)
     tracker, loop = pd(mechanism, reference, 20.0, 1.0), ControlLoop(effort_limit=mechanism.effort_limit)
     single = run_alone(mechanism, reference, tracker, loop)

@@ -27,6 +27,7 @@ from linkplan.models.errors import AssemblyError, LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.payload import BODY_NAME
 from tests.support.machines import LOOP, everything, feedback, follower, reach, run_alone, run_machines
+from tests.support.motions import motion_along
 from tests.support.plans import optimal
 from tests.support.references import hinge_reference
 
@@ -242,12 +243,8 @@ def test_the_loop_s_limit_is_one_of_the_effort_of_an_actuator_with_a_constant_fo
 def coasting(**imperfect) -> float:
     """Return the speed of a bare slide-and-hinge cart after a tenth of a second without effort."""
     mechanism = load_mechanism("cart-pole")
-    from linkplan.planner.trajectory import Trajectory
 
-    rest = Trajectory(
-        breaks_s=np.array([0.0, 1.0]), position=np.zeros((2, 1, mechanism.dof)), velocity=np.zeros((1, 1, mechanism.dof)),
-        effort=np.zeros((1, 1, mechanism.n_u)), start_pose=np.zeros(mechanism.n_q), periodic=False,
-    )  # fmt: skip
+    rest = motion_along([0.0, 1.0], np.zeros((2, 1, mechanism.dof)), effort=np.zeros((1, 1, mechanism.n_u)))
     reference = sample(mechanism, rest, 1e-3, 0.1)
 
     class Idle:

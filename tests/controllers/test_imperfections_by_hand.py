@@ -7,14 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from linkplan.controllers.imperfections.imperfections import (
-    Clock,
-    Drives,
-    Imperfections,
-    Machine,
-    Push,
-    Start,
-)
+from linkplan.controllers.imperfections.imperfections import Clock, Drives, Imperfections, Machine, Push, Start
 from linkplan.controllers.imperfections.plant import closed_pose, plant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop
@@ -24,10 +17,10 @@ from linkplan.controllers.trackers.tracker import steps_of
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.payload import BODY_NAME, SHANK
-from linkplan.planner.trajectory import Trajectory
 from linkplan.studies.compare.compare import build_tracker
 from tests.support.bodies import HINGE, HINGE_INERTIA
 from tests.support.machines import LOOP, everything, reach, run_machines
+from tests.support.motions import motion_along
 from tests.support.plans import optimal
 from tests.support.references import hinge_reference
 
@@ -54,10 +47,7 @@ class Asks:
 @cache
 def at_rest(mjcf: str, duration_s: float) -> tuple[Mechanism, SampledReference]:
     mechanism = load_mechanism(mjcf)
-    still = Trajectory(
-        breaks_s=np.array([0.0, 1.0]), position=np.zeros((2, 1, 1)), velocity=np.zeros((1, 1, 1)),
-        effort=np.zeros((1, 1, 1)), start_pose=np.zeros(1), periodic=False,
-    )  # fmt: skip
+    still = motion_along([0.0, 1.0], np.zeros((2, 1, 1)))
     return mechanism, sample(mechanism, still, PERIOD, duration_s)
 
 
@@ -273,11 +263,7 @@ def test_a_gap_along_the_hinges_of_a_planar_loop_stays_and_takes_no_part_in_its_
 def test_positions_of_a_turning_motion_go_on_from_turn_to_turn():
     """A turn in 4 periods, sampled for 10: the third turn begins two turns further on."""
     mechanism = load_mechanism(HINGE)
-    turn = Trajectory(
-        breaks_s=np.array([0.0, 4 * PERIOD]), position=np.array([0.0, 2 * np.pi]).reshape(2, 1, 1),
-        velocity=np.full((1, 1, 1), 2 * np.pi / (4 * PERIOD)), effort=np.zeros((1, 1, 1)), start_pose=np.zeros(1),
-        periodic=True,
-    )  # fmt: skip
+    turn = motion_along([0.0, 4 * PERIOD], [0.0, 2 * np.pi], periodic=True)
     reference = sample(mechanism, turn, PERIOD, 10 * PERIOD)
     assert reference.position_rad[:, 0] == pytest.approx(0.5 * np.pi * np.arange(10), abs=1e-12)
     assert reference.pose_rad[:, 0] == pytest.approx(0.5 * np.pi * np.arange(10), abs=1e-12)

@@ -206,10 +206,7 @@ CASES = {
         lambda: Plain(text=mjcf(shift=0.03)),
     ),
     "link_length": (Imperfections(machine=Machine(length_factor={"rod": 1.05})), lambda: Plain(text=mjcf(length=1.05))),
-    "start_error": (
-        Imperfections(start=Start(position_error=0.02, velocity_error=-0.3)),
-        lambda: Plain(start=(0.02, -0.3)),
-    ),
+    "start_error": (Imperfections(start=Start(position_error=0.02, velocity_error=-0.3)), lambda: Plain(start=(0.02, -0.3))),
     "push_force": (
         Imperfections(pushes=(Push(start_s=0.01, duration_s=0.0155, body="rod", force=np.array([0, 0, -20.0])),)),
         lambda: Plain(pushed=push_force),

@@ -2,7 +2,7 @@
 
 import contextlib
 import sys
-from types import SimpleNamespace
+from types import ModuleType
 
 import mujoco
 import numpy as np
@@ -19,7 +19,7 @@ class Window:
     """A window that is closed after some frames."""
 
     def __init__(self, frames: float) -> None:
-        self.left, self.user_scn = frames, SimpleNamespace(ngeom=9)
+        self.left, self.user_scn = frames, mujoco.MjvScene()
 
     def __enter__(self):
         return self
@@ -43,16 +43,18 @@ class Window:
 
 def played(monkeypatch, *, seconds: float | None = None, frames: float = np.inf, slowness: float = 1.0) -> list[int]:
     """Return the instants of four, an eighth of a second apart, that a window shows."""
-    shown, clock = [], SimpleNamespace(now=100.0)
-    viewer = SimpleNamespace(launch_passive=lambda *_, **__: Window(frames))
+    shown, now = [], [100.0]
+    viewer = ModuleType("viewer")
+    viewer.launch_passive = lambda *_, **__: Window(frames)
     monkeypatch.setitem(sys.modules, "mujoco.viewer", viewer)
     monkeypatch.setattr(mujoco, "viewer", viewer, raising=False)
     monkeypatch.setattr(playback, "has_screen", lambda: True)
 
     def sleep(_: float) -> None:
-        clock.now += 0.125
+        now[0] += 0.125
 
-    monkeypatch.setattr(playback, "time", SimpleNamespace(monotonic=lambda: clock.now, sleep=sleep))
+    monkeypatch.setattr("time.monotonic", lambda: now[0])
+    monkeypatch.setattr("time.sleep", sleep)
     run = Shown(
         time_s=0.125 * np.arange(4), pose=np.zeros((4, 1)), decorate=lambda _scene, k, _ghost: shown.append(k),
         words=lambda _: [("", "")],

@@ -7,6 +7,7 @@ from linkplan.controllers.reference import SampledReference, pose_advance, sampl
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE
+from tests.support.motions import motion_along
 from tests.support.tolerances_planner import ROUNDING
 
 PERIOD = 0.01
@@ -25,11 +26,7 @@ def cubic_samples(n: int = 6) -> tuple[SampledReference, np.polynomial.Polynomia
 
 def turning(start: float, periods: float) -> Trajectory:
     """Return a hinge's turn at constant speed from a start [rad], over a number of control periods."""
-    return Trajectory(
-        breaks_s=np.array([0.0, periods * PERIOD]), position=start + np.array([0.0, 2 * np.pi]).reshape(2, 1, 1),
-        velocity=np.full((1, 1, 1), 2 * np.pi / (periods * PERIOD)), effort=np.zeros((1, 1, 1)),
-        start_pose=np.full(1, start), periodic=True,
-    )  # fmt: skip
+    return motion_along([0.0, periods * PERIOD], start + np.array([0.0, 2 * np.pi]), periodic=True)
 
 
 @pytest.mark.parametrize("at", [0.0, 0.4, 1.0, 2.75, 4.0, 4.99])
@@ -76,10 +73,7 @@ def swinging(periods: int) -> Trajectory:
     """Return a hinge's swing that begins and ends in one place at one speed."""
     duration = periods * PERIOD
     position = np.array([0.0, 0.1, -0.1, 0.0]).reshape(4, 1, 1)
-    return Trajectory(
-        breaks_s=np.array([0.0, duration]), position=position, velocity=3 / duration * np.diff(position, axis=0),
-        effort=np.zeros((1, 1, 1)), start_pose=np.zeros(1), periodic=True,
-    )  # fmt: skip
+    return motion_along([0.0, duration], position, periodic=True)
 
 
 @pytest.mark.parametrize(("ratio", "cycle"), [(7.0, 7), (7.0 + 1e-8, 7), (7.0 + 1e-4, None), (7.5, None)])

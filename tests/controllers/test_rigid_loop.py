@@ -22,6 +22,7 @@ from linkplan.planner.trajectory import Trajectory
 from linkplan.studies.compare.compare import build_tracker
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM
 from tests.support.machines import run_alone
+from tests.support.motions import motion_along
 from tests.support.plans import optimal
 from tests.support.references import cubic_reference, hinge_reference
 from tests.support.tolerances_planner import ROUNDING, SAME_FIGURE
@@ -115,10 +116,7 @@ def test_a_long_period_is_integrated_in_steps_of_the_simulator():
 
 def resting(duration_s: float) -> Trajectory:
     """Return a rest of one joint at zero."""
-    return Trajectory(
-        breaks_s=np.array([0.0, duration_s]), position=np.zeros((2, 1, 1)), velocity=np.zeros((1, 1, 1)),
-        effort=np.zeros((1, 1, 1)), start_pose=np.zeros(1), periodic=False,
-    )  # fmt: skip
+    return motion_along([0.0, duration_s], np.zeros((2, 1, 1)))
 
 
 def test_a_clock_that_runs_slow_holds_every_effort_longer():

@@ -57,9 +57,7 @@ def tracker_of(kind: str, name: str, reference: SampledReference, kd: float | No
     if kind == "lqr":
         position, velocity = tracking.lqr_errors(problem.mechanism.independent_joints)
         return lqr(
-            problem.mechanism,
-            reference,
-            Errors(position=position, velocity=velocity, effort=problem.limits.effort[:, 1]),
+            problem.mechanism, reference, Errors(position=position, velocity=velocity, effort=problem.limits.effort[:, 1])
         )
     feedback = pd(problem.mechanism, reference, tracking.kp, tracking.kd if kd is None else kd)
     return feedback if kind == "pd" else with_feedforward(feedback)

@@ -141,11 +141,7 @@ def test_a_tracker_s_name_is_the_one_in_tables(kind):
 
 @pytest.mark.parametrize("kind", TRACKERS)
 @settings(derandomize=True, deadline=None, max_examples=25)
-@given(
-    st.lists(st.integers(0, 159), min_size=2, max_size=6),
-    st.floats(-1.5, 1.5),
-    st.floats(-100, 100),
-)
+@given(st.lists(st.integers(0, 159), min_size=2, max_size=6), st.floats(-1.5, 1.5), st.floats(-100, 100))
 def test_a_tracker_is_a_pure_law(kind, instants, position, velocity):
     tracker = tracker_of(kind)
     s, v = np.array([position]), np.array([velocity])

@@ -59,6 +59,7 @@ def test_a_built_in_problem_moves_it_and_the_page_on_mechanisms_shows_its_pictur
     assert f"studies/gallery/{name}.png" in (ROOT / "docs" / "mechanisms.md").read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("drawn_figures")
 def test_the_drawing_of_the_cut_loop_has_the_gap_that_mujoco_finds(tmp_path):
     gap = cut_loop_figure(tmp_path / "cut.png", turned_deg=-10.0)
     mechanism = mechanism_of("optimus-knee")
@@ -73,6 +74,7 @@ def test_the_drawing_of_the_cut_loop_has_the_gap_that_mujoco_finds(tmp_path):
     assert PICTURE.is_file()
 
 
+@pytest.mark.usefixtures("drawn_figures")
 def test_the_sketch_of_the_knee_has_the_source_document_s_letters_and_lengths(tmp_path, monkeypatch):
     saved = saved_figures(monkeypatch)
     lengths = knee_figure(tmp_path / "sketch.png")

@@ -10,14 +10,7 @@ from scipy.integrate import solve_ivp
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
-from tests.support.gripper import (
-    DAMPING,
-    INERTIA,
-    PULLEY,
-    REST,
-    STIFFNESS,
-    WEIGHT,
-)
+from tests.support.gripper import DAMPING, INERTIA, PULLEY, REST, STIFFNESS, WEIGHT
 from tests.support.mechanism_checks import acceleration, plan_of, tracked
 from tests.support.tolerances import ANGLE_RAD, KNEE, relative_error
 from tests.support.tolerances_planner import CLOSURE_M, LQR_IN_A_FAST_TURN_DEG, ROLLOUT_GAP_M, SECOND_ROUTE_DEG

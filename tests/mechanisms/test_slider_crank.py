@@ -17,12 +17,7 @@ from tests.support.mechanism_checks import (
     rigid_acceleration,
     tracked,
 )
-from tests.support.slider_crank import (
-    inertia,
-    potential,
-    rod,
-    slider,
-)
+from tests.support.slider_crank import inertia, potential, rod, slider
 from tests.support.tolerances import ANGLE_RAD, BRACKET_RAD, DIFFERENCES, KNEE, relative_error
 from tests.support.tolerances_planner import CLOSURE_M, ROLLOUT_GAP_M
 

@@ -66,7 +66,7 @@ def test_a_planned_motion_counts_them_is_proved_and_is_followed_in_mujoco():
     ends = {"start_m": {"rack": -0.03}, "goal_m": {"rack": 0.03}, "duration_s": 0.3}
     problem = Problem.reach(steering(tyre=FORCE), **ends)
     plan = plan_motion(problem).require()
-    proof = prove(problem, plan.trajectory)
+    proof = prove(problem, plan.trajectory, existence=False)
     assert {finding.answer for finding in proof.findings} == {"proved", "sampled"}
     without = prove(Problem.reach(steering(), **ends), plan.trajectory)
     lacking = [finding for finding in without.findings if "planned effort lacks" in finding.name]

@@ -30,10 +30,7 @@ def by_hand(act: str = "", pull: str = "") -> mujoco.MjModel:
 
 @pytest.mark.parametrize(
     ("name", "hand"),
-    [
-        ("act", {"act": f'gear="{GEAR}" armature="{ROTOR}"'}),
-        ("pull", {"pull": f'gear="{GEAR}" armature="{ROTOR}"'}),
-    ],
+    [("act", {"act": f'gear="{GEAR}" armature="{ROTOR}"'}), ("pull", {"pull": f'gear="{GEAR}" armature="{ROTOR}"'})],
 )
 def test_efforts_with_a_gear_and_a_rotor_are_those_of_the_simulator_s_inverse_dynamics(name, hand):
     mechanism, model = geared(gear={name: GEAR}, rotor_inertia={name: ROTOR}), by_hand(**hand)

@@ -23,6 +23,7 @@ def test_what_is_no_path_is_refused(value, plan):
         assert "a path" in refusal(lambda action=action: action(value), LinkplanError)
 
 
+@pytest.mark.usefixtures("drawn_figures")
 @pytest.mark.parametrize("value", [b"plan", 5, "a\0b", "\ud800", "no/such/folder.png", "plan.tiff.xyz"])
 def test_a_figure_that_cannot_be_saved_is_refused(value, plan, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)

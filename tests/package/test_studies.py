@@ -202,11 +202,7 @@ def test_a_check_names_what_is_wrong():
 def test_a_loops_response_is_measured_and_drawn(problem, tmp_path):
     told = []
     result = linkplan.bode(
-        problem,
-        tracking={"delay_periods": 0.5},
-        at_deg={"O": 10.0},
-        frequency_hz=(20.0, 100.0),
-        progress=told.append,
+        problem, tracking={"delay_periods": 0.5}, at_deg={"O": 10.0}, frequency_hz=(20.0, 100.0), progress=told.append
     )
     assert result.stable
     assert result.message.startswith(

@@ -1,14 +1,13 @@
 """A plan's motion as a table, in any order and beyond its ends, and its distance from a reference."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from linkplan.planner.plan.plan import motion_table, tracking_errors
+from linkplan.planner.plan.plan import Plan, motion_table, tracking_errors
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
+from tests.support.motions import motion_along
 
 BEGIN = 0.7
 BREAKS = BEGIN + np.array([0.0, 0.5, 2.0])
@@ -17,10 +16,7 @@ BREAKS = BEGIN + np.array([0.0, 0.5, 2.0])
 def turning(start: float = 2.0, *, periodic: bool = True) -> Trajectory:
     """Return a hinge's turn at a constant speed over two seconds from 0.7 s on, with efforts of 3 and then 4."""
     s = start + np.pi * (BREAKS - BEGIN)
-    return Trajectory(
-        breaks_s=BREAKS, position=np.array([s[:-1], s[1:]])[:, :, None], velocity=np.full((1, 2, 1), np.pi),
-        effort=np.array([[[3.0], [4.0]]]), start_pose=np.full(1, start), periodic=periodic,
-    )  # fmt: skip
+    return motion_along(BREAKS, [s[:-1], s[1:]], effort=[[[3.0], [4.0]]], periodic=periodic)
 
 
 def problem() -> Problem:
@@ -55,9 +51,8 @@ def test_the_distance_from_a_reference_is_its_mean_square_and_its_largest():
 
     The mean is over time: the second interval is three times as long as the first.
     """
-    reference = SimpleNamespace(derivative=lambda t: ((np.pi + 0.25) * t + 1.5)[:, None])
-    problem = SimpleNamespace(reference_over=lambda _duration_s: reference)
-    plan = SimpleNamespace(problem=problem, trajectory=turning())
-    rms, largest = tracking_errors(plan)
+    rows = f"time_s = [0.0, 2.0]\nposition_deg = {{ J = {np.degrees([1.5, 2.0 + 2 * np.pi]).tolist()} }}\n"
+    along = body_problem(HINGE, f'kind = "track"\n[reference]\nspline = "natural"\n{rows}')
+    rms, largest = tracking_errors(Plan(problem=along, status="optimal", message="", trajectory=turning()))
     assert largest == pytest.approx(0.5)
     assert rms == pytest.approx(np.sqrt(1.0 / 12.0))  # of 0.5 - t / 4 over 2 s

@@ -321,10 +321,7 @@ def test_a_speed_limit_that_binds_holds_between_the_nodes(name, override, joint,
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("override", "joint", "limit", "sign"),
-    [
-        ("limits.range_deg.A=[11, 150]", 1, 11.0, -1),
-        ("limits.range_deg.O=[-90, 50]", 0, 50.0, 1),
-    ],
+    [("limits.range_deg.A=[11, 150]", 1, 11.0, -1), ("limits.range_deg.O=[-90, 50]", 0, 50.0, 1)],
 )
 def test_a_range_that_binds_holds_between_the_nodes(override, joint, limit, sign):
     def furthest(plan: Plan) -> float:

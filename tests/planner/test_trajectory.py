@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from linkplan.planner.trajectory import Trajectory
+from tests.support.motions import motion_along
 
 BREAKS = np.array([1.0, 1.5, 3.0])
 TURN = 2 * np.pi
@@ -15,27 +16,13 @@ def accelerated() -> Trajectory:
     """Return s = (t - 1) + (t - 1)^2 with v = 1 + 2 (t - 1), and an effort of 3 and then 4."""
     t, h = BREAKS - 1.0, np.diff(BREAKS)
     s, v = t + t**2, 1.0 + 2 * t
-    return Trajectory(
-        breaks_s=BREAKS,
-        position=np.array([s[:-1], s[:-1] + h * v[:-1] / 2, s[1:]])[:, :, None],
-        velocity=np.array([v[:-1], v[1:]])[:, :, None],
-        effort=np.array([[[3.0], [4.0]]]),
-        start_pose=np.zeros(1),
-        periodic=False,
-    )
+    return motion_along(BREAKS, [s[:-1], s[:-1] + h * v[:-1] / 2, s[1:]], effort=[[[3.0], [4.0]]])
 
 
 def turning() -> Trajectory:
     """Return a turn at a constant speed from 1 s to 3 s, again and again."""
     s = TURN * (BREAKS - 1.0) / 2.0
-    return Trajectory(
-        breaks_s=BREAKS,
-        position=np.array([s[:-1], s[1:]])[:, :, None],
-        velocity=np.full((1, 2, 1), TURN / 2.0),
-        effort=np.array([[[3.0], [4.0]]]),
-        start_pose=np.zeros(1),
-        periodic=True,
-    )
+    return motion_along(BREAKS, [s[:-1], s[1:]], effort=[[[3.0], [4.0]]], periodic=True)
 
 
 def test_within_its_ends_a_motion_is_its_polynomials():

@@ -30,9 +30,8 @@ QUARTER_TURN = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0
 def body_problem(mjcf: str, motion: str, *overrides: str) -> Problem:
     """Return the problem of a motion (the lines of a [motion] table) of an inline model."""
     with tempfile.TemporaryDirectory() as folder:
-        (Path(folder) / "model.xml").write_text(mjcf, encoding="utf-8")
         path = Path(folder) / "problem.toml"
-        path.write_text(f'[mechanism]\nmodel = "model.xml"\n[motion]\n{motion}', encoding="utf-8")
+        path.write_text(f"[mechanism]\nmodel = '''{mjcf}'''\n[motion]\n{motion}", encoding="utf-8")
         return load_problem(path, overrides)
 
 

@@ -8,13 +8,7 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import close_at
-from tests.support.mechanisms import (
-    CHAINS,
-    Simulated,
-    random_four_bar,
-    random_quaternion,
-    simulated,
-)
+from tests.support.mechanisms import CHAINS, Simulated, random_four_bar, random_quaternion, simulated
 
 # Poses of each, and the names of the random ones.
 N_POSES = 5

@@ -123,14 +123,7 @@ LEG = f"""
   <actuator><motor joint="yaw"/><motor joint="pitch"/><motor joint="knee"/></actuator>
 </mujoco>"""
 
-LINKAGES = {
-    "welded": WELDED,
-    "rssr": RSSR,
-    "rscr": RSCR,
-    "gripper": GRIPPER,
-    "press": PRESS,
-    "leg": LEG,
-}
+LINKAGES = {"welded": WELDED, "rssr": RSSR, "rscr": RSCR, "gripper": GRIPPER, "press": PRESS, "leg": LEG}
 # Degrees of freedom, closure rows and rank of each.
 COUNTS = {
     "welded": (1, 6, 3),

@@ -5,15 +5,7 @@ from functools import cache
 
 import numpy as np
 
-from linkplan.controllers.imperfections.imperfections import (
-    Clock,
-    Drives,
-    Imperfections,
-    Machine,
-    Push,
-    Sensors,
-    Start,
-)
+from linkplan.controllers.imperfections.imperfections import Clock, Drives, Imperfections, Machine, Push, Sensors, Start
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout

@@ -57,10 +57,6 @@ def lagrangian_acceleration(
     return np.linalg.solve(M, effort - M_rate @ v + 0.5 * np.array([v @ d @ v for d in dM]) - dV)
 
 
-def _difference(function: Callable[[float], np.ndarray], h: float) -> np.ndarray:
-    return (8 * (function(h) - function(-h)) - (function(2 * h) - function(-2 * h))) / (12 * h)
-
-
 def rigid_acceleration(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Return the acceleration (n_s,) of rigid loops from MuJoCo's own M, forces and constraint rows J.
 

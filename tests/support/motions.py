@@ -5,6 +5,7 @@ import numpy as np
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.limits.samples import actuator_speeds
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.trajectory import Trajectory
 from tests.support.mechanisms import simulated
 
 
@@ -40,3 +41,23 @@ def power(plan: Plan, time: np.ndarray) -> np.ndarray:
     motion = plan.trajectory
     poses = follow(plan.problem.mechanism, motion.position_at(time), motion.start_pose)
     return motion.effort_at(time) * actuator_speeds(plan.problem, poses, motion.velocity_at(time))
+
+
+def motion_along(breaks_s, position, *, velocity=None, effort=0.0, start_pose=None, periodic: bool = False) -> Trajectory:
+    """Return a motion by the Bernstein coefficients (degree + 1, n) or (degree + 1, n, n_s) of its positions.
+
+    Without others, its velocity is the derivative, its pose at the start the first position. One number is the effort of
+    as many actuators as coordinates; other efforts are coefficients (degree + 1, n) or (degree + 1, n, n_u).
+    """
+    n = len(breaks_s) - 1
+    position = np.array(position, dtype=float).reshape(len(position), n, -1)
+    slope = (len(position) - 1) * np.diff(position, axis=0) / np.diff(breaks_s)[:, None]
+    effort = np.array(effort) if np.ndim(effort) else np.full((1, n, position.shape[2]), effort)
+    return Trajectory(
+        breaks_s=np.array(breaks_s, dtype=float),
+        position=position,
+        velocity=slope if velocity is None else np.reshape(velocity, (-1, *position.shape[1:])),
+        effort=effort.reshape(len(effort), n, -1),
+        start_pose=position[0, 0] if start_pose is None else np.array(start_pose, dtype=float),
+        periodic=periodic,
+    )

@@ -26,8 +26,9 @@ def double_integrator(x, u, p, t):  # noqa: ARG001
     return [x[1], u[0]]
 
 
-def solved(problem: OdeProblem) -> OdePlan:
-    """Return a problem's plan after making sure that it is one."""
+def solved(problem: OdeProblem | None = None, **fields) -> OdePlan:
+    """Return the plan of a problem, or of one with these fields, after making sure that it is one."""
+    problem = problem or OdeProblem(**{"name": "a test's"} | fields)
     plan = plan_ode(problem)
     assert plan.status == "optimal", f"{problem.name}: {plan.message}"
     return plan

@@ -15,6 +15,7 @@ from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 from tests.support.four_bars import PLAIN, load
 from tests.support.mechanisms import random_four_bar, replaced
+from tests.support.motions import motion_along
 
 INTERVALS = 4
 # Nearer to a singular pose, relative to home, a proof takes thousands of boxes.
@@ -49,14 +50,7 @@ def _swing(rng: np.random.Generator, mechanism: Mechanism) -> tuple[Problem, Tra
     position = _positions(begin, goal, breaks, rng)
     start = np.array(close_at(mechanism, np.array([begin])))
     velocity = PiecewisePolynomial(position, breaks).derivative().coefficients
-    trajectory = Trajectory(
-        breaks_s=breaks,
-        position=position,
-        velocity=velocity,
-        effort=np.zeros((5, INTERVALS, 1)),
-        start_pose=start,
-        periodic=False,
-    )
+    trajectory = motion_along(breaks, position, velocity=velocity, effort=np.zeros((5, INTERVALS, 1)), start_pose=start)
     trajectory = replace(trajectory, effort=_efforts(mechanism, trajectory))
     angles = {name: np.degrees(x) for name, x in (("start", begin), ("goal", goal))}
     name = mechanism.independent_joints[0].name

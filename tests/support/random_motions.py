@@ -13,6 +13,7 @@ from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial, bernstein_matrix
+from tests.support.motions import motion_along
 
 INTERVALS = 3
 _EFFORT_DEGREE = 4
@@ -43,11 +44,8 @@ def _along(mechanism: Mechanism, begin, goal, breaks, rng) -> tuple[Problem, Tra
     speed = np.gradient(place, breaks, axis=0)
     speed[[0, -1]], place[0], place[-1] = 0.0, begin, goal
     position = PiecewisePolynomial.through(breaks, place, speed).coefficients
-    velocity = PiecewisePolynomial(position, breaks).derivative().coefficients
     effort = np.zeros((_EFFORT_DEGREE + 1, INTERVALS, mechanism.n_u))
-    motion = Trajectory(
-        breaks_s=breaks, position=position, velocity=velocity, effort=effort, start_pose=mechanism.home, periodic=False
-    )
+    motion = motion_along(breaks, position, effort=effort, start_pose=mechanism.home)
     q = follow(mechanism, motion.position_at(motion.dense_times(40)), motion.start_pose)
     ratios = np.array(mechanism.dynamics.block_singularity.map(len(q))(q.T)).T.reshape(len(q), -1)
     if (np.abs(ratios).min(axis=0) < 0.2 * np.abs(ratios[0])).any():

@@ -148,10 +148,6 @@ WAYPOINT_EFFORT = 1e-7
 ODE_EFFORT = 1e-5
 # A gain along a singular arc, at which the effort chatters between nodes, relative. Measured 1e-6.
 ODE_SINGULAR_ARC = 1e-5
-# Least times with arcs shorter than an interval, cut by the costates, relative: radau-3 on what is left. Measured 5e-9.
-ODE_SHORT = 1e-8
-# A least time at which an arc has shrunk to nothing, relative: the root of what the state's tolerance leaves. Measured 2e-8.
-ODE_COLLAPSED_ARC = 1e-6
 # Least time with arcs on states' limits that meet arcs on others, no cut at their junctions, relative. Measured 9e-5.
 ODE_STATE_ARCS = 2e-4
 # Least effort, work and time against closed forms whose effort bends at a limit, relative. Measured 1e-12 to 6e-8; a bend

@@ -267,10 +267,7 @@ def test_an_actuator_beside_one_of_many_inputs_keeps_its_own_channel():
 
 @pytest.mark.parametrize(
     ("element", "words"),
-    [
-        ('stiffness="1" springyield="0.1"', ["springyield", "belt"]),
-        ('armature="0.5"', ["armature", "belt", "branches"]),
-    ],
+    [('stiffness="1" springyield="0.1"', ["springyield", "belt"]), ('armature="0.5"', ["armature", "belt", "branches"])],
 )
 def test_what_a_tendon_does_beyond_springs_and_dampers_falsifies(element, words):
     (found,) = audit(bench('<motor joint="crank"/>', belt=element).model)

@@ -68,10 +68,7 @@ def test_a_planned_motion_counts_them_and_is_followed_in_mujoco():
 
 @pytest.mark.parametrize(
     ("range_of_joint", "law"),
-    [
-        ('actuatorfrcrange="-1 1" actuatorfrclimited="true"', LAW),
-        ("", 'gaintype="affine" gainprm="0 1" biastype="affine"'),
-    ],
+    [('actuatorfrcrange="-1 1" actuatorfrclimited="true"', LAW), ("", 'gaintype="affine" gainprm="0 1" biastype="affine"')],
     ids=["a clamp of the joint's whole effort", "a gain that vanishes at zero length only"],
 )
 def test_forces_that_a_clamp_or_a_control_changes_are_not_among_them(range_of_joint, law):

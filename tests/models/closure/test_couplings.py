@@ -12,17 +12,7 @@ from linkplan.models.poses.reach import reach
 from linkplan.models.tree.dynamics import build_tree
 from tests.support.linkages import GRIPPER, PSSR, UNCUT, WELDED, loaded
 from tests.support.mechanisms import replaced, simulated
-from tests.support.tolerances import (
-    BRANCHING,
-    CLOSURE,
-    COUPLED,
-    GAP_M,
-    POSE,
-    REDUCED,
-    WELD,
-    WELD_NM,
-    relative_error,
-)
+from tests.support.tolerances import BRANCHING, CLOSURE, COUPLED, GAP_M, POSE, REDUCED, WELD, WELD_NM, relative_error
 from tests.support.tolerances_planner import ROUNDING
 
 N_POSES = 3

@@ -9,12 +9,7 @@ from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.reach import reach
 from tests.support.linkages import GRIPPER, PRESS, PSSR, RSSR, WELDED, loaded
 from tests.support.mechanisms import FLAT_PARALLELOGRAM, replaced
-from tests.support.tolerances import (
-    POSE,
-    REACH_END,
-    REDUCED,
-    UNIT_VECTOR,
-)
+from tests.support.tolerances import POSE, REACH_END, REDUCED, UNIT_VECTOR
 
 # Choice of coordinates and singular poses
 

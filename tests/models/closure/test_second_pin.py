@@ -6,13 +6,11 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import follow
 from tests.support.mechanisms import replaced
-from tests.support.spins import ON_A_BALL, TWO_BALLS
+from tests.support.spins import TWO_BALLS
 from tests.support.tolerances import SWEPT_GAP_M
 
-# The rocker of `spins` hangs on the rod by a ball; its hinge on the ground is two connects, along the same axis as C.
-HINGED = load_mechanism(ON_A_BALL)
-# Places of a site along the same motion [m], and forces, relative.
-PLACE_M, FORCE = 1e-9, 1e-8
+# Forces, relative.
+FORCE = 1e-8
 
 
 def turned(mechanism: Mechanism, n: int = 40) -> np.ndarray:

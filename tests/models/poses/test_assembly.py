@@ -30,13 +30,7 @@ from tests.support.mechanisms import (
     replaced,
     wrapped,
 )
-from tests.support.tolerances import (
-    ANGLE_RAD,
-    APART_DEG,
-    PRINTED_GAP,
-    REDUCED,
-    relative_error,
-)
+from tests.support.tolerances import ANGLE_RAD, APART_DEG, PRINTED_GAP, REDUCED, relative_error
 
 lengths = dict.fromkeys(("crank", "coupler", "rocker", "ground"), st.floats(0.3, 1.0))
 four_bars = st.builds(FourBar, **lengths, branch=st.sampled_from([-1, 1]), drawn=st.floats(-3, 3))

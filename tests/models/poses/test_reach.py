@@ -20,11 +20,7 @@ from tests.support.mechanisms import (
     slider_crank,
     wrapped,
 )
-from tests.support.tolerances import (
-    BRACKET_RAD,
-    CLOSURE,
-    SINGULAR_RAD,
-)
+from tests.support.tolerances import BRACKET_RAD, CLOSURE, SINGULAR_RAD
 
 
 @pytest.mark.slow

@@ -2,14 +2,7 @@
 
 import numpy as np
 
-from linkplan.models.transfer.polytope import (
-    effort_box,
-    effort_corners,
-    joint_gains,
-    motor_gains,
-    speed_alone,
-    speed_box,
-)
+from linkplan.models.transfer.polytope import effort_box, effort_corners, joint_gains, motor_gains, speed_alone, speed_box
 
 G = np.array([[[0.9, 0.7], [1.1, -0.6]], [[1.2, 0.5], [0.8, -0.9]]])
 LIMIT = np.array([[-40.0, 30.0], [-20.0, 25.0]])

@@ -4,14 +4,10 @@ import numpy as np
 import pytest
 
 from linkplan.planner.certificate.certificate import _waypoint_error
-from linkplan.planner.certificate.integration import (
-    ends_off_m,
-    exact_bounds,
-    relative_violation,
-    waypoint_off_m,
-)
+from linkplan.planner.certificate.integration import ends_off_m, exact_bounds, relative_violation, waypoint_off_m
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
+from tests.support.motions import motion_along
 
 ARM = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="J" axis="0 -1 0"/>
 <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><site name="tip" pos="1 0 0"/><site name="mid" pos="0.5 0 0"/></body>
@@ -36,14 +32,7 @@ def motion(back: bool = False) -> Trajectory:
     """Return an even motion from 0 to 1 rad that begins at 3 s and lasts two, or goes back in two more."""
     position = [[0.0, 0.5], [0.5, 1.0]] + ([[1.0, 0.5], [0.5, 0.0]] if back else [])
     n = len(position)
-    return Trajectory(
-        breaks_s=3.0 + np.arange(n + 1),
-        position=np.array(position).T[:, :, None],
-        velocity=np.diff(np.array(position).T, axis=0)[:, :, None],
-        effort=np.zeros((1, n, 1)),
-        start_pose=np.zeros(1),
-        periodic=back,
-    )
+    return motion_along(3.0 + np.arange(n + 1), np.array(position).T, periodic=back)
 
 
 @pytest.mark.parametrize(

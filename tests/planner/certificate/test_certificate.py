@@ -15,6 +15,7 @@ from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, LIFT, body_problem
 from tests.support.fourbar import KNEE_PROBLEMS, SHANK, knee
 from tests.support.margins import margin_of
+from tests.support.motions import motion_along
 from tests.support.plans import planned, problem_of
 from tests.support.random_motions import motion_of
 from tests.support.tolerances_planner import CLOSURE_M, EXCESS, EXTREME, PEAK_ON_A_GRID, SAME_FIGURE, SINGULARITY
@@ -87,14 +88,7 @@ def test_a_speed_that_only_touches_its_limit_is_not_said_to_overrun_it():
     limit = np.radians(60.0)
     problem = replace(problem, limits=replace(problem.limits, speed=np.array([[-limit, limit]])))
     velocity = limit * np.array([0.0, 1.0, 1.0, 1.0])
-    touching = Trajectory(
-        breaks_s=np.array([0.0, 1.0]),
-        position=np.concatenate([[0.0], np.cumsum(velocity) / 4]).reshape(-1, 1, 1),
-        velocity=velocity.reshape(-1, 1, 1),
-        effort=np.zeros((1, 1, 1)),
-        start_pose=np.zeros(1),
-        periodic=False,
-    )
+    touching = motion_along([0.0, 1.0], np.concatenate([[0.0], np.cumsum(velocity) / 4]), velocity=velocity)
     assert margin_of(certify(problem, touching), "speed", 0).left == 0.0
     beyond = replace(touching, velocity=(1 + 1e-9) * touching.velocity)
     assert margin_of(certify(problem, beyond), "speed", 0).left == pytest.approx(-1e-9 * 60.0, rel=EXCESS)

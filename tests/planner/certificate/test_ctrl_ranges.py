@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import body_problem
+from tests.support.motions import motion_along
 
 # A flywheel of 1 kg m2; its actuator gives (1 + q) N.m per unit of ctrl at the angle q, more and more on the way.
 FLYWHEEL = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody><body><joint name="J" axis="0 1 0"/>
@@ -18,14 +18,7 @@ def failures(most: float, model: str = FLYWHEEL, efforts: tuple[float, ...] = (T
     """Return what the certificate says of ctrl along q = t^2, for which the ctrl 2 / (1 + q) is needed."""
     motion = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 57.29577951308232 }\nduration_s = 1.0\n'
     problem = body_problem(model.format(most=most), motion + limits)
-    trajectory = Trajectory(
-        breaks_s=np.array([0.0, 1.0]),
-        position=np.array([0.0, 0.0, 1.0]).reshape(3, 1, 1),
-        velocity=np.array([0.0, 2.0]).reshape(2, 1, 1),
-        effort=np.reshape(efforts, (1, 1, -1)),
-        start_pose=np.zeros(1),
-        periodic=False,
-    )
+    trajectory = motion_along([0.0, 1.0], [0.0, 0.0, 1.0], effort=np.reshape(efforts, (1, 1, -1)))
     return [said for said in certify(problem, trajectory).failures if "ctrl" in said]
 
 

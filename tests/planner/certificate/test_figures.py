@@ -10,6 +10,7 @@ from linkplan.planner.limits.efforts import end_sizes
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_problem
 from tests.support.margins import margin_of
+from tests.support.motions import motion_along
 from tests.support.tolerances_planner import EXCESS
 
 # The hinge's quarter turn in a second along s = a + b (3 t^2 - 2 t^3): speed 6 b t (1 - t), effort 6 I b (1 - 2 t).
@@ -20,13 +21,11 @@ def quarter_turn(*, position: float = 0.0, velocity: float = 1.0, effort: float 
     """Return it with positions off by `position` [rad], speeds and efforts of other size, and an extra effort [N.m]."""
     begin = np.radians(10.0) + position
     efforts = np.array([PEAK_EFFORT, -PEAK_EFFORT]) * effort + extra
-    return Trajectory(
-        breaks_s=np.array([0.0, 1.0]),
-        position=np.array([begin, begin, begin + TURN, begin + TURN])[:, None, None],
-        velocity=velocity * np.array([0.0, 3 * TURN, 0.0])[:, None, None],
-        effort=efforts[:, None, None],
-        start_pose=np.array([begin]),
-        periodic=False,
+    return motion_along(
+        [0.0, 1.0],
+        [begin, begin, begin + TURN, begin + TURN],
+        velocity=velocity * np.array([0.0, 3 * TURN, 0.0]),
+        effort=efforts,
     )
 
 

@@ -9,6 +9,7 @@ from linkplan.planner.certificate.integration import RESTART_GROWTH, _linear_gro
 from linkplan.planner.problem.instant import position_units
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import PENDULUM
+from tests.support.motions import motion_along
 
 # About upright I e'' = m g l e: errors grow by e^(RATE t).
 WEIGHT, INERTIA = 9.81 * 0.5, 0.26
@@ -18,14 +19,7 @@ ALLOWED = np.array([np.radians(0.01)])
 
 
 def standing(angle: float, n: int, effort: float = 0.0) -> Trajectory:
-    return Trajectory(
-        breaks_s=WIDTH_S * np.arange(n + 1),
-        position=np.full((2, n, 1), angle),
-        velocity=np.zeros((1, n, 1)),
-        effort=np.full((1, n, 1), effort),
-        start_pose=np.array([angle]),
-        periodic=False,
-    )
+    return motion_along(WIDTH_S * np.arange(n + 1), np.full((2, n, 1), angle), effort=effort)
 
 
 def rod():

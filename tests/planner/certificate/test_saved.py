@@ -12,6 +12,7 @@ from linkplan.planner.certificate.further_checks import disagreements, negligibl
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_problem
+from tests.support.motions import motion_along
 
 # The hinge's quarter turn along t^2 (3 - 2 t) in T seconds needs the effort 6 I b (1 - 2 t / T) / T^2.
 PEAK_EFFORT = 6 * HINGE_INERTIA * TURN
@@ -19,12 +20,10 @@ PEAK_EFFORT = 6 * HINGE_INERTIA * TURN
 
 def quarter_turn(duration_s: float = 1.0, periodic: bool = False) -> Trajectory:
     begin = np.radians(10.0)
-    return Trajectory(
-        breaks_s=np.array([0.0, duration_s]),
-        position=np.array([begin, begin, begin + TURN, begin + TURN])[:, None, None],
-        velocity=np.array([0.0, 3 * TURN, 0.0])[:, None, None] / duration_s,
+    return motion_along(
+        [0.0, duration_s],
+        [begin, begin, begin + TURN, begin + TURN],
         effort=np.array([PEAK_EFFORT, -PEAK_EFFORT])[:, None, None] / duration_s**2,
-        start_pose=np.array([begin]),
         periodic=periodic,
     )
 
@@ -63,14 +62,7 @@ def test_a_periodic_motion_meets_its_start_and_in_its_middle_its_goal_to_a_milli
     problem = body_problem(HINGE, QUARTER_TURN.replace("reach", "periodic") + "duration_s = 2.0\n")
     begin = np.radians(10.0)
     there = np.array([begin, begin, begin + TURN, begin + TURN])
-    motion = Trajectory(
-        breaks_s=np.array([5.0, 6.0, 7.0]),
-        position=np.stack([there, there[::-1]], axis=1)[:, :, None],
-        velocity=3 * TURN * np.array([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]]).T[:, :, None],
-        effort=np.zeros((2, 2, 1)),
-        start_pose=np.array([begin]),
-        periodic=True,
-    )
+    motion = motion_along([5.0, 6.0, 7.0], np.stack([there, there[::-1]], axis=1), effort=np.zeros((2, 2, 1)), periodic=True)
     for which, where in (("start", (slice(0, 1), slice(0, 1))), ("goal", (slice(0, 1), slice(1, 2)))):
         position = np.array(motion.position)
         position[where] += off * TURN
@@ -80,8 +72,7 @@ def test_a_periodic_motion_meets_its_start_and_in_its_middle_its_goal_to_a_milli
 
 
 @pytest.mark.parametrize(
-    ("minimize", "agreeing", "differing"),
-    [("effort", (0.991, 1.009), (0.988, 1.012)), ("work", (0.955, 1.9), (0.94, 2.1))],
+    ("minimize", "agreeing", "differing"), [("effort", (0.991, 1.009), (0.988, 1.012)), ("work", (0.955, 1.9), (0.94, 2.1))]
 )
 def test_a_saved_objective_is_the_motion_s_but_for_quadrature_and_smoothing(minimize, agreeing, differing):
     """The squared effort's mean is a third of its peak's square; work is put in up to the middle: I v^2 / 2 there.
@@ -133,14 +124,7 @@ def test_an_objective_is_exact_for_efforts_of_degree_nine_at_few_poses(monkeypat
     monkeypatch.setattr(further_checks, "sampled", counting)
     effort = np.zeros((10, 2, 1))
     effort[-1] = 2.0  # Bernstein coefficients of 2 t^9
-    motion = Trajectory(
-        breaks_s=np.array([0.0, 0.5, 1.0]),
-        position=np.full((4, 2, 1), 0.2),
-        velocity=np.zeros((3, 2, 1)),
-        effort=effort,
-        start_pose=np.array([0.2]),
-        periodic=False,
-    )
+    motion = motion_along([0.0, 0.5, 1.0], np.full((4, 2, 1), 0.2), effort=effort)
     value, _ = objective_value(reach("duration_s = 1.0", "objective.minimize=effort"), motion)
     assert value == pytest.approx(4.0 / 19, rel=1e-9)
     assert sum(counted) <= 2 * 12

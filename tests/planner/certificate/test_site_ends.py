@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from linkplan.planner.certificate.integration import ends_off_m
-from linkplan.planner.trajectory import Trajectory
 from tests.support.arms import LOWER, UPPER, angles_at, foot_of
+from tests.support.motions import motion_along
 from tests.support.sites import ABOVE, BELOW, arm_of, site_problem
 
 FROM, TO = angles_at(0.3, 0.35, -1.0), angles_at(0.3, -0.35, -1.0)
@@ -20,14 +20,7 @@ def distance_m(wanted: dict, **time: float) -> tuple[float, tuple[str, ...]]:
     motion = {"start_at": {"foot": wanted["start"]}, "goal_at": {"foot": wanted["goal"]}, "waypoints": [waypoint]}
     problem = site_problem(arm_of(UPPER, LOWER), motion | {"duration_s": 1.0})
     line = np.array([[FROM, 0.5 * (FROM + TO)], [0.5 * (FROM + TO), TO]])
-    trajectory = Trajectory(
-        breaks_s=np.array([0.0, 0.5, 1.0]),
-        position=line,
-        velocity=np.broadcast_to(TO - FROM, (1, 2, 2)),
-        effort=np.zeros((1, 2, 2)),
-        start_pose=FROM,
-        periodic=False,
-    )
+    trajectory = motion_along([0.0, 0.5, 1.0], line)
     time = np.linspace(0.0, 1.0, 11)
     return ends_off_m(problem, trajectory, time, trajectory.position_at(time))
 

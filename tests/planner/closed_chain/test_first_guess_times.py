@@ -14,6 +14,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, body_problem
+from tests.support.motions import motion_along
 from tests.support.refinement_states import guessed
 
 # A damped rod on a pivot, with a motor that pulls harder one way.
@@ -118,14 +119,7 @@ def turn_with(**origin) -> Transcribed:
 def with_effort(breaks_s: list[float], effort: np.ndarray) -> Trajectory:
     """Return a motion at rest with the coefficients of its efforts (degree + 1, n, n_u)."""
     still = np.zeros((2, effort.shape[1], 1))
-    return Trajectory(
-        breaks_s=np.array(breaks_s),
-        position=still,
-        velocity=still[:1],
-        effort=effort,
-        start_pose=np.zeros(1),
-        periodic=False,
-    )
+    return motion_along(np.array(breaks_s), still, effort=effort)
 
 
 @pytest.mark.parametrize(

@@ -34,8 +34,7 @@ KEPT, NEAR = 1e-6, 1e-3
 def planned(model: str, **motion: object) -> Plan:
     return plan_motion(
         Problem.from_tables(
-            "strap",
-            {"mechanism": {"model": model}, "motion": MOTION | motion, "objective": {"minimize": "effort"}},
+            "strap", {"mechanism": {"model": model}, "motion": MOTION | motion, "objective": {"minimize": "effort"}}
         )
     )
 

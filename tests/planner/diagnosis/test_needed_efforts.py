@@ -13,6 +13,7 @@ from linkplan.planner.search.reasons import effort_sentence, far_too_short, path
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, QUARTER_TURN, TURN, body_problem
+from tests.support.motions import motion_along
 
 # The quarter turn in a second along t^2 (3 - 2 t): 6 I b (1 - 2 t) N.m.
 PEAK_EFFORT = 6 * HINGE_INERTIA * TURN
@@ -38,14 +39,7 @@ def two_hinges(actuators: str) -> Problem:
 
 def with_efforts(first: float, last: float) -> Trajectory:
     begin = np.radians(10.0)
-    return Trajectory(
-        breaks_s=np.array([0.0, 1.0]),
-        position=np.array([begin, begin, begin + TURN, begin + TURN])[:, None, None],
-        velocity=np.array([0.0, 3 * TURN, 0.0])[:, None, None],
-        effort=np.array([first, last])[:, None, None],
-        start_pose=np.array([begin]),
-        periodic=False,
-    )
+    return motion_along([0.0, 1.0], [begin, begin, begin + TURN, begin + TURN], effort=[first, last])
 
 
 @pytest.mark.parametrize(
@@ -103,14 +97,7 @@ def test_of_an_excess_that_lasts_its_first_instant_is_named():
     effort = np.array([[0.0, 5.0, 0.0], [0.0, 5.0, 0.0]])[:, :, None]
     trajectory = with_efforts(0.0, 0.0)
     halves = np.repeat(trajectory.position[:1], 4, axis=0)
-    still = Trajectory(
-        breaks_s=np.array([0.0, 0.25, 0.5, 1.0]),
-        position=np.repeat(halves, 3, axis=1),
-        velocity=np.zeros((3, 3, 1)),
-        effort=effort,
-        start_pose=trajectory.start_pose,
-        periodic=False,
-    )
+    still = motion_along([0.0, 0.25, 0.5, 1.0], np.repeat(halves, 3, axis=1), effort=effort)
     said, _ = effort_sentence(problem(), least(still))
     assert "5 N.m at t = 0.25 s" in said
 

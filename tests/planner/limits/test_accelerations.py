@@ -22,6 +22,7 @@ from linkplan.planner.proof.prove import prove
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_matrix
+from tests.support.motions import motion_along
 
 MASS = """<mujoco><option gravity="0 0 0"/>
   <worldbody><body>
@@ -61,7 +62,7 @@ def test_the_least_time_of_a_mass_with_limited_jerk_is_that_of_seven_segments(wa
     assert plan.status == "optimal"
     assert plan.objective == pytest.approx(seven_segments(way_m, 1.0, 4.0, 40.0), rel=1e-4)
     assert plan.objective > seven_segments(way_m, 1.0, 4.0, 40.0) * (1 - 1e-9)
-    assert plan.prove().passed
+    assert prove(plan.problem, plan.trajectory, existence=False).passed
 
 
 def test_the_least_time_of_a_mass_with_limited_acceleration_is_that_of_a_trapezoid():
@@ -177,10 +178,7 @@ def turning(most: float) -> tuple[Problem, Trajectory]:
     t = breaks[:-1] + shares[:, None] / 7
     position = np.zeros((6, 7, 2))
     position[:, :, 0] = np.linalg.solve(bernstein_matrix(5, shares), 3 * t**3 * (10 - 15 * t + 6 * t**2))
-    motion = Trajectory(
-        breaks_s=breaks, position=position, velocity=35 * np.diff(position, axis=0), effort=np.zeros((1, 7, 2)),
-        start_pose=np.zeros(2), periodic=False,
-    )  # fmt: skip
+    motion = motion_along(breaks, position)
     return problem, motion
 
 
@@ -203,11 +201,7 @@ def test_the_jerk_of_a_turning_site_is_measured_and_proved_between_the_nodes():
 def test_rounding_of_a_position_far_from_zero_is_no_jerk_in_a_proof():
     """x = 1000 m + 40 m/s3 t^3 / 6 in one millisecond: the last digits of x have a third derivative of about 1e-3 m/s3."""
     problem, h = mass(1.0, "effort", 1.0, jerk_m_s3=40.0 * (1 + 1e-6), site_jerk_m_s3=40.0 * (1 + 1e-6)), 1e-3
-    motion = Trajectory(
-        breaks_s=np.array([0.0, h]), position=1000.0 + np.array([0.0, 0.0, 0.0, 40 * h**3 / 6]).reshape(4, 1, 1),
-        velocity=np.array([0.0, 0.0, 40 * h**2 / 2]).reshape(3, 1, 1), effort=np.zeros((1, 1, 1)),
-        start_pose=np.array([1000.0]), periodic=False,
-    )  # fmt: skip
+    motion = motion_along([0.0, h], 1000.0 + np.array([0.0, 0.0, 0.0, 40 * h**3 / 6]), velocity=[0.0, 0.0, 40 * h**2 / 2])
     found = [one for one in prove(problem, motion, existence=False).findings if "jerk of" in one.name]
     assert [one.answer for one in found] == ["proved", "proved"], [one.sentence() for one in found]
 

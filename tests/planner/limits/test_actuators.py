@@ -1,15 +1,18 @@
 """The rates of efforts, against those of polynomials that jump from one interval to the next; rows and units of limits."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
+import casadi as ca
 import numpy as np
 import pytest
 
+from linkplan.models.poses.assembly import close_at
 from linkplan.planner.limits.actuators import ControlLimit, MotorLimit, PowerLimit, _unit, clamped_allowance
 from linkplan.planner.limits.efforts import effort_rates
+from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
+from tests.support.motions import motion_along
 
 BREAKS_S = np.array([0.0, 1.0, 3.0, 3.5])
 JUMP = -20.0
@@ -21,14 +24,7 @@ def parabola_with_a_jump() -> Trajectory:
     effort = np.array([begin**2, begin * end, end**2])
     effort[:, 2] += JUMP
     still = np.zeros((3, 3, 1))
-    return Trajectory(
-        breaks_s=BREAKS_S,
-        position=still,
-        velocity=still[:2],
-        effort=effort[:, :, None],
-        start_pose=np.zeros(1),
-        periodic=False,
-    )
+    return motion_along(BREAKS_S, still, effort=effort)
 
 
 def test_the_rate_of_an_effort_is_its_derivative_in_every_interval_up_to_both_ends():
@@ -44,14 +40,7 @@ def test_a_jump_is_an_infinite_rate_at_the_first_instant_after_it_alone():
 
 def test_a_constant_effort_has_no_rate():
     still = np.zeros((3, 3, 1))
-    trajectory = Trajectory(
-        breaks_s=BREAKS_S,
-        position=still,
-        velocity=still[:2],
-        effort=np.full((1, 3, 1), 7.0),
-        start_pose=np.zeros(1),
-        periodic=False,
-    )
+    trajectory = motion_along(BREAKS_S, still, effort=7.0)
     rate, jumps = effort_rates(trajectory, np.array([0.0, 1.0, 3.5]))
     assert not rate.any()
     assert np.isnan(jumps).all()
@@ -101,8 +90,13 @@ def test_at_every_instant_powers_are_limited_of_actuators_with_a_coordinate_and_
 
 
 def test_a_motor_s_row_is_the_share_of_its_line():
-    at = SimpleNamespace(u=[0.0, 3.0], actuator_speeds=[0.0, 2.0])
-    assert MotorLimit(1).rows.node(at, [1 / 6, 1 / 8]) == pytest.approx(3 / 6 + 2 / 8)
+    mechanism = crank(MOTORS).mechanism
+    at, (q, v, _, u, *_) = free_instant(mechanism)
+    row = ca.Function("row", [q, v, u], [MotorLimit(1).rows.node(at, [1 / 6, 1 / 8])])
+    pose = close_at(mechanism, np.array([0.5]))
+    _, _, speed = np.array(mechanism.dynamics.velocity_map(pose)).ravel() * 2.0
+    assert abs(speed) > 0.1
+    assert float(row(pose, 2.0, [7.0, 3.0])) == pytest.approx(3 / 6 + speed / 8)
 
 
 def test_a_servo_s_range_is_widened_at_both_ends_by_a_share_of_the_larger_one():
@@ -116,13 +110,6 @@ def test_where_a_force_is_clamped_an_overrun_of_ctrl_by_a_ten_thousandth_of_the_
     """At -0.9 rad 3 N.m are the clamp of every ctrl from -0.6 on, also of its least one, -0.5."""
     asked = crank(SERVO)
     still = np.full((2, 1, 1), place)
-    trajectory = Trajectory(
-        breaks_s=np.array([0.0, 1.0]),
-        position=still,
-        velocity=np.zeros((1, 1, 1)),
-        effort=np.full((1, 1, 1), effort),
-        start_pose=asked.mechanism.home,
-        periodic=False,
-    )
+    trajectory = motion_along([0.0, 1.0], still, effort=effort, start_pose=asked.mechanism.home)
     assert clamped_allowance(asked, trajectory, 0) == pytest.approx(allowed)
     assert clamped_allowance(crank(MOTORS), replace(trajectory, effort=np.zeros((1, 1, 2))), 0) == 0.0

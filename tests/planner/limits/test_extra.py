@@ -7,6 +7,7 @@ import pytest
 import linkplan
 from linkplan import ExtraCost, ExtraLimit, Problem
 from linkplan.planner.certificate.certificate import certify
+from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, TURN
 from tests.support.margins import other_margins
 from tests.support.tolerances_planner import EXTRA_LIMIT, PEAK_ON_A_GRID, TIGHTENED_ANEW, TIGHTENED_TWICE
 
@@ -125,11 +126,16 @@ def test_the_certificate_of_a_motion_says_how_far_it_is_beyond_an_extra_limit_be
 
 
 @pytest.mark.slow
-def test_a_motion_that_an_extra_limit_forbids_is_infeasible_and_the_sentence_names_it(knee):
-    plan = linkplan.plan(Problem.reach(knee, **REACH, extra_limits=[speed_limit(2.0)], mesh={"intervals": 10}))
+def test_a_motion_that_an_extra_limit_forbids_is_infeasible_and_the_sentence_names_it():
+    """An inertia that speeds up and slows down by a = effort / inertia takes TURN / speed + speed / a at the least."""
+    asked = {"start_deg": {"J": 10.0}, "goal_deg": {"J": 100.0}, "duration_s": 1.0}
+    limit = ExtraLimit(name="turning", expression=lambda at: at.velocity_rad_s["J"], upper=1.2, unit="rad/s")
+    plan = linkplan.plan(Problem.reach(HINGE, **asked, extra_limits=[limit], mesh={"intervals": 10}))
     assert plan.status == "infeasible"
-    assert plan.message.startswith("infeasible: the extra limit 'hip speed' would have to come to")
-    assert plan.message.endswith("beyond its limit of 2 rad/s")
+    assert plan.message.startswith("infeasible: the extra limit 'turning' would have to come to")
+    assert "beyond its limit of 1.2 rad/s; the shortest feasible duration is" in plan.message
+    shortest = float(plan.message.removesuffix(" s").rpartition(" ")[2])
+    assert shortest == pytest.approx(TURN / 1.2 + 1.2 * HINGE_INERTIA / 4.0, rel=1e-3)
 
 
 def test_a_goal_beyond_an_extra_limit_is_infeasible_before_any_solve(knee):
@@ -147,15 +153,13 @@ def test_a_way_that_leaves_an_extra_limit_between_start_and_goal_is_infeasible(k
     assert "the extra limit 'away from 0' is" in plan.message
 
 
-@pytest.mark.slow
-def test_a_periodic_motion_keeps_an_extra_limit(knee):
-    free = linkplan.plan(Problem.periodic(knee, reference=SINE)).require()
-    assert np.radians(free.sample().speed_deg_s["O"]).max() > 4.3
-    limit = speed_limit(4.2, -4.2)
-    plan = linkplan.plan(
-        Problem.periodic(knee, reference=SINE, extra_limits=[limit], mesh={"tolerance_deg": 1e-3})
-    ).require()
-    assert np.abs(np.radians(plan.sample().speed_deg_s["O"])).max() <= 4.2 + EXTRA_LIMIT
+def test_a_periodic_motion_keeps_an_extra_limit():
+    sine = {"amplitude_deg": {"J": 20.0}, "frequency_hz": 1.0}
+    swing = Problem.periodic(PENDULUM.format(limit=20), reference=sine)
+    assert np.radians(linkplan.plan(swing).require().sample().speed_deg_s["J"]).max() > 2.19
+    limit = ExtraLimit(name="swing", expression=lambda at: at.velocity_rad_s["J"], lower=-2.08, upper=2.08, unit="rad/s")
+    plan = linkplan.plan(swing.replace(extra_limits=[limit], mesh={"tolerance_deg": 1e-3})).require()
+    assert np.abs(np.radians(plan.sample().speed_deg_s["J"])).max() <= 2.08 + EXTRA_LIMIT
 
 
 def test_a_prescribed_motion_is_judged_by_an_extra_limit(knee):

@@ -5,9 +5,9 @@ import pytest
 
 from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
 from linkplan.planner.limits.limit import violation
-from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_matrix
 from tests.support.bodies import HINGE, body_problem
+from tests.support.motions import motion_along
 
 REACH = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 90.0 }\nduration_s = 2.0\n'
 
@@ -21,14 +21,7 @@ def turn(*overrides: str):
     angle, rate = np.radians(100.0), 0.5 * np.pi
     position, velocity = angle * np.sin(rate * time), angle * rate * np.cos(rate * time)
     solved = [np.linalg.solve(bernstein_matrix(5, nodes), values)[:, :, None] for values in (position, velocity)]
-    motion = Trajectory(
-        breaks_s=breaks,
-        position=solved[0],
-        velocity=solved[1],
-        effort=np.zeros((1, 4, 1)),
-        start_pose=np.zeros(1),
-        periodic=False,
-    )
+    motion = motion_along(breaks, solved[0], velocity=solved[1])
     return problem, motion
 
 

@@ -1,15 +1,24 @@
 """The margin of a quantity along a motion to the nearer end of its limit, against parabolas."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
 from linkplan.planner.limits.limit import Measured, margin_of
-from linkplan.planner.limits.samples import sample_points
+from linkplan.planner.limits.samples import Samples, samples_of
+from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
+from tests.support.motions import motion_along
 
-POINTS = sample_points(3)
-SAMPLES = SimpleNamespace(points=POINTS, time=np.concatenate([POINTS, 1.0 + POINTS]))
+
+def parabolas() -> Samples:
+    """Return a hinge's motion by 20 (t - 0.37)^2 + 3 in its first second, and 20 (t - 1.37)^2 - 2 in the next."""
+    begin, slope, end = 20 * 0.37**2, -40 * 0.37, 20 * 0.63**2
+    position = np.array([begin, begin + slope / 2, end])[:, None] + np.array([3.0, -2.0])
+    motion = motion_along(np.arange(3.0), position)
+    return samples_of(body_problem(HINGE, QUARTER_TURN + "duration_s = 2.0\n"), motion)
+
+
+SAMPLES = parabolas()
+CURVE, POINTS = SAMPLES.q[:, 0], SAMPLES.points
 
 
 @pytest.mark.parametrize(
@@ -22,9 +31,7 @@ SAMPLES = SimpleNamespace(points=POINTS, time=np.concatenate([POINTS, 1.0 + POIN
     ],
 )
 def test_the_extreme_of_a_parabola_is_the_value_nearest_to_its_limit(sign, bounds, upper, left, overruns):
-    """sign (20 (t - 0.37)^2 + 3) in the first second, sign (20 (t - 1.37)^2 - 2) in the next."""
-    curve = np.concatenate([20 * (POINTS - 0.37) ** 2 + 3.0, 20 * (POINTS - 0.37) ** 2 - 2.0])
-    margin = margin_of(None, Measured("q", sign * curve, bounds, "N"), SAMPLES)
+    margin = margin_of(None, Measured("q", sign * CURVE, bounds, "N"), SAMPLES)
     assert margin.upper is upper
     assert margin.limit == bounds[upper]
     assert margin.value == pytest.approx(-2.0 * sign, rel=1e-9)

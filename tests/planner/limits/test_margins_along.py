@@ -5,8 +5,8 @@ import pytest
 
 from linkplan.planner.limits.kinds import margins_along
 from linkplan.planner.limits.samples import samples_of
-from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, body_problem
+from tests.support.motions import motion_along
 
 REACH = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 90.0 }\nduration_s = 1.0\n'
 
@@ -14,23 +14,13 @@ REACH = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 90.0 }\ndurat
 def margin(*limit: str):
     """Return the margin of a limit along q = t^2, w = 2 t, u = 3 - t for a second."""
     problem = body_problem(HINGE, REACH, *limit)
-    motion = Trajectory(
-        breaks_s=np.array([0.0, 1.0]),
-        position=np.array([0.0, 0.0, 1.0]).reshape(3, 1, 1),
-        velocity=np.array([0.0, 2.0]).reshape(2, 1, 1),
-        effort=np.array([3.0, 2.0]).reshape(2, 1, 1),
-        start_pose=np.zeros(1),
-        periodic=False,
-    )
+    motion = motion_along([0.0, 1.0], [0.0, 0.0, 1.0], effort=[3.0, 2.0])
     samples = samples_of(problem, motion)
     (found,) = margins_along(samples)
     return found
 
 
-@pytest.mark.parametrize(
-    ("stall", "no_load", "most"),
-    [(4.0, 4.0, 1.0), (4.0, 5.0, 0.9), (2.0, 10.0, 1.5), (5.0, 2.0, 1.4)],
-)
+@pytest.mark.parametrize(("stall", "no_load", "most"), [(4.0, 4.0, 1.0), (4.0, 5.0, 0.9), (2.0, 10.0, 1.5), (5.0, 2.0, 1.4)])
 def test_a_motors_line_is_the_sum_of_the_shares_of_its_stall_effort_and_no_load_speed(stall, no_load, most):
     line = margin(f"motors.motor={{stall_effort={stall},no_load_speed_deg_s={float(np.degrees(no_load))}}}")
     assert line.value == pytest.approx(most, rel=1e-9)

@@ -1,7 +1,6 @@
 """Margins of limits on a site that goes round a hinge on an arm of 1 m, in closed form."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -11,8 +10,10 @@ from linkplan.planner.limits import site as site_limits
 from linkplan.planner.limits.limit import Margin, factor_of, limit_margin
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.limits.site import SitePathLimit
+from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
+from tests.support.motions import motion_along
 
 ARM = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="J" axis="0 -1 0"/>
 <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><site name="tip" pos="1 0 0"/></body></worldbody>
@@ -37,14 +38,7 @@ def motion(n: int = 3) -> Trajectory:
     speed = (END - BEGIN) * 6 * share * (1 - share) / DURATION_S
     h = np.diff(breaks)
     p = np.array([place[:-1], place[:-1] + h * speed[:-1] / 3, place[1:] - h * speed[1:] / 3, place[1:]])
-    return Trajectory(
-        breaks_s=breaks,
-        position=p[:, :, None],
-        velocity=(3 * np.diff(p, axis=0) / h)[:, :, None],
-        effort=np.zeros((1, n, 1)),
-        start_pose=np.array([BEGIN]),
-        periodic=False,
-    )
+    return motion_along(breaks, p)
 
 
 def margin_of(asked: Problem) -> Margin:
@@ -102,17 +96,16 @@ def test_in_a_tube_the_distance_from_the_chord_counts(radius):
 @pytest.mark.parametrize(
     "site", [{"z": [-0.5, 0.97]}, {"x": [-0.5, 0.97]}, {"normal": [2.0, 0.0, 1.0], "at": [0.25, 5.0, 7.0]}]
 )
-def test_the_scaled_row_is_at_its_bounds_where_the_site_is_at_its_limits(site):
-    asked = problem(**site)
+@pytest.mark.parametrize("angle", [0.3, 1.9])
+def test_the_scaled_row_is_as_far_from_its_bounds_as_the_site_is_from_its_limits(site, angle):
+    asked, place = problem(**site), np.array([np.cos(angle), 0.0, np.sin(angle)])
+    at, (q, *_) = free_instant(asked.mechanism)
     (limit,), (one,) = SitePathLimit.of(asked), asked.limits.site
+    row = ca.Function("row", [q], [limit.rows.node(at, ca.SX())])
     for bound, end in zip(limit.bounds(asked, None), (one.low, one.high), strict=True):
         if np.isfinite(end):
-            place = (end + one.origin) * one.normal + np.cross(one.normal, [0.3, -0.2, 0.4])
-            assert one.value(place[None]) == pytest.approx(end)
-            places = ca.DM.zeros(3, one.index + 1)
-            places[:, one.index] = place
-            at = SimpleNamespace(mechanism=asked.mechanism, of_pose=lambda _, p=places: p)
-            assert float(limit.rows.node(at, ca.SX())) == pytest.approx(bound)
+            off = one.value(place[None])[0] - end
+            assert float(row(angle)) - bound == pytest.approx(off / asked.mechanism.extent_m, abs=1e-12)
 
 
 def test_a_relaxed_limit_is_further_out_by_a_share_of_the_extent_and_the_factor_asked_for_keeps_the_motion():

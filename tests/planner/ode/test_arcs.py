@@ -41,16 +41,13 @@ def oscillator_to_rest(last: float, first: float, switches: int) -> tuple[OdePla
         centre = np.array([effort, 0.0])
         state, effort = centre + expm(-OSCILLATOR * length) @ (state - centre), -effort
     plan = solved(
-        OdeProblem(
-            name="oscillator, least time",
-            rate=oscillator,
-            start=state,
-            goal=[0, 0],
-            effort_limit=[[-1, 1]],
-            duration_s=(0.1, 30),
-            final_cost=duration,
-            guesses=[StateGuess(state=[state, [0, 0]], duration_s=sum(arcs) + 1)],
-        )
+        rate=oscillator,
+        start=state,
+        goal=[0, 0],
+        effort_limit=[[-1, 1]],
+        duration_s=(0.1, 30),
+        final_cost=duration,
+        guesses=[StateGuess(state=[state, [0, 0]], duration_s=sum(arcs) + 1)],
     )
     return plan, np.cumsum(arcs)
 
@@ -74,15 +71,12 @@ def test_an_oscillator_switches_every_half_period():
 def test_production_is_invested_until_one_time_constant_is_left():
     """x' = u x, int (1 - u) x dt as large as it gets over 3 s: invest for 2 s, then consume e^2."""
     plan = solved(
-        OdeProblem(
-            name="production and consumption",
-            rate=lambda x, u, p, t: [u[0] * x[0]],  # noqa: ARG005
-            start=[1],
-            goal=[NAN],
-            effort_limit=[[0, 1]],
-            duration_s=3.0,
-            running_cost=lambda x, u, p, t: -(1 - u[0]) * x[0],  # noqa: ARG005
-        )
+        rate=lambda x, u, p, t: [u[0] * x[0]],  # noqa: ARG005
+        start=[1],
+        goal=[NAN],
+        effort_limit=[[0, 1]],
+        duration_s=3.0,
+        running_cost=lambda x, u, p, t: -(1 - u[0]) * x[0],  # noqa: ARG005
     )
     assert plan.objective == pytest.approx(-np.exp(2), rel=ODE_CLOSED_FORM)
     effort = plan.trajectory.effort_at([0.0, 1.99, 2.01, 2.99])[:, 0]
@@ -98,15 +92,12 @@ BOAT = 1.0
 def test_a_boat_in_an_even_current_takes_the_way_that_meets_the_goal():
     current, goal = np.array([0.4, -0.3]), np.array([3.0, 2.0])
     plan = solved(
-        OdeProblem(
-            name="Zermelo, even current",
-            rate=lambda x, u, p, t: [BOAT * ca.cos(u[0]) + current[0], BOAT * ca.sin(u[0]) + current[1]],  # noqa: ARG005
-            start=[0, 0],
-            goal=goal,
-            effort_limit=[[-np.pi, np.pi]],
-            duration_s=(0.1, 50),
-            final_cost=duration,
-        )
+        rate=lambda x, u, p, t: [BOAT * ca.cos(u[0]) + current[0], BOAT * ca.sin(u[0]) + current[1]],  # noqa: ARG005
+        start=[0, 0],
+        goal=goal,
+        effort_limit=[[-np.pi, np.pi]],
+        duration_s=(0.1, 50),
+        final_cost=duration,
     )
     exact = brentq(lambda T: np.linalg.norm(goal - current * T) - BOAT * T, 0.1, 50, xtol=1e-14)
     assert plan.objective == pytest.approx(exact, rel=ODE_CLOSED_FORM)
@@ -117,17 +108,14 @@ def test_a_boat_in_an_even_current_takes_the_way_that_meets_the_goal():
 
 def quickest_cart(**limits) -> OdePlan:
     return solved(
-        OdeProblem(
-            name="cart, least time",
-            rate=double_integrator,
-            start=[0, 0],
-            goal=[2, 0],
-            effort_limit=[[-1, 1]],
-            duration_s=(0.1, 20),
-            final_cost=duration,
-            objective_tolerance=1e-7,
-            **limits,
-        )
+        rate=double_integrator,
+        start=[0, 0],
+        goal=[2, 0],
+        effort_limit=[[-1, 1]],
+        duration_s=(0.1, 20),
+        final_cost=duration,
+        objective_tolerance=1e-7,
+        **limits,
     )
 
 
@@ -153,17 +141,14 @@ def test_a_power_limit_on_a_cart_makes_energy_grow_with_time():
 def test_an_equality_on_the_path_is_kept_at_every_instant():
     """Two efforts tied by u0 = 2 u1, x'' = u0 + u1 with cost u0^2 + u1^2: as one effort of 3 u1 with cost 5 u1^2."""
     plan = solved(
-        OdeProblem(
-            name="tied efforts",
-            rate=lambda x, u, p, t: [x[1], u[0] + u[1]],  # noqa: ARG005
-            start=[0, 0],
-            goal=[1, 0],
-            effort_limit=[[-INF, INF]] * 2,
-            duration_s=1.0,
-            path=lambda x, u, p, t: u[0] - 2 * u[1],  # noqa: ARG005
-            path_limit=[[0, 0]],
-            running_cost=lambda x, u, p, t: u[0] ** 2 + u[1] ** 2,  # noqa: ARG005
-        )
+        rate=lambda x, u, p, t: [x[1], u[0] + u[1]],  # noqa: ARG005
+        start=[0, 0],
+        goal=[1, 0],
+        effort_limit=[[-INF, INF]] * 2,
+        duration_s=1.0,
+        path=lambda x, u, p, t: u[0] - 2 * u[1],  # noqa: ARG005
+        path_limit=[[0, 0]],
+        running_cost=lambda x, u, p, t: u[0] ** 2 + u[1] ** 2,  # noqa: ARG005
     )
     assert plan.objective == pytest.approx(12 * 5 / 9, rel=ODE_CLOSED_FORM)
 
@@ -175,16 +160,13 @@ def test_an_equality_on_the_path_is_kept_at_every_instant():
 def test_aly_and_chan_s_singular_problem_costs_nothing():
     """int (x2^2 - x1^2) / 2 over a quarter turn with x1' = x2, x2' = u from (0, 1): u = -sin t, J = 0."""
     plan = solved(
-        OdeProblem(
-            name="Aly-Chan",
-            rate=double_integrator,
-            start=[0, 1],
-            goal=[NAN, NAN],
-            effort_limit=[[-1, 1]],
-            duration_s=np.pi / 2,
-            mesh=MeshSettings(intervals=10),
-            running_cost=lambda x, u, p, t: (x[1] ** 2 - x[0] ** 2) / 2,  # noqa: ARG005
-        )
+        rate=double_integrator,
+        start=[0, 1],
+        goal=[NAN, NAN],
+        effort_limit=[[-1, 1]],
+        duration_s=np.pi / 2,
+        mesh=MeshSettings(intervals=10),
+        running_cost=lambda x, u, p, t: (x[1] ** 2 - x[0] ** 2) / 2,  # noqa: ARG005
     )
     assert plan.objective == pytest.approx(0.0, abs=ODE_SINGULAR)
 
@@ -286,17 +268,14 @@ def test_catalysts_are_mixed_by_a_bang_a_singular_arc_and_a_rest():
     best = minimize(left, [0.14, 0.73, 0.23], method="Nelder-Mead", options={"xatol": 1e-10, "fatol": 1e-15}).fun
     assert best == pytest.approx(-0.0480556, abs=COPS_CATALYST)  # COPS
     plan = solved(
-        OdeProblem(
-            name="catalyst mixing",
-            rate=lambda x, u, p, t: [  # noqa: ARG005
-                u[0] * (10 * x[1] - x[0]),
-                u[0] * (x[0] - 10 * x[1]) - (1 - u[0]) * x[1],
-            ],
-            start=[1, 0],
-            goal=[NAN, NAN],
-            effort_limit=[[0, 1]],
-            duration_s=1.0,
-            final_cost=lambda x0, xT, T, p: xT[0] + xT[1] - 1,  # noqa: ARG005
-        )
+        rate=lambda x, u, p, t: [  # noqa: ARG005
+            u[0] * (10 * x[1] - x[0]),
+            u[0] * (x[0] - 10 * x[1]) - (1 - u[0]) * x[1],
+        ],
+        start=[1, 0],
+        goal=[NAN, NAN],
+        effort_limit=[[0, 1]],
+        duration_s=1.0,
+        final_cost=lambda x0, xT, T, p: xT[0] + xT[1] - 1,  # noqa: ARG005
     )
     assert plan.objective == pytest.approx(best, rel=ODE_SINGULAR)

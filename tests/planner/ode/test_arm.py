@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
-from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import OdePlan
 from tests.support.ode import FREE_STATE, duration, solved
 from tests.support.tolerances_planner import ODE_CLOSED_FORM, ODE_STATE, ODE_SWITCH
@@ -33,17 +32,14 @@ ARM_GOAL = np.array([4.5, 2 * np.pi / 3, np.pi / 4, 0, 0, 0])
 @cache
 def quickest_arm() -> OdePlan:
     return solved(
-        OdeProblem(
-            name="robot arm",
-            rate=arm,
-            start=ARM_START,
-            goal=ARM_GOAL,
-            effort_limit=[[-1, 1]] * 3,
-            state_limit=[[0, REACH], [-np.pi, np.pi], [0, np.pi], FREE_STATE, FREE_STATE, FREE_STATE],
-            duration_s=(1, 100),
-            final_cost=duration,
-            objective_tolerance=1e-9,
-        )
+        rate=arm,
+        start=ARM_START,
+        goal=ARM_GOAL,
+        effort_limit=[[-1, 1]] * 3,
+        state_limit=[[0, REACH], [-np.pi, np.pi], [0, np.pi], FREE_STATE, FREE_STATE, FREE_STATE],
+        duration_s=(1, 100),
+        final_cost=duration,
+        objective_tolerance=1e-9,
     )
 
 

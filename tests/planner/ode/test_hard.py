@@ -5,7 +5,6 @@ import numpy as np
 import pytest
 
 from linkplan.planner.ode.certificate import LIMIT_SLACK
-from linkplan.planner.ode.problem import OdeProblem
 from tests.support.ode import FREE_EFFORT, INF, solved
 from tests.support.tolerances_planner import ALP_RIDER_PRINTED
 
@@ -23,22 +22,19 @@ def terrain(t, exp=np.exp):
 def test_an_alp_rider_goes_over_every_hump_for_the_published_cost():
     """Betts (2010): stiff, unstable at 2 / s over 20 s, and at its limit from 0.4 s to 18.4 s, on a sphere of any pose."""
     plan = solved(
-        OdeProblem(
-            name="Alp rider",
-            rate=lambda x, u, p, t: [  # noqa: ARG005
-                -10 * x[0] + u[0] + u[1],
-                -2 * x[1] + u[0] + 2 * u[1],
-                -3 * x[2] + 5 * x[3] + u[0] - u[1],
-                5 * x[2] - 3 * x[3] + u[0] + 3 * u[1],
-            ],
-            start=[2, 1, 2, 1],
-            goal=[2, 3, 1, -2],
-            effort_limit=[*FREE_EFFORT, *FREE_EFFORT],
-            duration_s=20.0,
-            running_cost=lambda x, u, p, t: 100 * ca.sumsqr(x) + 0.01 * ca.sumsqr(u),  # noqa: ARG005
-            path=lambda x, u, p, t: ca.sumsqr(x) - terrain(t, ca.exp),  # noqa: ARG005
-            path_limit=[[0, INF]],
-        )
+        rate=lambda x, u, p, t: [  # noqa: ARG005
+            -10 * x[0] + u[0] + u[1],
+            -2 * x[1] + u[0] + 2 * u[1],
+            -3 * x[2] + 5 * x[3] + u[0] - u[1],
+            5 * x[2] - 3 * x[3] + u[0] + 3 * u[1],
+        ],
+        start=[2, 1, 2, 1],
+        goal=[2, 3, 1, -2],
+        effort_limit=[*FREE_EFFORT, *FREE_EFFORT],
+        duration_s=20.0,
+        running_cost=lambda x, u, p, t: 100 * ca.sumsqr(x) + 0.01 * ca.sumsqr(u),  # noqa: ARG005
+        path=lambda x, u, p, t: ca.sumsqr(x) - terrain(t, ca.exp),  # noqa: ARG005
+        path_limit=[[0, INF]],
     )
     assert plan.objective == pytest.approx(ALP_RIDER, rel=ALP_RIDER_PRINTED)
     assert plan.certificate.integrated_objective == pytest.approx(plan.objective, rel=10 * plan.problem.tolerance)

@@ -47,15 +47,12 @@ def test_zermelo_s_boat_crosses_the_current_in_its_least_time():
     heading, T = fsolve(missed, [np.radians(105), 5.46], xtol=1e-13)
     assert pytest.approx(5.46, abs=BOOK_TIME) == T  # the book's figure
     plan = solved(
-        OdeProblem(
-            name="Zermelo",
-            rate=lambda x, u, p, t: [ca.cos(u[0]) - x[1], ca.sin(u[0])],  # noqa: ARG005
-            start=[3.66, -1.86],
-            goal=[0, 0],
-            effort_limit=FREE_EFFORT,
-            duration_s=(0.1, 100),
-            final_cost=duration,
-        )
+        rate=lambda x, u, p, t: [ca.cos(u[0]) - x[1], ca.sin(u[0])],  # noqa: ARG005
+        start=[3.66, -1.86],
+        goal=[0, 0],
+        effort_limit=FREE_EFFORT,
+        duration_s=(0.1, 100),
+        final_cost=duration,
     )
     assert plan.objective == pytest.approx(T, rel=ODE_CLOSED_FORM)
     assert np.exp(1j * plan.trajectory.effort_at([0.0])[0, 0]) == pytest.approx(np.exp(1j * heading), abs=ODE_EFFORT)
@@ -67,21 +64,18 @@ def test_zermelo_s_boat_crosses_the_current_in_its_least_time():
 @pytest.mark.slow
 def test_a_thrust_turns_an_orbit_as_large_as_bryson_and_ho_say():
     plan = solved(
-        OdeProblem(
-            name="orbit raising",
-            rate=lambda x, u, p, t: [  # noqa: ARG005
-                x[1],
-                x[2] ** 2 / x[0] - 1 / x[0] ** 2 + 0.1405 * ca.sin(u[0]) / (1 - 0.07487 * t),
-                -x[1] * x[2] / x[0] + 0.1405 * ca.cos(u[0]) / (1 - 0.07487 * t),
-            ],
-            start=[1, 0, 1],
-            goal=[NAN, 0, NAN],
-            effort_limit=FREE_EFFORT,
-            duration_s=3.32,
-            ends=lambda x0, xT, T, p: xT[2] - 1 / ca.sqrt(xT[0]),  # noqa: ARG005
-            ends_limit=[[0, 0]],
-            final_cost=lambda x0, xT, T, p: -xT[0],  # noqa: ARG005
-        )
+        rate=lambda x, u, p, t: [  # noqa: ARG005
+            x[1],
+            x[2] ** 2 / x[0] - 1 / x[0] ** 2 + 0.1405 * ca.sin(u[0]) / (1 - 0.07487 * t),
+            -x[1] * x[2] / x[0] + 0.1405 * ca.cos(u[0]) / (1 - 0.07487 * t),
+        ],
+        start=[1, 0, 1],
+        goal=[NAN, 0, NAN],
+        effort_limit=FREE_EFFORT,
+        duration_s=3.32,
+        ends=lambda x0, xT, T, p: xT[2] - 1 / ca.sqrt(xT[0]),  # noqa: ARG005
+        ends_limit=[[0, 0]],
+        final_cost=lambda x0, xT, T, p: -xT[0],  # noqa: ARG005
     )
     assert -plan.objective == pytest.approx(1.52525, abs=FIVE_DIGITS)  # 1.5253 in the book
 
@@ -99,15 +93,12 @@ def test_a_particle_is_steered_in_the_time_of_the_linear_tangent_law():
     T = fsolve(missed, [1.0, 0.55], xtol=1e-13)[1]
     assert pytest.approx(0.554571, abs=SIX_DIGITS) == T  # COPS
     plan = solved(
-        OdeProblem(
-            name="particle steering",
-            rate=lambda x, u, p, t: [x[2], x[3], 100 * ca.cos(u[0]), 100 * ca.sin(u[0])],  # noqa: ARG005
-            start=[0, 0, 0, 0],
-            goal=[NAN, 5, 45, 0],
-            effort_limit=[[-np.pi / 2, np.pi / 2]],
-            duration_s=(0.01, 10),
-            final_cost=duration,
-        )
+        rate=lambda x, u, p, t: [x[2], x[3], 100 * ca.cos(u[0]), 100 * ca.sin(u[0])],  # noqa: ARG005
+        start=[0, 0, 0, 0],
+        goal=[NAN, 5, 45, 0],
+        effort_limit=[[-np.pi / 2, np.pi / 2]],
+        duration_s=(0.01, 10),
+        final_cost=duration,
     )
     assert plan.objective == pytest.approx(T, rel=ODE_CLOSED_FORM)
 
@@ -167,16 +158,13 @@ def test_a_chain_hangs_in_its_catenary():
     offset = 1 - c * np.cosh(lowest / c)
     exact = quad(lambda t: (c * np.cosh((t - lowest) / c) + offset) * np.cosh((t - lowest) / c), 0, 1, epsabs=1e-13)[0]
     plan = solved(
-        OdeProblem(
-            name="hanging chain",
-            rate=lambda x, u, p, t: [u[0], ca.sqrt(1 + u[0] ** 2)],  # noqa: ARG005
-            start=[1, 0],
-            goal=[3, 4],
-            effort_limit=FREE_EFFORT,
-            duration_s=1.0,
-            running_cost=lambda x, u, p, t: x[0] * ca.sqrt(1 + u[0] ** 2),  # noqa: ARG005
-            guesses=[StateGuess(state=[[1, 0], [3, 4]], effort=[[-4], [5]])],
-        )
+        rate=lambda x, u, p, t: [u[0], ca.sqrt(1 + u[0] ** 2)],  # noqa: ARG005
+        start=[1, 0],
+        goal=[3, 4],
+        effort_limit=FREE_EFFORT,
+        duration_s=1.0,
+        running_cost=lambda x, u, p, t: x[0] * ca.sqrt(1 + u[0] ** 2),  # noqa: ARG005
+        guesses=[StateGuess(state=[[1, 0], [3, 4]], effort=[[-4], [5]])],
     )
     assert plan.objective == pytest.approx(exact, rel=ODE_INTEGRATED)
 
@@ -196,16 +184,13 @@ def test_an_aircraft_s_angle_of_attack_is_brought_to_zero_in_the_better_of_two_l
         ]  # fmt: skip
 
     plan = solved(
-        OdeProblem(
-            name="F-8",
-            rate=rate,
-            start=[0.4655, 0, 0],
-            goal=[0, 0, 0],
-            effort_limit=[[-0.05236, 0.05236]],
-            duration_s=(0.1, 30),
-            guesses=[StateGuess(state=[[0.4655, 0, 0], [0, 0, 0]], duration_s=3.0)],
-            final_cost=duration,
-        )
+        rate=rate,
+        start=[0.4655, 0, 0],
+        goal=[0, 0, 0],
+        effort_limit=[[-0.05236, 0.05236]],
+        duration_s=(0.1, 30),
+        guesses=[StateGuess(state=[[0.4655, 0, 0], [0, 0, 0]], duration_s=3.0)],
+        final_cost=duration,
     )
     assert plan.objective == pytest.approx(3.78086, abs=FIVE_DIGITS)
 
@@ -215,17 +200,14 @@ def test_the_shortest_way_round_a_disk_is_two_tangents_and_an_arc():
     distance = np.hypot(2, 0.3)
     arc = np.arctan2(0.3, -2) - np.arctan2(0.3, 2) - 2 * np.arccos(1 / distance)
     plan = solved(
-        OdeProblem(
-            name="round a disk",
-            rate=lambda x, u, p, t: [ca.cos(u[0]), ca.sin(u[0])],  # noqa: ARG005
-            start=[-2, 0.3],
-            goal=[2, 0.3],
-            effort_limit=FREE_EFFORT,
-            duration_s=(0.1, 50),
-            path=lambda x, u, p, t: x[0] ** 2 + x[1] ** 2,  # noqa: ARG005
-            path_limit=[[1, INF]],
-            final_cost=duration,
-        )
+        rate=lambda x, u, p, t: [ca.cos(u[0]), ca.sin(u[0])],  # noqa: ARG005
+        start=[-2, 0.3],
+        goal=[2, 0.3],
+        effort_limit=FREE_EFFORT,
+        duration_s=(0.1, 50),
+        path=lambda x, u, p, t: x[0] ** 2 + x[1] ** 2,  # noqa: ARG005
+        path_limit=[[1, INF]],
+        final_cost=duration,
     )
     assert plan.objective == pytest.approx(2 * np.sqrt(distance**2 - 1) + arc, rel=ODE_KINKED)
     motion = plan.trajectory
@@ -245,15 +227,12 @@ def test_a_hypersensitive_motion_costs_its_two_boundary_layers(T):
         return 0.25 * (x**2 * np.sqrt(x**4 + 1) + np.arcsinh(x**2))
 
     plan = solved(
-        OdeProblem(
-            name="hypersensitive",
-            rate=lambda x, u, p, t: [-(x[0] ** 3) + u[0]],  # noqa: ARG005
-            start=[1],
-            goal=[1.5],
-            effort_limit=FREE_EFFORT,
-            duration_s=T,
-            running_cost=lambda x, u, p, t: (x[0] ** 2 + u[0] ** 2) / 2,  # noqa: ARG005
-        )
+        rate=lambda x, u, p, t: [-(x[0] ** 3) + u[0]],  # noqa: ARG005
+        start=[1],
+        goal=[1.5],
+        effort_limit=FREE_EFFORT,
+        duration_s=T,
+        running_cost=lambda x, u, p, t: (x[0] ** 2 + u[0] ** 2) / 2,  # noqa: ARG005
     )
     assert plan.objective == pytest.approx(layer(1) - 1 / 4 + layer(1.5) + 1.5**4 / 4, rel=ODE_CLOSED_FORM)
 
@@ -275,15 +254,12 @@ def test_jacobson_s_singular_problem_costs_its_bang_and_its_arc():
         lambda t: ((x1 * np.cosh(t) + x2 * np.sinh(t)) ** 2 + (x1 * np.sinh(t) + x2 * np.cosh(t)) ** 2) / 2, 0, 5 - switch
     )[0]
     plan = solved(
-        OdeProblem(
-            name="Jacobson",
-            rate=double_integrator,
-            start=[0, 1],
-            goal=[NAN, NAN],
-            effort_limit=[[-1, 1]],
-            duration_s=5.0,
-            running_cost=lambda x, u, p, t: (x[0] ** 2 + x[1] ** 2) / 2,  # noqa: ARG005
-        )
+        rate=double_integrator,
+        start=[0, 1],
+        goal=[NAN, NAN],
+        effort_limit=[[-1, 1]],
+        duration_s=5.0,
+        running_cost=lambda x, u, p, t: (x[0] ** 2 + x[1] ** 2) / 2,  # noqa: ARG005
     )
     assert plan.objective == pytest.approx(first + rest, rel=ODE_PUBLISHED)
     # The reported cost is that of the motion, kinks between nodes and all.
@@ -298,15 +274,12 @@ def test_a_chemist_s_reactor_is_cooled_as_luus_has_it():
         return [-(2 + u[0]) * (x[0] + 0.25) + k, 0.5 - x[1] - k]
 
     plan = solved(
-        OdeProblem(
-            name="stirred tank",
-            rate=rate,
-            start=[0.09, 0.09],
-            goal=[NAN, NAN],
-            effort_limit=FREE_EFFORT,
-            duration_s=0.78,
-            running_cost=lambda x, u, p, t: x[0] ** 2 + x[1] ** 2 + 0.1 * u[0] ** 2,  # noqa: ARG005
-        )
+        rate=rate,
+        start=[0.09, 0.09],
+        goal=[NAN, NAN],
+        effort_limit=FREE_EFFORT,
+        duration_s=0.78,
+        running_cost=lambda x, u, p, t: x[0] ** 2 + x[1] ** 2 + 0.1 * u[0] ** 2,  # noqa: ARG005
     )
     assert plan.objective == pytest.approx(0.133095, abs=COPS_GLIDER)
 
@@ -317,27 +290,17 @@ def test_thrusters_are_fired_as_sparingly_as_is_known():
 
     def rate(x, u, p, t):  # noqa: ARG001
         left, right = u[0] - u[1], u[2] - u[3]
-        return [
-            x[3],
-            x[4],
-            x[5],
-            (left + right) * ca.cos(x[2]),
-            (left + right) * ca.sin(x[2]),
-            0.2 * (left - right),
-        ]
+        return [x[3], x[4], x[5], (left + right) * ca.cos(x[2]), (left + right) * ca.sin(x[2]), 0.2 * (left - right)]
 
     plan = solved(
-        OdeProblem(
-            name="free-flying robot",
-            rate=rate,
-            start=[-10, -10, np.pi / 2, 0, 0, 0],
-            goal=[0, 0, 0, 0, 0, 0],
-            effort_limit=[[0, 1]] * 4,
-            path=lambda x, u, p, t: [u[0] + u[1], u[2] + u[3]],  # noqa: ARG005
-            path_limit=[[-INF, 1]] * 2,
-            duration_s=12.0,
-            running_cost=lambda x, u, p, t: ca.sum1(u),  # noqa: ARG005
-        )
+        rate=rate,
+        start=[-10, -10, np.pi / 2, 0, 0, 0],
+        goal=[0, 0, 0, 0, 0, 0],
+        effort_limit=[[0, 1]] * 4,
+        path=lambda x, u, p, t: [u[0] + u[1], u[2] + u[3]],  # noqa: ARG005
+        path_limit=[[-INF, 1]] * 2,
+        duration_s=12.0,
+        running_cost=lambda x, u, p, t: ca.sum1(u),  # noqa: ARG005
     )
     assert plan.objective == pytest.approx(7.9101546, rel=ODE_FOUR_DIGITS)
 
@@ -352,16 +315,13 @@ def test_a_state_s_limit_is_kept_by_the_integrated_motion_too():
     """
     limit = np.array([[-INF, INF], [-0.5, 0.5], [-1, 1]])
     plan = solved(
-        OdeProblem(
-            name="limited in jerk, acceleration and speed",
-            rate=lambda x, u, p, t: [x[1], x[2], u[0]],  # noqa: ARG005
-            start=[0, 0, 0],
-            goal=[1, 0, 0],
-            effort_limit=[[-10, 10]],
-            state_limit=limit,
-            duration_s=(0.1, 100),
-            final_cost=duration,
-        )
+        rate=lambda x, u, p, t: [x[1], x[2], u[0]],  # noqa: ARG005
+        start=[0, 0, 0],
+        goal=[1, 0, 0],
+        effort_limit=[[-10, 10]],
+        state_limit=limit,
+        duration_s=(0.1, 100),
+        final_cost=duration,
     )
     motion, state, most = plan.trajectory, np.zeros(3), 0.0
     for k, width in enumerate(np.diff(motion.breaks_s)):

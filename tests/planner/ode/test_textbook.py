@@ -9,7 +9,7 @@ import pytest
 from scipy.integrate import solve_bvp
 from scipy.optimize import fsolve
 
-from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from linkplan.planner.ode.problem import StateGuess
 from linkplan.planner.ode.solve_ocp import OdePlan
 from tests.support.ode import (
     FREE_EFFORT,
@@ -40,15 +40,12 @@ from tests.support.tolerances_planner import (
 @cache
 def rest_to_rest_in_least_time(distance: float, effort: float) -> OdePlan:
     return solved(
-        OdeProblem(
-            name="double integrator, least time",
-            rate=double_integrator,
-            start=[0, 0],
-            goal=[distance, 0],
-            effort_limit=[[-effort, effort]],
-            duration_s=(0.01, 100),
-            final_cost=duration,
-        )
+        rate=double_integrator,
+        start=[0, 0],
+        goal=[distance, 0],
+        effort_limit=[[-effort, effort]],
+        duration_s=(0.01, 100),
+        final_cost=duration,
     )
 
 
@@ -72,15 +69,12 @@ def test_a_double_integrator_of_least_time_switches_once_in_the_middle():
 @cache
 def rest_to_rest_with_least_effort() -> OdePlan:
     return solved(
-        OdeProblem(
-            name="double integrator, least effort",
-            rate=double_integrator,
-            start=[0, 0],
-            goal=[2, 0],
-            effort_limit=FREE_EFFORT,
-            duration_s=1.5,
-            running_cost=squared_effort,
-        )
+        rate=double_integrator,
+        start=[0, 0],
+        goal=[2, 0],
+        effort_limit=FREE_EFFORT,
+        duration_s=1.5,
+        running_cost=squared_effort,
     )
 
 
@@ -108,15 +102,12 @@ def falling_bead(x, u, p, t):  # noqa: ARG001
 @cache
 def brachistochrone() -> OdePlan:
     return solved(
-        OdeProblem(
-            name="brachistochrone",
-            rate=falling_bead,
-            start=[0, 0, 0],
-            goal=[2, 2, NAN],
-            effort_limit=[[0, np.pi]],
-            duration_s=(0.1, 10),
-            final_cost=duration,
-        )
+        rate=falling_bead,
+        start=[0, 0, 0],
+        goal=[2, 2, NAN],
+        effort_limit=[[0, np.pi]],
+        duration_s=(0.1, 10),
+        final_cost=duration,
     )
 
 
@@ -141,15 +132,12 @@ def test_the_brachistochrone_is_the_cycloid():
 
 def test_kirk_s_example_5_1_1_costs_what_is_published():
     plan = solved(
-        OdeProblem(
-            name="Kirk 5.1-1",
-            rate=lambda x, u, p, t: [x[1], -x[1] + u[0]],  # noqa: ARG005
-            start=[0, 0],
-            goal=[5, 2],
-            effort_limit=FREE_EFFORT,
-            duration_s=2.0,
-            running_cost=lambda x, u, p, t: u[0] ** 2 / 2,  # noqa: ARG005
-        )
+        rate=lambda x, u, p, t: [x[1], -x[1] + u[0]],  # noqa: ARG005
+        start=[0, 0],
+        goal=[5, 2],
+        effort_limit=FREE_EFFORT,
+        duration_s=2.0,
+        running_cost=lambda x, u, p, t: u[0] ** 2 / 2,  # noqa: ARG005
     )
     assert plan.objective == pytest.approx(16.7507234, rel=ODE_PUBLISHED)
 
@@ -167,17 +155,14 @@ def cart_pole_swing_up(halfway: float | None = None) -> OdePlan:
     """Return the plan from the straight line, or from a guess with an angle [rad] of the pole in its middle."""
     swing = [] if halfway is None else [StateGuess(state=[[0, 0, 0, 0], [0, halfway, 0, 0], [1, np.pi, 0, 0]])]
     return solved(
-        OdeProblem(
-            name="cart-pole",
-            rate=cart_pole,
-            start=[0, 0, 0, 0],
-            goal=[1, np.pi, 0, 0],
-            effort_limit=[[-20, 20]],
-            state_limit=[[-2, 2], FREE_STATE, FREE_STATE, FREE_STATE],
-            duration_s=2.0,
-            running_cost=squared_effort,
-            guesses=swing,
-        )
+        rate=cart_pole,
+        start=[0, 0, 0, 0],
+        goal=[1, np.pi, 0, 0],
+        effort_limit=[[-20, 20]],
+        state_limit=[[-2, 2], FREE_STATE, FREE_STATE, FREE_STATE],
+        duration_s=2.0,
+        running_cost=squared_effort,
+        guesses=swing,
     )
 
 
@@ -281,16 +266,13 @@ def test_bryson_and_denham_s_problem_costs_its_closed_form(limit, exact):
 @cache
 def van_der_pol_plan(low: float, high: float) -> OdePlan:
     return solved(
-        OdeProblem(
-            name="Van der Pol",
-            rate=lambda x, u, p, t: [(1 - x[1] ** 2) * x[0] - x[1] + u[0], x[0]],  # noqa: ARG005
-            start=[0, 1],
-            goal=[0, 0],
-            effort_limit=[[low, high]],
-            duration_s=10.0,
-            running_cost=lambda x, u, p, t: x[0] ** 2 + x[1] ** 2 + u[0] ** 2,  # noqa: ARG005
-            objective_tolerance=1e-8,
-        )
+        rate=lambda x, u, p, t: [(1 - x[1] ** 2) * x[0] - x[1] + u[0], x[0]],  # noqa: ARG005
+        start=[0, 1],
+        goal=[0, 0],
+        effort_limit=[[low, high]],
+        duration_s=10.0,
+        running_cost=lambda x, u, p, t: x[0] ** 2 + x[1] ** 2 + u[0] ** 2,  # noqa: ARG005
+        objective_tolerance=1e-8,
     )
 
 

@@ -1,6 +1,6 @@
 """What problems take from their tables, and what they refuse, on both sides of each limit."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import casadi as ca
 import numpy as np
@@ -8,8 +8,9 @@ import pytest
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses.reach import End, reach
 from linkplan.planner.problem.extra import ExtraCost, checked_extras
-from linkplan.planner.problem.instant import Corner, Instant, Robust, corner_efforts_along
+from linkplan.planner.problem.instant import Corner, Robust, corner_efforts_along, free_instant
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.problem.sites import SitePoint, _squared, shown
@@ -120,9 +121,10 @@ def test_an_extra_cost_s_name_has_at_most_a_hundred_characters(length, legal):
             named()
 
 
-def test_actuators_powers_count_where_they_drive():
-    at = SimpleNamespace(positive_power=None, u=ca.DM([2.0, -3.0, -1.0]), actuator_speeds=ca.DM([5.0, 4.0, -6.0]))
-    assert np.array(Instant.positive_powers.func(at)).ravel().tolist() == [10.0, 0.0, 6.0]
+def test_an_actuator_s_power_counts_where_it_drives():
+    at, (q, v, _, u, *_) = free_instant(load_mechanism(HINGE))
+    power = ca.Function("power", [q, v, u], [at.positive_powers])
+    assert [float(power(0.3, *given)) for given in ((5.0, 2.0), (4.0, -3.0), (-6.0, -1.0))] == [10.0, 0.0, 6.0]
 
 
 # Ranges of machines.
@@ -161,10 +163,8 @@ def test_frictions_of_three_joints_have_sixty_four_corners_and_more_are_refused(
     ],
 )
 def test_the_remedy_at_the_end_of_a_reach_is_that_of_the_end_that_is_in_the_way(asked, single, branching, words):
-    ends = SimpleNamespace(
-        lower=SimpleNamespace(position=-2.0), upper=SimpleNamespace(position=2.0), single=single,
-        branching=list(branching.items()),
-    )  # fmt: skip
+    lower, upper = (End(position=position, reason="singular pose", joint=None) for position in (-2.0, 2.0))
+    ends = replace(reach(load_mechanism(HINGE)), lower=lower, upper=upper, single=single, branching=list(branching.items()))
     assert words in _way_through(ends, "singular pose", asked)
     assert _way_through(ends, "range of J", asked) == ""
 

@@ -53,11 +53,7 @@ def test_coordinates_that_cannot_move_may_be_given_or_not(coordinates):
     assert foot_of(problem.motion.goal)[0] == pytest.approx(BELOW, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [{}, {"mesh": {"scheme": "hermite-simpson"}}],
-    ids=str,
-)
+@pytest.mark.parametrize("settings", [{}, {"mesh": {"scheme": "hermite-simpson"}}], ids=str)
 def test_an_open_pose_ends_in_a_better_one_than_guessed(settings):
     mechanism = arm_of(*THREE)
     plan = plan_of(mechanism, OPEN, **settings)

@@ -31,10 +31,7 @@ from tests.support.tolerances_planner import OUT_OF_REACH_M, SITE_BINDS_M, SITE_
 
 PAST = {"start_at": {"foot": ABOVE}, "goal_at": {"foot": BELOW}, "duration_s": 0.6}
 WALL = 0.22
-LIMITS = {
-    "wall": {"foot": {"normal": [2.0, 0.0, 0.0], "at": [WALL, 5.0, 7.0]}},
-    "box": {"foot": {"x": [WALL, np.inf]}},
-}
+LIMITS = {"wall": {"foot": {"normal": [2.0, 0.0, 0.0], "at": [WALL, 5.0, 7.0]}}, "box": {"foot": {"x": [WALL, np.inf]}}}
 # As a tube: the way from above to below along a bend that the free motion cuts across.
 ALONG, RADIUS = [[0.3, 0.0, 0.35], [0.33, 0.0, 0.0], [0.3, 0.0, -0.35]], 0.04
 TUBE = {"foot": {"along": ALONG, "radius_m": RADIUS}}

@@ -51,9 +51,7 @@ def test_a_place_is_passed_at_its_instant():
 
 
 @pytest.mark.parametrize(
-    "settings",
-    [{}, {"mesh": {"scheme": "hermite-simpson"}}, {"mesh": {"scheme": "trapezoid"}}],
-    ids=str,
+    "settings", [{}, {"mesh": {"scheme": "hermite-simpson"}}, {"mesh": {"scheme": "trapezoid"}}], ids=str
 )
 def test_what_a_place_leaves_open_stands_where_that_costs_least(settings):
     plan = arm_by_way_of({"at": {"foot": {"x": VIA[0]}}, "time_s": 0.3}, **settings)

@@ -11,9 +11,9 @@ import linkplan
 from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import CertificateError, ProblemError
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.trajectory import Trajectory
 from tests.support.linkages import GRIPPER, PRESS, UNCUT
 from tests.support.mechanisms import replaced
+from tests.support.motions import motion_along
 from tests.support.slider_crank import inertia, potential
 from tests.support.tolerances_planner import CLOSURE_M, ROLLOUT_GAP_M
 
@@ -144,14 +144,7 @@ def test_a_saved_plan_of_turns_is_read_back_and_certified_again(tmp_path):
 def test_a_certificate_refuses_a_motion_that_falls_short_of_its_turn():
     plan = turning()
     t = plan.trajectory
-    short = Trajectory(
-        breaks_s=t.breaks_s,
-        position=t.position * 0.999,
-        velocity=t.velocity * 0.999,
-        effort=t.effort,
-        start_pose=t.start_pose,
-        periodic=True,
-    )
+    short = motion_along(t.breaks_s, t.position * 0.999, effort=t.effort, start_pose=t.start_pose, periodic=True)
     assert certify(plan.problem, t).boundary_error < 1e-8
     assert certify(plan.problem, short).boundary_error > 9e-4
 

@@ -1,7 +1,6 @@
 """Claims of every kind: enclosures against mpmath in 50 digits, and limits of all kinds beside what a motion needs."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import casadi as ca
 import mpmath as mp
@@ -17,7 +16,7 @@ from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.proof.branch import newton
 from linkplan.planner.proof.claim import Record, claim_of, finding_of_claim, rounding_of
 from linkplan.planner.proof.claims import claims_of, reference_claims
-from linkplan.planner.proof.motion import Piece
+from linkplan.planner.proof.motion import Piece, State
 from linkplan.planner.proof.prove import TAYLOR_ORDER, prove, states_of
 from linkplan.planner.proof.taylor import TaylorForm
 from linkplan.planner.proof.walk import blocks_of
@@ -27,6 +26,7 @@ from tests.support.arms import LOWER, UPPER
 from tests.support.four_bars import random_bars
 from tests.support.linkages import loaded
 from tests.support.mechanisms import doubled_pin, random_quaternion, replaced
+from tests.support.motions import motion_along
 from tests.support.mp_functions import ball, mp_motion, mp_pose, mp_values
 from tests.support.plans import optimal, problem_of
 from tests.support.random_motions import motion_of, needed
@@ -268,10 +268,12 @@ def test_the_distance_from_a_reference_is_that_of_its_sine():
     """bias + amplitude sin(2 pi f t + phase), in the joint's own angle."""
     asked = "reference.frequency_hz=1.5", "reference.phase_deg.O=25.0", "reference.bias_deg.O=-4.0"
     problem = problem_of("knee-sine", *asked)
-    (claim,) = reference_claims(problem, SimpleNamespace(position=np.array([-1.0, 1.0]), duration_s=2 / 3))
+    motion = motion_along([0.0, 2 / 3], [[[-1.0]], [[1.0]]], start_pose=problem.mechanism.home, periodic=True)
+    (claim,) = reference_claims(problem, motion)
     reference, time, angle = problem.reference, 0.37, 0.2
     exact = angle - (reference.bias[0] + reference.amplitude[0] * np.sin(2 * np.pi * 1.5 * time + np.radians(25.0)))
-    (value,) = claim.values(SimpleNamespace(s=[arb(angle)], time=arb(time)))
+    still = dict.fromkeys(("z", "v", "u"), ()) | {"rate": arb(1), "blocks": None, "piece": None}
+    (value,) = claim.values(State(s=[arb(angle)], time=arb(time), **still))
     assert float(value.mid()) == pytest.approx(exact, rel=1e-12)
     assert claim.marks == pytest.approx((-2e-6, 2e-6)), "a millionth of the motion's span"
     assert (reference.bias[0], reference.phase[0]) == pytest.approx(np.radians([-4.0, 25.0]))

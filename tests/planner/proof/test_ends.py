@@ -11,6 +11,7 @@ from linkplan.planner.proof.ends import _largest_of_unit, end_findings
 from linkplan.planner.proof.finding import Finding
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, QUARTER_TURN, TURN, body_problem
+from tests.support.motions import motion_along
 from tests.support.plans import optimal
 
 # Over two intervals of half a second: t^2 (3 - 2 t) of the quarter turn, as Bernstein coefficients on each.
@@ -24,14 +25,7 @@ def problem(*overrides: str) -> Problem:
 
 def motion() -> Trajectory:
     position = np.radians(10.0) + TURN * HALVES
-    return Trajectory(
-        breaks_s=np.array([0.0, 0.5, 1.0]),
-        position=position[:, :, None],
-        velocity=6.0 * np.diff(position, axis=0)[:, :, None],
-        effort=np.array([[2.0, 0.0], [0.0, -2.0]])[:, :, None],
-        start_pose=np.radians([10.0]),
-        periodic=False,
-    )
+    return motion_along([0.0, 0.5, 1.0], position, effort=[[2.0, 0.0], [0.0, -2.0]])
 
 
 def shifted(name: str, interval: int, by: float, first: int = 0) -> Trajectory:

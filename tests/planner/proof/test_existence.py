@@ -2,7 +2,6 @@
 
 import time
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +18,7 @@ from linkplan.planner.proof.taylor import TaylorForm
 from linkplan.planner.proof.walk import blocks_of
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, QUARTER_TURN, TURN, body_plan, body_problem
+from tests.support.motions import motion_along
 from tests.support.plans import optimal
 
 
@@ -141,14 +141,7 @@ DURATION_S, SPEED, ACCELERATION = 2.0, 1.5 * TURN, 1.5 * TURN
 def without_efforts() -> Trajectory:
     """Return the hinge's quarter turn, with no effort."""
     begin = np.radians(10.0)
-    return Trajectory(
-        breaks_s=np.array([0.0, DURATION_S]),
-        position=np.array([begin, begin, begin + TURN, begin + TURN])[:, None, None],
-        velocity=np.array([0.0, 1.5 * TURN, 0.0])[:, None, None],
-        effort=np.zeros((2, 1, 1)),
-        start_pose=np.array([begin]),
-        periodic=False,
-    )
+    return motion_along([0.0, DURATION_S], [begin, begin, begin + TURN, begin + TURN], effort=np.zeros((2, 1, 1)))
 
 
 def near() -> Neighbourhood:
@@ -199,10 +192,9 @@ def test_slopes_are_tight_by_their_own_size_or_by_the_motion_s_rates(stiffness, 
 
 
 def test_sizes_are_spans_and_largest_speeds_and_of_what_hardly_moves_a_hundredth_of_the_others():
-    position = np.array([[[1.0, 0.0], [3.0, 1e-3]]])
-    motion = SimpleNamespace(position=position, velocity=np.array([[[-5.0, 4.0], [2.0, 0.0]]]))
+    motion = motion_along(np.arange(3.0), [[[1.0, 0.0], [3.0, 1e-3]]] * 2, velocity=[[[-5.0, 4.0], [2.0, 0.0]]])
     np.testing.assert_allclose(_sizes(motion), [2.0, 0.02, 5.0, 4.0], rtol=1e-6)
-    still = SimpleNamespace(position=0 * position, velocity=0 * position)
+    still = replace(motion, position=0 * motion.position, velocity=0 * motion.velocity)
     np.testing.assert_allclose(_sizes(still), 1e-9)
 
 

@@ -15,6 +15,7 @@ from linkplan.planner.proof.motion import Kinetics, Piece, _least, _squared
 from linkplan.planner.proof.prove import TAYLOR_ORDER, states_of
 from linkplan.planner.proof.walk import blocks_of
 from linkplan.planner.trajectory import Trajectory
+from tests.support.motions import motion_along
 
 CRANK = """<mujoco><worldbody>
 <body><joint name="O" axis="0 1 0" damping="0.4"/><inertial pos="0.1 0 0" mass="2" diaginertia="0.1 0.1 0.1"/>
@@ -36,14 +37,7 @@ def motion(mechanism: Mechanism) -> Trajectory:
     position = np.array([0.4, 0.5, 0.9, 1.0])[:, None, None]
     efforts = np.array([[5.0, -1.0], [3.0, 2.0]])[:, None, : mechanism.n_u]
     start = follow(mechanism, np.linspace(0.0, 0.4, 5)[:, None], mechanism.home)[-1]
-    return Trajectory(
-        breaks_s=np.array([1.0, 1.8]),
-        position=position,
-        velocity=3 * np.diff(position, axis=0) / 0.8,
-        effort=efforts,
-        start_pose=start,
-        periodic=False,
-    )
+    return motion_along([1.0, 1.8], position, effort=efforts, start_pose=start)
 
 
 def kinetics(mechanism: Mechanism) -> tuple[list[Kinetics], np.ndarray, np.ndarray, np.ndarray, np.ndarray]:

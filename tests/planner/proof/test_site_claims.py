@@ -1,7 +1,6 @@
 """Claims on sites' places: their enclosures at a pose against the arm's kinematics by hand."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,6 +10,8 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.proof.claim import Claim
 from linkplan.planner.proof.claims import claims_of
+from linkplan.planner.proof.motion import State
+from linkplan.planner.proof.walk import blocks_of
 from tests.support.arms import LOWER, UPPER, foot_of
 from tests.support.random_motions import motion_of
 from tests.support.sites import ABOVE, BELOW, arm_of, site_problem
@@ -36,8 +37,9 @@ def site_claim(problem: Problem) -> Claim:
 )
 def test_a_claim_encloses_the_place_of_a_site(limit, quantity):
     problem = site_problem(arm_of(UPPER, LOWER), {"start_at": {"foot": ABOVE}, "goal_at": {"foot": BELOW}}, {"foot": limit})
-    claim = site_claim(problem)
-    (value,) = claim.values(SimpleNamespace(q=[arb(x) for x in POSE]))
+    still = dict.fromkeys(("z", "v", "u"), ()) | {"rate": arb(1), "time": arb(0), "piece": None}
+    at = State(blocks=blocks_of(problem.mechanism), s=[arb(x) for x in POSE], **still)
+    (value,) = site_claim(problem).values(at)
     expected = quantity(foot_of(POSE)[0])
     assert abs(float(value.mid()) - expected) < 1e-12
     assert float(value.rad()) < 1e-12

@@ -2,7 +2,6 @@
 
 import itertools
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,8 +15,8 @@ from linkplan.planner.proof.claim import Record
 from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import _Anchor, _Box, _boxes, _closure_findings, _linked, _Sweep
 from linkplan.planner.proof.walk import Blocks, blocks_of
-from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
+from tests.support.motions import motion_along
 from tests.support.random_motions import motion_of
 
 
@@ -58,30 +57,23 @@ def test_a_box_is_linked_to_the_one_before_by_the_region_of_either(begin, end, t
 @pytest.mark.parametrize(
     ("gap", "undecided", "answer"), [(0.9e-6, [], "proved"), (1.1e-6, [], "refuted"), (0.9e-6, [(0.25, 0.5)], "undecided")]
 )
-def test_the_loops_close_where_the_start_pose_is_a_millionth_from_the_closed_one(gap, undecided, answer):
-    sweep = SimpleNamespace(blocks=SimpleNamespace(rank=2), closure=Record(boxes=7, undecided=undecided), start_gap=gap)
+def test_the_loops_close_where_the_start_pose_is_a_millionth_from_the_closed_one(five_bar, gap, undecided, answer):
+    sweep = replace(sweep_of(*five_bar), closure=Record(boxes=7, undecided=undecided), start_gap=gap)
     (found,) = _closure_findings(sweep)
     assert (found.answer, found.boxes) == (answer, 7)
     if answer == "proved":
         assert found.margin == pytest.approx(1e-6 - gap)
-    assert _closure_findings(SimpleNamespace(blocks=SimpleNamespace(rank=0))) == []
+    assert _closure_findings(replace(sweep, blocks=blocks_of(load_mechanism(HINGE)))) == []
 
 
 def test_what_is_left_open_on_a_box_is_told_with_the_box_s_instants():
     """The box from a quarter to three quarters of an interval of two seconds that begins after one."""
     problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n")
-    motion = Trajectory(
-        breaks_s=np.array([0.0, 1.0]),
-        position=np.zeros((2, 1, 1)),
-        velocity=np.zeros((1, 1, 1)),
-        effort=np.zeros((1, 1, 1)),
-        start_pose=np.zeros(1),
-        periodic=False,
-    )
-    sweep = _Sweep(problem=problem, trajectory=motion, blocks=None, claims=[], until=None, order=6)
+    motion = motion_along([0.0, 1.0, 3.0], np.zeros((2, 2, 1)))
+    sweep = sweep_of(problem, motion, blocks_of(problem.mechanism))
     sweep.records = [Record(), Record()]
     box = _Box(centre=0.5, radius=0.25, halvings=1, claims=[0, 1])
-    piece = SimpleNamespace(begin_s=1.0, width=arb(2))
+    piece = Piece.of(motion, 1)
     sweep._leave(piece, box, [1], closed=True)
     assert (sweep.records[0].undecided, sweep.records[1].undecided) == ([], [(1.5, 2.5)])
     assert sweep.closure.undecided == []
@@ -89,7 +81,7 @@ def test_what_is_left_open_on_a_box_is_told_with_the_box_s_instants():
     assert sweep.closure.undecided == [(1.5, 2.5)]
 
 
-def test_the_next_box_s_branch_is_guessed_along_its_slope(monkeypatch):
+def test_the_next_box_s_branch_is_guessed_along_its_slope(five_bar, monkeypatch):
     """From the end of one box to the middle of the next the guess is off by the second order of the way only."""
     guesses = []
 
@@ -98,10 +90,8 @@ def test_the_next_box_s_branch_is_guessed_along_its_slope(monkeypatch):
         return guesses[-1][1]
 
     monkeypatch.setattr(prove, "newton", noting)
-    ctx.prec = 100
-    problem, motion = motion_of(load_mechanism("five-bar"), np.random.default_rng(3))
-    blocks = blocks_of(problem.mechanism)
-    sweep = _Sweep(problem=problem, trajectory=motion, blocks=blocks, claims=[], until=NO_DEADLINE, order=6)
+    problem, motion, blocks = five_bar
+    sweep = sweep_of(problem, motion, blocks)
     sweep.slack = [arb(0)] * 2
     piece = Piece.of(motion, 1)
     z = motion.start_pose[list(blocks.dependent)]

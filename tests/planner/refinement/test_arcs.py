@@ -7,11 +7,7 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import attempt
-from linkplan.planner.refinement.constrained_arcs import (
-    arc_ends,
-    find_constrained_paths,
-    off_limit_intervals,
-)
+from linkplan.planner.refinement.constrained_arcs import arc_ends, find_constrained_paths, off_limit_intervals
 from linkplan.planner.refinement.switch_search import settle_switch_times
 from linkplan.planner.refinement.switches import find_switch_times
 from linkplan.planner.search.planning import plan_motion
@@ -19,6 +15,7 @@ from linkplan.planner.search.solving import first_mesh
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.schemes import NAMES, scheme
 from tests.support.fourbar_problems import random_case
+from tests.support.motions import motion_along
 from tests.support.plans import optimal
 from tests.support.tolerances_planner import LEAST_TIME_ON_ARCS, ON_THE_ARC, UNIT
 
@@ -105,14 +102,7 @@ def test_segments_hold_what_all_their_inner_intervals_follow_and_no_more_than_ef
 def with_efforts(efforts: list[float]) -> Trajectory:
     """Return a motion of one second at rest whose effort is constant over each interval."""
     flat = np.zeros((3, len(efforts), 1))
-    return Trajectory(
-        breaks_s=np.linspace(0.0, 1.0, len(efforts) + 1),
-        position=flat,
-        velocity=flat[:2],
-        effort=np.array(efforts).reshape(1, -1, 1),
-        start_pose=np.zeros(1),
-        periodic=False,
-    )
+    return motion_along(np.linspace(0.0, 1.0, len(efforts) + 1), flat, effort=np.array(efforts).reshape(1, -1, 1))
 
 
 UNIT_LIMIT = np.array([[-1.0, 1.0]])

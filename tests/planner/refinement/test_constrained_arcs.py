@@ -1,72 +1,76 @@
-"""Intervals along limits, read from the rows of a program: the values of the rows are given, without a mechanism."""
+"""Intervals along limits, read from the rows of a program of a hinge at unknowns that a test gives."""
 
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from linkplan.planner.refinement.constrained_arcs import (
-    arc_ends,
-    find_constrained_paths,
-    own_arcs,
-    path_arcs,
-)
+from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.closed_chain.guess import first_guess
+from linkplan.planner.refinement.constrained_arcs import arc_ends, find_constrained_paths, own_arcs, path_arcs
+from linkplan.planner.transcription.collocation import Transcribed
+from linkplan.planner.transcription.mesh import uniform
+from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 
+# Power of the hinge's motor [W].
 LOW, HIGH = -2.0, 4.0
+POWER = f"limits.power_w.motor=[{LOW}, {HIGH}]"
 
 
-def program_of(
-    rows, *, limit=(LOW, HIGH), kind="speed", n_path=0, n_equations=0, n_nodes=0, jerk_path=()
-) -> SimpleNamespace:
-    """Return a program with rows (n, n_rows): of each interval's own limit, then of its nodes' equations and path limit."""
-    rows = np.array(rows, dtype=float)
-    n_own = rows.shape[1] - n_nodes * (n_equations + n_path)
-    interval = SimpleNamespace(
-        n_rows=rows.shape[1],
-        n_own=n_own,
-        own_kinds=(kind,) * n_own,
-        own_items=(0,) * n_own,
-        n_nodes=n_nodes,
-        n_equations=n_equations,
-        n_path=n_path,
-        node_kinds=("dynamics",) * n_equations + (kind,) * n_path,
-    )
-    functions = {"nlp": lambda _x, _parameters: (0.0, rows.ravel())}
-    program = SimpleNamespace(mesh=SimpleNamespace(n_intervals=len(rows)), interval=interval, functions=functions)
-    own, path = ({} if n_path else {kind: [np.array(limit)]}), np.array([limit])
-    formulation = SimpleNamespace(own=own, path=path, rows=SimpleNamespace(jerk_path=jerk_path))
-    return SimpleNamespace(program=program, parameters=None, formulation=formulation)
+def program_of(*overrides: str) -> Transcribed:
+    """Return the program of a hinge's quarter turn on four intervals."""
+    problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 4.0\n", *overrides)
+    return case_of(problem).transcribe(first_guess(problem, problem.start_pose()), uniform(4), np.array([4.0]))
+
+
+def unknowns(transcribed: Transcribed, speed, power=0.0, slope=(0.0, 0.0, 0.0, 0.0)) -> np.ndarray:
+    """Return unknowns with a speed (5,) at the breaks, an acceleration from -slope to slope and a power [W] (4,)."""
+    layout, x = transcribed.program.layout, np.array(transcribed.start)
+    x[layout.states()[:, 1]] = speed
+    x[layout.acceleration()[:, :, 0]] = np.outer(slope, 2 * np.array(transcribed.scheme.nodes) - 1)
+    units = transcribed.units
+    x[layout.effort()[:, :, 0]] = (power / (units.effort[0] * units.state[1] * np.array(speed)[:-1]))[:, None]
+    return x
 
 
 def test_an_interval_is_an_arc_where_all_of_its_coefficients_are_at_one_limit():
-    rows = [(HIGH, HIGH, HIGH), (HIGH, HIGH, 0.0), (LOW, LOW, LOW), (0.0, 0.0, 0.0)]
-    assert own_arcs(program_of(rows), np.zeros(0), ("speed",)).ravel().tolist() == [1, 0, -1, 0]
-    assert own_arcs(program_of(rows), np.zeros(0), ("motor",)).shape == (4, 0)
+    transcribed = program_of("limits.speed_deg_s.J=[-20.0, 40.0]")
+    ((low, high),) = transcribed.formulation.own["speed"]
+    x = unknowns(transcribed, [high, high, low, 0.1, 0.1], slope=[0.0, 1.0, 0.0, 0.0])
+    assert own_arcs(transcribed, x, ("speed",)).ravel().tolist() == [1, 0, -1, 0]
+    assert own_arcs(transcribed, x, ("motor",)).shape == (4, 0)
 
 
-@pytest.mark.parametrize(("kind", "arcs"), [("power", [1, 0, -1, 0]), ("work", [0, 0, 0, 0])])
-def test_an_interval_is_an_arc_of_a_path_limit_where_all_of_its_nodes_are_at_one_limit(kind, arcs):
-    """Every node has the row of an equation before that of the limit, and the interval one row of its own before them."""
-    nodes = [(HIGH, HIGH), (HIGH, 0.0), (LOW, LOW), (0.0, 0.0)]
-    rows = [(7.0, 0.0, first, 0.0, second) for first, second in nodes]
-    transcribed = program_of(rows, kind=kind, n_path=1, n_equations=1, n_nodes=2)
-    assert path_arcs(transcribed, np.zeros(0)).ravel().tolist() == arcs
+def test_an_interval_is_an_arc_of_a_path_limit_where_all_of_its_nodes_are_at_one_limit():
+    transcribed = program_of(POWER)
+    x = unknowns(transcribed, np.ones(5), np.array([HIGH, HIGH, LOW, 0.0]), slope=[0.0, 1.0, 0.0, 0.0])
+    assert path_arcs(transcribed, x).ravel().tolist() == [1, 0, -1, 0]
+
+
+def test_the_positive_power_of_least_work_is_on_no_arc_where_it_is_the_power():
+    transcribed = program_of("objective.minimize=work")
+    assert "work" in transcribed.program.interval.node_kinds
+    x = unknowns(transcribed, np.ones(5), np.array([HIGH, HIGH, LOW, 0.0]))
+    assert not path_arcs(transcribed, x).any()
 
 
 def test_arcs_along_a_limit_on_the_size_of_a_jerk_end_where_it_reverses_and_are_not_held():
-    rows = [(HIGH, HIGH), (HIGH, 0.0), (HIGH, HIGH), (HIGH, HIGH)]
-    transcribed = program_of(rows, kind="site_jerk", n_path=1, n_nodes=2, jerk_path=(0,))
-    transcribed.scheme = SimpleNamespace(acceleration_coefficients=np.eye(2))
-    transcribed.program.layout = SimpleNamespace(acceleration=lambda: np.arange(8).reshape(4, 2, 1))
-    x = np.array([0.0, 1.0, 1.0, 2.0, 2.0, 3.0, 3.0, 2.0])  # accelerations at both nodes of each interval
+    """The limit on power stands in for that on a jerk; the slopes of the acceleration are too small to change it."""
+    transcribed = program_of(POWER)
+    rows = replace(transcribed.formulation.rows, jerk_path=(0,))
+    transcribed = replace(transcribed, formulation=replace(transcribed.formulation, rows=rows))
+    x = unknowns(transcribed, np.ones(5), np.array([HIGH, 0.0, HIGH, HIGH]), slope=np.array([1, 1, 1, -1]) * 1e-9)
     assert own_arcs(transcribed, x, ("jerk",)).ravel().tolist() == [1, 0, 1, -1]
     assert own_arcs(transcribed, x, ("speed",)).size == 0
     assert not path_arcs(transcribed, x).any()
 
 
 def test_a_path_equation_is_no_arc():
-    transcribed = program_of([(HIGH, HIGH)], limit=(HIGH, HIGH), kind="power", n_path=1, n_nodes=2)
-    assert path_arcs(transcribed, np.zeros(0)).tolist() == [[0]]
+    transcribed = program_of(POWER)
+    fixed = replace(transcribed.formulation, path=transcribed.formulation.path[..., 1:].repeat(2, axis=-1))
+    x = unknowns(transcribed, np.ones(5), np.full(4, HIGH))
+    assert path_arcs(transcribed, x).any()
+    assert not path_arcs(replace(transcribed, formulation=fixed), x).any()
 
 
 @pytest.mark.parametrize(

@@ -32,7 +32,7 @@ def coarse() -> RefinementState:
 
 def effort_is_proved(state: RefinementState) -> bool:
     """Return True if the state's best motion keeps its efforts' limit by inverse dynamics, at every instant."""
-    findings = prove(state.asked.problem, state.best.found.motion).findings
+    findings = prove(state.asked.problem, state.best.found.motion, existence=False).findings
     (effort,) = [finding for finding in findings if "by inverse dynamics" in finding.name]
     return effort.answer == "proved"
 

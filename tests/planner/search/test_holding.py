@@ -89,10 +89,7 @@ def test_a_linear_tracker_keeps_a_stick_standing_as_modelled_and_with_a_mismatch
 
 @pytest.mark.parametrize(
     ("changes", "said"),
-    [
-        ({"duration_s": None}, "needs a motion.duration_s in seconds"),
-        ({"start_deg": None}, "needs a start"),
-    ],
+    [({"duration_s": None}, "needs a motion.duration_s in seconds"), ({"start_deg": None}, "needs a start")],
 )
 def test_a_hold_without_a_start_or_a_duration_is_refused(changes, said):
     given = {"start_deg": {"q": 0.0}, "duration_s": 1.0} | changes

@@ -84,8 +84,7 @@ def test_guesses_along_which_the_loops_open_are_left_out_and_others_show_the_eff
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
-    [("knee-sprint", "time-optimal motion"), ("knee-reach", "locally effort-optimal motion")],
+    ("name", "words"), [("knee-sprint", "time-optimal motion"), ("knee-reach", "locally effort-optimal motion")]
 )
 def test_only_what_the_phase_plane_proves_is_called_more_than_locally_optimal(name, words):
     assert plan_motion(load_problem(name)).message.startswith(words)

@@ -19,10 +19,7 @@ SAID = 1e-4
 
 
 def five_bar(power: float, **motion) -> dict:
-    limits = {
-        "effort": {"act_O1": [-1.4, 1.4], "act_O2": [-1.4, 1.4]},
-        "power_w": {"act_O1": power, "act_O2": power},
-    }
+    limits = {"effort": {"act_O1": [-1.4, 1.4], "act_O2": [-1.4, 1.4]}, "power_w": {"act_O1": power, "act_O2": power}}
     return five_bar_reach(limits, **motion)
 
 

@@ -3,9 +3,7 @@
 import pytest
 
 from linkplan.planner.search import starts
-from linkplan.planner.search.starts import (
-    with_switch_times,
-)
+from linkplan.planner.search.starts import with_switch_times
 from tests.support.bodies import HINGE, QUARTER_TURN, body_plan, body_problem
 
 

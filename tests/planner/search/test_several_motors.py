@@ -23,15 +23,12 @@ from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.several_motors import from_several_starts
 from linkplan.planner.search.without_solver import slower
-from linkplan.planner.trajectory import Trajectory
 from tests.bench.many_robots import write_robots
 from tests.support.data import DATA
+from tests.support.motions import motion_along
 
 LEAST_TIME_S, LEAST_EFFORT = 0.18663512, 850.59
-ENDS = {
-    "start_deg": {"hip_pitch": 20.0, "knee_motor": 5.0},
-    "goal_deg": {"hip_pitch": -50.0, "knee_motor": 38.0},
-}
+ENDS = {"start_deg": {"hip_pitch": 20.0, "knee_motor": 5.0}, "goal_deg": {"hip_pitch": -50.0, "knee_motor": 38.0}}
 
 
 def leg(**asked):
@@ -152,10 +149,7 @@ def test_a_jump_is_where_the_impulse_of_its_interval_puts_it(in_least_time):
     breaks, level = np.linspace(0.0, 1.0, 11), np.full((10, 2), 100.0)
     level[4, 0], level[5:, 0] = 100.0 - 0.3 * 200.0, -100.0  # the first effort jumps at seven tenths of the fifth interval
     still = np.zeros((2, 10, 2))
-    motion = Trajectory(
-        breaks_s=breaks, position=still, velocity=still[:1], effort=np.stack([level, level]),
-        start_pose=in_least_time.mechanism.home, periodic=False,
-    )  # fmt: skip
+    motion = motion_along(breaks, still, effort=np.stack([level, level]), start_pose=in_least_time.mechanism.home)
     assert effort_jumps(case_of(in_least_time), motion) == pytest.approx([0.47])
     smooth = case_of(leg(duration_s=0.3, minimize="effort"))
     assert len(effort_jumps(smooth, motion)) == 0

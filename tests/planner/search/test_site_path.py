@@ -221,7 +221,8 @@ def test_the_least_effort_in_a_given_time_is_that_of_an_optimisation_of_the_way(
 
 def test_a_polyline_with_rounded_corners_is_followed_and_saved(tmp_path):
     corner = [[0.55, 0.0, -0.15], [0.55, 0.0, 0.0], [0.45, 0.0, 0.1]]
-    plan = plan_motion(followed(path={"site": "tip", "points": corner, "blend_m": 0.03}))
+    path = {"site": "tip", "points": corner, "blend_m": 0.03}
+    plan = plan_motion(followed(path=path, minimize="effort", duration_s=1.0, mesh={"intervals": 12}))
     assert plan.status == "optimal"
     write_plan(plan, tmp_path)
     again = read_plan(tmp_path)

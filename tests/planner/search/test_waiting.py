@@ -12,8 +12,8 @@ from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import waiting, without_solver
 from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.search.planning import REPAIRS, plan_motion
-from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import PENDULUM, body_problem
+from tests.support.motions import motion_along
 
 DURATION_S = 0.8
 # Efforts that hold a pose, of inverse dynamics and of the plan, relative.
@@ -124,22 +124,13 @@ def test_the_way_to_a_rest_beside_the_quickest_motion_is_gone_only_if_there_is_t
 @pytest.mark.parametrize("first", [True, False])
 def test_a_rest_is_joined_to_a_motion_as_constants(first):
     """A metre in a second, and a quarter of a second at rest under 3 N before or after it."""
-    motion = Trajectory(
-        breaks_s=np.array([0.0, 0.25, 1.0]),
-        position=np.array([[0.0, 0.0, 0.1], [0.1, 0.5, 1.0]]).T[:, :, None],
-        velocity=np.array([[0.0, 0.8], [0.5, 0.6]]).T[:, :, None],
-        effort=np.array([[6.0, -6.0]])[:, :, None],
-        start_pose=np.zeros(1),
-        periodic=False,
+    motion = motion_along(
+        [0.0, 0.25, 1.0],
+        np.array([[0.0, 0.0, 0.1], [0.1, 0.5, 1.0]]).T,
+        velocity=np.array([[0.0, 0.8], [0.5, 0.6]]).T,
+        effort=[[6.0, -6.0]],
     )
-    rest = Trajectory(
-        breaks_s=np.array([0.0, 0.25]),
-        position=np.ones((2, 1, 1)),
-        velocity=np.zeros((2, 1, 1)),
-        effort=np.full((2, 1, 1), 3.0),
-        start_pose=np.zeros(1),
-        periodic=False,
-    )
+    rest = motion_along([0.0, 0.25], [1.0, 1.0], velocity=[0.0, 0.0], effort=[3.0, 3.0], start_pose=[0.0])
     joined = without_solver.joined(motion, rest, first=first)
     assert joined.breaks_s.tolist() == ([0.0, 0.25, 0.5, 1.25] if first else [0.0, 0.25, 1.0, 1.25])
     rest, moves = (0.1, 0.25 + np.array([0.1, 0.9])) if first else (1.1, np.array([0.1, 0.9]))

@@ -1,15 +1,15 @@
 """Bounds of states and durations, linear rows on efforts, and bounds of rows, each for a mesh of a few intervals."""
 
-from types import SimpleNamespace
-
+import casadi as ca
 import numpy as np
 import pytest
 
 from linkplan.planner.transcription.bounds import _given_nodes, _hold_paths, bounds, linear_rows, row_bounds
 from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary
-from linkplan.planner.transcription.interval import IntervalRows
+from linkplan.planner.transcription.interval import IntervalRows, build_chain, interval_of
 from linkplan.planner.transcription.mesh import Layout, Mesh, segmented, uniform
 from linkplan.planner.transcription.schemes import scheme
+from linkplan.planner.transcription.system import System, build_node
 from tests.support.formulations import formulation
 
 INF = np.inf
@@ -152,13 +152,15 @@ def test_nodes_at_boundaries_that_prescribe_the_position_are_given_from_both_sid
 
 
 def rows_bounded(problem: Formulation, mesh: Mesh, held: np.ndarray | None = None) -> np.ndarray:
-    """Return the bounds (n, n_nodes, 2) of a path quantity, which is the only row."""
-    interval = SimpleNamespace(
-        n_nodes=3, n_own=0, own_kinds=(), own_items=(), n_path=1, n_equations=0, n_open_ends=0, open_end_rows=()
-    )  # fmt: skip
+    """Return the bounds (n, n_nodes, 2) of a path quantity, which is a node's only row."""
+    xi = ca.SX.sym("xi", 4)
+    node = ca.Function("node", [xi, ca.SX.sym("theta", 0)], [ca.vertcat(xi[1], 0)])
+    system = System(n_s=1, n_x=0, n_z=0, n_u=1, node=node, n_equations=0, n_path=1, kinds=("speed",))
+    functions = build_node(system, ())
+    interval = interval_of(system, SCHEME, problem.rows, functions, build_chain(system, SCHEME, problem.rows, functions))
     breaks = np.linspace(0.0, 1.0, mesh.n_intervals + 1)
     low, high = row_bounds(problem, SCHEME, interval, mesh, breaks, held, None)
-    return np.stack([low, high], axis=1).reshape(mesh.n_intervals, 3, 2)
+    return np.stack([low, high], axis=1).reshape(mesh.n_intervals, -1, 2)[:, interval.n_own :]
 
 
 def test_a_tightened_limit_is_narrower_at_both_ends_on_its_interval():

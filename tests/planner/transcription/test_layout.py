@@ -1,12 +1,10 @@
 """The places of a program's unknowns: each index is used by one of them."""
 
-from types import SimpleNamespace
-
 import casadi as ca
 import numpy as np
 
 from linkplan.planner.transcription.mesh import Layout
-from linkplan.planner.transcription.system import System, _open_end_rows, build_node, node_symbols
+from linkplan.planner.transcription.system import System, build_node, node_symbols
 
 
 def test_every_unknown_has_one_place_of_its_own():
@@ -30,20 +28,15 @@ def test_every_unknown_has_one_place_of_its_own():
     np.testing.assert_array_equal(layout.extra(), layout.durations().max() + 1 + np.arange(2))
 
 
-def test_rows_at_open_ends_are_those_of_the_closure_and_of_the_path_quantities_that_jump():
-    system = SimpleNamespace(n_equations=4, kinds=("closure", "dynamics", "closure", "work", "power", "speed", "power"))
-    assert _open_end_rows(system, (0, 2)) == (0, 2, 4, 6)
-
-
 def test_unknowns_at_open_ends_are_the_algebraic_ones_in_the_rows_there():
-    """A closure of the second of three unknowns, and a quantity of the third one and of the effort."""
+    """A closure of the second of three unknowns, and of two quantities the one of the third unknown and of the effort."""
     node = node_symbols(1, 1, 3, 2)
-    column = ca.vertcat(node.z[1] - node.s, node.a - node.u[0] - node.z[0], node.r, node.z[2] * node.u[1], 0)
+    column = ca.vertcat(node.z[1] - node.s, node.a - node.u[0] - node.z[0], node.r, node.v, node.z[2] * node.u[1], 0)
     system = System(
         n_s=1, n_x=1, n_z=3, n_u=2, node=ca.Function("node", [node.stacked, ca.SX.sym("p", 0)], [column]),
-        n_equations=3, n_path=1, kinds=("closure", "dynamics", "dynamics", "power"),
+        n_equations=3, n_path=2, kinds=("closure", "dynamics", "dynamics", "speed", "power"),
     )  # fmt: skip
     assert (system.n_xi, system.n_state) == (3 + 2 + 3 + 2, 3)
-    functions = build_node(system, (0,))
-    assert functions.open_end_rows == (0, 3)
+    functions = build_node(system, (1,))
+    assert functions.open_end_rows == (0, 4)
     assert functions.open_end_z == (1, 2)

@@ -80,11 +80,7 @@ def test_a_crane_has_the_transfer_functions_of_its_equations_by_hand():
     found, _ = plant(CRANE.replace("TURNED", "0 0 0"), ["force"], ["trolley", "swing", "load.x", "load.z"], measure=False)
     pole = GRAVITY / ROPE * (1 + LOAD / TROLLEY)
     denominator = TROLLEY * AT**2 * (AT**2 + pole)
-    for name, numerator in (
-        ("trolley", AT**2 + GRAVITY / ROPE),
-        ("swing", -(AT**2) / ROPE),
-        ("load.x", GRAVITY / ROPE),
-    ):
+    for name, numerator in (("trolley", AT**2 + GRAVITY / ROPE), ("swing", -(AT**2) / ROPE), ("load.x", GRAVITY / ROPE)):
         gains = found[f"force to {name}"].transfer.at(FREQUENCY_HZ)
         assert gains == pytest.approx(numerator / denominator, rel=1e-6), name
     (stands,), (swings,) = found["force to trolley"].anti_resonances, found["force to swing"].resonances

@@ -1,7 +1,5 @@
 """The worst pose of a loop over a continuous coordinate, and the peaks of its sensitivity between grid points."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 from scipy.optimize import brentq
@@ -13,8 +11,8 @@ from linkplan.studies.feedback.bode.bode import bode_study
 from linkplan.studies.feedback.bode.bode_blocks import _less_gain_is_nearer, summary
 from linkplan.studies.feedback.bode.poses import loop_poses
 from linkplan.studies.feedback.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
+from linkplan.studies.feedback.frequency.margins import Margins, margins
 from linkplan.studies.feedback.frequency.margins import _roots as crossings
-from linkplan.studies.feedback.frequency.margins import margins
 from linkplan.studies.feedback.frequency.stability_map import critical_kd
 from linkplan.studies.feedback.frequency.worst import refined_minima
 from linkplan.studies.feedback.tune.tune import Requirements, tune
@@ -124,5 +122,4 @@ def test_gains_found_keep_what_is_wanted_over_a_whole_turn_of_a_crank():
     ("less", "more", "told"), [(None, 12.3, False), (74.9, 12.3, False), (5.4, 37.8, True), (5.4, None, True)]
 )
 def test_the_gain_reduction_margin_is_told_where_less_gain_is_the_nearer_danger(less, more, told):
-    margins = SimpleNamespace(gain_reduction_margin_db=less, gain_margin_db=more)
-    assert _less_gain_is_nearer(margins) is told
+    assert _less_gain_is_nearer(Margins(stable=True, gain_reduction_margin_db=less, gain_margin_db=more)) is told

@@ -209,10 +209,7 @@ def test_compare_of_the_sine_draws_the_documents_figure_for_its_gains_and_those_
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("kd", "period", "stable"),
-    [("10", "1e-4", False), ("10", "1e-5", True), ("1", "1e-4", True)],
-)
+@pytest.mark.parametrize(("kd", "period", "stable"), [("10", "1e-4", False), ("10", "1e-5", True), ("1", "1e-4", True)])
 def test_bode_says_which_loop_is_stable_and_mujoco_agrees(ask_json, kd, period, stable):
     code, said = ask_json(
         *("bode", "optimus-knee", "--kp", "200", "--kd", kd, "--period-s", period, "--no-measure"),

@@ -140,6 +140,7 @@ def test_a_rod_without_mass_is_a_problem():
     assert not any("mass" in said for said in inspect(load_mechanism("slider-crank"), []).problems)
 
 
+@pytest.mark.usefixtures("drawn_figures")
 def test_a_name_of_dollars_is_drawn_as_it_stands(tmp_path):
     with page(tmp_path / "a.png") as axes:
         axes[0, 0].set_title("joint $x^$")

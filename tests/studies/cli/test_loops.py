@@ -11,17 +11,17 @@ from tests.support.figures import curves, dots, labels, saved_figures
 from tests.support.oscillators import mass_on_a_spring
 from tests.support.tolerances_loops import DECAY, KNEE_DB, LONGEST_PERIOD
 
+pytestmark = pytest.mark.usefixtures("drawn_figures")
+
 OF_HERTZ = "frequency [Hz]"
 # Rounding of a page's numbers.
 SHOWN = 1e-3
 LABELS = {
     "bode.png": [
-        *[(OF_HERTZ, what) for what in ("gain [dB]", "phase [deg]", "difference [dB]", "difference [deg]") for _ in "ab"],
+        *[(OF_HERTZ, what) for what in ("gain [dB]", "phase [deg]", "difference [dB]", "difference [deg]") for _ in "ab"]
     ],
     "nyquist.png": [("real part of L", "imaginary part of L")],
-    "sensitivity.png": [
-        *((OF_HERTZ, "gain [dB]"), (OF_HERTZ, "gain [dB]"), (OF_HERTZ, "gain [dB of (N.m)/rad]")),
-    ],
+    "sensitivity.png": [*((OF_HERTZ, "gain [dB]"), (OF_HERTZ, "gain [dB]"), (OF_HERTZ, "gain [dB of (N.m)/rad]"))],
     "margins.png": [
         *(("O [deg]", what) for what in (OF_HERTZ, "margin [deg]", OF_HERTZ)),
         ("", "|S|, blank where it is\nunstable; red amplifies [dB]"),

@@ -32,13 +32,7 @@ BESIDE = f"""<mujoco><option timestep="{PERIOD_S}" integrator="implicitfast" gra
 def held() -> SampledReference:
     still, times = np.zeros((2, 3)), np.array([0.0, PERIOD_S])
     return SampledReference(
-        period_s=PERIOD_S,
-        time_s=times,
-        pose_rad=still,
-        position_rad=still,
-        velocity_rad_s=still,
-        effort=still,
-        cycle=None,
+        period_s=PERIOD_S, time_s=times, pose_rad=still, position_rad=still, velocity_rad_s=still, effort=still, cycle=None
     )
 
 

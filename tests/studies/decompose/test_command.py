@@ -12,6 +12,7 @@ SHORT = ("--set", "tracking.duration_s=0.005", "--trackers", "pd+ff")
 HEAVY = ("--set", "imperfections.payload_mass_factor=1.2")
 
 
+@pytest.mark.usefixtures("drawn_figures")
 def test_the_command_says_writes_and_reports_the_same_parts(ask_json, ask, tmp_path):
     folder = tmp_path / "parts"
     code, said = ask_json("decompose", "knee-reach", *SHORT, *HEAVY, "-o", str(folder))

@@ -1,13 +1,13 @@
 """Margins of given responses, where they follow from the response in closed form."""
 
 from collections.abc import Callable
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from linkplan.controllers.sampling import Sampling
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.feedback.frequency.feedback_loops import CONTINUOUS, operating_point
+from linkplan.studies.feedback.frequency.feedback_loops import CONTINUOUS, FeedbackLoop, feedback_loop, operating_point
 from linkplan.studies.feedback.frequency.margins import Margins, margins
 from tests.support.oscillators import inertia_alone
 
@@ -16,16 +16,12 @@ CROSSOVER_HZ = 5.0
 
 def of_response(response: Callable[[np.ndarray], np.ndarray]) -> Margins:
     """Return the margins of a stable loop with an open-loop response L(f), f in Hz."""
-    loop = SimpleNamespace(
-        point=operating_point(load_mechanism(inertia_alone(1.0, 1.0)), np.zeros(1)),
-        gain=np.ones((1, 2)),
-        stable=True,
-        radius=None,
-        kind=CONTINUOUS,
-        timing=SimpleNamespace(period_s=1e-3),
-        gains=lambda _kind, f, _channel: response(np.asarray(f, dtype=float)),
-    )
-    return margins(loop)
+    point = operating_point(load_mechanism(inertia_alone(1.0, 1.0)), np.zeros(1))
+    loop = feedback_loop(point, np.ones((1, 2)), Sampling(period_s=1e-3), CONTINUOUS)
+    assert loop.stable
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(FeedbackLoop, "gains", lambda _loop, _quantity, f, _channel: response(np.asarray(f, dtype=float)))
+        return margins(loop)
 
 
 @pytest.mark.parametrize("margin_rad", [0.5, -0.5])

@@ -164,13 +164,7 @@ def test_a_delay_between_simulator_steps_takes_finer_steps_or_is_refused(knee):
         sampling(knee, 1e-4, 0.25, substeps=2)
 
 
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"amplitude": -1.0}, "positive number"),
-        ({"windows": 1}, "2 windows"),
-    ],
-)
+@pytest.mark.parametrize(("values", "words"), [({"amplitude": -1.0}, "positive number"), ({"windows": 1}, "2 windows")])
 def test_a_setup_that_measures_nothing_is_refused(values, words):
     with pytest.raises(LinkplanError, match=words):
         Setup(**values)

@@ -10,10 +10,10 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.limits import Limits, free_bounds
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.trajectory import Trajectory
 from linkplan.studies.output.draw_plan import drawn_motion, plan_figure, time_plots
 from tests.support.arms import LOWER, UPPER
 from tests.support.figures import curves, saved_figures
+from tests.support.motions import motion_along
 from tests.support.plans import optimal
 from tests.support.sites import ABOVE, BELOW, arm_of, places_along, plan_of
 
@@ -39,14 +39,7 @@ def many() -> Plan:
         limits=Limits(effort=mechanism.effort_limit, position=unlimited, speed=unlimited),
     )
     ones = np.ones((1, n))
-    trajectory = Trajectory(
-        breaks_s=np.array([0.0, 1.0]),
-        position=np.array([0 * ones, 0 * ones, ones, ones]),
-        velocity=np.array([0 * ones, 3 * ones, 0 * ones]),
-        effort=np.array([6 * ones, -6 * ones]),
-        start_pose=np.zeros(n),
-        periodic=False,
-    )
+    trajectory = motion_along([0.0, 1.0], [0 * ones, 0 * ones, ones, ones], effort=[6 * ones, -6 * ones])
     return Plan(problem=problem, status="optimal", message="cubics", trajectory=trajectory)
 
 

@@ -10,6 +10,8 @@ from linkplan.studies.output.document import Axis, DrawnLimit, Plot, Series
 from linkplan.studies.output.figure import figure_of, one_screen
 from linkplan.studies.output.lines import TIME, Line, plots
 
+pytestmark = pytest.mark.usefixtures("drawn_figures")
+
 
 def panel(number: int, n_lines: int) -> Plot:
     """Return a plot whose legend has long names, which differ from those of every other plot."""

@@ -23,6 +23,8 @@ from tests.support.figures import curves, saved_figures
 from tests.support.mechanism_checks import mechanism_of
 from tests.support.plans import optimal
 
+pytestmark = pytest.mark.usefixtures("drawn_figures")
+
 SHORT = "tracking.duration_s=0.01"
 RANGES = (
     "imperfections.payload_mass_factor=[0.9, 1.1]",

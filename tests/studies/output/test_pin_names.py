@@ -10,6 +10,8 @@ from matplotlib.text import Text
 import linkplan
 from linkplan.studies.output.draw_bodies import draw_poses
 
+pytestmark = pytest.mark.usefixtures("drawn_figures")
+
 
 @pytest.mark.parametrize("size_in", [(5.0, 3.0), (8.0, 6.0)])
 def test_names_of_many_pins_stand_apart_and_in_the_order_of_the_pins_heights(size_in):

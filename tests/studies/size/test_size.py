@@ -36,6 +36,7 @@ def listed(tmp_path):
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("drawn_figures")
 def test_the_command_says_writes_and_reports_the_same_motors(ask_json, ask, listed, tmp_path):
     folder = tmp_path / "sized"
     code, said = ask_json("size", "knee-reach", "--motors", listed, "-o", str(folder))

@@ -68,6 +68,7 @@ def test_a_table_in_any_coordinates_is_the_same():
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("drawn_figures")
 def test_files_hold_the_same_numbers_with_units(ankle, tmp_path):
     ankle.save(tmp_path / "tables", parquet=True)
     place = tmp_path / "tables"
