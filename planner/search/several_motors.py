@@ -76,7 +76,7 @@ def from_several_starts(search: Search, budget: Budget) -> Plan | None:
         a_little = slower(problem, [*known, *(first.found.motion for first in firsts[:1])])
         if a_little is not None:
             return a_little
-    best = best or _best(plans) or (_slower(problem, firsts[0]) if firsts else None)
+    best = best or _best(plans) or (_slower(search.problem, firsts[0]) if firsts else None)
     if best is None:
         return plans[0] if plans else None
     better = min(first.objective for first in firsts)
