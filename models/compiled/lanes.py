@@ -118,9 +118,9 @@ def over_columns(function: ca.Function, lanes: int, n: int) -> Callable:
 
 
 def in_lanes(functions: Sequence[ca.Function]) -> str | None:
-    """Return C code of functions, each at `N_LANES` samples whose columns stand side by side; None where one has calls.
+    """Return C code of functions, each at `N_LANES` samples whose columns stand side by side.
 
-    Inputs and outputs are dense.
+    None where one has operations of matrices, calls of other functions, or sparse inputs or outputs.
     """
     parts = [_part(function) for function in functions]
     if None in parts:
@@ -137,7 +137,12 @@ def _c_number(value: float) -> str:
 
 
 def _part(function: ca.Function) -> str | None:
-    """Return one function's operations and its entries; None where an operation calls another function."""
+    """Return one function's operations and its entries; None where these are not of scalars, or call another function."""
+    ends = [function.sparsity_in(i) for i in range(function.n_in())] + [
+        function.sparsity_out(i) for i in range(function.n_out())
+    ]
+    if not (function.is_a("SXFunction") and all(pattern.is_dense() for pattern in ends)):
+        return None
     operations, constants = [], []
     for k in range(function.n_instructions()):
         op, out, into = function.instruction_id(k), function.instruction_output(k), function.instruction_input(k)

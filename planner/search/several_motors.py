@@ -76,7 +76,7 @@ def from_several_starts(search: Search, budget: Budget) -> Plan | None:
         a_little = slower(problem, [*known, *(first.found.motion for first in firsts[:1])])
         if a_little is not None:
             return a_little
-    best = best or _best(plans) or (_slower(search.problem, firsts[0]) if firsts else None)
+    best = best or _best(plans) or (_in_more_time(search.problem, firsts[0]) if firsts else None)
     if best is None:
         return plans[0] if plans else None
     better = min(first.objective for first in firsts)
@@ -95,8 +95,8 @@ def _margin_kept(problem: Problem, plan: Plan) -> str:
     return f"; it keeps {met[0]:g} of the home pose's distance from singular poses, nearer to them it may cost less"
 
 
-def _slower(problem: Problem, first: _First) -> Plan | None:
-    """Return the plan of a slower motion with little effort, which bounds the cost of a free duration; None without one."""
+def _in_more_time(problem: Problem, first: _First) -> Plan | None:
+    """Return the plan of a motion of little effort in more time, which bounds a free duration's cost; None without one."""
     if problem.motion.duration_s is not None:
         return None
     motion = first.found.motion
@@ -105,10 +105,10 @@ def _slower(problem: Problem, first: _First) -> Plan | None:
         if duration > (problem.motion.max_duration_s or np.inf):
             break
         fixed = replace(problem.motion, duration_s=duration, min_duration_s=None, max_duration_s=None)
-        slower = replace(problem, objective="effort", motion=fixed)
-        case, guess = _first_case(slower, motion.start_pose), stretched(guess_from(motion), duration)
+        asked = replace(problem, objective="effort", motion=fixed)
+        case, guess = _first_case(asked, motion.start_pose), stretched(guess_from(motion), duration)
         found = attempt(case, guess, *first_mesh(case.problem, guess), f"{factor:g} times slower", adaptive=True)
-        plan = None if found is None else certified(slower, found)
+        plan = None if found is None else certified(asked, found)
         if plan is not None and plan.passed:
             found = plan.require_motion("bound the duration with")
             bound = without_solving(problem, found, objective_value(problem, found)[0], f"motion of {duration:.6g} s")

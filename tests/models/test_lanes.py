@@ -61,3 +61,9 @@ def test_samples_of_several_columns_keep_their_order(tmp_path, n):
 def test_a_function_that_calls_another_one_is_left_to_casadi():
     doubled = ca.Function("doubled", [x], [2 * x], {"never_inline": True})
     assert in_lanes([ca.Function("caller", [x], [doubled(x)])]) is None
+
+
+def test_operations_of_matrices_and_sparse_values_are_left_to_casadi():
+    vector = ca.MX.sym("vector", 2)
+    assert in_lanes([ca.Function("rows", [vector], [vector + vector])]) is None
+    assert in_lanes([ca.Function("rows", [x], [ca.SX(ca.diag(ca.vertcat(x, x)))])]) is None
