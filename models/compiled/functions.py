@@ -181,7 +181,10 @@ def compiled(key: str, kind: type[CodeT], build: Callable[[], CodeT], deadline: 
         if isinstance(error, subprocess.TimeoutExpired) and left < _COMPILER_TIMEOUT_S:  # the deadline ended it
             return functions
         # A full disk or a broken compiler makes the functions slower but not wrong.
-        warnings.warn(f"functions are interpreted, compiling them failed: {one_line(error)}", RuntimeWarning, stacklevel=2)
+        why = one_line(error)
+        if isinstance(error, subprocess.CalledProcessError):
+            why = f"'{error.cmd[0]}' returned {error.returncode}; the variable CC names another compiler"
+        warnings.warn(f"functions are interpreted, compiling them failed: {why}", RuntimeWarning, stacklevel=2)
         return functions
 
 
