@@ -54,7 +54,7 @@ def _falls(model: mujoco.MjModel, joint: int) -> bool:
 
 
 def _tied_trees(model: mujoco.MjModel) -> list[set[int]]:
-    """Return the bases on what stands still, and the world itself, in groups that loops or actuated cables tie together."""
+    """Return the bodies that stand on the world, and the world, in groups that loops or actuated cables tie together."""
     groups = [{base} for base in {base_of(model, body) for body in range(model.nbody)}]
     ties = [tied_bodies(model, index) for index in np.flatnonzero(model.eq_active0).tolist()]
     for bodies in ties + [bodies_of_tendon(model, tendon) for tendon in actuated(model, mujoco.mjtTrn.mjTRN_TENDON)]:

@@ -1,4 +1,4 @@
-"""The imperfections of one machine: small frozen values in SI units, each neutral by default, and how files give them.
+"""The imperfections of one machine, frozen values in SI units that are neutral by default, and their keys in files.
 
 All of them belong to the plant and to the feedback loop. The tracker does not use them.
 

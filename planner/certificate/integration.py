@@ -204,6 +204,8 @@ def _integrated_with_restarts(
     count, starts = len(aside), (begins[:, None] + aside).reshape(-1, 2 * n_s)
     poses, inputs = (np.repeat(of, count, axis=0) for of in (poses, inputs))
     states = np.hstack([one_stride(mechanism, poses, starts[:, :n_s]), starts[:, n_s:]])
+    if not np.all(np.isfinite(states)):  # a pose next to a singular one, whose loops do not close a little aside
+        return None
     reached = side_by_side(function, np.repeat(widths, count), inputs, states, np.array([0.5, 1.0]), until)
     if reached is None:
         return None

@@ -55,7 +55,8 @@ _MOST_JUMPS = 0.9
 _MOST_RESIDUAL, _MOST_TIGHTENED = 0.2, 3e-4
 # A mesh's limits are tightened so often; where that does not do, or costs more than settles, the mesh is made finer.
 _MAX_TIGHTENINGS = 2
-# Two switch times have met if a segment is shorter than this share of a mean interval: its rounding would be a motion's.
+# A segment that is shorter than this share of a mean interval is removed: its switch times have met, and rounding decides
+# its accelerations.
 _MET_SHARE = 1e-2
 # A solve that begins at the last mesh's motion takes at most so many iterations, and twice as many in another transcription.
 _MOST_ITERATIONS = 150
@@ -82,7 +83,7 @@ class _Way:
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Kept:
-    """A motion that passes, the case that it solves, and the coordinates whose ranges are kept by rows."""
+    """A motion that passes, the case that it solves, and the coordinates with rows for their ranges between the nodes."""
 
     case: MechanismCase
     at: CertifiedIterate
@@ -115,7 +116,7 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
     deadline = case.problem.solver.deadline
     # The independent coordinates whose ranges are kept between the nodes too: at nodes alone, a motion along one flips.
     rows: frozenset[int] = frozenset()
-    while_better, until = deadline.within_share(_SHARE_OF_MESHES), deadline
+    after_passing, until = deadline.within_share(_SHARE_OF_MESHES), deadline
     for _ in range(_MAX_MESHES):
         check()
         if way is None or until.passed:
@@ -135,7 +136,7 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
             alike = bool(kept) and _margin_of(kept[-1].case) == _margin_of(last.case)
             moved = max(gain, 0.0) if alike else 0.0
             kept.append(last)
-            until = while_better
+            until = after_passing
     if last is not None and last not in kept:
         kept.append(last)
     for one in reversed(kept):

@@ -126,16 +126,16 @@ def _first_solutions(search: Search, problem: Problem) -> list[_First]:
     """Return the first solutions of different motions, the best first, until the best one was found twice."""
     case = _first_case(problem, search.start_pose)
     found: list[_First] = []
-    while_better = search.deadline.within_share(_SHARE_OF_FIRST)
+    after_first = search.deadline.within_share(_SHARE_OF_FIRST)
     for number, (what, guess) in enumerate(search.deadline.take(itertools.islice(_starts(search, problem), _MOST_STARTS))):
         mesh, durations = first_mesh(case.problem, guess)
-        if found and while_better.passed:
+        if found and after_first.passed:
             break
         try:
             if not closes(problem, guess):
                 continue
             adaptive = number % 2 == 0 and problem.motion.duration_s is None
-            timed = _in_time(case, found, while_better)
+            timed = _in_time(case, found, after_first)
             one = attempt(timed, guess, mesh, durations, f"start from {what}", adaptive=adaptive)
         except OutOfTimeError:
             break
@@ -152,14 +152,14 @@ def _first_solutions(search: Search, problem: Problem) -> list[_First]:
     return different
 
 
-def _in_time(case: MechanismCase, found: list[_First], while_better: Deadline) -> MechanismCase:
+def _in_time(case: MechanismCase, found: list[_First], after_first: Deadline) -> MechanismCase:
     """Return a case whose solve takes at most three times the iterations of the shortest one that led to a motion.
 
-    Once there is one, the solve has time until the deadline `while_better`.
+    Without a motion the case is unchanged. After the first motion, a solve must end by the deadline `after_first`.
     """
     if not found:
         return case
-    solver = case.problem.solver.replace(deadline=while_better)
+    solver = case.problem.solver.replace(deadline=after_first)
     most = 3 * min(first.found.solution.iterations for first in found)
     solver = solver.replace(max_iterations=min(most, solver.max_iterations or most))
     return replace(case, problem=replace(case.problem, solver=solver))

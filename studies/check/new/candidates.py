@@ -105,7 +105,9 @@ def _candidates(mechanism: Mechanism, say: Say, obstacles: Counter[str]) -> Iter
 
 
 def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: int) -> dict[str, dict] | str:
-    """Return the tables of a motion of some columns, by a share of their range to one side, or what shuts its way.
+    """Return the problem's tables for a motion of some coordinates by a share of their range, or what obstructs it.
+
+    `moved` are the indices of these coordinates; `side` is 1 for the longer side of the reach, -1 for the shorter one.
 
     Joints that move together move less: more than two share the motion of two.
     """
