@@ -14,7 +14,6 @@ from linkplan.planner.refinement.history import add_step, progress, step_of
 from linkplan.planner.refinement.marking import most_overrun, widths_of
 from linkplan.planner.refinement.state import RefinementState, observed
 from linkplan.planner.refinement.switch_search import mesh_with_switches, settle_switch_times
-from linkplan.planner.solvers.nearest import nearest_inside
 from linkplan.planner.solvers.newton import nearest_feasible
 from linkplan.planner.solvers.solve import SUCCEEDED
 from linkplan.planner.transcription.collocation import Transcribed
@@ -229,9 +228,7 @@ class ReduceEffortOverrun:
         return replace(counted, iterate=at, best=at, ended=False) if better else counted
 
 
-def nearest_on(
-    case: Case, coarse: Iterate, mesh: Mesh, *, position_rows: WhichJoints, by_newton: bool = False
-) -> Iterate | None:
+def nearest_on(case: Case, coarse: Iterate, mesh: Mesh, *, position_rows: WhichJoints) -> Iterate | None:
     """Return the motion on a finer mesh that is nearest to that of a coarser one; None without one.
 
     Args:
@@ -239,7 +236,6 @@ def nearest_on(
         coarse: the coarser motion.
         mesh: the finer mesh.
         position_rows: as of `attempt`.
-        by_newton: whether only Newton's steps are tried, and not the interior point method, which takes ten times as long.
     """
     what, before = "the same motion on a finer mesh", coarse.solution.transcribed
     durations = np.bincount(coarse.mesh.segment, weights=np.diff(coarse.motion.breaks_s))
@@ -255,10 +251,7 @@ def nearest_on(
         )
     except (AssemblyError, OutOfTimeError):
         return None
-    begin = _with_efforts(transcribed, coarse)
-    solution = nearest_feasible(transcribed, begin)
-    if not (solution.converged or by_newton):
-        solution = nearest_inside(transcribed, begin, case.problem.solver)
+    solution = nearest_feasible(transcribed, _with_efforts(transcribed, coarse))
     add_step(step_of(what, transcribed, solution))
     motion = case.motion(solution) if solution.converged else None
     return None if motion is None else Iterate(motion=motion, solution=solution, fixed=coarse.fixed)

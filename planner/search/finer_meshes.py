@@ -214,7 +214,7 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
         mesh = divided(at.found.mesh, _inexact(case, at))
         if steps and at.certificate is not None and at.overruns:  # by as little as this mesh errs
             case = case.tightened(at.certificate, at.found.motion)
-        found = nearest_on(case, at.found, mesh, position_rows=kept.rows, by_newton=not at.passed)
+        found = nearest_on(case, at.found, mesh, position_rows=kept.rows)
         if found is None and not at.passed:  # efforts and other limits that bind together leave no freedom
             mesh = divided(at.found.mesh, _coarse(case, at))
             way = _Way(kept.case, mesh, _durations(at), "finer mesh")
