@@ -156,7 +156,7 @@ DIAGNOSES: tuple[Diagnosis, ...] = (
     reasons.efforts_without_proof,
     reasons.efforts,
     reasons.efforts_without_other_limits,
-    reasons.ranges,
+    reasons.one_last_limit,
     reasons.efforts_by_the_phase_plane,
     reasons.less_than_least_time,
     reasons.nothing_found,

@@ -15,8 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, perturbed_guesses, stretched, swinging_guesses
-from linkplan.planner.limits.joints import SpeedLimit
-from linkplan.planner.limits.kinds import relaxed_kinds
+from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess
 from linkplan.planner.phase_plane.cheapest_motion import cheapest_guess
@@ -53,7 +52,7 @@ def one_start_is_worth_it(search: Search) -> bool:
 
 def other_limits(problem: Problem) -> bool:
     """True if a problem has limits that the phase plane leaves out: a motion may be slow because of them."""
-    return any(kind is not SpeedLimit for kind in relaxed_kinds(problem))
+    return any(not limit.facts.in_phase_plane for limit in limits_of(problem))
 
 
 def phase_plane_may_help(search: Search) -> bool:

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from linkplan.planner.limits import site as site_limits
-from linkplan.planner.limits.limit import Margin, factor_of, limit_margin
+from linkplan.planner.limits.kinds import factor_of
+from linkplan.planner.limits.limit import Margin, limit_margin
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.problem.instant import free_instant
