@@ -40,6 +40,8 @@ class ExtraPathLimit(Limit):
 
     @classmethod
     def of(cls, problem: Problem, **_: bool) -> list[Self]:
+        if not problem.extra_limits:
+            return []
         depends = [uses(one, problem.mechanism) for one in problem.extra_limits]
         jumps = len(smooth_columns(problem)) < problem.mechanism.dof  # accelerations
         return [

@@ -1,5 +1,7 @@
 """The kinds of limits in two tables, in each of which a new kind is one entry; a problem's limits, and loops over a kind."""
 
+from typing import Any
+
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
@@ -91,7 +93,13 @@ FURTHER_CLAIMS = (further_control_claims,)
 
 def limits_of(problem: Problem, *, enclosed: bool = False, position_rows: WhichJoints = False) -> tuple[Limit, ...]:
     """Return a problem's limits; the arguments are those of `Limit.of`."""
-    return tuple(limit for kind in KINDS for limit in kind.of(problem, enclosed=enclosed, position_rows=position_rows))
+    asked = [kind for kind in KINDS if _limits_something(getattr(problem.limits, kind.key, True))]
+    return tuple(limit for kind in asked for limit in kind.of(problem, enclosed=enclosed, position_rows=position_rows))
+
+
+def _limits_something(field: Any) -> bool:
+    """True if a field of `Limits` has an entry that is not infinite; a kind without a field of its key asks the problem."""
+    return bool(np.isfinite(field).any()) if isinstance(field, np.ndarray) else bool(field)
 
 
 def structure_of(problem: Problem) -> tuple:

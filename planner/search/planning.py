@@ -25,6 +25,7 @@ from linkplan.planner.search.finer_meshes import of_several
 from linkplan.planner.search.ladder import FULL_BUDGET, SHORT_BUDGET, Budget, Repair, Search, SearchMethod, run_search
 from linkplan.planner.search.several_motors import from_several_starts
 from linkplan.planner.search.site_path import plan_along_path
+from linkplan.planner.search.solving import longest
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 
 __all__ = ["DIAGNOSES", "REPAIRS", "SEARCH_METHODS", "Say", "plan_motion", "silent"]
@@ -40,6 +41,11 @@ def _leaves_time_to_wait(search: Search) -> bool:
 def _is_worth_a_start(search: Search) -> bool:
     """True if the first starts are tried one after another: not for several motors, whose own search has tried them."""
     return starts.one_start_is_worth_it(search) and not of_several(search.problem)
+
+
+def _legs_may_help(search: Search) -> bool:
+    """True if no plan passes, and the phase plane knows a motion to the goal."""
+    return not search.solved and search.quickest is not None and search.quickest.duration_s <= longest(search.problem)
 
 
 _FIRST: tuple[SearchMethod, ...] = (
@@ -100,7 +106,7 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
     *_FIRST,
     SearchMethod(
         name="the cheapest legs of the phase plane, where meshes over time led to false motions",
-        tried=lambda search: bool(search.plans) and without_solver.legs_may_help(search),
+        tried=lambda search: bool(search.plans) and _legs_may_help(search),
         run=without_solver.from_legs,
         budget=SHORT_BUDGET,
     ),
@@ -120,7 +126,7 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
     ),
     SearchMethod(
         name="the cheapest legs of the phase plane",
-        tried=without_solver.legs_may_help,
+        tried=_legs_may_help,
         run=without_solver.from_legs,
         budget=SHORT_BUDGET,
     ),
@@ -200,7 +206,7 @@ def _planned(problem: Problem, methods: Sequence[SearchMethod], diagnoses: Seque
     if plan is None and problem.motion.kind == "hold":
         plan = plan_hold(problem)
     elif plan is None:
-        rest = without_solver.at_rest(search)
+        rest = without_solver.at_rest(search) if problem.motion.stays else None
         plan = (
             rest if rest is not None and rest.status == "optimal" else _or_simpler(search, run_search(search, methods), rest)
         )

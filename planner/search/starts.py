@@ -88,11 +88,11 @@ def enough_time(search: Search) -> bool:
 def _swings_may_be_better(search: Search) -> bool:
     """True if a plan between start and goal meets its effort limits, and the motion of least time swings."""
     problem = search.problem
-    if problem.solver.starts > 1 or problem.guess is not None or not phase_plane_applies(problem):
-        return False
     # A limit is met within a thousandth.
     weak = np.any(search.best.certificate.peak_effort > 0.999 * np.abs(problem.limits.effort).max(axis=1))
-    return bool(weak) and search.quickest is not None and search.quickest.swings > 1 and not no_time(search)
+    if problem.solver.starts > 1 or problem.guess is not None or not weak or not phase_plane_applies(problem):
+        return False
+    return search.quickest is not None and search.quickest.swings > 1 and not no_time(search)
 
 
 def from_first_starts(search: Search, budget: Budget) -> Plan | None:
@@ -133,13 +133,17 @@ def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, G
 def may_be_along_limits(search: Search) -> bool:
     """True if a least time of one degree of freedom may lie along limits on power, line, pin force or speed."""
     problem, motion = search.problem, search.problem.motion
-    limited = bool(np.any(np.isfinite(problem.limits.power))) or knows_lines(problem)
     return (
         search.only_time_counts
         and motion.duration_s is None
         and problem.guess is None
         and problem.mesh.effort == "polynomial"
-        and (limited or supports_pin_limits(problem) or knows_speeds(problem))
+        and (
+            bool(np.any(np.isfinite(problem.limits.power)))
+            or knows_lines(problem)
+            or supports_pin_limits(problem)
+            or knows_speeds(problem)
+        )
         and phase_plane_applies(problem)
     )
 
