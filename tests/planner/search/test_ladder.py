@@ -232,3 +232,15 @@ def test_a_lost_step_is_tried_again_with_roots_of_the_factor_as_often_as_is_allo
     path = followed(1.0, Steps(begin=1.0, end=99.0, factor=16.0, halvings=2), lost)
     assert not path.arrived
     assert tried == pytest.approx([16.0, 4.0, 2.0])
+
+
+def test_a_method_that_shares_its_time_gets_half_of_what_is_left():
+    shares = []
+    methods = [
+        SearchMethod(
+            name=str(half), run=lambda _, budget: shares.append(budget.share_of_time), budget=Budget(), shares_time=of
+        )
+        for half, of in ((True, lambda _: True), (False, lambda _: False))
+    ]
+    run_search(search_for(load_problem("knee-reach")), methods)
+    assert shares == [0.5, 1.0]
