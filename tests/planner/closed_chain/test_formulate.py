@@ -1,4 +1,4 @@
-"""The rows of a goal that is a place of a site and of limits on the pose, and the smoothing of efforts among the costs of an interval."""
+"""Rows of a goal that is a place of a site and of limits on the pose; the smoothing of efforts among an interval's costs."""
 
 import numpy as np
 import pytest
