@@ -19,7 +19,7 @@ from typing import ParamSpec, TypeVar
 
 from linkplan.models.errors import LinkplanError
 
-_LOCK = threading.RLock()
+ONE_THREAD = threading.RLock()
 Asked = ParamSpec("Asked")
 Answer = TypeVar("Answer")
 _SIGNALS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
@@ -35,7 +35,7 @@ def one_thread_at_a_time(function: Callable[Asked, Answer]) -> Callable[Asked, A
 
     @functools.wraps(function)
     def alone(*args: Asked.args, **kwargs: Asked.kwargs) -> Answer:
-        with _LOCK:
+        with ONE_THREAD:
             return function(*args, **kwargs)
 
     return alone

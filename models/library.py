@@ -240,11 +240,12 @@ def _compiled(
 def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]:
     """Return a model's name, the specification of what is selected, and notes on what was left out."""
     name, spec, notes = _read_spec(source)
-    root = urdf_root(source)
+    built_in = str(source) in MODELS
+    root = None if built_in else urdf_root(source)
     if root is not None:
         notes += complete(spec, source, root)
     else:
-        notes += () if is_text(str(source)) or str(source) in MODELS else leave_out_missing_files(spec, Path(source))
+        notes += () if built_in or is_text(str(source)) else leave_out_missing_files(spec, Path(source))
         notes += _angle_note(spec)
     _name_all(spec.bodies, "body")
     if selection:

@@ -13,6 +13,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference
+from linkplan.controllers.trackers.tracker import Design
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, mapped, sampled
 from linkplan.models.reduction.closing import MAX_LOOP_GAP_M, closed_near
@@ -78,3 +79,8 @@ def _law(mechanism: Mechanism) -> ca.Function:
     q, gap = closed_near(dynamics, near, s)
     effort = ca.pinv(dynamics.effort_map(q)) @ mechanism.forced.inverse_dynamics(q, v, a, *forces)
     return ca.Function("computed_torque", [near, s, v, a, *forces], [effort, gap])
+
+
+def ct_for(design: Design) -> ComputedTorque:
+    """Return the computed torque of a design."""
+    return computed_torque(design.mechanism, design.reference, *design.of_errors)

@@ -14,8 +14,8 @@ import numpy as np
 
 from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.trackers.lqr import Errors, Regulator, regulate, regulator
-from linkplan.controllers.trackers.tracker import ordered_product
+from linkplan.controllers.trackers.lqr import Regulator, regulate, regulator
+from linkplan.controllers.trackers.tracker import Design, Errors, ordered_product
 from linkplan.models.closure.rank import RANK_TOLERANCE
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
@@ -136,3 +136,9 @@ def integral_lqr(
         integrated=actuated[chosen],
         effort_limit=np.array(effort_limit, dtype=float),
     )
+
+
+def lqi_for(design: Design) -> IntegralLQR:
+    """Return the LQR tracker with integral action of a design."""
+    time_s = design.settings.integral_time_s
+    return integral_lqr(design.mechanism, design.reference, design.errors(), time_s, design.effort_limit)

@@ -18,7 +18,7 @@ from linkplan.controllers.integrator import simulates_servos
 from linkplan.controllers.linearisation import discretise, linearise
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import sampling, simulated
-from linkplan.controllers.trackers.tracker import StateFeedback
+from linkplan.controllers.trackers.tracker import Design, Errors, StateFeedback
 from linkplan.models.errors import GainError
 from linkplan.models.mechanism import Mechanism
 
@@ -60,19 +60,6 @@ def regulate(A: np.ndarray, B: np.ndarray, Q: np.ndarray, R: np.ndarray, *, repe
     return Regulator(A=A, B=B, gains=gains, cost=cost, Q=Q, R=R, after=after)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Errors:
-    """Errors and efforts of unit cost in a regulator.
-
-    Position and velocity errors [rad or m, and per second] are one value for all joints or (n_s,). Efforts (n_u,) [N.m or N]
-    are usually the effort limits.
-    """
-
-    position: float | np.ndarray
-    velocity: float | np.ndarray
-    effort: np.ndarray
-
-
 def regulator(mechanism: Mechanism, reference: SampledReference, errors: Errors) -> tuple[Regulator, np.ndarray]:
     """Return the optimal feedback along a reference, and the indices (m,) of x = (s, v) in its state.
 
@@ -110,6 +97,11 @@ def lqr(mechanism: Mechanism, reference: SampledReference, errors: Errors) -> St
     full[:, :, kept] = found.gains
     gains = full[np.arange(reference.n) % len(full)]
     return StateFeedback(reference=reference, gains=gains, name="lqr", feedforward=True)
+
+
+def lqr_for(design: Design) -> StateFeedback:
+    """Return the LQR tracker of a design."""
+    return lqr(design.mechanism, design.reference, design.errors())
 
 
 def _joined(first: _Span, then: _Span) -> _Span:

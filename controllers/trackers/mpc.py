@@ -19,9 +19,9 @@ import daqp
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.trackers.lqr import Errors, Regulator, regulator
+from linkplan.controllers.trackers.lqr import Regulator, regulator
 from linkplan.controllers.trackers.prediction import Predictor, predictor
-from linkplan.controllers.trackers.tracker import ordered_product
+from linkplan.controllers.trackers.tracker import Design, Errors, ordered_product
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import evaluated, sampled
@@ -180,3 +180,9 @@ def mpc(
         weights=(periods * found.Q, periods * found.R),
         predictor=model,
     )
+
+
+def mpc_for(design: Design) -> MPC:
+    """Return the MPC tracker of a design."""
+    errors, horizon_s = design.errors(), design.settings.horizon_s
+    return mpc(design.mechanism, design.reference, errors, horizon_s, design.effort_limit, design.compile_mode)

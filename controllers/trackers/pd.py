@@ -6,7 +6,7 @@ Gains proportional to the reduced inertia give the same bandwidth and damping ra
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.trackers.tracker import StateFeedback
+from linkplan.controllers.trackers.tracker import Design, StateFeedback, with_feedforward
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 
@@ -35,6 +35,21 @@ def scheduled_pd(
     maps = _effort_maps(mechanism, reference) @ inertia
     gains = pd_gain(maps, natural_frequency**2, 2 * damping_ratio * natural_frequency)
     return StateFeedback(reference=reference, gains=gains, name="gs-pd")
+
+
+def pd_for(design: Design) -> StateFeedback:
+    """Return the PD tracker of a design."""
+    return pd(design.mechanism, design.reference, *design.settings.gains(design.mechanism.independent_joints))
+
+
+def pd_ff_for(design: Design) -> StateFeedback:
+    """Return the PD tracker of a design with the reference's efforts."""
+    return with_feedforward(pd_for(design))
+
+
+def gs_pd_ff_for(design: Design) -> StateFeedback:
+    """Return the gain-scheduled PD tracker of a design with the reference's efforts."""
+    return with_feedforward(scheduled_pd(design.mechanism, design.reference, *design.of_errors))
 
 
 def pd_gain(effort_map: np.ndarray, kp: float | np.ndarray, kd: float | np.ndarray) -> np.ndarray:

@@ -16,12 +16,14 @@ for products.
 `StateFeedback` is the linear law. Feedforward adds the efforts of the reference motion.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import ClassVar, Protocol, cast
+from typing import Any, ClassVar, Protocol, cast
 
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference
+from linkplan.models.mechanism import Mechanism
 
 
 def ordered_product(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
@@ -92,6 +94,45 @@ class TrackerWithMemory(Protocol):
 
 
 AnyTracker = Tracker | TrackerWithMemory
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Errors:
+    """Errors and efforts of unit cost in a regulator.
+
+    Position and velocity errors [rad or m, and per second] are one value for all joints or (n_s,). Efforts (n_u,) [N.m or N]
+    are usually the effort limits.
+    """
+
+    position: float | np.ndarray
+    velocity: float | np.ndarray
+    effort: np.ndarray
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Design:
+    """What a built-in tracker is built from.
+
+    Args:
+        mechanism: the machine as modelled.
+        reference: its sampled motion.
+        settings: the keys of [tracking], a `linkplan.planner.problem.settings.Tracking`.
+        errors: returns the errors and efforts of unit cost.
+        effort_limit: of the actuators (n_u, 2) [N.m or N].
+        compile_mode: whether functions are compiled, as `solver.compile`.
+    """
+
+    mechanism: Mechanism
+    reference: SampledReference
+    settings: Any
+    errors: Callable[[], Errors]
+    effort_limit: np.ndarray
+    compile_mode: str = "auto"
+
+    @property
+    def of_errors(self) -> tuple[float, float]:
+        """The natural frequency [rad/s] and the damping ratio of the errors."""
+        return 2 * np.pi * self.settings.bandwidth_hz, self.settings.damping_ratio
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

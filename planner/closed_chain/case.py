@@ -27,8 +27,8 @@ from linkplan.planner.closed_chain.prescribed import (
     unheld,
 )
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
-from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
-from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.kinds import limits_of, tightened_in
+from linkplan.planner.limits.limit import Tightened
 from linkplan.planner.plan.plan import Plan, tracking_errors
 from linkplan.planner.problem.extra import as_no_number
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
@@ -93,7 +93,9 @@ class MechanismCase:
         return ErrorReport(
             exact=is_exact(self.asked, certificate),
             repairable=certificate.repairable,
-            leaves_positions=any(isinstance(margin.of, RangeLimit) and margin.left < 0 for margin in certificate.margins),
+            leaves_positions=any(
+                margin.of.facts.tightened is Tightened.IN_PROBLEM and margin.left < 0 for margin in certificate.margins
+            ),
             overruns=not all(margin.kept for margin in certificate.margins),
             overrun=np.max([np.zeros(len(certificate.growth)), *over], axis=0),
             integration_error_deg=certificate.integration_error_deg,
@@ -104,7 +106,7 @@ class MechanismCase:
         further = tightenings_of(certificate.margins, motion.breaks_s)
         further = evened(further) if self.enclosed else further
         everywhere = self.n_tightenings >= 1  # after the first time overruns are small and move between intervals
-        problem = _tightened(self.problem, certificate, speeds=everywhere)
+        problem = _tightened(self.problem, certificate, further=everywhere)
         return replace(self, problem=problem, tightenings=self.tightenings + further, n_tightenings=self.n_tightenings + 1)
 
     def with_scheme(self, name: str) -> "MechanismCase":
@@ -167,16 +169,15 @@ def is_exact(problem: Problem, certificate: Certificate) -> bool:
     )
 
 
-def _tightened(problem: Problem, certificate: Certificate, *, speeds: bool) -> Problem:
-    """Return a problem with ranges, effort rates and optionally speeds tightened by 1.1 times the overrun."""
-    bounds = {"position": problem.limits.position.copy(), "speed": problem.limits.speed.copy()}
+def _tightened(problem: Problem, certificate: Certificate, *, further: bool) -> Problem:
+    """Return a problem whose limits that no row tightens are tightened by 1.1 times the overrun, `further` ones too."""
     for margin in certificate.margins:
-        if isinstance(margin.of, RangeLimit) or (speeds and isinstance(margin.of, SpeedLimit)):
-            over = max(0.0, -margin.left) / problem.mechanism.joints[margin.item].shown(1.0)
-            bounds[margin.what][margin.item] += 1.1 * over * np.array([1.0, -1.0])
-        elif margin.of.facts.tightened is None and not margin.kept and np.isfinite(margin.left):
-            problem = margin.of.relaxed(problem, 1.0 + 1.1 * margin.left / margin.size)
-    return replace(problem, limits=replace(problem.limits, **bounds))
+        by = margin.of.facts.tightened
+        if by is Tightened.IN_PROBLEM or (further and by is Tightened.LATER_IN_PROBLEM):
+            problem = tightened_in(problem, margin, 1.1)
+        elif by is None and not margin.kept and np.isfinite(margin.left):
+            problem = margin.of.relaxed(problem, 1.0 + 1.1 * margin.share)
+    return problem
 
 
 def slow_share(mechanism: Mechanism, trajectory: Trajectory) -> tuple[float, str] | None:
@@ -293,7 +294,7 @@ def plan_prescribed(problem: Problem, start_pose: np.ndarray) -> Plan:
     certificate = certify(problem, trajectory)
     over = [margin for margin in certificate.margins if not margin.kept]
     if over and set(certificate.failures) <= {margin.sentence() for margin in over}:
-        worst = max(over, key=lambda margin: -margin.left / margin.size)
+        worst = max(over, key=lambda margin: -margin.share)
         details = {"needed": worst.value, "limit": worst.limit, "time_s": worst.time_s}
         return _too_fast(problem, start_pose, f"on the reference {worst.sentence()}", details)
     return finished(problem, trajectory, certificate, 0.0, "the reference satisfies every limit and is followed exactly")
@@ -334,14 +335,14 @@ def _plan_fastest(problem: Problem, start_pose: np.ndarray) -> Plan:
     rate = highest_rate(problem, start_pose, slowest, fastest)
     if rate is None:
         margins = rate_margins(problem, start_pose, slowest)
-        worst = min(margins, key=lambda margin: margin.left / margin.size)
+        worst = min(margins, key=lambda margin: margin.share)
         sentence = f"infeasible: even in {own_s / slowest:.4g} s, on the reference {worst.sentence()}"
         return Plan(problem=problem, status="infeasible", message=sentence)
     if rate == fastest and motion.min_duration_s is None:
         message = f"failed: no limit is reached {fastest:g} times as fast as the reference; give motion.min_duration_s"
         return Plan(problem=problem, status="failed", message=message)
     trajectory = prescribe(at_rate(problem, rate), start_pose)
-    binding = min(rate_margins(problem, start_pose, rate), key=lambda margin: margin.left / margin.size)
+    binding = min(rate_margins(problem, start_pose, rate), key=lambda margin: margin.share)
     said = (
         f"the reference in {own_s / rate:.6g} s, {rate:.4g} times as fast as its own {own_s:.6g} s:"
         f" {'the shortest that motion.min_duration_s allows' if rate == fastest else binding.bound + ' allows no more'}"

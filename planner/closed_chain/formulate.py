@@ -140,7 +140,7 @@ def formulate(
         theta=_theta(problem, asked, scales, value),
         tightening=tightening_over(tightenings, [_tightened_row(limit) for limit in asked.rows], path),
         own_tightening=own_tightening,
-        position_path=tuple(k for k, limit in enumerate(asked.rows) if limit.facts.of_position),
+        position_path=tuple(k for k, limit in enumerate(asked.rows) if _is_given_with_pose(limit)),
         passed=_passed_rows(problem, asked),
         peak=None if least_limit or not objective.has("peak_effort") else objective.weight("peak_effort") / value,
         endpoint=endpoint,
@@ -170,6 +170,10 @@ def _passed_rows(problem: Problem, asked: NodeTerms) -> tuple[tuple[int, int, fl
         for k, waypoint in enumerate(problem.motion.waypoints)
         for index, axis, at in waypoint.open_coordinates
     )
+
+
+def _is_given_with_pose(limit: Limit) -> bool:
+    return limit.facts.of_position and not limit.facts.at_given_poses
 
 
 def _tightened_row(limit: Limit) -> TightenedRow:

@@ -26,7 +26,7 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.limits.body import coordinate
-from linkplan.planner.limits.limit import Limit
+from linkplan.planner.limits.limit import Limit, LimitFacts
 from linkplan.planner.problem.instant import Instant, Scales, with_parameters
 from linkplan.planner.problem.objective import Term
 from linkplan.planner.problem.problem import Problem
@@ -230,9 +230,7 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
             kinds += (kind,) * limit.rows.n_unknowns
     path = _path_rows(asked, at, numbers, working)
     kinds += (
-        tuple(limit.facts.row_kind or limit.facts.kind for limit in asked.rows)
-        + ("site",) * len(asked.passed)
-        + ("work",) * working.numel()
+        tuple(_row_kind(limit.facts) for limit in asked.rows) + ("path",) * len(asked.passed) + ("work",) * working.numel()
     )
     # Weights apply to integrands in SI and include the conversion of units.
     running = sum((given["weight"][item] * term.integrand(at) for item, term in enumerate(asked.running)), start=ca.SX(0))
@@ -249,6 +247,11 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
         kinds=kinds,
         has_jerk=asked.has_jerk,
     )
+
+
+def _row_kind(facts: LimitFacts) -> str:
+    second = facts.of_position if facts.second_order is None else facts.second_order
+    return "path" if second else facts.kind
 
 
 def _path_rows(asked: NodeTerms, at: Instant, numbers: list[ca.SX], working: ca.SX) -> ca.SX:

@@ -184,7 +184,12 @@ class ControlLimit(Limit):
 
     key: ClassVar[str] = "control"
     facts: ClassVar[LimitFacts] = LimitFacts(
-        kind=key, words="the ctrl of {}", tightened=Tightened.IN_UNITS, jumps_with_effort=True, by_size=True
+        kind=key,
+        words="the ctrl of {}",
+        tightened=Tightened.IN_UNITS,
+        jumps_with_effort=True,
+        narrows_efforts=True,
+        by_size=True,
     )
     item: int
 
@@ -263,6 +268,14 @@ def control_claim(problem: Problem, trajectory: Trajectory, j: int) -> Claimed:
         slack=(more, more) if more else None,
         unknown="" if actuator.has_length else "only MuJoCo knows its length",
     )
+
+
+def further_control_claims(problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+    """Yield the claims on ctrls that the program does not limit: of servos whose gain varies or whose length is unknown."""
+    for j, actuator in enumerate(problem.mechanism.actuators):
+        ranged = np.isfinite((actuator.control_lower, actuator.control_upper)).any()
+        if actuator.is_servo and ranged and not actuator.limits_control:
+            yield control_claim(problem, trajectory, j)
 
 
 def _unit(actuator: Actuator) -> float:

@@ -4,7 +4,7 @@ The row of a limit is the angle relative to home [rad]. The angle is linear in t
 (`linkplan.models.poses.body_angles`), so a joint of the loops that is shown nowhere else can be limited by it.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
@@ -30,7 +30,7 @@ from linkplan.planner.limits.limit import (
     with_limits,
 )
 from linkplan.planner.limits.site import site_at_home, way
-from linkplan.planner.problem.sites import ANGLE, AXES, angles_of
+from linkplan.planner.problem.sites import ANGLE, AXES, BodyAngle, Task, angles_of
 
 # Overruns are shares of one radian [deg].
 _RADIAN_DEG = float(np.degrees(1.0))
@@ -64,7 +64,11 @@ class BodyAngleLimit(Limit):
     def measured(self, at: Poses) -> Measured:
         limit = at.problem.limits.body[self.item]
         angles, bounds = np.degrees(limit.at_poses(at.problem.mechanism, at.q)), np.degrees([limit.low, limit.high])
-        return Measured(limit.body, angles, bounds, "deg", _RADIAN_DEG)
+
+        def known_from(tasks: Sequence[Task]) -> bool:
+            return any(isinstance(task, BodyAngle) and task.index == limit.index for task in tasks)
+
+        return Measured(limit.body, angles, bounds, "deg", _RADIAN_DEG, known_from=known_from)
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
         limit, q = problem.limits.body[self.item], ca.SX.sym("q", problem.mechanism.n_q)

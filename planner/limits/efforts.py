@@ -42,7 +42,9 @@ class EffortLimit(Limit):
     """The effort of one actuator; the bounds of the efforts' coefficients impose it at every instant."""
 
     key: ClassVar[str] = "effort"
-    facts: ClassVar[LimitFacts] = LimitFacts(kind=key, words="the effort of {}", tightened=None, jumps_with_effort=True)
+    facts: ClassVar[LimitFacts] = LimitFacts(
+        kind=key, words="the effort of {}", tightened=None, jumps_with_effort=True, in_phase_plane=True
+    )
     item: int
 
     @classmethod

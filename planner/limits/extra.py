@@ -40,6 +40,8 @@ class ExtraPathLimit(Limit):
 
     @classmethod
     def of(cls, problem: Problem, **_: bool) -> list[Self]:
+        if not problem.extra_limits:
+            return []
         depends = [uses(one, problem.mechanism) for one in problem.extra_limits]
         jumps = len(smooth_columns(problem)) < problem.mechanism.dof  # accelerations
         return [
@@ -58,11 +60,11 @@ class ExtraPathLimit(Limit):
     def facts(self) -> LimitFacts:
         return LimitFacts(
             kind=self.key,
-            row_kind="path",  # the effect of effort on it is unknown
             words="the extra limit '{}'",
             tightened=Tightened.IN_UNITS,
             jumps_with_effort=self.jumps_with_effort,
             of_position=self.of_position,
+            second_order=True,  # it may be: the effect of effort on it is unknown
             by_size=True,
         )
 

@@ -127,7 +127,11 @@ class SingularMarginLimit(Limit):
 
     key: ClassVar[str] = "singular_margin"
     facts: ClassVar[LimitFacts] = LimitFacts(
-        kind=key, row_kind="singular", words="the distance from a singular pose, relative to home,", beyond="short of"
+        kind=key,
+        words="the distance from a singular pose, relative to home,",
+        beyond="short of",
+        of_position=True,
+        at_given_poses=True,
     )
     item: int
 
@@ -183,6 +187,7 @@ class RangeLimit(Limit):
         verb="stands at",
         tightened=Tightened.IN_PROBLEM,
         of_position=True,
+        in_phase_plane=True,
     )
     item: int
     column: int | None
@@ -228,7 +233,13 @@ class SpeedLimit(Limit):
     """The speed of one joint; `column` is its index among the independent joints, None for a dependent one."""
 
     key: ClassVar[str] = "speed"
-    facts: ClassVar[LimitFacts] = LimitFacts(kind=key, words="the speed of joint {}", bound="the speed limit of {}")
+    facts: ClassVar[LimitFacts] = LimitFacts(
+        kind=key,
+        words="the speed of joint {}",
+        bound="the speed limit of {}",
+        tightened=Tightened.LATER_IN_PROBLEM,
+        in_phase_plane=True,
+    )
     item: int
     column: int | None = None
 
@@ -279,6 +290,7 @@ def _of_joint(at: Poses, item: int, name: str, values: np.ndarray, bounds: np.nd
         joint.unit + per,
         size=unit * size,
         slack=unit * RANGE_SLACK,
+        pose_size=unit,
         coefficients=None if coefficients is None else unit * coefficients,
     )
 

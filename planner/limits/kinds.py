@@ -1,12 +1,16 @@
-"""The kinds of limits, and the limits of a problem. A new kind is one entry in each of the two tables."""
+"""The kinds of limits in two tables, in each of which a new kind is one entry; a problem's limits, and loops over a kind."""
+
+from typing import Any
 
 import numpy as np
 
+from linkplan.models.errors import AssemblyError
 from linkplan.planner.limits.accelerations import AccelerationLimit, SiteAccelerationLimit
 from linkplan.planner.limits.actuators import (
     ControlLimit,
     MotorLimit,
     PowerLimit,
+    further_control_claims,
 )
 from linkplan.planner.limits.body import BodyAngleLimit
 from linkplan.planner.limits.efforts import EffortLimit, EffortRateLimit, RobustLimit
@@ -20,7 +24,17 @@ from linkplan.planner.limits.joints import (
     SpeedLimit,
     TendonLimit,
 )
-from linkplan.planner.limits.limit import Limit, Margin, Problem, Samples, WhichJoints, limit_margin
+from linkplan.planner.limits.limit import (
+    Limit,
+    Margin,
+    Problem,
+    Samples,
+    Trajectory,
+    WhichJoints,
+    limit_margin,
+    with_limits,
+)
+from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.limits.site_path import OnPathLimit
 from linkplan.planner.problem.instant import unit_scales
@@ -48,8 +62,8 @@ KINDS: tuple[type[Limit], ...] = (
     OnPathLimit,
     ExtraPathLimit,
 )
-# In the order in which a diagnosis removes them to find the one that forbids a motion. Effort limits and joint ranges follow
-# after these.
+# In the order in which a diagnosis removes them to find the one that forbids a motion. Effort limits follow after these, and
+# RELAXED_LAST last.
 RELAXED: tuple[type[Limit], ...] = (
     RobustLimit,
     JerkLimit,
@@ -70,11 +84,22 @@ RELAXED: tuple[type[Limit], ...] = (
     BodyAngleLimit,
     ExtraPathLimit,
 )
+RELAXED_LAST: tuple[type[Limit], ...] = (RangeLimit,)
+# Between nodes a motion slightly exceeds its values at the nodes. A limit that must admit it is widened by this factor.
+BETWEEN_NODES_FACTOR = 1.001
+# What a proof has to show beyond the limits of the program.
+FURTHER_CLAIMS = (further_control_claims,)
 
 
 def limits_of(problem: Problem, *, enclosed: bool = False, position_rows: WhichJoints = False) -> tuple[Limit, ...]:
     """Return a problem's limits; the arguments are those of `Limit.of`."""
-    return tuple(limit for kind in KINDS for limit in kind.of(problem, enclosed=enclosed, position_rows=position_rows))
+    asked = [kind for kind in KINDS if _limits_something(getattr(problem.limits, kind.key, True))]
+    return tuple(limit for kind in asked for limit in kind.of(problem, enclosed=enclosed, position_rows=position_rows))
+
+
+def _limits_something(field: Any) -> bool:
+    """True if a field of `Limits` has an entry that is not infinite; a kind without a field of its key asks the problem."""
+    return bool(np.isfinite(field).any()) if isinstance(field, np.ndarray) else bool(field)
 
 
 def structure_of(problem: Problem) -> tuple:
@@ -83,9 +108,9 @@ def structure_of(problem: Problem) -> tuple:
     return tuple((type(limit), limit, *np.isfinite(limit.bounds(problem, ones))) for limit in limits_of(problem))
 
 
-def relaxed_kinds(problem: Problem) -> list[type[Limit]]:
-    """Return the kinds of limits of a problem that a diagnosis may remove, in its order."""
-    return [kind for kind in RELAXED if kind.of(problem)]
+def relaxed_kinds(problem: Problem, kinds: tuple[type[Limit], ...] = RELAXED) -> list[type[Limit]]:
+    """Return those of kinds of limits that a problem has, in their order."""
+    return [kind for kind in kinds if kind.of(problem)]
 
 
 def margins_along(samples: Samples) -> tuple[Margin, ...]:
@@ -96,3 +121,42 @@ def margins_along(samples: Samples) -> tuple[Margin, ...]:
 def without(kind: type[Limit], problem: Problem) -> Problem:
     """Return a problem without its limits of a kind."""
     return kind.relaxed(problem, np.inf)
+
+
+def overrun_margins(kind: type[Limit], problem: Problem, motion: Trajectory) -> list[Margin]:
+    """Return the margins of one kind that a motion overruns."""
+    samples = samples_of(problem, motion)
+    found = [limit_margin(limit, samples) for limit in kind.of(problem)]
+    return [margin for margin in found if not margin.kept]
+
+
+def factor_of(kind: type[Limit], problem: Problem, motion: Trajectory) -> float | None:
+    """Return the factor on the limits of a kind with which a motion keeps them; None if it keeps them, or none does."""
+    over = [margin for margin in overrun_margins(kind, problem, motion) if np.isfinite(margin.value)]
+    if not over:
+        return None
+    if over[0].of.facts.by_size:
+        return 1.0 + BETWEEN_NODES_FACTOR * max(-margin.share for margin in over)
+    ratios = [margin.value / margin.limit for margin in over if margin.limit]
+    if not ratios:
+        return None
+    # A lower bound above zero, as that on a distance, is relaxed by a factor below one.
+    fall = min(ratios) if all(not margin.upper and margin.limit > 0 for margin in over) else None
+    return fall / BETWEEN_NODES_FACTOR if fall is not None else BETWEEN_NODES_FACTOR * max(ratios)
+
+
+def violation(kind: type[Limit], problem: Problem, motion: Trajectory) -> str | None:
+    """Return a sentence on the worst overrun of the limits of a kind; None if a motion keeps them."""
+    try:
+        over = overrun_margins(kind, problem, motion)
+    except AssemblyError:
+        return None
+    return max(over, key=lambda m: m.overrun.max()).sentence("would have to come to") if over else None
+
+
+def tightened_in(problem: Problem, margin: Margin, factor: float) -> Problem:
+    """Return a problem whose limit on a joint, a row of `Limits`, moves inwards by a factor times its overrun."""
+    rows = getattr(problem.limits, margin.of.key).copy()
+    over = max(0.0, -margin.left) / problem.mechanism.joints[margin.item].shown(1.0)
+    rows[margin.item] += factor * over * np.array([1.0, -1.0])
+    return with_limits(problem, **{margin.of.key: rows})

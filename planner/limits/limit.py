@@ -19,12 +19,12 @@ import numpy as np
 from msgspec import Struct, structs
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
-from linkplan.models.errors import AssemblyError
 from linkplan.planner.files.structs import Beside, InJson
-from linkplan.planner.limits.samples import Poses, Samples, least_between, samples_of
+from linkplan.planner.limits.samples import Poses, Samples, least_between
 from linkplan.planner.problem.extra import as_no_number
 from linkplan.planner.problem.instant import Instant, Scales
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.sites import Task
 from linkplan.planner.trajectory import Trajectory
 
 __all__ = [
@@ -49,8 +49,6 @@ Bounds = tuple[float, float]
 # Of which independent joints: of none, of all, or of some by their index.
 WhichJoints = bool | Collection[int]
 MotionArrays = tuple[np.ndarray, ...]  # q (n, n_q), v and a (n, n_s), u (n, n_u), and those of `Mechanism.forces_at`
-# Between nodes a motion slightly exceeds its values at the nodes. A limit that must admit it is widened by this factor.
-BETWEEN_NODES_FACTOR = 1.001
 # Limits that cannot be removed from a problem are widened by this factor.
 RELAXED_FACTOR = 1e3
 
@@ -61,7 +59,8 @@ class Tightened(Enum):
     BY_SHARE = "of the bound"
     SQUARED = "of the bound, whose square the row is"
     IN_UNITS = "of the row's unit: a place or a length has no natural size"
-    IN_PROBLEM = "of the problem, whose limit moves inwards"
+    IN_PROBLEM = "of the problem, whose limit on the joint moves inwards"
+    LATER_IN_PROBLEM = "of the bound, and after the first time of the problem, too"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +69,6 @@ class LimitFacts:
 
     Args:
         kind: of its margin and of its tightening.
-        row_kind: of its row at a node; by default its kind.
         words: a title with {} for a name.
         bound: words on its bounds with {} for a name; by default the limit on its title.
         verb: of a sentence on its value at a pose.
@@ -79,11 +77,14 @@ class LimitFacts:
         enclosable: whether rows of intervals can impose it at every instant.
         jumps_with_effort: whether its row jumps when the effort does.
         of_position: whether its row is a function of the pose only.
+        at_given_poses: whether its row binds at nodes whose pose is given, too.
+        second_order: whether no effort changes its row's rate at once, as far as known; by default if it is of the pose.
+        in_phase_plane: whether the phase plane's motions keep it.
+        narrows_efforts: whether it narrows the efforts of a pose, which the phase plane leaves out.
         by_size: whether a factor moves its bounds by a share of its size, in place of multiplying them.
     """
 
     kind: str
-    row_kind: str | None = None
     words: str = "{}"
     bound: str | None = None
     verb: str = "is"
@@ -92,6 +93,10 @@ class LimitFacts:
     enclosable: bool = False
     jumps_with_effort: bool = False
     of_position: bool = False
+    at_given_poses: bool = False
+    second_order: bool | None = None
+    in_phase_plane: bool = False
+    narrows_efforts: bool = False
     by_size: bool = False
 
 
@@ -128,6 +133,8 @@ class Measured:
     limit itself. Overruns up to `slack` are rounding, by default a share of the limit. Intervals with a `bent` sample (n,)
     have a kink. `coefficients` (n_nodes, n_intervals) are the Bernstein coefficients of values that are polynomials.
     `at_times` gives the values at other instants (m,) [s] where samples and parabolas are too coarse, next to the limit.
+    Closed poses are exact to a share of `pose_size`, by default the size. `known_from` tells whether the tasks of an open
+    pose determine the values.
     """
 
     name: str
@@ -139,6 +146,8 @@ class Measured:
     bent: np.ndarray | None = None
     coefficients: np.ndarray | None = None
     at_times: Callable[[np.ndarray], np.ndarray] | None = None
+    pose_size: float | None = None
+    known_from: Callable[[Sequence[Task]], bool] = lambda _: False
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -198,6 +207,11 @@ class Margin(Struct, frozen=True, eq=False, kw_only=True):
     def kept(self) -> bool:
         """Whether the limit is kept, except for rounding."""
         return self.left >= -self.slack
+
+    @property
+    def share(self) -> float:
+        """What is left as a share of the limit's size."""
+        return self.left / self.size
 
     @property
     def title(self) -> str:
@@ -285,37 +299,6 @@ def limited_joints(problem: Problem, bounds: np.ndarray) -> list[tuple[int, int 
     limited, independent = limited_rows(bounds), problem.mechanism.independent.tolist()
     own = [(joint, column) for column, joint in enumerate(independent) if joint in limited]
     return [*own, *((joint, None) for joint in limited if joint not in independent)]
-
-
-def overrun_margins(kind: type[Limit], problem: Problem, motion: Trajectory) -> list[Margin]:
-    """Return the margins of one kind that a motion overruns."""
-    samples = samples_of(problem, motion)
-    found = [limit_margin(limit, samples) for limit in kind.of(problem)]
-    return [margin for margin in found if not margin.kept]
-
-
-def factor_of(kind: type[Limit], problem: Problem, motion: Trajectory) -> float | None:
-    """Return the factor on the limits of a kind with which a motion keeps them; None if it keeps them, or none does."""
-    over = [margin for margin in overrun_margins(kind, problem, motion) if np.isfinite(margin.value)]
-    if not over:
-        return None
-    if over[0].of.facts.by_size:
-        return 1.0 + BETWEEN_NODES_FACTOR * max(-margin.left / margin.size for margin in over)
-    ratios = [margin.value / margin.limit for margin in over if margin.limit]
-    if not ratios:
-        return None
-    # A lower bound above zero, as that on a distance, is relaxed by a factor below one.
-    fall = min(ratios) if all(not margin.upper and margin.limit > 0 for margin in over) else None
-    return fall / BETWEEN_NODES_FACTOR if fall is not None else BETWEEN_NODES_FACTOR * max(ratios)
-
-
-def violation(kind: type[Limit], problem: Problem, motion: Trajectory) -> str | None:
-    """Return a sentence on the worst overrun of the limits of a kind; None if a motion keeps them."""
-    try:
-        over = overrun_margins(kind, problem, motion)
-    except AssemblyError:
-        return None
-    return max(over, key=lambda m: m.overrun.max()).sentence("would have to come to") if over else None
 
 
 def limit_margin(limit: Limit, samples: Samples) -> Margin:

@@ -7,7 +7,7 @@ is smooth and never below the least: a motion that satisfies the row stays in th
 
 import functools
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
@@ -34,7 +34,7 @@ from linkplan.planner.limits.limit import (
     Trajectory,
     with_limits,
 )
-from linkplan.planner.problem.sites import SiteLimit
+from linkplan.planner.problem.sites import SiteLimit, SitePoint, Task
 
 # Between two segments at nearly equal distances, the weighted mean exceeds the least squared distance by at most 0.28 / k of
 # r^2. This k reduces a tube's radius there by 0.14 %, and the curvature of its wall stays of the order of 1 / r.
@@ -93,9 +93,22 @@ class SitePathLimit(Limit):
             motion, until = at.trajectory, at.problem.solver.judging_deadline
             return values(follow(mechanism, motion.position_at(time), motion.start_pose, until))
 
-        # Between two segments a tube's distance has a kink, which parabolas do not fit.
-        finer = at_times if isinstance(at, Samples) else None
-        return Measured(site_title(limit), values(at.q), bounds, "m", size, at_times=finer)
+        def known_from(tasks: Sequence[Task]) -> bool:
+            looked_at = np.ones(3, dtype=bool) if limit.normal is None else limit.normal != 0
+            points = [task for task in tasks if isinstance(task, SitePoint) and task.index == limit.index]
+            return any(not np.any(np.isnan(p.point[looked_at])) for p in points)
+
+        return Measured(
+            site_title(limit),
+            values(at.q),
+            bounds,
+            "m",
+            size,
+            # Between two segments a tube's distance has a kink, which parabolas do not fit.
+            at_times=at_times if isinstance(at, Samples) else None,
+            pose_size=mechanism.extent_m,
+            known_from=known_from,
+        )
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
         mechanism, limit = problem.mechanism, problem.limits.site[self.item]

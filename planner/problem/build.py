@@ -26,18 +26,19 @@ from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.body_angles import body_index
 from linkplan.models.selection import Selection
 from linkplan.models.tree.dynamics import site_index
+from linkplan.planner.files.columns import read_csv
 from linkplan.planner.files.tables import Tables, resolve_path, set_key, toml_text
 from linkplan.planner.problem.consistency import no_actuator
 from linkplan.planner.problem.extra import Extra, ExtraCost, extras_text
-from linkplan.planner.problem.force_table import force_notes, forces_of, read_force_file
+from linkplan.planner.problem.force_table import force_notes, force_rows, forces_of
 from linkplan.planner.problem.imperfections import imperfections_of
 from linkplan.planner.problem.instant import Robust
-from linkplan.planner.problem.keys.reading import KEYS, read, refuse_unknown_keys
+from linkplan.planner.problem.keys.reading import KEYS, checked, read, refuse_unknown_keys
 from linkplan.planner.problem.keys.sections import MechanismSection, MotionSection, ProblemFile
 from linkplan.planner.problem.limits import actuator_index, closure_index, limits_from, motors_of
 from linkplan.planner.problem.motion_table import motion_of
 from linkplan.planner.problem.objective import Objective, objective_from
-from linkplan.planner.problem.path import read_path_file, site_path_of
+from linkplan.planner.problem.path import path_rows, site_path_of
 from linkplan.planner.problem.reference import Reference, guess_of, guess_place, reference_of
 from linkplan.planner.problem.settings import (
     DEFAULT_PERIOD_S,
@@ -49,8 +50,14 @@ from linkplan.planner.problem.settings import (
     other_coordinates,
     to_toml_types,
 )
-from linkplan.planner.problem.table_reference import read_reference_file
+from linkplan.planner.problem.table_reference import reference_rows
 
+# Tables whose rows a CSV file may have: the keys that it takes the place of, and the function from its columns to them.
+_FILES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, np.ndarray], str, Mechanism], dict[str, Any]]]] = {
+    "reference": (("time_s", "position_deg", "position_m", "at", "body_deg"), reference_rows),
+    "force_over_time": (("time_s", "on"), force_rows),
+    "path": (("points",), path_rows),
+}
 # Arguments that are whole tables of a problem file, those that are keys of a table, and those that no file holds.
 _SECTIONS = ("reference", "force_over_time", "path", "limits", "motors", "guess", "mesh", "solver", "tracking")
 _SECTIONS += ("robust", "imperfections")
@@ -73,9 +80,7 @@ def problem_arguments(
         mechanism = _mechanism(tables.setdefault("mechanism", {}), folder)
     if mechanism.n_u == 0:
         raise ProblemError(no_actuator(mechanism) + "".join(f"; {item.text}" for item in audit(mechanism.model)))
-    read_reference_file(tables, mechanism, folder)
-    read_force_file(tables, folder)
-    read_path_file(tables, folder)
+    _replace_files(tables, mechanism, folder)
     asked = _sections(tables, mechanism)
     notes = []
     others = other_coordinates(tables, mechanism)
@@ -118,6 +123,21 @@ def problem_arguments(
             *_duration_notes(asked.motion, objective, reference),
         ),
     }
+
+
+def _replace_files(tables: Tables, mechanism: Mechanism, folder: Path | None) -> None:
+    """Replace the CSV file that a table names by its rows, so that a saved problem needs no other file."""
+    for key, (replaced, rows_of) in _FILES.items():
+        section = tables.get(key)
+        if not isinstance(section, Mapping) or "file" not in section:
+            continue
+        also = [one for one in replaced if one in section]
+        if also:
+            raise ProblemError(f"{key}.file and {key}.{also[0]} are two tables; keep one")
+        name = checked(f"{key}.file", section["file"])
+        what = f"{key}.file '{name}'"
+        rows = rows_of(read_csv(resolve_path(name, folder), what), what, mechanism)
+        tables[key] = {one: value for one, value in section.items() if one != "file"} | rows
 
 
 def mechanism_from_tables(tables: Mapping[str, dict], folder: Path | None = None) -> Mechanism:

@@ -1,7 +1,6 @@
 """Forces over time: rows of times with forces on sites, and the linear or cubic curve between them, repeated or held."""
 
-from collections.abc import Mapping
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -9,10 +8,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.external_forces import ForcesOverTime
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.dynamics import site_index
-from linkplan.planner.files.columns import read_csv
-from linkplan.planner.files.tables import Tables, resolve_path
 from linkplan.planner.problem.keys.motion_and_limits import ForceSection
-from linkplan.planner.problem.keys.reading import checked
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.reference import is_whole
 from linkplan.planner.problem.sites import AXES
@@ -21,33 +17,20 @@ from linkplan.planner.problem.table_reference import Spline, returns, times_of
 _KEY = "force_over_time"
 
 
-def read_force_file(tables: Tables, folder: Path | None) -> None:
-    """Replace `force_over_time.file` by the rows of the CSV file that it names, so that a saved problem needs no other file.
+def force_rows(columns: dict[str, np.ndarray], what: str, _mechanism: Mechanism) -> dict[str, Any]:
+    """Return the keys of [force_over_time] with the columns of a CSV file.
 
     Raises:
-        ProblemError: if the file cannot be read, or a column is neither the time nor a site's force.
+        ProblemError: for a column that is neither the time nor a site's force.
     """
-    section = tables.get(_KEY)
-    if not isinstance(section, Mapping) or "file" not in section:
-        return
-    also = [key for key in ("time_s", "on") if key in section]
-    if also:
-        raise ProblemError(f"{_KEY}.file and {_KEY}.{also[0]} are two tables; keep one")
-    name = checked(f"{_KEY}.file", section["file"])
-    columns = read_csv(resolve_path(name, folder), f"{_KEY}.file '{name}'")
     heads = [head.removesuffix("_N").rpartition("_") for head in columns if head != "time_s"]
     legal = all(head == "time_s" or head.endswith("_N") for head in columns) and all(axis in AXES for *_, axis in heads)
     if "time_s" not in columns or not heads or not legal:
-        raise ProblemError(
-            f"{_KEY}.file '{name}' has columns time_s and SITE_x_N, SITE_y_N or SITE_z_N, got {', '.join(columns)}"
-        )
-    found = {key: value for key, value in section.items() if key != "file"} | {
-        "time_s": columns["time_s"].tolist(),
-        "on": {},
-    }
+        raise ProblemError(f"{what} has columns time_s and SITE_x_N, SITE_y_N or SITE_z_N, got {', '.join(columns)}")
+    on: dict[str, dict] = {}
     for site, _, axis in heads:
-        found["on"].setdefault(site, {})[axis] = columns[f"{site}_{axis}_N"].tolist()
-    tables[_KEY] = found
+        on.setdefault(site, {})[axis] = columns[f"{site}_{axis}_N"].tolist()
+    return {"time_s": columns["time_s"].tolist(), "on": on}
 
 
 def forces_of(section: ForceSection | None, mechanism: Mechanism, motion: Motion) -> ForcesOverTime | None:

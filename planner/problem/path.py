@@ -3,7 +3,6 @@
 import functools
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -14,10 +13,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.tree.dynamics import site_index
-from linkplan.planner.files.columns import read_csv
-from linkplan.planner.files.tables import Tables, resolve_path
 from linkplan.planner.problem.keys.motion_and_limits import PathSection
-from linkplan.planner.problem.keys.reading import checked
 from linkplan.planner.problem.sites import AXES, BodyLimit, SiteLimit, SitePoint, pose_at, shown
 
 # A motion follows its path if its site is never further from it than this share of the mechanism's extent.
@@ -102,24 +98,16 @@ def site_path_of(section: PathSection | None, mechanism: Mechanism) -> SitePath 
     return SitePath(site=section.site, index=index, curve=curve, within_m=PATH_SHARE * mechanism.extent_m)
 
 
-def read_path_file(tables: Tables, folder: Path | None) -> None:
-    """Replace `path.file` by the points of the CSV file that it names, so that a saved problem needs no other file.
+def path_rows(columns: dict[str, np.ndarray], what: str, _mechanism: Mechanism) -> dict[str, list]:
+    """Return the points of [path] in the columns of a CSV file.
 
     Raises:
-        ProblemError: if the file cannot be read or lacks a coordinate.
+        ProblemError: if a coordinate is missing.
     """
-    section = tables.get("path")
-    if not isinstance(section, Mapping) or "file" not in section:
-        return
-    if "points" in section:
-        raise ProblemError("path.file and path.points are two paths; keep one")
-    name = checked("path.file", section["file"])
-    columns = read_csv(resolve_path(name, folder), f"path.file '{name}'")
     heads = [f"{axis}_m" for axis in AXES]
     if sorted(columns) != heads:
-        raise ProblemError(f"path.file '{name}' has columns {', '.join(heads)}, got {', '.join(columns)}")
-    points = np.column_stack([columns[head] for head in heads]).tolist()
-    tables["path"] = {key: value for key, value in section.items() if key != "file"} | {"points": points}
+        raise ProblemError(f"{what} has columns {', '.join(heads)}, got {', '.join(columns)}")
+    return {"points": np.column_stack([columns[head] for head in heads]).tolist()}
 
 
 def check_path(path: SitePath | None, kind: str, others: Mapping[str, object]) -> None:

@@ -4,20 +4,17 @@ The spline goes through independent joints. Places of sites and angles of bodies
 row, each the nearest to the one before.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.files.columns import read_csv
-from linkplan.planner.files.tables import Tables, resolve_path
 from linkplan.planner.problem.keys.kinds import MAX_INTERVALS
 from linkplan.planner.problem.keys.motion_and_limits import ReferenceSection
-from linkplan.planner.problem.keys.reading import checked
 from linkplan.planner.problem.settings import frozen, joint_values
 from linkplan.planner.problem.sites import AXES, key_of, pose_at, tasks_of
 
@@ -71,36 +68,31 @@ class Spline:
         return Spline(knots_s=factor * self.knots_s, coefficients=self.coefficients / factor**powers, periodic=self.periodic)
 
 
-def read_reference_file(tables: Tables, mechanism: Mechanism, folder: Path | None) -> None:
-    """Replace `reference.file` by the rows of the CSV file that it names, so that a saved problem needs no other file.
+def reference_rows(columns: dict[str, np.ndarray], what: str, mechanism: Mechanism) -> dict[str, Any]:
+    """Return the keys of [reference] with the columns of a CSV file.
 
     Raises:
-        ProblemError: if the file cannot be read, or a column is no time, joint or site.
+        ProblemError: for a column that is no time, joint, site or body.
     """
-    section = tables.get("reference")
-    if not isinstance(section, Mapping) or "file" not in section:
-        return
-    also = [key for key in ("time_s", "position_deg", "position_m", "at", "body_deg") if key in section]
-    if also:
-        raise ProblemError(f"reference.file and reference.{also[0]} are two tables; keep one")
-    name = checked("reference.file", section["file"])
-    columns = read_csv(resolve_path(name, folder), f"reference.file '{name}'")
     if "time_s" not in columns:
-        raise ProblemError(f"reference.file '{name}' needs a column time_s; its columns are {', '.join(columns)}")
-    found = {key: value for key, value in section.items() if key != "file"} | {"time_s": columns.pop("time_s").tolist()}
+        raise ProblemError(f"{what} needs a column time_s; its columns are {', '.join(columns)}")
+    found: dict[str, Any] = {}
     for head, values in columns.items():
+        if head == "time_s":
+            found[head] = values.tolist()
+            continue
         path = _key_of(head, mechanism)
         if path is None:
             joints = ", ".join(f"{joint.name}_{joint.unit}" for joint in mechanism.joints)
             raise ProblemError(
-                f"reference.file '{name}' has columns time_s, of joints ({joints}), or of sites (NAME_x_m, NAME_y_m,"
+                f"{what} has columns time_s, of joints ({joints}), or of sites (NAME_x_m, NAME_y_m,"
                 f" NAME_z_m) and bodies (body_NAME_deg), got {head}"
             )
         table = found
         for part in path[:-1]:
             table = table.setdefault(part, {})
         table[path[-1]] = values.tolist()
-    tables["reference"] = found
+    return found
 
 
 def _key_of(head: str, mechanism: Mechanism) -> tuple[str, ...] | None:

@@ -12,8 +12,7 @@ from flint import arb
 from linkplan.models.poses.along import missed_rounding
 from linkplan.planner.certificate.certificate import CLOSURE_M, DYNAMICS_SHARE
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE
-from linkplan.planner.limits.actuators import ControlLimit, control_claim
-from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.kinds import FURTHER_CLAIMS, limits_of
 from linkplan.planner.limits.limit import Claimed
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.reference import Sine
@@ -42,7 +41,7 @@ def claims_of(problem: Problem, trajectory: Trajectory) -> tuple[list[Claim], li
             open_limits.append(_undecided(f"limit on {limit.key}: {title}", "the limit claims nothing"))
         for one in claimed:
             _sort_in(one, problem, claims, open_limits)
-    for one in _further_servos(problem, trajectory):
+    for one in (one for claimed in FURTHER_CLAIMS for one in claimed(problem, trajectory)):
         _sort_in(one, problem, claims, open_limits)
     further = (loop_claims, _residuals, reference_claims)
     claims += [claim for kind in further for claim in kind(problem, trajectory)]
@@ -88,15 +87,6 @@ def _values(one: Claimed, problem: Problem) -> Callable[[State], list[Ball]]:
 
 def _undecided(name: str, reason: str) -> Finding:
     return Finding(name=name, answer="undecided", reason=f"not proved: {reason}")
-
-
-def _further_servos(problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
-    """Yield the claims on ctrls that the program does not limit: of servos whose gain varies or whose length is unknown."""
-    limited = {limit.item for limit in ControlLimit.of(problem)}
-    for j, actuator in enumerate(problem.mechanism.actuators):
-        bounds = (actuator.control_lower, actuator.control_upper)
-        if actuator.is_servo and j not in limited and np.isfinite(bounds).any():
-            yield control_claim(problem, trajectory, j)
 
 
 def loop_claims(problem: Problem, _: Trajectory) -> Iterator[Claim]:

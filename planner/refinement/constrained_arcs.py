@@ -32,11 +32,10 @@ WRONG_SIGN_SHARE = 1e-2
 # A multiplier of an inequality below this share of the largest of an equation is left by the barrier: the limit does not
 # bind.
 BINDING_SHARE = 1e-7
-# No effort changes the rate of these quantities at once: held, they are constraints of second order. Their multiplier is a
-# measure with impulses at the ends of an arc (Hartl, Sethi and Vickson 1995). A transcription gives values that alternate
-# from interval to interval, so only the sum over the arc has a sign. Path quantities of a differential equation can be of
-# this kind.
-_SECOND_ORDER = ("site", "tube", "body", "tendon", "singular", "path")
+# The kind of quantities whose rate no effort changes at once, as far as known: held, they are constraints of second order.
+# Their multiplier is a measure with impulses at the ends of an arc (Hartl, Sethi and Vickson 1995). A transcription gives
+# values that alternate from interval to interval, so only the sum over the arc has a sign.
+_SECOND_ORDER = "path"
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -249,7 +248,7 @@ def _of_paths(transcribed, multipliers: np.ndarray) -> np.ndarray:
     rows = multipliers[: mesh.n_intervals * interval.n_rows].reshape(mesh.n_intervals, -1)
     of_nodes = rows[:, interval.n_own :][:, : interval.n_nodes * (interval.n_equations + interval.n_path)]
     of_paths = of_nodes.reshape(mesh.n_intervals, interval.n_nodes, -1)[:, :, interval.n_equations :].sum(axis=1)
-    second = np.isin(interval.node_kinds[interval.n_equations :], _SECOND_ORDER)
+    second = np.array(interval.node_kinds[interval.n_equations :]) == _SECOND_ORDER
     of_arcs = np.zeros((mesh.n_segments, of_paths.shape[1]))
     np.add.at(of_arcs, mesh.segment, of_paths)
     return transcribed.constrained_paths[mesh.segment] * np.where(second, of_arcs[mesh.segment], of_paths)

@@ -15,7 +15,7 @@ from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.further_checks import surely_collides, unavoidable
 from linkplan.planner.closed_chain.case import MechanismCase, case_of, finished, optimality
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
-from linkplan.planner.closed_chain.guess import Guess
+from linkplan.planner.closed_chain.guess import Guess, closes
 from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
@@ -30,7 +30,6 @@ from linkplan.planner.search.solving import (
     INTERVALS_PER_SWING,
     first_mesh,
     graded_mesh,
-    solve_from,
     with_longer_durations,
 )
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
@@ -90,17 +89,19 @@ def _solved(problem: Problem, guess: Guess, word: str, search: Search) -> Iterat
     Where the phase plane's switches are known, efforts are held between them and only the switch times are unknown. If that
     does not lead to the phase plane's time, the efforts are free; a mesh without switches may come below it by its error.
     """
-    found: list[Iterate | None] = []
+    if not closes(problem, guess):
+        return
+    case, found = case_of(problem), []
     if guess.switch_times_s is not None and search.only_time_counts:
         n = max(problem.mesh.intervals, INTERVALS_PER_SWING * guess.swings)
         held = f"{word}, bang efforts fixed"
         graded = graded_mesh(guess, guess.switch_times_s, n)
-        first = solve_from(problem, guess, *graded, held, bang_efforts=guess.bang_efforts)
+        first = attempt(case, guess, *graded, held, bang_efforts=guess.bang_efforts)
         if first is not None and first.solution.objective <= GRID_ERROR_FACTOR * guess.duration_s:
             yield first
         else:
             found.append(first)
-    found.append(solve_from(problem, guess, *first_mesh(problem, guess), word))
+    found.append(attempt(case, guess, *first_mesh(problem, guess), word))
     yield from sorted(
         (one for one in found if one is not None), key=lambda one: abs(one.solution.objective - guess.duration_s)
     )

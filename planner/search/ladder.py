@@ -60,18 +60,7 @@ class SearchMethod:
     run: "Callable[[Search, Budget], Plan | None]"
     budget: Budget
     tried: "Callable[[Search], bool]" = lambda _: True
-
-
-def _try_in_turn(search: "Search", methods: Sequence[SearchMethod]) -> None:
-    """Try the methods in order until the search has ended, and append their plans to those of the search."""
-    for method in methods:
-        check()
-        if search.ended:
-            break
-        with contextlib.suppress(OutOfTimeError):
-            plan = method.run(search, method.budget) if method.tried(search) else None
-            if plan is not None:
-                search.plans.append(plan)
+    shares_time: "Callable[[Search], bool]" = lambda _: False  # whether half of the time left is kept for later methods
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -266,8 +255,18 @@ class Repair:
 
 
 def run_search(search: Search, methods: Sequence[SearchMethod]) -> Plan | None:
-    """Return the best plan of the methods, tried in order; None if no method found a motion."""
-    _try_in_turn(search, methods)
+    """Return the best plan of the methods, tried in order until the search has ended; None if none found a motion."""
+    for method in methods:
+        check()
+        if search.ended:
+            break
+        with contextlib.suppress(OutOfTimeError):
+            if not method.tried(search):
+                continue
+            half = method.shares_time(search)
+            plan = method.run(search, replace(method.budget, share_of_time=0.5) if half else method.budget)
+            if plan is not None:
+                search.plans.append(plan)
     best = search.best
     if best is None:
         return None

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 from msgspec import Struct
 
-from linkplan.models.deadline import OutOfTimeError, one_thread_at_a_time
+from linkplan.models.deadline import ONE_THREAD, OutOfTimeError
 from linkplan.planner.closed_chain.case import LOCALLY, plan_hold, plan_prescribed
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.instant import Robust
@@ -25,25 +25,17 @@ from linkplan.planner.search.finer_meshes import of_several
 from linkplan.planner.search.ladder import FULL_BUDGET, SHORT_BUDGET, Budget, Repair, Search, SearchMethod, run_search
 from linkplan.planner.search.several_motors import from_several_starts
 from linkplan.planner.search.site_path import plan_along_path
+from linkplan.planner.search.solving import longest
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 
 __all__ = ["DIAGNOSES", "REPAIRS", "SEARCH_METHODS", "Say", "plan_motion", "silent"]
-SearchFunction = Callable[[Search, Budget], Plan | None]
 # The key of the nominal plan's objective in a plan's details, in the objective's SI unit.
 _DETAIL = "objective_as_modelled"
 
 
-def _with_time_to_wait(start: SearchFunction) -> SearchFunction:
-    """Return an attempt that gets half of the time left where several driven freedoms may wait, else all of it.
-
-    The first start of a swing-up may otherwise use up all the time in refinement.
-    """
-
-    def run_search(search: Search, budget: Budget) -> Plan | None:
-        spare = search.problem.mechanism.dof > 1 and waiting.may_wait(search)
-        return start(search, replace(budget, share_of_time=0.5) if spare else budget)
-
-    return run_search
+def _leaves_time_to_wait(search: Search) -> bool:
+    """True if several driven freedoms may wait: the first start of a swing-up may use up all the time in refinement."""
+    return search.problem.mechanism.dof > 1 and waiting.may_wait(search)
 
 
 def _is_worth_a_start(search: Search) -> bool:
@@ -51,18 +43,24 @@ def _is_worth_a_start(search: Search) -> bool:
     return starts.one_start_is_worth_it(search) and not of_several(search.problem)
 
 
-def _first_starts(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan of the first starts: of as many as the problem asks for, or of the given guess and the smooth path."""
-    several = search.problem.solver.starts > 1
-    return (starts.best_of_several if several else _with_time_to_wait(starts.from_first_starts))(search, budget)
+def _legs_may_help(search: Search) -> bool:
+    """True if no plan passes, and the phase plane knows a motion to the goal."""
+    return not search.solved and search.quickest is not None and search.quickest.duration_s <= longest(search.problem)
 
 
 _FIRST: tuple[SearchMethod, ...] = (
     SearchMethod(
-        name="the guess given, then a smooth path; or the best of several starts (multistart)",
-        tried=lambda search: search.problem.solver.starts > 1 or _is_worth_a_start(search),
-        run=_first_starts,
+        name="the best of several starts (multistart)",
+        tried=lambda search: search.problem.solver.starts > 1,
+        run=starts.best_of_several,
         budget=FULL_BUDGET,
+    ),
+    SearchMethod(
+        name="the guess given, then a smooth path",
+        tried=_is_worth_a_start,
+        run=starts.from_first_starts,
+        budget=FULL_BUDGET,
+        shares_time=_leaves_time_to_wait,
     ),
     SearchMethod(
         name="the phase plane: dynamic programming, then bang efforts",
@@ -74,8 +72,9 @@ _FIRST: tuple[SearchMethod, ...] = (
 _SWINGS = SearchMethod(
     name="swings",
     tried=lambda search: starts.one_start_is_worth_it(search) and not starts.no_time(search),
-    run=_with_time_to_wait(starts.from_swings),
+    run=starts.from_swings,
     budget=SHORT_BUDGET,
+    shares_time=_leaves_time_to_wait,
 )
 _LONGER = SearchMethod(
     name="continuation in the duration",
@@ -107,7 +106,7 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
     *_FIRST,
     SearchMethod(
         name="the cheapest legs of the phase plane, where meshes over time led to false motions",
-        tried=lambda search: bool(search.plans) and without_solver.legs_may_help(search),
+        tried=lambda search: bool(search.plans) and _legs_may_help(search),
         run=without_solver.from_legs,
         budget=SHORT_BUDGET,
     ),
@@ -127,7 +126,7 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
     ),
     SearchMethod(
         name="the cheapest legs of the phase plane",
-        tried=without_solver.legs_may_help,
+        tried=_legs_may_help,
         run=without_solver.from_legs,
         budget=SHORT_BUDGET,
     ),
@@ -156,14 +155,13 @@ DIAGNOSES: tuple[Diagnosis, ...] = (
     reasons.efforts_without_proof,
     reasons.efforts,
     reasons.efforts_without_other_limits,
-    reasons.ranges,
+    reasons.one_last_limit,
     reasons.efforts_by_the_phase_plane,
     reasons.less_than_least_time,
     reasons.nothing_found,
 )
 
 
-@one_thread_at_a_time
 def plan_motion(
     problem: Problem,
     say: Say = silent,
@@ -181,8 +179,9 @@ def plan_motion(
     Raises:
         ProblemError: when start, goal or reference contradict the mechanism.
     """
-    begun, plans = replace(problem, solver=problem.solver.begun()), []
-    with recording(_with_the_best(say, plans)):
+    plans: list[Plan] = []
+    with ONE_THREAD, recording(_with_the_best(say, plans)):
+        begun = replace(problem, solver=problem.solver.begun())  # after any wait for another thread
         try:
             plan = _planned(begun, methods, diagnoses, plans)
         except OutOfTimeError:
@@ -203,21 +202,27 @@ def _planned(problem: Problem, methods: Sequence[SearchMethod], diagnoses: Seque
     if problem.path is not None:
         return plan_along_path(problem, start_pose, lambda guided: _planned(guided, methods, diagnoses, plans))
     search = Search(problem=problem, start_pose=start_pose, repairs=REPAIRS, plans=plans)
-    excluded = reasons.contradicted(search) or reasons.too_short(search)
-    held = problem.motion.kind == "hold"
-    plan = excluded or (plan_hold(problem) if held else _found_or_smooth(search, methods))
+    plan = reasons.contradicted(search) or reasons.too_short(search)
+    if plan is None and problem.motion.kind == "hold":
+        plan = plan_hold(problem)
+    elif plan is None:
+        rest = without_solver.at_rest(search) if problem.motion.stays else None
+        plan = (
+            rest if rest is not None and rest.status == "optimal" else _or_simpler(search, run_search(search, methods), rest)
+        )
     if plan is not None and plan.status == "failed" and reasons.less_than_least_time in diagnoses:
         with contextlib.suppress(OutOfTimeError):
             return reasons.less_than_least_time(search) or plan
     return plan or _diagnosed(search, diagnoses)
 
 
-def _found_or_smooth(search: Search, methods: Sequence[SearchMethod]) -> Plan | None:
-    """Return the plan of the methods or a rest that costs less; if none passes, the smooth path that does, or None."""
-    rest = without_solver.at_rest(search)
-    if rest is not None and rest.status == "optimal":
-        return rest
-    plan = _found_by(search, methods)
+def _or_simpler(search: Search, plan: Plan | None, rest: Plan | None) -> Plan | None:
+    """Return a plan of the methods or a rest that costs less; if none passes, the smooth path that does, or None.
+
+    The plan's message says "locally optimal" unless the phase plane proves more.
+    """
+    if plan is not None and plan.status == "optimal" and starts.judged_by_the_phase_plane(search)[0]:
+        plan = replace(plan, message=plan.message.removeprefix(LOCALLY))
     if plan is not None and plan.passed and (rest is None or _costs_no_more(plan, rest)):
         return plan
     if rest is not None:
@@ -231,14 +236,6 @@ def _costs_no_more(plan: Plan, rest: Plan) -> bool:
     assert plan.objective is not None
     assert rest.objective is not None
     return share_gained(plan.objective, rest.objective) <= REPORTED_CHANGE
-
-
-def _found_by(search: Search, methods: Sequence[SearchMethod]) -> Plan | None:
-    """Return the plan of the methods, or None; its message says "locally optimal" unless the phase plane proves more."""
-    plan = run_search(search, methods)
-    if plan is None or plan.status != "optimal" or not starts.judged_by_the_phase_plane(search)[0]:
-        return plan
-    return replace(plan, message=plan.message.removeprefix(LOCALLY))
 
 
 def _with_the_best(say: Say, plans: Sequence[Plan]) -> Say:

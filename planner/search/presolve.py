@@ -19,15 +19,12 @@ from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
 from linkplan.models.tree.joints import POSITION_ROUNDING
 from linkplan.planner.certificate.integration import POSE_SLACK
-from linkplan.planner.limits.body import BodyAngleLimit
-from linkplan.planner.limits.joints import RangeLimit, SingularMarginLimit
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import Limit
 from linkplan.planner.limits.samples import Poses
-from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.phase_plane.grid import plane_of
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.sites import BodyAngle, SitePoint, Task
+from linkplan.planner.problem.sites import Task
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -167,10 +164,9 @@ def _branches_on_the_way(problem: Problem) -> str | None:
 
 def _pose_beyond(problem: Problem) -> str | None:
     """Return the sentence on a limit that a pose of start, goal or a waypoint overruns, or one on the only way; or None."""
-    limits = [limit for limit in limits_of(problem) if limit.facts.of_position or isinstance(limit, SingularMarginLimit)]
+    limits = [limit for limit in limits_of(problem) if limit.facts.of_position]
     for when, pose, open_at in _known_poses(problem) if limits else ():
-        known = [limit for limit in limits if open_at is None or _is_known(problem, limit, open_at)]
-        sentence = sentence_beyond(problem, known, pose[None], when, POSE_SLACK)
+        sentence = sentence_beyond(problem, limits, pose[None], when, POSE_SLACK, open_at)
         if sentence is not None:
             return sentence
     poses = only_way(problem) if limits else None
@@ -194,19 +190,14 @@ def _known_poses(problem: Problem) -> Iterator[tuple[str, np.ndarray, tuple[Task
                 yield f"at motion.waypoints[{k}]", pose, waypoint.at if waypoint.at_rows else None
 
 
-def _is_known(problem: Problem, limit: Limit, tasks: tuple[Task, ...]) -> bool:
-    """True if the given tasks of an open pose determine the quantity that a limit bounds."""
-    if isinstance(limit, BodyAngleLimit):
-        return any(isinstance(task, BodyAngle) and task.index == limit.body for task in tasks)
-    if not isinstance(limit, SitePathLimit):
-        return False
-    bounded = problem.limits.site[limit.item]
-    looked_at = np.ones(3, dtype=bool) if bounded.normal is None else bounded.normal != 0
-    points = [task for task in tasks if isinstance(task, SitePoint) and task.index == bounded.index]
-    return any(not np.any(np.isnan(p.point[looked_at])) for p in points)
-
-
-def sentence_beyond(problem: Problem, limits: list[Limit], poses: np.ndarray, when: str | None, slack: float) -> str | None:
+def sentence_beyond(
+    problem: Problem,
+    limits: list[Limit],
+    poses: np.ndarray,
+    when: str | None,
+    slack: float,
+    tasks: tuple[Task, ...] | None = None,
+) -> str | None:
     """Return the sentence on the first limit that the worst of poses (n, n_q) overruns, or None.
 
     Args:
@@ -215,21 +206,19 @@ def sentence_beyond(problem: Problem, limits: list[Limit], poses: np.ndarray, wh
         poses: closed.
         when: the words on a single pose; None for poses on the only way.
         slack: the allowed overrun as a share of the limited quantity's size.
+        tasks: of an open pose, whose other coordinates are guessed; None if the poses are known.
     """
     at = Poses(problem=problem, q=poses)
     for limit in limits:
         measured = limit.measured(at)
-        assert measured is not None  # of the pose
+        if tasks is not None and not measured.known_from(tasks):
+            continue
         low, high = measured.bounds
         nearest = np.clip(measured.values, low, high)
         finite = np.isfinite(measured.values)  # what is not is no proof; the motion's certificate names it
         off = np.abs(np.where(finite, measured.values, 0.0) - np.where(finite, nearest, 0.0))
         k = int(np.argmax(off))
-        size = measured.size or abs(nearest[k]) or 1.0
-        if isinstance(limit, SitePathLimit):  # sites are as exact as the mechanism is large
-            size = problem.mechanism.extent_m
-        elif isinstance(limit, RangeLimit):  # joints are exact to a share of a radian or a metre
-            size = problem.mechanism.joints[limit.item].shown(1.0)
+        size = measured.pose_size or measured.size or abs(nearest[k]) or 1.0
         if off[k] > slack * size:
             unit, title = f" {measured.unit}".rstrip(), limit.facts.words.format(measured.name)
             value = measured.values[k] if abs(measured.values[k]) > POSITION_ROUNDING * size else 0.0

@@ -11,10 +11,8 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import demanded, least_effort, needed_effort
 from linkplan.planner.closed_chain.guess import Guess, even_poses, guess_from
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
-from linkplan.planner.limits.actuators import ControlLimit
-from linkplan.planner.limits.joints import RangeLimit
-from linkplan.planner.limits.kinds import relaxed_kinds, without
-from linkplan.planner.limits.limit import Limit, factor_of, violation
+from linkplan.planner.limits.kinds import RELAXED_LAST, factor_of, limits_of, relaxed_kinds, violation, without
+from linkplan.planner.limits.limit import Limit
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.extra import extras_not_finite
@@ -216,13 +214,14 @@ def _extras_not_finite(search: Search) -> list[str]:
 
 def one_limit(search: Search) -> Plan | None:
     """Return the plan that names the limit without which there is a motion, and the least feasible value of it."""
-    found = (_without(search, kind) for kind in relaxed_kinds(search.problem))
-    return next((plan for plan in found if plan is not None), None)
+    return _first_without(search, relaxed_kinds(search.problem))
 
 
 def efforts_contradicted(search: Search) -> Plan | None:
     """Return the plan that says that the solver missed a motion of the phase plane."""
-    if _over(search) is None or not enough_time(search) or ControlLimit.of(search.problem) or search.quickest is None:
+    if any(limit.facts.narrows_efforts for limit in limits_of(search.problem)):
+        return None
+    if _over(search) is None or not enough_time(search) or search.quickest is None:
         return None
     known = search.quickest.duration_s
     return _failed(search, f"by the phase plane a motion of {known:.5g} s keeps the effort limits, but it was not found")
@@ -261,9 +260,9 @@ def efforts_without_other_limits(search: Search) -> Plan | None:
     return _infeasible(search, f"infeasible: even without its other limits, {sentence}", details)
 
 
-def ranges(search: Search) -> Plan | None:
+def one_last_limit(search: Search) -> Plan | None:
     """Return the plan that names the joint whose range forbids the motion."""
-    return _without(search, RangeLimit) if RangeLimit.of(search.problem) else None
+    return _first_without(search, relaxed_kinds(search.problem, RELAXED_LAST))
 
 
 def efforts_by_the_phase_plane(search: Search) -> Plan | None:
@@ -303,6 +302,11 @@ def _over(search: Search) -> LeastLimit | None:
     """Return the least limit where it is more than the one asked for."""
     least = search.named_limit
     return least if least is not None and least.factor > 1.0 else None
+
+
+def _first_without(search: Search, kinds: list[type[Limit]]) -> Plan | None:
+    """Return the plan of the first kind of limits without which there is a motion."""
+    return next((plan for kind in kinds if (plan := _without(search, kind)) is not None), None)
 
 
 def _without(search: Search, kind: type[Limit]) -> Plan | None:

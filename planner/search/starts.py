@@ -15,8 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, perturbed_guesses, stretched, swinging_guesses
-from linkplan.planner.limits.joints import SpeedLimit
-from linkplan.planner.limits.kinds import relaxed_kinds
+from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess
 from linkplan.planner.phase_plane.cheapest_motion import cheapest_guess
@@ -53,7 +52,7 @@ def one_start_is_worth_it(search: Search) -> bool:
 
 def other_limits(problem: Problem) -> bool:
     """True if a problem has limits that the phase plane leaves out: a motion may be slow because of them."""
-    return any(kind is not SpeedLimit for kind in relaxed_kinds(problem))
+    return any(not limit.facts.in_phase_plane for limit in limits_of(problem))
 
 
 def phase_plane_may_help(search: Search) -> bool:
@@ -89,11 +88,11 @@ def enough_time(search: Search) -> bool:
 def _swings_may_be_better(search: Search) -> bool:
     """True if a plan between start and goal meets its effort limits, and the motion of least time swings."""
     problem = search.problem
-    if problem.solver.starts > 1 or problem.guess is not None or not phase_plane_applies(problem):
-        return False
     # A limit is met within a thousandth.
     weak = np.any(search.best.certificate.peak_effort > 0.999 * np.abs(problem.limits.effort).max(axis=1))
-    return bool(weak) and search.quickest is not None and search.quickest.swings > 1 and not no_time(search)
+    if problem.solver.starts > 1 or problem.guess is not None or not weak or not phase_plane_applies(problem):
+        return False
+    return search.quickest is not None and search.quickest.swings > 1 and not no_time(search)
 
 
 def from_first_starts(search: Search, budget: Budget) -> Plan | None:
@@ -134,13 +133,17 @@ def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, G
 def may_be_along_limits(search: Search) -> bool:
     """True if a least time of one degree of freedom may lie along limits on power, line, pin force or speed."""
     problem, motion = search.problem, search.problem.motion
-    limited = bool(np.any(np.isfinite(problem.limits.power))) or knows_lines(problem)
     return (
         search.only_time_counts
         and motion.duration_s is None
         and problem.guess is None
         and problem.mesh.effort == "polynomial"
-        and (limited or supports_pin_limits(problem) or knows_speeds(problem))
+        and (
+            bool(np.any(np.isfinite(problem.limits.power)))
+            or knows_lines(problem)
+            or supports_pin_limits(problem)
+            or knows_speeds(problem)
+        )
         and phase_plane_applies(problem)
     )
 

@@ -65,14 +65,14 @@ def along_smooth_path(search: Search) -> Plan | None:
 
 
 def at_rest(search: Search) -> Plan | None:
-    """Return the rest as the plan of a reach that ends where it starts; None where no rest answers it.
+    """Return the rest as the plan of a reach that ends where it starts (`Motion.stays`); None where no rest answers it.
 
     It is "optimal" where it costs nothing. Elsewhere a motion may cost less: a swing may spare effort against a weight.
     """
     problem, motion = search.problem, search.problem.motion
     duration = motion.duration_s or motion.min_duration_s
     moves = motion.start_speed is not None and np.any(motion.start_speed)
-    if motion.start is None or not motion.stays or moves or duration is None or problem.mechanism.forces is not None:
+    if motion.start is None or moves or duration is None or problem.mechanism.forces is not None:
         return None
     holding = holding_at(problem, motion.start)
     if not holding.holds:
@@ -116,11 +116,6 @@ def _is_carried(problem: Problem, guess: Guess) -> bool:
     return bool(
         np.all((effort >= low) & (effort <= high)) and np.abs(missing).max(initial=0.0) <= HOLDING_TOLERANCE * largest
     )
-
-
-def legs_may_help(search: Search) -> bool:
-    """True if no plan passes, and the phase plane knows a motion to the goal."""
-    return not search.solved and search.quickest is not None and search.quickest.duration_s <= longest(search.problem)
 
 
 def from_legs(search: Search, _: Budget) -> Plan | None:

@@ -37,7 +37,7 @@ class System:
     node: ca.Function
     n_equations: int
     n_path: int
-    kinds: tuple[str, ...]  # the kind of each equation and path quantity, for messages and tests
+    kinds: tuple[str, ...]  # of each equation and path quantity; "path": as far as known no effort changes its rate at once
     has_jerk: bool = False  # whether a node's unknowns include the rates of its accelerations
 
     def __post_init__(self) -> None:

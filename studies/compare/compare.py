@@ -10,13 +10,8 @@ from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.simulate import simulate_one
-from linkplan.controllers.trackers.computed_torque import computed_torque
-from linkplan.controllers.trackers.integral_lqr import integral_lqr
-from linkplan.controllers.trackers.lqr import Errors, lqr
-from linkplan.controllers.trackers.mpc import mpc
-from linkplan.controllers.trackers.names import LINEAR, TRACKERS
-from linkplan.controllers.trackers.pd import pd, scheduled_pd
-from linkplan.controllers.trackers.tracker import AnyTracker, StateFeedback, with_feedforward
+from linkplan.controllers.trackers.names import BUILT_IN, LINEAR, TRACKERS
+from linkplan.controllers.trackers.tracker import AnyTracker, Design, Errors
 from linkplan.models.errors import GainError, ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.plan.plan import Plan
@@ -126,17 +121,22 @@ def build_tracker(asked: TrackerLike, plan: Plan, reference: SampledReference) -
     if not isinstance(asked, str):
         return users_tracker(asked, plan.problem.mechanism, reference)
     name = choose("tracker", asked, TRACKERS, ProblemError)
-    return BUILT[name](plan, reference)
+    mechanism, settings = plan.problem.mechanism, plan.problem.tracking
 
+    def errors() -> Errors:
+        position, velocity = lqr_settings(plan, reference).lqr_errors(mechanism.independent_joints)
+        return Errors(position=position, velocity=velocity, effort=_unit_effort(plan))
 
-def _pd(plan: Plan, reference: SampledReference) -> StateFeedback:
-    mechanism = plan.problem.mechanism
-    return pd(mechanism, reference, *plan.problem.tracking.gains(mechanism.independent_joints))
-
-
-def _errors(plan: Plan, reference: SampledReference) -> Errors:
-    position, velocity = lqr_settings(plan, reference).lqr_errors(plan.problem.mechanism.independent_joints)
-    return Errors(position=position, velocity=velocity, effort=_unit_effort(plan))
+    return BUILT_IN[name].build(
+        Design(
+            mechanism=mechanism,
+            reference=reference,
+            settings=settings,
+            errors=errors,
+            effort_limit=np.array(plan.problem.limits.actuators_effort),
+            compile_mode=plan.problem.solver.compile,
+        )
+    )
 
 
 def lqr_settings(plan: Plan, reference: SampledReference) -> Tracking:
@@ -146,36 +146,6 @@ def lqr_settings(plan: Plan, reference: SampledReference) -> Tracking:
 
 def _unit_effort(plan: Plan) -> np.ndarray:
     return unit_effort(plan.problem.limits.actuators_effort, plan.certificate.peak_effort)
-
-
-def _frequency(plan: Plan) -> tuple[float, float]:
-    """Return the natural frequency [rad/s] and the damping ratio of the errors."""
-    return 2 * np.pi * plan.problem.tracking.bandwidth_hz, plan.problem.tracking.damping_ratio
-
-
-# The constructor of each built-in tracker, from a plan and its reference.
-BUILT: dict[str, Callable[[Plan, SampledReference], AnyTracker]] = {
-    "pd": _pd,
-    "pd+ff": lambda plan, reference: with_feedforward(_pd(plan, reference)),
-    "lqr": lambda plan, reference: lqr(plan.problem.mechanism, reference, _errors(plan, reference)),
-    "lqi": lambda plan, reference: integral_lqr(
-        plan.problem.mechanism,
-        reference,
-        _errors(plan, reference),
-        plan.problem.tracking.integral_time_s,
-        np.array(plan.problem.limits.actuators_effort),
-    ),
-    "gs-pd+ff": lambda plan, reference: with_feedforward(scheduled_pd(plan.problem.mechanism, reference, *_frequency(plan))),
-    "ct": lambda plan, reference: computed_torque(plan.problem.mechanism, reference, *_frequency(plan)),
-    "mpc": lambda plan, reference: mpc(
-        plan.problem.mechanism,
-        reference,
-        _errors(plan, reference),
-        plan.problem.tracking.horizon_s,
-        np.array(plan.problem.limits.actuators_effort),
-        plan.problem.solver.compile,
-    ),
-}
 
 
 def track(

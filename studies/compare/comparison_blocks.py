@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from linkplan.controllers.rollout import Rollout
+from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.studies.compare.compare import Comparison, actuated_by_unit, gap_units, run_figures, tracking_reference
 from linkplan.studies.compare.comparison_notes import comparison_notes
 from linkplan.studies.compare.document import document_rows
 from linkplan.studies.output.document import Block, Plot, Table, Text, table_of
-from linkplan.studies.output.lines import TIME, TRACKER_COLOURS, Line, overlaid_width, plots, tracker_colour
+from linkplan.studies.output.lines import TIME, Line, overlaid_width, plots, tracker_colour
 from linkplan.studies.output.text import brief_rows
 
 if TYPE_CHECKING:
@@ -215,8 +216,9 @@ def _padded(values: np.ndarray, n: int) -> np.ndarray:
 
 def _colour(runs: Mapping[str, Rollout], name: str) -> int:
     """Return a tracker's colour: its own, or for a user's tracker the next unused one."""
-    others = [other for other in runs if other not in TRACKER_COLOURS]
-    left = [k for k in range(7) if k not in {TRACKER_COLOURS.get(other) for other in runs}] or list(range(7))
+    others = [other for other in runs if other not in BUILT_IN]
+    taken = {BUILT_IN[other].colour for other in runs if other in BUILT_IN}
+    left = [k for k in range(7) if k not in taken] or list(range(7))
     return tracker_colour(name, left[others.index(name) % len(left)] if name in others else 0)
 
 

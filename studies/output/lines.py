@@ -6,6 +6,7 @@ from typing import TypedDict
 
 import numpy as np
 
+from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.studies.output.document import Axis, DrawnLimit, Plot, Series
 from linkplan.studies.output.numbers import drawn_rows, rounded, rounded_times
 
@@ -26,13 +27,9 @@ def line_style(index: int) -> LineStyle:
     return {"look": looks[index // n_colours % len(looks)], "colour": index % n_colours}
 
 
-# The index of each built-in tracker's colour among the seven of `drawing.SERIES`.
-TRACKER_COLOURS = {"pd": 1, "pd+ff": 2, "lqr": 0, "lqi": 5, "gs-pd+ff": 3, "ct": 6, "mpc": 4}
-
-
 def tracker_colour(tracker: str, other: int) -> int:
     """Return the index of a tracker's colour, the same everywhere; `other` for a tracker that is not built in."""
-    return TRACKER_COLOURS.get(tracker, other % 7)
+    return BUILT_IN[tracker].colour if tracker in BUILT_IN else other % 7
 
 
 def overlaid_width(index: int, n_lines: int) -> float:

@@ -10,7 +10,6 @@ from msgspec.structs import replace
 
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.certificate.certificate import Certificate, integration_rtol
-from linkplan.planner.limits.joints import RangeLimit
 from linkplan.planner.plan.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import task_words
@@ -209,8 +208,7 @@ def least_margin(plan: Plan) -> tuple[str, str]:
 def _margins(plan: Plan) -> Iterator[tuple[float, str, str]]:
     """Yield every margin as a share of its limit or range, in words, and the words on its instant."""
     for one in plan.certificate.margins:
-        whole = one.size if isinstance(one.of, RangeLimit) else abs(one.limit) or abs(one.value) or 1.0
-        yield one.left / whole, f"{one.left:.4g} {one.unit}".rstrip() + f" to {one.bound}", f", at {one.time_s:.4g} s"
+        yield one.share, f"{one.left:.4g} {one.unit}".rstrip() + f" to {one.bound}", f", at {one.time_s:.4g} s"
 
 
 def _margin_rows(plan: Plan, certificate: Certificate) -> list[list]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from linkplan.controllers.controls import Controls
 from linkplan.controllers.playback import Rows, Shown
+from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.models.poses.skeleton import pins_in_space
 from linkplan.models.poses.solids import solids
 from linkplan.planner.plan.plan import Plan
@@ -91,7 +92,7 @@ def aim(plan: Plan, tracker: str) -> Callable[[mujoco.MjvCamera], None]:
 
 def _words(motion: TrackedMotion, tracking: Tracking, controls: Controls, k: int) -> Rows:
     factors = [f"  (x{factor:.3g})" if factor != 1.0 else "" for factor in (controls.kp_factor, controls.kd_factor)]
-    if controls.tracker == "lqr":
+    if BUILT_IN[controls.tracker].by_errors:
         hinge = any(joint.kind == "hinge" for joint in motion.mechanism.independent_joints)
         position = f"{_gain_text(tracking.lqr_position_deg if hinge else tracking.lqr_position_m)} {'deg' if hinge else 'm'}"
         velocity = _gain_text(tracking.lqr_velocity_deg_s if hinge else tracking.lqr_velocity_m_s)

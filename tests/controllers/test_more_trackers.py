@@ -14,9 +14,9 @@ from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.trackers.integral_lqr import integrable
 from linkplan.controllers.trackers.mpc import HORIZON_BLOCKS
-from linkplan.controllers.trackers.names import TRACKERS
+from linkplan.controllers.trackers.names import BUILT_IN, LINEAR, TRACKERS
 from linkplan.controllers.trackers.prediction import predictor
-from linkplan.controllers.trackers.tracker import steps_of
+from linkplan.controllers.trackers.tracker import StateFeedback, steps_of
 from linkplan.models.compiled.functions import compiler
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import close_at
@@ -63,6 +63,18 @@ def states_about(name: str, k: int, n: int, size: float) -> tuple[np.ndarray, np
     return reference.position_rad[k] + size * rng.normal(size=shape), reference.velocity_rad_s[k] + 10 * size * rng.normal(
         size=shape
     )
+
+
+@pytest.mark.parametrize("kind", TRACKERS)
+def test_the_table_of_trackers_says_what_each_one_is(kind):
+    law = tracker_of(kind)
+    assert law.name == kind
+    assert isinstance(law, StateFeedback) == BUILT_IN[kind].in_c
+    assert BUILT_IN[kind].in_c or kind not in LINEAR  # a linear law is a table in C
+
+
+def test_trackers_have_colours_and_words_of_their_own():
+    assert len({one.colour for one in BUILT_IN.values()}) == len({one.words for one in BUILT_IN.values()}) == len(TRACKERS)
 
 
 @pytest.mark.parametrize("name", ["knee-reach", "five-bar-reach"])

@@ -8,6 +8,7 @@ import numpy as np
 from msgspec import UNSET, structs
 
 from linkplan.controllers.sampling import Sampling
+from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.models.mechanism import Joint, Mechanism
 from linkplan.models.poses.contacts import contact_pairs
 from linkplan.models.poses.reach import reach
@@ -161,7 +162,7 @@ def law_at(
     if frequency_hz is not None:
         refuse_above_nyquist(np.asarray(frequency_hz, dtype=float), settings.period_s)
     points = [operating_point(mechanism, s, effort_limit) for s in positions]
-    if law == "lqr":
+    if chosen.by_errors:
         chosen = replace(chosen, settings=with_lqr_errors(settings, mechanism, points, effort_limit))
     return chosen, points
 
@@ -235,7 +236,7 @@ def _measurement(points: Sequence[BodePoint], steps: int, conditions: dict) -> d
 
 def _gain_names(law: str, joint: Joint) -> tuple[str, str]:
     """Return the keys of a law's two gains."""
-    if law != "lqr":
+    if not BUILT_IN[law].by_errors:
         return "kp", "kd"
     return ("lqr_position_m", "lqr_velocity_m_s") if joint.kind == "slide" else ("lqr_position_deg", "lqr_velocity_deg_s")
 
@@ -250,7 +251,7 @@ def softness_of(points: Sequence[OperatingPoint]) -> str | None:
 def _loop_name(mechanism: Mechanism, law: SampledLaw) -> str:
     """Return the tracker with its gains, period and delay, as text."""
     settings, timing = law.settings, law.timing
-    name = "lqr" if law.name == "lqr" else settings.gains_text(mechanism.independent_joints)
+    name = law.name if law.by_errors else settings.gains_text(mechanism.independent_joints)
     name += f" sampled every {settings.period_s:g} s"
     if timing.delay_steps:
         periods = timing.delay_s / settings.period_s

@@ -5,11 +5,11 @@ from collections.abc import Sequence
 import contourpy
 import numpy as np
 
+from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.studies.feedback.bode.bode_result import AlongMotion, MapStudy
 from linkplan.studies.feedback.bode.map_study import TRIAL_GAIN_SHARE
 from linkplan.studies.feedback.bode.scan import bounds_text, figures
 from linkplan.studies.feedback.frequency.describing import LargeSignals
-from linkplan.studies.feedback.frequency.feedback_loops import LAW_NAMES
 from linkplan.studies.feedback.frequency.floquet import floquet_text
 from linkplan.studies.output.document import MEASURED, Axis, Block, Facts, Heat, Plane, Plot, Series, Text, table_of
 from linkplan.studies.output.lines import TIME, Line, plots
@@ -112,8 +112,8 @@ def along_blocks(found: AlongMotion) -> list[Block]:
     worst = found.worst
     said = bounds_text(worst) + (f", of the loop of {worst.joint}" if found.n_loops > 1 else "")
     frozen = (
-        f"{LAW_NAMES[found.tracker]} at frozen instants along {found.plan}: worst at {1e3 * worst.time_s:.4g} ms ({said});"
-        f" the largest frozen pole is {radius_figure(found.largest_frozen_pole)}"
+        f"{BUILT_IN[found.tracker].words} at frozen instants along {found.plan}: worst at {1e3 * worst.time_s:.4g} ms"
+        f" ({said}); the largest frozen pole is {radius_figure(found.largest_frozen_pole)}"
     )
     cycle = found.floquet
     none = "the motion is not periodic: there are no Floquet multipliers"

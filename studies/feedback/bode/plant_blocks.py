@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.models.tree.friction import frictions_of
 from linkplan.studies.feedback.bode.curves import frequency_plot, measured_phase, phase_along, phase_near
 from linkplan.studies.feedback.bode.plant_result import LARGEST_UNCERTAINTY, PlantCurve, PlantResponse, PlantStudy, Root
 from linkplan.studies.feedback.bode.plant_words import plant_notes, root_text
-from linkplan.studies.feedback.frequency.feedback_loops import LAW_NAMES
 from linkplan.studies.feedback.frequency.plant_modes import Mode
 from linkplan.studies.output.document import Block, Facts, Plot, Report, Section, Table, Text, table_of
 from linkplan.studies.output.lines import line_style
@@ -42,7 +42,7 @@ def _measured(study: PlantStudy) -> list[tuple[str, str]]:
     if any(frictions_of(study.mechanism.model)):
         text += "; dry friction, which the prediction leaves out, damps small motions: a larger test signal comes closer"
     holders = dict.fromkeys(point.held_by for point in study.points if point.held_by)
-    held = ", ".join("nothing: it is stable by itself" if one == "itself" else LAW_NAMES[one] for one in holders)
+    held = ", ".join("nothing: it is stable by itself" if one == "itself" else BUILT_IN[one].words for one in holders)
     return [("held by", held), ("measured responses", text)]
 
 

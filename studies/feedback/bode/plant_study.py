@@ -8,6 +8,7 @@ import numpy as np
 from msgspec import structs
 
 from linkplan.controllers.sampling import Sampling
+from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import contact_pairs
@@ -28,7 +29,6 @@ from linkplan.studies.feedback.bode.plant_words import plant_message
 from linkplan.studies.feedback.bode.touching import contact_sentence, touched
 from linkplan.studies.feedback.frequency.excitation import Setup
 from linkplan.studies.feedback.frequency.feedback_loops import (
-    LAW_NAMES,
     FeedbackLoop,
     OperatingPoint,
     SampledLaw,
@@ -106,7 +106,7 @@ def plant_study(
                 at = plant_frequencies(transfers, chosen.timing, len(kept) * mechanism.n_u)
             taken = measure_plants(list(kept.values()), ins, moved, at, effort_limit, setup, say)
             measured = _moving(dict(zip(kept, taken.responses, strict=True)), transfers)
-        caveats = tuple(_caveats(points, held, in_contact, measured, LAW_NAMES[law]))
+        caveats = tuple(_caveats(points, held, in_contact, measured, BUILT_IN[law].words))
     found = tuple(
         _point(point, ins, outs, transfers[i], grid, held[i], measured.get(i, {})) for i, point in enumerate(points)
     )

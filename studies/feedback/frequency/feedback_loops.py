@@ -20,9 +20,8 @@ import numpy as np
 from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import Sampling, augmented, closed, exact, sampling, simulated, spectral_radius
-from linkplan.controllers.trackers.lqr import Errors, lqr
-from linkplan.controllers.trackers.names import LINEAR
-from linkplan.controllers.trackers.pd import pd
+from linkplan.controllers.trackers.names import BUILT_IN, LINEAR
+from linkplan.controllers.trackers.tracker import Design, Errors
 from linkplan.models.deadline import check
 from linkplan.models.errors import LinkplanError, choose
 from linkplan.models.mechanism import Mechanism
@@ -46,7 +45,6 @@ QUANTITIES = {
     "reference": "1",
     "reference+ff": "1",
 }
-LAW_NAMES = {"pd": "PD", "pd+ff": "PD with feedforward", "lqr": "LQR"}
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -147,12 +145,13 @@ def law_gain(point: OperatingPoint, law: str, settings: Tracking, effort_limit: 
     """
     choose("tracker", law, LINEAR, LinkplanError)
     reference = point.constant(settings.period_s)
-    if law == "lqr":
+
+    def errors() -> Errors:
         position, velocity = settings.lqr_errors(point.mechanism.independent_joints)
-        errors = Errors(position=position, velocity=velocity, effort=unit_effort(effort_limit, np.abs(point.hold)))
-        return lqr(point.mechanism, reference, errors).gains[0]
-    kp, kd = settings.gains(point.mechanism.independent_joints)
-    return pd(point.mechanism, reference, kp, kd).gains[0]
+        return Errors(position=position, velocity=velocity, effort=unit_effort(effort_limit, np.abs(point.hold)))
+
+    of = Design(mechanism=point.mechanism, reference=reference, settings=settings, errors=errors, effort_limit=effort_limit)
+    return BUILT_IN[law].build(of).gains[0]
 
 
 def with_lqr_errors(
@@ -299,6 +298,11 @@ class SampledLaw:
     settings: Tracking
     timing: Sampling
     effort_limit: np.ndarray
+
+    @property
+    def by_errors(self) -> bool:
+        """Whether its gains follow from errors of unit cost."""
+        return BUILT_IN[self.name].by_errors
 
     def loop(self, point: OperatingPoint, kind: str = SIMULATED) -> FeedbackLoop:
         """Return the law's loop about a point.

@@ -72,7 +72,7 @@ def _refined(
     ends = np.log([(_NATURAL_FREQUENCY_RANGE[0], highest), _DAMPING_RATIO_RANGE])
     centre, half = ends.mean(axis=1), 0.5 * np.diff(ends, axis=1).ravel()
     best: tuple[float, float, SampledLaw] | None = None
-    several = law.name == "lqr" or len(points[0].mechanism.channels) > 1
+    several = law.by_errors or len(points[0].mechanism.channels) > 1
     # Grid points along each axis: fewer for LQR, which solves a Riccati equation for every candidate and pose, and for
     # several joints, whose loops are all judged for every candidate.
     count = 9 if several else 17
@@ -120,7 +120,7 @@ def _settings(
     omega, joints = 2 * np.pi * wanted.bandwidth_hz * natural, points[0].mechanism.independent_joints
     inertia = [float(np.exp(np.mean([np.log(point.inertia[k, k]) for point in points]))) for k in channels]
     settings = law.settings
-    if law.name == "lqr":
+    if law.by_errors:
         return _with_weights(points, settings, channels[0], inertia[0], omega, damping)
     names = [joints[k].name for k in channels]
     kp = {name: own * omega**2 for name, own in zip(names, inertia, strict=True)}

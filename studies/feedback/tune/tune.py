@@ -11,14 +11,13 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from linkplan.controllers.trackers.names import LINEAR
+from linkplan.controllers.trackers.names import BUILT_IN, LINEAR
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.search.planning import silent
 from linkplan.studies.feedback.bode.bode import SAME_POSE_SHARE, SCAN_POSITIONS
 from linkplan.studies.feedback.bode.scan import PoseLine, judge_of
 from linkplan.studies.feedback.frequency.feedback_loops import (
-    LAW_NAMES,
     OperatingPoint,
     SampledLaw,
     operating_point,
@@ -65,7 +64,7 @@ def tune(
     mechanism, timing = points[0].mechanism, law.timing
     if law.name not in LINEAR:
         raise LinkplanError(f"unknown tracker '{law.name}'; trackers are {', '.join(LINEAR)}")
-    if law.name == "lqr" and len(mechanism.channels) > 1:
+    if law.by_errors and len(mechanism.channels) > 1:
         raise LinkplanError(
             f"tune finds LQR weights for one degree of freedom, and '{mechanism.name}' has {len(mechanism.channels)}: pd and"
             " pd+ff get gains for each joint, and bode shows the margins of given LQR weights"
@@ -95,7 +94,7 @@ def tune(
         points = _along(points, worst)
         best = evaluated(points, wanted, law)
     found = best.shortfall == 0.0
-    motors = () if law.name == "lqr" else gains_by_motor(best, mechanism)
+    motors = () if law.by_errors else gains_by_motor(best, mechanism)
     tracking = tracking_values(best, mechanism)
     gains = {key: value for key, value in tracking.items() if key != "delay_periods"} | {"delay_s": timing.delay_s}
     return Tuning(
@@ -104,7 +103,7 @@ def tune(
         found=found,
         message=_message(points, wanted, best, found, line),
         wanted=wanted,
-        gains=gains if law.name == "lqr" else gains | {"motor_side": motors},
+        gains=gains if law.by_errors else gains | {"motor_side": motors},
         note="; ".join([*filter(None, [note]), *_allowed_by_springs(points)]) or None,
         points=best.loops,
         mechanism=mechanism,
@@ -157,7 +156,7 @@ def _worst(mechanism: Mechanism, line: PoseLine, law: SampledLaw, wanted: Requir
 def _message(
     points: Sequence[OperatingPoint], wanted: Requirements, best: EvaluatedGains, found: bool, line: PoseLine | None
 ) -> str:
-    timing, words = best.law.timing, LAW_NAMES[best.law.name]
+    timing, words = best.law.timing, BUILT_IN[best.law.name].words
     asked = f"{wanted.bandwidth_hz:g} Hz and {wanted.phase_margin_deg:g} deg"
     if wanted.sensitivity_peak is not None:
         asked += f" with |S| up to {wanted.sensitivity_peak:g}"

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.models.tree.joints import Joint
 from linkplan.planner.files.tables import inline
 from linkplan.studies.feedback.bode.scan import figures
@@ -104,7 +105,7 @@ def tune_blocks(tuning: Tuning, *, verdict: bool = True) -> list[Block]:
     """
     joints = tuning.joints
     blocks: list[Block] = [Text(text=tuning.message)] if verdict else []
-    if tuning.tracker == "lqr":
+    if BUILT_IN[tuning.tracker].by_errors:
         (position_key, position), (velocity_key, velocity) = list(tuning.tracking.items())[:2]
         weights = f"{position_key} = {position:.5g}, {velocity_key} = {velocity:.5g}"
         blocks.append(Text(text=f"{weights} (errors weighted like the full effort limit)"))

@@ -93,7 +93,7 @@ def tracking_values(best: EvaluatedGains, mechanism: Mechanism) -> dict[str, Any
     """Return the gains under the keys of the [tracking] table of a problem file; with several loops by joint."""
     settings, joints = best.law.settings, tuned_joints(mechanism)
     values: dict = {"kp": settings.kp, "kd": settings.kd}
-    if best.law.name == "lqr":
+    if best.law.by_errors:
         position, velocity = (joints[0].shown(float(weight[0])) for weight in settings.lqr_errors(joints))
         values = {f"lqr_position_{joints[0].unit}": position, f"lqr_velocity_{joints[0].unit}_s": velocity}
     values |= {"period_s": settings.period_s}

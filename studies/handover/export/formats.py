@@ -1,5 +1,7 @@
 """The names and descriptions of export formats. This file does not load the code that writes them."""
 
+from linkplan.controllers.trackers.names import BUILT_IN
+
 FORMATS = {
     "keyframes": "an MJCF file of <keyframe>s to include",
     "mjcf": "the whole model with them",
@@ -10,5 +12,5 @@ FORMATS = {
 }
 # Formats that are folders.
 FOLDER_FORMATS = {"c": "a model's dynamics or a plan's control law in C99, a folder"}
-# The trackers that are linear laws, and so tables in C.
-C_TRACKERS = ("pd", "pd+ff", "lqr", "gs-pd+ff")
+# The trackers that are tables in C.
+C_TRACKERS = tuple(name for name, one in BUILT_IN.items() if one.in_c)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
-from linkplan.planner.limits.limit import violation
+from linkplan.planner.limits.kinds import violation
 from linkplan.planner.transcription.bernstein import bernstein_matrix
 from tests.support.bodies import HINGE, body_problem
 from tests.support.motions import motion_along

@@ -9,8 +9,8 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.limits.actuators import ControlLimit, MotorLimit, PowerLimit
 from linkplan.planner.limits.efforts import EffortLimit, RobustLimit
 from linkplan.planner.limits.joints import ClosureForceLimit, RangeLimit, SingularMarginLimit, SpeedLimit, TendonLimit
-from linkplan.planner.limits.kinds import without
-from linkplan.planner.limits.limit import BETWEEN_NODES_FACTOR, Limit, factor_of, limit_margin
+from linkplan.planner.limits.kinds import BETWEEN_NODES_FACTOR, factor_of, without
+from linkplan.planner.limits.limit import Limit, limit_margin
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from linkplan.planner.limits import site as site_limits
-from linkplan.planner.limits.limit import Margin, factor_of, limit_margin
+from linkplan.planner.limits.kinds import factor_of
+from linkplan.planner.limits.limit import Margin, limit_margin
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.problem.instant import free_instant
@@ -138,3 +139,9 @@ def test_only_intervals_beyond_a_limit_or_nearest_to_it_are_sampled_finely(monke
     found = limit_margin(limit, samples)
     assert found.left == pytest.approx(highest - 1.0, abs=FINE_GRID)
     assert sizes == [33 * intervals]
+
+
+def test_what_a_wall_through_the_origin_leaves_is_a_share_of_the_mechanism_s_extent():
+    asked = problem(z=[0.0, 9.0])
+    left = np.sin(BEGIN)  # at the start: a share of the limit, which is zero, would say nothing
+    assert margin_of(asked).share == pytest.approx(left / asked.mechanism.extent_m, rel=1e-9)

@@ -277,3 +277,13 @@ def test_the_distance_from_a_reference_is_that_of_its_sine():
     assert float(value.mid()) == pytest.approx(exact, rel=1e-12)
     assert claim.marks == pytest.approx((-2e-6, 2e-6)), "a millionth of the motion's span"
     assert (reference.bias[0], reference.phase[0]) == pytest.approx(np.radians([-4.0, 25.0]))
+
+
+def test_a_servo_whose_length_only_mujoco_knows_is_undecided():
+    problem, motion = gripper()
+    actuators = tuple(replace(one, has_length=False) for one in problem.mechanism.actuators)
+    unknown = replace(problem, mechanism=replace(problem.mechanism, actuators=actuators))
+    assert [one.reason for one in claims_of(unknown, motion)[1] if one.name == "ctrl of grip"] == [
+        "not proved: only MuJoCo knows its length"
+    ]
+    assert not [one for one in claims_of(problem, motion)[1] if one.name == "ctrl of grip"]

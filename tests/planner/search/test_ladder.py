@@ -146,7 +146,7 @@ def test_diagnoses_never_return_a_motion():
 
 
 def test_rungs_are_few_and_their_names_are_their_own():
-    assert len({method.name for method in SEARCH_METHODS}) == len(SEARCH_METHODS) <= 10
+    assert len({method.name for method in SEARCH_METHODS}) == len(SEARCH_METHODS) <= 11
 
 
 def test_continuation_goes_to_the_end_by_equal_factors():
@@ -232,3 +232,15 @@ def test_a_lost_step_is_tried_again_with_roots_of_the_factor_as_often_as_is_allo
     path = followed(1.0, Steps(begin=1.0, end=99.0, factor=16.0, halvings=2), lost)
     assert not path.arrived
     assert tried == pytest.approx([16.0, 4.0, 2.0])
+
+
+def test_a_method_that_shares_its_time_gets_half_of_what_is_left():
+    shares = []
+    methods = [
+        SearchMethod(
+            name=str(half), run=lambda _, budget: shares.append(budget.share_of_time), budget=Budget(), shares_time=of
+        )
+        for half, of in ((True, lambda _: True), (False, lambda _: False))
+    ]
+    run_search(search_for(load_problem("knee-reach")), methods)
+    assert shares == [0.5, 1.0]
