@@ -8,18 +8,17 @@ import numpy as np
 from linkplan.planner.limits.limit import WhichJoints
 from linkplan.planner.ode.certificate import (
     INTEGRATION_SHARE,
-    LIMIT_SLACK,
     OBJECTIVE_ERROR_FACTOR,
     OVERRUN_SHARE,
     OdeCertificate,
     certify_ode,
     running_cost,
 )
-from linkplan.planner.ode.formulation import finite_size, formulate_ode, start_from
+from linkplan.planner.ode.formulation import formulate_ode, start_from
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
-from linkplan.planner.refinement.marking import Tightening, tightened_share
+from linkplan.planner.refinement.marking import Tightening, tightenings_of
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of
 from linkplan.planner.transcription.formulation import Start, Units
@@ -82,15 +81,16 @@ class OdeCase:
 
     def error_report(self, certificate: OdeCertificate) -> ErrorReport:
         """Return the errors that a certificate reports; another mesh may remove each of them."""
+        over = [margin.overrun for margin in certificate.margins if margin.of.facts.tightened is not None]
         return ErrorReport(
             # The objective is to be that of the integrated motion, too.
             exact=certificate.integration_error <= self.asked.tolerance
             and certificate.objective_error <= OBJECTIVE_ERROR_FACTOR * self.asked.tolerance
             and certificate.overrun <= OVERRUN_SHARE,
             repairable=not certificate.passed,
-            leaves_positions=certificate.leaves_states,
-            overruns=bool(min(certificate.path_margin.min(initial=0.0), certificate.state_margin.min()) < -LIMIT_SLACK),
-            overrun=(certificate.path_overrun / self._path_size[:, None]).max(axis=0, initial=0.0),
+            leaves_positions=any(margin.what == "state" and not margin.kept for margin in certificate.margins),
+            overruns=not all(margin.kept for margin in certificate.margins),
+            overrun=np.max([np.zeros(len(certificate.growth)), *over], axis=0),
             touching=certificate.touching,
             unstable=certificate.integration_restarts > 0,
             # Above this share, high degrees follow another motion between the nodes, and the next mesh leads elsewhere.
@@ -100,23 +100,14 @@ class OdeCase:
 
     def tightened(self, certificate: OdeCertificate, motion: OdeTrajectory) -> "OdeCase":
         """Return the case with limits tightened by what the solution overran them."""
-        breaks = (motion.breaks_s - motion.breaks_s[0]) / motion.duration_s
-        further = [
-            Tightening(what="path", item=k, breaks=breaks, share=size * tightened_share(overrun / size))
-            for k, (overrun, size) in enumerate(zip(certificate.path_overrun, self._path_size, strict=True))
-            if overrun.max() > 0
-        ]
-        # A bound is tightened by this multiple of its overrun.
-        over = 1.1 * np.maximum(0.0, -certificate.state_margin)
-        state = self.problem.state_limit + over[:, None] * np.array([1.0, -1.0])
-        return replace(self, problem=replace(self.problem, state_limit=state), tightenings=(*self.tightenings, *further))
+        state = np.array(self.problem.state_limit)
+        for margin in certificate.margins:
+            if margin.what == "state":
+                state[margin.item] += 1.1 * max(0.0, -margin.left) * np.array([1.0, -1.0])
+        further = tightenings_of(certificate.margins, motion.breaks_s)
+        problem = replace(self.problem, state_limit=state)
+        return replace(self, problem=problem, tightenings=self.tightenings + further)
 
     def with_scheme(self, name: str) -> "OdeCase":
         """Return the case with another transcription."""
         return replace(self, problem=replace(self.problem, mesh=self.problem.mesh.replace(scheme=name)))
-
-    @property
-    def _path_size(self) -> np.ndarray:
-        """The sizes (n_path,) of the path limits."""
-        size = finite_size(self.asked.path_limit)
-        return np.where(size > 0, size, 1.0)

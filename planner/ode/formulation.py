@@ -71,7 +71,7 @@ def formulate_ode(
     limited = tuple(int(i) for i in np.flatnonzero(np.isfinite(state).any(axis=1)))
     low, high = problem.duration
     endpoint = _endpoint(problem, units)
-    rows = [TightenedRow("path", k, Tightened.IN_UNITS) for k in range(len(problem.path_limit))]
+    rows = [TightenedRow("path", k, Tightened.BY_SHARE) for k in range(len(problem.path_limit))]
     return Formulation(
         build_system=lambda: _system(problem, units),
         n_s=0,
