@@ -92,9 +92,6 @@ class OdeCase:
             overruns=not all(margin.kept for margin in certificate.margins),
             overrun=np.max([np.zeros(len(certificate.growth)), *over], axis=0),
             touching=certificate.touching,
-            unstable=certificate.integration_restarts > 0,
-            # Above this share, high degrees follow another motion between the nodes, and the next mesh leads elsewhere.
-            unseen=certificate.integration_restarts > 0 and certificate.integration_error > 1.0,
             integration_error=certificate.integration_error,
         )
 

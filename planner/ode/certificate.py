@@ -10,7 +10,7 @@ from linkplan.planner.limits.samples import sample_points
 from linkplan.planner.ode.integration import IntegratedOde, integrate
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.problem.extra import as_no_number, not_finite
+from linkplan.planner.problem.extra import not_finite
 from linkplan.planner.transcription.schemes import Scheme
 
 # The integrated state may end this share of each state's size from the solution; a smaller tolerance is refined towards.
@@ -144,21 +144,16 @@ def _samples_of(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeSamples:
     points = sample_points(len(trajectory.state) - 1)
     time = trajectory.times_at(points)
     x, u = trajectory.state_at(time), trajectory.effort_at(time)
-    path = np.array(problem.function("path")(x.T, u.T, problem.parameters, time[None])).reshape(-1, len(time)).T
-    return OdeSamples(points, time, x, u, path)
+    return OdeSamples(points, time, x, u, problem.along("path", x, u, time))
 
 
 def functions_not_finite(problem: OdeProblem, motion: OdeTrajectory) -> list[str]:
     """Return the sentences on the problem's functions that are not finite along a motion."""
-    time, p = motion.times_at(sample_points(len(motion.state) - 1)), problem.parameters
-    x, u, found = motion.state_at(time), motion.effort_at(time), []
-    for name in ("rate", "running_cost", "path"):
-        values = np.array(problem.function(name)(x.T, u.T, p, time[None])).reshape(-1, len(time))
-        found += not_finite(name, values.T, time)
+    at, last_s = _samples_of(problem, motion), motion.breaks_s[-1:]
+    rows = [(name, problem.along(name, at.x, at.u, at.time), at.time) for name in ("rate", "running_cost", "path")]
     for name in ("final_cost", "ends"):
-        values = np.array(problem.function(name)(x[0], x[-1], motion.duration_s, p)).ravel()
-        found += [f"{name} is {as_no_number(value)}" for value in values[~np.isfinite(values)][:1]]
-    return found
+        rows.append((name, problem.at_ends(name, at.x[0], at.x[-1], motion.duration_s)[None], last_s))
+    return [sentence for row in rows for sentence in not_finite(*row)]
 
 
 def running_cost(problem: OdeProblem, trajectory: OdeTrajectory, chosen: Scheme) -> np.ndarray:
@@ -166,7 +161,7 @@ def running_cost(problem: OdeProblem, trajectory: OdeTrajectory, chosen: Scheme)
     # The right end of an interval is the next one's left end, where efforts may jump: just before it.
     time = trajectory.times_at(np.clip(chosen.nodes, 0.0, 1.0 - 1e-12))
     x, u = trajectory.state_at(time), trajectory.effort_at(time)
-    rate = np.array(problem.function("running_cost")(x.T, u.T, problem.parameters, time[None]))
+    rate = problem.along("running_cost", x, u, time)
     return np.diff(trajectory.breaks_s) * (rate.reshape(-1, chosen.n_nodes) @ chosen.weights)
 
 
@@ -178,8 +173,7 @@ def sizes_of(x: np.ndarray) -> np.ndarray:
 
 def _costs(problem: OdeProblem, trajectory: OdeTrajectory, integrated: IntegratedOde) -> tuple[float, np.ndarray]:
     """Return the integrated objective, and the errors (n,) of the running costs as shares of the objective's size."""
-    ends = trajectory.state[0, 0], integrated.end
-    final = float(problem.function("final_cost")(*ends, trajectory.duration_s, problem.parameters))
+    final = float(problem.at_ends("final_cost", trajectory.state[0, 0], integrated.end, trajectory.duration_s)[0])
     running = integrated.cost if trajectory.running is None else trajectory.running
     scale = float(np.abs(running).sum() + abs(final))
     return float(integrated.cost.sum() + final), (integrated.cost - running) / (scale or 1.0)
@@ -199,7 +193,7 @@ def _in_part(beside: np.ndarray) -> np.ndarray:
 def _boundary_error(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray) -> float:
     """Return the violation of the boundary conditions, relative to the sizes of the states and of psi."""
     first, last, back = trajectory.state[0, 0], trajectory.state[-1, -1], list(problem.returns)
-    psi = np.array(problem.function("ends")(first, last, trajectory.duration_s, problem.parameters)).ravel()
+    psi = problem.at_ends("ends", first, last, trajectory.duration_s)
     return max(
         relative_violation(first, problem.start.T, size),
         relative_violation(last, problem.goal.T, size),

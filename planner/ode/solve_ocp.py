@@ -74,12 +74,8 @@ def _refined_plan(case: OdeCase, found: Iterate) -> OdePlan:
         held = case.start_from(replace(found.motion, effort=found.motion.effort_at(at)[None]))
         durations = np.array([found.motion.duration_s])
         found = attempt(case, held, found.mesh, durations, "efforts constant at first", warm=True) or found
-    unstable = case.certify(found.motion).integration_restarts > 0
-    if unstable:
-        # The solver loses such a motion less easily in its own units, and from next to the coarser mesh's.
-        case = replace(case, units=units_of(case.asked, found.motion))
     reason = held_by_guess(case.asked, found.solution)
-    refined = refine(case, found, warm=unstable) if reason is None else None
+    refined = refine(case, found) if reason is None else None
     if refined is not None:
         return plan_of(case.asked, refined)
     return OdePlan(problem=case.asked, status="failed", message=f"failed: {reason}", history=recorded())
