@@ -53,9 +53,6 @@ class OdePlan:
             raise InfeasibleError(self.message, self)
         return self
 
-    def __str__(self) -> str:
-        return self.message
-
 
 def plan_of(problem: OdeProblem, refined: Refined) -> OdePlan:
     """Return the plan of a refined motion."""

@@ -53,7 +53,7 @@ def test_digits_are_printed_as_far_as_the_error_leaves_them(value, error, printe
 
 def printed_objective(plan: OdePlan) -> tuple[float, float]:
     """Return the objective that a plan prints, and half the unit of its last digit."""
-    text = re.match(r"optimum (\S+) in", str(plan))[1]
+    text = re.match(r"optimum (\S+) in", plan.message)[1]
     return float(text), 0.5 * 10.0 ** -len(text.partition(".")[2])
 
 
