@@ -1,4 +1,4 @@
-"""A user's problem as refinement sees it: solved within limits that may be tightened, certified against what was asked."""
+"""A user's problem as refinement sees it: solved within path limits that may be tightened, certified against its own."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -31,27 +31,26 @@ _OBJECTIVE_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OdeCase:
-    """A `planner.refinement.case.Case` of a user's problem; solves are within `problem`, certificates against `asked`."""
+    """A `planner.refinement.case.Case` of a user's problem, whose path limits may be tightened."""
 
     problem: OdeProblem
-    asked: OdeProblem
     units: Units
     tightenings: tuple[Tightening, ...] = ()
 
     @property
     def target(self) -> RefinementTarget:
         """The form of the best motion, of which little is known, and the accuracy that is asked for."""
-        asked = self.asked
+        problem = self.problem
         return RefinementTarget(
-            effort_limit=asked.effort_limit,
+            effort_limit=problem.effort_limit,
             # Efforts can jump if both limits are finite.
-            switches=bool(np.any(np.all(np.isfinite(asked.effort_limit), axis=1))),
+            switches=bool(np.any(np.all(np.isfinite(problem.effort_limit), axis=1))),
             bang_bang=False,  # a differential equation's efforts may take a singular arc anywhere
             continuous_efforts=False,  # nothing is known of its costs
-            strictness=INTEGRATION_SHARE / asked.tolerance,
+            strictness=INTEGRATION_SHARE / problem.tolerance,
             tolerance_given=True,  # the mesh may grow beyond what is comfortable
-            objective_tolerance=asked.objective_tolerance or _OBJECTIVE_TOLERANCE,
-            objective_tolerance_given=asked.objective_tolerance is not None,
+            objective_tolerance=problem.objective_tolerance or _OBJECTIVE_TOLERANCE,
+            objective_tolerance_given=problem.objective_tolerance is not None,
         )
 
     def transcribe(
@@ -66,10 +65,10 @@ class OdeCase:
 
     def motion(self, solution: Solution) -> OdeTrajectory:
         """Return a solution's polynomials."""
-        curves = curves_of(solution.transcribed, solution.x, self.asked.effort_limit)
-        state = curves.state[..., : self.asked.n_x]  # time may be the last one
+        curves = curves_of(solution.transcribed, solution.x, self.problem.effort_limit)
+        state = curves.state[..., : self.problem.n_x]  # time may be the last one
         motion = OdeTrajectory(breaks_s=curves.breaks_s, state=state, effort=curves.effort)
-        return replace(motion, running=running_cost(self.asked, motion, solution.transcribed.scheme))
+        return replace(motion, running=running_cost(self.problem, motion, solution.transcribed.scheme))
 
     def start_from(self, motion: OdeTrajectory) -> Start:
         """Return a solution as a start."""
@@ -77,15 +76,15 @@ class OdeCase:
 
     def certify(self, motion: OdeTrajectory) -> OdeCertificate:
         """Return a solution's certificate."""
-        return certify_ode(self.asked, motion)
+        return certify_ode(self.problem, motion)
 
     def error_report(self, certificate: OdeCertificate) -> ErrorReport:
         """Return the errors that a certificate reports; another mesh may remove each of them."""
         over = [margin.overrun for margin in certificate.margins if margin.of.facts.tightened is not None]
         return ErrorReport(
             # The objective is to be that of the integrated motion, too.
-            exact=certificate.integration_error <= self.asked.tolerance
-            and certificate.objective_error <= OBJECTIVE_ERROR_FACTOR * self.asked.tolerance
+            exact=certificate.integration_error <= self.problem.tolerance
+            and certificate.objective_error <= OBJECTIVE_ERROR_FACTOR * self.problem.tolerance
             and certificate.overrun <= OVERRUN_SHARE,
             repairable=not certificate.passed,
             leaves_positions=any(margin.what == "state" and not margin.kept for margin in certificate.margins),
@@ -96,14 +95,8 @@ class OdeCase:
         )
 
     def tightened(self, certificate: OdeCertificate, motion: OdeTrajectory) -> "OdeCase":
-        """Return the case with limits tightened by what the solution overran them."""
-        state = np.array(self.problem.state_limit)
-        for margin in certificate.margins:
-            if margin.what == "state":
-                state[margin.item] += 1.1 * max(0.0, -margin.left) * np.array([1.0, -1.0])
-        further = tightenings_of(certificate.margins, motion.breaks_s)
-        problem = replace(self.problem, state_limit=state)
-        return replace(self, problem=problem, tightenings=self.tightenings + further)
+        """Return the case with path limits tightened by what the solution overran them; rows keep those of states."""
+        return replace(self, tightenings=self.tightenings + tightenings_of(certificate.margins, motion.breaks_s))
 
     def with_scheme(self, name: str) -> "OdeCase":
         """Return the case with another transcription."""

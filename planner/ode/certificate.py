@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.planner.certificate.integration import relative_violation
-from linkplan.planner.limits.limit import LimitFacts, Margin, Measured, Tightened, limited_rows, margin_of
+from linkplan.planner.limits.limit import LimitFacts, Margin, Measured, limited_rows, margin_of
 from linkplan.planner.limits.samples import sample_points
 from linkplan.planner.ode.integration import IntegratedOde, integrate
 from linkplan.planner.ode.problem import OdeProblem
@@ -23,8 +23,8 @@ OVERRUN_SHARE = 1e-6
 AT_LIMIT_SHARE = 1e-6
 # The objective may differ from that of the integrated motion by this multiple of the states' relative error.
 OBJECTIVE_ERROR_FACTOR = 10.0
-_EFFORT = LimitFacts(kind="effort", tightened=None)
-_STATE = LimitFacts(kind="state", tightened=Tightened.IN_PROBLEM)
+_EFFORT = LimitFacts(kind="effort", tightened=None)  # rows keep efforts and states at every instant
+_STATE = LimitFacts(kind="state", tightened=None)
 _PATH = LimitFacts(kind="path", words="path quantity {}")
 
 

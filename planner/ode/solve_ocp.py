@@ -52,7 +52,7 @@ def _first_plan(problem: OdeProblem) -> OdePlan:
     failed, settings = None, problem.mesh
     mesh = uniform(settings.intervals) if settings.breaks is None else broken(settings.breaks)
     for k, guess in enumerate(problem.solver.deadline.take(guesses_of(problem))):
-        case = OdeCase(problem, problem, units_of(problem, guess))
+        case = OdeCase(problem, units_of(problem, guess))
         found = _solved(case, guess, mesh, f"start {k + 1}" if k else "first solve")
         if found is None:
             continue
@@ -77,9 +77,9 @@ def _refined_plan(case: OdeCase, found: Iterate) -> OdePlan:
         at = found.motion.times_at(np.array([_FIRST_NODE]))
         held = replace(found.motion, effort=found.motion.effort_at(at)[None])
         found = _solved(case, held, found.mesh, "efforts constant at first", warm=True) or found
-    reason = held_by_guess(case.asked, found)
+    reason = held_by_guess(case.problem, found)
     refined = refine(case, found) if reason is None else None
-    return without_motion(case.asked, f"{reason}") if refined is None else plan_of(case.asked, refined)
+    return without_motion(case.problem, f"{reason}") if refined is None else plan_of(case.problem, refined)
 
 
 def _contradiction(problem: OdeProblem) -> str | None:
