@@ -215,12 +215,13 @@ def _integrated_with_restarts(
     _, errors, restarts = propagated(defects, transitions, RESTART_GROWTH)
     if not restarts:
         return None
-    errors, defects = np.abs(errors), np.abs(defects[:, :n_s])
-    position = errors[:, :n_s].max(axis=0) * span
-    share = position / np.maximum(defects.sum(axis=0) * span, np.finfo(float).tiny)
-    growth = np.maximum.reduceat((defects * span * share / allowed).max(axis=1), first)
-    velocity = float(errors[:, n_s:].max(initial=0.0))
-    return Integrated(position=position, velocity=velocity, growth=growth, restarts=restarts)
+    errors, adds = np.abs(errors), scaled_defects(defects[:, :n_s], errors[:, :n_s]) * span
+    return Integrated(
+        position=errors[:, :n_s].max(axis=0) * span,
+        velocity=float(errors[:, n_s:].max(initial=0.0)),
+        growth=np.maximum.reduceat((adds / allowed).max(axis=1), first),
+        restarts=restarts,
+    )
 
 
 def propagated(defects: np.ndarray, transitions: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray, int]:
@@ -244,6 +245,12 @@ def propagated(defects: np.ndarray, transitions: np.ndarray, most: float) -> tup
         if not 1 <= grown <= most:
             carried = np.eye(len(error))
     return begins, ends, restarts
+
+
+def scaled_defects(defects: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """Return the sizes of defects (n, k) in shares of which the largest errors of (n, k) are the sum."""
+    sizes = np.abs(defects)
+    return sizes * np.abs(errors).max(axis=0) / np.maximum(sizes.sum(axis=0), np.finfo(float).tiny)
 
 
 def _in_pieces(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarray) -> tuple[Trajectory, np.ndarray]:

@@ -178,10 +178,11 @@ class Claimed:
 class Margin(Struct, frozen=True, eq=False, kw_only=True):
     """The worst instant of a limit: `value` against `limit` in `unit`; `left` is negative if the limit is overrun.
 
-    `of` is the limit, `name` the name of its actuator, closure, tendon or site.
+    `of` is the limit, a `Limit` or that of another system, of which `facts` and `item` are read. `name` is the name of its
+    actuator, closure, tendon or site.
     """
 
-    of: Beside[Limit]
+    of: Beside[Any]
     name: str
     value: float
     limit: float
@@ -307,8 +308,8 @@ def limit_margin(limit: Limit, samples: Samples) -> Margin:
 
 
 @np.errstate(invalid="ignore")  # infinity less infinity is not kept either
-def margin_of(of: Limit, measured: Measured, samples: Samples) -> Margin:
-    """Return the margin of a quantity along a motion.
+def margin_of(of: Any, measured: Measured, samples: Any) -> Margin:
+    """Return the margin of a quantity along a motion, of whose samples `points` and `time` are read.
 
     The least margin of an interval with a kink is that of the samples, without interpolation by parabolas. Bernstein
     coefficients bound the margin from below.
@@ -344,7 +345,7 @@ def margin_of(of: Limit, measured: Measured, samples: Samples) -> Margin:
     return margin if measured.at_times is None else _sampled_finely(margin, measured, samples)
 
 
-def _sampled_finely(margin: Margin, measured: Measured, samples: Samples) -> Margin:
+def _sampled_finely(margin: Margin, measured: Measured, samples: Any) -> Margin:
     """Return a margin measured again on finer samples in every interval near the limit."""
     (low, high), size, n_points = measured.bounds, margin.size, len(samples.points)
     inside = np.minimum(measured.values - low, high - measured.values).reshape(-1, n_points)

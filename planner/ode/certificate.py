@@ -5,11 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.planner.certificate.integration import relative_violation
-from linkplan.planner.limits.samples import least_between, sample_points
+from linkplan.planner.limits.limit import LimitFacts, Margin, Measured, limited_rows, margin_of
+from linkplan.planner.limits.samples import sample_points
 from linkplan.planner.ode.integration import IntegratedOde, integrate
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.problem.extra import as_no_number, not_finite
+from linkplan.planner.problem.extra import not_finite
 from linkplan.planner.transcription.schemes import Scheme
 
 # The integrated state may end this share of each state's size from the solution; a smaller tolerance is refined towards.
@@ -22,6 +23,28 @@ OVERRUN_SHARE = 1e-6
 AT_LIMIT_SHARE = 1e-6
 # The objective may differ from that of the integrated motion by this multiple of the states' relative error.
 OBJECTIVE_ERROR_FACTOR = 10.0
+_EFFORT = LimitFacts(kind="effort", tightened=None)  # rows keep efforts and states at every instant
+_STATE = LimitFacts(kind="state", tightened=None)
+_PATH = LimitFacts(kind="path", words="path quantity {}")
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OdeLimit:
+    """A limit on one effort, state or path quantity, as `Margin` reads it."""
+
+    facts: LimitFacts
+    item: int
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OdeSamples:
+    """A motion at `time` (n,), at the shares `points` of every interval: `x` (n, n_x), `u` (n, n_u), `path` (n, n_path)."""
+
+    points: np.ndarray
+    time: np.ndarray
+    x: np.ndarray
+    u: np.ndarray
+    path: np.ndarray
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -31,18 +54,14 @@ class OdeCertificate:
     `integration_error` is the largest distance of the integrated state from the planned one, as a share of each state's
     size; `integrated_objective` the objective along the integrated state, and `objective_error` how far the solution's own
     is from it, as a share of the sum of its parts' sizes; `overrun` how far the integrated state leaves its limits at most,
-    as a share of its size; margins are negative outside, infinite where nothing limits.
+    as a share of its size. `margins` are those of limited efforts, states and path quantities.
     """
 
-    effort_excess: float
     integration_error: float
     integrated_objective: float
     objective_error: float
     overrun: float
-    state_margin: np.ndarray  # (n_x,)
-    leaves_states: bool
-    path_margin: np.ndarray  # (n_path,)
-    path_overrun: np.ndarray  # (n_path, n_intervals)
+    margins: tuple[Margin, ...]
     touching: np.ndarray  # (n_intervals,) whether a state or path quantity is at a limit on part of the interval only
     boundary_error: float
     integration_restarts: int  # how often the integration was restarted, the motion being unstable; 0 as a rule
@@ -67,37 +86,32 @@ class OdeCertificate:
 
 def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificate:
     """Return the certificate of a solution against its problem."""
-    points, n, n_x = sample_points(len(trajectory.state) - 1), len(trajectory.breaks_s) - 1, problem.n_x
-    time = trajectory.times_at(points)
-    x, u = trajectory.state_at(time), trajectory.effort_at(time)
-    size = sizes_of(x)
-    integrated = integrate(problem, trajectory, size, points)
+    samples = _samples_of(problem, trajectory)
+    size, path_size = sizes_of(samples.x), np.abs(samples.path).max(axis=0, initial=1.0)
+    integrated = integrate(problem, trajectory, size, samples.points)
     objective, misjudged = _costs(problem, trajectory, integrated)
     error, beyond, off = float(integrated.errors.max()), float(integrated.beyond.max()), float(abs(misjudged.sum()))
-    over = max(0.0, -float(_inside(u, problem.effort_limit).min()))
     missed = _boundary_error(problem, trajectory, size)
-    # States and path quantities. The polynomial is no nearer to the motion than its own error; the integrated state is
-    # judged by itself.
-    path = np.array(problem.function("path")(x.T, u.T, problem.parameters, time[None])).reshape(-1, len(time)).T
-    path_size = np.abs(path).max(axis=0, initial=1.0)
-    inside = _inside(np.hstack([x, path]), np.vstack([problem.state_limit, problem.path_limit]))
-    left = np.reshape([least_between(row, points) for row in inside.T], (-1, n))
-    margin, names = left.min(axis=1), [f"state {name}" for name in problem.states]
-    names += [f"path quantity {k}" for k in range(len(path_size))]
-    slack = np.append(max(LIMIT_SLACK, min(error, OVERRUN_SHARE)) * size, LIMIT_SLACK * path_size)
+    # The polynomial is no nearer to the motion than its own error; the integrated state is judged by itself.
+    kinds = (
+        (_EFFORT, problem.efforts, samples.u, problem.effort_limit, np.zeros(problem.n_u)),
+        (_STATE, problem.states, samples.x, problem.state_limit, max(LIMIT_SLACK, min(error, OVERRUN_SHARE)) * size),
+        (_PATH, [*map(str, range(len(path_size)))], samples.path, problem.path_limit, LIMIT_SLACK * path_size),
+    )
+    margins = tuple(
+        margin_of(OdeLimit(facts, k), Measured(names[k], values[:, k], limit[k], slack=slack[k]), samples)
+        for facts, names, values, limit, slack in kinds
+        for k in limited_rows(limit)
+    )
     # For states these are the coefficients: rows keep the coefficients within the limits.
     beside = _inside(trajectory.state, problem.state_limit) / size
-    along = (inside[:, n_x:] / path_size).T.reshape(-1, n, len(points))
+    along = _inside(samples.path, problem.path_limit) / path_size
     faults = [
-        (over > 0, f"an effort exceeds its limit by {over:.3g}"),
         (
             not error <= INTEGRATION_SHARE,
             f"the integrated state ends {error:.3g} of its size from the solution (allowed: {INTEGRATION_SHARE:g})",
         ),
-        *(
-            (-value > most, f"{name} leaves its limits by {-value:.3g} between the nodes")
-            for name, value, most in zip(names, margin, slack, strict=True)
-        ),
+        *((margin.left < -margin.slack, margin.sentence()) for margin in margins),
         (
             beyond > INTEGRATION_SHARE,
             f"the integrated state leaves its limits by {beyond:.3g} of its size between the nodes",
@@ -113,16 +127,12 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     # An overrun at its limit asks for as much refinement as a state at its tolerance.
     growth = np.maximum(growth, integrated.beyond / OVERRUN_SHARE * problem.tolerance) / INTEGRATION_SHARE
     return OdeCertificate(
-        effort_excess=over,
         integration_error=error,
         integrated_objective=objective,
         objective_error=off,
         overrun=beyond,
-        state_margin=margin[:n_x],
-        leaves_states=bool(np.any(-margin[:n_x] > slack[:n_x])),
-        path_margin=margin[n_x:],
-        path_overrun=np.maximum(0.0, -left[n_x:]),
-        touching=_in_part(beside.transpose(2, 1, 0)) | _in_part(along),
+        margins=margins,
+        touching=_in_part(beside.transpose(2, 1, 0)) | _in_part(along.T.reshape(-1, len(growth), len(samples.points))),
         boundary_error=missed,
         integration_restarts=integrated.restarts,
         growth=np.nan_to_num(growth, nan=np.inf),
@@ -130,17 +140,20 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
     )
 
 
+def _samples_of(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeSamples:
+    points = sample_points(len(trajectory.state) - 1)
+    time = trajectory.times_at(points)
+    x, u = trajectory.state_at(time), trajectory.effort_at(time)
+    return OdeSamples(points, time, x, u, problem.along("path", x, u, time))
+
+
 def functions_not_finite(problem: OdeProblem, motion: OdeTrajectory) -> list[str]:
     """Return the sentences on the problem's functions that are not finite along a motion."""
-    time, p = motion.times_at(sample_points(len(motion.state) - 1)), problem.parameters
-    x, u, found = motion.state_at(time), motion.effort_at(time), []
-    for name in ("rate", "running_cost", "path"):
-        values = np.array(problem.function(name)(x.T, u.T, p, time[None])).reshape(-1, len(time))
-        found += not_finite(name, values.T, time)
+    at, last_s = _samples_of(problem, motion), motion.breaks_s[-1:]
+    rows = [(name, problem.along(name, at.x, at.u, at.time), at.time) for name in ("rate", "running_cost", "path")]
     for name in ("final_cost", "ends"):
-        values = np.array(problem.function(name)(x[0], x[-1], motion.duration_s, p)).ravel()
-        found += [f"{name} is {as_no_number(value)}" for value in values[~np.isfinite(values)][:1]]
-    return found
+        rows.append((name, problem.at_ends(name, at.x[0], at.x[-1], motion.duration_s)[None], last_s))
+    return [sentence for row in rows for sentence in not_finite(*row)]
 
 
 def running_cost(problem: OdeProblem, trajectory: OdeTrajectory, chosen: Scheme) -> np.ndarray:
@@ -148,7 +161,7 @@ def running_cost(problem: OdeProblem, trajectory: OdeTrajectory, chosen: Scheme)
     # The right end of an interval is the next one's left end, where efforts may jump: just before it.
     time = trajectory.times_at(np.clip(chosen.nodes, 0.0, 1.0 - 1e-12))
     x, u = trajectory.state_at(time), trajectory.effort_at(time)
-    rate = np.array(problem.function("running_cost")(x.T, u.T, problem.parameters, time[None]))
+    rate = problem.along("running_cost", x, u, time)
     return np.diff(trajectory.breaks_s) * (rate.reshape(-1, chosen.n_nodes) @ chosen.weights)
 
 
@@ -160,8 +173,7 @@ def sizes_of(x: np.ndarray) -> np.ndarray:
 
 def _costs(problem: OdeProblem, trajectory: OdeTrajectory, integrated: IntegratedOde) -> tuple[float, np.ndarray]:
     """Return the integrated objective, and the errors (n,) of the running costs as shares of the objective's size."""
-    ends = trajectory.state[0, 0], integrated.end
-    final = float(problem.function("final_cost")(*ends, trajectory.duration_s, problem.parameters))
+    final = float(problem.at_ends("final_cost", trajectory.state[0, 0], integrated.end, trajectory.duration_s)[0])
     running = integrated.cost if trajectory.running is None else trajectory.running
     scale = float(np.abs(running).sum() + abs(final))
     return float(integrated.cost.sum() + final), (integrated.cost - running) / (scale or 1.0)
@@ -181,7 +193,7 @@ def _in_part(beside: np.ndarray) -> np.ndarray:
 def _boundary_error(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray) -> float:
     """Return the violation of the boundary conditions, relative to the sizes of the states and of psi."""
     first, last, back = trajectory.state[0, 0], trajectory.state[-1, -1], list(problem.returns)
-    psi = np.array(problem.function("ends")(first, last, trajectory.duration_s, problem.parameters)).ravel()
+    psi = problem.at_ends("ends", first, last, trajectory.duration_s)
     return max(
         relative_violation(first, problem.start.T, size),
         relative_violation(last, problem.goal.T, size),

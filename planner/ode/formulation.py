@@ -23,7 +23,7 @@ def depends_on_time(problem: OdeProblem) -> bool:
 
 def units_of(problem: OdeProblem, guess: OdeTrajectory) -> Units:
     """Return units of order one: sizes in the guess, at the ends, of finite limits; the objective's along the guess."""
-    times, p, duration = guess.breaks_s, problem.parameters, guess.duration_s
+    times, duration = guess.breaks_s, guess.duration_s
     x, u = guess.state_at(times), guess.effort_at(times)
     limit, guessed = finite_size(problem.effort_limit), finite_size(u.T)
     effort = _first_size(np.minimum(guessed, np.where(limit > 0, limit, np.inf)), limit)
@@ -32,8 +32,8 @@ def units_of(problem: OdeProblem, guess: OdeTrajectory) -> Units:
     )
     # The cost of a motion of these sizes: of the guess, with efforts of their unit where it has none.
     u = np.where(guessed > 0, u, effort)
-    running = np.array(problem.function("running_cost")(x.T, u.T, p, times[None]))
-    cost = duration * np.abs(running).mean() + abs(float(problem.function("final_cost")(x[0], x[-1], duration, p)))
+    cost = duration * np.abs(problem.along("running_cost", x, u, times)).mean()
+    cost += abs(problem.at_ends("final_cost", x[0], x[-1], duration)[0])
     return Units(
         time_s=duration,
         state=np.append(state, duration) if depends_on_time(problem) else state,
@@ -71,7 +71,7 @@ def formulate_ode(
     limited = tuple(int(i) for i in np.flatnonzero(np.isfinite(state).any(axis=1)))
     low, high = problem.duration
     endpoint = _endpoint(problem, units)
-    rows = [TightenedRow("path", k, Tightened.IN_UNITS) for k in range(len(problem.path_limit))]
+    rows = [TightenedRow("path", k, Tightened.BY_SHARE) for k in range(len(problem.path_limit))]
     return Formulation(
         build_system=lambda: _system(problem, units),
         n_s=0,

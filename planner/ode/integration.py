@@ -1,11 +1,7 @@
 """The differential equation integrated under a solution's efforts, against the solution.
 
 Every interval is integrated from the planned state, together with its transition matrix, and its defect is propagated along
-the motion to first order. Along an unstable motion an error grows by many orders of magnitude (e^40 in 20 s for a pole at
-2 / s), and rounding decides where one integration would end. So the integration is restarted wherever an error would have
-grown by `RESTART_GROWTH`, as for mechanisms (`linkplan.planner.certificate.integration`). The certificate then states that
-the solution satisfies the differential equation, not that it can be followed without feedback. It reports the number of
-restarts.
+the motion to first order, with restarts as along mechanisms' motions (`linkplan.planner.certificate.integration`).
 """
 
 import functools
@@ -15,7 +11,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.planner.certificate.flow import INTEGRATION_RTOL, side_by_side
-from linkplan.planner.certificate.integration import RESTART_GROWTH, propagated, relative_violation
+from linkplan.planner.certificate.integration import RESTART_GROWTH, propagated, relative_violation, scaled_defects
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.transcription.bernstein import bernstein_value
@@ -68,14 +64,10 @@ def integrate(problem: OdeProblem, trajectory: OdeTrajectory, size: np.ndarray, 
     )
     # States and cost from where the motion before has come to, to first order.
     along = along + np.einsum("kmij,kj->kmi", transitions, begun * size)
-    errors, defects = np.abs(errors), np.abs(added)
-    if restarts:
-        defects *= errors.max(axis=0) / np.maximum(defects.sum(axis=0), np.finfo(float).tiny)
-    else:
-        defects = np.abs(np.diff(errors, axis=0, prepend=0.0))
+    errors = np.abs(errors)
     return IntegratedOde(
         errors=errors,
-        defects=defects,
+        defects=scaled_defects(added, errors) if restarts else np.abs(np.diff(errors, axis=0, prepend=0.0)),
         cost=along[:, -1, n_x],
         beyond=np.array([relative_violation(rows[:, :n_x], problem.state_limit.T, size) for rows in along]),
         end=along[-1, -1, :n_x],

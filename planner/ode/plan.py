@@ -8,10 +8,11 @@ from linkplan.models.errors import InfeasibleError
 from linkplan.planner.ode.certificate import OdeCertificate
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.refinement.case import Iterate
 from linkplan.planner.refinement.history import Step, recorded
 from linkplan.planner.refinement.state import Refined
 from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
-from linkplan.planner.solvers.solve import OF_TIME, SOLVER_TOLERANCE, Solution
+from linkplan.planner.solvers.solve import OF_TIME, SOLVER_TOLERANCE
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
@@ -53,9 +54,6 @@ class OdePlan:
             raise InfeasibleError(self.message, self)
         return self
 
-    def __str__(self) -> str:
-        return self.message
-
 
 def plan_of(problem: OdeProblem, refined: Refined) -> OdePlan:
     """Return the plan of a refined motion."""
@@ -65,9 +63,10 @@ def plan_of(problem: OdeProblem, refined: Refined) -> OdePlan:
     # solver leaves about its tolerance at every limit that binds.
     error = abs(objective) * max(10.0 * refined.objective_error, SOLVER_TOLERANCE * intervals)
     error += abs(objective - certificate.integrated_objective)
-    known, value = np.isfinite(error), _value(problem, refined, error)
+    value = f"{known_digits(objective, error)} in {refined.motion.duration_s:.6g} s"
     estimate = f"the estimated error of the objective is {error:.1g}"
-    estimate = estimate if known else "the error of the objective is not known, because only one mesh has a motion"
+    if not np.isfinite(error):
+        estimate = "the error of the objective is not known, because only one mesh has a motion"
     message = {
         "optimal": f"optimum {value}; {estimate}{reason}",
         "feasible": f"feasible: the best certified motion, {value}, satisfies every limit, but {reason}; {estimate}",
@@ -78,17 +77,21 @@ def plan_of(problem: OdeProblem, refined: Refined) -> OdePlan:
         status=status,
         message=message if status == "optimal" else message + out_of_time(problem),
         objective=None if status == "failed" else objective,
-        objective_error=None if status == "failed" or not known else float(error),
+        objective_error=float(error) if status != "failed" and np.isfinite(error) else None,
         trajectory=refined.motion,
         certificate=certificate,
         history=recorded(),
     )
 
 
+def without_motion(problem: OdeProblem, reason: str, status: str = "failed") -> OdePlan:
+    """Return the plan of a problem without a motion."""
+    return OdePlan(problem=problem, status=status, message=f"{status}: {reason}", history=recorded())
+
+
 def _verdict(problem: OdeProblem, refined: Refined) -> tuple[str, str]:
     """Return the status of a refined motion and the reason for it; if it is optimal, what else there is to say."""
-    certificate, tolerance = refined.certificate, problem.tolerance
-    held_back = held_by_guess(problem, refined.solution)
+    certificate, tolerance, held_back = refined.certificate, problem.tolerance, held_by_guess(problem, refined)
     if held_back is not None:
         return "failed", held_back
     if not certificate.passed:
@@ -101,36 +104,23 @@ def _verdict(problem: OdeProblem, refined: Refined) -> tuple[str, str]:
         )
     if problem.objective_tolerance is not None and not refined.settled:
         return "feasible", f"objective_tolerance = {problem.objective_tolerance:g} was not reached{moved}"
-    if certificate.integration_restarts:
-        return "optimal", (
-            "; the motion is unstable: a small error grows more than ten thousandfold along it, so that only feedback can"
-            f" follow it; the integration was restarted {certificate.integration_restarts} time(s)"
-        )
-    return "optimal", ""
+    unstable = (
+        "; the motion is unstable: a small error grows more than ten thousandfold along it, so that only feedback can"
+        f" follow it; the integration was restarted {certificate.integration_restarts} time(s)"
+    )
+    return "optimal", unstable * bool(certificate.integration_restarts)
 
 
-def held_by_guess(problem: OdeProblem, solution: Solution) -> str | None:
+def held_by_guess(problem: OdeProblem, at: Iterate | Refined) -> str | None:
     """Return the words on a duration that ended at a bound which is its guess's, not the user's; None elsewhere."""
-    bound = bounded_by_guess(solution, *problem.duration)
+    bound = bounded_by_guess(at.solution, *problem.duration)
     if bound is None:
         return None
-    transcribed = solution.transcribed
-    duration = float(solution.x[transcribed.program.layout.durations()].sum()) * transcribed.units.time_s
     side = "above" if bound == LONGER else "below"
     return (
-        f"the {bound} the motion the better, still at {duration:.4g} s, where the search from its guess ends:"
+        f"the {bound} the motion the better, still at {at.motion.duration_s:.4g} s, where the search from its guess ends:"
         f" give a {bound} guess, or bound duration_s from {side}"
     )
-
-
-def _value(problem: OdeProblem, refined: Refined, error: float) -> str:
-    """Return an objective and a duration in words, with the digits that the objective's error leaves."""
-    objective, duration, share = refined.solution.objective, refined.motion.duration_s, 0.0
-    if problem.duration[0] < problem.duration[1] and objective != 0:
-        share = error / abs(objective)
-        if objective != duration:
-            share = np.sqrt(share)  # at a least value the objective hardly changes with the duration
-    return f"{known_digits(objective, error)} in {known_digits(duration, share * duration)} s"
 
 
 def known_digits(value: float, error: float) -> str:

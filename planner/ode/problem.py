@@ -204,6 +204,14 @@ class OdeProblem:
                 f"{name} of '{self.name}' cannot be written in CasADi's SX: {type(error).__name__}: {one_line(error)}"
             ) from error
 
+    def along(self, name: str, x: np.ndarray, u: np.ndarray, time: np.ndarray) -> np.ndarray:
+        """Return `rate`, `running_cost` or `path` (n, n_values) at states (n, n_x), efforts (n, n_u) and times (n,)."""
+        return np.array(self.function(name)(x.T, u.T, self.parameters, time[None])).reshape(-1, len(time)).T
+
+    def at_ends(self, name: str, first: np.ndarray, last: np.ndarray, duration_s: float) -> np.ndarray:
+        """Return `final_cost` or `ends` (n_values,) of the first and the last state (n_x,) and the duration [s]."""
+        return np.array(self.function(name)(first, last, duration_s, self.parameters)).ravel()
+
 
 def _rows(name: str, given: object, *, values: bool = False) -> np.ndarray:
     """Return [low, high] rows (n, 2); with `values` a value may stand for its row, NaN where it is free."""

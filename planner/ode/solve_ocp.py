@@ -14,14 +14,15 @@ import numpy as np
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.ode.certificate import functions_not_finite
-from linkplan.planner.ode.formulation import guesses_of, start_from, units_of
-from linkplan.planner.ode.plan import OdePlan, held_by_guess, out_of_time, plan_of
+from linkplan.planner.ode.formulation import guesses_of, units_of
+from linkplan.planner.ode.plan import OdePlan, held_by_guess, out_of_time, plan_of, without_motion
 from linkplan.planner.ode.problem import OdeProblem
+from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import Say, recorded, recording, silent
 from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME, why_stopped
-from linkplan.planner.transcription.mesh import broken, uniform
+from linkplan.planner.transcription.mesh import Mesh, broken, uniform
 
 __all__ = ["OdePlan", "plan_ode"]
 
@@ -39,21 +40,20 @@ def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
             leads to a motion that passes is the answer.
         say: called with a line of progress from time to time.
     """
-    contradiction = _contradiction(problem)
-    if contradiction is not None:
-        return OdePlan(problem=problem, status="infeasible", message=contradiction)
     with recording(say):
         return replace(_first_plan(replace(problem, solver=problem.solver.begun())), problem=problem)
 
 
 def _first_plan(problem: OdeProblem) -> OdePlan:
     """Return the plan from the first guess with a motion that passes, or else the first that fails."""
+    contradiction = _contradiction(problem)
+    if contradiction is not None:
+        return without_motion(problem, contradiction, "infeasible")
     failed, settings = None, problem.mesh
     mesh = uniform(settings.intervals) if settings.breaks is None else broken(settings.breaks)
     for k, guess in enumerate(problem.solver.deadline.take(guesses_of(problem))):
-        case = OdeCase(problem, problem, units_of(problem, guess))
-        durations, what = np.array([guess.duration_s]), f"start {k + 1}" if k else "first solve"
-        found = attempt(case, start_from(guess, case.units), mesh, durations, what)
+        case = OdeCase(problem, units_of(problem, guess))
+        found = _solved(case, guess, mesh, f"start {k + 1}" if k else "first solve")
         if found is None:
             continue
         plan = _refined_plan(case, found)
@@ -61,6 +61,10 @@ def _first_plan(problem: OdeProblem) -> OdePlan:
             return plan
         failed = failed or plan
     return failed or _nothing_found(problem)
+
+
+def _solved(case: OdeCase, motion: OdeTrajectory, mesh: Mesh, what: str, *, warm: bool = False) -> Iterate | None:
+    return attempt(case, case.start_from(motion), mesh, np.array([motion.duration_s]), what, warm=warm)
 
 
 def _refined_plan(case: OdeCase, found: Iterate) -> OdePlan:
@@ -71,18 +75,11 @@ def _refined_plan(case: OdeCase, found: Iterate) -> OdePlan:
     """
     if case.certify(found.motion).integration_error > _WILD_SHARE:
         at = found.motion.times_at(np.array([_FIRST_NODE]))
-        held = case.start_from(replace(found.motion, effort=found.motion.effort_at(at)[None]))
-        durations = np.array([found.motion.duration_s])
-        found = attempt(case, held, found.mesh, durations, "efforts constant at first", warm=True) or found
-    unstable = case.certify(found.motion).integration_restarts > 0
-    if unstable:
-        # The solver loses such a motion less easily in its own units, and from next to the coarser mesh's.
-        case = replace(case, units=units_of(case.asked, found.motion))
-    reason = held_by_guess(case.asked, found.solution)
-    refined = refine(case, found, warm=unstable) if reason is None else None
-    if refined is not None:
-        return plan_of(case.asked, refined)
-    return OdePlan(problem=case.asked, status="failed", message=f"failed: {reason}", history=recorded())
+        held = replace(found.motion, effort=found.motion.effort_at(at)[None])
+        found = _solved(case, held, found.mesh, "efforts constant at first", warm=True) or found
+    reason = held_by_guess(case.problem, found)
+    refined = refine(case, found) if reason is None else None
+    return without_motion(case.problem, f"{reason}") if refined is None else plan_of(case.problem, refined)
 
 
 def _contradiction(problem: OdeProblem) -> str | None:
@@ -91,7 +88,7 @@ def _contradiction(problem: OdeProblem) -> str | None:
         for name, (low, high), (least, most) in zip(problem.states, rows, problem.state_limit, strict=True):
             if low > most or high < least:
                 asked = low if low > most else high
-                return f"infeasible: {what} asks for {name} = {asked:g}, beyond its limits {least:g} to {most:g}"
+                return f"{what} asks for {name} = {asked:g}, beyond its limits {least:g} to {most:g}"
     return None
 
 
@@ -104,4 +101,4 @@ def _nothing_found(problem: OdeProblem) -> OdePlan:
         reason = f"the solver met a number that is not finite (NaN): {'; '.join(unknown)} along the first guess"
     if reason is None:
         reason = f"no start led to a solution ({status}): give `guesses`{out_of_time(problem)}"
-    return OdePlan(problem=problem, status="failed", message=f"failed: {reason}", history=recorded())
+    return without_motion(problem, reason)

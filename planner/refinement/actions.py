@@ -183,16 +183,14 @@ def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate
     coarse, case, target = state.iterate.found, state.case, state.target
     mesh, start = halved(coarse.mesh, marked), case.start_from(coarse.motion)
     durations = np.bincount(mesh.segment, weights=widths_of(coarse.motion, marked))
-    report, again = state.iterate.report, state.best is not None
-    near = state.warm and report is not None and report.unstable and not report.unseen
 
     def alike(finer: Iterate) -> bool:
         # Objectives on two meshes that are no further apart than a millionth belong to the same motion.
         change = abs(finer.solution.objective - coarse.solution.objective)
         return change <= 1e-6 * abs(coarse.solution.objective)
 
-    ways = [("", state.warm, near)]
-    if again or target.enclosed:
+    ways = [("", state.warm, False)]
+    if state.best is not None or target.enclosed:
         ways.append((", warm start", False, True))
     found: list[Iterate] = []
     for word, warm, close in reversed(ways) if target.bang_bang or target.enclosed else ways:

@@ -85,8 +85,6 @@ class ErrorReport:
         overruns: a state or another limit is overrun between the nodes.
         overrun: (n_intervals,) the largest overrun of any limit on each interval, as a share of the limit.
         touching: (n_intervals,) True where a limit binds on a part of the interval; None if it is not computed.
-        unstable: errors grow so much along the motion that they are measured interval by interval.
-        unseen: the motion is unstable and the mesh is too coarse to resolve it, so its degree is not raised.
         integration_error_deg: [deg], of a mechanism.
         integration_error: as a share of the states' sizes, of a differential equation.
     """
@@ -97,8 +95,6 @@ class ErrorReport:
     overruns: bool
     overrun: np.ndarray
     touching: np.ndarray | None = None
-    unstable: bool = False
-    unseen: bool = False
     integration_error_deg: float | None = None
     integration_error: float | None = None
 

@@ -67,7 +67,7 @@ HALVINGS_BEFORE_TIGHTENING = 4
 COST_OF_TIGHTENING, MAX_LOOSENED_INTERVALS, MAX_IDLE_LOOSENINGS, TIGHTENINGS_BETWEEN = 1e-6, 240, 2, 2
 # Halving an interval divides its error by a hundred at the usual degree: a large overrun takes three rounds.
 MAX_RESTORATIONS = 6
-# The highest degree if efforts jump inside intervals or errors grow along the motion.
+# The highest degree if efforts jump inside intervals.
 MAX_ROUGH_DEGREE = 5
 
 
@@ -203,14 +203,13 @@ def _marked(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> np
 
 def _higher_scheme(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> str | None:
     """Return the scheme of higher degree that is worth more than a finer mesh, or None."""
-    at, report = state.iterate, state.iterate.report
-    if state.degree_lost or (report is not None and report.unseen):
+    at = state.iterate
+    if state.degree_lost:
         return None
     higher = None if state.target.enclosed else higher_on_arcs(state.case, at, over)
     if higher is None and not (over.any() and _switches_are_open(state)):
         higher = higher_for(state.case, at.certificate, inexact)
-    rough = state.target.enclosed or (state.warm and report is not None and report.unstable)
-    return None if higher is not None and rough and degree_of(higher) > MAX_ROUGH_DEGREE else higher
+    return None if higher is not None and state.target.enclosed and degree_of(higher) > MAX_ROUGH_DEGREE else higher
 
 
 def _comfortable(state: RefinementState) -> int:

@@ -88,7 +88,7 @@ def run_render(arguments: argparse.Namespace) -> int:
     """Draw a tracked plan as a film or a picture; 1 if the plan does not pass."""
     say = progress(arguments)
     done = called(arguments, say, path=file_asked(arguments))
-    show(arguments, done.to_dict, done.sentence)
+    show(arguments, done.to_dict, done.blocks)
     return DONE if done.passed else NO
 
 
@@ -127,8 +127,7 @@ def run_new(arguments: argparse.Namespace) -> int:
     say = progress(arguments)
     target = new_file(arguments)
     found = called(arguments, say, path=target)
-    verdict = "planned" if found.planned else f"NOT planned: {found.why}"
-    notes = [f"note: {note}" for note in found.notes]
+    verdict, notes = found.verdict, [f"note: {note}" for note in found.struct.notes]
     if target is None:
         for line in (f"{found.description}: {verdict}", *notes):
             say.keep(line)

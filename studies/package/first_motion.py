@@ -5,16 +5,22 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from msgspec import Struct
 
 from linkplan.inputs import Source, source_of
 from linkplan.models.errors import ProblemError
 from linkplan.paths import file_to_write
-from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.plans import Plan
 from linkplan.reporting import Progress, listener
+from linkplan.results import Shown
 from linkplan.typed_commands import first_steps
+
+if TYPE_CHECKING:
+    from linkplan.studies.output.document import Block
 
 
 def new(
@@ -72,46 +78,58 @@ def new(
         plan=None if found.plan is None else Plan.of(found.plan),
         text=text,
         description=found.description,
-        why=found.why,
-        notes=tuple(found.notes),
-        tables=tables,
-        file=target,
+        struct=NewRecord(
+            file=None if target is None else str(target),
+            planned=found.plan is not None and found.plan.passed,
+            why=found.why,
+            tables=tables,
+            notes=tuple(found.notes),
+        ),
     )
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class NewProblem:
-    """A first problem: `problem`, its `plan` or None, the `text` of its file, and `notes` on the model.
+class NewRecord(Struct, frozen=True, eq=False, kw_only=True):
+    """What was found: the `file` or None, its `tables`, `notes` on the model, and `why` no motion was found, else empty."""
 
-    `why` is the reason if no motion was found, else empty; `tables` are those of the file.
-    """
+    file: str | None
+    planned: bool
+    why: str
+    tables: dict[str, Any]
+    notes: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class NewProblem(Shown):
+    """A first problem: `problem`, its `plan` or None, and the `text` of its file."""
 
     problem: Problem
     plan: Plan | None
     text: str
     description: str
-    why: str
-    notes: tuple[str, ...]
-    tables: dict
-    file: Path | None
+    struct: NewRecord
 
     @property
     def planned(self) -> bool:
         """Whether a certified motion was found."""
-        return self.plan is not None and self.plan.passed
+        return self.struct.planned
 
     @property
     def message(self) -> str:
         """The reason if no motion was found, else what the mechanism does."""
-        return self.why or self.description
+        return self.struct.why or self.description
 
-    def to_dict(self) -> dict:
-        """Return what was found and the file's tables, in JSON types."""
-        said = {"file": None if self.file is None else str(self.file), "planned": self.planned, "why": self.why}
-        return plain_record(said | {"tables": self.tables, "notes": self.notes})
+    @property
+    def verdict(self) -> str:
+        """The word on the plan, with the reason if there is none."""
+        return "planned" if self.planned else f"NOT planned: {self.struct.why}"
 
-    def __str__(self) -> str:
-        return self.text
+    def blocks(self) -> list[Block]:
+        """Return the verdict, the notes and the file as a document's blocks."""
+        from linkplan.studies.output.document import Code, Text
+
+        said = Text(text=f"{self.description}: {self.verdict}", tone="good" if self.planned else "bad")
+        notes = [Text(text=note, tone="note") for note in self.struct.notes]
+        return [said, *notes, Code(title=self.struct.file or "problem.toml", text=self.text)]
 
     def __repr__(self) -> str:
         return f"NewProblem({self.problem.name!r}: {self.message})"

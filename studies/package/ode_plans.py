@@ -7,21 +7,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from msgspec import Struct
 
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.extras import load_extra
 from linkplan.paths import drawn, path_of
 from linkplan.planner.files.columns import csv_bytes
-from linkplan.planner.files.folders import plain_record, write_json, write_whole
+from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.planner.ode import plan as ode_planned
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.solve_ocp import plan_ode
 from linkplan.planner.plan import plan as planned
 from linkplan.reporting import Progress, listener
+from linkplan.results import Shown
 
 if TYPE_CHECKING:
     import pandas
     from matplotlib.figure import Figure
+
+    from linkplan.studies.output.document import Block
 
 
 def solve_ocp(problem: OdeProblem, progress: Progress | None = None) -> OdePlan:
@@ -57,7 +61,18 @@ def solve_ocp(problem: OdeProblem, progress: Progress | None = None) -> OdePlan:
     return OdePlan.of(plan_ode(problem, listener(progress)))
 
 
-class OdePlan(ode_planned.OdePlan):
+class OdeRecord(Struct, frozen=True, kw_only=True):
+    """The record of a solution, `ode.json`. The objective and its estimated error are in the problem's units."""
+
+    name: str
+    status: str
+    message: str
+    objective: float | None
+    objective_error: float | None
+    duration_s: float | None
+
+
+class OdePlan(ode_planned.OdePlan, Shown):
     """The solution of an `OdeProblem`, or the reason why there is none; states and efforts are in the problem's units."""
 
     __slots__ = ()
@@ -123,22 +138,21 @@ class OdePlan(ode_planned.OdePlan):
         target, columns = path_of(folder, "folder"), self.sample()
 
         def write(place: Path) -> None:
-            write_json(place / "ode.json", self.to_dict())
+            write_json(place / "ode.json", self.struct)
             (place / "trajectory.csv").write_bytes(csv_bytes(columns))
             self.plot(place / "plan.png")
 
         write_whole(target, write, "ode.json")
         return target
 
-    def to_dict(self) -> dict:
-        """Return name, status, message, objective, its estimated error and duration [s], in JSON types."""
-        values = {"status": self.status, "message": self.message, "objective": self.objective}
-        return plain_record(
-            {"name": self.problem.name, **values, "objective_error": self.objective_error, "duration_s": self.duration_s}
-        )
+    @property
+    def struct(self) -> OdeRecord:
+        """The record of ode.json."""
+        values = {name: getattr(self, name) for name in OdeRecord.__struct_fields__ if name != "name"}
+        return OdeRecord(name=self.problem.name, **values)
 
-    def _repr_html_(self) -> str:
-        from linkplan.studies.output.document import Facts
-        from linkplan.studies.output.text import html_of
+    def blocks(self) -> list[Block]:
+        """Return the plan as a document's blocks."""
+        from linkplan.studies.output.document import Text
 
-        return html_of([Facts(rows=[(key, f"{value}") for key, value in self.to_dict().items()])])
+        return [Text(text=f"{self.problem.name}: {self.message}", tone="good" if self.passed else "bad")]

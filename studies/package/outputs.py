@@ -14,12 +14,15 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.paths import file_to_write, path_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.reporting import Listener, Progress, listener
-from linkplan.results import Result
+from linkplan.results import Result, Shown
 from linkplan.typed_commands import sample_again
 
 if TYPE_CHECKING:
+    from linkplan.studies.handover.export.c_files import ModelRecord
+    from linkplan.studies.handover.export.c_law import LawRecord
+    from linkplan.studies.handover.export.export import FileRecord
     from linkplan.studies.output.document import Block, Report
-    from linkplan.studies.render.render import Rendered
+    from linkplan.studies.render.render import RenderedFile
 
 
 def report(
@@ -122,7 +125,31 @@ def render(
         there_and_back=there_and_back,
     )
     gl = find_gl(mujoco_gl)
-    return drawn(plan_of(plan, say, "draw"), place, settings, gl, say)
+    return Rendered(struct=drawn(plan_of(plan, say, "draw"), place, settings, gl, say))
+
+
+@dataclasses.dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class Rendered(Shown):
+    """What `render` wrote. `struct` has the file, the number and size of its frames, its slowness and its painter."""
+
+    struct: RenderedFile
+
+    @property
+    def passed(self) -> bool:
+        """Whether the plan passes its certificate."""
+        return self.struct.passed
+
+    def blocks(self) -> list[Block]:
+        """Return what was written as a document's blocks."""
+        from linkplan.studies.output.document import Text
+
+        return [Text(text=self.struct.sentence)]
+
+    def _repr_html_(self) -> str | None:
+        return self.struct.html  # a notebook shows the film itself
+
+    def __repr__(self) -> str:
+        return f"Rendered('{self.struct.file}')"
 
 
 def export(
@@ -171,7 +198,7 @@ def export(
         if given:
             raise ProblemError(f"{key} is for code in C, got to = '{to}'")
     from linkplan.planner.files.single_file import write_new
-    from linkplan.studies.handover.export.export import exported
+    from linkplan.studies.handover.export.export import FileRecord, exported
 
     place = file_to_write(path)
     if isinstance(plan, Mechanism):
@@ -181,29 +208,24 @@ def export(
         note_forces(answer.problem.mechanism, say, "in the exported model")
     content = exported(answer, str(to), every_s, names)
     write_new(place, content)
-    said = {"file": str(place), "format": to, "bytes": len(content), "plan": answer.problem.name}
-    return Exported(path=place, passed=answer.passed, said=said, text=f"{place}: {answer.problem.name}, {FORMATS[to]}")
+    record = FileRecord(file=str(place), format=to, bytes=len(content), plan=answer.problem.name)
+    return Exported(path=place, passed=answer.passed, struct=record)
 
 
-@dataclasses.dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Exported:
-    """What `export` wrote: its path, whether the plan passes, and a description."""
+@dataclasses.dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class Exported(Shown):
+    """What `export` wrote: its `path`, and whether the plan passes. `struct` is its record; export.json is that of C."""
 
     path: Path
     passed: bool
-    said: dict
-    text: str = ""
-
-    def to_dict(self) -> dict:
-        """Return the description by name."""
-        return self.said
+    struct: FileRecord | ModelRecord | LawRecord
 
     def blocks(self) -> list[Block]:
-        """Return the description as a document."""
-        from linkplan.studies.handover.export.c_files import cost_blocks
-        from linkplan.studies.output.document import Text
+        """Return the record as a document's blocks."""
+        return self.struct.blocks(self.path)
 
-        return [Text(text=self.text)] if self.text else cost_blocks(self.said, self.path)
+    def __repr__(self) -> str:
+        return f"Exported('{self.path}')"
 
 
 def _exported_c(
@@ -221,7 +243,7 @@ def _exported_c(
     from linkplan.studies.handover.export.formats import C_TRACKERS
 
     choose("tracker for C", tracker, C_TRACKERS, ProblemError)
-    target, said, passed = folder_to_write(path, "export.json"), {}, True
+    target, records, passed = folder_to_write(path, "export.json"), [], True
     asked = _plan_in(subject)
     if asked is not None:
         from linkplan.studies.handover.export.c_law import write_law
@@ -235,8 +257,8 @@ def _exported_c(
         tables, passed = law_tables(plan, tracker, tolerance or 0.0), plan.passed
 
         def write(place: Path) -> None:
-            said.update(write_law(tables, place) | {"plan": plan.problem.name})
-            write_json(place / "export.json", said)
+            records.append(write_law(tables, place, plan.problem.name))
+            write_json(place / "export.json", records[0])
     else:
         from linkplan.studies.handover.export.c_files import write_model
         from linkplan.studies.handover.export.c_model import model_code
@@ -250,11 +272,11 @@ def _exported_c(
         say(f"{code.mechanism.name}: C code")
 
         def write(place: Path) -> None:
-            said.update(write_model(code, place, compiled=sizes or None))
-            write_json(place / "export.json", said)
+            records.append(write_model(code, place, compiled=sizes or None))
+            write_json(place / "export.json", records[0])
 
     write_whole(target, write, "export.json")
-    return Exported(path=target, passed=passed, said=said)
+    return Exported(path=target, passed=passed, struct=records[0])
 
 
 def _plan_in(subject: PlanLike | Subject) -> PlanLike | None:

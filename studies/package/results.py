@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from linkplan.studies.output.document import Block, Report
 
 
-class Reported(ABC):
-    """What has a struct, blocks and a report; its JSON, text and page follow.
+class Shown(ABC):
+    """What has a struct and blocks; its JSON, its text and what a notebook shows follow.
 
     A base class in place of a function for each member, so that all are shown in the same way.
     """
@@ -42,6 +42,22 @@ class Reported(ABC):
     def blocks(self) -> list[Block]:
         """Return the result as a document's blocks."""
 
+    def _repr_html_(self) -> str:
+        from linkplan.studies.output.text import html_of, in_brief
+
+        return html_of(in_brief(self.blocks()))
+
+    def __str__(self) -> str:
+        from linkplan.studies.output.text import in_brief, text_of
+
+        return text_of(in_brief(self.blocks()))
+
+
+class Reported(Shown):
+    """What has a report, too."""
+
+    __slots__ = ()
+
     @abstractmethod
     def document(self) -> Report:
         """Return the result's report."""
@@ -55,16 +71,6 @@ class Reported(ABC):
         from linkplan.studies.output.report_file import write_report
 
         return write_report(self.document(), path_of(path, "path"))
-
-    def _repr_html_(self) -> str:
-        from linkplan.studies.output.text import html_of, in_brief
-
-        return html_of(in_brief(self.blocks()))
-
-    def __str__(self) -> str:
-        from linkplan.studies.output.text import in_brief, text_of
-
-        return text_of(in_brief(self.blocks()))
 
 
 class Result(Reported):

@@ -2,12 +2,12 @@
 
 import base64
 import contextlib
-import html
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass
+from html import escape
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 
 from linkplan.models.deadline import check
 from linkplan.models.errors import ProblemError
@@ -30,8 +30,7 @@ _LARGEST_SHOWN_BYTES = 30_000_000
 Paint = Callable[[Scene], np.ndarray]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Rendered:
+class RenderedFile(Struct, frozen=True, kw_only=True):
     """The written file: number and size of frames, frames a second, slowness, and the painter."""
 
     file: str
@@ -47,19 +46,6 @@ class Rendered:
     plan: str  # its problem's name
     passed: bool  # the plan passes its certificate
 
-    def to_dict(self) -> dict:
-        """Return all values by name."""
-        return asdict(self)
-
-    def _repr_html_(self) -> str | None:
-        path = Path(self.file)
-        if not path.is_file() or path.stat().st_size > _LARGEST_SHOWN_BYTES:
-            return None
-        data = base64.b64encode(path.read_bytes()).decode("ascii")
-        if path.suffix == ".mp4":
-            return f'<video controls loop src="data:video/mp4;base64,{data}"></video>'
-        return f'<img alt="{html.escape(self.sentence)}" src="data:image/{path.suffix[1:]};base64,{data}">'
-
     @property
     def sentence(self) -> str:
         """What was written, as a sentence."""
@@ -72,8 +58,19 @@ class Rendered:
             )
         return text if self.stable else f"{text}; the run with {self.tracker} is unstable"
 
+    @property
+    def html(self) -> str | None:
+        """The film or picture as HTML; None if it was moved or is too large for a notebook to keep."""
+        path = Path(self.file)
+        if not path.is_file() or path.stat().st_size > _LARGEST_SHOWN_BYTES:
+            return None
+        data = base64.b64encode(path.read_bytes()).decode("ascii")
+        if path.suffix == ".mp4":
+            return f'<video controls loop src="data:video/mp4;base64,{data}"></video>'
+        return f'<img alt="{escape(self.sentence)}" src="data:image/{path.suffix[1:]};base64,{data}">'
 
-def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callable[[str], None] = silent) -> Rendered:
+
+def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callable[[str], None] = silent) -> RenderedFile:
     """Draw a plan's tracked motion into a file, which is written whole or not at all.
 
     Args:
@@ -101,7 +98,7 @@ def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callab
                 instants = np.concatenate([instants, instants[-2:0:-1]])
             _write_film(path, motion, instants, camera, settings, slow, paint, say)
             n, film = len(instants), True
-    return Rendered(
+    return RenderedFile(
         file=str(path),
         frames=n,
         size=settings.size,

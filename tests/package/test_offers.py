@@ -34,7 +34,7 @@ def test_every_result_has_a_report(plan, loop, tmp_path):
 @pytest.mark.slow
 def test_a_picture_is_rendered(plan, tmp_path):
     done = linkplan.render(plan, tmp_path / "reach.png", at_s=0.08, size_px=(160, 120))
-    assert Image.open(tmp_path / "reach.png").size == done.size == (160, 120)
+    assert Image.open(tmp_path / "reach.png").size == done.struct.size == (160, 120)
     with pytest.raises(linkplan.LinkplanError, match=r"path ends in \.mp4"):
         linkplan.render(plan, tmp_path / "reach.bmp")
 
@@ -49,7 +49,7 @@ def test_a_plan_is_exported(plan, tmp_path):
 def test_new_is_a_problem_with_its_file_and_plan(tmp_path):
     first = linkplan.new("slider-crank", tmp_path / "first.toml")
     assert first.planned
-    assert str(first) == (tmp_path / "first.toml").read_text(encoding="utf-8")
+    assert first.text == (tmp_path / "first.toml").read_text(encoding="utf-8")
     assert linkplan.Problem.from_file(tmp_path / "first.toml").motion.kind == first.problem.motion.kind
     with pytest.raises(linkplan.LinkplanError, match=r"first\.toml"):
         linkplan.new("slider-crank", tmp_path / "first.toml")

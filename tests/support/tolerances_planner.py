@@ -190,10 +190,6 @@ COPS_GLIDER = 2e-6
 # Half of the last of five and of six printed digits.
 FIVE_DIGITS = 5e-6
 SIX_DIGITS = 5e-7
-# The bioreactor, whose singular arcs are flat: its plan says that its objective may be 8e-6 off. Measured, relative: 4.7e-7
-# and 5.2e-7 with two kernels of OpenBLAS.
-# The Alp rider, which turns on a sphere for next to nothing: local optima lie 1e-6 apart, relative. Measured 7e-7 below.
-ALP_RIDER_PRINTED = 2e-6
 # The same as ODE_INTEGRATED where the effort chatters or bends between nodes.
 ODE_INTEGRATED_ROUGHLY = 1e-7
 # The highest frequency that limits allow, relative: its bisection's width.

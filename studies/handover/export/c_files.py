@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 
 from linkplan.studies.handover.export.c_model import (
     DERIVATIVES,
@@ -34,7 +35,46 @@ COMPILERS = {
 _COMPILE_SECONDS, MOST_MEASURED_OPERATIONS = 120, 8_000
 
 
-def costs(code: ModelCode) -> list[dict]:
+class FunctionCost(Struct, frozen=True, kw_only=True):
+    """Operations of one call by kind, and the bound on its error in float as a share of its largest value, or None."""
+
+    function: str
+    operations: dict[str, int]
+    float_error: float | None
+
+
+class ObjectSize(Struct, frozen=True, kw_only=True):
+    """Flash, RAM and largest stack frame of the object code by one compiler, for numbers of a kind: "double" or "float"."""
+
+    compiler: str
+    real: str
+    flash_bytes: int
+    ram_bytes: int
+    stack_bytes: int
+
+
+class ModelRecord(Struct, frozen=True, kw_only=True):
+    """The record of a model in C. `sizes` are empty if they are not measured, or are those without some functions."""
+
+    mechanism: str
+    format: str = "c"
+    files: list[str]
+    model_hash: str
+    max_newton_steps: int
+    functions: list[FunctionCost]
+    sizes: list[ObjectSize]
+    sizes_without: list[str]
+
+    def blocks(self, target: Path) -> list[Block]:
+        """Return the record of the files in a folder as a document's blocks."""
+        kinds = list(dict.fromkeys(kind for row in self.functions for kind in row.operations))
+        rows = [[row.function, *(row.operations.get(kind, 0) for kind in kinds), row.float_error] for row in self.functions]
+        heads = ["operations of one call", *kinds, "error in float, share of the largest value"]
+        written = Text(text=f"{target}: {', '.join(self.files)}", tone="good")
+        return [written, table_of("", heads, rows, digits=2), *size_blocks(self.sizes, self.sizes_without)]
+
+
+def costs(code: ModelCode) -> list[FunctionCost]:
     """Return each function's operations by kind, and the bound on its error in float as a share of its largest value.
 
     Functions of more than 10,000 operations are evaluated at fewer of the states, at least at a quarter of them.
@@ -48,19 +88,21 @@ def costs(code: ModelCode) -> list[dict]:
         worst = 0.0
         for single, wanted in zip(rounded, one.values(states), strict=True):
             worst = max(worst, float(np.abs(single - wanted).max(initial=0.0) / (np.abs(wanted).max(initial=0.0) or 1.0)))
-        found.append({"function": one.name, "operations": operations(one.function), "float_error": _FLOAT_MARGIN * worst})
+        error = _FLOAT_MARGIN * worst
+        found.append(FunctionCost(function=one.name, operations=operations(one.function), float_error=error))
     for one in code.inner:
-        found.append({"function": f"{one.name} (in close)", "operations": operations(one.function), "float_error": None})
+        name = f"{one.name} (in close)"
+        found.append(FunctionCost(function=name, operations=operations(one.function), float_error=None))
     return found
 
 
-def write_model(code: ModelCode, place: Path, *, compiled: bool | None = None) -> dict:
+def write_model(code: ModelCode, place: Path, *, compiled: bool | None = None) -> ModelRecord:
     """Write header, source, test and CMake file into a folder, and return what the code costs.
 
     `compiled` says whether sizes are measured; by default those of code that compiles within seconds.
     """
     cost = costs(code)
-    lengths = {row["function"]: sum(row["operations"].values()) for row in cost}
+    lengths = {row.function: sum(row.operations.values()) for row in cost}
     whole = compiled or sum(lengths.values()) <= MOST_MEASURED_OPERATIONS
     if compiled is None:
         compiled = sum(lengths.values()) - lengths[f"{code.prefix}_{DERIVATIVES}"] <= MOST_MEASURED_OPERATIONS
@@ -69,23 +111,22 @@ def write_model(code: ModelCode, place: Path, *, compiled: bool | None = None) -
         "Operations of a call, and the bound on the error in float (share of the largest value, at 500 to 2000 states):"
     ]
     for row in cost:
-        said = ", ".join(f"{n} {kind}" for kind, n in row["operations"].items()) or "none"
-        error = "" if row["float_error"] is None else f"; float {row['float_error']:.1e}"
-        lines.append(f"  {row['function']}: {said}{error}")
+        said = ", ".join(f"{n} {kind}" for kind, n in row.operations.items()) or "none"
+        error = "" if row.float_error is None else f"; float {row.float_error:.1e}"
+        lines.append(f"  {row.function}: {said}{error}")
     files = write_texts(place, code.prefix, header_text(code, lines), source_text(code), test_text(code))
-    return {
-        "mechanism": code.mechanism.name,
-        "format": "c",
-        "files": files,
-        "model_hash": code.mechanism.fingerprint(),
-        "max_newton_steps": MAX_NEWTON_STEPS,
-        "functions": cost,
-        "sizes": sizes(place, f"{code.prefix}.c", code.prefix.upper(), flags) if compiled else [],
-        "sizes_without": [] if whole else [f"{code.prefix}_{DERIVATIVES}"],
-    }
+    return ModelRecord(
+        mechanism=code.mechanism.name,
+        files=files,
+        model_hash=code.mechanism.fingerprint(),
+        max_newton_steps=MAX_NEWTON_STEPS,
+        functions=cost,
+        sizes=sizes(place, f"{code.prefix}.c", code.prefix.upper(), flags) if compiled else [],
+        sizes_without=[] if whole else [f"{code.prefix}_{DERIVATIVES}"],
+    )
 
 
-def sizes(place: Path, source: str, upper: str, flags: Sequence[str] = ()) -> list[dict]:
+def sizes(place: Path, source: str, upper: str, flags: Sequence[str] = ()) -> list[ObjectSize]:
     """Return flash and largest stack frame [bytes] of a source file, by compiler and precision; empty without a compiler.
 
     `flags` are further options of the compilers.
@@ -97,11 +138,11 @@ def sizes(place: Path, source: str, upper: str, flags: Sequence[str] = ()) -> li
         for real, chosen in (("double", []), ("float", [f"-D{upper}_FLOAT"])):
             measured = _size(place, source, [compiler, *options, *flags, *chosen])
             if measured is not None:
-                found.append({"compiler": " ".join([compiler, *options]), "real": real, **measured})
+                found.append(ObjectSize(compiler=" ".join([compiler, *options]), real=real, **measured))
     return found
 
 
-def _size(place: Path, source: str, command: Sequence[str]) -> dict | None:
+def _size(place: Path, source: str, command: Sequence[str]) -> dict[str, int] | None:
     """Return text and data, and the largest stack frame, of an object file; None where the compiler fails."""
     size = command[0].removesuffix("gcc") + "size"
     with tempfile.TemporaryDirectory() as folder:
@@ -117,29 +158,11 @@ def _size(place: Path, source: str, command: Sequence[str]) -> dict | None:
     return {"flash_bytes": text + data, "ram_bytes": data + bss, "stack_bytes": max(frames, default=0)}
 
 
-def cost_blocks(record: dict, target: Path) -> list[Block]:
-    """Return the record of an export to C as blocks."""
-    found: list[Block] = [Text(text=f"{target}: {', '.join(record['files'])}", tone="good")]
-    if "functions" in record:
-        kinds = list(dict.fromkeys(kind for row in record["functions"] for kind in row["operations"]))
-        rows = [
-            [row["function"], *(row["operations"].get(kind, 0) for kind in kinds), row["float_error"]]
-            for row in record["functions"]
-        ]
-        heads = ["operations of one call", *kinds, "error in float, share of the largest value"]
-        found.append(table_of("", heads, rows, digits=2))
-    else:
-        ends = "repeats" if record["periodic"] else "holds start and goal"
-        text = f"{record['tracker']} over {record['duration_s']:g} s in {record['instants']} rows, {record['table_numbers']}"
-        text += f" numbers; it {ends}"
-        found.append(Text(text=text))
-    if not record["sizes"]:
+def size_blocks(measured: Sequence[ObjectSize], without: Sequence[str] = ()) -> list[Block]:
+    """Return the sizes of object code `without` some functions, or a note that there are none, as blocks."""
+    if not measured:
         text = "flash and stack are not measured: neither gcc nor arm-none-eabi-gcc is installed, or the code is too long:"
-        text += " it is measured where sizes are asked for, in up to minutes"
-        found.append(Text(text=text, tone="note"))
-    rows = [[row["compiler"], row["real"], row["flash_bytes"], row["stack_bytes"]] for row in record["sizes"]]
-    if rows:
-        without = f", without {', '.join(record['sizes_without'])}" if record.get("sizes_without") else ""
-        heads = ["compiler", "numbers", "flash [byte]", "largest stack frame [byte]"]
-        found.append(table_of(f"Object code{without}", heads, rows))
-    return found
+        return [Text(text=f"{text} it is measured where sizes are asked for, in up to minutes", tone="note")]
+    rows = [[row.compiler, row.real, row.flash_bytes, row.stack_bytes] for row in measured]
+    title = f"Object code, without {', '.join(without)}" if without else "Object code"
+    return [table_of(title, ["compiler", "numbers", "flash [byte]", "largest stack frame [byte]"], rows)]

@@ -3,8 +3,9 @@
 from pathlib import Path
 
 import numpy as np
+from msgspec import Struct
 
-from linkplan.studies.handover.export.c_files import sizes
+from linkplan.studies.handover.export.c_files import ObjectSize, size_blocks, sizes
 from linkplan.studies.handover.export.c_text import (
     MATH,
     NO_LIMIT,
@@ -15,25 +16,54 @@ from linkplan.studies.handover.export.c_text import (
     write_texts,
 )
 from linkplan.studies.handover.export.law_tables import ROW_SHARE, LawTables, arrays_of
+from linkplan.studies.output.document import Block, Text
 
 
-def write_law(tables: LawTables, place: Path, *, compiled: bool = True) -> dict:
-    """Write header, source, test and CMake file into a folder, and return what the code costs; `compiled` measures sizes."""
+class LawRecord(Struct, frozen=True, kw_only=True):
+    """The record of a plan's control law in C; `instants` are the rows of its tables."""
+
+    mechanism: str
+    format: str = "c"
+    files: list[str]
+    tracker: str
+    instants: int
+    duration_s: float
+    periodic: bool
+    period_s: float
+    model_hash: str
+    plan_hash: str
+    table_numbers: int
+    sizes: list[ObjectSize]
+    plan: str
+
+    def blocks(self, target: Path) -> list[Block]:
+        """Return the record of the files in a folder as a document's blocks."""
+        ends = "repeats" if self.periodic else "holds start and goal"
+        law = f"{self.tracker} over {self.duration_s:g} s in {self.instants} rows, {self.table_numbers} numbers; it {ends}"
+        written = Text(text=f"{target}: {', '.join(self.files)}", tone="good")
+        return [written, Text(text=law), *size_blocks(self.sizes)]
+
+
+def write_law(tables: LawTables, place: Path, plan: str, *, compiled: bool = True) -> LawRecord:
+    """Write header, source, test and CMake file of a plan's law into a folder, and return its record.
+
+    `plan` is the name of the plan's problem; `compiled` says whether sizes are measured.
+    """
     files = write_texts(place, tables.prefix, _header(tables), _source(tables), _test(tables))
-    return {
-        "mechanism": tables.mechanism.name,
-        "format": "c",
-        "files": files,
-        "tracker": tables.tracker,
-        "instants": len(tables.time_s),
-        "duration_s": float(tables.time_s[-1]),
-        "periodic": tables.periodic,
-        "period_s": tables.period_s,
-        "model_hash": tables.mechanism.fingerprint(),
-        "plan_hash": tables.plan_hash,
-        "table_numbers": int(sum(x.size for x in arrays_of(tables).values())),
-        "sizes": sizes(place, f"{tables.prefix}.c", tables.prefix.upper()) if compiled else [],
-    }
+    return LawRecord(
+        mechanism=tables.mechanism.name,
+        files=files,
+        tracker=tables.tracker,
+        instants=len(tables.time_s),
+        duration_s=float(tables.time_s[-1]),
+        periodic=tables.periodic,
+        period_s=tables.period_s,
+        model_hash=tables.mechanism.fingerprint(),
+        plan_hash=tables.plan_hash,
+        table_numbers=int(sum(x.size for x in arrays_of(tables).values())),
+        sizes=sizes(place, f"{tables.prefix}.c", tables.prefix.upper()) if compiled else [],
+        plan=plan,
+    )
 
 
 def _header(tables: LawTables) -> str:

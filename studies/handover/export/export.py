@@ -2,6 +2,9 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
+from pathlib import Path
+
+from msgspec import Struct
 
 from linkplan.models.errors import LinkplanError, ProblemError, choose
 from linkplan.planner.files.columns import csv_bytes, parquet_bytes
@@ -11,6 +14,20 @@ from linkplan.studies.handover.export.keyframes import keyframes_text, model_wit
 from linkplan.studies.handover.export.matlab import mat_bytes
 from linkplan.studies.handover.export.ros import joint_trajectory_text
 from linkplan.studies.handover.export.samples import ExportedSamples, exported_samples
+from linkplan.studies.output.document import Block, Text
+
+
+class FileRecord(Struct, frozen=True, kw_only=True):
+    """What was written to a file: its format, its size [byte] and the name of the plan's problem."""
+
+    file: str
+    format: str
+    bytes: int
+    plan: str
+
+    def blocks(self, target: Path) -> list[Block]:
+        """Return the record of a file as a document's blocks."""
+        return [Text(text=f"{target}: {self.plan}, {FORMATS[self.format]}")]
 
 
 def exported(plan: Plan, to: str, every_s: float | None = None, joints: Sequence[str] = ()) -> bytes:

@@ -53,7 +53,7 @@ def test_digits_are_printed_as_far_as_the_error_leaves_them(value, error, printe
 
 def printed_objective(plan: OdePlan) -> tuple[float, float]:
     """Return the objective that a plan prints, and half the unit of its last digit."""
-    text = re.match(r"optimum (\S+) in", str(plan))[1]
+    text = re.match(r"optimum (\S+) in", plan.message)[1]
     return float(text), 0.5 * 10.0 ** -len(text.partition(".")[2])
 
 
@@ -212,7 +212,7 @@ def test_the_straight_line_is_a_start_beside_guesses_that_lead_nowhere():
 def test_a_plan_whose_objective_is_known_on_one_mesh_only_says_that_its_error_is_not_known():
     problem = bryson_denham(0.1, None)
     guess = guesses_of(problem)[0]
-    case = OdeCase(problem, problem, units_of(problem, guess))
+    case = OdeCase(problem, units_of(problem, guess))
     found = attempt(case, start_from(guess, case.units), uniform(40), np.array([1.0]), "first solve")
     plan = plan_of(problem, replace(refine(case, found), objective_error=INF))
     assert plan.status == "optimal"

@@ -32,7 +32,7 @@ TRACKERS = ["pd", "pd+ff", "lqr", "gs-pd+ff"]
 def written(problem: str, tracker: str, *changed: str) -> tuple[LawTables, Path, dict]:
     tables = law_tables(optimal(problem, *changed), tracker)
     folder = Path(tempfile.mkdtemp())
-    return tables, folder, write_law(tables, folder, compiled=False)
+    return tables, folder, write_law(tables, folder, "a plan", compiled=False)
 
 
 def efforts_in_c(tables: LawTables, folder: Path, t: np.ndarray, s: np.ndarray, v: np.ndarray, *, single: bool = False):
@@ -148,7 +148,7 @@ def test_the_law_in_c_repeats_a_periodic_motion_from_the_rows_of_one_period(trac
     tables, folder, record = written("knee-sine", tracker)
     plan = optimal("knee-sine")
     reference = tracking_reference(plan)
-    assert (reference.n, record["instants"], reference.cycle) == (20_000, 2501, 2500)
+    assert (reference.n, record.instants, reference.cycle) == (20_000, 2501, 2500)
     built = build_tracker(tracker, plan, reference)
     k, s, v = states_near(reference, 300)
     wanted = np.array([built.effort(int(i), *state) for i, *state in zip(k, s, v, strict=True)])
@@ -179,7 +179,7 @@ def test_a_crank_that_turns_on_is_a_turn_further_in_each_period(period_s, tmp_pa
     (tmp_path / "turn.toml").write_text(TURN)
     plan = plan_motion(load_problem(tmp_path / "turn.toml", [f"tracking.period_s={period_s}", "tracking.duration_s=1.6"]))
     tables = law_tables(plan, "pd+ff")
-    write_law(tables, tmp_path, compiled=False)
+    write_law(tables, tmp_path, "a plan", compiled=False)
     reference = tracking_reference(plan)
     built, (k, s, v) = build_tracker("pd+ff", plan, reference), states_near(reference, 300)
     wanted = np.array([built.effort(int(i), *state) for i, *state in zip(k, s, v, strict=True)])
@@ -221,9 +221,9 @@ def test_efforts_are_limited_on_request_only():
 def test_a_tolerance_leaves_out_rows_and_keeps_the_efforts_within_it(problem, tracker):
     plan, tolerance = optimal(problem), 1e-3
     tables, folder = law_tables(plan, tracker, tolerance), Path(tempfile.mkdtemp())
-    record = write_law(tables, folder, compiled=False)
+    record = write_law(tables, folder, "a plan", compiled=False)
     reference = tracking_reference(plan)
-    assert record["instants"] < 0.2 * min(reference.n, 2500)
+    assert record.instants < 0.2 * min(reference.n, 2500)
     k = np.arange(0, reference.n, 3)
     s, v = reference.position_rad[k], reference.velocity_rad_s[k]
     found, _ = efforts_in_c(tables, folder, k * reference.period_s, s, v)
@@ -246,7 +246,7 @@ def test_the_header_has_the_limits_and_the_hashes_of_model_and_plan():
         assert float(found) == value
     other = law_tables(optimal("knee-reach", "motion.duration_s=0.17"), "pd+ff")
     assert other.plan_hash != tables.plan_hash
-    for key, value in (("MODEL_HASH", record["model_hash"]), ("PLAN_HASH", tables.plan_hash)):
+    for key, value in (("MODEL_HASH", record.model_hash), ("PLAN_HASH", tables.plan_hash)):
         assert f'#define {upper}_{key} "{value}"' in text
 
 
@@ -256,8 +256,8 @@ def test_constant_gains_are_one_row_and_others_one_for_each_instant():
 
 def test_the_record_counts_what_is_stored():
     tables, _, record = written("knee-reach", "lqr")
-    assert record["table_numbers"] == 1603 * (1 + 1 + 1 + 2) + 1601
-    assert record["instants"] == len(tables.time_s) == 1601
+    assert record.table_numbers == 1603 * (1 + 1 + 1 + 2) + 1601
+    assert record.instants == len(tables.time_s) == 1601
 
 
 def test_a_tracker_that_is_no_table_is_refused():

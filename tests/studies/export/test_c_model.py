@@ -19,7 +19,7 @@ from linkplan.models.poses.assembly import advance, follow
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.studies.cli.main import main
 from linkplan.studies.handover.export import c_files
-from linkplan.studies.handover.export.c_files import cost_blocks, write_model
+from linkplan.studies.handover.export.c_files import write_model
 from linkplan.studies.handover.export.c_model import ModelCode, header_text, model_code, random_states
 from linkplan.studies.handover.export.c_operations import in_single_precision, operations
 from linkplan.studies.handover.export.c_source import function_of, identifier
@@ -62,7 +62,7 @@ def test_c_is_python_on_ten_thousand_random_states(name, single):
     code, folder, record = exported(name)
     compiled = library(folder, code.prefix, single=single)
     states = random_states(code.mechanism, STATES, seed=11)
-    stated = {row["function"]: row["float_error"] for row in record["functions"]}
+    stated = {row.function: row.float_error for row in record.functions}
     for one in code.interface:
         arguments = [states[key] for key in one.inputs]
         sizes = [one.function.numel_out(k) for k in range(one.function.n_out())]
@@ -149,7 +149,7 @@ def test_the_header_has_the_limits_and_the_model_s_hash():
         (found,) = re.findall(rf"#define {upper}_{macro} \((.*)\)", text)
         assert float(found) == np.clip(value, -1e30, 1e30)
     assert f'#define {upper}_MODEL_HASH "{code.mechanism.fingerprint()}"' in text
-    assert record["model_hash"] == code.mechanism.fingerprint()
+    assert record.model_hash == code.mechanism.fingerprint()
 
 
 @needs_gcc
@@ -194,15 +194,15 @@ def test_the_test_vector_notices_a_wrong_sign(tmp_path):
 def test_the_test_vector_passes_on_a_cortex_m4(single, tmp_path):
     code, folder, record = exported("optimus-knee")
     assert "as in Python" in run_on_cortex(folder, code.prefix, tmp_path, single=single)
-    assert any(row["compiler"].startswith("arm") and row["flash_bytes"] > 1000 for row in record["sizes"])
+    assert any(row.compiler.startswith("arm") and row.flash_bytes > 1000 for row in record.sizes)
 
 
 def test_code_of_a_whole_robot_is_written_and_not_measured(monkeypatch, tmp_path):
     code, _, _ = exported("optimus-knee")
     monkeypatch.setattr(c_files, "MOST_MEASURED_OPERATIONS", 100)
     record = write_model(code, tmp_path)
-    assert record["sizes"] == []
-    assert "measured where sizes are asked for" in text_of(cost_blocks(record, tmp_path))
+    assert record.sizes == []
+    assert "measured where sizes are asked for" in text_of(record.blocks(tmp_path))
 
 
 @needs_gcc
@@ -218,14 +218,14 @@ def test_code_of_a_whole_robot_is_measured_when_asked(monkeypatch, tmp_path):
 @needs_gcc
 def test_long_derivatives_may_be_left_out_and_are_then_not_measured(monkeypatch, tmp_path):
     code, _, whole = exported("optimus-knee")
-    others = [row for row in whole["functions"] if not row["function"].endswith("derivatives")]
-    monkeypatch.setattr(c_files, "MOST_MEASURED_OPERATIONS", sum(sum(row["operations"].values()) for row in others))
+    others = [row for row in whole.functions if not row.function.endswith("derivatives")]
+    monkeypatch.setattr(c_files, "MOST_MEASURED_OPERATIONS", sum(sum(row.operations.values()) for row in others))
     monkeypatch.setattr(c_files, "COMPILERS", {"gcc": ["-O2"]})
     record = write_model(code, tmp_path)
-    assert record["sizes_without"] == ["linkplan_optimus_knee_inverse_dynamics_derivatives"]
-    assert whole["sizes_without"] == []
-    assert record["sizes"][0]["flash_bytes"] < 0.8 * whole["sizes"][0]["flash_bytes"]
-    assert "without linkplan_optimus_knee_inverse_dynamics_derivatives" in text_of(cost_blocks(record, tmp_path))
+    assert record.sizes_without == ["linkplan_optimus_knee_inverse_dynamics_derivatives"]
+    assert whole.sizes_without == []
+    assert record.sizes[0].flash_bytes < 0.8 * whole.sizes[0].flash_bytes
+    assert "without linkplan_optimus_knee_inverse_dynamics_derivatives" in text_of(record.blocks(tmp_path))
 
 
 def test_a_model_in_the_coordinates_of_its_output_joints(tmp_path, monkeypatch):
