@@ -12,8 +12,6 @@ from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.pd import pd
 from linkplan.models.errors import LinkplanError, ProblemError
 
-COARSE = {"period_s": 1e-3}
-
 
 @dataclass(frozen=True)
 class Stiff:
@@ -214,20 +212,6 @@ def test_a_loops_response_is_measured_and_drawn(problem, tmp_path):
     assert isinstance(result.plot(tmp_path / "bode.png"), Figure)
     assert all(word in str(result) for word in ("phase margin", "[deg]"))
     assert told
-
-
-@pytest.mark.slow
-def test_gains_that_were_found_are_a_problems_tracking(problem):
-    result = linkplan.tune(problem, bandwidth_hz=20.0)
-    assert result.found
-    assert set(result.tracking) == {"kp", "kd", "period_s"}
-    loop = linkplan.bode(problem.replace(tracking=result.tracking), measure=False)
-    points = [point["loops"]["pd"] for point in loop.to_dict()["points"]]
-    assert len(points) == 5
-    assert min(point["bandwidth_hz"] for point in points) >= 20.0
-    assert min(point["phase_margin_deg"] for point in points) >= 60.0
-    assert isinstance(result.plot(), Figure)
-    assert "at the joint O: kp" in str(result)
 
 
 @pytest.mark.parametrize(
