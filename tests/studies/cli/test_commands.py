@@ -180,7 +180,7 @@ def test_a_saved_plan_is_tracked_and_compared(ask_json, tmp_path):
 @pytest.mark.slow
 def test_compare_of_the_sine_draws_the_documents_figure_for_its_gains_and_those_asked_for(ask_json, tmp_path, monkeypatch):
     saved = saved_figures(monkeypatch)
-    own = ("--set", "tracking.kp=300", "--mass-factor", "1", "--delay-periods", "0")
+    own = ("--trackers", "pd", "--set", "tracking.kp=300", "--mass-factor", "1", "--delay-periods", "0")
     code, said = ask_json("compare", "knee-sine", "-o", str(tmp_path / "sine"), *own)
     assert code == 0
     assert said["trackers"]["pd"]["rms_error_deg"] < SINE_RMS_DEG
