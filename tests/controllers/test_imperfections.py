@@ -21,7 +21,7 @@ from linkplan.controllers.imperfections.plant import plant
 from linkplan.controllers.imperfections.sensing import measure, sensing
 from linkplan.controllers.reference import state_at
 from linkplan.controllers.rollout import ControlLoop
-from linkplan.models.errors import AssemblyError, LinkplanError
+from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.payload import BODY_NAME
 from tests.support.machines import LOOP, everything, follower, reach, run_alone, run_machines
@@ -160,22 +160,18 @@ def test_a_longer_link_is_longer_and_the_loop_is_closed_with_it():
     assert abs(built.pose - reference.pose_rad[0]).max() > 1e-3
 
 
-def test_lengths_that_do_not_close_are_refused_in_one_line():
+@pytest.mark.parametrize(
+    ("machine", "said"),
+    [
+        ({"length_factor": {"coupler": 3.0}}, "does not close"),
+        ({"length_factor": {"elbow": 1.01}}, "unknown body 'elbow'; legal: thigh, crank"),
+        ({"loop_solref": (1e-4, 1.0)}, "at least 2 simulator steps"),
+    ],
+)
+def test_a_machine_that_cannot_be_is_refused_in_one_line(machine, said):
     mechanism, reference = reach()
-    with pytest.raises(AssemblyError, match="does not close"):
-        plant(mechanism, reference, LOOP, Imperfections(machine=Machine(length_factor={"coupler": 3.0})), 1)
-
-
-def test_a_body_that_is_not_there_is_named_beside_those_that_are():
-    mechanism, reference = reach()
-    with pytest.raises(LinkplanError, match="unknown body 'elbow'; legal: thigh, crank"):
-        plant(mechanism, reference, LOOP, Imperfections(machine=Machine(length_factor={"elbow": 1.01})), 1)
-
-
-def test_a_loop_softer_than_the_simulator_can_step_is_refused():
-    mechanism, reference = reach()
-    with pytest.raises(LinkplanError, match="at least 2 simulator steps"):
-        plant(mechanism, reference, LOOP, Imperfections(machine=Machine(loop_solref=(1e-4, 1.0))), 1)
+    with pytest.raises(LinkplanError, match=said):
+        plant(mechanism, reference, LOOP, Imperfections(machine=Machine(**machine)), 1)
 
 
 def test_a_loop_as_stiff_as_the_simulator_can_step_is_not_refused():
