@@ -92,10 +92,15 @@ def blank_figures():
 
 
 @pytest.fixture
-def drawn_figures(monkeypatch):
+def placed_figures(monkeypatch):
+    """Place axes and texts in the figures of a test that draws them itself (tests/support/figure_texts.py)."""
+    monkeypatch.setattr(figures, "_lay_out", LAY_OUT)
+
+
+@pytest.fixture
+def drawn_figures(monkeypatch, placed_figures):  # noqa: ARG001
     """Draw the figures of a test that looks at them."""
     monkeypatch.setattr(Figure, "savefig", DRAW)
-    monkeypatch.setattr(figures, "_lay_out", LAY_OUT)
 
 
 @pytest.fixture

@@ -41,7 +41,10 @@ SETTINGS = ("O=1,5", "O=nan", "=", "tracking.kp=1e300", "tracking.period_s=1e9",
 EXTRAS = ('<option timestep="{}"/>', '<size memory="{}G"/>', '<size nuserdata="{}"/>', '<include file="/dev/zero"/>',
           '<asset><hfield name="h" nrow="{}" ncol="{}" size="1 1 1 1"/></asset>', '<include file="pipe.xml"/>',
           '<worldbody><replicate count="{}"><site pos="1 0 0"/></replicate></worldbody>', '<option gravity="0 0 {}"/>',
-          '<default><joint armature="{}" damping="{}"/></default>', '<default><motor gear="{}"/></default>')  # fmt: skip
+          '<default><joint armature="{}" damping="{}"/></default>', '<default><motor gear="{}"/></default>',
+          '<include file="a.mjcf"/>', '<asset><mesh name="m" file="/dev/zero"/></asset>',
+          '<asset><mesh name="m" file="pipe.xml"/></asset>', '<sensor><user name="u" dim="{}"/></sensor>',
+          '<extension><plugin plugin="no.such"/></extension>')  # fmt: skip
 COMMANDS = ("check", "track", "bode", "tune", "list", "plan", "compare", "view", "experiment", "export", "new", "render",
             "report", "schema", "batch", "completion", "chek", "")  # fmt: skip
 # What runs machines in MuJoCo or draws them, few of them and small.

@@ -1,7 +1,6 @@
 """The robots of several motors are what they are called, the peer has their dynamics, and a table tells what failed."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,10 +8,9 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.problem.problem import load_problem
 from tests.bench import many
 from tests.bench.many_peer import node_function
-from tests.bench.many_robots import KINDS, robots, write_robots
+from tests.bench.many_robots import robots, write_robots
 from tests.support.tolerances_planner import ROUNDING, SAME_FIGURE
 
 # Of a motor's limit, the most that it takes to hold the weight at both ends.
@@ -40,14 +38,6 @@ def test_a_robot_has_a_freedom_for_each_motor_and_holds_both_ends_of_a_way_that_
     assert np.abs(effort / mechanism.effort_limit[:, 1]).max() < _HELD_SHARE
 
 
-def test_the_set_has_robots_of_two_to_sixteen_motors_with_all_kinds_of_problems(folder):
-    assert {robot.n_motors for robot in robots()} == {2, 3, 4, 6, 8, 10, 12, 16}
-    assert len(list(folder.glob("*.toml"))) == len(KINDS) * len(robots())
-    kept = load_problem(folder / "planar-2-speed.toml").limits.speed
-    assert np.all(np.isfinite(kept))
-    assert set(load_problem(folder / "planar-2-mixed.toml").objective.weights) == {"time", "effort"}
-
-
 @pytest.mark.parametrize("name", ["spatial-4", "delta-reach"])
 def test_the_peer_s_equations_hold_where_the_reduced_dynamics_do(name, folder):
     """The rows are linear in accelerations and multipliers of dependent joints: some make all rows vanish, or none do."""
@@ -66,33 +56,6 @@ def test_the_peer_s_equations_hold_where_the_reduced_dynamics_do(name, folder):
     effort = needed_effort(mechanism, pose[None], v[None], a[None])[0][0]
     assert left(effort) < SAME_FIGURE
     assert left(1.01 * effort) > 1e3 * SAME_FIGURE
-
-
-ROW = many.Compared(
-    problem="arm-time", kind="time", motors=3, processor_s=2.0, status="optimal", message="", objective=0.51,
-    peer_processor_s=4.0, peer_status="solved", peer_objective=0.5, best_known=0.505,
-)  # fmt: skip
-
-
-def test_an_objective_is_over_the_least_of_all_that_are_known_and_a_failure_over_none():
-    assert ROW.over_best == pytest.approx(0.02)
-    assert replace(ROW, peer_objective=None).over_best == pytest.approx(0.51 / 0.505 - 1)
-    assert replace(ROW, status="failed").over_best is None
-    assert replace(ROW, peer_objective=None, best_known=None).over_best is None
-
-
-@pytest.mark.usefixtures("drawn_figures")
-def test_the_figure_shows_failures_apart_from_certified_plans(tmp_path):
-    rows = [ROW, replace(ROW, kind="effort11", motors=2, status="failed", peer_objective=None)]
-    many.draw(rows, tmp_path / "many.png")
-    assert (tmp_path / "many.png").stat().st_size > 10_000
-
-
-def test_the_time_of_a_process_has_that_of_what_it_waits_for():
-    child = "import time\nwhile time.process_time() < 0.5: pass"
-    spent, said = many.run_counted(["-c", f"import subprocess, sys; subprocess.run([sys.executable, '-c', {child!r}])"])
-    assert said["status"] == "refused"
-    assert spent > 0.5
 
 
 @pytest.mark.slow

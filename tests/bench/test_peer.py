@@ -8,7 +8,6 @@ from linkplan.models.poses.assembly import close_at
 from tests.bench import packages
 from tests.bench.__main__ import between_nodes
 from tests.bench.opti_peer import acceleration_function, build_peer
-from tests.bench.peer import command_s, target
 from tests.support.tolerances_planner import TYPED_BY_HAND
 
 ENDS = np.radians([-49.07, 56.27])
@@ -66,15 +65,3 @@ def test_a_package_that_is_missing_is_said_with_what_to_do(monkeypatch):
     assert list(there) == ["Opti"]
     assert missing["rockit"] == "not installed: pip install 'linkplan[peers]'"
     assert "pip install --no-deps yapss" in missing["YAPSS"]
-
-
-def test_a_target_is_held_up_to_its_bound():
-    assert target("a plan", 2.5, 2.5) == ["a plan", 2.5, 2.5, True]
-    assert target("a plan", 2.51, 2.5)[-1] is False
-
-
-def test_a_command_is_timed_with_its_bytecode_written(monkeypatch):
-    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
-    asked = "import os, sys; sys.exit('PYTHONDONTWRITEBYTECODE' in os.environ)"
-    (spent,) = command_s(["-c", asked], repeats=1)
-    assert 0 < spent < np.inf

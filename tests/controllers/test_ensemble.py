@@ -11,11 +11,8 @@ import pytest
 from linkplan.controllers.feedback_loop import states_of
 from linkplan.controllers.imperfections.imperfections import Imperfections, Push, Start
 from linkplan.controllers.mujoco_plant import DIVERGED, MujocoPlant
-from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.simulate import Ensemble, simulate
-from linkplan.models.mechanism import load_mechanism
 from tests.support.machines import LOOP, everything, feedback, follower, reach, run_alone, run_machines
-from tests.support.motions import motion_along
 from tests.support.tolerances_loops import SAME_RUN
 
 
@@ -41,22 +38,6 @@ def test_a_machine_without_imperfections_is_the_single_run(law, delay):
         assert np.abs(many.applied[:, i] - single.applied).max() < SAME_RUN * 1e3
         assert many.gap_m[i] == pytest.approx(single.gap_m.max(), rel=1e-6)
     assert np.ptp(single.position_rad) > 1e-3  # it moves
-
-
-def test_several_degrees_of_freedom_and_several_steps_a_period_are_the_single_run_too():
-    from linkplan.controllers.reference import sample
-    from linkplan.controllers.trackers.pd import pd
-
-    mechanism = load_mechanism("five-bar")
-    at = mechanism.home[mechanism.independent]
-    position = np.stack([at, at + 0.1])[:, None]
-    still = motion_along([0.0, 0.05], position, start_pose=mechanism.home)
-    reference = sample(mechanism, still, 3e-4, 0.03)
-    tracker, loop = pd(mechanism, reference, 20.0, 1.0), ControlLoop(effort_limit=mechanism.effort_limit)
-    single = run_alone(mechanism, reference, tracker, loop)
-    many = run_machines(mechanism, reference, tracker, loop, [Imperfections()] * 2)
-    assert np.abs(many.pose[:, 1] - single.pose_rad).max() < SAME_RUN
-    assert np.abs(many.commanded[:, 1] - single.commanded).max() < SAME_RUN * 1e3
 
 
 def test_a_machine_is_the_same_to_the_last_bit_at_any_batch_size_and_number_of_threads():

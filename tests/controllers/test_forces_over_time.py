@@ -83,20 +83,20 @@ def test_a_simulation_is_a_loop_of_mujoco_s_steps_with_the_force_applied_at_the_
     np.testing.assert_allclose(run.pose[:, 0], by_hand, atol=1e-9)
 
 
-@pytest.mark.parametrize("tracker", ["pd+ff", "gs-pd+ff", "lqr", "lqi", "ct", "mpc"])
-def test_trackers_follow_a_plan_under_the_force_and_not_without_it(plan, tracker):
-    mechanism = plan.problem.mechanism
-    with_force, without = (error_of(plan, tracker, one) for one in (mechanism, replace(mechanism, forces=None)))
-    assert with_force < 2e-3, "[rad]"
-    assert without > 10 * with_force
-
-
-@pytest.mark.parametrize("tracker", ["lqr", "ct", "mpc"])
-def test_trackers_of_a_loop_follow_a_plan_under_the_force_and_not_without_it(steered, tracker):
-    mechanism = steered.problem.mechanism
-    with_force, without = (error_of(steered, tracker, one) for one in (mechanism, replace(mechanism, forces=None)))
-    assert with_force < 1e-4, "[m]"
-    assert without > 5 * with_force
+@pytest.mark.parametrize(
+    ("name", "tracker"),
+    [
+        *(("plan", one) for one in ("pd+ff", "gs-pd+ff", "lqr", "lqi", "ct", "mpc")),
+        *(("steered", one) for one in ("lqr", "ct", "mpc")),
+    ],
+)
+def test_trackers_follow_a_plan_under_the_force_and_not_without_it(name, tracker, request):
+    planned = request.getfixturevalue(name)
+    mechanism = planned.problem.mechanism
+    with_force, without = (error_of(planned, tracker, one) for one in (mechanism, replace(mechanism, forces=None)))
+    most, times = (2e-3, 10) if name == "plan" else (1e-4, 5)  # an arm [rad], a loop driven by a slide [m]
+    assert with_force < most
+    assert without > times * with_force
 
 
 @pytest.mark.parametrize("tracker", ["lqr", "ct"])

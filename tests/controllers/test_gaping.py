@@ -27,9 +27,9 @@ TIES = {
 }
 
 
-@pytest.mark.parametrize("name", TIES)
-def test_points_of_bodies(name):
-    mechanism = load_mechanism(FOURBAR.format(tie=TIES[name], drive=MOTOR))
+@pytest.mark.parametrize("name", [*TIES, "sites of the knee"])
+def test_the_gap_of_bodies_and_of_sites_is_the_mechanism_s(name):
+    mechanism = load_mechanism(FOURBAR.format(tie=TIES[name], drive=MOTOR)) if name in TIES else reach()[0]
     pose = mechanism.home + np.array([0.01, -0.004, 0.02])
     batch = Batch(mechanism.model, nsim=2)
     batch.bind("qpos")[:] = pose
@@ -37,17 +37,6 @@ def test_points_of_bodies(name):
     batch.forward()
     watch.note()
     assert mechanism.gap_m(pose) > 1e-4
-    assert watch.largest()[0] == pytest.approx(mechanism.gap_m(pose))
-
-
-def test_points_of_sites():
-    mechanism, _ = reach()
-    pose = mechanism.home + np.array([0.01, -0.004, 0.02])
-    batch = Batch(mechanism.model, nsim=1)
-    batch.bind("qpos")[:] = pose
-    watch = ClosureWatch(batch, [mechanism.model])
-    batch.forward()
-    watch.note()
     assert watch.largest()[0] == pytest.approx(mechanism.gap_m(pose))
 
 

@@ -70,18 +70,6 @@ def test_a_torque_constant_multiplies_what_acts_beyond_the_limit_of_the_command_
     assert found.velocity[-1, 0, 0] == pytest.approx(1.1 * 4.0 * 0.1 / HINGE_INERTIA, rel=1e-9)
 
 
-def test_a_longer_period_lets_the_same_command_act_for_longer():
-    found = turned(2.0, clock=Clock(period_factor=1.05))
-    assert found.velocity[-1, 0, 0] == pytest.approx(2.0 * 0.105 / HINGE_INERTIA, rel=1e-9)
-
-
-def test_a_push_on_a_joint_gives_its_impulse_over_the_inertia():
-    push = Push(start_s=0.0203, duration_s=0.0134, joint="J", effort=3.0)
-    found = turned(pushes=(push,))
-    assert np.all(found.velocity[:20, 0, 0] == 0)
-    assert found.velocity[-1, 0, 0] == pytest.approx(3.0 * 0.0134 / HINGE_INERTIA, rel=1e-9)
-
-
 def test_a_push_is_at_its_time_whatever_the_phase_of_the_clock():
     """Instant k of a clock half a period late is at (k + 0.5) T: only the time until the push's end is shorter."""
     push = Push(start_s=0.0203, duration_s=0.0134, joint="J", effort=3.0)
@@ -115,13 +103,6 @@ def test_a_push_on_a_body_acts_at_its_centre_of_mass_in_the_world_s_axes():
     assert found.velocity[-1, 0, 0] == pytest.approx(5.0 * 0.004 / (ARM_KG * ARM_M), rel=2e-3)
 
 
-def test_viscous_friction_lets_speed_decay_exponentially():
-    """MuJoCo damps implicitly: a step divides the speed by 1 + h d / I."""
-    rate = 6.0
-    found = turned(machine=Machine(viscous=rate * HINGE_INERTIA), start=Start(velocity_error=2.0))
-    assert found.velocity[-1, 0, 0] == pytest.approx(2.0 * np.exp(-rate * 0.1), rel=0.01)
-
-
 def test_coulomb_friction_slows_at_a_constant_rate_whatever_the_speed():
     found = turned(machine=Machine(coulomb=0.9), start=Start(velocity_error=2.0))
     assert found.velocity[-1, 0, 0] == pytest.approx(2.0 - 0.9 * 0.1 / HINGE_INERTIA, rel=0.01)
@@ -133,13 +114,6 @@ def test_coulomb_friction_stops_what_moves_and_holds_what_pushes_less():
     held = turned(0.8, machine=Machine(coulomb=0.9))
     assert abs(held.pose[-1, 0, 0]) < 1e-5
     assert turned(1.2, machine=Machine(coulomb=0.9)).velocity[-1, 0, 0] == pytest.approx(0.3 * 0.1 / HINGE_INERTIA, rel=0.01)
-
-
-def test_a_start_error_is_where_and_how_fast_the_machine_starts():
-    found = turned(start=Start(position_error=0.02, velocity_error=-0.3))
-    assert found.pose[0, 0, 0] == 0.02
-    assert found.velocity[0, 0, 0] == -0.3
-    assert found.pose[-1, 0, 0] == pytest.approx(0.02 - 0.3 * 0.1, rel=1e-9)
 
 
 # Of the knee: one kinematic loop, driven at O.

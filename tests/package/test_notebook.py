@@ -106,14 +106,10 @@ def test_a_notebook_from_mjcf_text_to_margins(tmp_path):
         assert planner.plan(problem.replace(goal_deg={"O": goal})).require().status == "optimal"
 
 
-# What the README shows first.
-README = (Path(__file__).parents[2] / "README.md").read_text(encoding="utf-8")
-TEN_LINES = README.split("```python\n")[1].split("```")[0]
-
-
-# Cells, of which the last four show something.
+# Cells, of which all but the first show something; tests/test_pages.py runs the lines that the README shows first.
 SHOWN = (
     "import linkplan; plan = linkplan.plan('knee-reach')",
+    "plan",
     "plan.plot()",
     "linkplan.check('slider-crank').plot('slider-crank.png')",
     "linkplan.render(plan, 'reach.gif', size_px=(160, 120), fps=5.0)",
@@ -131,28 +127,10 @@ def outputs_of(cells, folder: Path) -> list:
 
 
 @pytest.mark.slow
-def test_the_ten_lines_run_in_a_jupyter_kernel_and_do_what_they_say(tmp_path):
-    nbclient = pytest.importorskip("nbclient", reason="nbclient is not installed")
-    nbformat = pytest.importorskip("nbformat", reason="nbformat is not installed")
-    lines = TEN_LINES.strip().splitlines()
-    assert len(lines) == 10
-    cells = [nbformat.v4.new_code_cell(line) for line in [*lines, "plan.status", "plan"] if line]
-    notebook = nbformat.v4.new_notebook(cells=cells)
-    nbclient.NotebookClient(notebook, kernel_name="python3", resources={"metadata": {"path": str(tmp_path)}}).execute()
-    outputs = [output for cell in cells for output in cell.outputs]
-    said = "".join(output.text for output in outputs if output.output_type == "stream" and output.name == "stdout")
-    shown = [output.data for output in outputs if output.output_type == "execute_result"]
-    assert shown[-2]["text/plain"] == "'optimal'"
-    assert "<table" in shown[-1]["text/html"]
-    assert (tmp_path / "reach.png").is_file()
-    for words in ("'A': ", "rms error [deg]", "payload +20 %", "Stable at all 5 poses: lqr"):
-        assert words in said
-
-
-@pytest.mark.slow
 def test_figures_films_and_pages_show_themselves_in_a_fresh_kernel(tmp_path):
     """Without `%matplotlib inline`, which would choose a backend for every figure."""
-    shown = outputs_of(SHOWN, tmp_path)
+    table, *shown = outputs_of(SHOWN, tmp_path)
+    assert "<table" in table["text/html"]
     assert [set(data) - {"text/plain"} for data in shown] == [{"image/png"}, {"image/png"}, {"text/html"}, {"text/html"}]
     assert base64.b64decode(shown[0]["image/png"]).startswith(b"\x89PNG")
     assert shown[2]["text/html"].startswith("<img ")

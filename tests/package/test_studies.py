@@ -12,8 +12,6 @@ from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.pd import pd
 from linkplan.models.errors import LinkplanError, ProblemError
 
-COARSE = {"period_s": 1e-3}
-
 
 @dataclass(frozen=True)
 class Stiff:
@@ -216,43 +214,19 @@ def test_a_loops_response_is_measured_and_drawn(problem, tmp_path):
     assert told
 
 
-@pytest.mark.slow
-def test_gains_that_were_found_are_a_problems_tracking(problem):
-    result = linkplan.tune(problem, bandwidth_hz=20.0)
-    assert result.found
-    assert set(result.tracking) == {"kp", "kd", "period_s"}
-    loop = linkplan.bode(problem.replace(tracking=result.tracking), measure=False)
-    points = [point["loops"]["pd"] for point in loop.to_dict()["points"]]
-    assert len(points) == 5
-    assert min(point["bandwidth_hz"] for point in points) >= 20.0
-    assert min(point["phase_margin_deg"] for point in points) >= 60.0
-    assert isinstance(result.plot(), Figure)
-    assert "at the joint O: kp" in str(result)
-
-
 @pytest.mark.parametrize(
     ("use", "words"),
     [
         (lambda: linkplan.check(5), "a mechanism, a Problem, or the name or path of either, got 5"),
-        (lambda: linkplan.check("optimus-nee"), "did you mean 'optimus-knee'"),
-        (lambda: linkplan.check("no/such.toml"), "no/such.toml"),
         (lambda: linkplan.check("optimus-knee", at_deg=[{"O": 120}]), "the pose O = 120 deg is beyond reach"),
         (lambda: linkplan.check("optimus-knee", at_deg=[{"A": 1}]), "a pose names independent joints (O); A follows"),
-        (lambda: linkplan.check("optimus-knee", at_deg=[{"Q": 1}]), "joints are O, A, C"),
         (lambda: linkplan.check("optimus-knee", at_deg=[{"O": np.nan}]), "poses[0].at_deg of joint O is a number, got nan"),
         (lambda: linkplan.check("optimus-knee", at_deg=["3"]), "at_deg is a list of poses"),
         (lambda: linkplan.check("optimus-knee", at_m=[{"O": 0.1}]), "use poses[0].at_deg, not at_m"),
-        (lambda: linkplan.bode("optimus-knee", at_deg=[{"A": 1}]), "a pose names the independent joint O; A follows"),
-        (lambda: linkplan.bode("optimus-knee", tracker="mpc"), "legal: pd, pd+ff, lqr"),
         (lambda: linkplan.bode("optimus-knee", frequency_hz=[1, 6000]), "Nyquist"),
         (lambda: linkplan.bode("optimus-knee", frequency_hz=["1"]), "frequency_hz is a positive number, got '1'"),
         (lambda: linkplan.bode("optimus-knee", amplitude_deg=0), "amplitude_deg is a positive number, got 0"),
-        (lambda: linkplan.bode("optimus-knee", tracking={"kp": 0, "kd": 0}), "there is no feedback"),
-        (lambda: linkplan.bode("optimus-knee", tracking={"delay_periods": -1}), "tracking.delay_periods"),
-        (lambda: linkplan.bode("cart-pole", at_deg=[{"pole": 30.0}]), "no effort holds 'cart-pole' at cart = 0 m"),
         (lambda: linkplan.tune("optimus-knee", bandwidth_hz=-5), "bandwidth_hz is a positive number, got -5"),
-        (lambda: linkplan.tune("optimus-knee", bandwidth_hz=10, phase_margin_deg=200), "0 to 180"),
-        (lambda: linkplan.tune("optimus-knee", bandwidth_hz=6000), "Nyquist"),
         (lambda: linkplan.tune("five-bar", bandwidth_hz=5, tracker="lqr"), "one degree of freedom, and 'five-bar' has 2"),
     ],
 )

@@ -1,7 +1,5 @@
 """Loop closure and the reduced dynamics: against MuJoCo's constrained dynamics, null spaces, energy and differences."""
 
-from dataclasses import dataclass
-
 import numpy as np
 import pytest
 import scipy.integrate
@@ -15,10 +13,8 @@ from linkplan.models.reduction.reduced import linearised
 from tests.support.closures import FOUR_BARS, N_POSES, Case, case
 from tests.support.mechanisms import (
     CHAINS,
-    CRANK_ROCKER,
     derivative,
     random_four_bar,
-    random_quaternion,
     second_derivative,
     simulated,
 )
@@ -26,12 +22,9 @@ from tests.support.tolerances import (
     CLOSURE,
     DIFFERENCES,
     ENERGY,
-    INTEGRATED_GAP,
     MOTION_FROM_EFFORT,
-    POWER,
     REDUCED,
     SOFT_LIMIT,
-    SOFT_ORDER,
     TREE,
     relative_error,
 )
@@ -66,14 +59,6 @@ def test_the_closure_jacobian_is_mujocos_where_the_loop_is_open(name):
 
 
 @on_every_mechanism
-def test_the_velocity_map_is_the_null_space_of_mujocos_constraint_rows(name):
-    c = case(name)
-    for k, q in enumerate(c.q):
-        expected = null_space_map(c.mechanism, c.simulated(k).rows)
-        assert relative_error(np.array(c.mechanism.dynamics.velocity_map(q)), expected) < REDUCED
-
-
-@on_every_mechanism
 def test_reduced_inertia_is_the_constrained_mass_matrix(name):
     c = case(name)
     for k, q in enumerate(c.q):
@@ -92,48 +77,6 @@ def test_gravity_effort_is_the_weight_projected_on_the_motion(name):
         expected = basis.T @ simulated(c.mechanism.model, q, np.zeros_like(q)).bias
         actual = np.array(c.mechanism.dynamics.gravity_effort(q)).ravel()
         assert relative_error(actual, expected) < REDUCED
-
-
-@on_every_mechanism
-def test_the_effort_map_is_the_actuator_moment_projected_on_the_motion(name):
-    c = case(name)
-    for k, q in enumerate(c.q):
-        s = c.simulated(k)
-        expected = (s.moment @ null_space_map(c.mechanism, s.rows)).T
-        assert relative_error(np.array(c.mechanism.dynamics.effort_map(q)), expected) < REDUCED
-
-
-@on_every_mechanism
-def test_acceleration_is_the_limit_of_mujocos_as_the_loop_hardens(name):
-    c = case(name)
-    for k, (q, v, _, u) in enumerate(c.samples()):
-        expected = c.limit(k, "acceleration")[c.mechanism.independent]
-        actual = np.array(c.mechanism.dynamics.acceleration(q, v, u)).ravel()
-        assert relative_error(actual, expected) < SOFT_LIMIT
-
-
-@pytest.mark.slow
-@on_every_mechanism
-def test_mujocos_acceleration_approaches_ours_in_proportion_to_the_loops_softness(name):
-    c = case(name)
-    impedance = np.array([0.99, 0.999, 0.9999])
-    for k, (q, v, _, u) in enumerate(c.samples()):
-        actual = np.array(c.mechanism.dynamics.acceleration(q, v, u)).ravel()
-        errors = [relative_error(actual, c.simulated(k, d).acceleration[c.mechanism.independent]) for d in impedance]
-        order = np.diff(np.log(errors)) / np.diff(np.log((1 - impedance) / impedance))
-        assert np.abs(order - 1).max() < SOFT_ORDER, errors
-
-
-@on_every_mechanism
-def test_closure_forces_act_on_the_joints_as_mujocos_constraint_does(name):
-    c = case(name)
-    for k, (q, v, _, u) in enumerate(c.samples()):
-        expected = c.limit(k, "constraint_force")
-        assert np.abs(expected).max() > 1e-3, "the pin carries load"
-        a = c.mechanism.dynamics.acceleration(q, v, u)
-        force = np.array(c.mechanism.dynamics.closure_force(q, v, a, u)).ravel()
-        jacobian = np.array(c.mechanism.dynamics.closure_jacobian(q))
-        assert relative_error(jacobian.T @ force, expected) < SOFT_LIMIT
 
 
 @pytest.mark.slow
@@ -264,81 +207,6 @@ def test_linearised_at_a_pose_is_the_linearisation_there(name):
         both = zip(linearised(c.mechanism.dynamics, q, v, u), c.mechanism.dynamics.linearisation(q, v, u), strict=True)
         for actual, expected in both:
             assert relative_error(actual, np.array(expected)) < REDUCED
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Motion:
-    """Energy along an integrated motion: at both ends, put in by the motors, taken out by the dampers [J]."""
-
-    energy_gain: float
-    work: float
-    dissipated: float
-    kinetic: float
-    gap_m: float
-
-
-def motion(mechanism: Mechanism, duration: float, effort: float) -> Motion:
-    """Return the energies of `duration` [s] from rest at home under u = effort * cos(20 t)."""
-    n_q, n_s = mechanism.n_q, mechanism.dof
-    dynamics = mechanism.dynamics
-
-    def rates(t: float, y: np.ndarray) -> np.ndarray:
-        q, v = y[:n_q], y[n_q : n_q + n_s]
-        u = np.full(mechanism.n_u, effort * np.cos(20 * t))
-        dq, dv = (np.array(x).ravel() for x in dynamics.flow(q, v, u))
-        damper = np.array(dynamics.passive(q, dq) - dynamics.passive(q, np.zeros(n_q))).ravel()
-        power = v @ np.array(dynamics.effort_map(q)) @ u
-        return np.concatenate([dq, dv, [power, -damper @ dq]])
-
-    start = np.concatenate([mechanism.home, np.zeros(n_s), [0.0, 0.0]])
-    end = scipy.integrate.solve_ivp(rates, (0, duration), start, method="DOP853", rtol=1e-11, atol=1e-11).y[:, -1]
-    first, last = (sum(float(e) for e in dynamics.energy(y[:n_q], y[n_q : n_q + n_s])) for y in (start, end))
-    return Motion(
-        energy_gain=last - first,
-        work=end[-2],
-        dissipated=end[-1],
-        kinetic=float(dynamics.energy(end[:n_q], end[n_q : n_q + n_s])[0]),
-        gap_m=mechanism.gap_m(end[:n_q]),
-    )
-
-
-def crank_rocker(seed: int, bare: bool) -> Mechanism:
-    rng = np.random.default_rng(seed)
-    return load_mechanism(CRANK_ROCKER.mjcf(rng, quaternion=random_quaternion(rng), bare=bare))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-def test_energy_gained_is_work_less_dissipation_on_a_sprung_four_bar(seed):
-    m = motion(crank_rocker(seed, bare=False), 1.0, 0.2)
-    assert min(abs(m.work), m.dissipated) > 1e-3 * abs(m.energy_gain) > 0, "motors and dampers both matter"
-    assert abs(m.energy_gain - m.work + m.dissipated) < POWER * max(abs(m.work), m.dissipated)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "duration", "effort"), [("five-bar", 0.1, 0.2), ("spatial-loop", 0.1, 0.2), ("six-bar", 0.5, 0.5)]
-)
-def test_energy_gained_is_work_less_dissipation_on_other_loops(name, duration, effort):
-    m = motion(case(name).mechanism, duration, effort)
-    assert min(abs(m.work), m.dissipated) > 1e-3 * abs(m.energy_gain) > 0, "motors and dampers both matter"
-    assert abs(m.energy_gain - m.work + m.dissipated) < POWER * max(abs(m.work), m.dissipated)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
-def test_energy_is_kept_where_nothing_drives_or_damps(seed):
-    m = motion(crank_rocker(seed, bare=True), 1.0, 0.0)
-    assert m.work == m.dissipated == 0
-    assert m.kinetic > 1e-3, "it swings"
-    assert abs(m.energy_gain) < POWER * m.kinetic
-
-
-@pytest.mark.slow
-def test_a_loop_stays_closed_along_an_integrated_motion():
-    m = motion(crank_rocker(0, bare=True), 1.0, 0.0)
-    assert m.kinetic > 1e-3, "it swings"
-    assert m.gap_m < INTEGRATED_GAP
 
 
 @on_every_mechanism

@@ -16,7 +16,7 @@ DAMPED = f"""<mujoco><option gravity="0 0 0"/><worldbody>
 <actuator><motor name="motor" joint="J" ctrlrange="-4 4"/></actuator></mujoco>"""
 
 
-def cubic_turn(n: int = 40) -> Trajectory:
+def cubic_turn(n: int = 10) -> Trajectory:
     """Return the quarter turn by a cubic from rest to rest in n intervals, with the efforts that it needs."""
     t = np.linspace(0.0, 1.0, n + 1)
     s, v = np.radians(10.0) + TURN * t**2 * (3 - 2 * t), 6 * TURN * t * (1 - t) / DURATION_S

@@ -62,7 +62,7 @@ def quickest(mechanism: Mechanism) -> float:
         return rates
 
     assert actuator.name == "grip"
-    kept = {"rtol": 1e-10, "atol": 1e-12, "dense_output": True}
+    kept = {"rtol": 1e-8, "atol": 1e-10, "dense_output": True}
 
     def at_goal(_t: float, y: np.ndarray) -> float:
         return y[0] - GOAL

@@ -11,10 +11,8 @@ from flint import arb, ctx
 import linkplan
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.limits.efforts import share_of
 from linkplan.planner.problem.sites import SiteLimit
 from linkplan.planner.proof.branch import newton
-from linkplan.planner.proof.claim import Record, claim_of, finding_of_claim, rounding_of
 from linkplan.planner.proof.claims import claims_of, reference_claims
 from linkplan.planner.proof.motion import Piece, State
 from linkplan.planner.proof.prove import TAYLOR_ORDER, prove, states_of
@@ -36,7 +34,6 @@ from tests.support.spoilt import answers_beside_limits
 CENTRE, RADIUS, INTERVAL = 0.5, 0.25, 1
 # Of the gripper's servo in tests/support/linkages.py.
 KP, KV = 5.0, 0.05
-
 
 BITS = 80
 
@@ -179,13 +176,6 @@ def test_rows_that_do_not_hold_although_the_others_do_are_refuted_unless_the_fil
     assert found.answer == answer
 
 
-def test_each_end_of_a_limit_has_an_allowance_of_its_own():
-    assert share_of((-1.0, 100.0), 1e-6) == pytest.approx((1e-6, 1e-4))
-    assert share_of((0.0, 5.0), 1e-6) == pytest.approx((5e-6, 5e-6)), "an end at zero has the other's"
-    assert share_of((-np.inf, 5.0), 1e-6)[1] == pytest.approx(5e-6)
-    assert rounding_of((-2.0, 1e6)) == pytest.approx((2e-9, 1e-3))
-
-
 def test_an_overrun_of_the_smaller_end_of_a_limit_is_refuted():
     problem, motion = gripper()
     least = float(motion.effort_at(motion.dense_times(30000))[:, 0].min())
@@ -250,18 +240,6 @@ def test_a_motion_without_effort_is_allowed_a_millionth_of_the_effort_of_its_ine
     peak = np.abs(motion.acceleration_at(motion.dense_times(4))).max(axis=0)
     allowed = 1e-6 * max(abs(M[0]) @ peak, abs(M[1]) @ peak)
     assert sorted(marks) == [(pytest.approx(-allowed), pytest.approx(allowed))]
-
-
-@pytest.mark.parametrize(
-    ("least", "greatest", "margin", "bound", "at"),
-    [(-1.5, 1.0, 0.5, -1.5, 0.1), (-1.0, 4.75, 0.25, 4.75, 0.7), (-2.5, 1.0, -0.5, -2.5, 0.1), (-1.0, 5.5, -0.5, 5.5, 0.7)],
-)
-def test_a_claim_s_margin_is_the_distance_from_its_nearer_mark_at_that_instant(least, greatest, margin, bound, at):
-    claim = claim_of("force", "N", (-2.0, 5.0), lambda _: [], (0.0, 0.0))
-    record = Record(least=least, greatest=greatest, least_at=0.1, greatest_at=0.7, boxes=3)
-    found = finding_of_claim(claim, record)
-    assert (found.margin, found.bound, found.time_s, found.boxes) == (margin, bound, at, 3)
-    assert found.mark == (-2.0 if bound < 0 else 5.0)
 
 
 def test_the_distance_from_a_reference_is_that_of_its_sine():

@@ -3,13 +3,13 @@
 import mpmath as mp
 import numpy as np
 import pytest
-from flint import arb, arb_mat, ctx
+from flint import arb, ctx
 
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.branch import krawczyk, newton
 from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import TAYLOR_ORDER, states_of
-from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm, solve_enclosed
+from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm
 from linkplan.planner.proof.walk import blocks_of
 from linkplan.planner.trajectory import Trajectory
 from tests.support.mp_functions import ball, mp_effort, mp_motion, mp_pose, mp_values
@@ -84,18 +84,6 @@ def test_krawczyk_proves_no_root_where_there_is_none_and_none_across_a_singular_
         krawczyk(blocks, [arb(s0)], guess + 0.3)
     with pytest.raises(NotSeparatedError):
         krawczyk(blocks, [arb(s0, 3.2)], guess)
-
-
-def test_a_linear_system_is_solved_and_one_that_may_be_singular_is_refused():
-    rng = np.random.default_rng(0)
-    A, b = rng.normal(size=(5, 5)), rng.normal(size=5)
-    A[0, 0] = A[1, 1] = 0.0
-    entries = {(i, j): arb(float(A[i, j])) for i in range(5) for j in range(5) if A[i, j]}
-    (found,) = solve_enclosed(entries, [[arb(float(x)) for x in b]])
-    exact = arb_mat(5, 5, [float(x) for x in A.ravel()]).solve(arb_mat(5, 1, [float(x) for x in b]))
-    assert all(x.overlaps(exact[i, 0]) and x.rad() < 1e-15 for i, x in enumerate(found))
-    with pytest.raises(NotSeparatedError):
-        solve_enclosed({(0, 0): arb(1), (0, 1): arb(1), (1, 0): arb(1), (1, 1): arb(1, 1e-12)}, [[arb(1), arb(0)]])
 
 
 def test_a_polynomials_range_is_tight_and_a_violation_is_a_point():

@@ -9,17 +9,13 @@ import pytest
 from linkplan.models.deadline import NO_DEADLINE, Deadline, OutOfTimeError
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.proof.branch import newton
-from linkplan.planner.proof.ends import end_findings
 from linkplan.planner.proof.finding import Proof
 from linkplan.planner.proof.prove import _Sweep
 from linkplan.planner.proof.prove import prove as prove_all
 from linkplan.planner.proof.walk import blocks_of
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.trajectory import Trajectory
-from tests.support.bodies import body_plan
 from tests.support.linkages import RSSR
 from tests.support.plans import optimal, planned, problem_of
 from tests.support.provable import beside_its_limit, limited, needed, peak, rubbing_swing, swing, with_a_spoilt_coefficient
@@ -27,14 +23,6 @@ from tests.support.provable import beside_its_limit, limited, needed, peak, rubb
 INVERSE = "by inverse dynamics"
 # `make bench` (part proofs) proves and refutes the plans of a hundred seeds.
 SEEDS = range(2)
-
-TWO_HINGES = """<mujoco><option gravity="0 0 0"/><worldbody>
-<body><joint name="one" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/></body>
-<body pos="1 0 0"><joint name="two" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia=".1 .1 .1"/></body></worldbody>
-<actuator><motor name="first" joint="one" ctrlrange="-4 4"/><motor name="second" joint="two" ctrlrange="-4 4"/></actuator>
-</mujoco>"""
-
-HINGE_AND_SLIDE = TWO_HINGES.replace('name="two" axis="0 1 0"', 'name="two" type="slide" axis="0 1 0"')
 
 
 def prove(*given) -> Proof:
@@ -152,22 +140,6 @@ def test_a_spoilt_coefficient_is_refuted(name, at, by, words):
     assert "refuted" in answers(proof, words), [f.sentence() for f in proof.of("refuted")]
 
 
-def test_a_motion_on_the_other_branch_is_refuted():
-    problem, motion = knee()
-    mechanism = problem.mechanism
-    blocks, pose = blocks_of(mechanism), np.array(motion.start_pose)
-    dependent = list(blocks.dependent)
-    for guess in np.random.default_rng(0).uniform(-3, 3, (50, len(dependent))):
-        try:
-            z = newton(blocks, pose[list(blocks.independent)], guess)
-        except ArithmeticError:
-            continue
-        if np.abs(np.sin((z - pose[dependent]) / 2)).max() > 0.05:
-            break
-    pose[dependent] = z
-    assert answers(prove(problem, replace(motion, start_pose=pose)), "problem's branch") == {"refuted"}
-
-
 @pytest.mark.parametrize(
     ("override", "words"),
     [
@@ -228,38 +200,3 @@ def test_a_proof_that_needs_twice_its_time_ends_after_the_first_intervals(share,
     with contextlib.nullcontext() if is_made else pytest.raises(OutOfTimeError, match=f"1 of {n} intervals"):
         sweep.run()
     assert sweep.interval == (n if is_made else 1)
-
-
-def joins(plan: Plan, jump: float) -> str:
-    """Move the end of the second coordinate's first piece [rad or m], and return the answer on the joining pieces."""
-    position = plan.trajectory.position.copy()
-    position[-1, 0, 1] += jump
-    found = end_findings(plan.problem, replace(plan.trajectory, position=position))
-    (answer,) = (finding.answer for finding in found if finding.name == "the pieces of position join")
-    return answer
-
-
-def test_a_joint_that_stands_still_may_jump_by_a_billionth_of_another_joint_s_span():
-    ends = "start_deg = { one = 0.0, two = 30.0 }\ngoal_deg = { one = 90.0, two = 30.0 }\nduration_s = 1.0\n"
-    plan = body_plan(TWO_HINGES, f'kind = "reach"\n{ends}')
-    assert joins(plan, 1e-9 * np.radians(90)) == "proved"
-    assert joins(plan, 1e-7 * np.radians(90)) == "refuted"
-
-
-def test_a_slide_that_stands_still_may_jump_by_the_last_digit_of_its_position():
-    ends = "start_deg = { one = 0.0 }\ngoal_deg = { one = 90.0 }\nstart_m = { two = 0.11 }\ngoal_m = { two = 0.11 }\n"
-    plan = body_plan(HINGE_AND_SLIDE, f'kind = "reach"\nduration_s = 1.0\n{ends}')
-    assert joins(plan, float(np.spacing(0.11))) == "proved"
-    assert joins(plan, 1e-13) == "refuted"
-
-
-@pytest.mark.parametrize("k", [0, 4])
-def test_pieces_that_do_not_join_are_named_with_their_instant(k):
-    problem, motion = knee()
-    position = motion.position.copy()
-    position[-1, k] += 1e-3
-    findings = end_findings(problem, replace(motion, position=position))
-    (found,) = (finding for finding in findings if finding.name == "the pieces of position join")
-    assert found.answer == "refuted"
-    assert found.time_s == motion.breaks_s[k + 1]
-    assert f"t = {motion.breaks_s[k + 1]:.6g} s" in found.reason

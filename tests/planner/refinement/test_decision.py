@@ -61,11 +61,8 @@ def test_where_it_needs_more_effort_everywhere_the_degree_is_raised_and_on_a_lar
     assert next_action(replace(crowded, restored=1, ended=True)) is None
 
 
-def test_what_no_mesh_mends_is_the_end():
+def test_what_no_mesh_mends_and_an_action_that_led_nowhere_are_the_end():
     assert next_action(state(iterate(passed=False, exact=False, repairable=False))) is None
-
-
-def test_an_action_that_led_nowhere_is_the_end():
     assert next_action(state(iterate(passed=False, exact=False, growth=ONE_OF_TEN), ended=True)) is None
 
 

@@ -18,7 +18,7 @@ from linkplan.studies.feedback.bode import bode_blocks
 from tests.support.figure_texts import text_faults
 from tests.support.figures import curves, saved_figures
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("drawn_figures")]
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("placed_figures")]
 
 
 @cache

@@ -215,7 +215,7 @@ def test_what_neither_a_tracker_nor_the_plant_holds_is_predicted_alone_with_one_
 
 @pytest.mark.slow
 def test_lqr_holds_the_pole_while_its_non_minimum_phase_trolley_is_measured():
-    crane, at = CRANE.replace("TURNED", "0 180 0"), np.geomspace(0.3, 30.0, 8)
+    crane, at = CRANE.replace("TURNED", "0 180 0"), np.geomspace(1.0, 30.0, 7)
     found, result = plant(crane, ["force"], ["trolley", "load.x"], tracker="lqr", frequency_hz=at)
     assert result.study.points[0].held_by == "lqr"
     for one in found.values():

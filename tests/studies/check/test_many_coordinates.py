@@ -50,13 +50,6 @@ def test_of_many_each_has_its_own(wholes):
     assert "m6" not in head
 
 
-def test_what_it_says_is_what_the_whole_record_has(wholes):
-    path = next(p for p in wholes[9].paths if p.coordinate == 7)
-    own = text_of(wholes[9].blocks()).split("along the reach of j7")[1].splitlines()
-    assert f"{path.holding_effort[0, 7]:.4g}" in next(line for line in own if line.startswith("-60 "))
-    assert np.abs(path.holding_effort[0, 7]) > 0
-
-
 def test_paths_of_many_coordinates_are_thinned_so_that_their_matrices_have_room(wholes):
     poses = np.arange(361.0)[:, None]
     assert len(thinned(poses, most_poses(wholes[3].mechanism))) == 361
@@ -120,14 +113,6 @@ def test_memory_grows_with_the_square_of_the_coordinates():
         peaks.append(largest_arrays(lambda of=mechanism: check_whole(of, None).summary()))
     assert peaks[0] > 1e6
     assert peaks[1] < 4.5 * peaks[0], peaks
-
-
-@pytest.mark.slow
-def test_reports_of_many_coordinates_are_in_memory_one_at_a_time():
-    whole, other = (check_whole(load_mechanism(chain(40)), None) for _ in range(2))
-    one = other.paths[0]
-    size = one.rates.nbytes + one.ratio.nbytes + one.reduced_inertia.nbytes
-    assert largest_arrays(lambda: [path.figures for path in whole.paths]) < 12 * size  # of 40 reports
 
 
 @pytest.mark.parametrize(("n", "m"), [(6, 1), (6, 2), (7, 3), (5, 5)])

@@ -1,18 +1,14 @@
 """`check` of what is no mechanism as it stands, and of cylinders: reports with an exit code, and lines to paste."""
 
 import json
-from itertools import pairwise
 
 import pytest
-from msgspec.structs import replace
 
 import linkplan
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.check.inspection import inspect
-from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.cli.main import main
-from linkplan.studies.output.text import text_of
 from tests.support.mechanisms import replaced
 
 BAR = """<mujoco model="bar"><worldbody>
@@ -110,14 +106,6 @@ def test_an_open_loop_is_a_report_whose_lines_can_be_pasted(check):
     assert check(OPEN, "--set", f"mechanism.{home}".replace(" = {", "={"))[1].startswith("mine: 1 degree of freedom")
 
 
-def test_json_of_an_open_loop_has_the_keyframe_and_the_tables(check):
-    said = json.loads(check(OPEN, "--json")[1])
-    assert said["keyframe"].startswith('<keyframe><key name="home" qpos="')
-    assert set(said["home_deg"]) == {"O", "A", "C"}
-    assert said["gap_m"] > 0.01
-    assert said["locked"] is False
-
-
 def test_a_loop_that_assembly_closes_is_offered_the_pose_as_a_keyframe():
     apart = replaced(BAR % "", 'anchor=".3 0 .1"/>', 'anchor=".3 0 .1"/><weld active="false" body1="crank"/>')
     assert not any("to write into the model" in note for note in inspect(load_mechanism(apart), []).notes)
@@ -146,15 +134,3 @@ def test_a_hinges_stops_inside_another_hinges_range_are_a_note():
     found = inspect(load_mechanism(text), [])
     assert not any("joint C's range" in problem for problem in found.problems)
     assert any("joint C's range" in note and "O's own range" in note for note in found.notes)
-
-
-def test_positions_in_the_table_of_poses_are_zero_where_they_are_rounding():
-    found = inspect(load_mechanism(BOOM), [{"stroke": 0.0}])
-    (point,) = found.points
-    moved = list(zip(found.mechanism.joints, (-1.2e-10, 0.5, 0.0), strict=True))
-    angles = {joint.name: joint.shown(x) for joint, x in moved if joint.kind == "hinge"}
-    strokes = {joint.name: x for joint, x in moved if joint.kind == "slide"}
-    drifted = replace(found, points=(replace(point, q_deg=angles, q_m=strokes),))
-    lines = text_of(inspection_blocks(drifted)).partition("At the poses asked for")[2].splitlines()
-    row = next(line for above, line in pairwise(lines) if above.startswith("---")).split()
-    assert row[:3] == ["0", "28.65", "0"]

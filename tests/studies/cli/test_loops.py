@@ -11,7 +11,7 @@ from tests.support.figures import curves, dots, labels, saved_figures
 from tests.support.oscillators import mass_on_a_spring
 from tests.support.tolerances_loops import DECAY, KNEE_DB, LONGEST_PERIOD
 
-pytestmark = pytest.mark.usefixtures("drawn_figures")
+pytestmark = pytest.mark.usefixtures("placed_figures")
 
 OF_HERTZ = "frequency [Hz]"
 # Rounding of a page's numbers.

@@ -61,9 +61,22 @@ def test_a_folder_of_an_earlier_version_shows_its_figures_and_says_what_lacks(tm
     assert table.rows == [[10.0, True], [20.0, False]]
 
 
-def test_a_folder_of_something_else_is_refused_in_one_line(tmp_path):
-    (tmp_path / "notes.txt").write_text("mine")
-    with pytest.raises(PlanFileError, match="holds no result of linkplan's"):
+@pytest.mark.parametrize(
+    ("file", "text", "said"),
+    [
+        ("notes.txt", "mine", "holds no result of linkplan's"),
+        *(
+            ("bode.json", f'{{"points": [{{"gain": {value}}}]}}', r"bode\.json' is")
+            for value in ("NaN", "1e999", "-Infinity")
+        ),
+        ("bode.json", f'{{"points": {"[" * 900}{"]" * 900}}}', r"bode\.json' is"),
+        ("bode.json", '{"points": [' + '{"":0},' * 500_000 + "0]}", "has 500002 tables and lists; at most 400000 are read"),
+    ],
+    ids=["something else", "nan", "huge", "inf", "deep", "too many tables"],
+)
+def test_a_folder_of_something_else_and_a_hostile_record_are_refused_in_one_line(file, text, said, tmp_path):
+    (tmp_path / file).write_text(text)
+    with pytest.raises(PlanFileError, match=said):
         folder_report(tmp_path)
 
 
@@ -131,22 +144,8 @@ def test_check_writes_the_page_that_is_asked_for(tmp_path, capsys):
     assert {path.name for path in (tmp_path / "checked").iterdir()} >= {"check.json", "report.html", "report.json"}
 
 
-@pytest.mark.parametrize("value", ["NaN", "1e999", "-Infinity", "[" * 900 + "]" * 900], ids=["nan", "huge", "inf", "deep"])
-def test_a_record_with_what_is_no_number_or_nested_without_end_is_refused(value, tmp_path):
-    (tmp_path / "bode.json").write_text(f'{{"points": [{{"gain": {value}}}]}}')
-    with pytest.raises(PlanFileError, match=r"bode\.json' is"):
-        folder_report(tmp_path)
-
-
 @pytest.mark.parametrize("name", ["batch.json", "bode.json", "plan.json", "report.json", "experiment.json"])
 def test_a_record_that_is_too_large_is_refused_before_it_is_decoded(name, tmp_path):
     (tmp_path / name).write_text("{}" + " " * 65_000_000)
     with pytest.raises(PlanFileError, match=r"has 65000002 bytes; at most \d+ are read"):
-        folder_report(tmp_path)
-
-
-def test_a_record_of_too_many_tables_is_refused_before_it_is_decoded(tmp_path):
-    """Each takes thirty times its bytes."""
-    (tmp_path / "bode.json").write_text('{"points": [' + '{"":0},' * 500_000 + "0]}")
-    with pytest.raises(PlanFileError, match="has 500002 tables and lists; at most 400000 are read"):
         folder_report(tmp_path)
