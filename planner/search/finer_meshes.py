@@ -114,15 +114,16 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
     last: _Kept | None = None
     way: _Way | None = _first_way(case, at)
     deadline = case.problem.solver.deadline
-    # The independent coordinates whose ranges are kept between the nodes too: at nodes alone, a motion along one flips.
-    rows: frozenset[int] = frozenset()
-    after_passing, until = deadline.within_share(_SHARE_OF_MESHES), deadline
+    rows: frozenset[int] = frozenset()  # coordinates whose ranges are kept between nodes: along one, a motion flips
+    after_passing, until, took_s = deadline.within_share(_SHARE_OF_MESHES), deadline, 0.0
     for _ in range(_MAX_MESHES):
         check()
-        if way is None or until.passed:
+        if way is None or until.left_s <= took_s:  # a solve on a finer mesh would take as long at least, for nothing
             break
         rows |= along_ranges(case.asked, at.found.motion)
+        begun_s = until.left_s
         finer = _solved(way, at.found, rows, until)
+        took_s = begun_s - until.left_s
         if finer is None:
             break
         before, at = at, certify_iterate(case, finer)
@@ -145,9 +146,9 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
             break
     if at.certificate is None:
         return None
-    motion, solution = at.found.motion, at.found.solution
     return Refined(
-        motion=motion, solution=solution, certificate=at.certificate, settled=moved <= _settled_change(case), moved=moved
+        motion=at.found.motion, solution=at.found.solution, certificate=at.certificate,
+        settled=moved <= _settled_change(case), moved=moved,
     )  # fmt: skip
 
 
@@ -206,7 +207,7 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
     solver = problem.solver.replace(deadline=problem.solver.certificate_deadline)
     # A margin that nobody asked for may be missed by the error of the mesh.
     case = _loosened(kept.case, max(margin, 0.5 * problem.limits.singular_margin))
-    case = replace(case, problem=replace(case.problem, solver=solver))
+    case = replace(case, problem=replace(case.problem, solver=solver), asked=replace(case.asked, solver=solver))
     asked = replace(case, problem=case.asked)
     for steps in range(_MAX_RESTORATIONS):
         if is_sound(at.certificate) or case.problem.solver.deadline.passed:

@@ -9,20 +9,24 @@ import numpy as np
 import pytest
 
 import linkplan
+from linkplan.models.deadline import Deadline
 from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.formulate import FIRST_TIE_WEIGHT, tie_weights
+from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.limits.joints import RangeLimit
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import recording
-from linkplan.planner.search import several_motors
+from linkplan.planner.search import finer_meshes, several_motors
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, along_ranges, at_a_distance, effort_jumps, of_several
 from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.several_motors import from_several_starts
 from linkplan.planner.search.without_solver import slower
+from linkplan.planner.transcription.mesh import uniform
 from tests.bench.many_robots import write_robots
 from tests.support.data import DATA
 from tests.support.motions import motion_along
@@ -135,6 +139,45 @@ def test_a_least_time_with_joints_along_their_speed_limits_is_proved(tmp_path):
     assert plan.status == "optimal"
     assert plan.proof.verdict == "proved"
     assert plan.objective == pytest.approx(0.391782, rel=1e-4)
+
+
+def test_a_solve_that_the_time_does_not_allow_is_left_and_the_motion_is_repaired_in_the_certificates_time(
+    in_least_time, monkeypatch
+):
+    """Solves take ten seconds of 25 here, so that a third one would not end. A repair takes 14, and is certified in time."""
+    clock = Hand()
+    solver = in_least_time.solver.replace(max_time_s=60.0, deadline=Deadline(clock=clock).within(25.0))
+    case = case_of(replace(in_least_time, solver=solver))
+    first = several_motors._first_case(case.problem, in_least_time.start_pose())
+    found = attempt(first, first_guess(in_least_time, in_least_time.start_pose()), uniform(24), np.array([0.2]), "first")
+    taking(monkeypatch, finer_meshes, "attempt", clock, 10.0)
+    taking(monkeypatch, finer_meshes, "nearest_on", clock, 14.0)
+    refined = finer_meshes.refine_several(case, found)
+    assert clock.called == ["attempt"] * 2 + ["nearest_on"]
+    assert finer_meshes.is_sound(refined.certificate)
+
+
+class Hand:
+    """A clock that goes on where it is told to, and counts how often it was."""
+
+    def __init__(self) -> None:
+        self.now, self.called = 0.0, []
+
+    def __call__(self) -> float:
+        return self.now
+
+
+def taking(monkeypatch, module, name: str, clock: Hand, seconds: float) -> None:
+    """Let a function take so many seconds of a clock."""
+    function = getattr(module, name)
+
+    def timed(*given, **named):
+        found = function(*given, **named)
+        clock.now += seconds
+        clock.called.append(name)
+        return found
+
+    monkeypatch.setattr(module, name, timed)
 
 
 def test_the_tie_weight_is_the_mean_squared_effort_in_shares_of_the_limits(in_least_time):

@@ -7,10 +7,10 @@ import sys
 
 import pytest
 
+from linkplan.controllers.trackers.names import LINEAR
 from linkplan.planner.problem.keys.key_table import FILES
 from linkplan.studies.cli.command_line import SHELLS, build_parser
 from linkplan.studies.cli.completion_command import completion_script
-from linkplan.studies.feedback.frequency.feedback_loops import LAW_NAMES
 from linkplan.studies.variations.experiment.design import DESIGNS
 
 # What is typed, and what must be among the answers.
@@ -51,7 +51,7 @@ def test_every_command_and_long_option_is_in_every_script(shell):
             assert option.lstrip("-") in script
 
 
-@pytest.mark.parametrize(("name", "legal"), [("DESIGN", DESIGNS), ("LAW", tuple(LAW_NAMES)), ("KIND", tuple(FILES))])
+@pytest.mark.parametrize(("name", "legal"), [("DESIGN", DESIGNS), ("LAW", LINEAR), ("KIND", tuple(FILES))])
 def test_words_that_are_completed_are_those_that_are_legal(name, legal):
     script = completion_script("bash")
     assert f'_linkplan_{name.lower()}() {{\n  compgen -W "{" ".join(legal)}" -- "$1"\n}}' in script
