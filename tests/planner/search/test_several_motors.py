@@ -141,19 +141,24 @@ def test_a_least_time_with_joints_along_their_speed_limits_is_proved(tmp_path):
     assert plan.objective == pytest.approx(0.391782, rel=1e-4)
 
 
-def test_a_solve_that_the_time_does_not_allow_is_left_and_the_motion_is_repaired_in_the_certificates_time(
-    in_least_time, monkeypatch
+@pytest.mark.parametrize(
+    ("solve_s", "repair_s", "called"),
+    [(15.0, 1.0, ["attempt"] + ["nearest_on"] * 2), (10.0, 14.0, ["attempt"] * 2 + ["nearest_on"])],
+    ids=["a second solve would not end", "a repair ends after the solves' deadline"],
+)
+def test_solves_that_the_time_does_not_allow_are_left_and_repairs_are_certified(
+    in_least_time, monkeypatch, solve_s, repair_s, called
 ):
-    """Solves take ten seconds of 25 here, so that a third one would not end. A repair takes 14, and is certified in time."""
+    """There are 25 s for solves."""
     clock = Hand()
     solver = in_least_time.solver.replace(max_time_s=60.0, deadline=Deadline(clock=clock).within(25.0))
     case = case_of(replace(in_least_time, solver=solver))
     first = several_motors._first_case(case.problem, in_least_time.start_pose())
     found = attempt(first, first_guess(in_least_time, in_least_time.start_pose()), uniform(24), np.array([0.2]), "first")
-    taking(monkeypatch, finer_meshes, "attempt", clock, 10.0)
-    taking(monkeypatch, finer_meshes, "nearest_on", clock, 14.0)
+    taking(monkeypatch, finer_meshes, "attempt", clock, solve_s)
+    taking(monkeypatch, finer_meshes, "nearest_on", clock, repair_s)
     refined = finer_meshes.refine_several(case, found)
-    assert clock.called == ["attempt"] * 2 + ["nearest_on"]
+    assert clock.called == called
     assert finer_meshes.is_sound(refined.certificate)
 
 
