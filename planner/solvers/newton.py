@@ -54,6 +54,8 @@ FEASIBLE = "Feasible_Point_Found"
 _HELD_DISTANCE = 1e-7
 # At most so many steps to the nearest feasible point; motions of 2 to 10 motors along limits on speed take up to 11.
 _MOST_STEPS = 20
+# Steps that lead to so many times the first violation, or a small one, lead away. Their factors fill up and take minutes.
+_DIVERGED, _SMALL_VIOLATION = 10.0, 1e-3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -230,13 +232,16 @@ def nearest_feasible(transcribed: Transcribed, x: np.ndarray) -> Solution:
     x = np.clip(x, transcribed.lower, transcribed.upper)
     fixed, binding, converged, steps = np.zeros(n, dtype=bool), np.zeros(len(lower) - n, dtype=bool), False, 0
     sizes: list[float] = []  # of the last steps
+    first = np.inf
     while not converged and steps < _MOST_STEPS:
         g, jacobian = rows_of(x, transcribed.parameters)
         here = np.concatenate([x, np.array(g).ravel()])
         violation = np.maximum(np.maximum(lower - here, here - upper), 0.0)
-        if not np.isfinite(violation).all():
+        worst = float(violation.max(initial=0.0))
+        first = first if steps else max(worst, _SMALL_VIOLATION)
+        if not worst <= _DIVERGED * first:
             break
-        converged = bool(violation.max(initial=0.0) <= SOLVER_TOLERANCE)
+        converged = worst <= SOLVER_TOLERANCE
         near = (here < lower + _HELD_DISTANCE) | (here > upper - _HELD_DISTANCE)
         fixed, binding = fixed | near[:n], binding | near[n:]
         to = np.clip(here, lower, upper)[n:]
