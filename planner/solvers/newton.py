@@ -55,7 +55,7 @@ _HELD_DISTANCE = 1e-7
 # At most so many steps to the nearest feasible point; motions of 2 to 10 motors along limits on speed take up to 11.
 _MOST_STEPS = 20
 # Steps that lead to so many times the first violation, or a small one, lead away. Their factors fill up and take minutes.
-_DIVERGED, _SMALL_VIOLATION = 10.0, 1e-3
+_DIVERGED_FACTOR, _SMALL_VIOLATION = 10.0, 1e-3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -239,7 +239,7 @@ def nearest_feasible(transcribed: Transcribed, x: np.ndarray) -> Solution:
         violation = np.maximum(np.maximum(lower - here, here - upper), 0.0)
         worst = float(violation.max(initial=0.0))
         first = first if steps else max(worst, _SMALL_VIOLATION)
-        if not worst <= _DIVERGED * first:
+        if not worst <= _DIVERGED_FACTOR * first:
             break
         converged = worst <= SOLVER_TOLERANCE
         near = (here < lower + _HELD_DISTANCE) | (here > upper - _HELD_DISTANCE)
