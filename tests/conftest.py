@@ -93,7 +93,7 @@ def blank_figures():
 
 @pytest.fixture
 def placed_figures(monkeypatch):
-    """Place axes and texts in the figures of a test that draws them itself (tests/support/figure_texts.py)."""
+    """Lay figures out without writing files, for tests that read their texts (tests/support/figure_texts.py)."""
     monkeypatch.setattr(figures, "_lay_out", LAY_OUT)
 
 

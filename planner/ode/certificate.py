@@ -30,7 +30,7 @@ _PATH = LimitFacts(kind="path", words="path quantity {}")
 
 @dataclass(frozen=True, eq=False, slots=True)
 class OdeLimit:
-    """A limit on one effort, state or path quantity, as `Margin` reads it."""
+    """A limit on one effort, state or path quantity: the two fields that a `Margin` reads."""
 
     facts: LimitFacts
     item: int

@@ -52,7 +52,7 @@ from linkplan.planner.problem.settings import (
 )
 from linkplan.planner.problem.table_reference import reference_rows
 
-# Tables whose rows a CSV file may have: the keys that it takes the place of, and the function from its columns to them.
+# Tables that may name a CSV file in place of some keys: these keys, and the function that makes them of its columns.
 _FILES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, np.ndarray], str, Mechanism], dict[str, Any]]]] = {
     "reference": (("time_s", "position_deg", "position_m", "at", "body_deg"), reference_rows),
     "force_over_time": (("time_s", "on"), force_rows),

@@ -206,10 +206,9 @@ def _planned(problem: Problem, methods: Sequence[SearchMethod], diagnoses: Seque
     if plan is None and problem.motion.kind == "hold":
         plan = plan_hold(problem)
     elif plan is None:
-        rest = without_solver.at_rest(search) if problem.motion.stays else None
-        plan = (
-            rest if rest is not None and rest.status == "optimal" else _or_simpler(search, run_search(search, methods), rest)
-        )
+        plan = rest = without_solver.at_rest(search) if problem.motion.stays else None
+        if rest is None or rest.status != "optimal":
+            plan = _or_simpler(search, run_search(search, methods), rest)
     if plan is not None and plan.status == "failed" and reasons.less_than_least_time in diagnoses:
         with contextlib.suppress(OutOfTimeError):
             return reasons.less_than_least_time(search) or plan

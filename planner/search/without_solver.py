@@ -65,7 +65,7 @@ def along_smooth_path(search: Search) -> Plan | None:
 
 
 def at_rest(search: Search) -> Plan | None:
-    """Return the rest as the plan of a reach that ends where it starts (`Motion.stays`); None where no rest answers it.
+    """Return the plan that rests at the start, for a reach that ends there (`Motion.stays`); None if a rest is no answer.
 
     It is "optimal" where it costs nothing. Elsewhere a motion may cost less: a swing may spare effort against a weight.
     """

@@ -54,7 +54,7 @@ FEASIBLE = "Feasible_Point_Found"
 _HELD_DISTANCE = 1e-7
 # At most so many steps to the nearest feasible point; motions of 2 to 10 motors along limits on speed take up to 11.
 _MOST_STEPS = 20
-# Steps that lead to so many times the first violation, or a small one, lead away. Their factors fill up and take minutes.
+# Steps diverge once the violation is this factor times the first one, or a small one: factorising them takes minutes.
 _DIVERGED_FACTOR, _SMALL_VIOLATION = 10.0, 1e-3
 
 

@@ -173,7 +173,7 @@ class Hand:
 
 
 def taking(monkeypatch, module, name: str, clock: Hand, seconds: float) -> None:
-    """Let a function take so many seconds of a clock."""
+    """Move a clock on by some seconds at each call of a function, and record the call."""
     function = getattr(module, name)
 
     def timed(*given, **named):
