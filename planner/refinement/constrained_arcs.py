@@ -245,13 +245,19 @@ def _of_efforts(transcribed, reduced: np.ndarray) -> np.ndarray:
 def _of_paths(transcribed, multipliers: np.ndarray) -> np.ndarray:
     """Return the pushes of path quantities onto their limits (n_intervals, n_path), with the same signs."""
     mesh, interval = transcribed.program.mesh, transcribed.program.interval
-    rows = multipliers[: mesh.n_intervals * interval.n_rows].reshape(mesh.n_intervals, -1)
-    of_nodes = rows[:, interval.n_own :][:, : interval.n_nodes * (interval.n_equations + interval.n_path)]
-    of_paths = of_nodes.reshape(mesh.n_intervals, interval.n_nodes, -1)[:, :, interval.n_equations :].sum(axis=1)
+    of_paths = path_multipliers(transcribed, multipliers)
     second = np.array(interval.node_kinds[interval.n_equations :]) == _SECOND_ORDER
     of_arcs = np.zeros((mesh.n_segments, of_paths.shape[1]))
     np.add.at(of_arcs, mesh.segment, of_paths)
     return transcribed.constrained_paths[mesh.segment] * np.where(second, of_arcs[mesh.segment], of_paths)
+
+
+def path_multipliers(transcribed: Transcribed, multipliers: np.ndarray) -> np.ndarray:
+    """Return the sums over an interval's nodes (n_intervals, n_path) of the path quantities' multipliers."""
+    n, interval = transcribed.program.mesh.n_intervals, transcribed.program.interval
+    rows = multipliers[: n * interval.n_rows].reshape(n, -1)
+    of_nodes = rows[:, interval.n_own :][:, : interval.n_nodes * (interval.n_equations + interval.n_path)]
+    return of_nodes.reshape(n, interval.n_nodes, -1)[:, :, interval.n_equations :].sum(axis=1)
 
 
 def released(solution: Solution) -> tuple[np.ndarray, FixedArcs] | None:

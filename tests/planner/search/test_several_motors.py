@@ -13,15 +13,23 @@ from linkplan.models.deadline import Deadline
 from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.formulate import FIRST_TIE_WEIGHT, tie_weights
-from linkplan.planner.closed_chain.guess import first_guess
+from linkplan.planner.closed_chain.guess import first_guess, guess_from
 from linkplan.planner.limits.joints import RangeLimit
+from linkplan.planner.limits.limit import with_limits
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import finer_meshes, several_motors
-from linkplan.planner.search.finer_meshes import FIRST_MARGIN, along_ranges, at_a_distance, effort_jumps, of_several
+from linkplan.planner.search.finer_meshes import (
+    FIRST_MARGIN,
+    along_ranges,
+    at_a_distance,
+    effort_jumps,
+    gain_at_margin,
+    of_several,
+)
 from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.several_motors import from_several_starts
@@ -31,6 +39,7 @@ from tests.bench.many_robots import write_robots
 from tests.support.data import DATA
 from tests.support.motions import motion_along
 
+LOAD = {"body": "shank", "mass_kg": 1.5, "com_m": [0.0, 0.0, 0.0], "inertia_kgm2": [1e-3, 1e-3, 1e-3]}
 LEAST_TIME_S, LEAST_EFFORT = 0.18663512, 850.59
 ENDS = {"start_deg": {"hip_pitch": 20.0, "knee_motor": 5.0}, "goal_deg": {"hip_pitch": -50.0, "knee_motor": 38.0}}
 
@@ -76,6 +85,33 @@ def test_solves_keep_a_distance_from_singular_poses_that_the_certificate_does_no
     case = at_a_distance(case_of(in_least_time), in_least_time.start_pose())
     assert case.problem.limits.singular_margin == FIRST_MARGIN
     assert case.asked.limits.singular_margin == 0.0
+
+
+@pytest.fixture(scope="module")
+def laden():
+    mechanism = linkplan.load_mechanism(DATA / "leg_with_four_bar_knee.xml", payload=LOAD)
+    return linkplan.Problem.reach(
+        mechanism, **ENDS, duration_s="free", minimize="time", mesh={"intervals": 40}, limits={"contacts": "note"}
+    )
+
+
+def test_the_multipliers_promise_what_a_smaller_distance_from_singular_poses_gains(laden):
+    case = at_a_distance(case_of(laden), laden.start_pose())
+    first = attempt(case, first_guess(laden, laden.start_pose()), uniform(24), np.array([0.3]), "margin as it is")
+    nearer = replace(case, problem=with_limits(case.problem, singular_margin=0.9 * FIRST_MARGIN))
+    second = attempt(nearer, guess_from(first.motion), uniform(24), np.array([first.motion.duration_s]), "a smaller one")
+    gained = 1.0 - second.solution.objective / first.solution.objective
+    assert gained > 1e-5
+    assert gain_at_margin(case, first, 0.9 * FIRST_MARGIN) == pytest.approx(gained, rel=0.2)
+    assert gain_at_margin(case, first, FIRST_MARGIN) == 0.0
+
+
+def test_motions_come_nearer_to_singular_poses_before_they_are_exact(laden):
+    plan = plan_motion(laden)
+    steps = [step.what for step in plan.history]
+    assert steps.index("nearer to singular poses") == steps.index("jumps of efforts as unknowns") + 1
+    assert plan.passed
+    assert plan.objective < 0.202712  # 0.202711 s; 0.203292 s at the first distance
 
 
 @pytest.mark.parametrize(("beyond_rad", "along"), [(-1e-5, {0}), (1e-2, set())])
