@@ -10,10 +10,10 @@ from tests.support.bodies import HINGE, HINGE_INERTIA, body_problem
 AMPLITUDE, BIAS, PULSE = np.radians(20.0), np.radians(5.0), 2 * np.pi * 0.5
 
 
-def followed(*more: str) -> Problem:
+def followed(*more: str, motion: str = 'kind = "track"\n') -> Problem:
     """Return the problem of an inertia that follows a sinusoid of 0.5 Hz."""
     sine = ("reference.amplitude_deg.J=20", "reference.bias_deg.J=5", "reference.frequency_hz=0.5")
-    return body_problem(HINGE, 'kind = "track"\n', *sine, *more)
+    return body_problem(HINGE, motion, *sine, *more)
 
 
 def test_a_reference_is_followed_between_the_breaks_too():
@@ -68,3 +68,9 @@ def test_of_two_limits_that_a_reference_overruns_the_one_of_the_larger_share_is_
     ranges = f"limits.range_deg.J=[-90, {range_deg}]"
     problem = followed(ranges, f"limits.speed_deg_s.J=[-{speed_deg_s}, {speed_deg_s}]")
     assert reference_overrun(problem, problem.start_pose()).what == worst
+
+
+def test_the_overrun_is_that_of_the_reference_where_the_nearest_motion_has_other_ends():
+    rest = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 0.0 }\nduration_s = 2.0\n'
+    problem = followed("limits.range_deg.J=[-90, 10]", motion=rest)
+    assert reference_overrun(problem, problem.start_pose()).value == pytest.approx(25.0)
