@@ -28,7 +28,7 @@ from linkplan.planner.closed_chain.prescribed import (
 )
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.limits.kinds import limits_of, tightened_in
-from linkplan.planner.limits.limit import Tightened
+from linkplan.planner.limits.limit import Margin, Tightened
 from linkplan.planner.plan.plan import Plan, tracking_errors
 from linkplan.planner.problem.extra import as_no_number
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
@@ -288,15 +288,16 @@ def plan_prescribed(problem: Problem, start_pose: np.ndarray) -> Plan:
     progress("following the reference")
     over = reference_overrun(problem, start_pose)
     if over is not None:
-        details = {"needed": over.value, "limit": over.limit, "time_s": over.time_s}
-        return _too_fast(problem, start_pose, f"on the reference {over.sentence()}", details)
+        return _too_fast(problem, start_pose, over)
     trajectory = prescribe(problem, start_pose)
     certificate = certify(problem, trajectory)
     return finished(problem, trajectory, certificate, 0.0, "the reference satisfies every limit and is followed exactly")
 
 
-def _too_fast(problem: Problem, start_pose: np.ndarray, sentence: str, details: dict[str, float]) -> Plan:
+def _too_fast(problem: Problem, start_pose: np.ndarray, over: Margin) -> Plan:
     """Return the answer that a reference breaks a limit, with the highest rate at which it breaks none."""
+    sentence = f"on the reference {over.sentence()}"
+    details = {"needed": over.value, "limit": over.limit, "time_s": over.time_s}
     nearest = 'motion.kind = "{}" plans the nearest motion that does'
     if problem.mechanism.forces is not None:  # which would be others at another rate
         kind = "periodic" if problem.reference.periodic else "reach"
