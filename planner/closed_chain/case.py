@@ -21,14 +21,14 @@ from linkplan.planner.closed_chain.prescribed import (
     holding_at,
     prescribe,
     rate_margins,
-    reference_demand,
+    reference_overrun,
     rounded_down,
     rounded_up,
     unheld,
 )
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.limits.kinds import limits_of, tightened_in
-from linkplan.planner.limits.limit import Tightened
+from linkplan.planner.limits.limit import Margin, Tightened
 from linkplan.planner.plan.plan import Plan, tracking_errors
 from linkplan.planner.problem.extra import as_no_number
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
@@ -238,10 +238,10 @@ def finished(
             f"nearest motion to the reference: {joint.shown(errors[0]):.4g} {joint.unit} rms,"
             f" {joint.shown(errors[1]):.4g} {joint.unit} at most away from it"
         )
-        demand = reference_demand(replace(problem, solver=SolverSettings()), trajectory.start_pose)
-        if demand is not None:
-            sentence += f"; {demand.sentence('the reference itself')}"
-            details |= {"reference_needs": demand.needed, "reference_needs_at_s": demand.time_s}
+        over = reference_overrun(replace(problem, solver=SolverSettings()), trajectory.start_pose)
+        if over is not None:
+            sentence += f"; on the reference itself {over.sentence()}"
+            details |= {"reference_needs": over.value, "reference_needs_at_s": over.time_s}
     slow = None if failure is not None else slow_share(problem.mechanism, trajectory)
     if slow is not None and slow[0] > 0.1:  # less are its start, end and turning points
         share, joint = slow
@@ -286,22 +286,18 @@ def plan_prescribed(problem: Problem, start_pose: np.ndarray) -> Plan:
     if problem.motion.duration_s is None:
         return _plan_fastest(problem, start_pose)
     progress("following the reference")
-    demand = reference_demand(problem, start_pose)
-    if demand is not None:
-        details = {"needed": demand.needed, "limit": demand.limit, "time_s": demand.time_s}
-        return _too_fast(problem, start_pose, demand.sentence("following the reference exactly"), details)
+    over = reference_overrun(problem, start_pose)
+    if over is not None:
+        return _too_fast(problem, start_pose, over)
     trajectory = prescribe(problem, start_pose)
     certificate = certify(problem, trajectory)
-    over = [margin for margin in certificate.margins if not margin.kept]
-    if over and set(certificate.failures) <= {margin.sentence() for margin in over}:
-        worst = max(over, key=lambda margin: -margin.share)
-        details = {"needed": worst.value, "limit": worst.limit, "time_s": worst.time_s}
-        return _too_fast(problem, start_pose, f"on the reference {worst.sentence()}", details)
     return finished(problem, trajectory, certificate, 0.0, "the reference satisfies every limit and is followed exactly")
 
 
-def _too_fast(problem: Problem, start_pose: np.ndarray, sentence: str, details: dict[str, float]) -> Plan:
+def _too_fast(problem: Problem, start_pose: np.ndarray, over: Margin) -> Plan:
     """Return the answer that a reference breaks a limit, with the highest rate at which it breaks none."""
+    sentence = f"on the reference {over.sentence()}"
+    details = {"needed": over.value, "limit": over.limit, "time_s": over.time_s}
     nearest = 'motion.kind = "{}" plans the nearest motion that does'
     if problem.mechanism.forces is not None:  # which would be others at another rate
         kind = "periodic" if problem.reference.periodic else "reach"

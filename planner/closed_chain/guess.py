@@ -68,22 +68,27 @@ def first_guess(problem: Problem, start_pose: np.ndarray) -> Guess:
     """
     motion = problem.motion
     if follows_reference(problem):
-        reference = problem.reference
-        assert reference is not None  # of a motion that follows it
-        return Guess(
-            position=lambda t: reference.derivative(t, 0),
-            velocity=lambda t: reference.derivative(t, 1),
-            acceleration=lambda t: reference.derivative(t, 2),
-            effort=None,
-            duration_s=motion.duration_s or reference.period_s,
-            start_pose=start_pose,
-        )
+        return reference_guess(problem, start_pose)
     duration = motion.duration_s or _within(problem, _shortest_duration(problem, start_pose))
     boundaries = boundary_times(problem, duration)
     guess = guess_along(_smooth_path(problem, duration), duration, start_pose, boundaries)
     if motion.waypoints and not closes(problem, guess):
         return guess_along(_smooth_path(problem, duration, rests=True), duration, start_pose, boundaries)
     return guess
+
+
+def reference_guess(problem: Problem, start_pose: np.ndarray) -> Guess:
+    """Return the reference of a problem that has one."""
+    reference = problem.reference
+    assert reference is not None
+    return Guess(
+        position=lambda t: reference.derivative(t, 0),
+        velocity=lambda t: reference.derivative(t, 1),
+        acceleration=lambda t: reference.derivative(t, 2),
+        effort=None,
+        duration_s=problem.motion.duration_s or reference.period_s,
+        start_pose=start_pose,
+    )
 
 
 def force_times(problem: Problem) -> np.ndarray:

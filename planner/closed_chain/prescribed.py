@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.models.poses.along import demanded, effort_within, joint_rates, least_effort, missed_rounding, needed_effort
-from linkplan.models.poses.assembly import close_at, follow
-from linkplan.planner.closed_chain.guess import Guess, first_guess, force_times, guess_from, poses_along, stretched
+from linkplan.models.poses.along import demanded, effort_within, least_effort, missed_rounding, needed_effort
+from linkplan.models.poses.assembly import close_at
+from linkplan.planner.closed_chain.guess import Guess, force_times, guess_from, poses_along, reference_guess, stretched
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import Margin, limit_margin
 from linkplan.planner.limits.samples import samples_of
@@ -23,42 +23,12 @@ from linkplan.planner.transcription.bernstein import bernstein_integral, bernste
 _REFERENCE_DEGREE = 8
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Shortfall:
-    """The largest excess of a motion over a limit; `needed` and `limit` are in the units of problem files."""
-
-    what: str  # "effort", "range" or "speed"
-    name: str  # of the actuator or joint
-    needed: float
-    limit: float
-    unit: str
-    time_s: float
-
-    def sentence(self, subject: str) -> str:
-        """Return the demand as a sentence with the given subject."""
-        needed = _figure(self.needed)
-        if self.what == "effort":
-            where = f"{self.name} to give {needed} {self.unit}"
-        else:
-            verb = "reach" if self.what == "range" else "move at"
-            where = f"joint {self.name} to {verb} {needed} {self.unit}"
-        return (
-            f"{subject} needs {where} at t = {self.time_s:.4g} s, {_figure(abs(self.needed - self.limit))} {self.unit}"
-            f" beyond its limit of {_figure(self.limit)} {self.unit}"
-        )
-
-
-def _figure(value: float) -> str:
-    """Return a number with four digits, or one decimal if it is large: 120.0, 5.3, 0.145."""
-    return f"{value:.1f}" if abs(value) >= 99.95 else f"{value:.4g}"
-
-
 def prescribe(problem: Problem, start_pose: np.ndarray) -> Trajectory:
     """Return the reference as a trajectory with efforts by inverse dynamics.
 
     A period has the intervals asked for, and the motion eight, or more: the reference is a polynomial or smooth on each.
     """
-    guess, reference = first_guess(problem, start_pose), problem.reference
+    guess, reference = reference_guess(problem, start_pose), problem.reference
     T, period_s = guess.duration_s, reference.period_s
     inner = np.sort(np.concatenate([reference.inner_times(T), force_times(problem)]))
     inner = inner[np.diff(inner, prepend=0.0) > MIN_INTERVAL_SHARE * T]
@@ -133,6 +103,12 @@ def rate_margins(problem: Problem, start_pose: np.ndarray, rate: float) -> list[
     return [limit_margin(limit, samples) for limit in limits_of(faster)]
 
 
+def reference_overrun(problem: Problem, start_pose: np.ndarray) -> Margin | None:
+    """Return the largest overrun, as a share of the limit's size, of the reference followed exactly; None without any."""
+    over = [margin for margin in rate_margins(problem, start_pose, 1.0) if not margin.kept]
+    return min(over, key=lambda margin: margin.share, default=None)
+
+
 def highest_rate(problem: Problem, start_pose: np.ndarray, slowest: float, fastest: float) -> float | None:
     """Return the highest rate at which the reference keeps every limit, found by bisection; None if there is none.
 
@@ -170,64 +146,6 @@ def highest_kept_rate(keeps: Callable[[float], bool], slowest: float, fastest: f
         middle = float(np.sqrt(low * high))
         low, high = (middle, high) if keeps(middle) else (low, middle)
     return low
-
-
-def reference_demand(problem: Problem, start_pose: np.ndarray) -> Shortfall | None:
-    """Return the largest excess over a limit, relative to it, of the reference followed exactly; None if it keeps all.
-
-    The time of the excess is refined to the reference's own peak.
-    """
-    import scipy
-
-    mechanism, reference, limits = problem.mechanism, problem.reference, problem.limits
-    duration = problem.motion.duration_s or reference.period_s
-    inner = np.append(reference.inner_times(duration), force_times(problem))
-    time = np.sort(np.append(np.linspace(0.0, duration, 2001), inner))
-    poses = follow(mechanism, reference.derivative(time), start_pose, problem.solver.deadline)
-
-    def evaluate(t: np.ndarray, start: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        q = follow(mechanism, reference.derivative(t), start, problem.solver.deadline)
-        v, a = reference.derivative(t, 1), reference.derivative(t, 2)
-        effort, _ = needed_effort(mechanism, q, v, a, t)
-        return effort, q, joint_rates(mechanism, q, v)
-
-    sampled = evaluate(time, start_pose)
-    bounds = {"effort": limits.effort, "range": limits.position, "speed": limits.speed}
-    worst = None
-    for index, what in enumerate(bounds):
-        for column, (low, high) in enumerate(bounds[what]):
-            for limit, sign in ((high, 1.0), (low, -1.0)):
-                if not np.isfinite(limit):
-                    continue
-                excess = sign * (sampled[index][:, column] - limit)
-                at = int(np.argmax(excess))
-                share = excess[at] / (abs(limit) or 1.0)
-                if excess[at] > 1e-9 * max(1.0, abs(limit)) and (worst is None or share > worst[0]):
-                    worst = (share, what, index, column, limit, sign, at)
-    if worst is None:
-        return None
-    _, what, index, column, limit, sign, at = worst
-    low, high = time[max(at - 1, 0)], time[min(at + 1, len(time) - 1)]
-
-    def negative(t: float) -> float:
-        return -sign * float(evaluate(np.array([t]), poses[at])[index][0, column])
-
-    best = scipy.optimize.minimize_scalar(negative, bounds=(low, high), method="bounded", options={"xatol": 1e-12})
-    needed = sign * -float(best.fun)
-    if what == "effort":
-        actuator = mechanism.actuators[column]
-        return Shortfall(
-            what=what, name=actuator.name, needed=needed, limit=float(limit), unit=actuator.unit, time_s=float(best.x)
-        )
-    joint = mechanism.joints[column]
-    return Shortfall(
-        what=what,
-        name=joint.name,
-        needed=joint.shown(needed),
-        limit=joint.shown(float(limit)),
-        unit=joint.unit if what == "range" else f"{joint.unit}/s",
-        time_s=float(best.x),
-    )
 
 
 # Terms of an objective that at rest are squares of efforts, or the same for all: of efforts that hold the same, the least
@@ -296,6 +214,11 @@ def holding_at(problem: Problem, s: np.ndarray) -> Holding:
         unique=unique,
         best=unique or set(objective.weights) <= SQUARES_AT_REST,
     )
+
+
+def _figure(value: float) -> str:
+    """Return a number with four digits, or one decimal if it is large: 120.0, 5.3, 0.145."""
+    return f"{value:.1f}" if abs(value) >= 99.95 else f"{value:.4g}"
 
 
 def unheld(problem: Problem, holding: Holding) -> tuple[str, dict[str, float]]:

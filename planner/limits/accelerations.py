@@ -11,7 +11,6 @@ from typing import ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.poses.along import accelerations, sampled, site_motion
 from linkplan.planner.limits.jerks import is_smooth, moving_joint, moving_site
 from linkplan.planner.limits.limit import (
@@ -28,6 +27,8 @@ from linkplan.planner.limits.limit import (
     Trajectory,
     limited_joints,
     scaled_bounds,
+    scaled_values,
+    squared_claim,
     with_limits,
 )
 from linkplan.planner.problem.instant import free_instant
@@ -130,18 +131,13 @@ class SiteAccelerationLimit(Limit):
         name, most = self._limit(problem)
         at, symbols = free_instant(problem.mechanism)
         squared = ca.densify(ca.sumsqr(at.site_accelerations[:, self.site]))
-        yield Claimed(
-            name=f"squared acceleration of site {name}",
-            unit="m2/s4",
-            bounds=(-np.inf, most**2),
-            value=ca.Function("site_acceleration", symbols[:4], [squared]),
-            slack=(0.0, 2 * ROUNDING_SHARE * max(1.0, most) * most),
+        yield squared_claim(
+            f"acceleration of site {name}", "m2/s4", most, ca.Function("site_acceleration", symbols[:4], [squared])
         )
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        limited = problem.limits.site_acceleration if np.isfinite(factor) else {}
-        return with_limits(problem, site_acceleration={name: most * factor for name, most in limited.items()})
+        return with_limits(problem, site_acceleration=scaled_values(problem.limits.site_acceleration, factor))
 
     def _limit(self, problem: Problem) -> tuple[str, float]:
         """Return the site's name and its largest acceleration [m/s2]."""

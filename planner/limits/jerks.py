@@ -14,7 +14,6 @@ from typing import ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_jerk, joint_rates, sampled, site_motion
 from linkplan.planner.limits.limit import (
@@ -32,6 +31,8 @@ from linkplan.planner.limits.limit import (
     Trajectory,
     limited_joints,
     scaled_bounds,
+    scaled_values,
+    squared_claim,
     with_limits,
 )
 from linkplan.planner.problem.extra import jerk_of
@@ -135,18 +136,11 @@ class SiteJerkLimit(Limit):
         name, most = self._limit(problem)
         at, _ = free_instant(problem.mechanism)
         squared = ca.densify(ca.sumsqr(at.site_jerks[:, self.site]))
-        yield Claimed(
-            name=f"squared jerk of site {name}",
-            unit="m2/s6",
-            bounds=(-np.inf, most**2),
-            value=ca.Function("site_jerk", motion_symbols(at), [squared]),
-            slack=(0.0, 2 * ROUNDING_SHARE * max(1.0, most) * most),
-        )
+        yield squared_claim(f"jerk of site {name}", "m2/s6", most, ca.Function("site_jerk", motion_symbols(at), [squared]))
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        limited = problem.limits.site_jerk if np.isfinite(factor) else {}
-        return with_limits(problem, site_jerk={name: most * factor for name, most in limited.items()})
+        return with_limits(problem, site_jerk=scaled_values(problem.limits.site_jerk, factor))
 
     def _limit(self, problem: Problem) -> tuple[str, float]:
         """Return the site's name and its largest jerk [m/s3]."""

@@ -13,12 +13,11 @@ is the determinant of each block of J_z, relative to home.
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import casadi as ca
 import numpy as np
 
-from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.planner.limits.limit import (
@@ -41,6 +40,7 @@ from linkplan.planner.limits.limit import (
     limited_joints,
     limited_rows,
     scaled_bounds,
+    squared_claim,
     with_limits,
 )
 
@@ -105,13 +105,11 @@ class ClosureForceLimit(Limit):
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
         mechanism = problem.mechanism
         own, rating = mechanism.closure_slice(self.item), float(problem.limits.closure_force[self.item])
-        yield Claimed(
-            name=f"squared closure force of {mechanism.closure_names[self.item]}",
-            unit="N2",
-            bounds=(-np.inf, rating**2),
-            value=lambda at: sum((x * x for x in at.closure_forces[own]), 0 * at.state.q[0]),
-            slack=(0.0, 2 * ROUNDING_SHARE * max(1.0, rating) * rating),
-        )
+
+        def squared(at: Any) -> Any:
+            return sum((x * x for x in at.closure_forces[own]), 0 * at.state.q[0])
+
+        yield squared_claim(f"closure force of {mechanism.closure_names[self.item]}", "N2", rating, squared)
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:

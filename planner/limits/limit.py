@@ -9,7 +9,7 @@ A new kind is one file with a final class that has the members of `Limit`, and o
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Any, ClassVar, Self
@@ -288,6 +288,17 @@ def with_limits(problem: Problem, **changes: Any) -> Problem:
 def scaled_bounds(values: np.ndarray, factor: float) -> np.ndarray:
     """Return bounds (n, 2) times a factor; an infinite one removes zeros too."""
     return values * factor if np.isfinite(factor) else np.broadcast_to([-np.inf, np.inf], np.shape(values)).copy()
+
+
+def scaled_values(values: Mapping[str, float], factor: float) -> dict[str, float]:
+    """Return largest values by name times a factor; an infinite one removes them."""
+    return {name: most * factor for name, most in values.items()} if np.isfinite(factor) else {}
+
+
+def squared_claim(what: str, unit: str, most: float, value: Callable[[Any], Any] | ca.Function) -> Claimed:
+    """Return the claim that a size, given by its square `value`, is at most `most`, except for rounding."""
+    slack = 2 * ROUNDING_SHARE * max(1.0, most) * most
+    return Claimed(name=f"squared {what}", unit=unit, bounds=(-np.inf, most**2), value=value, slack=(0.0, slack))
 
 
 def limited_rows(bounds: np.ndarray) -> list[int]:

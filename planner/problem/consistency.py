@@ -10,7 +10,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.instant import Robust, corner_out_of_reach
 from linkplan.planner.problem.keys.motion_and_limits import Motor
-from linkplan.planner.problem.limits import Limits
+from linkplan.planner.problem.limits import OF_ACTUATORS, OF_JOINTS, Limits
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.objective import Objective
 from linkplan.planner.problem.reference import GuessedPath, Reference
@@ -259,8 +259,8 @@ def check_shapes(
     for k, waypoint in enumerate(motion.waypoints):
         if waypoint.position.shape != (n_s,) or waypoint.speed.shape != (n_s,):
             raise ProblemError(f"motion.waypoints[{k}] has one value for each of {n_s} independent joints")
-    rows = {"effort": mechanism.n_u} | dict.fromkeys(("position", "speed", "acceleration", "jerk"), mechanism.n_q)
-    rows |= {"effort_rate": mechanism.n_u, "power": mechanism.n_u, "closure_force": len(mechanism.closure_names)}
+    rows = dict.fromkeys(OF_ACTUATORS, mechanism.n_u) | dict.fromkeys(OF_JOINTS, mechanism.n_q)
+    rows |= {"closure_force": len(mechanism.closure_names)}
     for name, n_rows in rows.items():
         if len(getattr(limits, name)) != n_rows:
             raise ProblemError(f"limits.{name} needs {n_rows} rows, got {len(getattr(limits, name))}")

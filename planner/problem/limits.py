@@ -12,6 +12,9 @@ from linkplan.planner.problem.keys.motion_and_limits import LimitsSection, Motor
 from linkplan.planner.problem.settings import DERIVED, frozen, interval, joint_values
 from linkplan.planner.problem.sites import BodyLimit, SiteLimit, body_limits_of, site_limits_of
 
+# The fields of `Limits` with one row for each actuator, and for each joint.
+OF_ACTUATORS, OF_JOINTS = ("effort", "effort_rate", "power"), ("position", "speed", "acceleration", "jerk")
+
 
 def free_bounds(n: int) -> np.ndarray:
     """Return infinite [low, high] rows (n, 2)."""
@@ -32,7 +35,7 @@ class Limits:
 
     effort: np.ndarray
     position: np.ndarray
-    speed: np.ndarray
+    speed: np.ndarray = DERIVED
     acceleration: np.ndarray = DERIVED
     jerk: np.ndarray = DERIVED
     effort_rate: np.ndarray = DERIVED
@@ -48,15 +51,14 @@ class Limits:
     def __post_init__(self) -> None:
         object.__setattr__(self, "site", tuple(self.site))
         object.__setattr__(self, "body", tuple(self.body))
-        for name, like in (("effort_rate", "effort"), ("power", "effort"), ("acceleration", "speed"), ("jerk", "speed")):
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, free_bounds(len(getattr(self, like))))
         object.__setattr__(self, "closure_force", frozen(() if self.closure_force is None else self.closure_force))
-        for name in ("effort", "position", "speed", "acceleration", "jerk", "effort_rate", "power"):
-            value = frozen(getattr(self, name))
-            if value.ndim != 2 or value.shape[1] != 2 or np.any(np.isnan(value)):
-                raise ProblemError(f"limits.{name} has one [low, high] a row, got shape {value.shape}")
-            object.__setattr__(self, name, value)
+        for names, like in ((OF_ACTUATORS, self.effort), (OF_JOINTS, self.position)):
+            for name in names:
+                given = getattr(self, name)
+                value = frozen(free_bounds(len(like)) if given is None else given)
+                if value.ndim != 2 or value.shape[1] != 2 or np.any(np.isnan(value)):
+                    raise ProblemError(f"limits.{name} has one [low, high] a row, got shape {value.shape}")
+                object.__setattr__(self, name, value)
 
     @property
     def actuators_effort(self) -> np.ndarray:

@@ -71,13 +71,12 @@ def random_problem(seed: int) -> Problem | None:
     can = reach(mechanism, 0)
     start[0] -= min(_MOST, _SHARE * (start[0] - can.lower.position))
     goal[0] += min(_MOST, _SHARE * (can.upper.position - goal[0]))
-    unlimited = free_bounds(mechanism.n_q)
     return Problem(
         name=f"planar {seed}",
         mechanism=mechanism,
         motion=Motion(kind="reach", start=start, goal=goal, duration_s=_DURATION_S),
         objective="effort",
-        limits=Limits(effort=free_bounds(mechanism.n_u), position=unlimited, speed=unlimited),
+        limits=Limits(effort=free_bounds(mechanism.n_u), position=free_bounds(mechanism.n_q)),
     )
 
 

@@ -8,7 +8,7 @@ import pytest
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.closed_chain.guess import _shortest_duration, _smooth_path, boundary_times, first_guess
-from linkplan.planner.closed_chain.prescribed import Shortfall, reference_demand, rounded_down
+from linkplan.planner.closed_chain.prescribed import rounded_down
 from linkplan.planner.closed_chain.transcribe import choose_scales, own_objective
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -146,31 +146,7 @@ def test_the_own_objective_is_without_what_breaks_ties():
     assert found == pytest.approx(7.0 - 0.5 * 3.0 / 5.0 - 0.25 * 4.0 * 3.0)
 
 
-# Demands of prescribed motions.
-
-
-def test_a_demand_says_how_far_beyond_its_limit_a_motion_goes():
-    effort = Shortfall(what="effort", name="m", needed=120.04, limit=99.9, unit="N.m", time_s=0.25)
-    assert effort.sentence("it") == "it needs m to give 120.0 N.m at t = 0.25 s, 20.14 N.m beyond its limit of 99.9 N.m"
-    speed = Shortfall(what="speed", name="J", needed=-531.26, limit=-450.0, unit="deg/s", time_s=1.0)
-    assert speed.sentence("it") == (
-        "it needs joint J to move at -531.3 deg/s at t = 1 s, 81.26 deg/s beyond its limit of -450.0 deg/s"
-    )
-    reach = Shortfall(what="range", name="J", needed=0.14512, limit=0.12, unit="m", time_s=0.5)
-    assert "to reach 0.1451 m at t = 0.5 s, 0.02512 m beyond its limit of 0.12" in reach.sentence("it")
-
-
 @pytest.mark.parametrize(("value", "rounded"), [(12.34567, 12.34), (0.01239999, 0.01239), (98765.0, 98760.0), (5.0, 5.0)])
 def test_a_bound_is_rounded_down_to_four_digits(value, rounded):
     assert rounded_down(value) == pytest.approx(rounded, rel=1e-12)
     assert rounded_down(value) <= value
-
-
-@pytest.mark.parametrize(("range_deg", "speed_deg_s", "worst"), [(20.0, 30.0, "speed"), (10.0, 60.0, "range")])
-def test_of_two_limits_that_a_reference_exceeds_the_one_of_the_larger_share_is_named(range_deg, speed_deg_s, worst):
-    """It reaches 25 deg and moves at 62.8 deg/s."""
-    problem = body_problem(
-        HINGE, 'kind = "track"\n', "reference.amplitude_deg.J=20", "reference.bias_deg.J=5", "reference.frequency_hz=0.5",
-        f"limits.range_deg.J=[-90, {range_deg}]", f"limits.speed_deg_s.J=[-{speed_deg_s}, {speed_deg_s}]",
-    )  # fmt: skip
-    assert reference_demand(problem, problem.start_pose()).what == worst

@@ -254,7 +254,7 @@ def test_a_short_peak_of_the_force_decides_on_a_motion_that_is_followed_exactly(
     plan = plan_motion(followed(force_over_time=pulse, limits={"effort": {"act_J1": [-limit, limit]}}))
     assert plan.passed is passes
     if not passes:
-        assert plan.message.startswith("infeasible: following the reference exactly needs act_J1 to give")
+        assert plan.message.startswith("infeasible: on the reference the effort of act_J1 comes to")
         assert "at t = 0.1234 s" in plan.message
         assert "least_duration_s" not in plan.details, "another rate would meet another force"
 

@@ -3,17 +3,17 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.closed_chain.prescribed import prescribe, reference_demand
+from linkplan.planner.closed_chain.prescribed import prescribe, reference_overrun
 from linkplan.planner.problem.problem import Problem
 from tests.support.bodies import HINGE, HINGE_INERTIA, body_problem
 
 AMPLITUDE, BIAS, PULSE = np.radians(20.0), np.radians(5.0), 2 * np.pi * 0.5
 
 
-def followed(*more: str) -> Problem:
+def followed(*more: str, motion: str = 'kind = "track"\n') -> Problem:
     """Return the problem of an inertia that follows a sinusoid of 0.5 Hz."""
     sine = ("reference.amplitude_deg.J=20", "reference.bias_deg.J=5", "reference.frequency_hz=0.5")
-    return body_problem(HINGE, 'kind = "track"\n', *sine, *more)
+    return body_problem(HINGE, motion, *sine, *more)
 
 
 def test_a_reference_is_followed_between_the_breaks_too():
@@ -36,23 +36,41 @@ def test_a_followed_reference_has_the_intervals_asked_for_in_each_period_and_at_
 
 
 @pytest.mark.parametrize(("duration", "instant"), [(2.0, 0.5), (0.4, 0.4)], ids=["within", "at the end"])
-def test_the_largest_excess_over_a_range_is_named_with_its_instant(duration, instant):
+def test_the_largest_overrun_of_a_range_is_named_with_its_instant(duration, instant):
     problem = followed("limits.range_deg.J=[-90, 10]", f"motion.duration_s={duration}")
-    demand = reference_demand(problem, problem.start_pose())
-    assert (demand.what, demand.name) == ("range", "J")
-    assert demand.limit == pytest.approx(10.0)
-    assert demand.needed == pytest.approx(5.0 + 20.0 * np.sin(PULSE * instant), rel=1e-6)
-    assert demand.time_s == pytest.approx(instant, abs=1e-4)
+    over = reference_overrun(problem, problem.start_pose())
+    assert (over.what, over.name) == ("position", "J")
+    assert over.limit == pytest.approx(10.0)
+    assert over.value == pytest.approx(5.0 + 20.0 * np.sin(PULSE * instant), rel=1e-6)
+    assert over.time_s == pytest.approx(instant, abs=1e-4)
 
 
-def test_the_largest_excess_over_a_speed_at_the_beginning_is_named_with_its_instant():
+def test_the_largest_overrun_of_a_speed_at_the_beginning_is_named_with_its_instant():
     problem = followed("limits.speed_deg_s.J=[-90, 30]", "motion.duration_s=0.4")
-    demand = reference_demand(problem, problem.start_pose())
-    assert (demand.what, demand.unit) == ("speed", "deg/s")
-    assert demand.needed == pytest.approx(20.0 * PULSE, rel=1e-6)
-    assert demand.time_s == pytest.approx(0.0, abs=1e-4)
+    over = reference_overrun(problem, problem.start_pose())
+    assert (over.what, over.unit) == ("speed", "deg/s")
+    assert over.value == pytest.approx(20.0 * PULSE, rel=1e-6)
+    assert over.time_s == pytest.approx(0.0, abs=1e-4)
 
 
-def test_a_reference_within_its_limits_needs_nothing():
-    problem = followed("limits.range_deg.J=[-90, 26]")
-    assert reference_demand(problem, problem.start_pose()) is None
+@pytest.mark.parametrize(("share", "what"), [(1.01, None), (0.99, "power")])
+def test_a_reference_is_refused_for_any_limit_that_it_overruns(share, what):
+    """The power of J a v is greatest at twice the pulse: I A^2 w^3 / 2."""
+    most = share * HINGE_INERTIA * AMPLITUDE**2 * PULSE**3 / 2
+    problem = followed(f"limits.power_w.motor={most}", "limits.range_deg.J=[-90, 26]")
+    over = reference_overrun(problem, problem.start_pose())
+    assert (None if over is None else over.what) == what
+
+
+@pytest.mark.parametrize(("range_deg", "speed_deg_s", "worst"), [(20.0, 30.0, "speed"), (10.0, 60.0, "position")])
+def test_of_two_limits_that_a_reference_overruns_the_one_of_the_larger_share_is_named(range_deg, speed_deg_s, worst):
+    """It reaches 25 deg and moves at 62.8 deg/s."""
+    ranges = f"limits.range_deg.J=[-90, {range_deg}]"
+    problem = followed(ranges, f"limits.speed_deg_s.J=[-{speed_deg_s}, {speed_deg_s}]")
+    assert reference_overrun(problem, problem.start_pose()).what == worst
+
+
+def test_the_overrun_is_that_of_the_reference_where_the_nearest_motion_has_other_ends():
+    rest = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 0.0 }\nduration_s = 2.0\n'
+    problem = followed("limits.range_deg.J=[-90, 10]", motion=rest)
+    assert reference_overrun(problem, problem.start_pose()).value == pytest.approx(25.0)

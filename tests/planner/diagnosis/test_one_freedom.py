@@ -11,7 +11,7 @@ from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import reasons
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.planning import plan_motion
-from tests.support.bodies import LIFT, body_problem
+from tests.support.bodies import HINGE, LIFT, body_problem
 from tests.support.fourbar import G
 from tests.support.fourbar_problems import random_case
 from tests.support.slider_crank import CRANK, ROD
@@ -20,6 +20,12 @@ from tests.support.slider_crank import CRANK, ROD
 MASS, WEAK, WAY = 2.0, 12.0, 0.4
 TOO_WEAK = LIFT.replace("-30 50", f"-{WEAK} {WEAK}")
 LIFTED = f'kind = "reach"\nstart_deg = {{ J = 0.0 }}\ngoal_deg = {{ J = {WAY} }}\n'.replace("_deg", "_m")
+# A servo of 1 N.m/rad on 1 kg m2, whose ctrl, the angle and the effort, leaves no full effort of 1 N.m above 0.05 rad.
+MOTOR, POSITION = (
+    '<motor name="motor" joint="J" ctrlrange="-4 4"/>',
+    '<position name="s" joint="J" kp="1" ctrlrange="-4 1.05"/>',
+)
+SERVO = HINGE.replace("0.3 0.3 0.3", "1 1 1").replace(MOTOR, POSITION)
 # The least factor is found to 2^(1 / 256) of itself.
 FACTOR = 5e-3
 # Over the outer dead centre, where the slider is furthest out.
@@ -77,3 +83,14 @@ def test_a_thousandth_too_little_time_is_infeasible_though_a_motion_with_errors_
 def test_efforts_that_suffice_are_not_blamed():
     problem = body_problem(LIFT, LIFTED + 'duration_s = "free"\n', "objective.minimize=time")
     assert reasons.efforts_by_the_phase_plane(searching(problem)) is None
+
+
+def test_a_phase_plane_that_leaves_out_a_servo_s_ctrl_does_not_contradict_the_efforts_that_are_missing():
+    """Over a radian in 2.015 s: full effort alone takes 2 s, and within the range of the ctrl 2.033 s."""
+    turn = f'kind = "reach"\nstart_deg = {{ J = 0.0 }}\ngoal_deg = {{ J = {np.degrees(1.0)} }}\nduration_s = 2.015\n'
+    problem = body_problem(SERVO, turn, "limits.effort.s=[-1, 1]")
+    assert searching(problem).quickest.duration_s == pytest.approx(2.0, rel=1e-3)
+    diagnoses = (reasons.efforts_contradicted, reasons.efforts, reasons.nothing_found)
+    plan = plan_motion(problem, methods=(), diagnoses=diagnoses)
+    assert plan.status == "infeasible", plan.message
+    assert plan.details["shortest_duration_s"] == pytest.approx(2.0328, abs=1e-4)

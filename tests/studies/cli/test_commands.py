@@ -108,7 +108,7 @@ def test_an_infeasible_problem_is_answered_in_a_sentence_and_writes_nothing(ask_
     code, said = ask_json("plan", "knee-sine", "--set", "mechanism.payload=shank", "-o", str(tmp_path / "none"))
     assert code == 1
     assert said["status"] == "infeasible"
-    assert "act_O to give 120.0 N.m at t = 0.1875 s" in said["message"]
+    assert "the effort of act_O comes to 120 N.m at t = 0.1875 s" in said["message"]
     assert "limit of 100" in said["message"]
     assert not (tmp_path / "none").exists()
 

@@ -30,13 +30,13 @@ def many() -> Plan:
     )
     motors = "".join(f'<motor name="m{k}" joint="j{k}" ctrlrange="-9 9"/>' for k in range(len(KINDS)))
     mechanism = load_mechanism(f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>")
-    n, unlimited = len(KINDS), free_bounds(len(KINDS))
+    n = len(KINDS)
     problem = Problem(
         name="many",
         mechanism=mechanism,
         motion=Motion(kind="reach", start=np.zeros(n), goal=np.ones(n), duration_s=1.0),
         objective="effort",
-        limits=Limits(effort=mechanism.effort_limit, position=unlimited, speed=unlimited),
+        limits=Limits(effort=mechanism.effort_limit, position=free_bounds(n)),
     )
     ones = np.ones((1, n))
     trajectory = motion_along([0.0, 1.0], [0 * ones, 0 * ones, ones, ones], effort=[6 * ones, -6 * ones])
