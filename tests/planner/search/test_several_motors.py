@@ -127,7 +127,7 @@ def test_a_motion_that_overruns_its_efforts_a_little_passes_if_it_is_a_little_sl
         return
     assert plan.status == "feasible"
     assert plan.trajectory.duration_s == pytest.approx(factor * quickest.trajectory.duration_s)
-    assert plan.with_proof().proof.verdict == "proved"
+    assert plan.certificate.effort_overrun.max() <= 1.0
     motion = replace(plan.problem.motion, max_duration_s=quickest.trajectory.duration_s)
     assert slower(replace(plan.problem, motion=motion), [quickest.trajectory]) is None
 
