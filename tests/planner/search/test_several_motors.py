@@ -132,6 +132,7 @@ def test_a_motion_that_overruns_its_efforts_a_little_passes_if_it_is_a_little_sl
     assert slower(replace(plan.problem, motion=motion), [quickest.trajectory]) is None
 
 
+@pytest.mark.slow
 def test_a_least_time_with_joints_along_their_speed_limits_is_proved(tmp_path):
     """Efforts jump where a joint reaches or leaves its speed limit; planned as jumps inside intervals they were refuted."""
     write_robots(tmp_path, ["speed"])
