@@ -95,6 +95,6 @@ def pose_advance(mechanism: Mechanism, trajectory: Trajectory) -> np.ndarray:
     """Return the advance (n_q,) [rad] of all joints over a period of a periodic motion: whole turns or zero."""
     if not np.any(trajectory.advance):
         return np.zeros(mechanism.n_q)
-    time = trajectory.dense_times(10)
+    time = trajectory.dense_times()
     poses = follow(mechanism, trajectory.position_at(time), trajectory.start_pose)
     return whole_turns(mechanism, poses[-1] - poses[0])

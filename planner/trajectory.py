@@ -24,7 +24,7 @@ class OnIntervals:
         """The duration [s]."""
         return float(self.breaks_s[-1] - self.breaks_s[0])
 
-    def dense_times(self, per_interval: int) -> np.ndarray:
+    def dense_times(self, per_interval: int = 10) -> np.ndarray:
         """Return increasing times: every interval's two ends and `per_interval` - 1 times between them.
 
         A break appears twice, just before and at it, so that both sides of a jump in effort are included.
@@ -37,7 +37,7 @@ class OnIntervals:
         """Return the times (n_intervals * n,) at shares (n,) of every interval."""
         return (self.breaks_s[:-1, None] + np.diff(self.breaks_s)[:, None] * points).ravel()
 
-    def quadrature(self, per_interval: int) -> tuple[np.ndarray, np.ndarray]:
+    def quadrature(self, per_interval: int = 10) -> tuple[np.ndarray, np.ndarray]:
         """Return times and weights (n_intervals * per_interval,) [s] of Gauss-Legendre quadrature on every interval."""
         nodes, weights = np.polynomial.legendre.leggauss(per_interval)
         return self.times_at(0.5 + 0.5 * nodes), (np.diff(self.breaks_s)[:, None] * 0.5 * weights).ravel()

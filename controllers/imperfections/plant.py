@@ -182,7 +182,7 @@ def admit(model: mujoco.MjModel, actuator: Actuator, low: float, high: float) ->
 
     A servo keeps its ctrl range, which limits positions or speeds.
     """
-    force_range = _force_range(low, high)
+    force_range = np.nan_to_num((low, high))  # MuJoCo has no infinite ranges
     index, on = actuator.index, int(model.actuator_trnid[actuator.index, 0])
     if not actuator.is_servo:
         ends = sorted((end - actuator.biases[0]) / actuator.gain for end in (low, high))
@@ -195,7 +195,7 @@ def admit(model: mujoco.MjModel, actuator: Actuator, low: float, high: float) ->
         model.actuator_forcerange[index] = force_range
     kind = int(model.actuator_trntype[index])
     if actuator.joint is not None and model.jnt_actfrclimited[on]:
-        model.jnt_actfrcrange[on] = _force_range(*sorted((low * actuator.gear, high * actuator.gear)))
+        model.jnt_actfrcrange[on] = np.nan_to_num(sorted((low * actuator.gear, high * actuator.gear)))
     if kind == int(mujoco.mjtTrn.mjTRN_TENDON):
         if model.tendon_actfrclimited[on]:
             model.tendon_actfrcrange[on] = force_range
@@ -204,11 +204,6 @@ def admit(model: mujoco.MjModel, actuator: Actuator, low: float, high: float) ->
             if model.jnt_actfrclimited[joint] and arm:
                 # The actuator's limit already accounts for the joint's limit.
                 model.jnt_actfrclimited[joint] = False
-
-
-def _force_range(low: float, high: float) -> tuple[float, float]:
-    """Return a force range for MuJoCo, which has no infinite ranges."""
-    return (low, high) if np.isfinite(low) and np.isfinite(high) else (-1e30, 1e30)
 
 
 def _set_loop_softness(model: mujoco.MjModel, machine: Machine) -> None:

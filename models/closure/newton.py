@@ -220,9 +220,8 @@ def constant_combination(
 ) -> np.ndarray | None:
     """Return the constant C with J_rows = C J_kept in all sampled Jacobians (n_rows, n_q), or None if there is none."""
     maps = [J[rows] @ np.linalg.pinv(J[kept]) for J in samples]
-    size = max(1.0, *(np.abs(J[rows]).max() for J in samples))
-    residual = max(np.abs(J[rows] - C @ J[kept]).max() for J, C in zip(samples, maps, strict=True))
-    same = residual <= tolerance * size and max(np.abs(C - maps[0]).max() for C in maps) <= tolerance
+    exact = [np.allclose(C @ J[kept], J[rows], tolerance, tolerance) for J, C in zip(samples, maps, strict=True)]
+    same = all(exact) and np.allclose(maps, maps[0], tolerance, tolerance)
     return maps[0] if same else None
 
 

@@ -67,14 +67,14 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
         return null @ (null.T @ tau)  # independent of the null space's basis, which may jump from pose to pose
 
     def slope(x: np.ndarray) -> np.ndarray:
-        """Return d(P tau), P = N N^T = 1 - R R^+: P (dtau - dR u) - R^+^T dR^T P tau at the held effort u = R^+ tau."""
+        """Return d(P tau) of P = N N^T by Kaufman (BIT 15, 1975): P (dtau - dR u) at the held effort u = R^+ tau.
+
+        The rest of the derivative has the factor P tau, which vanishes at an equilibrium.
+        """
         pose = closed(x)
         tau, arms, null = efforts(pose)
-        inverse, rest = np.linalg.pinv(arms), np.zeros(mechanism.dof)
-        rest[kept] = null @ (null.T @ tau)
-        by_rest, by_arms = (np.array(part) for part in slopes(pose, inverse @ tau, rest))
-        gamma = np.array(mechanism.dynamics.velocity_map(pose))[:, columns]
-        return null @ (null.T @ by_rest[kept] @ gamma) - inverse.T @ (by_arms @ gamma)
+        unheld = np.array(slopes(pose, np.linalg.pinv(arms) @ tau))[kept]
+        return null @ (null.T @ unheld @ np.array(mechanism.dynamics.velocity_map(pose))[:, columns])
 
     # On the way to a balance each step takes more than 1e-10 of the effort squared away. With less it creeps, for thousands
     # of steps, towards a least effort that is not zero. The unknowns are deflections: scipy's first step is as long as the
@@ -96,12 +96,9 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
 
 @functools.lru_cache(maxsize=16)
 def slopes_at_rest(mechanism: Mechanism) -> ca.Function:
-    """Return q, u, r -> the derivatives by q, at constant u and r, of tau(q, 0, 0) - R u (n_s, n_q) and R^T r (n_u, n_q)."""
-    dynamics, still = mechanism.dynamics, ca.SX.zeros(mechanism.dof)
-    q, u, r = (ca.SX.sym(name, n) for name, n in (("q", mechanism.n_q), ("u", mechanism.n_u), ("r", mechanism.dof)))
-    unheld = dynamics.residual(q, still, still, u)
-    arms = ca.jacobian(dynamics.effort_map(q).T @ r, q)
-    return ca.Function("slopes_at_rest", [q, u, r], [ca.jacobian(unheld, q), arms])
+    """Return q, u -> the derivative (n_s, n_q) of tau(q, 0, 0) - R u by q at constant u."""
+    still, q, u = ca.SX.zeros(mechanism.dof), ca.SX.sym("q", mechanism.n_q), ca.SX.sym("u", mechanism.n_u)
+    return ca.Function("slopes_at_rest", [q, u], [ca.jacobian(mechanism.dynamics.residual(q, still, still, u), q)])
 
 
 def rests_on_stops(mechanism: Mechanism, named: Mapping[int, float], unnamed: tuple[int, ...]) -> dict[int, float]:

@@ -8,9 +8,6 @@ from linkplan.planner.limits.samples import actuator_speeds
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
-# Gauss-Legendre points of an interval, for the integrals.
-_QUADRATURE_POINTS = 10
-
 
 class Demand(Struct, frozen=True, kw_only=True):
     """The demand of a motion on one actuator, in its own effort and motion.
@@ -38,7 +35,7 @@ def demands_of(problem: Problem, trajectory: Trajectory) -> tuple[Demand, ...]:
     Raises:
         AssemblyError: when the loops cannot close along the motion.
     """
-    inner, width = trajectory.quadrature(_QUADRATURE_POINTS)
+    inner, width = trajectory.quadrature()
     _, _, power = operating_points(problem, trajectory, inner)
     rms, time = rms_efforts(trajectory), trajectory.dense_times(20)
     given, taken = width @ np.maximum(power, 0.0), width @ np.maximum(-power, 0.0)
@@ -65,7 +62,7 @@ def demands_of(problem: Problem, trajectory: Trajectory) -> tuple[Demand, ...]:
 
 def rms_efforts(trajectory: Trajectory) -> np.ndarray:
     """Return the rms efforts (n_u,) [N.m or N] of a motion."""
-    inner, width = trajectory.quadrature(_QUADRATURE_POINTS)
+    inner, width = trajectory.quadrature()
     return np.sqrt(width @ trajectory.effort_at(inner) ** 2 / trajectory.duration_s)
 
 

@@ -26,9 +26,6 @@ from linkplan.planner.problem.objective import motor_losses
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
-# Gauss-Legendre points per interval.
-_QUADRATURE_POINTS = 10
-
 
 def disagreements(problem: Problem, trajectory: Trajectory, objective: float | None) -> tuple[str, ...]:
     """Return sentences on the differences between a motion and its problem or its saved objective; empty if there are none.
@@ -59,7 +56,7 @@ def _off_states(problem: Problem, trajectory: Trajectory) -> list[str]:
     motion, span = problem.motion, max(float(np.ptp(trajectory.position)), 1e-9)
     reference = problem.reference_over(trajectory.duration_s)
     if motion.kind == "track" and reference is not None:
-        time = trajectory.dense_times(_QUADRATURE_POINTS)
+        time = trajectory.dense_times()
         off = np.abs(trajectory.position_at(time) - reference.derivative(time - trajectory.breaks_s[0])).max()
         # The polynomials of an exactly followed reference miss it by less than 1e-8 of its span, with forty in a period.
         return [f"the reference is missed by {off / span:.3g} of its range"] if not off <= BOUNDARY_SHARE * span else []
@@ -123,7 +120,7 @@ def objective_value(problem: Problem, trajectory: Trajectory) -> tuple[float, fl
     Raises:
         AssemblyError: when the loops cannot close along the motion.
     """
-    time, width = trajectory.quadrature(_QUADRATURE_POINTS)
+    time, width = trajectory.quadrature()
     objective, reference = problem.objective, problem.reference_over(trajectory.duration_s)
     at, symbols = free_instant(problem.mechanism, motor_losses(problem.motors))
     integrands = ca.vertcat(*(objective.weight(name) * term.integrand(at) for name, term in objective.terms.items()))

@@ -146,7 +146,7 @@ def motion_table(
         AssemblyError: when the loops do not close along the motion.
     """
     mechanism = problem.mechanism
-    dense = trajectory.dense_times(10)  # near enough to follow the loops from sample to sample
+    dense = trajectory.dense_times()  # near enough to follow the loops from sample to sample
     time = (dense if jumps else _single_valued(dense)) if time_s is None else np.asarray(time_s, dtype=float)
     # Loops are followed along the whole motion, so the order and distance of the given times do not matter.
     along, back = np.unique(np.concatenate([dense, trajectory.times_within(time)]), return_inverse=True)
@@ -391,6 +391,6 @@ def tracking_errors(plan: Plan) -> tuple[float, float] | None:
     def squared(time: np.ndarray) -> np.ndarray:
         return np.square(trajectory.position_at(time) - reference.derivative(time - trajectory.breaks_s[0])).sum(axis=1)
 
-    time, width = trajectory.quadrature(8)
+    time, width = trajectory.quadrature()
     largest = squared(trajectory.dense_times(16)).max()
     return float(np.sqrt(width @ squared(time) / trajectory.duration_s)), float(np.sqrt(largest))

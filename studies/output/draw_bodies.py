@@ -125,7 +125,7 @@ def draw_sites(axes, plan: Plan) -> None:
     The mechanism is pale at start and end. A point is shaded if it is forbidden at every depth of the path.
     """
     mechanism, motion = plan.problem.mechanism, plan.trajectory
-    q = follow(mechanism, motion.position_at(motion.dense_times(10)), motion.start_pose)
+    q = follow(mechanism, motion.position_at(motion.dense_times()), motion.start_pose)
     right, up = view(mechanism.model)
     across = np.cross(right, up)
     flat = np.stack([right, up], axis=1)

@@ -93,7 +93,7 @@ def _mechanism_text(plan: Plan) -> str:
 def _animation(plan: Plan, group: str, period: float | None) -> Block:
     problem, trajectory = plan.problem, plan.trajectory
     mechanism = problem.mechanism
-    dense = trajectory.dense_times(10)
+    dense = trajectory.dense_times()
     shown = np.linspace(trajectory.breaks_s[0], trajectory.breaks_s[-1], frames_of(mechanism))
     shown[-1] = dense[-1]  # the end of a periodic motion, which would else be mapped to its start
     every, back = np.unique(np.concatenate([dense, shown]), return_inverse=True)

@@ -91,7 +91,7 @@ class OdePlan(ode_planned.OdePlan, Shown):
         if self.trajectory is None:
             raise LinkplanError(f"no motion to sample: {self.message}")
         end_s = self.trajectory.duration_s
-        time = self.trajectory.dense_times(10) if time_s is None else np.atleast_1d(planned.asked_times(time_s, end_s))
+        time = self.trajectory.dense_times() if time_s is None else np.atleast_1d(planned.asked_times(time_s, end_s))
         columns = {"time [s]": time}
         for names, values in (
             (self.problem.states, self.trajectory.state_at(time)),

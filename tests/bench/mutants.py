@@ -1,11 +1,11 @@
 """Mutants: small changes of models, planner and controllers, and whether the nearest tests detect them.
 
-    python -m tests.bench.mutants [--count 60] [--seed 1] [--kind all|inline|other] [--under DIR] [--slow] [--timeout 600]
+    python -m tests.bench.mutants [--count 60] [--seed 1] [--kind all|inline|other] [--under DIR] [--timeout 600]
 
 Each mutant changes one named or inline number, sign, comparison or bound in a copy of the tree. The nearest tests are the
-file of the same name, the files that import the changed one, and the folder of the same name. They run until the first
-failure, which counts if that test passes without the change. The script prints every mutant with "detected", "timed out" or
-"SURVIVED", and the share that did not survive.
+files of the same name, the files that import the changed one, and the folder of the same name; the slow ones among them run
+last. They run until the first failure, which counts if that test passes without the change. The script prints every mutant
+with "detected", "timed out" or "SURVIVED", and the share that did not survive.
 """
 
 import argparse
@@ -31,6 +31,8 @@ COMPARISONS = {ast.Lt: ">", ast.LtE: ">", ast.Gt: "<", ast.GtE: "<"}
 OPERATORS = {ast.Add: "-", ast.Sub: "+"}
 BOUNDS = {"maximum": "minimum", "minimum": "maximum", "max": "min", "min": "max", "fmax": "fmin", "fmin": "fmax"}
 NUMBER_FACTOR = 10.0
+# Pytest's exit code where it has selected no test.
+NO_TESTS = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -95,42 +97,42 @@ def mutants_of(path: Path) -> Iterator[Mutant]:
 
 
 def nearest_tests(path: Path) -> list[str]:
-    """Return the tests nearest to a file: that of its own name, those that import it (its folder's first), its folder."""
+    """Return the tests nearest to a file: those of its name, those that import it (its folder's first), its folder."""
     folder = Path("tests") / path.parent
     folder = folder if (ROOT / folder).is_dir() else folder.parent
     module = "linkplan." + ".".join(path.with_suffix("").parts)
-    importing = [test for test in sorted((ROOT / "tests").rglob("test_*.py")) if module in test.read_text(encoding="utf-8")]
-    importing.sort(key=lambda test: ROOT / folder not in test.parents)
-    own = ROOT / folder / f"test_{path.name}"
-    files = [*([own] if own.is_file() else []), *importing]
+    every = sorted((ROOT / "tests").rglob("test_*.py"), key=lambda test: (ROOT / folder not in test.parents, test))
+    named = [test for test in every if test.name == f"test_{path.name}"]
+    files = [*named, *(test for test in every if module in test.read_text(encoding="utf-8"))]
     return [*dict.fromkeys(str(test.relative_to(ROOT)) for test in files), str(folder)]
 
 
-def verdict_on(mutant: Mutant, copy: Path, *, slow: bool, timeout_s: float) -> str:
+def verdict_on(mutant: Mutant, copy: Path, *, timeout_s: float) -> str:
     """Return "detected" if the nearest tests fail with the change only, else "SURVIVED"; the copy is as before afterwards.
 
     "timed out" means that they take longer than `timeout_s`: an endless loop, if they take less without the change.
     """
-    target, marks = copy / mutant.path, [] if slow else ["-m", "not slow"]
+    target = copy / mutant.path
 
-    def failed(tests: list[str]) -> list[str]:
-        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", *marks, *tests]
+    def failed(tests: list[str], mark: str) -> list[str]:
+        command = [sys.executable, "-m", "pytest", "-x", "-q", "-p", "no:cacheprovider", "-m", mark, *tests]
         environment = {**os.environ, "PYTHONPATH": str(copy)}  # commands that tests start import the copy, too
         run = subprocess.run(
             command, cwd=copy, env=environment, capture_output=True, text=True, timeout=timeout_s, check=False
         )
         words = [line.split(" ")[1] for line in run.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
-        return words or tests if run.returncode else []
+        return words or tests if run.returncode not in (0, NO_TESTS) else []
 
     source = target.read_text(encoding="utf-8")
     target.write_text(mutant.applied_to(source), encoding="utf-8")
+    nearest = nearest_tests(mutant.path)
     try:
-        first = failed(nearest_tests(mutant.path))
+        first = failed(nearest, "not slow") or failed(nearest, "slow")
     except subprocess.TimeoutExpired:
         return "timed out"
     finally:
         target.write_text(source, encoding="utf-8")
-    return "detected" if first and not failed([re.sub(r"\[.*", "", test) for test in first]) else "SURVIVED"
+    return "detected" if first and not failed([re.sub(r"\[.*", "", test) for test in first], "") else "SURVIVED"
 
 
 def main() -> int:
@@ -142,7 +144,6 @@ def main() -> int:
         "--kind", choices=("all", "inline", "other"), default="all", help="inline numbers alone, or all else"
     )
     parser.add_argument("--under", nargs="*", default=PACKAGES, help="folders whose files are changed (all)")
-    parser.add_argument("--slow", action="store_true", help="run the slow tests, too")
     parser.add_argument("--timeout", type=float, default=600.0, help="longest run of the tests of one mutant [s]")
     arguments = parser.parse_args()
     files = [path.relative_to(ROOT) for package in arguments.under for path in sorted((ROOT / package).rglob("*.py"))]
@@ -160,7 +161,7 @@ def main() -> int:
             else:
                 shutil.copy(source, copy / name)
         for number, mutant in enumerate(drawn, 1):
-            verdict = verdict_on(mutant, copy, slow=arguments.slow, timeout_s=arguments.timeout)
+            verdict = verdict_on(mutant, copy, timeout_s=arguments.timeout)
             detected += verdict != "SURVIVED"
             print(f"{number}/{len(drawn)} {verdict}: {mutant.words()}", flush=True)
     print(f"{detected} of {len(drawn)} detected ({detected / len(drawn):.0%}), out of {len(every)} possible mutants")

@@ -57,6 +57,11 @@ def test_home_begins_again_with_the_first_gains():
     assert again.begun == START.begun + 1
 
 
+def test_every_key_has_the_code_of_the_window_s_library():
+    glfw = pytest.importorskip("glfw", reason="glfw is not installed")
+    assert {name: getattr(glfw, f"KEY_{name.replace('.', 'period')}".upper()) for name in KEY} == KEY
+
+
 def test_a_key_of_mujocos_own_changes_nothing():
     assert all(pressed(START, key) == START for key in range(400) if key not in KEYS)
 

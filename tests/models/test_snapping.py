@@ -84,6 +84,18 @@ def test_axes_that_are_parallel_to_rounding_count_as_parallel():
     assert linkplan.load_mechanism(tilted).dof == 1
 
 
+def test_the_anchor_of_each_loop_is_moved():
+    pin = '<connect name="pin" site1="end of coupler" site2="end of rocker"/>'
+    text = BETWEEN_BODIES.format(offset=0.0, axis="0 1 0", site=0.002, equality=pin)
+    text = text.replace('mass="0.2" diaginertia="1e-4 1e-4 1e-4"/>\n        </body>', _END_OF_COUPLER)
+    (first,) = re.findall(r'<body name="crank">.*</body>(?=\s*</body>\s*</worldbody>)', text, flags=re.DOTALL)
+    for part in (first, pin):
+        text = text.replace(part, part + re.sub(r'(name|site1|site2)="(.*?)"', r'\1="\2 2"', part))
+    mechanism = linkplan.load_mechanism(text)
+    assert len([note for note in mechanism.notes if "moved by 2 mm" in note]) == 2
+    assert mechanism.gap_m(mechanism.home) < 1e-15
+
+
 def test_the_written_model_has_the_moved_anchor():
     mechanism = linkplan.load_mechanism(knee(1e-3))
     again = linkplan.load_mechanism(whole_model_text(mechanism))

@@ -54,6 +54,8 @@ def test_a_bend_leaves_the_ends_where_they_are_and_is_the_same_in_every_run():
     assert np.all(np.abs(once[0]).max(axis=0) > 0.01 * span)
     assert not np.allclose(once[0], perturbation(8, TAU, span)[0])
     assert 0.5 <= once[1] <= 2.0
+    waves = np.sin(np.pi * np.outer(TAU, [1, 2, 3]))
+    np.testing.assert_allclose(waves @ np.linalg.lstsq(waves, once[0], rcond=None)[0], once[0], atol=UNIT)
 
 
 def test_a_bend_is_as_large_as_the_motion_it_bends():

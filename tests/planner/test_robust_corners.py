@@ -1,5 +1,6 @@
 """Robust plans against MuJoCo's own inverse dynamics of every corner's machine, the loop's constraint left out of it."""
 
+from functools import cache
 from importlib import resources
 
 import mujoco
@@ -35,13 +36,21 @@ def loop(model: mujoco.MjModel, q: np.ndarray) -> np.ndarray:
     return data.efc_J.reshape(-1, model.nv)[rows].copy()
 
 
+@cache
+def machine(payload_factor: float) -> mujoco.MjModel:
+    """Return the model of a machine with a factor on its payload."""
+    _, model, _ = compile_model(TWO_MOTORS, SHANK.scaled(payload_factor))
+    model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    return model
+
+
 def missing(mechanism: Mechanism, corner: Corner, q, s_rate, s_acceleration, efforts) -> tuple[float, float]:
     """Return the generalised effort that a machine lacks for a motion under efforts [N.m], and what it needs at all.
 
     The tree's inverse dynamics with the loop cut, along the loop's null space: pin forces do no work there.
     """
-    _, model, _ = compile_model(TWO_MOTORS, SHANK.scaled(corner.payload_factor))
-    model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
+    model = machine(corner.payload_factor)
+    model.opt.disableflags &= ~int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
     null = scipy.linalg.null_space(loop(model, q), rcond=1e-9)
     gamma = null @ np.linalg.inv(null[mechanism.independent])
     rates, h = gamma @ s_rate, 1e-5

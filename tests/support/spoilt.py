@@ -98,7 +98,7 @@ def answers_beside_limits(mechanism: Mechanism, rng: np.random.Generator) -> lis
             beside, chosen = problem, []
             for kind, sign in zip(group, signs, strict=True):
                 top = largest(kind, problem, moving, sign)
-                scale = float(np.ptp(kind.values(samples_at(problem, moving, moving.dense_times(10)))))
+                scale = float(np.ptp(kind.values(samples_at(problem, moving, moving.dense_times()))))
                 absolute = not kind.words.startswith(("effort of", "planned effort of"))
                 if abs(top) < 1e-3 * scale or absolute * abs(top) < _SMALLEST:
                     continue  # a limit at zero has no share

@@ -27,8 +27,6 @@ REDUCED = 1e-10
 # MuJoCo's soft constraint extrapolated in (1 - d) / d from impedances d = 0.999 and 0.9999, relative: what is left is of
 # second order, 1e-3 * 1e-4 times a factor of the effective masses. Measured 4e-7; unextrapolated it would be 1e-3.
 SOFT_LIMIT = 1e-5
-# The order with which MuJoCo's acceleration approaches ours, 1 in (1 - d) / d. Measured 0.94 to 1.01.
-SOFT_ORDER = 0.1
 # Five-point central differences with a step of 1e-3 rad, relative: h^4 / 30 of the fifth derivative. Measured 1e-8.
 DIFFERENCES = 1e-7
 # Energy gained against work less dissipation, relative to the larger of the two, integrated to 1e-11. Measured 2e-11.
@@ -95,15 +93,12 @@ MISSED_NM = 1e-9
 PRINTED_DEG = 0.01
 PRINTED_M = 1e-6
 PRINTED_N = 1.0
-SOURCE_GAP_M = 5e-4
 # The five-bar's largest holding torque [N.m] on a grid of poses.
 HELD_NM = 0.01
 # Generalised forces [N.m] at a rest that was found by Newton on springs of 1e2 N.m/rad.
 REST_EFFORT = 1e-6
 # Andrews' published start [rad]: tabulated to sixteen digits.
 START_POSE = 1e-14
-# The cart with the pole's point mass, relative: the file gives the pole a moment of 1e-10 kg m2.
-POLE_INERTIA = 1e-8
 
 
 def relative_error(actual: object, expected: object) -> float:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from linkplan.models.closure.newton import CLOSED_M
 from linkplan.models.errors import AssemblyError, LinkplanError, ModelError
 from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses import assembly
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.reach import reach
 from tests.support.four_bars import PLAIN, load, random_bars
@@ -242,6 +243,13 @@ def test_every_pose_of_a_path_is_closed_at_the_asked_position(name):
     poses = follow(mechanism, s)
     assert np.array_equal(poses[:, mechanism.independent], s)
     assert max(mechanism.gap_m(q) for q in poses) < CLOSED_M
+
+
+def test_a_regular_path_needs_no_slow_steps_between_its_far_points(monkeypatch):
+    monkeypatch.setattr(assembly, "advance", lambda *_: pytest.fail("adaptive steps along a regular path"))
+    q_O = CRANK_ROCKER.drawn + np.array([1.0, 3.0, 2.0])
+    poses = follow(load(CRANK_ROCKER), q_O[:, None])
+    assert np.abs(wrapped(poses - CRANK_ROCKER.pose(q_O))).max() < ANGLE_RAD
 
 
 def test_a_far_position_is_reached_on_the_branch_without_a_path():

@@ -165,6 +165,16 @@ def test_a_gate_thinner_than_a_step_of_the_samples_is_not_jumped():
     assert data.contact.dist.min() == pytest.approx(0.0, abs=mechanism.extent_m * TOUCHING)
 
 
+def test_a_body_of_several_geoms_does_not_jump_a_gate():
+    """MuJoCo looks at boxes around whole bodies first; neither sample's box of both balls is near the plate."""
+    text = """<mujoco><worldbody><geom type="box" size="1e-5 0.01 0.01" pos="0.05 0 0"/>
+<body><joint name="x" type="slide" axis="1 0 0"/><geom size="0.001"/><geom size="0.001" pos="0 0.1 0"/></body></worldbody>
+<actuator><motor joint="x" ctrlrange="-1 1"/></actuator></mujoco>"""
+    time = np.array([0.0, 0.03, 0.06, 0.1])
+    (met,) = meetings(load_mechanism(text), time, time[:, None], lambda t: np.asarray(t)[:, None])
+    assert met.since_s == pytest.approx(0.05 - 1e-5 - 0.001, abs=TOUCHING)
+
+
 def test_a_filtered_pair_is_no_contact(free):
     excluded = with_block().replace("<equality>", '<contact><exclude body1="world" body2="rocker"/></contact><equality>')
     assert judged(free, excluded).status == "optimal"

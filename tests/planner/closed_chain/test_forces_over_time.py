@@ -1,5 +1,7 @@
 """Forces over time: efforts and pin forces by MuJoCo and virtual work, limits that a peak of the force binds, refusals."""
 
+from functools import cache
+
 import mujoco
 import numpy as np
 import pytest
@@ -42,6 +44,12 @@ def steering(**arguments) -> Problem:
     """Return the problem of the steering linkage, with a side force over time on its tyre."""
     given = {"force_over_time": table("tyre", x=6 * PUSH, y=-100 * PUSH)} | STEER | arguments
     return Problem.reach(load_mechanism(STEERING.format(clamp="")), **given)
+
+
+@cache
+def steered() -> Plan:
+    """Return the plan of the steering linkage, made once."""
+    return plan_motion(steering()).require()
 
 
 def curve(interpolation: str):
@@ -118,6 +126,7 @@ def test_pin_forces_at_rest_balance_the_force_of_their_instant():
         assert knuckle[k] == pytest.approx(np.hypot(planar, 9 * 9.81), rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_constant_table_is_the_constant_force():
     constant = {"time_s": [0.0, T], "on": {"tyre": {axis: [f, f] for axis, f in zip("xyz", FORCE, strict=True)}}}
     over_time = plan_motion(steering(force_over_time=constant)).require()
@@ -130,7 +139,7 @@ def test_a_constant_table_is_the_constant_force():
 
 
 def test_a_lifted_program_has_the_same_motion(monkeypatch):
-    plain = plan_motion(steering()).require()
+    plain = steered()
     monkeypatch.setattr(mechanics, "_MAX_ELIMINATION_OPERATIONS", 0)
     lifted = steering()
     assert mechanics.is_lifted(lifted.mechanism)
@@ -164,8 +173,9 @@ def jacobian_of(model: mujoco.MjModel, q: np.ndarray) -> np.ndarray:
     return found
 
 
+@pytest.mark.slow
 def test_a_limit_on_a_pin_force_counts_the_force():
-    free = plan_motion(steering()).require()
+    free = steered()
     limit = 0.9 * float(free.certificate.peak_closure_force[0])
     name = free.problem.mechanism.closure_names[0]
     tight = plan_motion(steering(limits={"closure_force": {name: limit}})).require()
@@ -177,7 +187,7 @@ def test_costs_and_limits_of_the_user_s_own_are_taken_under_the_force():
     cost = ExtraCost(name="squares", expression=lambda at: (at.effort["rack"] / 100.0) ** 2, unit="s")
     most = ExtraLimit(name="most", expression=lambda at: at.effort["rack"], lower=-4e3, upper=4e3, unit="N")
     own = plan_motion(steering(minimize={}, extra_costs=[cost], extra_limits=[most])).require()
-    assert own.objective == pytest.approx(plan_motion(steering()).objective / 1e4, rel=1e-3)
+    assert own.objective == pytest.approx(steered().objective / 1e4, rel=1e-3)
     assert all_are_proved(own)
 
 
@@ -232,7 +242,7 @@ def test_a_peak_between_the_nodes_is_seen_by_certificate_and_proof():
 
 
 def test_a_plan_keeps_a_limit_that_the_force_binds():
-    free = plan_motion(steering()).require()
+    free = steered()
     limit = 0.9 * float(free.certificate.peak_effort[0])
     tight = plan_motion(steering(limits={"effort": {"rack": [-limit, limit]}})).require()
     assert tight.certificate.peak_effort[0] == pytest.approx(limit, rel=1e-3)
@@ -268,7 +278,7 @@ def test_a_problem_file_reads_a_table_and_a_saved_plan_keeps_it(tmp_path):
         'start_m.rack = -0.02\ngoal_m.rack = 0.03\n[force_over_time]\nfile = "load.csv"\n'
     )
     plan = plan_motion(Problem.from_file(tmp_path / "steer.toml")).require()
-    assert plan.objective == pytest.approx(plan_motion(steering()).objective, rel=1e-9)
+    assert plan.objective == pytest.approx(steered().objective, rel=1e-9)
     (tmp_path / "plan").mkdir()
     write_plan(plan, tmp_path / "plan")
     (tmp_path / "load.csv").unlink()

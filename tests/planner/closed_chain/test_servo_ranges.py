@@ -94,6 +94,7 @@ def test_the_least_time_of_a_gripper_is_that_of_its_servos_range():
     assert -1e-3 < overrun(found) < CTRL, "and the range binds"
 
 
+@pytest.mark.slow
 def test_a_quick_motion_of_least_effort_keeps_the_servos_range():
     found = plan(gripper(), "effort", duration_s=0.06)
     assert found.certificate.passed, found.certificate.failures

@@ -18,6 +18,7 @@ def test_a_servo_with_room_is_planned():
     assert plan.status == "optimal", plan.message
 
 
+@pytest.mark.slow
 def test_a_servo_that_pulls_back_with_all_its_force_at_the_goal_is_planned_with():
     """At 60 deg any ctrl to 0.5 pulls back with the 20 N.m at which its forcerange ends: so it slows down and arrives."""
     plan = body_plan(SERVO.format(reach=0.5), REACH.replace("0.8", "0.5"))

@@ -67,7 +67,7 @@ def test_a_limit_at_the_largest_speed_passes_above_it_and_fails_below(joint):
         q = follow(mechanism, trajectory.position_at(np.array([time_s])), trajectory.start_pose)
         return -abs(joint_rates(mechanism, q, trajectory.velocity_at(np.array([time_s])))[0, i])
 
-    times = trajectory.dense_times(10)
+    times = trajectory.dense_times()
     at = times[int(np.argmin([slowness(t) for t in times]))]
     around = (at - 1e-3, at + 1e-3)
     peak = -scipy.optimize.minimize_scalar(slowness, bounds=around, method="bounded", options={"xatol": 1e-9}).fun

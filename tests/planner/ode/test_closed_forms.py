@@ -33,7 +33,7 @@ def test_a_lever_that_grows_with_time_is_pushed_in_proportion_to_it():
     )
     slope = 3 * 2 / 1.5**3
     assert plan.objective == pytest.approx(2 * slope, rel=ODE_CLOSED_FORM)
-    time = plan.trajectory.dense_times(10)
+    time = plan.trajectory.dense_times()
     np.testing.assert_allclose(plan.trajectory.effort_at(time)[:, 0], slope * time, atol=ODE_STATE)
 
 
@@ -139,7 +139,7 @@ def test_a_periodic_follower_of_a_sinusoid_has_the_amplitude_of_its_fourier_bala
     assert plan.objective == pytest.approx(T / 2 * gain / (1 + gain), rel=ODE_CLOSED_FORM)
     first, last = plan.trajectory.state_at([0.0, T])
     assert first == pytest.approx(last, abs=ODE_STATE)
-    time = plan.trajectory.dense_times(10)
+    time = plan.trajectory.dense_times()
     np.testing.assert_allclose(plan.trajectory.state_at(time)[:, 0], np.sin(omega * time) / (1 + gain), atol=ODE_STATE)
 
 

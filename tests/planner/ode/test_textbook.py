@@ -122,7 +122,7 @@ def test_the_brachistochrone_takes_the_cycloid_s_time():
 @pytest.mark.slow
 def test_the_brachistochrone_is_the_cycloid():
     motion = brachistochrone().trajectory
-    time = motion.dense_times(10)
+    time = motion.dense_times()
     theta = fsolve(lambda a: (a - np.sin(a)) / (1 - np.cos(a)) - 1, 2.4, xtol=1e-15)[0]
     radius = 2 / (1 - np.cos(theta))
     angle = time * np.sqrt(G / radius)

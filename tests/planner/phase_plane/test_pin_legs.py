@@ -49,7 +49,7 @@ def test_a_pin_or_the_effort_is_at_its_limit_at_every_instant_of_the_legs_motion
     motion = legs_motion(problem, pose)
     certificate = certify(problem, motion)
     assert certificate.passed, certificate.failures
-    time = motion.dense_times(10)
+    time = motion.dense_times()
     s, v, a, u = (of(time) for of in (motion.position_at, motion.velocity_at, motion.acceleration_at, motion.effort_at))
     (closure,) = problem.limits.limited_closures
     force = closure_forces(problem, follow(problem.mechanism, s, pose), v, a, u)[:, closure]

@@ -42,7 +42,7 @@ def always_at_a_limit(problem: Problem) -> float:
     motion = legs_motion(problem, problem.start_pose())
     certificate = certify(problem, motion)
     assert certificate.passed, certificate.failures
-    time = motion.dense_times(10)
+    time = motion.dense_times()
     s, v, u = (of(time)[:, 0] for of in (motion.position_at, motion.velocity_at, motion.effort_at))
     ratio = sampled(problem.mechanism.dynamics.velocity_map, follow(problem.mechanism, s[:, None], problem.start_pose()))
     low, high = problem.limits.speed.T

@@ -1,4 +1,4 @@
-"""Intervals along limits, read from the rows of a program of a hinge at unknowns that a test gives."""
+"""Intervals along limits, and durations at theirs, read from a program of a hinge at unknowns that a test gives."""
 
 from dataclasses import replace
 
@@ -8,6 +8,8 @@ import pytest
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.refinement.constrained_arcs import arc_ends, find_constrained_paths, own_arcs, path_arcs
+from linkplan.planner.refinement.switch_search import at_bounds
+from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
@@ -102,3 +104,14 @@ def test_a_segment_follows_a_limit_if_all_intervals_well_within_it_do(breaks, ar
     free = np.full((3, 1), np.nan)
     held = find_constrained_paths(np.array(arcs)[:, None], np.array(breaks), np.arange(4.0), free)
     assert held.tolist() == [[0], [1], [0]]
+
+
+@pytest.mark.parametrize(("duration", "at_bound"), [(1.0, True), (3.0, False), (9.0, True)])
+def test_a_duration_as_short_or_as_long_as_it_may_be_is_at_its_bound(duration, at_bound):
+    transcribed = program_of()
+    place = transcribed.program.layout.durations()
+    lower, upper, x = (np.array(values) for values in (transcribed.lower, transcribed.upper, transcribed.start))
+    lower[place], upper[place], x[place] = 1.0, 9.0, duration
+    transcribed = replace(transcribed, lower=lower, upper=upper)
+    result = {"objective": 0.0, "converged": True, "status": "", "iterations": 0, "build_s": 0.0, "solve_s": 0.0}
+    assert at_bounds(Solution(transcribed=transcribed, x=x, **result)) is at_bound

@@ -163,11 +163,12 @@ def test_a_motion_that_overruns_its_efforts_a_little_passes_if_it_is_a_little_sl
         return
     assert plan.status == "feasible"
     assert plan.trajectory.duration_s == pytest.approx(factor * quickest.trajectory.duration_s)
-    assert plan.with_proof().proof.verdict == "proved"
+    assert plan.certificate.effort_overrun.max() <= 1.0
     motion = replace(plan.problem.motion, max_duration_s=quickest.trajectory.duration_s)
     assert slower(replace(plan.problem, motion=motion), [quickest.trajectory]) is None
 
 
+@pytest.mark.slow
 def test_a_least_time_with_joints_along_their_speed_limits_is_proved(tmp_path):
     """Efforts jump where a joint reaches or leaves its speed limit; planned as jumps inside intervals they were refuted."""
     write_robots(tmp_path, ["speed"])

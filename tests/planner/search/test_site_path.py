@@ -162,6 +162,7 @@ def quickest():
     return plan_motion(followed())
 
 
+@pytest.mark.slow
 def test_the_least_time_along_a_line_is_that_of_the_phase_plane_of_the_way(quickest):
     coarse, fine = least_time(601), least_time(1201)
     assert quickest.status == "optimal"
@@ -230,6 +231,7 @@ def test_a_polyline_with_rounded_corners_is_followed_and_saved(tmp_path):
     np.testing.assert_array_equal(again.trajectory.position, plan.trajectory.position)
 
 
+@pytest.mark.slow
 def test_the_least_time_along_a_spline_is_proved_although_its_third_derivative_jumps_at_its_points():
     points = [[0.55, 0.0, -0.15], [0.52, 0.0, 0.0], [0.42, 0.0, 0.12], [0.35, 0.0, 0.25]]
     plan = plan_motion(followed(path={"site": "tip", "points": points, "shape": "spline"}))

@@ -91,7 +91,7 @@ def test_a_motor_short_of_gravity_swings_back_once_and_takes_the_least_time_of_t
     assert 1 * 9.81 * 0.5 > 3  # the motor cannot hold the arm level
     assert plan.status == "optimal", plan.message
     motion = plan.trajectory
-    assert motion.position_at(motion.dense_times(10)).min() < -0.1  # it swings back first
+    assert motion.position_at(motion.dense_times()).min() < -0.1  # it swings back first
     least = minimize_scalar(time_of_one_swing, bounds=(0.2, 0.8), method="bounded", options={"xatol": 1e-8}).fun
     assert plan.objective == pytest.approx(least, rel=MINIMUM_TIME)
 

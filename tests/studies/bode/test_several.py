@@ -66,6 +66,7 @@ def test_the_crossover_that_is_stated_is_where_the_phase_margin_is_and_others_ar
     assert said in text_of(summary(study))
 
 
+@pytest.mark.slow
 def test_a_coordinate_s_loop_is_measured_as_predicted():
     mechanism, _, loop = leg_loop("sampled, MuJoCo's steps")
     for channel in range(2):

@@ -69,6 +69,7 @@ def test_two_arms_whose_ropes_are_both_outside_their_ranges_begin_where_each_kee
     assert {name: angle < -14.4 for name, angle in first.mechanism.source["home_deg"].items()} == {"A": True, "B": True}
 
 
+@pytest.mark.slow
 def test_a_home_outside_a_servo_s_ctrlrange_is_left_for_the_middle_of_the_range():
     """A stiff servo holds its arm between its ctrls of -72 and -33 deg alone; the arm turns from -180 to 180 deg."""
     servo = """<mujoco><worldbody><body><joint name="A" axis="0 1 0" range="-180 180"/>

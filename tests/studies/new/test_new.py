@@ -107,6 +107,7 @@ def test_many_driven_joints_are_tried_together_and_one_alone_the_larger_motions_
         assert way[: len(way) // 2] == sorted(way[: len(way) // 2], reverse=True)
 
 
+@pytest.mark.slow
 def test_freedoms_on_springs_are_no_pendulums_whose_swings_a_motion_waits_for():
     motions = tried_of(str(DATA / "sprung_leg.xml"))
     assert max(motion.duration_s for motion in motions) < 1.0
