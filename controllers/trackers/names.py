@@ -10,7 +10,7 @@ class BuiltInTracker:
     """A built-in tracker.
 
     Args:
-        built: "FILE:FUNCTION" of this folder, which returns it for a `Design`.
+        built: "FILE:FUNCTION", a function in a file of this folder that returns the tracker for a `Design`.
         words: its name in sentences.
         colour: the index of its colour, the same everywhere, among the seven of lines.
         linear: whether it is a linear state feedback whose gain follows from the pose. Frequency responses and tuning

@@ -255,7 +255,7 @@ def _row_kind(facts: LimitFacts) -> str:
 
 
 def _path_rows(asked: NodeTerms, at: Instant, numbers: list[ca.SX], working: ca.SX) -> ca.SX:
-    """Return the path quantities: limits' rows, coordinates at waypoints, P - u w of positive powers."""
+    """Return the path quantities: the limits' rows, coordinates at waypoints, and P - u w for each positive power P."""
     rows = [(limit.rows.node, own) for limit, own in zip(asked.limits, numbers, strict=True)]
     path = [node(at, own) for node, own in rows if node is not None]
     path += [coordinate(at, *where) for where in asked.passed]

@@ -65,7 +65,7 @@ class Tightened(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LimitFacts:
-    """What is true of all instants of a limit.
+    """The properties of a kind of limit that search, refinement, diagnosis and messages use.
 
     Args:
         kind: of its margin and of its tightening.

@@ -119,7 +119,7 @@ def certify_ode(problem: OdeProblem, trajectory: OdeTrajectory) -> OdeCertificat
         *((True, sentence) for sentence in functions_not_finite(problem, trajectory)),
         (
             not off <= OBJECTIVE_ERROR_FACTOR * INTEGRATION_SHARE,
-            f"the objective is {off:.3g} of its size from that of the integrated motion",
+            f"the objective differs from that of the integrated motion by {off:.3g} of its size",
         ),
         (missed > LIMIT_SLACK, f"start, goal or ends are missed by {missed:.3g}"),
     ]

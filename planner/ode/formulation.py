@@ -169,7 +169,7 @@ def _completed(problem: OdeProblem, guess: StateGuess) -> OdeTrajectory:
 
 
 def _middle(row: np.ndarray, otherwise: float) -> float:
-    """Return the middle of [low, high], its finite end, or something else where it has none."""
+    """Return the middle of [low, high], its finite end if only one is finite, or `otherwise` if none is."""
     finite = row[np.isfinite(row)]
     return float(finite.mean()) if len(finite) else otherwise
 

@@ -118,7 +118,7 @@ def held_by_guess(problem: OdeProblem, at: Iterate | Refined) -> str | None:
         return None
     side = "above" if bound == LONGER else "below"
     return (
-        f"the {bound} the motion the better, still at {at.motion.duration_s:.4g} s, where the search from its guess ends:"
+        f"the {bound} the motion the better, up to {at.motion.duration_s:.4g} s, where the search from its guess ends:"
         f" give a {bound} guess, or bound duration_s from {side}"
     )
 

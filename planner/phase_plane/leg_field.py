@@ -63,8 +63,8 @@ class PinForces:
 class VelocityCurve:
     """The maximum velocity curve: the largest speed along a part of the way at which all joints keep their speed limits.
 
-    `curves` gives the joints' speeds per unit of v (n,) over the coordinate, and their slopes if its second argument is 1.
-    `speed` (n, 2) are their limits [rad/s or m/s], and `way` is +1 or -1.
+    `curves(s, order)`  are the joints' speeds per unit of v (n,) at s, or their derivatives by s if `order`
+    is 1. `speed` (n, 2) are the joints' speed limits [rad/s or m/s]. `way` is the direction, +1 or -1.
     """
 
     curves: Callable[..., np.ndarray]

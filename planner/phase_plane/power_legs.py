@@ -2,8 +2,8 @@
 
 One leg accelerates from the start with all the effort that the limits allow, another brakes into the goal, and their
 crossing is the switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985). Limits on speeds add the maximum
-velocity curve. The legs into the goal follow this curve where the motion can brake as the curve falls. The legs from the
-start leave it where it rises faster than the motion accelerates, and meet the legs into the goal again.
+velocity curve. Where this curve falls and the motion can brake as fast, the legs into the goal follow it. Where the curve
+rises faster than the motion can accelerate, a leg from the start leaves it and later meets a leg into the goal.
 
 Along a power limit the effort falls off from a bang at rest. This bang may last a hundred-thousandth of the motion, which a
 grid over the way or a mesh over time does not show. The integrated legs give the end of each arc and the limit along it.

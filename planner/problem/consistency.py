@@ -72,11 +72,11 @@ def check_motion(motion: Motion, objective: Objective, reference: Reference | No
 
 
 def _check_length(motion: Motion, reference: Reference) -> None:
-    """Refuse to track a reference that does not repeat for another time than its own."""
+    """Refuse a duration that differs from that of a reference that does not repeat."""
     if motion.duration_s is not None and abs(motion.duration_s - reference.period_s) > 1e-9 * reference.period_s:
         raise ProblemError(
-            f"motion.duration_s of a reference that does not repeat is its own, {reference.period_s:g} s, or 'free' for"
-            f" the least that the limits allow, got {motion.duration_s:g}"
+            f"motion.duration_s must be that of the reference, {reference.period_s:g} s, or 'free' for the shortest within"
+            f" the limits, if the reference does not repeat; got {motion.duration_s:g}"
         )
 
 
@@ -178,7 +178,7 @@ def lacking_parts(
     mesh: MeshSettings,
     limits: Limits,
 ) -> dict[str, str | None]:
-    """Return, for each need of an objective's terms (`Term.needs`), a phrase on what a problem lacks, or None."""
+    """Return, for each key of `Term.needs`, words on what a problem must have and lacks; None where it lacks nothing."""
     given = motion.duration_s
     unknown = [
         actuator.name

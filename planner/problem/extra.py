@@ -185,7 +185,7 @@ def expressed(extra: Extra, at: Instant) -> ca.SX:
         raise ProblemError(f"{what}: its expression fails with {type(error).__name__}: {one_line(error)}") from error
     if not isinstance(found, ca.SX) or found.shape != (1, 1):
         got = f"shape {found.shape}" if isinstance(found, ca.SX) else f"a value of type {type(found).__name__}"
-        raise ProblemError(f"{what}: its expression is a CasADi scalar of the instant that it is given, got {got}")
+        raise ProblemError(f"{what}: its expression must return a CasADi scalar, got {got}")
     return found
 
 
@@ -200,11 +200,11 @@ def uses(extra: Extra, mechanism: Mechanism) -> dict[str, bool]:
     found = expressed(extra, instant)
     function = ca.Function("extra", [*symbols, instant.forces], [found], {"allow_free": True})
     if function.has_free():
-        raise ProblemError(f"extra {extra.kind} '{extra.name}': its expression has no symbols but the instant's, got others")
+        raise ProblemError(f"extra {extra.kind} '{extra.name}': its expression may use only the instant's symbols")
     codes = range(function.n_instructions())
     constants = [function.instruction_constant(k) for k in codes if function.instruction_id(k) == ca.OP_CONST]
     if np.isnan(constants).any():
-        raise ProblemError(f"extra {extra.kind} '{extra.name}': its expression has the constant nan, which is no number")
+        raise ProblemError(f"extra {extra.kind} '{extra.name}': its expression contains NaN as a constant")
     depends = {name: ca.depends_on(found, one) for name, one in zip("qvauj", motion_symbols(instant), strict=False)}
     if not any(depends.values()):
         raise ProblemError(

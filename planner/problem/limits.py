@@ -141,7 +141,7 @@ def _including_rest(value: float | list[float], where: str) -> tuple[float, floa
         return -value, value
     low, high = interval(value, where)
     if not low <= 0 <= high:
-        raise ProblemError(f"{where} admits rest, low <= 0 <= high, got [{low:g}, {high:g}]")
+        raise ProblemError(f"{where} must admit rest, low <= 0 <= high, got [{low:g}, {high:g}]")
     return low, high
 
 

@@ -136,8 +136,8 @@ def _check_turns(mechanism: Mechanism, motion: Motion, start_pose: np.ndarray, d
     if abs(travelled[worst] - gone[worst]) > 1e-5:
         joint = mechanism.joints[worst]
         raise ProblemError(
-            f"motion.turns of joint {names}: after it joint {joint.name} is not back, it has gone on by"
-            f" {joint.text(travelled[worst], 6)} {joint.unit}: give as many turns as bring all joints back"
+            f"motion.turns of joint {names}: joint {joint.name} does not return, it has moved by"
+            f" {joint.text(travelled[worst], 6)} {joint.unit}; give as many turns as bring all joints back"
         )
     _check_efforts(mechanism, names, poses[0], gone)
 

@@ -103,7 +103,7 @@ def krawczyk(blocks: Blocks, s: Sequence[arb], guess: np.ndarray) -> EnclosedRoo
 
 
 def series_of(blocks: Blocks, s: Sequence[arb_series], root: Sequence[arb], order: int) -> list[arb_series]:
-    """Return the series z (rank,) of so many coefficients along the series s (n_s,), from their constant terms.
+    """Return the series z (rank,) with `order` coefficients along the series s (n_s,), from the constant terms `root`.
 
     If the balls of s and z_0 contain the coefficients at every expansion point of a box, so do the result's.
     """

@@ -14,7 +14,7 @@ _ROUNDING_SHARE = 1e-9
 
 
 def forces_over(mechanism: Mechanism, time: Ball) -> list[list[Ball]]:
-    """Return the last inputs of a mechanism's `forced` dynamics over a ball of times, as `Mechanism.forces_at`."""
+    """Return enclosures of the external forces over a ball of times, in the form of `Mechanism.forces_at`."""
     if mechanism.forces is None:
         return []
     assert isinstance(mechanism.forces.curve, Spline)

@@ -287,7 +287,7 @@ class _Sweep:
         ends = begin, end
         for i in claims:
             if i == _NEAR_PLAN:
-                self.near.failure = f"the time or the boxes are used up at t = {ends[0]:.4g} s"
+                self.near.failure = f"the limit on time or on the number of boxes was reached at t = {ends[0]:.4g} s"
             else:
                 self.records[i].undecided.append(ends)
         if not closed:

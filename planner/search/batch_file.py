@@ -54,13 +54,12 @@ def batch_from(tables: dict, folder: Path) -> BatchFile:
     names = [name for name, _ in listed]
     for name in names:
         if not name.isprintable() or len(name.encode()) >= 100:  # disks limit file names to 255 bytes, with suffixes
-            raise ProblemError(f"case.name is a word that can name a folder, got {name!r}")
+            raise ProblemError(f"case.name must be a valid name of a folder, got {name!r}")
     alike = Counter(map(_on_disk, names))
     twice = sorted({name for name in names if alike[_on_disk(name)] > 1})
     if twice:
         raise ProblemError(
-            "cases of a batch have names of their own, which differ in more than upper and lower case; twice:"
-            f" {', '.join(twice)}"
+            f"names of a batch's cases must differ, in more than upper and lower case; used twice: {', '.join(twice)}"
         )
     return replace(asked, problem=problem, case=[CaseSection(name=name, set=settings) for name, settings in listed])
 

@@ -120,8 +120,8 @@ def unbounded_duration(problem: Problem, solution: Solution) -> str | None:
         return None
     duration = float(solution.x[transcribed.program.layout.durations()].sum()) * transcribed.units.time_s
     what = problem.objective.name.replace("_", " ")
-    without = f"failed: the objective is unbounded in the duration, the longer the motion the less its {what}"
-    return f"{without}: still at {duration:.4g} s; set motion.max_duration_s"
+    without = f"failed: the objective is unbounded in the duration: the longer the motion, the smaller its {what}"
+    return f"{without}, up to the longest motion tried, {duration:.4g} s; set motion.max_duration_s"
 
 
 def longest(problem: Problem) -> float:

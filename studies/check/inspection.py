@@ -290,7 +290,7 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
     named = [name for k in range(mechanism.model.nkey) if (name := mechanism.model.key(k).name)]
     if named and "home" not in named and not mechanism.source.keys() & {"home_deg", "home_m"}:
         notes.append(
-            f"home is the reference pose: of the model's keyframes, {', '.join(named)}, none is called home;"
+            f"home is the reference pose, because none of the model's keyframes ({', '.join(named)}) is named home;"
             " mechanism.home_deg chooses another pose"
         )
     return problems, [*mechanism.notes, *notes] if mechanism.selection else [*notes, *mechanism.notes]

@@ -18,9 +18,9 @@ POSITIONAL = ("subject", "problem", "plan", "cases", "model", "result", "file", 
 # The shells with completion.
 SHELLS = ("bash", "zsh", "fish")
 EPILOG = (
-    "exit codes: 0 done; 1 the answer is no (infeasible, unstable, problems found), with a sentence; 2 bad input, or a file"
-    " that cannot be read or written (a full disk), one line on stderr; 130 interrupted, 143 ended by SIGTERM; 141 stdout"
-    " was closed before the result was written (use -o)"
+    "exit codes: 0 done; 1 the result is negative (no motion, an unstable loop, problems found), and a message says why;"
+    " 2 bad input, or a file that cannot be read or written (a full disk), one line on stderr; 130 interrupted, 143 ended"
+    " by SIGTERM; 141 stdout was closed before the result was written (use -o)"
 )
 
 
@@ -184,7 +184,7 @@ def build_parser() -> Parser:
     text = "draw a tracked plan as a film (.mp4, .gif) or a picture (.png), without a screen"
     _render(command("render", text, output=False))
 
-    text = "run the whole path on the Optimus knee into one folder (default: linkplan-demo)"
+    text = "check, plan and track the Optimus knee, with margins, into one folder (default: linkplan-demo)"
     command("demo", text, settings=False).set_defaults(output="linkplan-demo")
 
     text = "make one HTML file of a saved folder: animation, plots, certificate; it opens offline"
@@ -196,21 +196,21 @@ def build_parser() -> Parser:
     explore = command("explore", text, output=False)
     _add(explore, "subject", "MODEL-or-PROBLEM", "a built-in model or problem, or an MJCF or TOML file")
     _selection(explore)
-    _file(explore, "the problem file that the page's button writes; it must not be there (default: problem.toml)")
+    _file(explore, "the problem file that the page's button writes; it must not exist yet (default: problem.toml)")
     _add(explore, "--port", "N", "of 127.0.0.1 (default: a free one)", int, 0)
 
     text = "write a first problem file for a mechanism: a motion that it can make"
     new = command("new", text, output=False)
     _add(new, "model", "MODEL", "a built-in model or an MJCF file")
     _selection(new)
-    _file(new, "the problem file to write; it must not be there (default: print it)")
+    _file(new, "the problem file to write; it must not exist yet (default: print it)")
 
     export = command("export", "write a plan, or a model in C, for other programs", output=False)
     text = "a saved plan's folder, a built-in problem or a TOML file; for c also a built-in model or an MJCF file"
     _add(export, "plan", "PLAN-or-MODEL", text)
     text = f"one of {', '.join(f'{name} ({what})' for name, what in (FORMATS | FOLDER_FORMATS).items())}"
     _add(export, "--to", "FORMAT", text, required=True)
-    _file(export, "the file to write; it must not be there; for c a folder", required=True)
+    _file(export, "the file to write, which must not exist yet; for c a folder", required=True)
     text = "for ros, and for a model in c: the output joints as coordinates (default: the independent joints)"
     _add(export, "--joints", "A,B", text, values.names, ())
     text = f"for c: the law of a plan, one of {', '.join(C_TRACKERS)} (default: %(default)s)"

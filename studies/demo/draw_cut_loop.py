@@ -18,7 +18,7 @@ _INDEPENDENT, _DEPENDENT, _GAP = "#0b7a3b", "#b8860b", "#c0392b"
 
 
 def cut_loop_figure(path: Path, turned_deg: float = -14.0) -> float:
-    """Draw the knee with its loop closed, and as a tree whose independent joint alone is turned; return its gap [m]."""
+    """Draw the knee closed, and as a tree in which only the independent joint is turned; return the gap at its pin [m]."""
     mechanism = load_mechanism("optimus-knee")
     opened = mechanism.home.copy()
     opened[mechanism.independent] += np.radians(turned_deg)

@@ -87,7 +87,7 @@ def explore(
 
     Args:
         subject: a `Problem`, or the name or path of one; or a mechanism or its name, of which a first motion is looked for.
-        path: of the problem file that the page's button writes; it must not be there. By default problem.toml.
+        path: of the problem file that the page's button writes; it must not exist yet. By default problem.toml.
         port: of 127.0.0.1; 0 for a free one.
         tell: called with errors of requests that are no refusals.
         progress: called with lines on the progress.

@@ -43,7 +43,7 @@ def saved(knee, tmp_path_factory):
         (lambda at: at.velocity_rad_s[0], "unknown joint in at.velocity_rad_s '0'"),
         (lambda at: at.effort["O"], "unknown actuator in at.effort 'O'; legal: act_O"),
         (lambda at: at.site("foot")[2], "unknown site 'foot' in at.site"),
-        (lambda at: at.site("C"), "CasADi scalar of the instant that it is given, got shape (3, 1)"),
+        (lambda at: at.site("C"), "must return a CasADi scalar, got shape (3, 1)"),
         (lambda _: 3.0, "got a value of type float"),
         (lambda _: None, "got a value of type NoneType"),
         (lambda _: ca.SX(3.0), "depends on position, velocity, acceleration, jerk or effort, got a constant"),

@@ -1,4 +1,4 @@
-"""What a first motion changes of a model that has none as it is, each with a sentence for the user.
+"""The changes that make a first motion of a model possible, each with a sentence for the user.
 
 A base that floats is fixed where it stands, since nothing holds it. Joints that weight and springs press onto their
 stops are locked there, since a stop's force is not planned for, and so are joints that their own ranges fix, or that

@@ -150,7 +150,7 @@ def _worst_of(study: BodeStudy, scan: Scan) -> str:
 
 
 def crossovers_of(study: BodeStudy) -> list[str]:
-    """Return the sentence on feedback loops whose gain crosses 1 several times; none without any."""
+    """Return a sentence on the feedback loops whose gain crosses 1 several times; an empty list if there are none."""
     several = [entry for entry in study.points if entry.other_crossovers_hz]
     if not several:
         return []

@@ -19,7 +19,7 @@ from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint
 
 # A slope below this, from unit steps to unit steps, is rounding of the assembly: the output stands at a dead centre.
 _ZERO_SLOPE = 1e-10
-# What stands before the name of a body whose angle is an output.
+# The prefix of an output that is the angle of a body.
 _OF_BODY = "body."
 
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-# A Markov parameter below this share of its factors' sizes is zero to rounding.
+# A Markov parameter c A^k b below this share of the product of its factors' norms is rounding, and counts as zero.
 _ROUNDING_SHARE = 1e-10
 # Zeros beyond this many times the fastest pole are infinite: they change the response by 1e-4 at most.
 _INFINITE_SHARE = 1e4

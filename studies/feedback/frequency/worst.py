@@ -14,9 +14,9 @@ Broken = TypeVar("Broken")
 def last_good(
     broken: Callable[[float], Broken | None], good: float, bad: float, why: Broken, tolerance: float
 ) -> tuple[float, Broken]:
-    """Return the good argument that is nearest to a bad one, to a relative tolerance, and what breaks just beyond it.
+    """Return the good argument nearest to `bad`, to a relative tolerance, and the value of `broken` just beyond it.
 
-    `broken` returns None at good arguments; `why` is its value at `bad`. All arguments are zero or positive.
+    `broken` returns None at good arguments; `why` is `broken(bad)`. All arguments are zero or positive.
     """
     while abs(bad - good) > tolerance * good:
         middle = 0.5 * (good + bad)

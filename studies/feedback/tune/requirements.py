@@ -49,7 +49,7 @@ class Requirements(Struct, frozen=True, kw_only=True, eq=False):
         if not 0 <= self.phase_margin_deg < 180:
             raise LinkplanError(f"the wanted phase margin is from 0 to 180 degrees, got {self.phase_margin_deg:g}")
         if not self.largest_peak > 1:
-            raise LinkplanError(f"the sensitivity's peak is wanted above 1, got {self.sensitivity_peak:g}")
+            raise LinkplanError(f"the required peak of the sensitivity must be above 1, got {self.sensitivity_peak:g}")
         if np.isnan(self.settling_s):
             force_setattr(self, "settling_s", SETTLING_CYCLES / self.bandwidth_hz)
         if not self.settling_s > 0:

@@ -157,7 +157,7 @@ def arrays_of(tables: LawTables) -> Mapping[str, np.ndarray]:
 
 
 def _over_the_motion(plan: Plan) -> Plan:
-    """Return a plan whose tracking run has the whole motion, and whose control period divides a periodic one.
+    """Return the plan with settings for tables: the run covers the whole motion, the control period divides a cycle.
 
     The LQR's errors of unit cost are those of the plan's own run.
     """

@@ -45,7 +45,7 @@ def sensitivity_blocks(name: str, study: Sensitivity, seed: int) -> list[Block]:
         blocks.append(Text(text=text))
     said = {metric: [_most_important(one[metric], shown) for one in study.trackers.values()] for metric in study.metrics}
     rows = [[metric, *cells] for metric, cells in said.items() if any(cells)]
-    title = "What matters most for each figure, by number; - for nothing that is certain"
+    title = "Numbers of the most influential imperfections for each figure; -: no influence is significant"
     return [
         *blocks,
         table_of(title, ["figure", *((tracker, "") for tracker in study.trackers)], rows),

@@ -57,7 +57,7 @@ def motors_from(tables: Mapping[str, object]) -> list[CandidateMotor]:
     motors = read(MotorsFile, tables, "").motor
     twice = [name for name, count in Counter(one.name for one in motors).items() if count > 1]
     if twice:
-        raise ProblemError(f"motors have names of their own, and list their gears in `gears`; twice: {', '.join(twice)}")
+        raise ProblemError(f"motors must have different names, and list gears in `gears`; twice: {', '.join(twice)}")
     return motors
 
 

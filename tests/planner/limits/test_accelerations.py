@@ -248,7 +248,7 @@ def test_an_own_limit_on_jerk_needs_accelerations_that_change_within_intervals()
         ({"site_jerk_m_s3": {"foot": 1.0}}, {}, "unknown site 'foot' in limits.site_jerk_m_s3; sites are O"),
         ({"site_jerk_m_s3": {"C": -1.0}}, {}, "limits.site_jerk_m_s3.C"),
         ({"acceleration_m_s2": {"O": 1.0}}, {}, "use limits.acceleration_deg_s2, not acceleration_m_s2"),
-        ({"acceleration_deg_s2": {"O": [1.0, 2.0]}}, {}, "admits rest"),
+        ({"acceleration_deg_s2": {"O": [1.0, 2.0]}}, {}, "must admit rest"),
         ({"site_acceleration_m_s2": {"foot": 1.0}}, {}, "unknown site 'foot' in limits.site_acceleration_m_s2; sites are O"),
     ],
 )

@@ -97,7 +97,7 @@ def test_nan_as_a_constant_of_an_expression_is_refused(arm, kind):
     """Between two samples no certificate would see it."""
     bounds = {"upper": 100.0} if kind is ExtraLimit else {}
     extra = kind(name="mine", expression=lambda at: ca.if_else(angle(at) > 0.5, np.nan, angle(at)), **bounds)
-    with pytest.raises(ProblemError, match=f"extra {extra.kind} 'mine': its expression has the constant nan"):
+    with pytest.raises(ProblemError, match=f"extra {extra.kind} 'mine': its expression contains NaN as a constant"):
         Problem.reach(arm, **REACH, **{f"extra_{extra.kind}s": [extra]})
 
 

@@ -222,7 +222,7 @@ def test_an_effort_that_falls_for_ever_with_time_has_no_optimum_and_says_so():
     plan = planned(duration_s=(0.1, 1e9), effort_limit=[[-INF, INF]], running_cost=squared_effort, final_cost=None)
     assert plan.status == "failed"
     assert (plan.trajectory, plan.objective, plan.objective_error, plan.duration_s) == (None, None, None, None)
-    assert "the longer the motion the better, still at 100 s, where the search from its guess ends" in plan.message
+    assert "the longer the motion the better, up to 100 s, where the search from its guess ends" in plan.message
     assert "bound duration_s from above" in plan.message
     assert "\n" not in plan.message
 
@@ -232,7 +232,7 @@ def test_a_best_duration_far_from_any_guess_is_found_from_a_guess_with_a_duratio
     micrometre = {"goal": [1e-6, 0], "effort_limit": [[-1e3, 1e3]], "duration_s": (1e-6, 10)}
     plan = planned(**micrometre)
     assert plan.status == "failed"
-    assert "the shorter the motion the better, still at 0.02 s, where the search from its guess ends" in plan.message
+    assert "the shorter the motion the better, up to 0.02 s, where the search from its guess ends" in plan.message
     guess = StateGuess(state=[[0, 0], [1e-6, 0]], duration_s=1e-4)
     assert planned(**micrometre, guesses=[guess]).objective == pytest.approx(2 * np.sqrt(1e-6 / 1e3), rel=ODE_CLOSED_FORM)
 

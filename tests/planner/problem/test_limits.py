@@ -261,7 +261,7 @@ def test_a_goal_nearer_to_a_singular_pose_than_allowed_is_said_without_solving()
     [
         ("limits.effort_rate.act_O=-5", "positive"),
         ("limits.effort_rate.act_P=5", "act_O"),
-        ("limits.effort_rate.act_O=[5,9]", "admits rest"),
+        ("limits.effort_rate.act_O=[5,9]", "must admit rest"),
         ("limits.power_w.act_O=0", "positive"),
         ("limits.power_w=5", "table of actuator = value"),
         ("limits.closure_force.B=0", "positive"),

@@ -85,7 +85,7 @@ def test_a_limit_of_power_admits_rest(limits, legal):
     if legal:
         quarter(f"limits.power_w.motor={limits}")
     else:
-        with pytest.raises(ProblemError, match="admits rest"):
+        with pytest.raises(ProblemError, match="must admit rest"):
             quarter(f"limits.power_w.motor={limits}")
 
 

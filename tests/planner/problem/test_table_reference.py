@@ -134,7 +134,7 @@ REFUSED = [
     ),
     (
         (ROWS, "reference.position_deg.J=[0, 1, 2, 3]", "motion.duration_s=2"),
-        "motion.duration_s of a reference that does not repeat is its own, 1 s, or 'free'",
+        "motion.duration_s must be that of the reference, 1 s, or 'free'",
     ),
     (
         (ROWS, "reference.position_deg.J=[0, 1, 2, 3]", "motion.kind=periodic"),

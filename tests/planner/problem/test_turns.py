@@ -195,7 +195,7 @@ def loaded(text: str) -> str:
         (PRESS, {"ram": 1}, "joint ram: it is a slide"),
         (GRIPPER, {"crank_r": 1}, "turns"),
         (replaced(UNCUT, '<joint name="O"/>', '<joint name="O" range="-1 1"/>'), {"O": 1}, "has no range"),
-        (geared(0.5), {"O": 1}, "joint half is not back, it has gone on by 180 deg"),
+        (geared(0.5), {"O": 1}, "joint half does not return, it has moved by 180 deg"),
         (geared(1.0, ' stiffness="2"'), {"O": 1}, "a spring on joint half winds up"),
         (loaded(built_in_text("slider-crank")), {"O": 1}, "a spring on joint O winds up"),
         (geared(1.0, "", SERVO), {"O": 1}, "ctrl of servo servo goes on by 6.283"),

@@ -53,7 +53,7 @@ def planned(tmp_path, *settings: str):
 def test_a_motion_that_costs_less_the_longer_it_is_has_no_best_duration_and_says_so(objective, tmp_path):
     plan = planned(tmp_path, f"objective.minimize={objective}")
     assert plan.status == "failed"
-    assert f"the objective is unbounded in the duration, the longer the motion the less its {objective}" in plan.message
+    assert f"the objective is unbounded in the duration: the longer the motion, the smaller its {objective}" in plan.message
     assert plan.message.endswith("set motion.max_duration_s")
 
 

@@ -281,6 +281,6 @@ def test_keyframes_of_which_none_is_home_are_said_since_home_is_then_the_referen
         return [note for note in found.notes if "keyframes" in note]
 
     (note,) = said("stand")
-    assert note.startswith("home is the reference pose: of the model's keyframes, stand, none is called home")
+    assert note.startswith("home is the reference pose, because none of the model's keyframes (stand) is named home")
     assert said("home") == []
     assert said("stand", home={"O": 0.3}) == []

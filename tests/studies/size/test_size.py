@@ -140,7 +140,7 @@ def _line(stall: float) -> dict[str, float]:
         ('[[motor]]\nname = "M"\npeak = 1', "unknown key 'motor.M.peak' (did you mean 'peak_effort'?)"),
         ('[[motor]]\nname = "M"\npeak_effort = -1', "motor.M.peak_effort is a positive number, got -1"),
         ('[[motor]]\nname = "M"\npeak_effort = 1\ngears = [0]', "motor.M.gears is a positive number, got 0"),
-        (2 * '[[motor]]\nname = "M"\npeak_effort = 1\n', "motors have names of their own"),
+        (2 * '[[motor]]\nname = "M"\npeak_effort = 1\n', "motors must have different names"),
         ('[[motor]]\nname = "M"\nstall_effort = 1', "motor 'M': motors.act_O.stall_effort and motors.act_O.no_load"),
         ('[[motor]]\nname = "M"\nstall_effort = 1\nno_load_speed_m_s = 2', "motor 'M': actuator 'act_O' gives N.m; use"),
         ('[mechanism]\nmodel = "x"', "is a problem file; a list of motors is a TOML file with [[motor]] tables"),
