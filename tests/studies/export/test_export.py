@@ -142,7 +142,8 @@ def test_ros_on_another_joint_has_its_motion_and_the_power_of_the_motor(plan):
 
 
 @pytest.mark.parametrize(
-    ("to", "joints", "said"), [("ros", ["O", "C"], "joints are 1"), ("csv", ["C"], "ros only"), ("ros", ["Q"], "'Q'")]
+    ("to", "joints", "said"),
+    [("ros", ["O", "C"], "joints are 1"), ("csv", ["C"], "only the format ros"), ("ros", ["Q"], "'Q'")],
 )
 def test_output_joints_that_cannot_be_are_refused(plan, to, joints, said):
     with pytest.raises(ProblemError, match=said):
