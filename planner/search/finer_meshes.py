@@ -296,7 +296,8 @@ def gain_at_margin(case: MechanismCase, found: Iterate, margin: float) -> float:
         return 0.0
     of_margin = np.all(transcribed.formulation.path == (asked, np.inf), axis=1)
     slope = path_multipliers(transcribed, solution.multipliers)[:, of_margin].sum()
-    return slope * (margin - asked) * transcribed.objective_scale / abs(solution.objective)
+    change = slope * (asked - margin) * transcribed.objective_scale
+    return share_gained(solution.objective, solution.objective + change)
 
 
 def _at_margin(case: MechanismCase, margin: float) -> MechanismCase:
