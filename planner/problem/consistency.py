@@ -72,7 +72,7 @@ def check_motion(motion: Motion, objective: Objective, reference: Reference | No
 
 
 def _check_length(motion: Motion, reference: Reference) -> None:
-    """Refuse a duration that differs from that of a reference that does not repeat."""
+    """Refuse a duration other than the reference's own, for a reference that does not repeat."""
     if motion.duration_s is not None and abs(motion.duration_s - reference.period_s) > 1e-9 * reference.period_s:
         raise ProblemError(
             f"motion.duration_s must be that of the reference, {reference.period_s:g} s, or 'free' for the shortest within"

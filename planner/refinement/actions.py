@@ -50,7 +50,7 @@ class ImposeRanges:
     """Impose the states' ranges at every instant, by rows on Bernstein coefficients, on the same mesh."""
 
     def apply(self, state: RefinementState) -> RefinementState:
-        """Return the state with ranges imposed, or a state that never imposes them again if they lead to no motion."""
+        """Return the state with ranges imposed. If that leads to no motion, return one that never imposes them again."""
         rows = replace(state, position_rows=True)
         what = "state limits imposed at every instant"
         found = _solved_on(rows, np.zeros(state.iterate.n_intervals, dtype=bool), what)

@@ -157,7 +157,7 @@ def arrays_of(tables: LawTables) -> Mapping[str, np.ndarray]:
 
 
 def _over_the_motion(plan: Plan) -> Plan:
-    """Return the plan with settings for tables: the run covers the whole motion, the control period divides a cycle.
+    """Return the plan with a run over the whole motion, whose control period divides the period of a cyclic motion.
 
     The LQR's errors of unit cost are those of the plan's own run.
     """
