@@ -17,20 +17,19 @@ in the largest scaled unknown or row multiplier, if the ratio does not grow (Deu
 Problems, 2004, section 2.1).
 
 A motion that is optimal on one mesh misses the rows of a finer mesh by the error of the first. Optimizing again takes as
-many iterations as the first time, and may not end where limits bind all along. Feasibility alone takes a few linear systems
-of least change in the efforts (`nearest_feasible`),
+many iterations as the first time, and may not end where limits bind all along. Feasibility alone takes one to three
+quadratic programs of least change in the efforts (`nearest_feasible`),
 
-    min 1/2 d^T W d  subject to  J d = target - g,   [W J^T; J 0] [d; lambda] = [0; target - g],
+    min 1/2 d^T W d  subject to  lower <= (x + d, g + J d) <= upper
 
-with the binding bounds held (Nocedal and Wright, Numerical Optimization, 2006, section 18.1, the restoration of an SQP
-method). W is large for efforts and durations: these change where the motion has to, and the states follow. Where an
-effort and a speed bind together, a row touches its bound: the root is multiple, and the steps only shrink by a constant
-ratio r. Such a step is taken 1 / (1 - r) times, the sum of all that would follow (Aitken's extrapolation).
+(Nocedal and Wright, Numerical Optimization, 2006, section 18.1: the restoration of an SQP method). W is large for efforts
+and durations: these change where the motion has to, and the states follow. PIQP solves the programs: its proximal terms
+admit rows that say the same twice (Schwan, Jiang, Kuhn and Jones, PIQP: a proximal interior-point quadratic programming
+solver, 2023).
 """
 
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
@@ -41,21 +40,25 @@ from linkplan.planner.solvers.solve import SOLVER_TOLERANCE, Solution
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.program import Program
 
-if TYPE_CHECKING:
-    import scipy.sparse
-
 # Tolerance on bounds and on signs of multipliers; scaled unknowns are of order one.
 _BOUND_SLACK = 1e-9
 # Newton steps below this end the iteration.
 _NEGLIGIBLE_STEP = 1e-11
 # The status of a solution that is feasible, as IPOPT names it; nothing is minimized.
 FEASIBLE = "Feasible_Point_Found"
-# Scaled unknowns and rows within this distance of a bound are held there: a barrier leaves those that bind at a distance.
-# With a tenth of it motions of eight motors take 4 to 9 steps in place of 2 to 6, with three times as much one was lost.
-_HELD_DISTANCE = 1e-6
-# At most so many steps to the nearest feasible point; motions of 2 to 10 motors along limits on speed take up to 11.
-_MOST_STEPS = 20
-# Steps diverge once the violation is this factor times the first one, or a small one: factorising them takes minutes.
+# The squared costs of changes, scaled: little for states and algebraic unknowns, much for efforts and durations. With costs
+# of 1e-6 and 1, the solver of quadratic programs does not converge where limits on jerk bind all along.
+_COST_OF_STATES, _COST_OF_EFFORTS = 1e-2, 1e4
+# At most so many quadratic programs to the nearest feasible point; motions of 2 to 10 motors take up to 3.
+_MOST_PROGRAMS = 12
+_PIQP = {
+    "eps_abs": 0.1 * SOLVER_TOLERANCE,
+    "eps_rel": 0.0,
+    "iterative_refinement_always_enabled": True,
+    "max_iter": 100,
+    "verbose": False,
+}
+# Steps diverge once the violation is this factor times the first one, or a small one.
 _DIVERGED_FACTOR, _SMALL_VIOLATION = 10.0, 1e-3
 
 
@@ -223,88 +226,34 @@ def _violation(value: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float
 
 def nearest_feasible(transcribed: Transcribed, x: np.ndarray) -> Solution:
     """Return the feasible point near unknowns x (n,), or a solution that has not converged."""
-    begin, program = time.perf_counter(), transcribed.program
+    begin, program, p = time.perf_counter(), transcribed.program, transcribed.parameters
     lower = np.concatenate([transcribed.lower, transcribed.row_lower])
     upper = np.concatenate([transcribed.upper, transcribed.row_upper])
-    # The squared cost of a change, scaled: little for states and algebraic unknowns, one for efforts and durations.
-    weight = np.full(len(x), 1e-6)
-    weight[program.layout.effort().ravel()] = weight[program.layout.durations()] = 1.0
-    rows_of, f, n = program.functions["jac_g"], program.functions["grad_f"], len(x)
-    x = np.clip(x, transcribed.lower, transcribed.upper)
-    fixed, binding, converged, steps = np.zeros(n, dtype=bool), np.zeros(len(lower) - n, dtype=bool), False, 0
-    sizes: list[float] = []  # of the last steps
-    first = np.inf
-    while not converged and steps < _MOST_STEPS:
-        g, jacobian = rows_of(x, transcribed.parameters)
+    cost = np.full(len(x), _COST_OF_STATES)
+    cost[program.layout.effort().ravel()] = cost[program.layout.durations()] = _COST_OF_EFFORTS
+    cost = ca.diag(ca.DM(cost))
+    x, step_of, steps, largest = np.clip(x, transcribed.lower, transcribed.upper), None, 0, np.inf
+    while True:
+        g, jacobian = program.functions["jac_g"](x, p)
         here = np.concatenate([x, np.array(g).ravel()])
-        violation = np.maximum(np.maximum(lower - here, here - upper), 0.0)
-        worst = float(violation.max(initial=0.0))
-        first = first if steps else max(worst, _SMALL_VIOLATION)
-        if not worst <= _DIVERGED_FACTOR * first:
+        violation = _violation(here, lower, upper)
+        largest = _DIVERGED_FACTOR * max(violation, _SMALL_VIOLATION) if step_of is None else largest
+        converged = violation <= SOLVER_TOLERANCE
+        if converged or steps == _MOST_PROGRAMS or not violation <= largest:
             break
-        converged = worst <= SOLVER_TOLERANCE
-        near = (here < lower + _HELD_DISTANCE) | (here > upper - _HELD_DISTANCE)
-        fixed, binding = fixed | near[:n], binding | near[n:]
-        to = np.clip(here, lower, upper)[n:]
-        to = np.where(transcribed.row_lower == transcribed.row_upper, transcribed.row_lower, to)
-        step = None if converged else _least_step(jacobian, to - here[n:], weight, fixed, binding)
-        if step is None:
-            break
-        sizes = [*sizes[-2:], float(np.abs(step).max())]
-        if len(sizes) == 3:
-            last, ratio = sizes[1] / sizes[0], sizes[2] / sizes[1]
-            if 0.4 < ratio < 0.9 and abs(ratio - last) < 0.1:
-                step, sizes = step / (1 - ratio), []
-        x, steps = np.clip(x + step, transcribed.lower, transcribed.upper), steps + 1
+        if step_of is None:
+            shapes = {"h": cost.sparsity(), "a": jacobian.sparsity()}
+            step_of = ca.conic("step", "piqp", shapes, {"piqp": _PIQP, "error_on_fail": False})
+        (low, low_rows), (high, high_rows) = (np.split(end - here, [len(x)]) for end in (lower, upper))
+        found = step_of(h=cost, g=0.0, a=jacobian, lbx=low, ubx=high, lba=low_rows, uba=high_rows)
+        x, steps = np.clip(x + np.array(found["x"]).ravel(), transcribed.lower, transcribed.upper), steps + 1
     return Solution(
         transcribed=transcribed,
         x=x,
-        objective=float(f(x, transcribed.parameters)[0]) * transcribed.objective_scale,
+        objective=float(program.functions["grad_f"](x, p)[0]) * transcribed.objective_scale,
         converged=converged,
         status=FEASIBLE,
         iterations=steps,
         build_s=0.0,
         solve_s=time.perf_counter() - begin,
     )
-
-
-def _least_step(
-    jacobian: ca.DM, missing: np.ndarray, weight: np.ndarray, fixed: np.ndarray, binding: np.ndarray
-) -> np.ndarray | None:
-    """Return the step (n,) of least weighted norm that satisfies the binding rows; None where these contradict."""
-    import scipy.sparse.linalg
-
-    free = np.flatnonzero(~fixed)
-    J, first = _stretched(jacobian.tocsc()[binding][:, free])
-    cost, target = np.zeros(J.shape[1]), np.zeros(J.shape[0])
-    cost[first], target[: np.count_nonzero(binding)] = weight[free], missing[binding]
-    corner = scipy.sparse.identity(J.shape[0]) * -1e-13  # rows that say the same twice: of normal equations
-    matrix = scipy.sparse.bmat([[scipy.sparse.diags(cost), J.T], [J, corner]], format="csc")
-    try:
-        found = scipy.sparse.linalg.splu(matrix).solve(np.concatenate([np.zeros(len(cost)), target]))
-    except RuntimeError:
-        return None
-    step = np.zeros(len(weight))
-    step[free] = found[first]
-    return step if np.isfinite(step).all() else None
-
-
-def _stretched(rows: "scipy.sparse.csc_matrix", most: int = 50) -> tuple["scipy.sparse.csc_matrix", np.ndarray]:
-    """Return rows whose columns have at most about `most` entries, and the number of each unknown's first column (n,).
-
-    Durations are in thousands of rows, and factors of such columns fill up. Each is a chain of equal unknowns here, tied by
-    rows at the end (Grcar, Matrix stretching for linear equations, 1990): minutes and gigabytes become tenths of a second.
-    """
-    import scipy.sparse
-
-    rows.sort_indices()
-    entries = np.diff(rows.indptr)
-    ends = np.cumsum(np.maximum(1, -(-entries // most)))
-    first = np.concatenate([[0], ends[:-1]])
-    within = np.arange(rows.nnz) - np.repeat(rows.indptr[:-1], entries)
-    column = np.repeat(first, entries) + within // most
-    tied = np.setdiff1d(np.arange(ends[-1]), first)
-    ties = rows.shape[0] + np.arange(len(tied))
-    values = np.concatenate([rows.data, np.ones(len(tied)), -np.ones(len(tied))])
-    places = np.concatenate([rows.indices, ties, ties]), np.concatenate([column, tied - 1, tied])
-    return scipy.sparse.csc_matrix((values, places), shape=(rows.shape[0] + len(tied), ends[-1])), first

@@ -168,6 +168,15 @@ def test_a_motion_that_overruns_its_efforts_a_little_passes_if_it_is_a_little_sl
     assert slower(replace(plan.problem, motion=motion), [quickest.trajectory]) is None
 
 
+def test_a_least_time_with_limits_on_the_rates_of_efforts_is_changed_until_a_proof_accepts_its_efforts(in_least_time):
+    """Efforts, their limits and those on their rates bind together: on a finer mesh what binds has to leave its bound."""
+    rates = np.array([[-13931.0, 13931.0], [-12859.0, 12859.0]])  # across all of its range in a tenth of the motion
+    plan = plan_motion(with_limits(in_least_time, effort_rate=rates))
+    assert plan.status == "optimal"
+    assert plan.objective == pytest.approx(0.186965, rel=1e-4)
+    assert plan.certificate.effort_overrun.max() <= 1.0
+
+
 @pytest.mark.slow
 def test_a_least_time_with_joints_along_their_speed_limits_is_proved(tmp_path):
     """Efforts jump where a joint reaches or leaves its speed limit; planned as jumps inside intervals they were refuted."""

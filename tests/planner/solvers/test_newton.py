@@ -155,20 +155,20 @@ def test_a_bound_becomes_active_where_it_is_violated_and_inactive_where_it_pulls
     assert _changed(np.array([1]), np.array([value]), np.array([-1.0]), bounds[0], bounds[0]).tolist() == [1]
 
 
-@pytest.mark.parametrize(("distance", "held"), [(0.0, True), (3e-7, True), (3e-6, False)])
+@pytest.mark.parametrize(("room", "expected"), [(9.0, [1.0, -1.0]), (0.25, [1.75, -0.25])])
 @pytest.mark.parametrize("side", [+1, -1])
-def test_the_nearest_feasible_point_keeps_unknowns_that_are_at_a_bound(side, distance, held):
-    """Nearest to (0, 0) with x_0 - side x_1 = 2, both change by one, unless x_1 is within 1e-6 of a bound and is held."""
+@pytest.mark.parametrize("repeated", [1, 2])
+def test_the_nearest_feasible_point_leaves_a_bound_inwards_and_stops_at_the_next(side, room, expected, repeated):
+    """Nearest to (0, 0) with x_0 - side x_1 = 2, said once or twice, both change by one if x_1 has so much room."""
     x, p = ca.MX.sym("x", 2), ca.MX.sym("p", 0)
-    row = x[0] - side * x[1]
+    row = ca.repmat(x[0] - side * x[1], repeated)
     functions = {
         "jac_g": ca.Function("jac_g", [x, p], [row, ca.jacobian(row, x)]),
         "grad_f": ca.Function("grad_f", [x, p], [x[0], ca.vertcat(1.0, 0.0)]),
     }
     layout = Layout(n_s=0, n_z=0, n_u=2, n_nodes=1, n_intervals=1, n_segments=0)
-    bound = np.array([9.0, 9.0]), np.array([9.0, distance])
-    lower, upper = (-bound[0], bound[1]) if side > 0 else (-bound[1], bound[0])
-    transcribed = program(np.zeros(0), (lower, upper), np.array([2.0]))
+    bounds = sorted([0.0, -side * room])  # begins at a bound
+    transcribed = program(np.zeros(0), (np.array([-9.0, bounds[0]]), np.array([9.0, bounds[1]])), np.full(repeated, 2.0))
     units = replace(transcribed.units, objective=3.0)
     transcribed = replace(
         transcribed,
@@ -179,5 +179,5 @@ def test_the_nearest_feasible_point_keeps_unknowns_that_are_at_a_bound(side, dis
     found = nearest_feasible(transcribed, np.zeros(2))
     assert 0.0 < found.solve_s <= time.perf_counter() - begin
     assert found.converged
-    assert found.x == pytest.approx([2.0, 0.0] if held else [1.0, -side * 1.0])
+    assert found.x == pytest.approx([expected[0], side * expected[1]], abs=1e-9)
     assert found.objective == pytest.approx(3.0 * found.x[0])
