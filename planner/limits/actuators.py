@@ -33,8 +33,6 @@ from linkplan.planner.limits.limit import (
     Tightened,
     Trajectory,
     limited_rows,
-    scaled_bounds,
-    with_limits,
 )
 from linkplan.planner.limits.samples import samples_of
 
@@ -112,10 +110,6 @@ class PowerLimit(Limit):
             bounds=problem.limits.power[self.item],
             value=lambda at: at.state.u[self.item] * at.actuator_speeds[self.item],
         )
-
-    @classmethod
-    def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, power=scaled_bounds(problem.limits.power, factor))
 
 
 @dataclass(frozen=True, slots=True)

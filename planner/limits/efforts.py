@@ -26,7 +26,6 @@ from linkplan.planner.limits.limit import (
     Scales,
     Trajectory,
     limited_rows,
-    scaled_bounds,
     with_limits,
 )
 from linkplan.planner.problem.instant import Corner, Robust
@@ -75,10 +74,6 @@ class EffortLimit(Limit):
             of_planned=True,
             slack=share_of(bounds, ROUNDING_SHARE),
         )
-
-    @classmethod
-    def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, effort=scaled_bounds(problem.limits.effort, factor))
 
 
 def end_sizes(bounds: np.ndarray) -> np.ndarray:

@@ -7,7 +7,6 @@ from typing import ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from linkplan.planner.limits.jerks import smooth_columns
 from linkplan.planner.limits.limit import (
     Bounds,
     Claimed,
@@ -22,6 +21,7 @@ from linkplan.planner.limits.limit import (
     Tightened,
     Trajectory,
 )
+from linkplan.planner.limits.rates import smooth_columns
 from linkplan.planner.problem.extra import Expression, ExtraLimit, expressed, extra_along, jerk_of, uses
 from linkplan.planner.problem.instant import free_instant, motion_symbols
 
