@@ -195,7 +195,7 @@ def rows_by_pin(model: mujoco.MjModel, closures: Sequence[Closure]) -> list[list
 
 
 def _places(frames: list[Frame], ends: list[tuple[int, np.ndarray]]) -> tuple[ca.SX, ca.SX]:
-    first, second = (f.p_world_B + f.R_world_B @ ca.DM(p) for f, (_, p) in zip(frames, ends, strict=True))
+    first, second = (frame.point(p) for frame, (_, p) in zip(frames, ends, strict=True))
     return first, second
 
 

@@ -66,7 +66,7 @@ def find_passive_dofs(
     for column in passive:
         bodies, chart = np.flatnonzero(spins[0][:, column]), joints[independent[column]].chart
         ball = chart is not None and len(bodies) == 1 and not any(joint.name == f"{chart}_x" for joint in joints)
-        name = f"ball joint {chart}" if ball else " and ".join(f"body {model.body(b).name or b}" for b in bodies)
+        name = f"ball joint {chart}" if ball else " and ".join(f"body {model.body(b).name}" for b in bodies)
         notes.append(f"{name} can spin while all other joints rest: a passive degree of freedom, which no actuator drives")
     return tuple(independent[passive].tolist()), notes
 

@@ -96,7 +96,7 @@ def guided(free: Mechanism, site: int, curve: Curve, pose: np.ndarray) -> Guided
         kind="guide",
         index=free.model.neq,
         rows=slice(after, after + 3),
-        residual=_site(tree, site) - curve.place(x),
+        residual=tree.site(site) - curve.place(x),
         frame=0,
         scale=1.0,
         unit="m",
@@ -127,10 +127,6 @@ def guided(free: Mechanism, site: int, curve: Curve, pose: np.ndarray) -> Guided
         "coasting_dofs": (),
     }
     return GuidedMechanism(**own, free=free, curve=curve)
-
-
-def _site(tree: Tree, site: int) -> ca.SX:
-    return tree.point(int(tree.model.site_bodyid[site]), tree.model.site_pos[site])
 
 
 def _site_jacobian(free: Mechanism, site: int) -> ca.Function:

@@ -12,6 +12,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
+from linkplan.models.kinematics import joints_of
 from linkplan.models.tree.coordinates import (
     FREE,
     HINGE,
@@ -121,7 +122,7 @@ def _to_body(
     acceleration: ca.SX,
 ) -> tuple[FrameMotion, list[Carry]]:
     """Return a body's motion from its parent's, and the steps between their frames. Joints are applied in file order."""
-    joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+    joints = joints_of(model, body)
     way: list[Carry] = []
     if not any(int(model.jnt_type[joint]) == FREE for joint in joints):  # a free body has no offset
         offset, R = ca.DM(model.body_pos[body]), ca.DM(rotation_from_quaternion(model.body_quat[body]))
