@@ -6,7 +6,7 @@ that pose, so the closure is tied to sites at the original anchors.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import mujoco
 import numpy as np
@@ -68,11 +68,7 @@ class Selection:
 
     def table(self) -> dict[str, object]:
         """Return what is selected as keys of the [mechanism] table."""
-        asked = {"keep": list(self.keep), "fix_base": self.fix_base, "lock": dict(self.lock), "keyframe": self.keyframe}
-        asked |= {"exclude_contacts": [list(pair) for pair in self.exclude_contacts], "drive": list(self.drive)}
-        asked |= {"lock_spin": list(self.lock_spin), "force": {site: list(of) for site, of in self.force.items()}}
-        asked |= {"gear": dict(self.gear), "rotor_inertia": dict(self.rotor_inertia)}
-        return {key: value for key, value in asked.items() if value}
+        return {key: value for key, value in asdict(self).items() if value}
 
 
 def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tuple[str, ...]:

@@ -46,6 +46,8 @@ HOME_TOLERANCE = np.radians(5.0)
 _HOME_STEPS = (0.02, 0.002)
 # Distance of the sampled nearby poses from home [rad; extents on a slide].
 _NEARBY_STEP = 0.15
+# Their number.
+_NEARBY_HOME = 4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -326,13 +328,13 @@ def _turned(loop: KinematicLoop, start: np.ndarray, unnamed: list[int]) -> list[
     return turned
 
 
-def nearby_poses(loop: KinematicLoop, home: np.ndarray, n_poses: int = 4) -> list[np.ndarray]:
+def nearby_poses(loop: KinematicLoop, home: np.ndarray) -> list[np.ndarray]:
     """Return closed poses near a closed home pose (n_q,), in random directions that the loops leave free there."""
     jacobian = loop.jacobian(home)
     free = np.linalg.svd(jacobian)[2][loop.rank(home) :].T if jacobian.size else np.eye(len(home))
     random = Random(0)  # the standard library's generator: numpy's takes as long to load as the assembly takes
     found = []
-    for _ in range(n_poses if free.shape[1] else 0):
+    for _ in range(_NEARBY_HOME if free.shape[1] else 0):
         direction = free @ [random.gauss(0.0, 1.0) for _ in range(free.shape[1])]
         trial = home + _NEARBY_STEP * loop.unit * direction / np.abs(direction).max()
         pose, gap = newton.close(loop, trial)

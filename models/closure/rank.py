@@ -51,16 +51,14 @@ def independent_rows(jacobians: Sequence[np.ndarray], rank: int, tolerance: floa
     return rows
 
 
-def dependent_columns(
-    jacobian: np.ndarray, rank: int, groups: Sequence[Sequence[int]], tolerance: float = RANK_TOLERANCE
-) -> np.ndarray:
+def dependent_columns(jacobian: np.ndarray, rank: int, groups: Sequence[Sequence[int]]) -> np.ndarray:
     """Return the dependent columns (rank,): a well-conditioned set with columns from the earliest possible groups.
 
     The method is Gram-Schmidt with pivoting over the columns of each group in turn. The joints of the last groups (actuated
     and named ones) therefore stay independent if the other columns have full rank.
     """
     work = np.array(jacobian, dtype=float)
-    floor = tolerance * max(np.linalg.norm(work, axis=0).max(initial=0.0), np.finfo(float).tiny)
+    floor = RANK_TOLERANCE * max(np.linalg.norm(work, axis=0).max(initial=0.0), np.finfo(float).tiny)
     chosen: list[int] = []
     for group in groups:
         work, more = _pivots(work, group, rank - len(chosen), floor)
