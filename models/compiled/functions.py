@@ -31,14 +31,13 @@ from linkplan.models.compiled.cache import (
     find_entry,
     keep_entry,
     mark_used,
-    sweep,
     trusted_folder,
     wanted_again,
-    work_folder,
 )  # fmt: skip
 from linkplan.models.compiled.lanes import N_LANES, in_lanes
 from linkplan.models.deadline import NO_DEADLINE, Deadline, waiting_for_child
 from linkplan.models.errors import one_line
+from linkplan.models.work_folders import sweep, work_folder
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance

@@ -20,6 +20,7 @@ from msgspec import Struct
 
 from linkplan.models.deadline import check, shielded
 from linkplan.models.errors import PlanFileError
+from linkplan.models.work_folders import locked, sweep, sync, sync_folder, work_folder
 from linkplan.planner.files.manifest import (
     MANIFEST,
     RECORDS,
@@ -30,7 +31,6 @@ from linkplan.planner.files.manifest import (
     write_manifest,
 )
 from linkplan.planner.files.structs import json_values
-from linkplan.planner.files.work_folders import locked, sweep, sync, sync_folder, work_folder
 
 _NEW_RESULT = ".linkplan-new"
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from linkplan.models.errors import PlanFileError
-from linkplan.planner.files.work_folders import replace_file, sweep, work_folder
+from linkplan.models.work_folders import replace_file, sweep, work_folder
 
 # The mark of pictures and films, where each format allows it: a PNG's text, a GIF's comment, an MP4's metadata.
 MADE_BY = "made by linkplan render"
