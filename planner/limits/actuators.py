@@ -21,20 +21,18 @@ from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
     Bounds,
     Claimed,
-    Instant,
     Limit,
     LimitFacts,
     Measured,
     MotionArrays,
-    Problem,
     Rows,
-    Samples,
-    Scales,
     Tightened,
-    Trajectory,
     limited_rows,
 )
-from linkplan.planner.limits.samples import samples_of
+from linkplan.planner.limits.samples import Samples, samples_of
+from linkplan.planner.problem.instant import Instant, Scales
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.trajectory import Trajectory
 
 # An effort within this share of the clamp of a servo's force counts as clamped, so ctrl has no effect: a motion may enter
 # the clamp between two nodes. Efforts between nodes may be wrong by 200 times as much (DYNAMICS_SHARE). Measured: 4e-5.

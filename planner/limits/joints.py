@@ -24,24 +24,22 @@ from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
     Bounds,
     Claimed,
-    Instant,
     Limit,
     LimitFacts,
     Measured,
     MotionArrays,
-    Poses,
-    Problem,
     Rows,
-    Samples,
-    Scales,
     Tightened,
-    Trajectory,
     WhichJoints,
     limited_joints,
     limited_rows,
     squared_claim,
     with_limits,
 )
+from linkplan.planner.limits.samples import Poses, Samples
+from linkplan.planner.problem.instant import Instant, Scales
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.trajectory import Trajectory
 
 # Largest overrun of ranges [rad or m] and speeds [rad/s or m/s]: the rounding of degrees.
 RANGE_SLACK = 1e-9

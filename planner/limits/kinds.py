@@ -22,21 +22,14 @@ from linkplan.planner.limits.joints import (
     SpeedLimit,
     TendonLimit,
 )
-from linkplan.planner.limits.limit import (
-    Limit,
-    Margin,
-    Problem,
-    Samples,
-    Trajectory,
-    WhichJoints,
-    limit_margin,
-    with_limits,
-)
+from linkplan.planner.limits.limit import Limit, Margin, WhichJoints, limit_margin, with_limits
 from linkplan.planner.limits.rates import AccelerationLimit, JerkLimit, SiteAccelerationLimit, SiteJerkLimit
-from linkplan.planner.limits.samples import samples_of
+from linkplan.planner.limits.samples import Samples, samples_of
 from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.limits.site_path import OnPathLimit
 from linkplan.planner.problem.instant import unit_scales
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.trajectory import Trajectory
 
 # In the order of their rows in a program.
 KINDS: tuple[type[Limit], ...] = (

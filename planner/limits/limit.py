@@ -20,30 +20,12 @@ from msgspec import Struct, structs
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.planner.files.structs import Beside, InJson
-from linkplan.planner.limits.samples import Poses, Samples, least_between
+from linkplan.planner.limits.samples import Samples, least_between
 from linkplan.planner.problem.extra import as_no_number
 from linkplan.planner.problem.instant import Instant, Scales
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import Task
 from linkplan.planner.trajectory import Trajectory
-
-__all__ = [
-    "Bounds",
-    "Claimed",
-    "Instant",
-    "Limit",
-    "LimitFacts",
-    "Margin",
-    "Measured",
-    "Poses",
-    "Problem",
-    "Rows",
-    "Samples",
-    "Scales",
-    "Tightened",
-    "Trajectory",
-    "WhichJoints",
-]
 
 Bounds = tuple[float, float]
 # Of which independent joints: of none, of all, or of some by their index.

@@ -20,21 +20,19 @@ from linkplan.planner.limits.joints import bounds_of_joint, claim_of_joint, meas
 from linkplan.planner.limits.limit import (
     Bounds,
     Claimed,
-    Instant,
     Limit,
     LimitFacts,
     Measured,
-    Problem,
     Rows,
-    Samples,
-    Scales,
     Tightened,
-    Trajectory,
     limited_joints,
     squared_claim,
 )
+from linkplan.planner.limits.samples import Samples
 from linkplan.planner.problem.extra import jerk_of
-from linkplan.planner.problem.instant import free_instant, jerk_columns, motion_symbols
+from linkplan.planner.problem.instant import Instant, Scales, free_instant, jerk_columns, motion_symbols
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.trajectory import Trajectory
 
 
 @dataclass(frozen=True, slots=True)
