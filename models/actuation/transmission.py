@@ -115,7 +115,7 @@ def _on_joint(model, tree: Tree, joint: int, gear: np.ndarray, in_parent: bool) 
         dof, gear = dof + 3, gear[3:]
     axis = ca.SX(ca.DM(gear[:3]))
     if in_parent:
-        (chart,) = [chart for chart in tree.coordinates.charts if chart.joint == joint]
+        chart = tree.coordinates.chart_of(joint)
         turned = turned_quaternion(chart, tree.q)
         axis = rotation_of(turned).T @ ca.DM(rotation_from_quaternion(chart.centre)).T @ axis
     turning = slice(dof, dof + 3)

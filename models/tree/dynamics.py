@@ -196,7 +196,7 @@ def _child_frame(model: mujoco.MjModel, coordinates: Coordinates, body: int, par
             unit = model.jnt_axis[joint] / np.linalg.norm(model.jnt_axis[joint])
             turn = ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) * ca.DM(unit))
         else:
-            (chart,) = [chart for chart in coordinates.charts if chart.joint == joint]
+            chart = coordinates.chart_of(joint)
             turned = turned_quaternion(chart, q)
             turn = product(ca.SX(ca.DM(chart.centre)), turned)
             R = R @ ca.DM(rotation_from_quaternion(chart.centre)) @ rotation_of(turned)

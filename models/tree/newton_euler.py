@@ -146,7 +146,7 @@ def _to_body(
             axes = ca.DM(model.jnt_axis[joint])
             R = rotation_about(model.jnt_axis[joint], q[dof] - model.qpos0[model.jnt_qposadr[joint]])
         else:
-            (chart,) = [chart for chart in coordinates.charts if chart.joint == joint]
+            chart = coordinates.chart_of(joint)
             axes = ca.DM.eye(3)
             R = ca.DM(rotation_from_quaternion(chart.centre)) @ rotation_of(turned_quaternion(chart, q))
         dofs = range(dof, dof + axes.shape[1])
