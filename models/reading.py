@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from linkplan.models.errors import LinkplanError, ProblemError, one_line
+from linkplan.models.errors import LinkplanError, ProblemError, one_line, refusals
 
 # Largest result that is read back: a trajectory of 20,000 intervals x 10 x 40 joints x 8 bytes, a record of 10,000 cases.
 MAX_FILE_BYTES = 64_000_000
@@ -53,7 +53,7 @@ def read_head(path: Path, what: str, count: int, error: type[LinkplanError] = Pr
 @contextlib.contextmanager
 def _opened(path: Path, what: str, error: type[LinkplanError]) -> Iterator[tuple[BinaryIO, int]]:
     """Yield an open regular file and its size [bytes]. Errors of the system are raised as `error`."""
-    try:
+    with refusals(f"{what} cannot be read", ValueError, error=error):
         # Without O_NONBLOCK opening a pipe waits for a writer.
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
         with os.fdopen(descriptor, "rb") as file:
@@ -61,8 +61,6 @@ def _opened(path: Path, what: str, error: type[LinkplanError]) -> Iterator[tuple
             if not stat.S_ISREG(found.st_mode):
                 raise error(f"{what} is not a regular file (a folder, a pipe or a device)")
             yield file, found.st_size
-    except (OSError, ValueError) as refused:
-        raise error(f"{what} cannot be read: {getattr(refused, 'strerror', None) or refused}") from refused
 
 
 def read_toml(path: Path, what: str) -> dict:
