@@ -1,4 +1,4 @@
-"""Reading of user files: regular files of bounded size, printable text, and TOML of bounded depth."""
+"""Reading of user files: regular files of bounded size, printable text, and TOML of bounded depth; keys of TOML."""
 
 import contextlib
 import os
@@ -19,6 +19,12 @@ MOST_TOML_BYTES = 16_000_000
 _MAX_DEPTH = 100
 # A key with more parts than that. The parser's memory grows with the square of the number of parts.
 _LONG_KEY = re.compile(rf"""(?<![\w."'-])(?:(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_MAX_DEPTH}}}""")
+
+# Keys that need no quotes (TOML 1.0, "Keys").
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+# Characters that a basic string must escape (TOML 1.0, "String"), and the short escapes.
+_ESCAPED = re.compile(r'[\x00-\x1f\x7f"\\]')
+_SHORT = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\t": "\\t", "\r": "\\r"}
 
 
 def read_file(path: Path, what: str, most_bytes: int, error: type[LinkplanError] = ProblemError) -> bytes:
@@ -108,3 +114,13 @@ def too_deep(tables: object) -> bool:
             return False
         level = inner
     return True
+
+
+def key_text(key: str) -> str:
+    """Return a key in TOML's syntax, quoted if necessary."""
+    return key if _BARE.fullmatch(key) else quoted(key)
+
+
+def quoted(text: str) -> str:
+    """Return a text as a basic string of TOML, in quotes."""
+    return '"' + _ESCAPED.sub(lambda found: _SHORT.get(found[0], f"\\u{ord(found[0]):04x}"), text) + '"'

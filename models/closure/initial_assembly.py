@@ -8,8 +8,6 @@ along the hinges' common axis. A shift of one anchor along the axis closes it an
 """
 
 import itertools
-import json
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from random import Random
@@ -24,6 +22,7 @@ from linkplan.models.closure.newton import KinematicLoop, nearest_closed_pose
 from linkplan.models.closure.rank import FILE_ROUNDING_SHARE, ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
 from linkplan.models.kinematics import data_at, tied_points
+from linkplan.models.reading import key_text
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.joints import Joint, index_of, where
 
@@ -152,14 +151,9 @@ def home_text(tables: dict[str, dict[str, float]]) -> str:
     """Return home_deg and home_m, or other tables by joint, as lines of a problem file's [mechanism] table."""
     rows = []
     for key, table in tables.items():
-        values = ", ".join(f"{_key(joint)} = {x:.10g}" for joint, x in table.items())
+        values = ", ".join(f"{key_text(joint)} = {x:.10g}" for joint, x in table.items())
         rows.append(f"{key} = {{ {values} }}")
     return "\n".join(rows)
-
-
-def _key(name: str) -> str:
-    """Return a name as a TOML key, quoted if it contains anything but letters, digits, dashes and underscores."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
 
 
 def idle_drives(joints, actuators, dynamics, poses, mobility: Mobility, extent_m: float) -> tuple[list[str], list[str]]:
