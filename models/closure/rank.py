@@ -19,18 +19,21 @@ ROUNDING_SHARE = 1e-9
 FILE_ROUNDING_SHARE = 1e-6
 
 
+def shares(jacobian: np.ndarray) -> np.ndarray:
+    """Return the singular values of a matrix as shares of the largest."""
+    values = np.linalg.svd(jacobian, compute_uv=False) if jacobian.size else np.zeros(0)
+    return values / values.max(initial=np.finfo(float).tiny)
+
+
 def numerical_rank(jacobian: np.ndarray, tolerance: float = RANK_TOLERANCE) -> int:
     """Return the rank of a matrix. Singular values below `tolerance` times the largest count as zero."""
-    if jacobian.size == 0:
-        return 0
-    values = np.linalg.svd(jacobian, compute_uv=False)
-    return int(np.sum(values > tolerance * max(values[0], np.finfo(float).tiny)))
+    return int(np.sum(shares(jacobian) > tolerance))
 
 
 def weak_rank(jacobian: np.ndarray, tolerance: float = RANK_TOLERANCE) -> int:
     """Return the number of singular values between `tolerance` and WEAK_SHARE times the largest."""
-    values = np.linalg.svd(jacobian, compute_uv=False) if jacobian.size else np.zeros(1)
-    return int(np.sum((values > tolerance * values[0]) & (values < WEAK_SHARE * values[0])))
+    found = shares(jacobian)
+    return int(np.sum((found > tolerance) & (found < WEAK_SHARE)))
 
 
 def independent_rows(jacobians: Sequence[np.ndarray], rank: int, tolerance: float = RANK_TOLERANCE) -> np.ndarray:
