@@ -142,17 +142,14 @@ def _tree(outputs: OutputMap, removed: list[str], box: np.ndarray) -> mujoco.MjS
                 geom.contype = geom.conaffinity = 0
     _drop(spec, mechanism, removed, [actuator.name for actuator in outputs.actuators])
     for joint, (low, high) in zip(outputs.joints, box, strict=True):
-        motor = spec.add_actuator(name=_free_name(spec, joint.name), target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        name = joint.name if spec.actuator(joint.name) is None else f"{joint.name}_motor"
+        motor = spec.add_actuator(name=name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_motor()
         if np.isfinite([low, high]).all():
             motor.ctrlrange, motor.ctrllimited = [float(low), float(high)], True
     qpos = {model.joint(j).name: data.joint(j).qpos.copy() for j in range(model.njnt) if model.joint(j).name not in removed}
     spec.add_key(name="home", qpos=np.concatenate([np.atleast_1d(x) for x in qpos.values()]))
     return spec
-
-
-def _free_name(spec: mujoco.MjSpec, name: str) -> str:
-    return name if spec.actuator(name) is None else f"{name}_motor"
 
 
 def _drop(spec: mujoco.MjSpec, mechanism: Mechanism, removed: list[str], motors: list[str]) -> None:

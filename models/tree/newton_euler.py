@@ -104,12 +104,9 @@ def inertial_of(model: mujoco.MjModel, body: int) -> Inertial:
     """Return the inertial properties that the model gives a body."""
     R_B_I = rotation_from_quaternion(model.body_iquat[body])
     inertia_B = R_B_I @ np.diag(model.body_inertia[body]) @ R_B_I.T
-    return Inertial(mass=float(model.body_mass[body]), com=ca.DM(model.body_ipos[body]), inertia=ca.DM(_clean(inertia_B)))
-
-
-def _clean(matrix: np.ndarray) -> np.ndarray:
-    """Return `matrix` with entries of rounding size set to zero, which keeps planar expressions short."""
-    return np.where(np.abs(matrix) > 1e-15 * np.abs(matrix).max(initial=0.0), matrix, 0.0)
+    # Without entries of rounding size the expressions of planar mechanisms stay short.
+    inertia_B[np.abs(inertia_B) <= 1e-15 * np.abs(inertia_B).max()] = 0.0
+    return Inertial(mass=float(model.body_mass[body]), com=ca.DM(model.body_ipos[body]), inertia=ca.DM(inertia_B))
 
 
 def _to_body(
