@@ -86,7 +86,7 @@ def _surroundings(model: mujoco.MjModel):
     if clamped and (bodies := np.flatnonzero(model.body_gravcomp[1:]) + 1).size:
         more = f" and {len(bodies) - 1} more" if len(bodies) > 1 else ""
         yield (
-            f"gravcomp of body {model.body(bodies[0]).name or bodies[0]}{more}, clamped by the actuatorfrcrange of joint"
+            f"gravcomp of body {model.body(bodies[0]).name}{more}, clamped by the actuatorfrcrange of joint"
             f" {clamped[0]}{f' and {len(clamped) - 1} more' if len(clamped) > 1 else ''}: without their actuatorgravcomp it"
             " acts in full"
         )
@@ -96,7 +96,7 @@ def _surroundings(model: mujoco.MjModel):
     if model.nflex:
         yield f"{model.nflex} flex"
     for body in np.flatnonzero(model.body_plugin >= 0).tolist():  # actuators report their own
-        yield f"the plugin of body {model.body(body).name or body}"
+        yield f"the plugin of body {model.body(body).name}"
     if model.opt.enableflags & int(mujoco.mjtEnableBit.mjENBL_SLEEP):
         yield from _asleep(model)
 
@@ -113,7 +113,7 @@ def _asleep(model: mujoco.MjModel):
     """Yield the trees that the simulator leaves asleep until another body wakes them."""
     for tree in np.flatnonzero(model.tree_sleep_policy == int(mujoco.mjtSleepPolicy.mjSLEEP_INIT)).tolist():
         body = int(np.flatnonzero(model.body_treeid == tree)[0])
-        yield f'sleep="init" of body {model.body(body).name or body}: the simulator leaves it and what it carries asleep'
+        yield f'sleep="init" of body {model.body(body).name}: the simulator leaves it and what it carries asleep'
 
 
 def _actuators(model: mujoco.MjModel):

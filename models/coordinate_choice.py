@@ -7,7 +7,7 @@ import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator, constant_arms
 from linkplan.models.closure.newton import KinematicLoop
-from linkplan.models.closure.rank import dependent_columns, independent_rows, numerical_rank
+from linkplan.models.closure.rank import dependent_columns, independent_rows, numerical_rank, shares
 from linkplan.models.errors import ModelError
 from linkplan.models.tree.joints import Joint, index_of
 
@@ -75,11 +75,9 @@ def _dependent(joints, model, jacobian, rank: int, actuators, named: list[int]) 
             f"mechanism.independent = {[joints[i].name for i in named]} is singular at home: the loops fix joint"
             f" {', '.join(lost)} there whatever the other coordinates do; name another joint, or another home pose"
         )
-    if named and rank:
-        values = np.linalg.svd(jacobian[:, chosen], compute_uv=False)
-        if values[-1] < _SINGULAR_CHOICE_SHARE * values[0]:
-            raise ModelError(
-                f"mechanism.independent = {[joints[i].name for i in named]} is singular at home: the other joints are at a"
-                " dead centre there; name another joint, or another home pose"
-            )
+    if named and rank and shares(jacobian[:, chosen])[-1] < _SINGULAR_CHOICE_SHARE:
+        raise ModelError(
+            f"mechanism.independent = {[joints[i].name for i in named]} is singular at home: the other joints are at a"
+            " dead centre there; name another joint, or another home pose"
+        )
     return chosen

@@ -1,6 +1,7 @@
 """The errors that linkplan raises, all derived from `LinkplanError`, and names in their messages."""
 
-from collections.abc import Iterable, Mapping, Sequence
+import contextlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 
 def one_line(text: object, most: int = 4000) -> str:
@@ -89,6 +90,15 @@ class GainError(LinkplanError):
 
 class PlanFileError(LinkplanError):
     """A plan folder that cannot be read or written."""
+
+
+@contextlib.contextmanager
+def refusals(what: str, *others: type[Exception], error: type[LinkplanError] = PlanFileError) -> Iterator[None]:
+    """Raise errors of the system, and those of the types `others`, as `error` with a text that begins with `what`."""
+    try:
+        yield
+    except (OSError, *others) as refused:
+        raise error(f"{what}: {getattr(refused, 'strerror', None) or refused}") from refused
 
 
 class CertificateError(PlanFileError):

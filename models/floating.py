@@ -122,4 +122,4 @@ def refuse_many_loose(name: str, model: mujoco.MjModel) -> None:
 
 def _names(model: mujoco.MjModel, bodies: Sequence[int]) -> str:
     """Return the names of bodies, of many the first and how many there are beside them."""
-    return listed([model.body(b).name or f"body {b}" for b in bodies], 4)
+    return listed([model.body(b).name for b in bodies], 4)

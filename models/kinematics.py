@@ -155,6 +155,15 @@ def subtree(model: mujoco.MjModel, body: int) -> set[int]:
     return found
 
 
+def path_to(model: mujoco.MjModel, body: int) -> list[int]:
+    """Return the bodies from the world's child on to a body, which is the last; none for the world."""
+    path = []
+    while body:
+        path.insert(0, body)
+        body = int(model.body_parentid[body])
+    return path
+
+
 def joints_of(model: mujoco.MjModel, body: int) -> range:
     """Return the joints of a body."""
     first = int(model.body_jntadr[body])
@@ -241,9 +250,9 @@ def carrying_axis(model: mujoco.MjModel, joint: int, reference: np.ndarray) -> n
     data = data_at(model, reference)
     frame = data.xmat[body].reshape(3, 3)
     for carrier in before:
-        for k in reversed(range(int(model.body_jntnum[carrier]))):
-            if int(model.jnt_type[int(model.body_jntadr[carrier]) + k]) == HINGE:
-                return frame.T @ data.xaxis[int(model.body_jntadr[carrier]) + k]
+        for hinge in reversed(joints_of(model, carrier)):
+            if int(model.jnt_type[hinge]) == HINGE:
+                return frame.T @ data.xaxis[hinge]
     line = _rod_before(model, joint)
     return None if line is None else frame.T @ data.xmat[before[0]].reshape(3, 3) @ line
 
@@ -312,8 +321,5 @@ def extent_m(model: mujoco.MjModel) -> float:
 
 def clamped_joints(model: mujoco.MjModel, site: int) -> list[int]:
     """Return the joints that move a site and have an actuatorfrcrange: it clamps the sum of a force there and of motors."""
-    body, found = int(model.site_bodyid[site]), []
-    while body:
-        found += [joint for joint in joints_of(model, body) if model.jnt_actfrclimited[joint]]
-        body = int(model.body_parentid[body])
-    return found
+    bodies = reversed(path_to(model, int(model.site_bodyid[site])))
+    return [joint for body in bodies for joint in joints_of(model, body) if model.jnt_actfrclimited[joint]]

@@ -1,4 +1,4 @@
-"""Reading of user files: regular files of bounded size, printable text, and TOML of bounded depth."""
+"""Reading of user files: regular files of bounded size, printable text, and TOML of bounded depth; keys of TOML."""
 
 import contextlib
 import os
@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from linkplan.models.errors import LinkplanError, ProblemError, one_line
+from linkplan.models.errors import LinkplanError, ProblemError, one_line, refusals
 
 # Largest result that is read back: a trajectory of 20,000 intervals x 10 x 40 joints x 8 bytes, a record of 10,000 cases.
 MAX_FILE_BYTES = 64_000_000
@@ -19,6 +19,12 @@ MOST_TOML_BYTES = 16_000_000
 _MAX_DEPTH = 100
 # A key with more parts than that. The parser's memory grows with the square of the number of parts.
 _LONG_KEY = re.compile(rf"""(?<![\w."'-])(?:(?:[A-Za-z0-9_-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){{{_MAX_DEPTH}}}""")
+
+# Keys that need no quotes (TOML 1.0, "Keys").
+_BARE = re.compile(r"[A-Za-z0-9_-]+")
+# Characters that a basic string must escape (TOML 1.0, "String"), and the short escapes.
+_ESCAPED = re.compile(r'[\x00-\x1f\x7f"\\]')
+_SHORT = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\t": "\\t", "\r": "\\r"}
 
 
 def read_file(path: Path, what: str, most_bytes: int, error: type[LinkplanError] = ProblemError) -> bytes:
@@ -53,7 +59,7 @@ def read_head(path: Path, what: str, count: int, error: type[LinkplanError] = Pr
 @contextlib.contextmanager
 def _opened(path: Path, what: str, error: type[LinkplanError]) -> Iterator[tuple[BinaryIO, int]]:
     """Yield an open regular file and its size [bytes]. Errors of the system are raised as `error`."""
-    try:
+    with refusals(f"{what} cannot be read", ValueError, error=error):
         # Without O_NONBLOCK opening a pipe waits for a writer.
         descriptor = os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_CLOEXEC", 0))
         with os.fdopen(descriptor, "rb") as file:
@@ -61,8 +67,6 @@ def _opened(path: Path, what: str, error: type[LinkplanError]) -> Iterator[tuple
             if not stat.S_ISREG(found.st_mode):
                 raise error(f"{what} is not a regular file (a folder, a pipe or a device)")
             yield file, found.st_size
-    except (OSError, ValueError) as refused:
-        raise error(f"{what} cannot be read: {getattr(refused, 'strerror', None) or refused}") from refused
 
 
 def read_toml(path: Path, what: str) -> dict:
@@ -110,3 +114,13 @@ def too_deep(tables: object) -> bool:
             return False
         level = inner
     return True
+
+
+def key_text(key: str) -> str:
+    """Return a key in TOML's syntax, quoted if necessary."""
+    return key if _BARE.fullmatch(key) else quoted(key)
+
+
+def quoted(text: str) -> str:
+    """Return a text as a basic string of TOML, in quotes."""
+    return '"' + _ESCAPED.sub(lambda found: _SHORT.get(found[0], f"\\u{ord(found[0]):04x}"), text) + '"'

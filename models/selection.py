@@ -6,7 +6,7 @@ that pose, so the closure is tied to sites at the original anchors.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 
 import mujoco
 import numpy as np
@@ -26,6 +26,7 @@ from linkplan.models.kinematics import (
     fix_in_parent,
     in_body,
     joints_of,
+    path_to,
     subtree,
     tied_bodies,
     tied_points,
@@ -67,11 +68,7 @@ class Selection:
 
     def table(self) -> dict[str, object]:
         """Return what is selected as keys of the [mechanism] table."""
-        asked = {"keep": list(self.keep), "fix_base": self.fix_base, "lock": dict(self.lock), "keyframe": self.keyframe}
-        asked |= {"exclude_contacts": [list(pair) for pair in self.exclude_contacts], "drive": list(self.drive)}
-        asked |= {"lock_spin": list(self.lock_spin), "force": {site: list(of) for site, of in self.force.items()}}
-        asked |= {"gear": dict(self.gear), "rotor_inertia": dict(self.rotor_inertia)}
-        return {key: value for key, value in asked.items() if value}
+        return {key: value for key, value in asdict(self).items() if value}
 
 
 def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tuple[str, ...]:
@@ -90,7 +87,7 @@ def select(spec: mujoco.MjSpec, model: mujoco.MjModel, asked: Selection) -> tupl
         spec.delete(key)
     chosen = [_body_of(model, name) for name in asked.keep]
     below = _closed_chain(model, chosen) if chosen else set(range(1, model.nbody))
-    above = {ancestor for body in below for ancestor in _ancestors(model, body)} - below
+    above = {ancestor for body in below for ancestor in path_to(model, body)} - below
     spins = asked_spins(model, asked.lock_spin)
     locked = _asked_locks(model, asked.lock) | dict.fromkeys(spins)
     floating = floating_of(model, below | above) if asked.fix_base else []
@@ -146,26 +143,17 @@ def _body_of(model: mujoco.MjModel, name: str) -> int:
     return (joints | bodies)[choose("body or joint in mechanism.keep", name, [*bodies, *joints])]
 
 
-def _ancestors(model: mujoco.MjModel, body: int) -> list[int]:
-    """Return the bodies between a body and the world, from below."""
-    above = []
-    while (body := int(model.body_parentid[body])) > 0:
-        above.append(body)
-    return above
-
-
 def _closed_chain(model: mujoco.MjModel, chosen: Sequence[int]) -> set[int]:
     """Return bodies with what hangs on them, and every chain that a closure ties to them."""
     kept = set().union(*(subtree(model, body) for body in chosen))
     pairs = [pair for i in range(model.neq) if len(pair := tied_bodies(model, i)) > 1]
     while True:
-        above = {ancestor for body in kept for ancestor in _ancestors(model, body)}
+        above = {ancestor for body in kept for ancestor in path_to(model, body)[:-1]}
         tied = {body for pair in pairs if pair & kept for body in pair - kept - above - {0}}
         if not tied:
             return kept
         for body in tied:
-            chain = [one for one in (body, *_ancestors(model, body)) if one not in above]
-            kept |= subtree(model, chain[-1])
+            kept |= subtree(model, next(one for one in path_to(model, body) if one not in above))
 
 
 def _asked_locks(model: mujoco.MjModel, lock: Mapping[str, float]) -> dict[int, float | None]:

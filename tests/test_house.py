@@ -19,8 +19,8 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 # its package's own folder is a room of its own.
 ROOMS = {
     "models": (
-        "errors", "extras", "deadline", "compiled", "reading", "catalogue", "model_text", "payload", "kinematics",
-        "deletion", "conversion", "urdf_links", "urdf_loops", "rod_spins", "external_forces", "gearing",
+        "errors", "extras", "deadline", "work_folders", "compiled", "reading", "catalogue", "model_text", "payload",
+        "kinematics", "deletion", "conversion", "urdf_links", "urdf_loops", "rod_spins", "external_forces", "gearing",
         "floating", "selection", "library", "digest", "tree", "closure", "reduction", "actuation", "audit",
         "coordinate_choice", "equations", "mechanism_html", "mechanism", "selected_model", "poses", "transfer", "guide",
     ),

@@ -12,6 +12,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
+from linkplan.models.kinematics import path_to
 from linkplan.models.tree.coordinates import (
     BALL,
     FREE,
@@ -114,7 +115,7 @@ def _on_joint(model, tree: Tree, joint: int, gear: np.ndarray, in_parent: bool) 
         dof, gear = dof + 3, gear[3:]
     axis = ca.SX(ca.DM(gear[:3]))
     if in_parent:
-        (chart,) = [chart for chart in tree.coordinates.charts if chart.joint == joint]
+        chart = tree.coordinates.chart_of(joint)
         turned = turned_quaternion(chart, tree.q)
         axis = rotation_of(turned).T @ ca.DM(rotation_from_quaternion(chart.centre)).T @ axis
     turning = slice(dof, dof + 3)
@@ -125,7 +126,7 @@ def _on_joint(model, tree: Tree, joint: int, gear: np.ndarray, in_parent: bool) 
 def _crank_travel(model, tree: Tree, index: int) -> ca.SX:
     """Return the slider's position [m] on its axis. As in MuJoCo, a rod that is too short counts as normal to the axis."""
     crank, slider = (int(i) for i in model.actuator_trnid[index])
-    to_crank = _place(model, tree, crank) - _place(model, tree, slider)
+    to_crank = tree.site(crank) - tree.site(slider)
     frame = tree.frames[int(model.site_bodyid[slider])]
     axis = frame.R_world_B @ ca.DM(rotation_from_quaternion(model.site_quat[slider])[:, 2])
     along = ca.dot(to_crank, axis)
@@ -151,16 +152,10 @@ def _at_site(model, tree: Tree, index: int, gear: np.ndarray) -> ca.SX:
         return column
     # MuJoCo ignores the joints that carry both sites.
     keep = ca.DM.ones(tree.q.numel())
-    above = common_ancestor(model, body, holder_body)
-    while above:
+    for above in path_to(model, common_ancestor(model, body, holder_body)):
         start = int(model.body_dofadr[above])
         keep[[start + k for k in range(int(model.body_dofnum[above]))]] = 0
-        above = int(model.body_parentid[above])
     return ca.sparsify(column * keep)
-
-
-def _place(model, tree: Tree, site: int) -> ca.SX:
-    return tree.point(int(model.site_bodyid[site]), model.site_pos[site])
 
 
 def _jacobian(model, tree: Tree, site: int) -> ca.SX:
@@ -168,4 +163,4 @@ def _jacobian(model, tree: Tree, site: int) -> ca.SX:
     quaternion = tree.frames[int(model.site_bodyid[site])].quaternion
     w, v, rates = quaternion[0], quaternion[1:], ca.jacobian(quaternion, tree.q)
     turning = 2 * (w * rates[1:, :] - v @ rates[0, :] + ca.skew(v) @ rates[1:, :])
-    return ca.vertcat(ca.jacobian(_place(model, tree, site), tree.q), turning)
+    return ca.vertcat(ca.jacobian(tree.site(site), tree.q), turning)

@@ -125,7 +125,8 @@ def _connect(model: mujoco.MjModel, tree: Tree, index: int):
     first, second = _places(frames, ends)
     earlier = earlier_pin(model, index)
     if earlier is not None:
-        before = _in_order(tied_points(model, earlier), ends)
+        before = tied_points(model, earlier)
+        before = before if before[0][0] == ends[0][0] else before[::-1]  # in the same order of bodies
         own = np.array([[place for _, place in pin] for pin in (before, ends)])
         residual = _second_pin(_places(frames, before), (first, second), own, tree.q)
         if residual is not None:
@@ -195,13 +196,8 @@ def rows_by_pin(model: mujoco.MjModel, closures: Sequence[Closure]) -> list[list
 
 
 def _places(frames: list[Frame], ends: list[tuple[int, np.ndarray]]) -> tuple[ca.SX, ca.SX]:
-    first, second = (f.p_world_B + f.R_world_B @ ca.DM(p) for f, (_, p) in zip(frames, ends, strict=True))
+    first, second = (frame.point(p) for frame, (_, p) in zip(frames, ends, strict=True))
     return first, second
-
-
-def _in_order(pin: list[tuple[int, np.ndarray]], of: list[tuple[int, np.ndarray]]) -> list[tuple[int, np.ndarray]]:
-    """Return a pin's two ends in the body order of the pin `of`."""
-    return pin if pin[0][0] == of[0][0] else pin[::-1]
 
 
 def _weld(model: mujoco.MjModel, tree: Tree, index: int):

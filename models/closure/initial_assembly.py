@@ -8,8 +8,6 @@ along the hinges' common axis. A shift of one anchor along the axis closes it an
 """
 
 import itertools
-import json
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from random import Random
@@ -24,6 +22,7 @@ from linkplan.models.closure.newton import KinematicLoop, nearest_closed_pose
 from linkplan.models.closure.rank import FILE_ROUNDING_SHARE, ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
 from linkplan.models.kinematics import data_at, tied_points
+from linkplan.models.reading import key_text
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.joints import Joint, index_of, where
 
@@ -46,6 +45,8 @@ HOME_TOLERANCE = np.radians(5.0)
 _HOME_STEPS = (0.02, 0.002)
 # Distance of the sampled nearby poses from home [rad; extents on a slide].
 _NEARBY_STEP = 0.15
+# Their number.
+_NEARBY_HOME = 4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -150,14 +151,9 @@ def home_text(tables: dict[str, dict[str, float]]) -> str:
     """Return home_deg and home_m, or other tables by joint, as lines of a problem file's [mechanism] table."""
     rows = []
     for key, table in tables.items():
-        values = ", ".join(f"{_key(joint)} = {x:.10g}" for joint, x in table.items())
+        values = ", ".join(f"{key_text(joint)} = {x:.10g}" for joint, x in table.items())
         rows.append(f"{key} = {{ {values} }}")
     return "\n".join(rows)
-
-
-def _key(name: str) -> str:
-    """Return a name as a TOML key, quoted if it contains anything but letters, digits, dashes and underscores."""
-    return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else json.dumps(name)
 
 
 def idle_drives(joints, actuators, dynamics, poses, mobility: Mobility, extent_m: float) -> tuple[list[str], list[str]]:
@@ -326,13 +322,13 @@ def _turned(loop: KinematicLoop, start: np.ndarray, unnamed: list[int]) -> list[
     return turned
 
 
-def nearby_poses(loop: KinematicLoop, home: np.ndarray, n_poses: int = 4) -> list[np.ndarray]:
+def nearby_poses(loop: KinematicLoop, home: np.ndarray) -> list[np.ndarray]:
     """Return closed poses near a closed home pose (n_q,), in random directions that the loops leave free there."""
     jacobian = loop.jacobian(home)
     free = np.linalg.svd(jacobian)[2][loop.rank(home) :].T if jacobian.size else np.eye(len(home))
     random = Random(0)  # the standard library's generator: numpy's takes as long to load as the assembly takes
     found = []
-    for _ in range(n_poses if free.shape[1] else 0):
+    for _ in range(_NEARBY_HOME if free.shape[1] else 0):
         direction = free @ [random.gauss(0.0, 1.0) for _ in range(free.shape[1])]
         trial = home + _NEARBY_STEP * loop.unit * direction / np.abs(direction).max()
         pose, gap = newton.close(loop, trial)

@@ -66,7 +66,7 @@ def find_passive_dofs(
     for column in passive:
         bodies, chart = np.flatnonzero(spins[0][:, column]), joints[independent[column]].chart
         ball = chart is not None and len(bodies) == 1 and not any(joint.name == f"{chart}_x" for joint in joints)
-        name = f"ball joint {chart}" if ball else " and ".join(f"body {model.body(b).name or b}" for b in bodies)
+        name = f"ball joint {chart}" if ball else " and ".join(f"body {model.body(b).name}" for b in bodies)
         notes.append(f"{name} can spin while all other joints rest: a passive degree of freedom, which no actuator drives")
     return tuple(independent[passive].tolist()), notes
 
@@ -322,19 +322,17 @@ def locked_by(error: LockedError, loop: KinematicLoop, pose: np.ndarray) -> Lock
     return LockedError(f"{error}{_freed_text(freed)}", freed)
 
 
-def freedoms_without(
-    closures: Sequence[Closure], jacobian: np.ndarray, share: float, *, max_size: int = 3, max_listed: int = 8
-) -> dict[str, int]:
+def freedoms_without(closures: Sequence[Closure], jacobian: np.ndarray, share: float) -> dict[str, int]:
     """Return the degrees of freedom gained by leaving out closures, or orientations of welds, by the names left out.
 
-    A key joins names with " and " if only the set frees the mechanism. Sets of `max_size` closures are tried only if no
-    smaller set frees it. At most `max_listed` sets are returned.
+    A key joins names with " and " if only the set frees the mechanism. Sets of three closures are tried only if no smaller
+    set frees it. At most eight sets are returned.
     """
     least = numerical_rank(jacobian, share)
     parts = list(_parts(closures))
     found: dict[frozenset[str], int] = {}
-    for size in range(1, max_size + 1):
-        if size == max_size and found:
+    for size in (1, 2, 3):
+        if size == 3 and found:
             break
         for chosen in itertools.combinations(parts, size):
             names = frozenset(part for part, _ in chosen)
@@ -346,7 +344,7 @@ def freedoms_without(
                 found[names] = more
     order = [part for part, _ in parts]
     named = {" and ".join(sorted(names, key=order.index)): more for names, more in found.items()}
-    return dict(itertools.islice(named.items(), max_listed))
+    return dict(itertools.islice(named.items(), 8))
 
 
 def _parts(closures: Sequence[Closure]) -> Iterator[tuple[str, list[int]]]:

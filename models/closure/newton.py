@@ -30,7 +30,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.closure.equations import Closure
-from linkplan.models.closure.rank import RANK_TOLERANCE, ROUNDING_SHARE, numerical_rank
+from linkplan.models.closure.rank import RANK_TOLERANCE, ROUNDING_SHARE, numerical_rank, shares
 from linkplan.models.compiled.functions import on_arrays
 from linkplan.models.deadline import Deadline
 from linkplan.models.tree.coordinates import Coordinates
@@ -303,14 +303,13 @@ def nearest_closed_pose(loop: KinematicLoop, reference: np.ndarray) -> np.ndarra
             closed.append(pose)
     if not closed:
         return None
-    shares = [_shares(loop, pose) for pose in closed]
-    largest = np.max(shares, axis=0)
+    largest = np.max([shares(loop.jacobian(pose)) for pose in closed], axis=0)
     # Some singular values are small at every closed pose. At a regular pose they are not far smaller than at the others.
     least = np.where(largest > _NEARLY_SINGULAR_SHARE, _NEARLY_SINGULAR_SHARE, _NEARLY_SINGULAR_SHARE * largest)
     least[largest <= loop.rank_tolerance] = 0.0
 
     def regular(pose: np.ndarray) -> bool:
-        return bool(np.all(_shares(loop, pose) >= least))
+        return bool(np.all(shares(loop.jacobian(pose)) >= least))
 
     def measure(pose: np.ndarray) -> tuple[bool, float, float]:
         # Mirror images are equally near: rounding does not choose between them.
@@ -345,15 +344,6 @@ def _starts(loop: KinematicLoop, reference: np.ndarray, n_random: int = 60) -> I
 def _closed(loop: KinematicLoop, start: np.ndarray) -> np.ndarray | None:
     pose, gap = close(loop, start)
     return pose if gap <= loop.closed_m else None
-
-
-def _shares(loop: KinematicLoop, pose: np.ndarray) -> np.ndarray:
-    """Return the singular values of the closure at a pose, as shares of the largest."""
-    jacobian = loop.jacobian(pose)
-    if not jacobian.size:
-        return np.zeros(0)
-    values = np.linalg.svd(jacobian, compute_uv=False)
-    return values / max(values[0], np.finfo(float).tiny)
 
 
 def _outside(loop: KinematicLoop, pose: np.ndarray) -> float:

@@ -19,18 +19,21 @@ ROUNDING_SHARE = 1e-9
 FILE_ROUNDING_SHARE = 1e-6
 
 
+def shares(jacobian: np.ndarray) -> np.ndarray:
+    """Return the singular values of a matrix as shares of the largest."""
+    values = np.linalg.svd(jacobian, compute_uv=False) if jacobian.size else np.zeros(0)
+    return values / values.max(initial=np.finfo(float).tiny)
+
+
 def numerical_rank(jacobian: np.ndarray, tolerance: float = RANK_TOLERANCE) -> int:
     """Return the rank of a matrix. Singular values below `tolerance` times the largest count as zero."""
-    if jacobian.size == 0:
-        return 0
-    values = np.linalg.svd(jacobian, compute_uv=False)
-    return int(np.sum(values > tolerance * max(values[0], np.finfo(float).tiny)))
+    return int(np.sum(shares(jacobian) > tolerance))
 
 
 def weak_rank(jacobian: np.ndarray, tolerance: float = RANK_TOLERANCE) -> int:
     """Return the number of singular values between `tolerance` and WEAK_SHARE times the largest."""
-    values = np.linalg.svd(jacobian, compute_uv=False) if jacobian.size else np.zeros(1)
-    return int(np.sum((values > tolerance * values[0]) & (values < WEAK_SHARE * values[0])))
+    found = shares(jacobian)
+    return int(np.sum((found > tolerance) & (found < WEAK_SHARE)))
 
 
 def independent_rows(jacobians: Sequence[np.ndarray], rank: int, tolerance: float = RANK_TOLERANCE) -> np.ndarray:
@@ -51,16 +54,14 @@ def independent_rows(jacobians: Sequence[np.ndarray], rank: int, tolerance: floa
     return rows
 
 
-def dependent_columns(
-    jacobian: np.ndarray, rank: int, groups: Sequence[Sequence[int]], tolerance: float = RANK_TOLERANCE
-) -> np.ndarray:
+def dependent_columns(jacobian: np.ndarray, rank: int, groups: Sequence[Sequence[int]]) -> np.ndarray:
     """Return the dependent columns (rank,): a well-conditioned set with columns from the earliest possible groups.
 
     The method is Gram-Schmidt with pivoting over the columns of each group in turn. The joints of the last groups (actuated
     and named ones) therefore stay independent if the other columns have full rank.
     """
     work = np.array(jacobian, dtype=float)
-    floor = tolerance * max(np.linalg.norm(work, axis=0).max(initial=0.0), np.finfo(float).tiny)
+    floor = RANK_TOLERANCE * max(np.linalg.norm(work, axis=0).max(initial=0.0), np.finfo(float).tiny)
     chosen: list[int] = []
     for group in groups:
         work, more = _pivots(work, group, rank - len(chosen), floor)

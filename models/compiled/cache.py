@@ -2,8 +2,7 @@
 
 An entry is a library and a record. The record's first line is the hash of the rest, which is JSON with the library's hash.
 Both hashes are checked before the library is loaded. A truncated or altered entry is ignored and compiled again. Files are
-moved into place whole, so parallel processes at worst compile the same functions twice. Work folders of killed processes are
-removed when they are older than any compilation.
+moved into place whole, so parallel processes at worst compile the same functions twice.
 
 The folder holds at most $LINKPLAN_CACHE_MB megabytes, 2048 by default. The entries that were unused for the longest time are
 removed first. A process keeps a library that it has loaded. A library that is removed between lookup and loading is compiled
@@ -16,17 +15,11 @@ import json
 import math
 import os
 import re
-import shutil
 import stat
 import tempfile
-import time
 import warnings
-from collections.abc import Iterator
 from pathlib import Path
 
-_WORK = ".build-"
-# A compilation that began longer ago than this [s] and left no library has failed.
-_MAX_COMPILATION_AGE_S = 600.0
 # Names of an entry's two files. No other file of the folder is removed.
 _ENTRY = re.compile(r"(k[0-9a-f]{32})\.(so|json)")
 # Space for about a hundred of the largest libraries, or ten thousand of a four-bar's.
@@ -182,20 +175,6 @@ def hash_of(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()
 
 
-@contextlib.contextmanager
-def work_folder(folder: Path) -> Iterator[Path]:
-    """Yield a new folder to compile in, and remove it at the end.
-
-    Raises:
-        OSError: when it cannot be made.
-    """
-    work = Path(tempfile.mkdtemp(prefix=_WORK, dir=folder))
-    try:
-        yield work
-    finally:
-        shutil.rmtree(work, ignore_errors=True)
-
-
 def wanted_again(folder: Path, key: str) -> bool:
     """Mark a key as wanted; return True if it was wanted before.
 
@@ -207,11 +186,3 @@ def wanted_again(folder: Path, key: str) -> bool:
     except FileExistsError:
         return True
     return False
-
-
-def sweep(folder: Path) -> None:
-    """Remove the work folders of processes that were killed."""
-    for left in [Path(entry.path) for entry in os.scandir(folder) if entry.name.startswith(_WORK)]:
-        with contextlib.suppress(OSError):  # removed by another process meanwhile
-            if time.time() - left.stat().st_mtime > _MAX_COMPILATION_AGE_S:
-                shutil.rmtree(left, ignore_errors=True)

@@ -31,14 +31,13 @@ from linkplan.models.compiled.cache import (
     find_entry,
     keep_entry,
     mark_used,
-    sweep,
     trusted_folder,
     wanted_again,
-    work_folder,
 )  # fmt: skip
 from linkplan.models.compiled.lanes import N_LANES, in_lanes
 from linkplan.models.deadline import NO_DEADLINE, Deadline, waiting_for_child
 from linkplan.models.errors import one_line
+from linkplan.models.work_folders import sweep, work_folder
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -166,7 +165,8 @@ def compiled(key: str, kind: type[CodeT], build: Callable[[], CodeT], deadline: 
         return found
     functions = build()
     left = 0.5 * deadline.left_s
-    if compiler() is None or left <= 0 or _is_endless(functions):
+    length = sum(getattr(functions, name).n_instructions() for name in _names(functions))
+    if compiler() is None or left <= 0 or length > _MAX_INSTRUCTIONS:
         return functions
     try:
         folder = trusted_folder(make=True)
@@ -213,11 +213,6 @@ def _wanted_again(key: str) -> bool:
 
 def _names(functions: DataclassInstance) -> tuple[str, ...]:
     return tuple(field.name for field in fields(functions) if isinstance(getattr(functions, field.name), ca.Function))
-
-
-def _is_endless(functions: DataclassInstance) -> bool:
-    """Check whether functions are too long to compile within the timeout."""
-    return sum(getattr(functions, name).n_instructions() for name in _names(functions)) > _MAX_INSTRUCTIONS
 
 
 def run_with_children(command: list[str], work: Path, timeout_s: float) -> None:

@@ -15,6 +15,7 @@ import numpy as np
 
 from linkplan.models.actuation.actuators import effort_matrix, lengths
 from linkplan.models.closure.equations import Closure, read_closures
+from linkplan.models.closure.rank import numerical_rank
 from linkplan.models.errors import ModelError
 from linkplan.models.guide.curve import Curve
 from linkplan.models.mechanism import Mechanism
@@ -74,8 +75,7 @@ def guided(free: Mechanism, site: int, curve: Curve, pose: np.ndarray) -> Guided
 
     name = free.model.site(site).name
     jacobian = _site_jacobian(free, site)(pose).full()
-    values = np.linalg.svd(jacobian, compute_uv=False)
-    rank = int(np.sum(values > _RANK_SHARE * max(float(values.max(initial=0.0)), 1e-300)))
+    rank = numerical_rank(jacobian, _RANK_SHARE)
     if rank < free.dof:
         raise ModelError(
             f"a path of site {name} leaves {free.dof - rank} of the {free.dof} freedoms of '{free.name}' open; it needs a"
@@ -96,7 +96,7 @@ def guided(free: Mechanism, site: int, curve: Curve, pose: np.ndarray) -> Guided
         kind="guide",
         index=free.model.neq,
         rows=slice(after, after + 3),
-        residual=_site(tree, site) - curve.place(x),
+        residual=tree.site(site) - curve.place(x),
         frame=0,
         scale=1.0,
         unit="m",
@@ -127,10 +127,6 @@ def guided(free: Mechanism, site: int, curve: Curve, pose: np.ndarray) -> Guided
         "coasting_dofs": (),
     }
     return GuidedMechanism(**own, free=free, curve=curve)
-
-
-def _site(tree: Tree, site: int) -> ca.SX:
-    return tree.point(int(tree.model.site_bodyid[site]), tree.model.site_pos[site])
 
 
 def _site_jacobian(free: Mechanism, site: int) -> ca.Function:

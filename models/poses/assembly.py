@@ -188,15 +188,13 @@ def steps_to(
     yield from (pose for _, (pose,) in closing.continued(closing_of(mechanism), *given, deadline))
 
 
-def advance_all(
-    mechanism: Mechanism, starts: np.ndarray, targets: np.ndarray, deadline: Deadline = NO_DEADLINE
-) -> np.ndarray:
+def advance_all(mechanism: Mechanism, starts: np.ndarray, targets: np.ndarray) -> np.ndarray:
     """Return the poses (n, n_q) at targets (n, n_s), each continued from its own start (n, n_q) by `advance`, side by side.
 
     A pose is NaN where the loop opens on the way.
     """
     found = np.array(starts, dtype=float)
-    for rows, poses in closing.continued(closing_of(mechanism), starts, targets, deadline):
+    for rows, poses in closing.continued(closing_of(mechanism), starts, targets):
         found[rows] = poses
     found[np.any(found[:, mechanism.independent] != targets, axis=1)] = np.nan
     return found

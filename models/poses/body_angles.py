@@ -16,7 +16,7 @@ import numpy as np
 
 from linkplan.models.closure.rank import FILE_ROUNDING_SHARE
 from linkplan.models.errors import ModelError, choose
-from linkplan.models.kinematics import data_at
+from linkplan.models.kinematics import data_at, joints_of, path_to
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.coordinates import BALL, FREE, HINGE, joint_label
 
@@ -45,7 +45,7 @@ def turning(mechanism: Mechanism, body: int, what: str, error: type[Exception] =
         error: if no hinge turns the body, or if it turns about several axes.
     """
     model, label = mechanism.model, f"{what} of body '{mechanism.model.body(body).name}'"
-    chain = _chain(model, body)
+    chain = [joint for one in path_to(model, body) for joint in joints_of(model, one)]
     for joint in chain:
         if int(model.jnt_type[joint]) in (BALL, FREE):
             kind = "ball" if int(model.jnt_type[joint]) == BALL else "free"
@@ -89,13 +89,3 @@ def sum_text(mechanism: Mechanism, sigma: np.ndarray) -> str:
     """Return the sum that is a body's angle as text, such as "hip - knee"."""
     terms = [("-" if sigma[j] < 0 else "+", mechanism.joints[j].name) for j in np.flatnonzero(sigma)]
     return " ".join(f"{sign} {name}" for sign, name in terms).removeprefix("+ ")
-
-
-def _chain(model: mujoco.MjModel, body: int) -> list[int]:
-    """Return the joints between the world and a body, from the world on."""
-    chain: list[int] = []
-    while body:
-        first = int(model.body_jntadr[body])
-        chain = [*range(first, first + int(model.body_jntnum[body])), *chain]
-        body = int(model.body_parentid[body])
-    return chain

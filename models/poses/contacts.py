@@ -305,16 +305,11 @@ def _second_model(mechanism: Mechanism) -> mujoco.MjModel:
 
 def geom_name(model: mujoco.MjModel, index: int) -> str:
     """Return a geom's name, or a name made from its index and body."""
-    return model.geom(index).name or f"geom {index} of {body_name(model, model.geom_bodyid[index])}"
-
-
-def body_name(model: mujoco.MjModel, index: int) -> str:
-    """Return a body's name, or a name made from its index."""
-    return model.body(int(index)).name or f"body {int(index)}"
+    return model.geom(index).name or f"geom {index} of {model.body(int(model.geom_bodyid[index])).name}"
 
 
 def _bodies(model: mujoco.MjModel, pair: Pair) -> tuple[str, str]:
-    first, second = (body_name(model, model.geom_bodyid[geom]) for geom in pair)
+    first, second = (model.body(int(model.geom_bodyid[geom])).name for geom in pair)
     return first, second
 
 

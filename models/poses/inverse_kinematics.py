@@ -141,7 +141,7 @@ def independent_rows_of(mechanism: Mechanism, targets: SiteTargets, pose: np.nda
     return tuple(int(i) for i in rows[best])
 
 
-def _starts(mechanism: Mechanism, start: np.ndarray, ranges: np.ndarray, n_random: int = 12) -> Iterator[np.ndarray]:
+def _starts(mechanism: Mechanism, start: np.ndarray, ranges: np.ndarray) -> Iterator[np.ndarray]:
     """Yield closed start poses: the given one, home, and random ones within the ranges and half a turn."""
     independent = mechanism.independent
     for pose in (start, np.array(mechanism.home)):
@@ -151,22 +151,20 @@ def _starts(mechanism: Mechanism, start: np.ndarray, ranges: np.ndarray, n_rando
     s = start[independent]
     low, high = np.maximum(ranges[independent, 0], s - half), np.minimum(ranges[independent, 1], s + half)
     random = np.random.default_rng(20)
-    for _ in range(n_random):
+    for _ in range(12):
         there = low + (high - low) * random.random(len(s))
         pose = _closed(mechanism, there, start)
         if pose is not None:
             yield pose
 
 
-def _nearby(
-    mechanism: Mechanism, pose: np.ndarray, ranges: np.ndarray, n_random: int = 4, distance: float = 0.05
-) -> Iterator[np.ndarray]:
-    """Yield a pose and random closed poses within a distance [rad or extents] of it."""
+def _nearby(mechanism: Mechanism, pose: np.ndarray, ranges: np.ndarray) -> Iterator[np.ndarray]:
+    """Yield a pose and up to four random closed poses within 0.05 [rad or extents] of it."""
     yield pose
     independent, random = mechanism.independent, np.random.default_rng(20)
     unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)
-    for _ in range(n_random):
-        s = np.clip(pose[independent] + distance * unit * random.uniform(-1, 1, len(unit)), *ranges[independent].T)
+    for _ in range(4):
+        s = np.clip(pose[independent] + 0.05 * unit * random.uniform(-1, 1, len(unit)), *ranges[independent].T)
         near = _closed(mechanism, s, pose)
         if near is not None:
             yield near

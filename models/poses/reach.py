@@ -17,7 +17,6 @@ from linkplan.models.poses.sign_change import sign_change
 from linkplan.models.poses.singular_poses import (
     closure_rank,
     has_single_motion,
-    is_branching,
     is_singular,
     least_values,
     local_minima,
@@ -101,7 +100,7 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
     turns = bool(in_loops(mechanism)[coordinate])
     touched = _touched(mechanism, coordinate, poses) if turns else []
     singular = sorted([*singular_down, *singular_up, *touched], key=lambda pose: pose[index])
-    lost = [pose for pose in singular if is_branching(mechanism, pose)]
+    lost = [pose for pose in singular if closure_rank(mechanism, pose) < len(mechanism.dependent)]
     at_home = float(mechanism.home[index])
     repeated = not (lower.stops or upper.stops or _NOTHING_SO_FAR in (lower.reason, upper.reason))
     return Reach(

@@ -36,21 +36,20 @@ def _least_along(mechanism: Mechanism, poses: np.ndarray, columns: slice | np.nd
     rank = len(mechanism.dependent)
     if rank == 0:
         return np.ones(len(poses))
-    unit = unit_steps(mechanism.joints, mechanism.extent_m)
-    jacobian = sampled(mechanism.dynamics.closure_jacobian, poses) * unit
-    return np.linalg.svd(jacobian[:, :, columns], compute_uv=False)[:, rank - 1]
+    return np.linalg.svd(_jacobians(mechanism, poses)[:, :, columns], compute_uv=False)[:, rank - 1]
 
 
-def is_branching(mechanism: Mechanism, q: np.ndarray) -> bool:
-    """Return True if J loses rank at a singular pose (n_q,), False if the coordinate is only at a dead centre."""
-    at_home = least_values(mechanism, mechanism.home)[0]
-    return bool(least_values(mechanism, q)[0] < _RANK_LOST * at_home)
+def _jacobians(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
+    """Return J (n, n_rows, n_q) [m] at poses (n, n_q), with columns per unit step of each joint."""
+    return sampled(mechanism.dynamics.closure_jacobian, poses) * unit_steps(mechanism.joints, mechanism.extent_m)
 
 
 def closure_rank(mechanism: Mechanism, q: np.ndarray) -> int:
-    """Return the rank of the closure at a pose (n_q,), relative to the least singular value at home."""
-    unit = unit_steps(mechanism.joints, mechanism.extent_m)
-    values = np.linalg.svd(np.array(mechanism.dynamics.closure_jacobian(q)) * unit, compute_uv=False)
+    """Return the rank of the closure at a pose (n_q,), relative to the least singular value at home.
+
+    At a singular pose it is that at home if the coordinate is only at a dead centre, and less if J loses rank.
+    """
+    values = np.linalg.svd(_jacobians(mechanism, q[None])[0], compute_uv=False)
     return int(np.sum(values[: len(mechanism.dependent)] > _RANK_LOST * least_values(mechanism, mechanism.home)[0]))
 
 
@@ -86,16 +85,13 @@ def has_single_motion(mechanism: Mechanism, q: np.ndarray) -> bool:
     """
     unit = unit_steps(mechanism.joints, mechanism.extent_m)
     rank = closure_rank(mechanism, q)
-
-    def scaled(pose: np.ndarray) -> np.ndarray:
-        return np.array(mechanism.dynamics.closure_jacobian(pose)) * unit
-
-    left, _, right = np.linalg.svd(scaled(q))
+    left, _, right = np.linalg.svd(_jacobians(mechanism, q[None])[0])
     left_kernel, kernel = left[:, rank:].T, right[rank:]
 
     def derivative(x: np.ndarray) -> np.ndarray:
         step = _DIFFERENCE_STEP * unit * x
-        return (scaled(q + step) - scaled(q - step)) / (2 * _DIFFERENCE_STEP)
+        after, before = _jacobians(mechanism, np.array([q + step, q - step]))
+        return (after - before) / (2 * _DIFFERENCE_STEP)
 
     forms = np.array([left_kernel @ derivative(x) @ kernel.T for x in kernel]).transpose(1, 0, 2)  # u, x, y
     motions = common_zeros(0.5 * (forms + forms.transpose(0, 2, 1)))

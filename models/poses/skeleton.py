@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
-from linkplan.models.kinematics import data_at, fields_at, tied_points
+from linkplan.models.kinematics import data_at, fields_at, joints_of, tied_points
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.coordinates import BALL, FREE, SLIDE
 
@@ -65,7 +65,7 @@ def _pins(model: mujoco.MjModel) -> dict[int, list[tuple[int, np.ndarray]]]:
     """Return each body's pins: a body and a position (3,) [m] in its frame."""
     pins: dict[int, list[tuple[int, np.ndarray]]] = {}
     for body in range(1, model.nbody):
-        for joint in range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body]):
+        for joint in joints_of(model, body):
             anchor = (body, model.jnt_pos[joint])
             pins.setdefault(body, []).append(anchor)
             if model.jnt_type[joint] == FREE:
@@ -93,7 +93,7 @@ def _pins(model: mujoco.MjModel) -> dict[int, list[tuple[int, np.ndarray]]]:
 def body_name(model: mujoco.MjModel, body: int) -> str:
     """Return the name of the stick that contains a body."""
     body = int(model.body_weldid[body])
-    return "ground" if body == 0 else model.body(body).name or f"body {body}"
+    return "ground" if body == 0 else model.body(body).name
 
 
 def view(model: mujoco.MjModel) -> tuple[np.ndarray, np.ndarray]:

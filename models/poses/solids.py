@@ -18,15 +18,15 @@ from linkplan.models.tree.coordinates import rotation_from_quaternion
 _SIGNS = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=float)
 
 
-def simplified(vertices: np.ndarray, most: int = 120) -> np.ndarray:
-    """Return at most `most` of the vertices (n, 3): the corners of the hull, or the furthest in evenly spread directions."""
+def simplified(vertices: np.ndarray) -> np.ndarray:
+    """Return at most 120 of the vertices (n, 3): the corners of the hull, or the furthest in evenly spread directions."""
     try:
         corners = vertices[ConvexHull(vertices).vertices]
     except QhullError:  # a flat mesh has no volume
         corners = vertices
-    if len(corners) <= most:
+    if len(corners) <= 120:
         return corners
-    return corners[np.unique(np.argmax(corners @ directions(most).T, axis=0))]
+    return corners[np.unique(np.argmax(corners @ directions(120).T, axis=0))]
 
 
 @functools.cache

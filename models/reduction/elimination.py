@@ -61,7 +61,8 @@ def block_determinants(A: ca.SX) -> ca.SX:
     A = ca.sparsify(A)
     rows, columns, blocks = _blocks(A)
     permuted = A[rows, columns]
-    return ca.vertcat(*[_block_determinant(permuted[block, block]) for block in blocks])
+    ones = [permuted[block, block] for block in blocks]
+    return ca.vertcat(*[_minor(one) if one.shape[0] <= _MAX_EXPANDED_SIZE else _rotated_determinant(one) for one in ones])
 
 
 def block_rows(A: ca.SX) -> list[list[int]]:
@@ -118,10 +119,6 @@ def _adjugate(A: ca.SX) -> ca.SX:
             others = A[[k for k in range(n) if k != i], [k for k in range(n) if k != j]]
             adjugate[j, i] = (-1) ** (i + j) * _minor(others)
     return adjugate
-
-
-def _block_determinant(A: ca.SX) -> ca.SX:
-    return _minor(A) if A.shape[0] <= _MAX_EXPANDED_SIZE else _rotated_determinant(A)
 
 
 def _rotated_determinant(A: ca.SX) -> ca.SX:

@@ -17,7 +17,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import LinkplanError, ModelError, one_line
-from linkplan.models.kinematics import data_at, fix_in_parent
+from linkplan.models.kinematics import data_at, fix_in_parent, path_to
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.selected_model import exact_text, whole_spec
 from linkplan.models.transfer.output_map import OutputMap, output_map, transmission
@@ -107,12 +107,12 @@ def _linkage_joints(outputs: OutputMap) -> list[str]:
     named = {int(joint_of[mechanism.independent[column]]) for column in columns}
     for dof in range(model.nv):
         joint, body = int(joint_of[dof]), int(model.dof_bodyid[dof])
-        if joint in ids or not _below(model, body, bodies):
+        if joint in ids or bodies.isdisjoint(path_to(model, body)):
             continue
         if joint in named or dof not in mechanism.passive_dofs:
             raise ModelError(
                 f"no serial equivalent: joint {joint_label(model, joint)} moves on a part of the linkage"
-                f" ({model.body(body).name or f'body {body}'})"
+                f" ({model.body(body).name})"
             )
         ids.add(joint)
     return [model.joint(j).name for j in sorted(ids)]
@@ -129,12 +129,6 @@ def _dragged(outputs: OutputMap) -> list[int]:
     return [int(i) for i in mechanism.dependent if rates[i] > 1e-9 * rates.max()]
 
 
-def _below(model: mujoco.MjModel, body: int, bodies: set[int]) -> bool:
-    while body and body not in bodies:
-        body = int(model.body_parentid[body])
-    return body in bodies
-
-
 def _tree(outputs: OutputMap, removed: list[str], box: np.ndarray) -> mujoco.MjSpec:
     """Return the model without the linkage's joints, closures and motors, and with motors on the output joints."""
     mechanism, model, spec = outputs.mechanism, outputs.mechanism.model, whole_spec(outputs.mechanism)
@@ -143,22 +137,19 @@ def _tree(outputs: OutputMap, removed: list[str], box: np.ndarray) -> mujoco.MjS
     for body in sorted(bodies):
         fix_in_parent(spec.bodies[body], model, data, body)
     for body in range(model.nbody):
-        if _below(model, body, bodies):
+        if not bodies.isdisjoint(path_to(model, body)):
             for geom in spec.bodies[body].geoms:
                 geom.contype = geom.conaffinity = 0
     _drop(spec, mechanism, removed, [actuator.name for actuator in outputs.actuators])
     for joint, (low, high) in zip(outputs.joints, box, strict=True):
-        motor = spec.add_actuator(name=_free_name(spec, joint.name), target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
+        name = joint.name if spec.actuator(joint.name) is None else f"{joint.name}_motor"
+        motor = spec.add_actuator(name=name, target=joint.name, trntype=mujoco.mjtTrn.mjTRN_JOINT)
         motor.set_to_motor()
         if np.isfinite([low, high]).all():
             motor.ctrlrange, motor.ctrllimited = [float(low), float(high)], True
     qpos = {model.joint(j).name: data.joint(j).qpos.copy() for j in range(model.njnt) if model.joint(j).name not in removed}
     spec.add_key(name="home", qpos=np.concatenate([np.atleast_1d(x) for x in qpos.values()]))
     return spec
-
-
-def _free_name(spec: mujoco.MjSpec, name: str) -> str:
-    return name if spec.actuator(name) is None else f"{name}_motor"
 
 
 def _drop(spec: mujoco.MjSpec, mechanism: Mechanism, removed: list[str], motors: list[str]) -> None:

@@ -105,7 +105,8 @@ def transfer_table(
         return values
 
     spans = [(low.position, high.position) for low, high in limits]
-    grid = adaptive_grid(function, spans, tolerance, _refined(outputs), most_nodes)
+    refined = REFINED if all(actuator.has_length for actuator in outputs.actuators) else REFINED[1:]
+    grid = adaptive_grid(function, spans, tolerance, refined, most_nodes)
     if np.count_nonzero(grid.values["status"] == ON_MAP) < 2:
         names = ", ".join(joint.name for joint in outputs.joints)
         raise ModelError(
@@ -116,11 +117,6 @@ def transfer_table(
     return TransferTable(
         outputs=outputs, tolerance=tolerance, grid=grid, ends=limits, dead_centres=dead, inverse=inverse, inverse_note=note
     )
-
-
-def _refined(outputs: OutputMap) -> list[str]:
-    with_length = all(actuator.has_length for actuator in outputs.actuators)
-    return [name for name in REFINED if with_length or name != "motor_position"]
 
 
 def _ends(outputs: OutputMap, k: int, found: Reach, asked: tuple[float, float] | None) -> tuple[MapEnd, MapEnd]:

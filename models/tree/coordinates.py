@@ -79,6 +79,10 @@ class Coordinates:
         """True if q is qpos and q' is qvel."""
         return not self.charts
 
+    def chart_of(self, joint: int) -> Chart:
+        """Return the chart of a ball or a free joint, by its index in the model."""
+        return next(chart for chart in self.charts if chart.joint == joint)
+
     def qpos_of(self, q: np.ndarray) -> np.ndarray:
         """Return MuJoCo's qpos (..., nq) of coordinates q (..., n_q)."""
         q = np.asarray(q, dtype=float)

@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import ModelError, nearest
-from linkplan.models.kinematics import extent_m
+from linkplan.models.kinematics import extent_m, joints_of, path_to
 from linkplan.models.tree.coordinates import (
     FREE,
     HINGE,
@@ -39,7 +39,7 @@ from linkplan.models.tree.passive import (
     tendon_inertias,
     tendon_passive,
 )
-from linkplan.models.tree.tendons import tendon_length
+from linkplan.models.tree.tendons import site_point, tendon_length
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -49,6 +49,10 @@ class Frame:
     p_world_B: ca.SX  # (3,) [m] position of the body frame's origin
     R_world_B: ca.SX  # (3, 3)
     quaternion: ca.SX  # (4,) of R_world_B, continuous in q
+
+    def point(self, p_B: np.ndarray | ca.SX | ca.DM) -> ca.SX:
+        """Return the world position (3,) [m] of a point in the body's frame."""
+        return self.p_world_B + self.R_world_B @ (p_B if isinstance(p_B, ca.SX) else ca.DM(p_B))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -77,31 +81,24 @@ class Tree:
     velocity_matrix: ca.SX  # T (n_q, n_q), MuJoCo's qvel = T q'
     tendon_lengths: tuple[ca.SX | None, ...]
 
-    def point(self, body: int, p_B: np.ndarray) -> ca.SX:
-        """Return the world position (3,) [m] of a point fixed to a body, given in the body's frame."""
-        return self.frames[body].p_world_B + self.frames[body].R_world_B @ ca.DM(p_B)
+    def site(self, site: int) -> ca.SX:
+        """Return the world position (3,) [m] of a site by its index."""
+        return site_point(self.model, self.frames, site)
 
 
 def common_ancestor(model: mujoco.MjModel, first: int, second: int) -> int:
     """Return the nearest common ancestor of two bodies, or the world (0) if that ancestor is fixed."""
-    above = {0}
-    while first:
-        above.add(first)
-        first = int(model.body_parentid[first])
-    while second not in above:
-        second = int(model.body_parentid[second])
-    return second if model.body_weldid[second] != 0 else 0
+    above = path_to(model, first)
+    nearest_one = next((body for body in reversed(path_to(model, second)) if body in above), 0)
+    return nearest_one if model.body_weldid[nearest_one] != 0 else 0
 
 
 def frame_in(tree: Tree, ancestor: int, body: int) -> Frame:
     """Return a body's frame relative to its ancestor's frame, an expression of the joints between the two."""
     if ancestor == 0:
         return tree.frames[body]
-    frame, chain = _fixed_frame(), []
-    while body != ancestor:
-        chain.append(body)
-        body = int(tree.model.body_parentid[body])
-    for link in reversed(chain):
+    frame, path = _fixed_frame(), path_to(tree.model, body)
+    for link in path[path.index(ancestor) + 1 :]:
         frame = _child_frame(tree.model, tree.coordinates, link, frame, tree.q)
     return frame
 
@@ -155,8 +152,7 @@ def build_tree(
     mass_matrix = ca.jacobian(tau, qdd)
     applied = ca.SX.zeros(n_q)
     for site, force in (forces or {}).items():
-        frame = frames[int(model.site_bodyid[site])]
-        applied += ca.jacobian(frame.p_world_B + frame.R_world_B @ ca.DM(model.site_pos[site]), q).T @ force
+        applied += ca.jacobian(site_point(model, frames, site), q).T @ force
     return Tree(
         model=model,
         coordinates=coordinates,
@@ -186,8 +182,7 @@ def _child_frame(model: mujoco.MjModel, coordinates: Coordinates, body: int, par
     p = parent.p_world_B + parent.R_world_B @ ca.DM(model.body_pos[body])
     R = parent.R_world_B @ ca.DM(rotation_from_quaternion(model.body_quat[body]))
     quaternion = product(parent.quaternion, ca.SX(ca.DM(model.body_quat[body])))
-    start = model.body_jntadr[body]
-    for joint in range(start, start + model.body_jntnum[body]):
+    for joint in joints_of(model, body):
         dof, kind = int(model.jnt_dofadr[joint]), int(model.jnt_type[joint])
         if kind == FREE:  # MuJoCo ignores the body's own position here
             p, R, quaternion = q[dof : dof + 3], ca.SX.eye(3), ca.SX([1, 0, 0, 0])
@@ -201,7 +196,7 @@ def _child_frame(model: mujoco.MjModel, coordinates: Coordinates, body: int, par
             unit = model.jnt_axis[joint] / np.linalg.norm(model.jnt_axis[joint])
             turn = ca.vertcat(ca.cos(angle / 2), ca.sin(angle / 2) * ca.DM(unit))
         else:
-            (chart,) = [chart for chart in coordinates.charts if chart.joint == joint]
+            chart = coordinates.chart_of(joint)
             turned = turned_quaternion(chart, q)
             turn = product(ca.SX(ca.DM(chart.centre)), turned)
             R = R @ ca.DM(rotation_from_quaternion(chart.centre)) @ rotation_of(turned)
@@ -217,9 +212,8 @@ def _compensation_energy(model: mujoco.MjModel, frames: list[Frame], gravity: ca
         return energy
     for body in range(1, model.nbody):
         if model.body_gravcomp[body]:
-            frame = frames[body]
-            centre = frame.p_world_B + frame.R_world_B @ ca.DM(model.body_ipos[body])
-            energy += float(model.body_gravcomp[body] * model.body_mass[body]) * ca.dot(gravity, centre)
+            mass = float(model.body_gravcomp[body] * model.body_mass[body])
+            energy += mass * ca.dot(gravity, frames[body].point(model.body_ipos[body]))
     return energy
 
 
@@ -228,16 +222,14 @@ def _potential(model: mujoco.MjModel, frames: list[Frame], gravity: ca.DM, inert
     energy = ca.SX(0)
     for body in range(1, model.nbody):
         if model.body_weldid[body] != 0:
-            frame, own = frames[body], inertials.get(body) or inertial_of(model, body)
-            energy -= own.mass * ca.dot(gravity, frame.p_world_B + frame.R_world_B @ own.com)
+            own = inertials.get(body) or inertial_of(model, body)
+            energy -= own.mass * ca.dot(gravity, frames[body].point(own.com))
     return energy
 
 
 def site_places(tree: Tree) -> ca.SX:
     """Return the world positions (3, n_sites) [m] of a model's sites as expressions of q."""
-    model = tree.model
-    points = [tree.point(int(model.site_bodyid[site]), model.site_pos[site]) for site in range(model.nsite)]
-    return ca.horzcat(ca.SX(3, 0), *points)
+    return ca.horzcat(ca.SX(3, 0), *(tree.site(site) for site in range(tree.model.nsite)))
 
 
 def site_names(model: mujoco.MjModel) -> tuple[str, ...]:

@@ -124,10 +124,9 @@ def read_joints(name: str, model: mujoco.MjModel, coordinates: Coordinates) -> t
                 joints += [
                     Joint(name=f"{label}_{axis}", kind="slide", lower=-np.inf, upper=np.inf, chart=label) for axis in "xyz"
                 ]
-            (chart,) = [chart for chart in coordinates.charts if chart.joint == index]
             joints += [
                 Joint(name=f"{label}_r{axis}", kind="hinge", lower=float(low), upper=float(high), chart=label)
-                for axis, (low, high) in zip("xyz", chart.rotation.limits, strict=True)
+                for axis, (low, high) in zip("xyz", coordinates.chart_of(index).rotation.limits, strict=True)
             ]
             continue
         lower, upper = _free_range(name, label, model, index) if not unlimited else (-np.inf, np.inf)

@@ -12,6 +12,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
+from linkplan.models.kinematics import joints_of
 from linkplan.models.tree.coordinates import (
     FREE,
     HINGE,
@@ -103,12 +104,9 @@ def inertial_of(model: mujoco.MjModel, body: int) -> Inertial:
     """Return the inertial properties that the model gives a body."""
     R_B_I = rotation_from_quaternion(model.body_iquat[body])
     inertia_B = R_B_I @ np.diag(model.body_inertia[body]) @ R_B_I.T
-    return Inertial(mass=float(model.body_mass[body]), com=ca.DM(model.body_ipos[body]), inertia=ca.DM(_clean(inertia_B)))
-
-
-def _clean(matrix: np.ndarray) -> np.ndarray:
-    """Return `matrix` with entries of rounding size set to zero, which keeps planar expressions short."""
-    return np.where(np.abs(matrix) > 1e-15 * np.abs(matrix).max(initial=0.0), matrix, 0.0)
+    # Without entries of rounding size the expressions of planar mechanisms stay short.
+    inertia_B[np.abs(inertia_B) <= 1e-15 * np.abs(inertia_B).max()] = 0.0
+    return Inertial(mass=float(model.body_mass[body]), com=ca.DM(model.body_ipos[body]), inertia=ca.DM(inertia_B))
 
 
 def _to_body(
@@ -121,7 +119,7 @@ def _to_body(
     acceleration: ca.SX,
 ) -> tuple[FrameMotion, list[Carry]]:
     """Return a body's motion from its parent's, and the steps between their frames. Joints are applied in file order."""
-    joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
+    joints = joints_of(model, body)
     way: list[Carry] = []
     if not any(int(model.jnt_type[joint]) == FREE for joint in joints):  # a free body has no offset
         offset, R = ca.DM(model.body_pos[body]), ca.DM(rotation_from_quaternion(model.body_quat[body]))
@@ -145,7 +143,7 @@ def _to_body(
             axes = ca.DM(model.jnt_axis[joint])
             R = rotation_about(model.jnt_axis[joint], q[dof] - model.qpos0[model.jnt_qposadr[joint]])
         else:
-            (chart,) = [chart for chart in coordinates.charts if chart.joint == joint]
+            chart = coordinates.chart_of(joint)
             axes = ca.DM.eye(3)
             R = ca.DM(rotation_from_quaternion(chart.centre)) @ rotation_of(turned_quaternion(chart, q))
         dofs = range(dof, dof + axes.shape[1])

@@ -14,7 +14,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from linkplan.models.kinematics import clamped_joints
+from linkplan.models.kinematics import clamped_joints, data_at
 from linkplan.models.tree.coordinates import HINGE, SLIDE
 
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
@@ -116,11 +116,9 @@ def _site_forces(model: mujoco.MjModel, frames: Sequence[Any]) -> Iterator[tuple
         size = float(model.actuator_biasprm[actuator, 0])
         if model.actuator_forcelimited[actuator]:
             size = float(np.clip(size, *model.actuator_forcerange[actuator]))
-        still = mujoco.MjData(model)
-        mujoco.mj_kinematics(model, still)
-        force = still.site_xmat[axes].reshape(3, 3) @ (size * model.actuator_gear[model.actuator_outadr[actuator], :3])
-        frame = frames[int(model.site_bodyid[site])]
-        yield ca.DM(force), frame.p_world_B + frame.R_world_B @ ca.DM(model.site_pos[site])
+        along = size * model.actuator_gear[model.actuator_outadr[actuator], :3]
+        force = data_at(model).site_xmat[axes].reshape(3, 3) @ along
+        yield ca.DM(force), frames[int(model.site_bodyid[site])].point(model.site_pos[site])
 
 
 def gas_springs(model: mujoco.MjModel, frames: Sequence[Any], lengths: Sequence, q: ca.SX, qd: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -109,6 +109,11 @@ def limited_tendons(model: mujoco.MjModel) -> tuple[TendonRange, ...]:
     return tuple(found)
 
 
+def site_point(model: mujoco.MjModel, frames: Sequence, site: int) -> ca.SX:
+    """Return the world position (3,) [m] of a site from the bodies' frames."""
+    return frames[int(model.site_bodyid[site])].point(model.site_pos[site])
+
+
 def tendon_length(model: mujoco.MjModel, frames: Sequence, q: ca.SX, tendon: int) -> ca.SX | None:
     """Return a tendon's length [m], or None if it has no expression.
 
@@ -131,8 +136,7 @@ def tendon_length(model: mujoco.MjModel, frames: Sequence, q: ca.SX, tendon: int
         if k in sides:
             continue
         site = int(model.wrap_objid[k])
-        frame = frames[int(model.site_bodyid[site])]
-        point = frame.p_world_B + frame.R_world_B @ ca.DM(model.site_pos[site])
+        point = site_point(model, frames, site)
         if (side := sides.get(k - 1)) is not None and before is not None:
             length += wrapped_length(model, frames, k - 1, side, (before[1], point)) / divisor
         elif before is not None and int(model.site_bodyid[site]) == int(model.site_bodyid[before[0]]):

@@ -67,7 +67,7 @@ def wrapped_length(model: mujoco.MjModel, frames: Sequence, k: int, side: str, e
     geom, r = int(model.wrap_objid[k]), _radius(model, k)
     frame = frames[int(model.geom_bodyid[geom])]
     turn = frame.R_world_B @ ca.DM(rotation_from_quaternion(model.geom_quat[geom]))
-    centre = frame.p_world_B + frame.R_world_B @ ca.DM(model.geom_pos[geom])
+    centre = frame.point(model.geom_pos[geom])
     first, second = (turn.T @ (end - centre) for end in ends)
     if int(model.wrap_type[k]) == CYLINDER:
         rise, (first, second) = second[2] - first[2], (first[:2], second[:2])

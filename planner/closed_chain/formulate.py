@@ -18,9 +18,9 @@ from linkplan.planner.closed_chain.mechanics import (
     node_numbers,
 )
 from linkplan.planner.limits.body import expression_of, scaled_coordinate, unit_of
-from linkplan.planner.limits.jerks import smooth_columns
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import Limit, WhichJoints
+from linkplan.planner.limits.rates import smooth_columns
 from linkplan.planner.problem.extra import jerk_of
 from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.limits import free_bounds

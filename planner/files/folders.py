@@ -19,7 +19,8 @@ import numpy as np
 from msgspec import Struct
 
 from linkplan.models.deadline import check, shielded
-from linkplan.models.errors import PlanFileError
+from linkplan.models.errors import PlanFileError, refusals
+from linkplan.models.work_folders import locked, sweep, sync, sync_folder, work_folder
 from linkplan.planner.files.manifest import (
     MANIFEST,
     RECORDS,
@@ -30,7 +31,6 @@ from linkplan.planner.files.manifest import (
     write_manifest,
 )
 from linkplan.planner.files.structs import json_values
-from linkplan.planner.files.work_folders import locked, sweep, sync, sync_folder, work_folder
 
 _NEW_RESULT = ".linkplan-new"
 
@@ -43,11 +43,10 @@ def place_of(target: Path) -> Path:
     """
     if Path(target).parts[:1] == ("~",):  # the user might remove a folder of that name by "rm -r ~"
         raise PlanFileError(f"'{target}' begins with a ~ that no shell has replaced; write the home folder's path")
-    try:
+    # A missing working folder, circular links, a zero byte.
+    with refusals(f"'{target}' is no path for a folder", RuntimeError, ValueError):
         place, here = Path(target).resolve(), Path.cwd().resolve()
         os.path.lexists(place)
-    except (OSError, RuntimeError, ValueError) as error:  # a missing working folder, circular links, a zero byte
-        raise PlanFileError(f"'{target}' is no path for a folder: {getattr(error, 'strerror', None) or error}") from error
     if place == here or place in here.parents:
         raise PlanFileError(f"'{target}' is the working folder or above it; name a folder of its own for the result")
     try:
@@ -74,7 +73,7 @@ def check_target(target: Path, record: str = "plan.json") -> None:
             must not be replaced, and when the folder above cannot be written.
     """
     place = place_of(target)
-    try:
+    with refusals(f"'{target}' cannot be written"):
         sweep(place.parent)
         if place.is_dir():
             sweep(place)
@@ -89,8 +88,6 @@ def check_target(target: Path, record: str = "plan.json") -> None:
             raise PlanFileError(f"'{target}' lies below '{parent}', which is a file")
         if not os.access(parent, os.W_OK | os.X_OK):
             raise PlanFileError(f"'{target}' cannot be written: no permission to write into '{parent}'")
-    except OSError as error:
-        raise PlanFileError(f"'{target}' cannot be written: {error.strerror or error}") from error
 
 
 def _refuse_folder(target: Path, place: Path, record: str) -> None:
@@ -148,18 +145,17 @@ def write_whole(target: Path, write: Callable[[Path], None], record: str = "plan
     place = place_of(target)
     made: list[Path] = []
     try:
-        made = _make_parents(place)
-        with work_folder(place.parent) as work:
-            write(work)
-            check()
-            write_manifest(work, record)
-            sync(work)
-            with shielded():
-                check_target(target, record)  # again: the work may have taken hours
-                _put_in_place(target, work, place)
-                made = []
-    except OSError as error:
-        raise PlanFileError(f"cannot write '{target}': {error.strerror or error}") from error
+        with refusals(f"cannot write '{target}'"):
+            made = _make_parents(place)
+            with work_folder(place.parent) as work:
+                write(work)
+                check()
+                write_manifest(work, record)
+                sync(work)
+                with shielded():
+                    check_target(target, record)  # again: the work may have taken hours
+                    _put_in_place(target, work, place)
+                    made = []
     finally:
         for parent in made:
             _remove_if_empty(parent)

@@ -8,8 +8,8 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
-from linkplan.models.errors import PlanFileError
-from linkplan.planner.files.work_folders import replace_file, sweep, work_folder
+from linkplan.models.errors import PlanFileError, refusals
+from linkplan.models.work_folders import replace_file, sweep, work_folder
 
 # The mark of pictures and films, where each format allows it: a PNG's text, a GIF's comment, an MP4's metadata.
 MADE_BY = "made by linkplan render"
@@ -21,14 +21,12 @@ def check_new(path: Path) -> None:
     Raises:
         PlanFileError: if the path exists, or its folder is missing or cannot be written.
     """
-    try:
+    with refusals(f"'{path}' is no path for a file", ValueError):
         if os.path.lexists(path):
             raise PlanFileError(f"'{path}' is there already, and no file is overwritten; name another, or remove it")
         if not path.name:
             raise PlanFileError(f"'{path}' is no path for a file")
         _check_folder(path, path.parent)
-    except (OSError, ValueError) as error:
-        raise PlanFileError(f"'{path}' is no path for a file: {error}") from error
 
 
 def write_new(path: Path, content: bytes) -> None:
@@ -38,23 +36,20 @@ def write_new(path: Path, content: bytes) -> None:
         PlanFileError: if the path exists, or the disk refuses.
     """
     check_new(path)
-    try:
-        with work_folder(path.parent) as work:
-            part = work / path.name
-            with part.open("xb") as file:
+    with refusals(f"cannot write '{path}'"), work_folder(path.parent) as work:
+        part = work / path.name
+        with part.open("xb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        try:
+            os.link(part, path)  # unlike renaming, this fails if the path exists by now
+        except FileExistsError:
+            check_new(path)
+            raise
+        except OSError:  # a file system without hard links
+            with path.open("xb") as file:
                 file.write(content)
-                file.flush()
-                os.fsync(file.fileno())
-            try:
-                os.link(part, path)  # unlike renaming, this fails if the path exists by now
-            except FileExistsError:
-                check_new(path)
-                raise
-            except OSError:  # a file system without hard links
-                with path.open("xb") as file:
-                    file.write(content)
-    except OSError as error:
-        raise PlanFileError(f"cannot write '{path}': {error.strerror or error}") from error
 
 
 def write_over(path: Path, content: bytes) -> None:
@@ -63,11 +58,9 @@ def write_over(path: Path, content: bytes) -> None:
     Raises:
         PlanFileError: when the disk refuses; the earlier file is then unchanged.
     """
-    try:
+    with refusals(f"cannot write '{path}'", RuntimeError):
         place = path.resolve()  # a link stays a link
         replace_file(place, lambda work: work.write_bytes(content))
-    except (OSError, RuntimeError) as error:
-        raise PlanFileError(f"cannot write '{path}': {getattr(error, 'strerror', None) or error}") from error
 
 
 def write_again(path: Path, content: bytes, earlier: bytes) -> None:
@@ -84,10 +77,8 @@ def write_again(path: Path, content: bytes, earlier: bytes) -> None:
         part.write_bytes(content)
         _check_unchanged(path, earlier)
 
-    try:
+    with refusals(f"cannot write '{path}'"):
         replace_file(path, write_and_check)
-    except OSError as error:
-        raise PlanFileError(f"cannot write '{path}': {error.strerror or error}") from error
 
 
 def _check_unchanged(path: Path, earlier: bytes) -> None:
@@ -111,7 +102,7 @@ def check_file_target(target: Path, suffixes: tuple[str, ...]) -> None:
     suffix = target.suffix.lower()
     if suffix not in suffixes:
         raise PlanFileError(f"'{target}' ends in {', '.join(suffixes[:-1])} or {suffixes[-1]}, got '{target.suffix}'")
-    try:
+    with refusals(f"'{target}' cannot be written", RuntimeError, ValueError):
         place = target.resolve()
         sweep(place.parent)
         if place.is_dir():
@@ -119,8 +110,6 @@ def check_file_target(target: Path, suffixes: tuple[str, ...]) -> None:
         _check_folder(target, place.parent)
         if os.path.lexists(place) and not _is_ours(place):
             raise PlanFileError(f"'{target}' is there and not linkplan's; move it or name another file")
-    except (OSError, RuntimeError, ValueError) as error:
-        raise PlanFileError(f"'{target}' cannot be written: {getattr(error, 'strerror', None) or error}") from error
 
 
 def write_file_whole(target: Path, suffixes: tuple[str, ...], write: Callable[[Path], None]) -> None:
@@ -135,10 +124,8 @@ def write_file_whole(target: Path, suffixes: tuple[str, ...], write: Callable[[P
         write(path)
         check_file_target(target, suffixes)  # again: the work may have taken long
 
-    try:
+    with refusals(f"cannot write '{target}'"):
         replace_file(target.resolve(), write_and_check)
-    except OSError as error:
-        raise PlanFileError(f"cannot write '{target}': {error.strerror or error}") from error
 
 
 def _check_folder(path: Path, folder: Path) -> None:

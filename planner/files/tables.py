@@ -15,13 +15,8 @@ from typing import Any
 from linkplan.models.catalogue import PAYLOADS, unknown_source
 from linkplan.models.errors import ProblemError
 from linkplan.models.errors import shown as shown_name
-from linkplan.models.reading import parse_toml, read_toml
+from linkplan.models.reading import key_text, parse_toml, quoted, read_toml
 
-# Keys that need no quotes (TOML 1.0, "Keys").
-_BARE = re.compile(r"[A-Za-z0-9_-]+")
-# Characters that a basic string must escape (TOML 1.0, "String"), and the short escapes.
-_ESCAPED = re.compile(r'[\x00-\x1f\x7f"\\]')
-_SHORT = {'"': '\\"', "\\": "\\\\", "\n": "\\n", "\t": "\\t", "\r": "\\r"}
 BUILT_IN = (
     "knee-sine",
     "knee-sine-shank",
@@ -80,22 +75,13 @@ def inline(value: object, where: str = "value") -> str:
     if isinstance(value, float):
         return repr(float(value))  # numpy's floats have another repr
     if isinstance(value, str):
-        return _quoted(value)
+        return quoted(value)
     if isinstance(value, list | tuple):
         return "[" + ", ".join(inline(item, where) for item in value) + "]"
     if isinstance(value, Mapping):
         pairs = [f"{key_text(key)} = {inline(item, f'{where}.{key}')}" for key, item in value.items()]
         return "{ " + ", ".join(pairs) + " }" if pairs else "{}"
     raise ProblemError(f"{where} is numbers, words, lists or tables, got {value!r}")
-
-
-def key_text(key: str) -> str:
-    """Return a key in TOML's syntax, quoted if necessary."""
-    return key if _BARE.fullmatch(key) else _quoted(key)
-
-
-def _quoted(text: str) -> str:
-    return '"' + _ESCAPED.sub(lambda found: _SHORT.get(found[0], f"\\u{ord(found[0]):04x}"), text) + '"'
 
 
 def built_in_text(name: str) -> str:

@@ -21,22 +21,18 @@ from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
     Bounds,
     Claimed,
-    Instant,
     Limit,
     LimitFacts,
     Measured,
     MotionArrays,
-    Problem,
     Rows,
-    Samples,
-    Scales,
     Tightened,
-    Trajectory,
     limited_rows,
-    scaled_bounds,
-    with_limits,
 )
-from linkplan.planner.limits.samples import samples_of
+from linkplan.planner.limits.samples import Samples, samples_of
+from linkplan.planner.problem.instant import Instant, Scales
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.trajectory import Trajectory
 
 # An effort within this share of the clamp of a servo's force counts as clamped, so ctrl has no effect: a motion may enter
 # the clamp between two nodes. Efforts between nodes may be wrong by 200 times as much (DYNAMICS_SHARE). Measured: 4e-5.
@@ -112,10 +108,6 @@ class PowerLimit(Limit):
             bounds=problem.limits.power[self.item],
             value=lambda at: at.state.u[self.item] * at.actuator_speeds[self.item],
         )
-
-    @classmethod
-    def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, power=scaled_bounds(problem.limits.power, factor))
 
 
 @dataclass(frozen=True, slots=True)

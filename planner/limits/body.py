@@ -14,23 +14,13 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.body_angles import turning
 from linkplan.planner.limits.joints import RANGE_SLACK
-from linkplan.planner.limits.limit import (
-    Bounds,
-    Claimed,
-    Instant,
-    Limit,
-    LimitFacts,
-    Measured,
-    Poses,
-    Problem,
-    Rows,
-    Scales,
-    Tightened,
-    Trajectory,
-    with_limits,
-)
+from linkplan.planner.limits.limit import Bounds, Claimed, Limit, LimitFacts, Measured, Rows, Tightened, with_limits
+from linkplan.planner.limits.samples import Poses
 from linkplan.planner.limits.site import site_at_home, way
+from linkplan.planner.problem.instant import Instant, Scales
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import ANGLE, AXES, BodyAngle, Task, angles_of
+from linkplan.planner.trajectory import Trajectory
 
 # Overruns are shares of one radian [deg].
 _RADIAN_DEG = float(np.degrees(1.0))

@@ -16,20 +16,17 @@ from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
     Bounds,
     Claimed,
-    Instant,
     Limit,
     LimitFacts,
     Measured,
-    Problem,
     Rows,
-    Samples,
-    Scales,
-    Trajectory,
     limited_rows,
-    scaled_bounds,
     with_limits,
 )
-from linkplan.planner.problem.instant import Corner, Robust
+from linkplan.planner.limits.samples import Samples
+from linkplan.planner.problem.instant import Corner, Instant, Robust, Scales
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
 # By how much the motion's effort by inverse dynamics may exceed its limit, as a share of the limit. Proofs refuse more, and
@@ -75,10 +72,6 @@ class EffortLimit(Limit):
             of_planned=True,
             slack=share_of(bounds, ROUNDING_SHARE),
         )
-
-    @classmethod
-    def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, effort=scaled_bounds(problem.limits.effort, factor))
 
 
 def end_sizes(bounds: np.ndarray) -> np.ndarray:

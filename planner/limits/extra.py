@@ -7,23 +7,13 @@ from typing import ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from linkplan.planner.limits.jerks import smooth_columns
-from linkplan.planner.limits.limit import (
-    Bounds,
-    Claimed,
-    Limit,
-    LimitFacts,
-    Measured,
-    Poses,
-    Problem,
-    Rows,
-    Samples,
-    Scales,
-    Tightened,
-    Trajectory,
-)
+from linkplan.planner.limits.limit import Bounds, Claimed, Limit, LimitFacts, Measured, Rows, Tightened
+from linkplan.planner.limits.rates import smooth_columns
+from linkplan.planner.limits.samples import Poses, Samples
 from linkplan.planner.problem.extra import Expression, ExtraLimit, expressed, extra_along, jerk_of, uses
-from linkplan.planner.problem.instant import free_instant, motion_symbols
+from linkplan.planner.problem.instant import Scales, free_instant, motion_symbols
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.trajectory import Trajectory
 
 
 @dataclass(frozen=True, slots=True)

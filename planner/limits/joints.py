@@ -11,7 +11,7 @@ polynomial through the nodes; its error between nodes decreases with the interva
 is the determinant of each block of J_z, relative to home.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Self
 
@@ -24,25 +24,22 @@ from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
     Bounds,
     Claimed,
-    Instant,
     Limit,
     LimitFacts,
     Measured,
     MotionArrays,
-    Poses,
-    Problem,
     Rows,
-    Samples,
-    Scales,
     Tightened,
-    Trajectory,
     WhichJoints,
     limited_joints,
     limited_rows,
-    scaled_bounds,
     squared_claim,
     with_limits,
 )
+from linkplan.planner.limits.samples import Poses, Samples
+from linkplan.planner.problem.instant import Instant, Scales
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.trajectory import Trajectory
 
 # Largest overrun of ranges [rad or m] and speeds [rad/s or m/s]: the rounding of degrees.
 RANGE_SLACK = 1e-9
@@ -205,25 +202,13 @@ class RangeLimit(Limit):
         return tuple(problem.limits.position[self.item] / (1.0 if self.column is None else scales.position[self.column]))
 
     def measured(self, at: Poses) -> Measured:
-        bounds = at.problem.limits.position[self.item]
-        span = float(bounds[1] - bounds[0])
-        return _of_joint(at, self.item, "position", at.q, bounds, span if np.isfinite(span) else 0.0)
+        unit, span = at.problem.mechanism.joints[self.item].shown(1.0), float(np.ptp(at.problem.limits.position[self.item]))
+        measured = measured_of_joint(self, at, "", at.q[:, self.item], at.coefficients("position", self.item))
+        return replace(measured, size=unit * span if np.isfinite(span) else 0.0, slack=unit * RANGE_SLACK, pose_size=unit)
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
-        joint = problem.mechanism.joints[self.item]
-        yield Claimed(
-            name=f"position of {joint.name}",
-            unit=joint.unit,
-            bounds=problem.limits.position[self.item],
-            value=lambda at: at.q[self.item],
-            of_planned=True,
-            slack=(RANGE_SLACK, RANGE_SLACK),
-            per_unit=joint.shown(1.0),
-        )
-
-    @classmethod
-    def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, position=scaled_bounds(problem.limits.position, factor))
+        claim = claim_of_joint(self, problem, "", lambda at: at.q[self.item])
+        yield replace(claim, of_planned=True, slack=(RANGE_SLACK, RANGE_SLACK))
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,45 +237,38 @@ class SpeedLimit(Limit):
         return Rows(interval=lambda _: ("speed_columns", self.column))
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
-        limit = problem.limits.speed[self.item]
-        if self.column is None:
-            return tuple(limit * scales.time_s)
-        return tuple(limit / (scales.position[self.column] / scales.time_s))
+        return bounds_of_joint(self, problem, scales, 1)
 
     def measured(self, at: Samples) -> Measured:
-        bounds = at.problem.limits.speed[self.item]
-        return _of_joint(at, self.item, "velocity", at.joint_rates, bounds)
+        unit, rates = at.problem.mechanism.joints[self.item].shown(1.0), at.joint_rates[:, self.item]
+        measured = measured_of_joint(self, at, "/s", rates, at.coefficients("velocity", self.item))
+        return replace(measured, slack=unit * RANGE_SLACK, pose_size=unit)
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
-        joint = problem.mechanism.joints[self.item]
-        yield Claimed(
-            name=f"speed of {joint.name}",
-            unit=f"{joint.unit}/s",
-            bounds=problem.limits.speed[self.item],
-            value=lambda at: at.rates[self.item],
-            slack=(RANGE_SLACK, RANGE_SLACK),
-            per_unit=joint.shown(1.0),
-        )
-
-    @classmethod
-    def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        return with_limits(problem, speed=scaled_bounds(problem.limits.speed, factor))
+        claim = claim_of_joint(self, problem, "/s", lambda at: at.rates[self.item])
+        yield replace(claim, slack=(RANGE_SLACK, RANGE_SLACK))
 
 
-def _of_joint(at: Poses, item: int, name: str, values: np.ndarray, bounds: np.ndarray, size: float = 0.0) -> Measured:
-    """Return the positions or velocities (n, n_q) of a joint as measured, in its unit."""
-    joint, per, coefficients = at.problem.mechanism.joints[item], "/s" * (name == "velocity"), at.coefficients(name, item)
-    unit = joint.shown(1.0)
-    return Measured(
-        joint.name,
-        unit * values[:, item],
-        unit * bounds,
-        joint.unit + per,
-        size=unit * size,
-        slack=unit * RANGE_SLACK,
-        pose_size=unit,
-        coefficients=None if coefficients is None else unit * coefficients,
-    )
+def bounds_of_joint(limit: Any, problem: Problem, scales: Scales, order: int) -> Bounds:
+    """Return the scaled bounds of a limit on a joint's derivative of an order: of its `column`, if it has one."""
+    unit = 1.0 if limit.column is None else scales.position[limit.column]
+    return tuple(getattr(problem.limits, limit.key)[limit.item] * (scales.time_s**order / unit))
+
+
+def measured_of_joint(
+    limit: Limit, at: Poses, per: str, values: np.ndarray, coefficients: np.ndarray | None = None
+) -> Measured:
+    """Return values (n,) of a joint, and their Bernstein coefficients, in its unit with `per`, such as "/s2"."""
+    joint, bounds = at.problem.mechanism.joints[limit.item], getattr(at.problem.limits, limit.key)[limit.item]
+    unit, own = joint.shown(1.0), None if coefficients is None else joint.shown(1.0) * coefficients
+    return Measured(joint.name, unit * values, unit * bounds, joint.unit + per, coefficients=own)
+
+
+def claim_of_joint(limit: Limit, problem: Problem, per: str, value: Callable[[Any], Any]) -> Claimed:
+    """Return the claim of a limit on a joint, whose unit is followed by `per`."""
+    joint, bounds = problem.mechanism.joints[limit.item], getattr(problem.limits, limit.key)[limit.item]
+    name, unit = f"{limit.key} of {joint.name}", joint.unit + per
+    return Claimed(name=name, unit=unit, bounds=bounds, value=value, per_unit=joint.shown(1.0))
 
 
 def own_column(mechanism: Mechanism, j: int) -> int | None:

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
-from linkplan.planner.limits.accelerations import AccelerationLimit, SiteAccelerationLimit
 from linkplan.planner.limits.actuators import (
     ControlLimit,
     MotorLimit,
@@ -15,7 +14,6 @@ from linkplan.planner.limits.actuators import (
 from linkplan.planner.limits.body import BodyAngleLimit
 from linkplan.planner.limits.efforts import EffortLimit, EffortRateLimit, RobustLimit
 from linkplan.planner.limits.extra import ExtraPathLimit
-from linkplan.planner.limits.jerks import JerkLimit, SiteJerkLimit
 from linkplan.planner.limits.joints import (
     BallLimit,
     ClosureForceLimit,
@@ -24,20 +22,14 @@ from linkplan.planner.limits.joints import (
     SpeedLimit,
     TendonLimit,
 )
-from linkplan.planner.limits.limit import (
-    Limit,
-    Margin,
-    Problem,
-    Samples,
-    Trajectory,
-    WhichJoints,
-    limit_margin,
-    with_limits,
-)
-from linkplan.planner.limits.samples import samples_of
+from linkplan.planner.limits.limit import Limit, Margin, WhichJoints, limit_margin, with_limits
+from linkplan.planner.limits.rates import AccelerationLimit, JerkLimit, SiteAccelerationLimit, SiteJerkLimit
+from linkplan.planner.limits.samples import Samples, samples_of
 from linkplan.planner.limits.site import SitePathLimit
 from linkplan.planner.limits.site_path import OnPathLimit
 from linkplan.planner.problem.instant import unit_scales
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.trajectory import Trajectory
 
 # In the order of their rows in a program.
 KINDS: tuple[type[Limit], ...] = (

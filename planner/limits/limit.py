@@ -20,30 +20,12 @@ from msgspec import Struct, structs
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.planner.files.structs import Beside, InJson
-from linkplan.planner.limits.samples import Poses, Samples, least_between
+from linkplan.planner.limits.samples import Samples, least_between
 from linkplan.planner.problem.extra import as_no_number
 from linkplan.planner.problem.instant import Instant, Scales
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import Task
 from linkplan.planner.trajectory import Trajectory
-
-__all__ = [
-    "Bounds",
-    "Claimed",
-    "Instant",
-    "Limit",
-    "LimitFacts",
-    "Margin",
-    "Measured",
-    "Poses",
-    "Problem",
-    "Rows",
-    "Samples",
-    "Scales",
-    "Tightened",
-    "Trajectory",
-    "WhichJoints",
-]
 
 Bounds = tuple[float, float]
 # Of which independent joints: of none, of all, or of some by their index.
@@ -275,9 +257,9 @@ class Limit(ABC):
         """Yield what a proof has to show; at least one claim."""
 
     @classmethod
-    @abstractmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
         """Return a problem with its limits of this kind relaxed by a common factor; infinity removes them."""
+        return with_limits(problem, **{cls.key: _scaled(getattr(problem.limits, cls.key), factor)})
 
 
 def with_limits(problem: Problem, **changes: Any) -> Problem:
@@ -285,14 +267,11 @@ def with_limits(problem: Problem, **changes: Any) -> Problem:
     return replace(problem, limits=replace(problem.limits, **changes))
 
 
-def scaled_bounds(values: np.ndarray, factor: float) -> np.ndarray:
-    """Return bounds (n, 2) times a factor; an infinite one removes zeros too."""
+def _scaled(values: np.ndarray | Mapping[str, float], factor: float) -> np.ndarray | dict[str, float]:
+    """Return rows [low, high] (n, 2), or largest values by name, times a factor; an infinite one removes zeros too."""
+    if isinstance(values, Mapping):
+        return {name: most * factor for name, most in values.items()} if np.isfinite(factor) else {}
     return values * factor if np.isfinite(factor) else np.broadcast_to([-np.inf, np.inf], np.shape(values)).copy()
-
-
-def scaled_values(values: Mapping[str, float], factor: float) -> dict[str, float]:
-    """Return largest values by name times a factor; an infinite one removes them."""
-    return {name: most * factor for name, most in values.items()} if np.isfinite(factor) else {}
 
 
 def squared_claim(what: str, unit: str, most: float, value: Callable[[Any], Any] | ca.Function) -> Claimed:

@@ -18,23 +18,12 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.planner.limits.limit import (
-    Bounds,
-    Claimed,
-    Instant,
-    Limit,
-    LimitFacts,
-    Measured,
-    Poses,
-    Problem,
-    Rows,
-    Samples,
-    Scales,
-    Tightened,
-    Trajectory,
-    with_limits,
-)
+from linkplan.planner.limits.limit import Bounds, Claimed, Limit, LimitFacts, Measured, Rows, Tightened, with_limits
+from linkplan.planner.limits.samples import Poses, Samples
+from linkplan.planner.problem.instant import Instant, Scales
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import SiteLimit, SitePoint, Task
+from linkplan.planner.trajectory import Trajectory
 
 # Between two segments at nearly equal distances, the weighted mean exceeds the least squared distance by at most 0.28 / k of
 # r^2. This k reduces a tube's radius there by 0.14 %, and the curvature of its wall stays of the order of 1 / r.

@@ -15,20 +15,12 @@ from linkplan.models.guide.curve import Arc, Polynomial
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.planner.limits.limit import (
-    Bounds,
-    Claimed,
-    Limit,
-    LimitFacts,
-    Measured,
-    Poses,
-    Problem,
-    Rows,
-    Samples,
-    Scales,
-    Trajectory,
-)
+from linkplan.planner.limits.limit import Bounds, Claimed, Limit, LimitFacts, Measured, Rows
+from linkplan.planner.limits.samples import Poses, Samples
+from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.path import SitePath
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.trajectory import Trajectory
 
 # Most Newton steps from the chord's parameter to that of a piece's nearest point, and the share of the piece's length by
 # which they may miss it: a squared distance then has an error of 1e-16 of the squared length.

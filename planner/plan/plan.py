@@ -49,20 +49,10 @@ class MotionTable:
 
     def single(self) -> MotionTable:
         """Return the first row, with numbers instead of arrays."""
-
-        def first(values: dict[str, np.ndarray]) -> dict:
-            return {name: float(x[0]) for name, x in values.items()}
-
-        return replace(
-            self,
-            time_s=float(self.time_s[0]),
-            position_deg=first(self.position_deg),
-            speed_deg_s=first(self.speed_deg_s),
-            acceleration_deg_s2=first(self.acceleration_deg_s2),
-            effort=first(self.effort),
-            site={name: place[0] for name, place in self.site.items()},
-            body_deg=first(self.body_deg),
-        )
+        of_arrays = ("position_deg", "speed_deg_s", "acceleration_deg_s2", "effort", "body_deg")
+        first = {key: {name: float(x[0]) for name, x in getattr(self, key).items()} for key in of_arrays}
+        sites = {name: place[0] for name, place in self.site.items()}
+        return replace(self, time_s=float(self.time_s[0]), site=sites, **first)
 
     def columns(self) -> dict[str, np.ndarray]:
         """Return all columns (n,), units in their heads: time_s, O_deg, O_deg_s, ..., act_O_Nm, foot_x_m, body_shank_deg."""

@@ -10,7 +10,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.instant import Robust, corner_out_of_reach
 from linkplan.planner.problem.keys.motion_and_limits import Motor
-from linkplan.planner.problem.limits import OF_ACTUATORS, OF_JOINTS, Limits
+from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.objective import Objective
 from linkplan.planner.problem.reference import GuessedPath, Reference
@@ -121,7 +121,7 @@ def check_node_at_end(motion: Motion, mechanism: Mechanism, mesh: MeshSettings) 
         )
 
 
-def _check_turning_joints(motion: Motion, mechanism: Mechanism, limits: Limits) -> None:
+def check_turning_joints(motion: Motion, mechanism: Mechanism, limits: Limits) -> None:
     """Refuse turns of a joint whose range is limited."""
     turns = np.zeros(mechanism.dof) if motion.turns is None else motion.turns
     for joint, index, n in zip(mechanism.independent_joints, mechanism.independent, turns, strict=True):
@@ -242,31 +242,8 @@ def check_objective(
             raise ProblemError(f"limits.{name} needs {lacking[need]}")
 
 
-def check_shapes(
-    mechanism: Mechanism,
-    motion: Motion,
-    limits: Limits,
-    motors: Sequence[Motor | None],
-    guess: GuessedPath | Trajectory | None,
-) -> None:
-    """Refuse values whose number does not fit the mechanism."""
-    n_s = mechanism.dof
-    for name in ("start", "goal", "start_speed", "goal_speed", "turns"):
-        value = getattr(motion, name)
-        if value is not None and (value.shape != (n_s,) or not np.all(np.isfinite(value))):
-            raise ProblemError(f"motion.{name} has one finite value for each of {n_s} independent joints, got {value}")
-    _check_turning_joints(motion, mechanism, limits)
-    for k, waypoint in enumerate(motion.waypoints):
-        if waypoint.position.shape != (n_s,) or waypoint.speed.shape != (n_s,):
-            raise ProblemError(f"motion.waypoints[{k}] has one value for each of {n_s} independent joints")
-    rows = dict.fromkeys(OF_ACTUATORS, mechanism.n_u) | dict.fromkeys(OF_JOINTS, mechanism.n_q)
-    rows |= {"closure_force": len(mechanism.closure_names)}
-    for name, n_rows in rows.items():
-        if len(getattr(limits, name)) != n_rows:
-            raise ProblemError(f"limits.{name} needs {n_rows} rows, got {len(getattr(limits, name))}")
-    if isinstance(guess, GuessedPath) and guess.path.shape[1] != n_s:
-        raise ProblemError(f"the guess moves {guess.path.shape[1]} joints, '{mechanism.name}' has {n_s} independent ones")
-    if isinstance(guess, Trajectory) and (other := guess.misfit(n_s, mechanism.n_u, mechanism.n_q)):
+def check_guess(guess: GuessedPath | Trajectory | None, mechanism: Mechanism) -> None:
+    """Refuse a saved plan's motion as a guess for another mechanism."""
+    n_q = mechanism.n_q
+    if isinstance(guess, Trajectory) and (other := guess.misfit(mechanism.dof, mechanism.n_u, n_q)):
         raise ProblemError(f"the guess does not fit mechanism '{mechanism.name}': {other}")
-    if len(motors) != mechanism.n_u:
-        raise ProblemError(f"motors needs one entry for each of {mechanism.n_u} actuators, got {len(motors)}")

@@ -12,7 +12,7 @@ from linkplan.planner.problem.keys.motion_and_limits import ForceSection
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.reference import is_whole
 from linkplan.planner.problem.sites import AXES
-from linkplan.planner.problem.table_reference import Spline, returns, times_of
+from linkplan.planner.problem.table_reference import Spline, returns, times_of, with_period
 
 _KEY = "force_over_time"
 
@@ -61,11 +61,8 @@ def forces_of(section: ForceSection | None, mechanism: Mechanism, motion: Motion
                 )
         own: dict[str, list[float]] = {axis: [0.0] * len(time) for axis in AXES} | dict(axes)
         columns += [own[axis] for axis in AXES]
-    rows, repeats = np.array(columns).T, section.period_s is not None or motion.kind == "periodic"
-    if section.period_s is not None:
-        if not section.period_s > time[-1]:
-            raise ProblemError(f"{_KEY}.period_s is after the last row, at {time[-1]:g} s, got {section.period_s:g}")
-        time, rows = np.append(time, section.period_s), np.vstack([rows, rows[:1]])
+    time, rows = with_period(time, np.array(columns).T, section.period_s, _KEY)
+    repeats = section.period_s is not None or motion.kind == "periodic"
     duration, last = motion.duration_s, float(time[-1])
     assert duration is not None  # as checked above
     if motion.kind == "periodic" and not returns(rows):

@@ -55,10 +55,7 @@ class Limits:
         for names, like in ((OF_ACTUATORS, self.effort), (OF_JOINTS, self.position)):
             for name in names:
                 given = getattr(self, name)
-                value = frozen(free_bounds(len(like)) if given is None else given)
-                if value.ndim != 2 or value.shape[1] != 2 or np.any(np.isnan(value)):
-                    raise ProblemError(f"limits.{name} has one [low, high] a row, got shape {value.shape}")
-                object.__setattr__(self, name, value)
+                object.__setattr__(self, name, frozen(free_bounds(len(like)) if given is None else given))
 
     @property
     def actuators_effort(self) -> np.ndarray:

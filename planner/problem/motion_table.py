@@ -11,7 +11,7 @@ from linkplan.models.poses.equilibrium import lock_words, rests_on_stops, spring
 from linkplan.planner.problem.keys.motion_and_limits import MotionSection, WaypointSection
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion, Waypoint
-from linkplan.planner.problem.path import SitePath
+from linkplan.planner.problem.path import SitePath, check_path
 from linkplan.planner.problem.reference import Reference, is_whole
 from linkplan.planner.problem.settings import DERIVED, joint_values
 from linkplan.planner.problem.sites import Task, key_of, pose_at, tasks_of
@@ -79,8 +79,8 @@ def motion_of(
 
 def _along(section: MotionSection, mechanism: Mechanism, limits: Limits, path: SitePath | None) -> Motion:
     """Return the motion of a site along its path; the joints at the start choose the pose, the nearest to them."""
-    if path is None:
-        raise ProblemError("motion.kind 'follow' needs a [path]: the site, and points or a file")
+    check_path(path, "follow", {})
+    assert path is not None  # as checked
     unused = [key for key in _NOT_ALONG_A_PATH if getattr(section, key)]
     if unused:
         raise ProblemError(

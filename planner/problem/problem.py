@@ -325,7 +325,8 @@ class Problem:
         if len(self.limits.closure_force) == 0:
             limits = replace(self.limits, closure_force=np.full(len(self.mechanism.closure_names), np.inf))
             object.__setattr__(self, "limits", limits)
-        consistency.check_shapes(self.mechanism, self.motion, self.limits, self.motors, self.guess)
+        consistency.check_turning_joints(self.motion, self.mechanism, self.limits)
+        consistency.check_guess(self.guess, self.mechanism)
         consistency.check_periods(self.motion, self.reference, self.mesh)
         consistency.check_robust(self.robust, self.mechanism)
         consistency.check_node_at_end(self.motion, self.mechanism, self.mesh)

@@ -53,10 +53,6 @@ class SiteLimit:
     origin: float = 0.0
 
     def __post_init__(self) -> None:
-        if (self.normal is None) == (self.along is None):
-            raise ProblemError(f"limits.site of {self.name} has either a normal or a polyline")
-        if not self.low < self.high:
-            raise ProblemError(f"limits.site of {self.name} has low < high, got {self.low:g} and {self.high:g}")
         if self.scale is None:
             object.__setattr__(self, "scale", self.high)
         for field in ("normal", "along"):

@@ -121,12 +121,7 @@ def spline_of(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarra
 
     time = times_of(section.time_s, "reference")
     s = _positions(section, mechanism, ranges, len(time))
-    if section.period_s is not None:
-        if not section.period_s > time[-1]:
-            raise ProblemError(
-                f"reference.period_s is after the last row, at {time[-1]:g} s from the first, got {section.period_s:g}"
-            )
-        time, s = np.append(time, section.period_s), np.vstack([s, s[:1]])
+    time, s = with_period(time, s, section.period_s, "reference")
     ends = section.spline or ("periodic" if returns(s) else "clamped")
     if ends == "periodic" and not returns(s):
         worst = int(np.argmax(np.abs(s[-1] - s[0])))
@@ -155,6 +150,19 @@ def times_of(time_s: Sequence[float], where: str) -> np.ndarray:
         k = int(back[0])
         raise ProblemError(f"{where}.time_s increases from row to row, got {time[k + 1]:g} after {time[k]:g} s")
     return time - time[0]
+
+
+def with_period(time: np.ndarray, rows: np.ndarray, period_s: float | None, where: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return times (n,) [s] and rows (n, k), with the first row again after the period, if there is one.
+
+    Raises:
+        ProblemError: if the period ends before the last row.
+    """
+    if period_s is None:
+        return time, rows
+    if not period_s > time[-1]:
+        raise ProblemError(f"{where}.period_s is after the last row, at {time[-1]:g} s from the first, got {period_s:g}")
+    return np.append(time, period_s), np.vstack([rows, rows[:1]])
 
 
 def returns(rows: np.ndarray) -> bool:

@@ -13,45 +13,30 @@ from linkplan.planner.proof.taylor import TaylorForm, Verdict
 from linkplan.planner.proof.walk import Ball
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+@dataclass(frozen=True, eq=False, slots=True)
 class Claim:
-    """low - slack[0] <= f(t) <= high + slack[1] at every instant. All `values` of a state have to keep it.
+    """low - slack[0] <= f(t) <= high + slack[1] at every instant. All values of a state have to keep it.
 
-    Numbers are SI; `per_unit` times them is in `unit`.
+    Numbers are SI; `per_unit` times them is in `unit`. The default slack are the allowances for rounding.
     """
 
     name: str
     unit: str
-    low: float
-    high: float
-    slack: tuple[float, float]
+    bounds: Sequence[float] | np.ndarray
     values: Callable[[State], list[Ball]]
+    slack: tuple[float, float] | None = None
     per_unit: float = 1.0
+
+    @property
+    def allowed(self) -> tuple[float, float]:
+        """The allowances of [low, high]; for rounding as in the certificate: 1e-9, or 1e-9 of an end above one."""
+        low, high = (ROUNDING_SHARE * max(1.0, abs(float(x))) if np.isfinite(x) else 0.0 for x in self.bounds)
+        return (low, high) if self.slack is None else self.slack
 
     @property
     def marks(self) -> tuple[float, float]:
         """The limits with their allowances."""
-        return self.low - self.slack[0], self.high + self.slack[1]
-
-
-def claim_of(
-    name: str,
-    unit: str,
-    bounds: Sequence[float] | np.ndarray,
-    values: Callable[[State], list[Ball]],
-    slack: tuple[float, float] | None = None,
-    per_unit: float = 1.0,
-) -> Claim:
-    """Return the claim that values lie within [low, high], by default with the allowances for rounding."""
-    low, high = (float(x) for x in bounds)
-    given = rounding_of((low, high)) if slack is None else slack
-    return Claim(name=name, unit=unit, low=low, high=high, slack=given, values=values, per_unit=per_unit)
-
-
-def rounding_of(bounds: Sequence[float]) -> tuple[float, float]:
-    """Return the allowances of [low, high] for rounding, as in the certificate: 1e-9, or 1e-9 of an end above one."""
-    low, high = (max(1.0, abs(float(x))) if np.isfinite(x) else 0.0 for x in bounds)
-    return ROUNDING_SHARE * low, ROUNDING_SHARE * high
+        return float(self.bounds[0]) - self.allowed[0], float(self.bounds[1]) + self.allowed[1]
 
 
 def of_kinetics(of: Callable[[Kinetics], Ball]) -> Callable[[State], list[Ball]]:
@@ -79,7 +64,9 @@ class Record:
     def loosened_by(self, verdict: Verdict, form: TaylorForm, claim: Claim) -> bool:
         """Return True if a bound would extend the known range, and is mostly the remainder."""
         extends = verdict.least < self.least or verdict.greatest > self.greatest
-        size = max(abs(verdict.least), abs(verdict.greatest), max(claim.slack) if claim.low == claim.high else 0.0)
+        size = max(
+            abs(verdict.least), abs(verdict.greatest), max(claim.allowed) if claim.bounds[0] == claim.bounds[1] else 0.0
+        )
         return extends and not form.remainder <= _LOOSE_SHARE * size
 
     def add(self, verdict: Verdict, time_s: float) -> None:

@@ -16,7 +16,7 @@ from linkplan.planner.limits.kinds import FURTHER_CLAIMS, limits_of
 from linkplan.planner.limits.limit import Claimed
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.reference import Sine
-from linkplan.planner.proof.claim import Claim, claim_of, of_kinetics
+from linkplan.planner.proof.claim import Claim, of_kinetics
 from linkplan.planner.proof.curve import enclosed
 from linkplan.planner.proof.finding import Finding
 from linkplan.planner.proof.motion import Kinetics, State
@@ -58,7 +58,7 @@ def _sort_in(one: Claimed, problem: Problem, claims: list[Claim], open_limits: l
     except UnknownOperationError:
         open_limits.append(_undecided(one.name, _NOT_ENCLOSED))
         return
-    claims.append(claim_of(one.name, one.unit, one.bounds, values, one.slack, one.per_unit))
+    claims.append(Claim(one.name, one.unit, one.bounds, values, one.slack, one.per_unit))
 
 
 def _values(one: Claimed, problem: Problem) -> Callable[[State], list[Ball]]:
@@ -106,7 +106,7 @@ def loop_claims(problem: Problem, _: Trajectory) -> Iterator[Claim]:
     if rows:
         walk = walk_of(ca.Function("redundant", [q], [ca.densify(ca.vertcat(*rows))]))
         name = "the redundant equations of the loops hold"
-        yield claim_of(name, "m", (0.0, 0.0), lambda state: list(walk(state.q)[0].values()), (mark, mark))
+        yield Claim(name, "m", (0.0, 0.0), lambda state: list(walk(state.q)[0].values()), (mark, mark))
 
 
 def reference_claims(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:
@@ -122,7 +122,7 @@ def reference_claims(problem: Problem, trajectory: Trajectory) -> Iterator[Claim
             return [state.s[i] - over(reference, i, state.time)]
 
         name = f"distance of {joint.name} from its reference"
-        yield claim_of(name, joint.unit, (0.0, 0.0), off, (allowed, allowed), joint.shown(1.0))
+        yield Claim(name, joint.unit, (0.0, 0.0), off, (allowed, allowed), joint.shown(1.0))
 
 
 def _enclosed_sine(sine: Sine, i: int, time: Ball) -> Ball:
@@ -142,7 +142,7 @@ def _residuals(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:
     for i, joint in enumerate(mechanism.independent_joints):
         name, unit = f"effort on {joint.name} that the planned effort lacks", joint.si_units[1]
         lacking = of_kinetics(lambda kinetics, i=i: kinetics.residual[i])
-        yield claim_of(name, unit, (0.0, 0.0), lacking, (allowed, allowed))
+        yield Claim(name, unit, (0.0, 0.0), lacking, (allowed, allowed))
 
 
 def sampled_findings(problem: Problem, failures: Sequence[str]) -> list[Finding]:

@@ -57,14 +57,6 @@ def larger(a: Ball, b: Ball) -> Ball:
     return b if high >= low else known_to([low.max(high), _slope(a).union(_slope(b))], a, b)
 
 
-def _smaller(a: Ball, b: Ball) -> Ball:
-    return -larger(-a, -b)
-
-
-def _magnitude(a: Ball, _: Ball) -> Ball:
-    return larger(a, -a)
-
-
 def _signed_square(a: Ball, _: Ball) -> Ball:
     """Return a |a|, which has a bounded second derivative where a changes its sign."""
     value, square = constant_term(a), a * a
@@ -85,10 +77,6 @@ def _less(a: Ball, b: Ball) -> Ball:
     """Return 1 or 0, or the ball [0, 1] of a comparison that the balls do not decide."""
     low, high = constant_term(a), constant_term(b)
     return arb(1) if low < high else arb(0) if low >= high else known_to([arb(0.5, 0.5)], a, b)
-
-
-def _at_most(a: Ball, b: Ball) -> Ball:
-    return 1 - _less(b, a)
 
 
 def _chosen(condition: Ball, a: Ball) -> Ball:
@@ -156,12 +144,12 @@ _OPERATIONS: dict[int, Callable] = {
     ca.OP_COSH: _cosh,
     ca.OP_TANH: _tanh,
     ca.OP_ATAN2: _atan2,
-    ca.OP_FABS: _magnitude,
+    ca.OP_FABS: lambda a, _: larger(a, -a),
     ca.OP_SIGN: _sign,
     ca.OP_FMAX: larger,
-    ca.OP_FMIN: _smaller,
+    ca.OP_FMIN: lambda a, b: -larger(-a, -b),
     ca.OP_LT: _less,
-    ca.OP_LE: _at_most,
+    ca.OP_LE: lambda a, b: 1 - _less(b, a),
     ca.OP_NOT: lambda a, _: 1 - a,
     ca.OP_AND: operator.mul,
     ca.OP_OR: lambda a, b: a + b - a * b,

@@ -19,8 +19,8 @@ from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.closed_chain.case import MechanismCase
 from linkplan.planner.closed_chain.formulate import TIE_WEIGHT
 from linkplan.planner.closed_chain.guess import guess_from, with_force_times
-from linkplan.planner.limits.jerks import smooth_columns
 from linkplan.planner.limits.limit import with_limits
+from linkplan.planner.limits.rates import smooth_columns
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.actions import nearest_on

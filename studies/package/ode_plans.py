@@ -15,8 +15,8 @@ from linkplan.paths import drawn, path_of
 from linkplan.planner.files.columns import csv_bytes
 from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.planner.ode import plan as ode_planned
+from linkplan.planner.ode.plan import plan_ode
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.solve_ocp import plan_ode
 from linkplan.planner.plan import plan as planned
 from linkplan.reporting import Progress, listener
 from linkplan.results import Shown

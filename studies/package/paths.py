@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from linkplan.models.errors import PlanFileError, ProblemError
+from linkplan.models.errors import ProblemError, refusals
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -117,7 +117,5 @@ def drawn(path: object, draw: Callable[[Path | None], "Figure"]) -> "Figure":
     if path is None:
         return draw(None)
     place = path_of(path, "path")
-    try:
+    with refusals(f"'{place}' cannot be written", ValueError):
         return draw(place)
-    except (OSError, ValueError) as error:
-        raise PlanFileError(f"'{place}' cannot be written: {getattr(error, 'strerror', None) or error}") from error

@@ -108,7 +108,7 @@ def ode_answer(name: str, _: float = 0.0) -> dict:
 
 def ode_set() -> dict[str, Callable]:
     """Return the ODE set: what plans each problem, by name."""
-    from linkplan.planner.ode.solve_ocp import plan_ode
+    from linkplan.planner.ode.plan import plan_ode
     from tests.planner.ode import test_arcs, test_arm, test_textbook, test_unstable
     from tests.support.ode import INF, bryson_denham, robbins
 

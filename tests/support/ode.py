@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from linkplan.planner.ode.plan import OdePlan, plan_ode
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.solve_ocp import OdePlan, plan_ode
 
 INF, NAN = np.inf, np.nan
 # Limits of one effort and of one state that are none.

@@ -51,6 +51,7 @@ def _rows(kind: type[Section], section: str) -> Iterator[Key]:
         bare, about = without_metadata(field.type)
         value = None if field.required or field.default is msgspec.NODEFAULT else field.default
         single = isinstance(value, int | float | str) and value != ""
+        shown = f"{value:g}" if isinstance(value, float) else str(value)
         yield Key(
             section=section,
             name=field.name,
@@ -58,7 +59,7 @@ def _rows(kind: type[Section], section: str) -> Iterator[Key]:
             unit=about["unit"],
             required=field.required,
             default=value if single else None,
-            default_words="" if field.required else about["otherwise"] or _shown(value),
+            default_words="" if field.required else about["otherwise"] or shown,
             doc=about["meaning"],
         )
         inside += [(one, f"{section}.{field.name}{how}".lstrip(".")) for one, how in _inside(bare, about)]
@@ -80,10 +81,6 @@ def _inside(bare: Any, about: dict, how: str = "") -> Iterator[tuple[type[Sectio
             for shape, inner in _inside(*without_metadata(one), how + step):
                 found.setdefault(shape, inner)
         yield from found.items()
-
-
-def _shown(value: object) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
 
 
 def _range(kind: Any) -> str:

@@ -7,7 +7,8 @@ from pathlib import Path
 
 from linkplan.models.catalogue import MODELS
 from linkplan.models.errors import ModelError
-from linkplan.planner.files.tables import inline, key_text
+from linkplan.models.reading import key_text
+from linkplan.planner.files.tables import inline
 from linkplan.planner.problem.keys.key_table import key_table
 from linkplan.studies.check.new.first_motion import FirstMotion
 

@@ -6,9 +6,9 @@ from typing import Any
 
 from msgspec import Struct
 
+from linkplan.models.work_folders import replace_file
 from linkplan.planner.files.folders import check_target, write_json
 from linkplan.planner.files.structs import NOT_READ, Beside
-from linkplan.planner.files.work_folders import replace_file
 from linkplan.planner.plan.folder import versions
 from linkplan.planner.problem.keys.sections import BatchFile
 from linkplan.planner.refinement.history import silent

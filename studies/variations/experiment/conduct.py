@@ -11,9 +11,9 @@ import numpy as np
 
 from linkplan.models.errors import LinkplanError, PlanFileError
 from linkplan.models.reading import MAX_FILE_BYTES, read_file
+from linkplan.models.work_folders import replace_file
 from linkplan.planner.files.columns import Kind, read_table, schema_of
 from linkplan.planner.files.folders import write_whole
-from linkplan.planner.files.work_folders import replace_file
 from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.compare.tracker_source import refuse_other_sources

@@ -15,9 +15,9 @@ from typing import Any
 
 from linkplan.models.deadline import shielded
 from linkplan.models.errors import PlanFileError
+from linkplan.models.work_folders import replace_file, sweep
 from linkplan.planner.files.folders import plain_record, remove_result, write_json, write_whole
 from linkplan.planner.files.manifest import identity_at, read_record
-from linkplan.planner.files.work_folders import replace_file, sweep
 
 try:
     import fcntl

@@ -308,7 +308,7 @@ def test_a_force_repeats_in_a_periodic_motion():
         ({"on": {"tyre": {"u": PUSH}}}, "force_over_time.on.tyre"),
         ({"time_s": ROWS[::-1]}, "force_over_time.time_s increases from row to row, got 0.33 after 0.4 s"),
         ({"time_s": 0.5 * ROWS}, "force_over_time.time_s ends at 0.2 s from its first row, before the motion's 0.4 s"),
-        ({"period_s": 0.3}, "force_over_time.period_s is after the last row, at 0.4 s, got 0.3"),
+        ({"period_s": 0.3}, "force_over_time.period_s is after the last row, at 0.4 s from the first, got 0.3"),
         ({"interpolation": "quadratic"}, "force_over_time.interpolation"),
         ({"time_s": None}, "[force_over_time] needs force_over_time.file, or force_over_time.time_s"),
         ({"on": {"post": {"y": PUSH}}}, "force_over_time.on.post: the site does not move"),

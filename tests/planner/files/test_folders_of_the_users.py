@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from linkplan.models import work_folders
 from linkplan.models.errors import PlanFileError
-from linkplan.planner.files import work_folders
 from linkplan.planner.files.folders import check_target, complete, write_json, write_whole
 from linkplan.planner.files.manifest import MANIFEST, RECORDS, files_in
 

@@ -13,8 +13,6 @@ from linkplan.models.payload import SHANK
 from linkplan.planner.files.tables import BUILT_IN, built_in_text
 from linkplan.planner.problem.keys.kinds import MAX_INTERVALS
 from linkplan.planner.problem.keys.reading import KEYS
-from linkplan.planner.problem.limits import Limits
-from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.transcription.schemes import NAMES
 from tests.support.tolerances_planner import ROUNDING
@@ -348,30 +346,6 @@ def test_a_periodic_motion_with_a_reference_is_for_tracking_by_default():
 def test_a_start_that_names_a_dependent_joint_where_it_is_may_do_so():
     problem = load_problem(REACH, ["motion.start_deg.A=106.817"])
     assert problem.motion.start.shape == (1,)
-
-
-def test_a_problem_built_by_hand_is_checked_like_a_file():
-    whole = load_problem(REACH)
-    with pytest.raises(ProblemError, match=r"limits\.effort needs 1 rows, got 2"):
-        Problem(
-            name="by hand",
-            mechanism=whole.mechanism,
-            motion=whole.motion,
-            objective="effort",
-            limits=Limits(effort=np.ones((2, 2)), position=whole.limits.position, speed=whole.limits.speed),
-        )
-
-
-def test_a_motion_built_by_hand_has_one_value_for_each_independent_joint():
-    whole = load_problem(REACH)
-    with pytest.raises(ProblemError, match=r"motion.start has one finite value for each of 1 independent joints"):
-        Problem(
-            name="by hand",
-            mechanism=whole.mechanism,
-            motion=Motion(kind="reach", start=np.zeros(3), goal=np.ones(1), duration_s=1.0),
-            objective="effort",
-            limits=whole.limits,
-        )
 
 
 def test_the_independent_joint_can_be_named():

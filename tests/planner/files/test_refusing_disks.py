@@ -6,8 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from linkplan.models import work_folders
 from linkplan.models.errors import PlanFileError
-from linkplan.planner.files import folders, work_folders
+from linkplan.planner.files import folders
 from linkplan.planner.files.folders import check_target, write_json, write_whole
 from linkplan.planner.files.single_file import write_over
 from linkplan.planner.plan.folder import read_plan

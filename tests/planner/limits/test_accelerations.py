@@ -13,8 +13,8 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.limits.extra import ExtraPathLimit
-from linkplan.planner.limits.jerks import JerkLimit, SiteJerkLimit, smooth_columns
 from linkplan.planner.limits.limit import limit_margin
+from linkplan.planner.limits.rates import JerkLimit, SiteJerkLimit, smooth_columns
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem

@@ -9,8 +9,8 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 from scipy.optimize import brentq, minimize
 
+from linkplan.planner.ode.plan import OdePlan
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
-from linkplan.planner.ode.solve_ocp import OdePlan
 from linkplan.planner.problem.settings import MeshSettings
 from tests.support.ode import INF, NAN, OSCILLATOR, double_integrator, duration, oscillator, solved
 from tests.support.tolerances_planner import (

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
 from scipy.optimize import fsolve
 
-from linkplan.planner.ode.solve_ocp import OdePlan
+from linkplan.planner.ode.plan import OdePlan
 from tests.support.ode import FREE_STATE, duration, solved
 from tests.support.tolerances_planner import ODE_CLOSED_FORM, ODE_STATE, ODE_SWITCH
 

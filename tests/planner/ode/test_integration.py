@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.ode.integration import integrate
+from linkplan.planner.ode.certificate import integrate
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from tests.support.ode import FREE_EFFORT, NAN

@@ -9,8 +9,8 @@ from scipy.integrate import quad, solve_ivp
 from scipy.optimize import brentq, fsolve
 
 from linkplan.planner.ode.certificate import LIMIT_SLACK, OVERRUN_SHARE
+from linkplan.planner.ode.plan import plan_ode
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
-from linkplan.planner.ode.solve_ocp import plan_ode
 from tests.support.ode import FREE_EFFORT, INF, NAN, double_integrator, duration, solved
 from tests.support.tolerances_planner import (
     BOOK_TIME,

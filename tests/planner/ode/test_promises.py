@@ -7,7 +7,7 @@ import pytest
 
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import InfeasibleError
-from linkplan.planner.ode.solve_ocp import plan_ode
+from linkplan.planner.ode.plan import plan_ode
 from linkplan.planner.problem.settings import SolverSettings
 from tests.support.ode import bryson_denham, robbins, solved
 

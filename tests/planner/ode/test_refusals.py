@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from linkplan.models.errors import InfeasibleError, ProblemError
+from linkplan.planner.ode.plan import OdePlan, plan_ode
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
-from linkplan.planner.ode.solve_ocp import OdePlan, plan_ode
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from tests.support.ode import INF, NAN, double_integrator, duration, squared_effort
 from tests.support.tolerances_planner import ODE_CLOSED_FORM

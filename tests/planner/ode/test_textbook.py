@@ -9,8 +9,8 @@ import pytest
 from scipy.integrate import solve_bvp
 from scipy.optimize import fsolve
 
+from linkplan.planner.ode.plan import OdePlan
 from linkplan.planner.ode.problem import StateGuess
-from linkplan.planner.ode.solve_ocp import OdePlan
 from tests.support.ode import (
     FREE_EFFORT,
     FREE_STATE,

@@ -9,8 +9,8 @@ import pytest
 from linkplan.planner.certificate.flow import INTEGRATION_RTOL
 from linkplan.planner.certificate.integration import RESTART_GROWTH
 from linkplan.planner.ode.certificate import certify_ode
+from linkplan.planner.ode.plan import OdePlan
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.solve_ocp import OdePlan
 from linkplan.planner.ode.trajectory import OdeTrajectory
 from tests.support.ode import FREE_EFFORT, solved
 from tests.support.tolerances_planner import ODE_CLOSED_FORM

@@ -3,7 +3,6 @@
 import itertools
 import re
 import tomllib
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -302,14 +301,6 @@ def test_the_example_of_the_documents_is_planned_along_its_wall():
     assert 0.25 - 1e-9 < places_along(plan)[:, 0].min() < 0.25 + SITE_BINDS_M
     free = Problem.from_tables("example", {key: table for key, table in example().items() if key != "limits"})
     assert places_along(plan_motion(free))[:, 0].min() < 0.2
-
-
-def test_limits_made_by_hand_are_checked_too():
-    limit = limit_of({"foot": {"z": [0, 1]}})
-    with pytest.raises(ProblemError, match="low < high"):
-        replace(limit, low=2.0)
-    with pytest.raises(ProblemError, match="either a normal or a polyline"):
-        replace(limit, normal=None)
 
 
 def test_a_saved_plan_is_read_with_its_open_ends(tmp_path):

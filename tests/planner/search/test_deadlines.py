@@ -7,7 +7,7 @@ import pytest
 
 from linkplan.models.deadline import Deadline, OutOfTimeError
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.ode.solve_ocp import plan_ode
+from linkplan.planner.ode.plan import plan_ode
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search.ladder import FULL_BUDGET, SearchMethod
 from linkplan.planner.search.planning import plan_motion

@@ -11,8 +11,8 @@ import pytest
 from linkplan.models.errors import ProblemError
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.closed_chain.transcribe import Transcribed, transcribe
+from linkplan.planner.ode.plan import plan_ode
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.solve_ocp import plan_ode
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME, solve

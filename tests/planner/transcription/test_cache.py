@@ -20,11 +20,11 @@ from linkplan.models.compiled.cache import (
     keep_entry,
     mark_used,
     trusted_folder,
-    work_folder,
 )
 from linkplan.models.compiled.functions import cached, compiled, compiler
 from linkplan.models.deadline import Deadline
 from linkplan.models.mechanism import load_mechanism
+from linkplan.models.work_folders import work_folder
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.transcription.system import NodeFunctions, build_node
 
@@ -269,10 +269,9 @@ def test_a_compiler_ends_before_the_planner_s_deadline_and_the_interpreter_serve
 
 
 def test_what_a_kill_left_in_the_cache_is_removed_by_the_next_run(folder):
-    left = folder / ".build-left"
+    left = folder / ".linkplan-work-0123456789abcdef"
     left.mkdir()
     (left / "k1.c").write_text("int", encoding="utf-8")
-    os.utime(left, (1000.0, 1000.0))
     with work_folder(folder) as used:
         (used / "k2.c").write_text("int", encoding="utf-8")
         assert cached("k1", NodeFunctions) is None

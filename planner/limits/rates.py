@@ -1,0 +1,248 @@
+"""Limits on the accelerations and jerks of joints and sites.
+
+Those of independent joints are polynomials of the program, whose coefficients are bounded at every instant. Those of
+dependent joints and of sites are functions of the independent joints' motion, and are bounded at nodes, and at open ends if
+they may jump there. Independent joints on whose jerk a limit depends have continuous accelerations (`bounds.linear_rows`),
+which are zero where the motion begins or ends with the joint at rest.
+"""
+
+import functools
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import ClassVar, Self
+
+import casadi as ca
+import numpy as np
+
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import accelerations, joint_jerk, joint_rates, sampled, site_motion
+from linkplan.planner.limits.joints import bounds_of_joint, claim_of_joint, measured_of_joint
+from linkplan.planner.limits.limit import (
+    Bounds,
+    Claimed,
+    Limit,
+    LimitFacts,
+    Measured,
+    Rows,
+    Tightened,
+    limited_joints,
+    squared_claim,
+)
+from linkplan.planner.limits.samples import Samples
+from linkplan.planner.problem.extra import jerk_of
+from linkplan.planner.problem.instant import Instant, Scales, free_instant, jerk_columns, motion_symbols
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.trajectory import Trajectory
+
+
+@dataclass(frozen=True, slots=True)
+class AccelerationLimit(Limit):
+    """The acceleration of one joint; `column` is its index among the independent joints, None for a dependent one.
+
+    `jumps` tells whether the acceleration of a dependent joint may jump.
+    """
+
+    key: ClassVar[str] = "acceleration"
+    item: int
+    column: int | None = None
+    jumps: bool = False
+
+    @classmethod
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+        limited = limited_joints(problem, problem.limits.acceleration)
+        return [
+            cls(joint, column, column is None and not _is_smooth(problem, moving_joint, joint)) for joint, column in limited
+        ]
+
+    @property
+    def facts(self) -> LimitFacts:
+        return _facts_of_joint(self.key, self.column, jumps=self.jumps)
+
+    @property
+    def rows(self) -> Rows:
+        if self.column is not None:
+            return Rows(interval=lambda _: ("acceleration_columns", self.column))
+        return Rows(node=lambda at, _: at.units["time"] ** 2 * at.joint_accelerations[self.item])
+
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
+        return bounds_of_joint(self, problem, scales, 2)
+
+    def measured(self, at: Samples) -> Measured:
+        own, mechanism = self.column is not None, at.problem.mechanism
+        values = at.a[:, self.column] if own else accelerations(mechanism, at.q, at.v, at.a)[:, self.item]
+        return measured_of_joint(self, at, "/s2", values)
+
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        yield claim_of_joint(self, problem, "/s2", lambda at: at.accelerations[self.item])
+
+
+@dataclass(frozen=True, slots=True)
+class JerkLimit(Limit):
+    """The jerk of one joint; `column` is as of `AccelerationLimit`, `moved_by` are the independent joints that move it."""
+
+    key: ClassVar[str] = "jerk"
+    item: int
+    column: int | None
+    moved_by: tuple[int, ...]
+
+    @classmethod
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+        return [
+            cls(joint, column, moving_joint(problem.mechanism, joint) if column is None else (column,))
+            for joint, column in limited_joints(problem, problem.limits.jerk)
+        ]
+
+    @property
+    def facts(self) -> LimitFacts:
+        return _facts_of_joint(self.key, self.column, jumps=True)
+
+    @property
+    def rows(self) -> Rows:
+        if self.column is not None:
+            return Rows(interval=lambda _: ("jerk_columns", self.column), jerk=self.moved_by)
+        return _node_rows(self.moved_by, lambda at, _: at.units["time"] ** 3 * at.joint_jerks[self.item])
+
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
+        return bounds_of_joint(self, problem, scales, 3)
+
+    def measured(self, at: Samples) -> Measured:
+        own, mechanism = self.column is not None, at.problem.mechanism
+        jerk = at.jerk[:, self.column] if own else sampled(joint_jerk(mechanism), at.q, at.v, at.a, at.jerk)[:, self.item, 0]
+        jump = joint_rates(mechanism, at.q, at.acceleration_jumps)[:, self.item]  # Gamma a
+        return measured_of_joint(self, at, "/s3", np.where(jump == 0, jerk, np.copysign(np.inf, jump)))
+
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        yield replace(claim_of_joint(self, problem, "/s3", lambda at: at.of_velocity.jerks[self.item]), of_planned=True)
+
+
+@dataclass(frozen=True, slots=True)
+class SiteAccelerationLimit(Limit):
+    """The acceleration of one site, by its size; `site` is its index in the model, `jumps` as of `AccelerationLimit`."""
+
+    key: ClassVar[str] = "site_acceleration"
+    item: int
+    site: int
+    jumps: bool
+
+    @classmethod
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+        sites = [problem.mechanism.model.site(name).id for name in problem.limits.site_acceleration]
+        return [cls(item, site, not _is_smooth(problem, moving_site, site)) for item, site in enumerate(sites)]
+
+    @property
+    def facts(self) -> LimitFacts:
+        words, squared = "the acceleration of site {}", Tightened.SQUARED
+        return LimitFacts(kind=self.key, words=words, tightened=squared, jumps_with_effort=self.jumps)
+
+    @property
+    def rows(self) -> Rows:
+        return _shares_of_largest(self, Rows(node=lambda at, share: ca.sumsqr(at.site_accelerations[:, self.site] * share)))
+
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
+        return -np.inf, 1.0
+
+    def measured(self, at: Samples) -> Measured:
+        name, most = _limit(self, at.problem)
+        values = sampled(site_motion(at.problem.mechanism, 2), at.q, at.v, at.a)[:, :, self.site]
+        return Measured(name, np.linalg.norm(values, axis=1), (-np.inf, most), "m/s2")
+
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        at, symbols = free_instant(problem.mechanism)
+        yield _claim_of_site(self, problem, "acceleration", "m2/s4", symbols[:4], at.site_accelerations)
+
+
+@dataclass(frozen=True, slots=True)
+class SiteJerkLimit(Limit):
+    """The jerk of one site, by its size; `site` is its index in the model, `moved_by` as of `JerkLimit`."""
+
+    key: ClassVar[str] = "site_jerk"
+    facts: ClassVar[LimitFacts] = LimitFacts(
+        kind=key, words="the jerk of site {}", tightened=Tightened.SQUARED, jumps_with_effort=True
+    )
+    item: int
+    site: int
+    moved_by: tuple[int, ...]
+
+    @classmethod
+    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+        sites = [problem.mechanism.model.site(name).id for name in problem.limits.site_jerk]
+        return [cls(item, site, moving_site(problem.mechanism, site)) for item, site in enumerate(sites)]
+
+    @property
+    def rows(self) -> Rows:
+        rows = _node_rows(self.moved_by, lambda at, share: ca.sumsqr(at.site_jerks[:, self.site] * share))
+        return _shares_of_largest(self, rows)
+
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
+        return -np.inf, 1.0
+
+    def measured(self, at: Samples) -> Measured:
+        (name, most), mechanism, jumps = _limit(self, at.problem), at.problem.mechanism, at.acceleration_jumps
+        jerk = sampled(site_motion(mechanism, 3), at.q, at.v, at.a, at.jerk)[:, :, self.site]
+        jump = sampled(site_motion(mechanism, 1), at.q, jumps, jumps)[:, :, self.site]
+        values = np.where(np.any(jump, axis=1), np.inf, np.linalg.norm(jerk, axis=1))
+        return Measured(name, values, (-np.inf, most), "m/s3")
+
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        at, _ = free_instant(problem.mechanism)
+        yield _claim_of_site(self, problem, "jerk", "m2/s6", motion_symbols(at), at.site_jerks)
+
+
+def _facts_of_joint(key: str, column: int | None, *, jumps: bool) -> LimitFacts:
+    words = f"the {key} of joint {{}}"
+    if column is not None:
+        return LimitFacts(kind=key, words=words, tightened=None)
+    return LimitFacts(kind=key, words=words, jumps_with_effort=jumps)
+
+
+def _limit(limit: SiteAccelerationLimit | SiteJerkLimit, problem: Problem) -> tuple[str, float]:
+    """Return the site's name and its largest acceleration or jerk [SI]."""
+    return list(getattr(problem.limits, limit.key).items())[limit.item]
+
+
+def _shares_of_largest(limit: SiteAccelerationLimit | SiteJerkLimit, rows: Rows) -> Rows:
+    """Return the rows with their number: one over the site's largest acceleration or jerk."""
+    return replace(rows, n_numbers=1, numbers=lambda problem: (1.0 / _limit(limit, problem)[1],))
+
+
+def _claim_of_site(
+    limit: SiteAccelerationLimit | SiteJerkLimit, problem: Problem, what: str, unit: str, inputs: list[ca.SX], of: ca.SX
+) -> Claimed:
+    """Return the claim on a column of vectors (3, n_sites) of a `free_instant` with some inputs."""
+    (name, most), squared = _limit(limit, problem), ca.densify(ca.sumsqr(of[:, limit.site]))
+    return squared_claim(f"{what} of site {name}", unit, most, ca.Function(limit.key, inputs, [squared]))
+
+
+def _node_rows(moved_by: tuple[int, ...], node: Callable[[Instant, ca.SX], ca.SX]) -> Rows:
+    """Return the row of a jerk at a node; a joint or site that nothing moves has none, and the program no jerk for it."""
+    return Rows(node=node, jerk=moved_by) if moved_by else Rows(node=lambda *_: ca.SX(0))
+
+
+def smooth_columns(problem: Problem) -> tuple[int, ...]:
+    """Return the independent coordinates whose accelerations have no jumps: a limit or a cost depends on their jerk."""
+    mechanism = problem.mechanism
+    if problem.objective.has("jerk"):
+        return tuple(range(mechanism.dof))
+    columns = [limit.moved_by for kind in (JerkLimit, SiteJerkLimit) for limit in kind.of(problem)]
+    columns += [jerk_of(extra, mechanism) for extra in problem.extras]
+    return tuple(sorted({column for some in columns for column in some}))
+
+
+def _is_smooth(problem: Problem, moving: Callable[[Mechanism, int], tuple[int, ...]], item: int) -> bool:
+    """Check that the acceleration of a joint (of a site) has no jumps; `moving` is `moving_joint` (`moving_site`)."""
+    smooth = smooth_columns(problem)
+    return bool(smooth) and set(moving(problem.mechanism, item)) <= set(smooth)
+
+
+@functools.lru_cache(maxsize=64)
+def moving_joint(mechanism: Mechanism, joint: int) -> tuple[int, ...]:
+    """Return the independent coordinates that move a joint."""
+    at, _ = free_instant(mechanism)
+    return jerk_columns(at, at.joint_jerks[joint])
+
+
+@functools.lru_cache(maxsize=64)
+def moving_site(mechanism: Mechanism, site: int) -> tuple[int, ...]:
+    """Return the independent coordinates that move a site."""
+    at, _ = free_instant(mechanism)
+    return jerk_columns(at, at.site_jerks[:, site])
