@@ -34,9 +34,9 @@ from linkplan.studies.feedback.frequency.feedback_loops import (
     with_lqr_errors,
 )
 from linkplan.studies.feedback.frequency.margins import Margins, margins
-from linkplan.studies.feedback.frequency.measure import measure
 from linkplan.studies.feedback.frequency.plant_modes import plant_modes
 from linkplan.studies.feedback.frequency.response import Response, largest_deviation
+from linkplan.studies.feedback.frequency.sinestream import measure
 from linkplan.studies.feedback.frequency.trial import MAX_TRIAL_PERIODS, settle_trials
 
 # Default poses as shares of the reach: five evenly, and one close to each end, where gains are extreme. The end itself may

@@ -93,8 +93,3 @@ class PlantStudy(Struct, frozen=True, kw_only=True, eq=False):
     mechanism: Beside[Mechanism] = field(default=NOT_READ, name="(mechanism)")
     efforts: Beside[tuple[PlantInput, ...]] = NOT_READ
     positions: Beside[tuple[PlantOutput, ...]] = NOT_READ
-
-
-def pair_name(effort: str, position: str) -> str:
-    """Return the name of the response from an input to an output."""
-    return f"{effort} to {position}"

@@ -18,10 +18,10 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.poses.sign_change import sign_change
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.search.planning import silent
-from linkplan.studies.feedback.frequency import sinestream
 from linkplan.studies.feedback.frequency.excitation import Setup, whole_samples
 from linkplan.studies.feedback.frequency.feasible import FeasibleCurve
 from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, refuse_several_freedoms
+from linkplan.studies.feedback.frequency.sinestream import measure
 
 # Amplitudes of the command without a limit, divided by the distance to the limit.
 MULTIPLES = (0.3, 0.9, 1.2, 1.6, 2.2, 3.0)
@@ -126,7 +126,7 @@ def large_signals(
     limited = sizes if farthest is None else np.minimum(sizes, farthest)
     setup = Setup(longest_s=3.0)  # a saturated loop may never settle
     same = [loop] * len(sizes)
-    taken = sinestream.run(same, frequency, effort_limit, setup, (quantity,), 0, say, amplitudes=limited)
+    taken = measure(same, frequency, effort_limit, setup, excitations=(quantity,), say=say, amplitudes=limited)
     responses = [one[quantity] for one in taken.responses]
     commands, applied = np.array([one[quantity] for one in taken.actuated]).transpose(1, 2, 0)
     found = {

@@ -13,7 +13,7 @@ from linkplan.controllers.integrator import simulator_step
 from linkplan.controllers.sampling import Sampling, augmented, sampling, simulated
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.feedback.frequency.feedback_loops import CONTINUOUS, EXACT, SIMULATED, feedback_loop, operating_point
-from linkplan.studies.feedback.frequency.measure import measure
+from linkplan.studies.feedback.frequency.sinestream import measure
 from linkplan.studies.feedback.frequency.stability_map import pd_loop
 from tests.support.oscillators import inertia_alone, mass_on_a_spring, pendulum
 from tests.support.tolerances_loops import MEASURED_DB, MEASURED_DEG, SHORT_HOLD, STEPPED, WHOLE_PERIODS

@@ -9,10 +9,10 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.feedback.bode.bode import bode_study
-from linkplan.studies.feedback.frequency.excitation import Setup, whole_samples
+from linkplan.studies.feedback.frequency.excitation import whole_samples
 from linkplan.studies.feedback.frequency.feedback_loops import feedback_loop, law_gain, operating_point
-from linkplan.studies.feedback.frequency.measure import measure
 from linkplan.studies.feedback.frequency.response import Response
+from linkplan.studies.feedback.frequency.sinestream import measure
 from tests.support.mechanisms import FIVE_BAR
 from tests.support.tolerances_loops import COUPLED_DB, COUPLED_DEG, NEAREST_WHOLE, PRINTED_DB
 
@@ -125,11 +125,6 @@ def knee_loop(knee, kd, period=1e-4):
     return feedback_loop(point, gain, sampling(knee, period))
 
 
-def test_an_unstable_loop_is_not_measured(knee):
-    with pytest.raises(LinkplanError, match=r"O = 3\.6 deg is unstable and cannot be measured"):
-        measure([knee_loop(knee, 10.0)], F, knee.effort_limit)
-
-
 def test_frequencies_above_nyquist_are_refused(knee):
     loop = knee_loop(knee, 1.0)
     with pytest.raises(LinkplanError, match="5001 Hz is above the Nyquist frequency"):
@@ -162,9 +157,3 @@ def test_a_delay_between_simulator_steps_takes_finer_steps_or_is_refused(knee):
     assert sampling(knee, 1e-4, 0.25).substeps == 4
     with pytest.raises(LinkplanError, match="is not a whole number of simulator steps"):
         sampling(knee, 1e-4, 0.25, substeps=2)
-
-
-@pytest.mark.parametrize(("values", "words"), [({"amplitude": -1.0}, "positive number"), ({"windows": 1}, "2 windows")])
-def test_a_setup_that_measures_nothing_is_refused(values, words):
-    with pytest.raises(LinkplanError, match=words):
-        Setup(**values)
