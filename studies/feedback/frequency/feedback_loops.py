@@ -19,7 +19,7 @@ import numpy as np
 
 from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.sampling import Sampling, augmented, closed, exact, sampling, simulated, spectral_radius
+from linkplan.controllers.sampling import Sampling, augmented, closed, sampling, simulated, spectral_radius
 from linkplan.controllers.trackers.names import BUILT_IN, LINEAR
 from linkplan.controllers.trackers.tracker import Design, Errors
 from linkplan.models.deadline import check
@@ -34,7 +34,7 @@ from linkplan.studies.feedback.frequency.response import Response
 if TYPE_CHECKING:
     import control
 
-CONTINUOUS, EXACT, SIMULATED = "continuous", "sampled, exact hold", "sampled, MuJoCo's steps"
+CONTINUOUS, SIMULATED = "continuous", "sampled, MuJoCo's steps"
 # The unit of each response: {q} is the joint's unit, {u} the effort's.
 QUANTITIES = {
     "plant": "{q}/{u}",
@@ -164,7 +164,7 @@ def with_lqr_errors(
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class FeedbackLoop:
-    """A law with gain K (n_u, 2 n_s) about an operating point: continuous, sampled, or sampled in MuJoCo's steps (`kind`).
+    """A law with gain K (n_u, 2 n_s) about an operating point: continuous, or sampled in MuJoCo's steps (`kind`).
 
     Continuous: x' = A x + B u. Sampled: x_{k+1} = A x_k + B u_{k-d} + B_late u_{k-d-1}.
     """
@@ -327,7 +327,7 @@ def feedback_loop(point: OperatingPoint, gain: np.ndarray, timing: Sampling, kin
         A, B = linearise(point.mechanism, *states, *point.forces)
         late = np.zeros_like(B)
     else:
-        A, B, late = (exact if kind == EXACT else simulated)(point.mechanism, *states, timing, *point.forces)
+        A, B, late = simulated(point.mechanism, *states, timing, *point.forces)
     return FeedbackLoop(point=point, gain=gain, timing=timing, kind=kind, A=A[0], B=B[0], B_late=late[0])
 
 

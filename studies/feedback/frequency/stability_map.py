@@ -12,7 +12,7 @@ import numpy as np
 from linkplan.controllers.sampling import Sampling, closed, sampling, spectral_radius
 from linkplan.controllers.trackers.pd import pd, pd_gain
 from linkplan.planner.search.planning import silent
-from linkplan.studies.feedback.frequency.feedback_loops import SIMULATED, FeedbackLoop, OperatingPoint, feedback_loop
+from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, OperatingPoint, feedback_loop
 from linkplan.studies.feedback.frequency.quick import quick_loops
 from linkplan.studies.feedback.frequency.trial import settle_trials
 from linkplan.studies.feedback.frequency.worst import last_good
@@ -48,9 +48,9 @@ def effort_map(point: OperatingPoint) -> np.ndarray:
     return np.hsplit(pd(point.mechanism, point.constant(1.0), 1.0, 0.0).gains[0], 2)[0]
 
 
-def pd_loop(point: OperatingPoint, kp: float, kd: float, timing: Sampling, kind: str = SIMULATED) -> FeedbackLoop:
+def pd_loop(point: OperatingPoint, kp: float, kd: float, timing: Sampling) -> FeedbackLoop:
     """Return the PD loop of gains [N.m/rad, N.m.s/rad] about a point."""
-    return feedback_loop(point, pd_gain(effort_map(point), kp, kd), timing, kind)
+    return feedback_loop(point, pd_gain(effort_map(point), kp, kd), timing)
 
 
 def radii(point: OperatingPoint, kp: np.ndarray, kd: np.ndarray, timing: Sampling) -> np.ndarray:

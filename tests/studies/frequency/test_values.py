@@ -4,7 +4,7 @@ import control
 import numpy as np
 import pytest
 
-from linkplan.controllers.sampling import Sampling, sampling
+from linkplan.controllers.sampling import sampling
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
@@ -139,21 +139,7 @@ def test_a_pose_that_the_limits_cannot_hold_is_refused():
         operating_point(heavy, np.radians([56.0]), np.array([[-2.0, 2.0]]))
 
 
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"period_s": -1e-3}, "positive number of seconds, got -0.001"),
-        ({"period_s": np.nan}, "positive number of seconds"),
-        ({"period_s": 1e-3, "delay_steps": -1}, "from 0 to 1000"),
-        ({"period_s": 1e-3, "substeps": 0}, "at least one simulator step"),
-    ],
-)
-def test_a_sampling_that_is_no_time_is_refused(values, words):
-    with pytest.raises(LinkplanError, match=words):
-        Sampling(**values)
-
-
 def test_a_delay_between_simulator_steps_takes_finer_steps_or_is_refused(knee):
     assert sampling(knee, 1e-4, 0.25).substeps == 4
     with pytest.raises(LinkplanError, match="is not a whole number of simulator steps"):
-        sampling(knee, 1e-4, 0.25, substeps=2)
+        sampling(knee, 1e-4, 0.2512)
