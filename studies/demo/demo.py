@@ -29,8 +29,7 @@ from linkplan.studies.compare.comparison_figures import comparison_figures
 from linkplan.studies.compare.document import DOCUMENT_GAINS, document_rows, document_runs
 from linkplan.studies.compare.tracking_sections import comparison_sections
 from linkplan.studies.feedback.bode.bode import bode_study
-from linkplan.studies.feedback.bode.bode_report import save_bode
-from linkplan.studies.feedback.bode.bode_sections import bode_sections
+from linkplan.studies.feedback.bode.bode_report import bode_sections, save_bode
 from linkplan.studies.feedback.bode.loop_blocks import map_blocks
 from linkplan.studies.feedback.bode.map_study import map_study
 from linkplan.studies.feedback.frequency.excitation import Setup

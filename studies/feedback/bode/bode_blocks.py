@@ -35,13 +35,10 @@ from linkplan.studies.output.plan_blocks import radius_figure
 _NYQUIST_HALF_WIDTH, _MAX_NYQUIST_GAIN = 2.5, 30.0
 
 
-def summary(study: BodeStudy, *, verdict: bool = True) -> list[Block]:
-    """Return the margins at every pose, the worst case over the reach, and the agreement with the measurement.
-
-    The verdict is left out where the page's header shows it.
-    """
+def summary(study: BodeStudy) -> list[Block]:
+    """Return the verdict, the margins at every pose, the worst one over the reach, and what was measured."""
     message = study.message[:1].upper() + study.message[1:]
-    blocks: list[Block] = [Text(text=message, tone="good" if study.stable else "bad")] if verdict else []
+    blocks: list[Block] = [Text(text=message, tone="good" if study.stable else "bad")]
     rows = [("mechanism", study.mechanism.name), ("tracker", study.law.name), ("feedback loop", study.loop_name)]
     if shared := study.points[0].point.shared_coordinates:
         rows.append(("at every pose", shared))

@@ -24,13 +24,13 @@ if TYPE_CHECKING:
 _DRAWN_POINTS = 300
 
 
-def plant_summary(study: PlantStudy, *, verdict: bool = True) -> list[Block]:
-    """Return the plant at every pose and the agreement with the measurement; the page's header may show the verdict."""
+def plant_summary(study: PlantStudy) -> list[Block]:
+    """Return the verdict, the plant at every pose and the agreement with the measurement."""
     message = study.message[:1].upper() + study.message[1:]
-    blocks: list[Block] = [Text(text=message)] if verdict else []
     rows = [("mechanism", study.mechanism_name), *_measured(study)]
     notes = [*plant_notes(study.points), *study.caveats, study.contacts, study.softness, study.note]
-    return [*blocks, Facts(rows=rows), *_tables(study), *(Text(text=note, tone="note") for note in notes if note)]
+    said = [Text(text=note, tone="note") for note in notes if note]
+    return [Text(text=message), Facts(rows=rows), *_tables(study), *said]
 
 
 def _measured(study: PlantStudy) -> list[tuple[str, str]]:
@@ -142,7 +142,7 @@ def plant_report(study: PlantStudy) -> Report:
     name = f"{study.mechanism_name}: {', '.join(study.inputs)} to {', '.join(study.outputs)}"
     plots = [plot for both in plant_plots(study, f"frequency:{name}").values() for plot in both]
     sections = [
-        Section(title=f"Plant: {name}", blocks=plant_summary(study, verdict=False), depth=1),
+        Section(title=f"Plant: {name}", blocks=plant_summary(study)[1:], depth=1),
         Section(title="Frequency response", blocks=plots, depth=2),
     ]
     return report_of(f"Plant of {study.mechanism_name}", study.message, True, sections)

@@ -145,8 +145,9 @@ def _worst(mechanism: Mechanism, line: PoseLine, law: SampledLaw, wanted: Requir
         found = judge(x)
         if not found:
             return np.inf
-        short = max(shortfall(one, wanted, law.timing) for one in found)
-        return -min(short, UNSTABLE_SHORTFALL + (found[0].spectral_radius or 0.0))
+        if not found[0].stable:
+            return -UNSTABLE_SHORTFALL - (found[0].spectral_radius or 0.0)
+        return -float(max(shortfall(one, wanted, law.timing) for one in found))
 
     even = np.linspace(line.low, line.high, SCAN_POSITIONS)
     places = sorted([*even, *refined_minima(reserve, even)], key=reserve)[:3]

@@ -6,7 +6,7 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.feedback.bode.bode import bode_study
-from linkplan.studies.feedback.bode.bode_sections import bode_sections
+from linkplan.studies.feedback.bode.bode_report import bode_sections
 from linkplan.studies.feedback.frequency.excitation import Setup
 from linkplan.studies.feedback.frequency.feedback_loops import operating_point, sampled_law
 from tests.support.boom import boom
