@@ -86,22 +86,18 @@ def repeated(reference: SampledReference) -> int:
     return reference.n if reference.cycle is None else min(reference.cycle, reference.n)
 
 
-def lqr(mechanism: Mechanism, reference: SampledReference, errors: Errors) -> StateFeedback:
-    """Return the LQR tracker of a reference, by the reduced dynamics linearised along it and the errors of unit cost.
+def lqr(design: Design) -> StateFeedback:
+    """Return the LQR tracker of a design, by the reduced dynamics linearised along its reference.
 
     Raises:
         GainError: if no stabilising gain exists.
     """
-    found, kept = regulator(mechanism, reference, errors)
+    reference, mechanism = design.reference, design.mechanism
+    found, kept = regulator(mechanism, reference, design.errors())
     full = np.zeros((len(found.gains), mechanism.n_u, 2 * mechanism.dof))
     full[:, :, kept] = found.gains
     gains = full[np.arange(reference.n) % len(full)]
     return StateFeedback(reference=reference, gains=gains, name="lqr", feedforward=True)
-
-
-def lqr_for(design: Design) -> StateFeedback:
-    """Return the LQR tracker of a design."""
-    return lqr(design.mechanism, design.reference, design.errors())
 
 
 def _joined(first: _Span, then: _Span) -> _Span:
