@@ -58,11 +58,9 @@ class ComputedTorque:
 def computed_torque(design: Design) -> ComputedTorque:
     """Return the computed torque of a design."""
     mechanism, reference, (natural_frequency, damping_ratio) = design.mechanism, design.reference, design.of_errors
-    q, v, u = reference.pose_rad, reference.velocity_rad_s, reference.effort
-    acceleration = sampled(mechanism.forced.acceleration, q, v, u, *reference.forces)[:, :, 0]
     return ComputedTorque(
         reference=reference,
-        acceleration=acceleration,
+        acceleration=sampled(mechanism.forced.acceleration, *reference.states)[:, :, 0],
         stiffness=natural_frequency**2,
         damping=2 * damping_ratio * natural_frequency,
         law=_law(mechanism),

@@ -97,9 +97,7 @@ def lqi(design: Design) -> IntegralLQR:
     actuated = kept[:half]
     size = np.broadcast_to(errors.position, n_s)[actuated]
     # The last instant, where the Riccati recursion begins.
-    last = slice(n - 1, n)
-    state = reference.pose_rad[last], reference.velocity_rad_s[last], reference.effort[last]
-    A_c, B_c = linearise(mechanism, *state, *(w[last] for w in reference.forces))
+    A_c, B_c = linearise(mechanism, *reference.part(slice(n - 1, n)).states)
     chosen = integrable(
         A_c[0, n_s + actuated[:, None], actuated] * size / size[:, None],
         B_c[0, n_s + actuated] * errors.effort / size[:, None],

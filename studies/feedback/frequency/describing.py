@@ -20,7 +20,7 @@ from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.search.planning import silent
 from linkplan.studies.feedback.frequency.excitation import Setup, whole_samples
 from linkplan.studies.feedback.frequency.feasible import FeasibleCurve
-from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, refuse_several_freedoms
+from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop
 from linkplan.studies.feedback.frequency.sinestream import measure
 
 # Amplitudes of the command without a limit, divided by the distance to the limit.
@@ -62,7 +62,6 @@ def saturation(loop: FeedbackLoop, effort_limit: np.ndarray) -> Callable[[np.nda
     """Return the real N(A) (n,) of an actuator's limits about its holding effort, for amplitudes A (n,) [N.m or N]."""
     import control
 
-    refuse_several_freedoms(loop.point.mechanism, "a response past the effort limit")
     low, high = effort_limit[0] - loop.point.hold[0]
     if not (np.isfinite(low) and np.isfinite(high)):
         raise LinkplanError(f"actuator {loop.point.mechanism.actuators[0].name} has no effort limit")

@@ -20,7 +20,7 @@ import numpy as np
 from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import Sampling, augmented, closed, sampling, simulated, spectral_radius
-from linkplan.controllers.trackers.names import BUILT_IN, LINEAR
+from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.controllers.trackers.tracker import Design, Errors
 from linkplan.models.deadline import check
 from linkplan.models.errors import LinkplanError, choose
@@ -84,6 +84,20 @@ class OperatingPoint:
         """The reduced inertia (n_s, n_s) [kg m2 or kg]."""
         return np.array(self.mechanism.dynamics.reduced_inertia(self.pose))
 
+    def linearised(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return A (2 n_s, 2 n_s) and B (2 n_s, n_u) of x' = A x + B u about the point."""
+        A, B = linearise(self.mechanism, *self._states)
+        return A[0], B[0]
+
+    @property
+    def _states(self) -> tuple[np.ndarray, ...]:
+        return self.pose[None], self.velocity[None], self.hold[None], *self.forces
+
+    def sampled(self, timing: Sampling) -> tuple[np.ndarray, ...]:
+        """Return A, B and B_late of a period in MuJoCo's own steps about the point."""
+        pose, velocity, hold, *forces = self._states
+        return tuple(matrix[0] for matrix in simulated(self.mechanism, pose, velocity, hold, timing, *forces))
+
     def constant(self, period_s: float, n: int = 1) -> SampledReference:
         """Return the point as a reference at rest over n control periods [s]."""
         return SampledReference(
@@ -141,9 +155,8 @@ def law_gain(point: OperatingPoint, law: str, settings: Tracking, effort_limit: 
     """Return a tracker's gain K (n_u, 2 n_s) when it holds a point.
 
     Raises:
-        LinkplanError: for an unknown law, or if LQR has no stabilising gain.
+        LinkplanError: if LQR has no stabilising gain.
     """
-    choose("tracker", law, LINEAR, LinkplanError)
     reference = point.constant(settings.period_s)
 
     def errors() -> Errors:
@@ -270,8 +283,7 @@ class FeedbackLoop:
         """
         n_s = self.point.mechanism.dof
         omega = 2 * np.pi * np.asarray(frequency_hz, dtype=float)
-        still = (self.point.pose[None], self.point.velocity[None], self.point.hold[None])
-        A, B = (matrix[0, n_s:] for matrix in linearise(self.point.mechanism, *still))
+        A, B = (matrix[n_s:] for matrix in self.point.linearised())
         w = omega[:, None, None]
         resists = -(w**2) * np.eye(n_s) - A[:, :n_s] - 1j * w * A[:, n_s:]
         along = np.setdiff1d(np.arange(n_s), self.point.mechanism.channels)  # coordinates that only move along
@@ -308,7 +320,7 @@ class SampledLaw:
         """Return the law's loop about a point.
 
         Raises:
-            LinkplanError: for an unknown law, or if LQR has no stabilising gain.
+            LinkplanError: if LQR has no stabilising gain.
         """
         return feedback_loop(point, law_gain(point, self.name, self.settings, self.effort_limit), self.timing, kind)
 
@@ -322,13 +334,12 @@ def sampled_law(mechanism: Mechanism, name: str, settings: Tracking, effort_limi
 def feedback_loop(point: OperatingPoint, gain: np.ndarray, timing: Sampling, kind: str = SIMULATED) -> FeedbackLoop:
     """Return the loop of a gain K (n_u, 2 n_s) about a point."""
     check()  # every sweep and bisection calls this function, so all of them can be interrupted
-    states = (point.pose[None], point.velocity[None], point.hold[None])
     if kind == CONTINUOUS:
-        A, B = linearise(point.mechanism, *states, *point.forces)
+        A, B = point.linearised()
         late = np.zeros_like(B)
     else:
-        A, B, late = simulated(point.mechanism, *states, timing, *point.forces)
-    return FeedbackLoop(point=point, gain=gain, timing=timing, kind=kind, A=A[0], B=B[0], B_late=late[0])
+        A, B, late = point.sampled(timing)
+    return FeedbackLoop(point=point, gain=gain, timing=timing, kind=kind, A=A, B=B, B_late=late)
 
 
 @functools.lru_cache(maxsize=32)

@@ -8,6 +8,8 @@ A tracker without feedforward settles on a motion that differs from the referenc
 analysis is done about it.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from msgspec import Struct
 
@@ -68,8 +70,8 @@ def frozen_radii(mechanism: Mechanism, reference: SampledReference, gains: np.nd
 
 
 def _closed_along(mechanism: Mechanism, reference: SampledReference, gains: np.ndarray, timing: Sampling) -> np.ndarray:
-    states = reference.pose_rad, reference.velocity_rad_s, reference.effort
-    A, B, B_late = simulated(mechanism, *states, timing, *reference.forces)
+    pose, velocity, effort, *forces = reference.states
+    A, B, B_late = simulated(mechanism, pose, velocity, effort, timing, *forces)
     return closed(*augmented(A, B, B_late, timing), gains)
 
 
@@ -94,7 +96,7 @@ def floquet(
             f"Floquet multipliers need a motion that repeats after whole control periods; this one of {reference.n} periods"
             f" of {reference.period_s:g} s does not: choose tracking.period_s so that it divides the motion's duration"
         )
-    law, one = linear_law(tracker), _cut(reference, n)
+    law, one = linear_law(tracker), reference.part(slice(n), n)
     gains = law.gains[:n]
     if law.feedforward:
         motion, before = one, np.repeat(one.effort[:1], timing.memory, axis=0)
@@ -161,16 +163,8 @@ def _steady(mechanism, reference: SampledReference, gains: np.ndarray, timing: S
     position, velocity = states[:, 0, : mechanism.dof], states[:, 0, mechanism.dof :]
     acting = np.clip(np.roll(commands[:, 0], timing.whole, axis=0), *effort_limit.T)
     # The simulated cycle is steady, so the next cycle repeats it.
-    motion = SampledReference(
-        period_s=reference.period_s,
-        time_s=reference.time_s,
-        pose_rad=follow(mechanism, position, reference.pose_rad[0]),
-        position_rad=position,
-        velocity_rad_s=velocity,
-        effort=acting,
-        cycle=n,
-        forces=reference.forces,
-    )
+    pose = follow(mechanism, position, reference.pose_rad[0])
+    motion = replace(reference, pose_rad=pose, position_rad=position, velocity_rad_s=velocity, effort=acting)
     return motion, commands[n - timing.memory :, 0]
 
 
@@ -232,14 +226,6 @@ def _scale(mechanism: Mechanism, size: int) -> np.ndarray:
     """Return the disturbances (M,) of positions, velocities and delayed commands, small but far above rounding."""
     n_s = mechanism.dof
     return np.concatenate([np.full(n_s, 1e-5), np.full(n_s, 1e-3), np.full(size - 2 * n_s, 1e-4)])
-
-
-def _cut(reference: SampledReference, n: int) -> SampledReference:
-    arrays = {
-        name: getattr(reference, name)[:n] for name in ("time_s", "pose_rad", "position_rad", "velocity_rad_s", "effort")
-    }
-    forces = tuple(w[:n] for w in reference.forces)
-    return SampledReference(period_s=reference.period_s, cycle=n, forces=forces, **arrays)
 
 
 def _multiplier_sizes(matrix: np.ndarray) -> np.ndarray:

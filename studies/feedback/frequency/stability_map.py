@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.controllers.sampling import Sampling, closed, sampling, spectral_radius
-from linkplan.controllers.trackers.pd import pd, pd_gain
+from linkplan.controllers.trackers.pd import pd_gain
 from linkplan.planner.search.planning import silent
 from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, OperatingPoint, feedback_loop
 from linkplan.studies.feedback.frequency.quick import quick_loops
@@ -45,7 +45,7 @@ class StabilityMap:
 
 def effort_map(point: OperatingPoint) -> np.ndarray:
     """Return the map (n_u, n_s) from PD's joint efforts to actuator efforts."""
-    return np.hsplit(pd(point.mechanism, point.constant(1.0), 1.0, 0.0).gains[0], 2)[0]
+    return np.linalg.pinv(np.array(point.mechanism.dynamics.effort_map(point.pose)))
 
 
 def pd_loop(point: OperatingPoint, kp: float, kd: float, timing: Sampling) -> FeedbackLoop:

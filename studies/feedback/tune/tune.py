@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from linkplan.controllers.trackers.names import BUILT_IN, LINEAR
+from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.search.planning import silent
@@ -59,11 +59,9 @@ def tune(
         note: on the choice of the points, for the report.
 
     Raises:
-        LinkplanError: for a bandwidth from the Nyquist frequency on, an unknown law, or LQR with several degrees of freedom.
+        LinkplanError: for a bandwidth from the Nyquist frequency on, or LQR with several degrees of freedom.
     """
     mechanism, timing = points[0].mechanism, law.timing
-    if law.name not in LINEAR:
-        raise LinkplanError(f"unknown tracker '{law.name}'; trackers are {', '.join(LINEAR)}")
     if law.by_errors and len(mechanism.channels) > 1:
         raise LinkplanError(
             f"tune finds LQR weights for one degree of freedom, and '{mechanism.name}' has {len(mechanism.channels)}: pd and"

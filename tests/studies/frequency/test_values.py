@@ -42,28 +42,6 @@ def test_a_response_knows_its_size_its_phase_and_its_distance_from_another():
         response.gain[0] = 2.0
 
 
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"frequency_hz": F, "gain": np.ones(2)}, "one gain for each"),
-        ({"frequency_hz": F[::-1], "gain": np.ones(3)}, "increase"),
-        ({"frequency_hz": F - 1, "gain": np.ones(3)}, "positive"),
-        ({"frequency_hz": F, "gain": np.ones(3), "coherence": np.ones(4)}, "coherence"),
-    ],
-)
-def test_a_malformed_response_is_refused(values, words):
-    with pytest.raises(LinkplanError, match=words):
-        Response(unit="1", origin="typed in", **values)
-
-
-def test_responses_of_other_units_or_frequencies_do_not_compare():
-    one = Response(frequency_hz=F, gain=np.ones(3), unit="1", origin="a")
-    with pytest.raises(LinkplanError, match="one unit"):
-        one.against(Response(frequency_hz=F, gain=np.ones(3), unit="rad", origin="b"))
-    with pytest.raises(LinkplanError, match="same frequencies"):
-        one.against(Response(frequency_hz=2 * F, gain=np.ones(3), unit="1", origin="b"))
-
-
 def test_measured_frequencies_repeat_after_whole_samples_next_to_those_asked_for():
     asked = np.geomspace(0.7, 499.0, 60)
     p, N = whole_samples(asked, 1e-3)
