@@ -85,7 +85,6 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
         gains=(own_kp, own_kd),
         critical=critical,
         settles_near_border=settles,
-        longest_s=longest,
         longest_at=where,
     )
 

@@ -240,9 +240,7 @@ def _point(
             ]
             found = structs.replace(found, measured=taken.beside(predicted[1]), sampled=_curve(predicted[0]))
         responses[name] = found
-    return PlantPoint(
-        **pose_values(point), held_by=held[0] if held else None, responses=responses, point=point, loop=held and held[1]
-    )
+    return PlantPoint(**pose_values(point), held_by=held[0] if held else None, responses=responses, point=point)
 
 
 def response_of(transfer: TransferFunction, unit: str, grid: np.ndarray) -> PlantResponse:

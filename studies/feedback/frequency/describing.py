@@ -10,6 +10,7 @@ when the two limits are at unequal distances.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from msgspec import UNSET, Struct, UnsetType
@@ -52,7 +53,6 @@ class LargeSignals(Struct, frozen=True, kw_only=True, eq=False):
     saturated: np.ndarray
     coherence: np.ndarray
     feasible: Sequence[dict[str, float | str | None]] = ()
-    loop: Beside[FeedbackLoop] = NOT_READ
     measured: Beside[np.ndarray] = NOT_READ
     predicted: Beside[np.ndarray] = NOT_READ
     curve: Beside[FeasibleCurve] = NOT_READ
@@ -128,8 +128,7 @@ def large_signals(
     taken = measure(same, frequency, effort_limit, setup, excitations=(quantity,), say=say, amplitudes=limited)
     responses = [one[quantity] for one in taken.responses]
     commands, applied = np.array([one[quantity] for one in taken.actuated]).transpose(1, 2, 0)
-    found = {
-        "amplitude": sizes.T,
+    found: dict[str, Any] = {
         "measured": np.array([response.gain for response in responses]).T,
         "predicted": np.array(
             [[balance(loop, quantity, f, a, N)[0] for a in row] for f, row in zip(frequency, sizes.T, strict=True)]
@@ -141,12 +140,9 @@ def large_signals(
         "coherence": np.array([response.coherence for response in responses]).T,
     }
     if farthest is not None:
-        found |= {
-            name: np.where(farthest < sizes.T, np.nan, values) for name, values in found.items() if name != "amplitude"
-        }
-    joint, amplitude = loop.point.mechanism.independent_joints[0], found.pop("amplitude")
+        found = {name: np.where(farthest < sizes.T, np.nan, values) for name, values in found.items()}
+    joint = loop.point.mechanism.independent_joints[0]
     return LargeSignals(
-        loop=loop,
         pose=loop.point.name,
         response=quantity,
         room=room,
@@ -154,7 +150,7 @@ def large_signals(
         multiples=np.array(multiples, dtype=float),
         gain_db=20 * np.log10(np.abs(found["measured"])),
         predicted_db=20 * np.log10(np.abs(found["predicted"])),
-        **{f"amplitude_{joint.unit}": joint.shown(1.0) * amplitude},
+        **{f"amplitude_{joint.unit}": joint.shown(1.0) * sizes.T},
         **found,
     )
 
