@@ -7,7 +7,7 @@ A command computed from the state at t_k = k T acts from t_k + delay and is held
 The delay has d whole periods. B_late belongs to the part of a period in which the previous command still acts.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -60,10 +60,6 @@ class Sampling:
     def nyquist_hz(self) -> float:
         """Half the sampling rate [Hz]."""
         return 0.5 / self.period_s
-
-    def delayed(self, delay_steps: int) -> "Sampling":
-        """Return the same sampling with another delay, in simulator steps."""
-        return replace(self, delay_steps=delay_steps)
 
 
 def sampling(mechanism: Mechanism, period_s: float, delay_periods: float = 0.0) -> Sampling:

@@ -261,7 +261,8 @@ def _loop_name(mechanism: Mechanism, law: SampledLaw) -> str:
 def _message(points: Sequence[BodePoint], disputed: Sequence[str], loop: str) -> str:
     """Return the verdict as a sentence."""
     mechanism = points[0].point.mechanism
-    joint, counted = mechanism.independent_joints[0], _counted(len({p.point.name for p in points}))
+    joint, count = mechanism.independent_joints[0], len({p.point.name for p in points})
+    counted = f"{count} pose{'s' * (count > 1)}"
     if bad := list(dict.fromkeys(p.point.name for p in points if not p.stable)):
         where = "; ".join(bad)
         if mechanism.dof == 1:
@@ -275,21 +276,13 @@ def _message(points: Sequence[BodePoint], disputed: Sequence[str], loop: str) ->
             f"stable by the sampled model and not in MuJoCo at {'; '.join(disputed)} ({len(disputed)} of {counted}), because"
             f" the model omits soft closures, contacts and limits: {loop}"
         )
-    text = f"stable at {'the pose' if counted == _counted(1) else f'all {counted}'}: {loop}"
+    text = f"stable at {f'all {counted}' if count > 1 else 'the pose'}: {loop}"
     known = [(margin, p.point.name) for p in points if (margin := p.phase_margin_deg) is not None]
     if known:
         least, where = min(known)
-        one = counted == _counted(1)
-        text += (
-            f", phase margin {least:.1f} deg"
-            if one
-            else f", least phase margin of these {counted} {least:.1f} deg ({where})"
-        )
+        of_several = f", least phase margin of these {counted} {least:.1f} deg ({where})"
+        text += of_several if count > 1 else f", phase margin {least:.1f} deg"
     return text
-
-
-def _counted(n: int) -> str:
-    return "1 pose" if n == 1 else f"{n} poses"
 
 
 def _predicted(

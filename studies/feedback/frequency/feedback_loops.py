@@ -23,7 +23,7 @@ from linkplan.controllers.sampling import Sampling, augmented, closed, sampling,
 from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.controllers.trackers.tracker import Design, Errors
 from linkplan.models.deadline import check
-from linkplan.models.errors import LinkplanError, choose
+from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.joints import where
 from linkplan.planner.problem.settings import Tracking
@@ -250,7 +250,6 @@ class FeedbackLoop:
 
         `output` is the coordinate to which the plant is meant; by default `channel` itself.
         """
-        choose("response", quantity, QUANTITIES, LinkplanError)
         n_s = self.point.mechanism.dof
         joint, (read, push) = channel, channel_effort(self.point, channel)
         G = self.plant(frequency_hz)

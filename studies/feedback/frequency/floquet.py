@@ -104,7 +104,8 @@ def floquet(
         motion, before = _steady(mechanism, one, gains, timing, effort_limit)
     steps = _closed_along(mechanism, motion, gains, timing)
     size = steps.shape[1]
-    scale = _scale(mechanism, size)
+    # Disturbances of positions, velocities and delayed commands: small, but far above rounding.
+    scale = np.repeat([1e-5, 1e-3, 1e-4], [mechanism.dof, mechanism.dof, size - 2 * mechanism.dof])
     transition = np.empty((n + 1, size, size))
     transition[0] = np.eye(size)
     product, log = np.eye(size), 0.0  # rescaled so that a growing product does not overflow
@@ -120,7 +121,7 @@ def floquet(
         posinf=_MAX_GROWTH,
     )
     size, measured_size = (np.linalg.norm(M / scale[:, None] * scale, ord=2, axis=(1, 2)) for M in (transition, measured))
-    multipliers, measured_multipliers = (_multiplier_sizes(M[-1]) for M in (transition, measured))
+    multipliers, measured_multipliers = (np.sort(np.abs(np.linalg.eigvals(M[-1])))[::-1] for M in (transition, measured))
     cycle_s, time_s = n * reference.period_s, reference.period_s * np.arange(n + 1)
     seen = int(np.flatnonzero(size > _VISIBLE_SHARE * size.max())[-1])
     left, measured_left = (float(np.log(max(values[seen], _LEAST_SIZE))) for values in (size, measured_size))
@@ -220,16 +221,6 @@ def _measured(
         columns = slice(2 * n_s + back * n_u, 2 * n_s + (back + 1) * n_u)
         history[:, :, columns] = whole[p - 1 - back : p - back + n]
     return ((history[:, 1:] - history[:, :1]) / scale[:, None]).transpose(0, 2, 1)
-
-
-def _scale(mechanism: Mechanism, size: int) -> np.ndarray:
-    """Return the disturbances (M,) of positions, velocities and delayed commands, small but far above rounding."""
-    n_s = mechanism.dof
-    return np.concatenate([np.full(n_s, 1e-5), np.full(n_s, 1e-3), np.full(size - 2 * n_s, 1e-4)])
-
-
-def _multiplier_sizes(matrix: np.ndarray) -> np.ndarray:
-    return np.sort(np.abs(np.linalg.eigvals(matrix)))[::-1]
 
 
 def floquet_text(found: Floquet) -> str:

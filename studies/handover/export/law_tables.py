@@ -228,11 +228,7 @@ def _fits(tables: LawTables, begin: int, end: int, tolerance: float, size: np.nd
     inner = np.arange(begin + 1, end)
     step = float(tables.time_s[end] - tables.time_s[begin])
     share = (tables.time_s[inner] - tables.time_s[begin]) / step
-    below, above, rows = (
-        np.full_like(inner, begin) + tables.held,
-        np.full_like(inner, end) + tables.held,
-        inner + tables.held,
-    )
+    below, above, rows = (at + tables.held for at in (np.full_like(inner, begin), np.full_like(inner, end), inner))
     state = interpolated_state(tables, below, above, share, step)
     error = state - np.hstack([tables.position[rows], tables.velocity[rows]])
     constant = len(tables.gains) == 1

@@ -120,7 +120,7 @@ def test_a_delay_a_little_below_its_margin_is_stable_in_mujoco_and_a_little_abov
     timing = replace(loop.timing, substeps=substeps)
     settled = []
     for delay, toward in ((margin * (1 - DELAY), np.floor), (margin * (1 + DELAY), np.ceil)):
-        late = timing.delayed(int(toward(delay / timing.timestep_s)))
+        late = replace(timing, delay_steps=int(toward(delay / timing.timestep_s)))
         trial = feedback_loop(point, loop.gain, late, SIMULATED)
         settled.append(bool(settle_trials([trial], knee.effort_limit)[0]))
     assert settled == [True, False]
