@@ -19,6 +19,7 @@ from linkplan.controllers.imperfections.plant import ImperfectPlant, as_modelled
 from linkplan.controllers.imperfections.servos import servo_inversion, speed_gains
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
+from linkplan.controllers.sampling import substeps_of
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.errors import LinkplanError, one_line
 from linkplan.models.mechanism import Mechanism
@@ -255,11 +256,6 @@ class MujocoStepper:
         """Return each machine's largest gap [m] of tied points and largest number of contacts so far, (n,) each."""
         assert self._watch is not None
         return self._watch.largest()
-
-
-def substeps_of(mechanism: Mechanism, period_s: float) -> int:
-    """Return the number of simulator steps of a control period [s], none longer than the model's own step."""
-    return max(1, int(np.ceil(period_s / float(mechanism.model.opt.timestep) - 1e-9)))
 
 
 def simulation_conditions(model: mujoco.MjModel) -> dict[str, Any]:

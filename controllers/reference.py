@@ -1,6 +1,6 @@
 """The motion that a tracker follows, sampled at its control instants."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -8,6 +8,8 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort, whole_turns
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.trajectory import Trajectory
+
+_ARRAYS = ("time_s", "pose_rad", "position_rad", "velocity_rad_s", "effort")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -30,7 +32,7 @@ class SampledReference:
     forces: tuple[np.ndarray, ...] = ()
 
     def __post_init__(self) -> None:
-        for name in ("time_s", "pose_rad", "position_rad", "velocity_rad_s", "effort"):
+        for name in _ARRAYS:
             value = np.array(getattr(self, name), dtype=float)
             value.flags.writeable = False
             object.__setattr__(self, name, value)
@@ -39,6 +41,22 @@ class SampledReference:
     def n(self) -> int:
         """The number of control instants."""
         return len(self.time_s)
+
+    @property
+    def states(self) -> tuple[np.ndarray, ...]:
+        """What the dynamics take at the instants (n, ...): poses, velocities, efforts, and forces over time."""
+        return self.pose_rad, self.velocity_rad_s, self.effort, *self.forces
+
+    def part(self, which: slice, cycle: int | None = None) -> "SampledReference":
+        """Return some instants, of a motion that repeats after `cycle` of them."""
+        arrays = {name: getattr(self, name)[which] for name in _ARRAYS}
+        return replace(self, cycle=cycle, forces=tuple(w[which] for w in self.forces), **arrays)
+
+
+def hermite(p0: np.ndarray, v0: np.ndarray, p1: np.ndarray, v1: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the cubic with values p and slopes v at x = 0 and x = 1, and its slope, at x."""
+    a, b = 3 * (p1 - p0) - 2 * v0 - v1, 2 * (p0 - p1) + v0 + v1
+    return p0 + x * (v0 + x * (a + x * b)), v0 + x * (2 * a + 3 * x * b)
 
 
 def state_at(reference: SampledReference, time_s: float | np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -56,8 +74,8 @@ def state_at(reference: SampledReference, time_s: float | np.ndarray) -> tuple[n
     last = (k == after)[..., None]
     p1 = np.where(last, p0 + v0, reference.position_rad[after])
     v1 = np.where(last, v0, T * reference.velocity_rad_s[after])
-    a, b = 3 * (p1 - p0) - 2 * v0 - v1, 2 * (p0 - p1) + v0 + v1
-    return p0 + x * (v0 + x * (a + x * b)), np.where(x == 0, v0, v0 + x * (2 * a + 3 * x * b)) / T
+    position, slope = hermite(p0, v0, p1, v1, x)
+    return position, np.where(x == 0, v0, slope) / T
 
 
 def sample(mechanism: Mechanism, trajectory: Trajectory, period_s: float, duration_s: float) -> SampledReference:

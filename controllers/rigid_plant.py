@@ -16,6 +16,7 @@ from linkplan.controllers.imperfections.driving import arrived, driving, take
 from linkplan.controllers.imperfections.imperfections import Drives, Imperfections
 from linkplan.controllers.imperfections.plant import start_of
 from linkplan.controllers.reference import SampledReference
+from linkplan.controllers.sampling import substeps_of
 from linkplan.controllers.trackers.prediction import acting, runge_kutta
 from linkplan.models.compiled.functions import evaluated, mapped
 from linkplan.models.mechanism import Mechanism
@@ -59,8 +60,7 @@ class RigidStepper:
         self._start = np.array([np.concatenate([pose, rates[mechanism.independent]]) for pose, rates in starts])
         self._state = self._start.copy()
         self.timestep_s = float(mechanism.model.opt.timestep) * np.ones(self.n)
-        steps = max(1, int(np.ceil(2 * self._periods.max() / float(mechanism.model.opt.timestep) - 1e-9)))
-        self._onward = mapped(_onward(mechanism, steps), self.n)
+        self._onward = mapped(_onward(mechanism, substeps_of(mechanism, 2 * self._periods.max())), self.n)
         self._k, self._mechanism = 0, mechanism
         self._begun = np.array([clock.phase_periods for clock in clocks])
 

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from linkplan.models.library import mujoco_warnings
-from linkplan.models.mechanism import Mechanism
 
 
 @contextlib.contextmanager
@@ -100,9 +99,3 @@ class Rollout:
         near = np.diff(touched) <= 10
         count = int(np.sum(near & (at[touched[1:]] != at[touched[:-1]])))
         return count >= max(6, 0.02 * len(at))
-
-
-def closure_gaps(mechanism: Mechanism, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the largest gaps at poses (n, n_q): (n,) [m] of points and slides, (n,) [rad] of angles or (0,) if none."""
-    gaps = mechanism.gaps_by_unit(poses)
-    return gaps.get("m", np.zeros(len(poses))), gaps.get("rad", np.empty(0))

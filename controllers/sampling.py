@@ -7,16 +7,15 @@ A command computed from the state at t_k = k T acts from t_k + delay and is held
 The delay has d whole periods. B_late belongs to the part of a period in which the previous command still acts.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from linkplan.controllers.integrator import repeat, simulator_step
-from linkplan.controllers.linearisation import discretise, linearise
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 
-# Longest delay: no practical feedback loop has a longer one.
+# Longest delay of a margin: no practical feedback loop has a longer one.
 MOST_DELAY_PERIODS = 1000
 # A delay this close to a whole number of simulator steps is rounded to it.
 _STEP_TOLERANCE = 1e-6
@@ -31,16 +30,6 @@ class Sampling:
     period_s: float
     substeps: int = 1
     delay_steps: int = 0
-
-    def __post_init__(self) -> None:
-        if not (np.isfinite(self.period_s) and self.period_s > 0):
-            raise LinkplanError(f"the control period is a positive number of seconds, got {self.period_s:g}")
-        if self.substeps < 1:
-            raise LinkplanError(f"a control period has at least one simulator step, got {self.substeps}")
-        if not 0 <= self.delay_steps <= MOST_DELAY_PERIODS * self.substeps:
-            raise LinkplanError(
-                f"the delay is from 0 to {MOST_DELAY_PERIODS} control periods, got {self.delay_steps / self.substeps:g}"
-            )
 
     @property
     def timestep_s(self) -> float:
@@ -72,12 +61,8 @@ class Sampling:
         """Half the sampling rate [Hz]."""
         return 0.5 / self.period_s
 
-    def delayed(self, delay_steps: int) -> "Sampling":
-        """Return the same sampling with another delay, in simulator steps."""
-        return replace(self, delay_steps=delay_steps)
 
-
-def sampling(mechanism: Mechanism, period_s: float, delay_periods: float = 0.0, substeps: int | None = None) -> Sampling:
+def sampling(mechanism: Mechanism, period_s: float, delay_periods: float = 0.0) -> Sampling:
     """Return the sampling of a control period [s] with the fewest simulator steps.
 
     Args:
@@ -85,31 +70,28 @@ def sampling(mechanism: Mechanism, period_s: float, delay_periods: float = 0.0, 
         period_s: the control period [s].
         delay_periods: computing delay in control periods; for a fraction the number of simulator steps is increased until
             the delay is a whole number of them.
-        substeps: simulator steps per period; default: chosen here.
 
     Raises:
-        LinkplanError: for an invalid period or delay, or a delay between two simulator steps.
+        LinkplanError: for a period of too many simulator steps, or a delay between two of them.
     """
-    if not (np.isfinite(period_s) and period_s > 0):
-        raise LinkplanError(f"the control period is a positive number of seconds, got {period_s:g}")
-    if not (np.isfinite(delay_periods) and 0 <= delay_periods <= MOST_DELAY_PERIODS):
-        raise LinkplanError(f"the delay is from 0 to {MOST_DELAY_PERIODS} control periods, got {delay_periods:g}")
-    if substeps is None and period_s > MOST_SUBSTEPS * float(mechanism.model.opt.timestep):
+    if period_s > MOST_SUBSTEPS * float(mechanism.model.opt.timestep):
         raise LinkplanError(
             f"a control period of {period_s:g} s is {period_s / float(mechanism.model.opt.timestep):.3g} simulator steps; at"
             f" most {MOST_SUBSTEPS} are run"
         )
-    if substeps is None:
-        fewest = max(1, int(np.ceil(period_s / float(mechanism.model.opt.timestep) - 1e-9)))
-        fits = [abs(delay_periods * n - round(delay_periods * n)) < _STEP_TOLERANCE for n in range(fewest, 20 * fewest + 1)]
-        substeps = fewest + (fits.index(True) if True in fits else 0)
-    steps = round(delay_periods * substeps)
-    if abs(delay_periods * substeps - steps) > _STEP_TOLERANCE:
-        raise LinkplanError(
-            f"a delay of {delay_periods:g} control periods is not a whole number of simulator steps: a period has"
-            f" {substeps} of them"
-        )
-    return Sampling(period_s=period_s, substeps=substeps, delay_steps=steps)
+    fewest = substeps_of(mechanism, period_s)
+    for n in range(fewest, 20 * fewest + 1):
+        if abs(delay_periods * n - round(delay_periods * n)) < _STEP_TOLERANCE:
+            return Sampling(period_s=period_s, substeps=n, delay_steps=round(delay_periods * n))
+    raise LinkplanError(
+        f"a delay of {delay_periods:g} control periods is not a whole number of simulator steps: a period has at most"
+        f" {20 * fewest} of them"
+    )
+
+
+def substeps_of(mechanism: Mechanism, period_s: float) -> int:
+    """Return the number of simulator steps of a control period [s], none longer than the model's own step."""
+    return max(1, int(np.ceil(period_s / float(mechanism.model.opt.timestep) - 1e-9)))
 
 
 def simulated(
@@ -121,24 +103,8 @@ def simulated(
     """
     A_h, B_h = simulator_step(mechanism, pose, velocity, effort, timing.timestep_s, *forces)
     A, B = repeat(A_h, B_h, timing.substeps)
-    return _split(A, B, repeat(A_h, B_h, timing.substeps - timing.late)[1])
-
-
-def exact(
-    mechanism: Mechanism, pose: np.ndarray, velocity: np.ndarray, effort: np.ndarray, timing: Sampling, *forces: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return A (n, m, m), B and B_late (n, m, n_u) of a period of the continuous motion under a held effort.
-
-    `forces` are those of `linearise`.
-    """
-    continuous = linearise(mechanism, pose, velocity, effort, *forces)
-    A, B = discretise(*continuous, timing.period_s)
-    return _split(A, B, discretise(*continuous, timing.period_s - timing.late * timing.timestep_s)[1])
-
-
-def _split(A: np.ndarray, B: np.ndarray, B_new: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return A, the new command's B and the previous command's B."""
-    return A, B_new, B - B_new
+    new = repeat(A_h, B_h, timing.substeps - timing.late)[1]
+    return A, new, B - new
 
 
 def augmented(A: np.ndarray, B: np.ndarray, B_late: np.ndarray, timing: Sampling) -> tuple[np.ndarray, np.ndarray]:

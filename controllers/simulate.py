@@ -11,7 +11,7 @@ from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.imperfections.sensing import sensing
 from linkplan.controllers.mujoco_plant import MujocoPlant, PlantAsItStands, simulation_conditions
 from linkplan.controllers.reference import SampledReference, state_at
-from linkplan.controllers.rollout import Rollout, closure_gaps, divergence_expected
+from linkplan.controllers.rollout import Rollout, divergence_expected
 from linkplan.controllers.trackers.tracker import AnyTracker, added, steps_of
 from linkplan.models.mechanism import Mechanism
 
@@ -118,7 +118,7 @@ def rollout_of(plant: MujocoPlant | PlantAsItStands, ensemble: Ensemble, referen
     mechanism, loop = plant.mechanism, plant.loop
     kept = slice(0, max(1, int(ensemble.done[0])))
     time, pose = ensemble.time_s[kept, 0], ensemble.pose[kept, 0]
-    gap_m, gap_rad = closure_gaps(mechanism, pose)
+    gaps = mechanism.gaps_by_unit(pose)
     return Rollout(
         tracker=ensemble.tracker,
         time_s=time,
@@ -128,8 +128,8 @@ def rollout_of(plant: MujocoPlant | PlantAsItStands, ensemble: Ensemble, referen
         pose_rad=pose,
         commanded=ensemble.commanded[kept, 0],
         applied=ensemble.applied[kept, 0],
-        gap_m=gap_m,
-        gap_rad=gap_rad,
+        gap_m=gaps.get("m", np.zeros(len(pose))),
+        gap_rad=gaps.get("rad", np.empty(0)),
         contacts=int(ensemble.contacts[0]),
         failure=ensemble.failure[0],
         asked_s=ensemble.asked_s[kept],

@@ -88,9 +88,7 @@ def as_modelled(one: Imperfections) -> bool:
     numbers = (machine.viscous, machine.coulomb, start.position_error, start.velocity_error, clock.phase_periods)
     factors = (machine.mass_factor, clock.period_factor, one.drives.constant_factor)
     changed = machine.com_shift_m is not None or machine.length_factor or machine.loop_solref is not None
-    if changed or any(bool(x) if isinstance(x, int | float) else np.any(x) for x in numbers):
-        return False
-    return all(f == 1.0 if isinstance(f, int | float) else np.all(np.equal(f, 1.0)) for f in factors)
+    return not (changed or any(map(np.any, numbers)) or any(np.any(np.not_equal(f, 1.0)) for f in factors))
 
 
 def plant(

@@ -55,15 +55,12 @@ class ComputedTorque:
         return effort.T, gap.ravel()
 
 
-def computed_torque(
-    mechanism: Mechanism, reference: SampledReference, natural_frequency: float, damping_ratio: float
-) -> ComputedTorque:
-    """Return the computed torque tracker for the errors' natural frequency [rad/s] and damping ratio."""
-    q, v, u = reference.pose_rad, reference.velocity_rad_s, reference.effort
-    acceleration = sampled(mechanism.forced.acceleration, q, v, u, *reference.forces)[:, :, 0]
+def computed_torque(design: Design) -> ComputedTorque:
+    """Return the computed torque of a design."""
+    mechanism, reference, (natural_frequency, damping_ratio) = design.mechanism, design.reference, design.of_errors
     return ComputedTorque(
         reference=reference,
-        acceleration=acceleration,
+        acceleration=sampled(mechanism.forced.acceleration, *reference.states)[:, :, 0],
         stiffness=natural_frequency**2,
         damping=2 * damping_ratio * natural_frequency,
         law=_law(mechanism),
@@ -79,8 +76,3 @@ def _law(mechanism: Mechanism) -> ca.Function:
     q, gap = closed_near(dynamics, near, s)
     effort = ca.pinv(dynamics.effort_map(q)) @ mechanism.forced.inverse_dynamics(q, v, a, *forces)
     return ca.Function("computed_torque", [near, s, v, a, *forces], [effort, gap])
-
-
-def ct_for(design: Design) -> ComputedTorque:
-    """Return the computed torque of a design."""
-    return computed_torque(design.mechanism, design.reference, *design.of_errors)

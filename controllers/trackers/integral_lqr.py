@@ -15,10 +15,9 @@ import numpy as np
 from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.lqr import Regulator, regulate, regulator
-from linkplan.controllers.trackers.tracker import Design, Errors, ordered_product
+from linkplan.controllers.trackers.tracker import Design, ordered_product
 from linkplan.models.closure.rank import RANK_TOLERANCE
 from linkplan.models.errors import LinkplanError
-from linkplan.models.mechanism import Mechanism
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -82,32 +81,23 @@ def integrable(stiffness: np.ndarray, effort_map: np.ndarray) -> np.ndarray:
     return np.array([], dtype=int)
 
 
-def integral_lqr(
-    mechanism: Mechanism, reference: SampledReference, errors: Errors, integral_time_s: float, effort_limit: np.ndarray
-) -> IntegralLQR:
-    """Return the LQR tracker with integral action of a reference.
+def lqi(design: Design) -> IntegralLQR:
+    """Return the LQR tracker with integral action of a design.
 
-    Args:
-        mechanism: its reduced dynamics are linearised.
-        reference: the sampled motion.
-        errors: the errors and efforts of unit cost. The integral of a unit position error over the integral time also has
-            unit cost.
-        integral_time_s: the integral time [s].
-        effort_limit: (n_u, 2) [N.m or N].
+    The integral of a position error of unit cost over the integral time also has unit cost.
 
     Raises:
         GainError: if no stabilising gain exists.
         LinkplanError: if no error can be integrated.
     """
+    mechanism, reference, errors = design.mechanism, design.reference, design.errors()
     plain, kept = regulator(mechanism, reference, errors)
     n, m, n_u = plain.B.shape
     n_s, half = mechanism.dof, m // 2
     actuated = kept[:half]
     size = np.broadcast_to(errors.position, n_s)[actuated]
     # The last instant, where the Riccati recursion begins.
-    last = slice(n - 1, n)
-    state = reference.pose_rad[last], reference.velocity_rad_s[last], reference.effort[last]
-    A_c, B_c = linearise(mechanism, *state, *(w[last] for w in reference.forces))
+    A_c, B_c = linearise(mechanism, *reference.part(slice(n - 1, n)).states)
     chosen = integrable(
         A_c[0, n_s + actuated[:, None], actuated] * size / size[:, None],
         B_c[0, n_s + actuated] * errors.effort / size[:, None],
@@ -123,7 +113,8 @@ def integral_lqr(
     # The regulator's state is x - x_ref, so the integral decreases with the position.
     A[:, m + np.arange(p), chosen] = -reference.period_s
     A[:, m:, m:] = np.eye(p)
-    weights = np.concatenate([size, np.broadcast_to(errors.velocity, n_s)[actuated], integral_time_s * size[chosen]])
+    of_integrals = design.settings.integral_time_s * size[chosen]
+    weights = np.concatenate([size, np.broadcast_to(errors.velocity, n_s)[actuated], of_integrals])
     R = np.diag(np.asarray(errors.effort, dtype=float) ** -2.0)
     found: Regulator = regulate(A, B, np.diag(weights**-2.0), R, repeats=reference.cycle is not None)
     gains = np.zeros((n, n_u, 2 * n_s + p))
@@ -134,11 +125,5 @@ def integral_lqr(
         reference=reference,
         gains=gains[np.arange(reference.n) % n],
         integrated=actuated[chosen],
-        effort_limit=np.array(effort_limit, dtype=float),
+        effort_limit=np.array(design.effort_limit, dtype=float),
     )
-
-
-def lqi_for(design: Design) -> IntegralLQR:
-    """Return the LQR tracker with integral action of a design."""
-    time_s = design.settings.integral_time_s
-    return integral_lqr(design.mechanism, design.reference, design.errors(), time_s, design.effort_limit)

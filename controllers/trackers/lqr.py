@@ -65,15 +65,13 @@ def regulator(mechanism: Mechanism, reference: SampledReference, errors: Errors)
 
     A passive degree of freedom, such as the spin of a rod between two ball joints, is uncontrollable and left out.
     """
-    n = repeated(reference)
-    states = reference.pose_rad[:n], reference.velocity_rad_s[:n], reference.effort[:n]
-    forces = [w[:n] for w in reference.forces]
+    pose, velocity, effort, *forces = reference.part(slice(repeated(reference))).states
     kept = np.flatnonzero(np.tile(mechanism.actuated, 2))
     if simulates_servos(mechanism):
-        A, B, _ = simulated(mechanism, *states, sampling(mechanism, reference.period_s), *forces)
+        A, B, _ = simulated(mechanism, pose, velocity, effort, sampling(mechanism, reference.period_s), *forces)
         A, B = A[:, kept[:, None], kept], B[:, kept]
     else:
-        A, B = linearise(mechanism, *states, *forces)
+        A, B = linearise(mechanism, pose, velocity, effort, *forces)
         A, B = discretise(A[:, kept[:, None], kept], B[:, kept], reference.period_s)
     sizes = [np.broadcast_to(weight, mechanism.dof)[mechanism.actuated] for weight in (errors.position, errors.velocity)]
     Q = np.diag(np.concatenate(sizes) ** -2.0)
@@ -86,22 +84,18 @@ def repeated(reference: SampledReference) -> int:
     return reference.n if reference.cycle is None else min(reference.cycle, reference.n)
 
 
-def lqr(mechanism: Mechanism, reference: SampledReference, errors: Errors) -> StateFeedback:
-    """Return the LQR tracker of a reference, by the reduced dynamics linearised along it and the errors of unit cost.
+def lqr(design: Design) -> StateFeedback:
+    """Return the LQR tracker of a design, by the reduced dynamics linearised along its reference.
 
     Raises:
         GainError: if no stabilising gain exists.
     """
-    found, kept = regulator(mechanism, reference, errors)
+    reference, mechanism = design.reference, design.mechanism
+    found, kept = regulator(mechanism, reference, design.errors())
     full = np.zeros((len(found.gains), mechanism.n_u, 2 * mechanism.dof))
     full[:, :, kept] = found.gains
     gains = full[np.arange(reference.n) % len(full)]
     return StateFeedback(reference=reference, gains=gains, name="lqr", feedforward=True)
-
-
-def lqr_for(design: Design) -> StateFeedback:
-    """Return the LQR tracker of a design."""
-    return lqr(design.mechanism, design.reference, design.errors())
 
 
 def _joined(first: _Span, then: _Span) -> _Span:

@@ -21,9 +21,7 @@ import numpy as np
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.lqr import Regulator, regulator
 from linkplan.controllers.trackers.prediction import Predictor, predictor
-from linkplan.controllers.trackers.tracker import Design, Errors, ordered_product
-from linkplan.models.errors import LinkplanError
-from linkplan.models.mechanism import Mechanism
+from linkplan.controllers.trackers.tracker import Design, ordered_product
 from linkplan.models.poses.along import evaluated, sampled
 from linkplan.models.reduction.closing import MAX_LOOP_GAP_M
 
@@ -124,35 +122,19 @@ class MPC:
         return corrections + change if flag > 0 and np.isfinite(change).all() else None
 
 
-def mpc(
-    mechanism: Mechanism,
-    reference: SampledReference,
-    errors: Errors,
-    horizon_s: float,
-    effort_limit: np.ndarray,
-    compile_mode: str = "auto",
-) -> MPC:
-    """Return the MPC tracker of a reference.
+def mpc(design: Design) -> MPC:
+    """Return the MPC tracker of a design, whose horizon is rounded up to blocks of whole control periods.
 
-    Args:
-        mechanism: its reduced dynamics are the prediction model.
-        reference: the sampled motion.
-        errors: errors and efforts of unit cost.
-        horizon_s: length of the prediction [s], rounded up to blocks of whole control periods.
-        effort_limit: (n_u, 2) [N.m or N].
-        compile_mode: "auto" compiles the program of the prediction at the second use, "always" at once, "never" interprets
-            it, with the same numbers and two to three times slower.
+    The program of the prediction is compiled as `Design.compile_mode` says; interpreted it is two to three times slower.
 
     Raises:
         GainError: if no stabilising gain exists.
-        LinkplanError: for an invalid horizon.
     """
-    if not (np.isfinite(horizon_s) and horizon_s > 0):
-        raise LinkplanError(f"the horizon of mpc is a positive number of seconds, got {horizon_s:g}")
-    found, kept = regulator(mechanism, reference, errors)
+    mechanism, reference = design.mechanism, design.reference
+    found, kept = regulator(mechanism, reference, design.errors())
     n, m, n_u = found.B.shape
     loop = found.A - found.B @ found.gains
-    periods = max(1, int(np.ceil(horizon_s / (HORIZON_BLOCKS * reference.period_s) - 1e-9)))
+    periods = max(1, int(np.ceil(design.settings.horizon_s / (HORIZON_BLOCKS * reference.period_s) - 1e-9)))
     acting = np.hstack([reference.effort, *reference.forces])
     way, mean, at = np.tile(np.eye(m), (n, 1, 1)), np.zeros((n, acting.shape[1])), np.arange(n)
     for _ in range(periods):
@@ -164,7 +146,7 @@ def mpc(
         here = ahead[:, b]
         alone[:, b] = -found.gains[here] @ so_far
         so_far, ahead[:, b + 1] = way[here] @ so_far, at[here]
-    model = predictor(mechanism, kept, HORIZON_BLOCKS, periods * reference.period_s, compile_mode)
+    model = predictor(mechanism, kept, HORIZON_BLOCKS, periods * reference.period_s, design.compile_mode)
     begin = np.hstack([reference.pose_rad[:n], reference.velocity_rad_s[:n]])
     return MPC(
         reference=reference,
@@ -175,14 +157,8 @@ def mpc(
         mean=mean[:, :n_u],
         acting=mean,
         own=sampled(model.step, begin, mean)[:, :, 0],
-        effort_limit=np.array(effort_limit, dtype=float),
+        effort_limit=np.array(design.effort_limit, dtype=float),
         kept=kept,
         weights=(periods * found.Q, periods * found.R),
         predictor=model,
     )
-
-
-def mpc_for(design: Design) -> MPC:
-    """Return the MPC tracker of a design."""
-    errors, horizon_s = design.errors(), design.settings.horizon_s
-    return mpc(design.mechanism, design.reference, errors, horizon_s, design.effort_limit, design.compile_mode)

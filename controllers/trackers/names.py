@@ -35,11 +35,11 @@ class BuiltInTracker:
 BUILT_IN = {
     "pd": BuiltInTracker(built="pd:pd_for", words="PD", colour=1, linear=True, in_c=True),
     "pd+ff": BuiltInTracker(built="pd:pd_ff_for", words="PD with feedforward", colour=2, linear=True, in_c=True),
-    "lqr": BuiltInTracker(built="lqr:lqr_for", words="LQR", colour=0, linear=True, by_errors=True, in_c=True),
-    "lqi": BuiltInTracker(built="integral_lqr:lqi_for", words="LQR with integral action", colour=5, by_errors=True),
+    "lqr": BuiltInTracker(built="lqr:lqr", words="LQR", colour=0, linear=True, by_errors=True, in_c=True),
+    "lqi": BuiltInTracker(built="integral_lqr:lqi", words="LQR with integral action", colour=5, by_errors=True),
     "gs-pd+ff": BuiltInTracker(built="pd:gs_pd_ff_for", words="gain-scheduled PD with feedforward", colour=3, in_c=True),
-    "ct": BuiltInTracker(built="computed_torque:ct_for", words="computed torque", colour=6),
-    "mpc": BuiltInTracker(built="mpc:mpc_for", words="model predictive control", colour=4, by_errors=True),
+    "ct": BuiltInTracker(built="computed_torque:computed_torque", words="computed torque", colour=6),
+    "mpc": BuiltInTracker(built="mpc:mpc", words="model predictive control", colour=4, by_errors=True),
 }
 TRACKERS = tuple(BUILT_IN)
 """All tracking laws."""

@@ -20,23 +20,6 @@ def pd(mechanism: Mechanism, reference: SampledReference, kp: float | np.ndarray
     return StateFeedback(reference=reference, gains=gains, name="pd")
 
 
-def scheduled_pd(
-    mechanism: Mechanism, reference: SampledReference, natural_frequency: float, damping_ratio: float
-) -> StateFeedback:
-    """Return PD with gains M_r w^2 and 2 zeta w M_r along a reference, M_r the reduced inertia of its pose.
-
-    Args:
-        mechanism: the mechanism.
-        reference: the sampled motion.
-        natural_frequency: w [rad/s].
-        damping_ratio: zeta.
-    """
-    inertia = sampled(mechanism.dynamics.reduced_inertia, reference.pose_rad)
-    maps = _effort_maps(mechanism, reference) @ inertia
-    gains = pd_gain(maps, natural_frequency**2, 2 * damping_ratio * natural_frequency)
-    return StateFeedback(reference=reference, gains=gains, name="gs-pd")
-
-
 def pd_for(design: Design) -> StateFeedback:
     """Return the PD tracker of a design."""
     return pd(design.mechanism, design.reference, *design.settings.gains(design.mechanism.independent_joints))
@@ -48,8 +31,11 @@ def pd_ff_for(design: Design) -> StateFeedback:
 
 
 def gs_pd_ff_for(design: Design) -> StateFeedback:
-    """Return the gain-scheduled PD tracker of a design with the reference's efforts."""
-    return with_feedforward(scheduled_pd(design.mechanism, design.reference, *design.of_errors))
+    """Return PD with gains M_r w^2 and 2 zeta w M_r along a reference, M_r the reduced inertia, with its efforts."""
+    mechanism, reference, (natural_frequency, damping_ratio) = design.mechanism, design.reference, design.of_errors
+    maps = _effort_maps(mechanism, reference) @ sampled(mechanism.dynamics.reduced_inertia, reference.pose_rad)
+    gains = pd_gain(maps, natural_frequency**2, 2 * damping_ratio * natural_frequency)
+    return with_feedforward(StateFeedback(reference=reference, gains=gains, name="gs-pd"))
 
 
 def pd_gain(effort_map: np.ndarray, kp: float | np.ndarray, kd: float | np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import Delay
 from linkplan.planner.problem.keys.reading import read
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.settings import Tracking, number, to_toml_types
+from linkplan.planner.problem.settings import Tracking, to_toml_types
 from linkplan.planner.search.planning import silent
 from linkplan.studies.compare.lqr_weights import scaled, unit_effort
 from linkplan.studies.compare.run_time import RunTime, run_time
@@ -62,24 +62,13 @@ class Comparison:
         return [(self.title, self.nominal), *mismatched]
 
 
-def default_mismatch(plan: Plan, mass_factor: float = 1.2, delay_periods: float = 1) -> Mismatch:
-    """Return the mismatch with a factor on the payload (or all moving masses without one) and an additional delay."""
+def mismatch_of(plan: Plan, mass_factor: float, delay_periods: float) -> Mismatch | None:
+    """Return the mismatch of a factor on the payload (or all moving masses without one) and an additional delay, if any."""
     what = "payload" if plan.problem.mechanism.payload is not None else "moving masses"
     delay = f"{delay_periods:g} control period{'s' if delay_periods != 1 else ''} of delay"
-    return Mismatch(
-        name=f"{what} {100 * (mass_factor - 1):+.3g} %, {delay}", mass_factor=mass_factor, delay_periods=delay_periods
-    )
-
-
-def mismatch_of(plan: Plan, mass_factor: object, delay_periods: object) -> Mismatch | None:
-    """Return the mismatch of a factor on masses and an additional delay, or None if neither changes the machine.
-
-    Raises:
-        ProblemError: if the factor is not positive, or the delay is not a number of control periods from 0 to 1000.
-    """
-    factor = number(mass_factor, "mass_factor", positive=True)
-    delay = delay_of(delay_periods, "delay_periods")
-    return None if factor == 1.0 and delay == 0 else default_mismatch(plan, factor, delay)
+    name = f"{what} {100 * (mass_factor - 1):+.3g} %, {delay}"
+    unchanged = mass_factor == 1.0 and delay_periods == 0
+    return None if unchanged else Mismatch(name=name, mass_factor=mass_factor, delay_periods=delay_periods)
 
 
 def delay_of(value: object, key: str) -> float:

@@ -1,6 +1,6 @@
 """Trackers' runs on a plan as a document: a table for each case, and errors and efforts over time."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,9 +40,7 @@ def comparison_figure(comparison: Comparison, path: Path | None = None, *, every
 
     mechanism, cases = comparison.plan.problem.mechanism, comparison.cases
     most = max(mechanism.dof, mechanism.n_u) if every_joint else 2
-    runs_of_all = [run for _, runs in cases for run in runs.values()]
-    chosen = largest(np.max([np.abs(run.error_rad).max(axis=0) for run in runs_of_all], axis=0), most)
-    pushed = largest(np.max([np.abs(run.applied).max(axis=0) for run in runs_of_all], axis=0), most)
+    chosen, pushed = largest([run for _, runs in cases for run in runs.values()], most)
     columns = [
         [
             *joint_plots(comparison, runs, chosen),
@@ -58,9 +56,12 @@ def comparison_figure(comparison: Comparison, path: Path | None = None, *, every
     return figure_of(panels, path, title=title, columns=len(cases), panel_in=size)
 
 
-def largest(sizes: np.ndarray, most: int) -> list[int]:
-    """Return the indices of the `most` largest sizes (n,), in ascending order."""
-    return sorted(np.argsort(np.nan_to_num(sizes, nan=np.inf), kind="stable")[::-1][:most].tolist())
+def largest(runs: Iterable[Rollout], most: int) -> tuple[list[int], list[int]]:
+    """Return up to `most` independent joints and actuators, those with the largest errors and efforts, in order."""
+    peaks = [[np.abs(values).max(axis=0) for values in (run.error_rad, run.applied)] for run in runs]
+    sizes = [np.nan_to_num(np.max(of, axis=0), nan=np.inf) for of in zip(*peaks, strict=True)]
+    joints, actuators = (sorted(np.argsort(size, kind="stable")[::-1][:most].tolist()) for size in sizes)
+    return joints, actuators
 
 
 def _tables(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> list[Table]:

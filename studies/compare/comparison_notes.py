@@ -50,15 +50,9 @@ def comparison_notes(comparison: Comparison) -> list[str]:
     pushed = [note for _, run in runs if (note := contact_note(comparison.plan, run)) is not None]
     found = [(name, note) for name, run in runs if (note := gap_note(comparison.plan, run)) is not None]
     slow = servo_note(comparison.plan.problem.mechanism)
-    soft = [f"{found[0][0]}, {found[0][1]}"] if found else []
-    servos = [] if slow is None else [slow]
-    told = [
-        *comparison.left_out,
-        *ended_early(comparison),
-        *default_gains(comparison),
-        *lost_notes(comparison),
-    ]
-    return [*told, *pushed[:1], *servos, *soft]
+    soft = [f"{name}, {note}" for name, note in found[:1]]
+    told = [*comparison.left_out, *ended_early(comparison), *default_gains(comparison), *lost_notes(comparison)]
+    return [*told, *pushed[:1], *([] if slow is None else [slow]), *soft]
 
 
 def ended_early(comparison: Comparison) -> list[str]:

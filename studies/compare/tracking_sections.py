@@ -71,8 +71,7 @@ def _run(run: Rollout, frames: np.ndarray) -> Run:
 def _over_time(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> list[Section]:
     """Return the plots over time: joints and actuators with the largest figures, and the others in a folded section."""
     mechanism = comparison.plan.problem.mechanism
-    chosen = largest(np.max([np.abs(run.error_rad).max(axis=0) for run in runs.values()], axis=0), _MAX_JOINTS_SHOWN)
-    pushed = largest(np.max([np.abs(run.applied).max(axis=0) for run in runs.values()], axis=0), _MAX_JOINTS_SHOWN)
+    chosen, pushed = largest(runs.values(), _MAX_JOINTS_SHOWN)
     others = [k for k in range(mechanism.dof) if k not in chosen], [j for j in range(mechanism.n_u) if j not in pushed]
     blocks = [*joint_plots(comparison, runs, chosen), *site_plots(comparison, runs)]
     blocks += [*effort_plots(comparison, runs, pushed), *gap_plots(comparison, runs)]

@@ -18,7 +18,7 @@ from linkplan.studies.check.check_sections import check_sections
 from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.path_plots import inspection_figure
 from linkplan.studies.check.whole_check import check_whole
-from linkplan.studies.compare.compare import compare, default_mismatch
+from linkplan.studies.compare.compare import compare, mismatch_of
 from linkplan.studies.compare.comparison_blocks import (
     comparison_blocks,
     comparison_figure,
@@ -29,8 +29,7 @@ from linkplan.studies.compare.comparison_figures import comparison_figures
 from linkplan.studies.compare.document import DOCUMENT_GAINS, document_rows, document_runs
 from linkplan.studies.compare.tracking_sections import comparison_sections
 from linkplan.studies.feedback.bode.bode import bode_study
-from linkplan.studies.feedback.bode.bode_report import save_bode
-from linkplan.studies.feedback.bode.bode_sections import bode_sections
+from linkplan.studies.feedback.bode.bode_report import bode_sections, save_bode
 from linkplan.studies.feedback.bode.loop_blocks import map_blocks
 from linkplan.studies.feedback.bode.map_study import map_study
 from linkplan.studies.feedback.frequency.excitation import Setup
@@ -190,7 +189,7 @@ def _comparisons(place: Path, said: dict, plans: dict[str, Plan], say: Say) -> t
     said["compare"], sections, texts = {}, {}, []
     for name in COMPARED:
         plan = plans[name]
-        comparison = compare(plan, default_mismatch(plan), lambda text, name=name: say(f"compare {name}: {text}"))
+        comparison = compare(plan, mismatch_of(plan, 1.2, 1), lambda text, name=name: say(f"compare {name}: {text}"))
         folder = place / "compare" / name
         folder.mkdir(parents=True)
         said["compare"][name] = comparison_figures(comparison)

@@ -130,9 +130,7 @@ class TuneResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.feedback.tune import tune_sections
-
-        return tune_sections.tune_report(self.tuning)
+        return tune_report.tune_report(self.tuning)
 
     def draw(self, place: Path) -> None:
         """Write tune.png, and tracking.toml, the gains as the table of a problem file."""

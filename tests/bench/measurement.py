@@ -7,7 +7,7 @@ from linkplan.controllers.sampling import sampling
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.feedback.frequency.feedback_loops import feedback_loop, law_gain, operating_point
-from linkplan.studies.feedback.frequency.measure import measure
+from linkplan.studies.feedback.frequency.sinestream import measure
 from linkplan.studies.output.text import table
 from tests.bench.timing import median_s
 

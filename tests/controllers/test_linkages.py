@@ -9,10 +9,11 @@ import scipy.integrate
 
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop, Rollout
-from linkplan.controllers.trackers.lqr import Errors, lqr
+from linkplan.controllers.trackers.lqr import lqr
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
+from tests.support.designs import designed
 from tests.support.linkages import GRIPPER, RSSR
 from tests.support.machines import run_alone
 from tests.support.mechanisms import replaced
@@ -144,7 +145,7 @@ def test_lqr_steers_the_crank_and_leaves_the_rods_spin_alone():
         effort=np.tile(effort, (STEPS, 1)),
         cycle=None,
     )
-    tracker = lqr(mechanism, steered, Errors(position=0.02, velocity=2.0, effort=np.array([2.0])))
+    tracker = lqr(designed(mechanism, steered, (0.02, 2.0, np.array([2.0]))))
     assert np.all(tracker.gains[:, :, [1, 3]] == 0)
     assert np.all(tracker.gains[:, 0, 0] > 0)
     rollout = run_alone(mechanism, steered, tracker, ControlLoop(effort_limit=mechanism.effort_limit))

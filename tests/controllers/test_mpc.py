@@ -3,25 +3,18 @@
 import numpy as np
 import pytest
 
-from linkplan.controllers.trackers.lqr import Errors
 from linkplan.controllers.trackers.mpc import HORIZON_BLOCKS, MPC, mpc
 from linkplan.models.mechanism import load_mechanism
 from tests.support.bodies import HINGE
+from tests.support.designs import designed
 from tests.support.references import hinge_reference
 
 
 def hinge_mpc(horizon_periods: float = 1.0, limit: float = 4.0) -> MPC:
     mechanism = load_mechanism(HINGE)
     reference = hinge_reference(mechanism, 60)
-    errors = Errors(position=0.02, velocity=0.5, effort=np.array([4.0]))
-    return mpc(
-        mechanism,
-        reference,
-        errors,
-        horizon_periods * HORIZON_BLOCKS * reference.period_s,
-        np.array([[-limit, limit]]),
-        "never",
-    )
+    horizon_s = horizon_periods * HORIZON_BLOCKS * reference.period_s
+    return mpc(designed(mechanism, reference, (0.02, 0.5, np.array([4.0])), limit, horizon_s=horizon_s))
 
 
 @pytest.mark.parametrize(("horizon_periods", "block"), [(0.2, 1), (1.0, 1), (1.01, 2), (2.0, 2), (2.5, 3)])

@@ -21,6 +21,7 @@ from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.planner.trajectory import Trajectory
 from linkplan.studies.compare.compare import build_tracker
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM
+from tests.support.designs import designed
 from tests.support.machines import run_alone
 from tests.support.motions import motion_along
 from tests.support.plans import optimal
@@ -169,7 +170,8 @@ def test_a_loop_that_opens_in_either_part_of_a_period_is_lost(monkeypatch, gaps,
 
 def errors_of_computed_torque(mechanism: Mechanism, reference: SampledReference, *, simulated: bool):
     """Return errors (t, n_s) from a start beside the path, and those that the equation gives."""
-    law, off = computed_torque(mechanism, reference, FREQUENCY, 1.0), OFF[: mechanism.dof]
+    law = computed_torque(designed(mechanism, reference, bandwidth_hz=FREQUENCY / (2 * np.pi), damping_ratio=1.0))
+    off = OFF[: mechanism.dof]
     free = ControlLoop(effort_limit=np.tile([-np.inf, np.inf], (mechanism.n_u, 1)))
     plant = MujocoPlant(mechanism=mechanism, loop=free) if simulated else RigidPlant(mechanism=mechanism)
     runs = simulate(plant, law, reference, [Imperfections(start=Start(position_error=-off))])

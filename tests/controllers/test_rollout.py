@@ -9,11 +9,12 @@ import pytest
 
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
-from linkplan.controllers.trackers.lqr import Errors, lqr
+from linkplan.controllers.trackers.lqr import lqr
 from linkplan.controllers.trackers.pd import pd
 from linkplan.controllers.trackers.tracker import Tracker, with_feedforward
 from linkplan.models.mechanism import load_mechanism
 from tests.support.bodies import HINGE, HINGE_INERTIA
+from tests.support.designs import designed
 from tests.support.fourbar import KNEE_PROBLEMS
 from tests.support.machines import run_alone
 from tests.support.plans import GOAL, optimal
@@ -56,9 +57,7 @@ def tracker_of(kind: str, name: str, reference: SampledReference, kd: float | No
     tracking = problem.tracking
     if kind == "lqr":
         position, velocity = tracking.lqr_errors(problem.mechanism.independent_joints)
-        return lqr(
-            problem.mechanism, reference, Errors(position=position, velocity=velocity, effort=problem.limits.effort[:, 1])
-        )
+        return lqr(designed(problem.mechanism, reference, (position, velocity, problem.limits.effort[:, 1])))
     feedback = pd(problem.mechanism, reference, tracking.kp, tracking.kd if kd is None else kd)
     return feedback if kind == "pd" else with_feedforward(feedback)
 

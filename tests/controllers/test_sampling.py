@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linkplan.controllers.sampling import Sampling, augmented, closed, exact, sampling, simulated, spectral_radius
+from linkplan.controllers.sampling import Sampling, augmented, closed, sampling, simulated, spectral_radius
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from tests.support.bodies import HINGE, HINGE_INERTIA
@@ -45,39 +45,21 @@ def test_a_delay_is_whole_periods_and_steps_of_the_next():
     assert found.nyquist_hz == pytest.approx(50.0)
 
 
-@pytest.mark.parametrize(("beyond", "accepted"), [(3e-7, True), (3e-6, False), (0.2, False)])
+@pytest.mark.parametrize(("beyond", "accepted"), [(3e-7, True), (3e-6, False), (0.0246, False)])
 def test_a_delay_between_two_steps_is_refused_unless_by_rounding(beyond, accepted):
     for sign in (1, -1):
         delay = 0.5 + 0.5 * sign * beyond
         if accepted:
-            assert sampling(hinge(), 0.01, delay, substeps=2).delay_steps == 1
+            assert sampling(hinge(), STEP_S, delay).delay_steps == 1
         else:
             with pytest.raises(LinkplanError, match="not a whole number of simulator steps"):
-                sampling(hinge(), 0.01, delay, substeps=2)
-
-
-def test_a_delay_of_a_thousand_periods_is_the_longest():
-    assert sampling(hinge(), STEP_S, 1000.0).whole == 1000
-    assert Sampling(period_s=1.0, substeps=2, delay_steps=2000).whole == 1000
-    for refused in (lambda: sampling(hinge(), STEP_S, 1001.0), lambda: Sampling(period_s=1.0, substeps=2, delay_steps=2001)):
-        with pytest.raises(LinkplanError, match="from 0 to 1000 control periods"):
-            refused()
-    for refused in (lambda: sampling(hinge(), STEP_S, -0.5), lambda: Sampling(period_s=1.0, delay_steps=-1)):
-        with pytest.raises(LinkplanError, match="from 0 to 1000 control periods"):
-            refused()
+                sampling(hinge(), STEP_S, delay)
 
 
 def test_a_period_of_a_hundred_thousand_steps_is_the_longest():
     assert sampling(hinge(), 1e5 * STEP_S).substeps == 100_000
     with pytest.raises(LinkplanError, match="at most 100000 are run"):
         sampling(hinge(), 1.01e5 * STEP_S)
-
-
-@pytest.mark.parametrize("period_s", [0.0, -1.0, np.nan, np.inf])
-def test_a_period_is_a_positive_number(period_s):
-    for refused in (lambda: sampling(hinge(), period_s), lambda: Sampling(period_s=period_s)):
-        with pytest.raises(LinkplanError, match="positive number of seconds"):
-            refused()
 
 
 @pytest.mark.parametrize("delay_steps", [0, 1, 2, 3, 4, 7])
@@ -101,11 +83,8 @@ def test_a_command_that_comes_late_moves_an_inertia_by_both_commands_shares():
     timing = Sampling(period_s=0.01, substeps=4, delay_steps=1)
     T, c, J = 0.01, 0.0025, HINGE_INERTIA
     state = np.zeros((1, 1)), np.zeros((1, 1)), np.zeros((1, 1))
-    motion, new, old = (of_all[0] for of_all in exact(hinge(), *state, timing))
+    motion, new, old = (of_all[0] for of_all in simulated(hinge(), *state, timing))
     assert motion == pytest.approx(np.array([[1.0, T], [0.0, 1.0]]))
-    assert new[:, 0] == pytest.approx([(T - c) ** 2 / (2 * J), (T - c) / J])
-    assert old[:, 0] == pytest.approx([(T**2 - (T - c) ** 2) / (2 * J), c / J])
-    _, new, old = (of_all[0] for of_all in simulated(hinge(), *state, timing))
     assert new[1, 0] == pytest.approx((T - c) / J)
     assert old[1, 0] == pytest.approx(c / J)
 

@@ -10,13 +10,14 @@ from hypothesis import strategies as st
 
 from linkplan.controllers.linearisation import discretise, linearise
 from linkplan.controllers.reference import SampledReference, sample
-from linkplan.controllers.trackers.lqr import Errors, lqr
+from linkplan.controllers.trackers.lqr import lqr
 from linkplan.controllers.trackers.pd import pd
 from linkplan.controllers.trackers.tracker import StateFeedback, with_feedforward
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.plan.plan import Plan
 from tests.support.bodies import HINGE, HINGE_INERTIA
+from tests.support.designs import designed
 from tests.support.fourbar import SHANK, knee
 from tests.support.plans import optimal
 from tests.support.references import hinge_reference
@@ -35,11 +36,7 @@ def reference_of(name: str, period_s: float = PERIOD, duration_s: float | None =
 
 def lqr_of(plan: Plan, reference: SampledReference) -> StateFeedback:
     position, velocity = plan.problem.tracking.lqr_errors(plan.problem.mechanism.independent_joints)
-    return lqr(
-        plan.problem.mechanism,
-        reference,
-        Errors(position=position, velocity=velocity, effort=plan.problem.limits.effort[:, 1]),
-    )
+    return lqr(designed(plan.problem.mechanism, reference, (position, velocity, plan.problem.limits.effort[:, 1])))
 
 
 @cache
@@ -216,7 +213,7 @@ def test_a_held_pendulum_has_its_closed_form():
 
 def test_the_gains_of_a_pure_inertia_are_scipy_s_stationary_ones():
     hinge = load_mechanism(HINGE)
-    tracker = lqr(hinge, hinge_reference(hinge), Errors(position=0.02, velocity=0.5, effort=np.array([4.0])))
+    tracker = lqr(designed(hinge, hinge_reference(hinge), (0.02, 0.5, np.array([4.0]))))
     A = np.array([[1.0, 0.01], [0.0, 1.0]])
     B = np.array([[0.01**2 / 2], [0.01]]) / HINGE_INERTIA
     Q, R = np.diag([0.02**-2, 0.5**-2]), np.array([[4.0**-2]])
@@ -285,7 +282,7 @@ def test_a_dearer_effort_gives_softer_gains():
     plan, reference = optimal("knee-reach"), reference_of("knee-reach")
 
     def stiffness(limit: float) -> float:
-        tracker = lqr(plan.problem.mechanism, reference, Errors(position=0.02, velocity=2.0, effort=np.array([limit])))
+        tracker = lqr(designed(plan.problem.mechanism, reference, (0.02, 2.0, np.array([limit]))))
         return float(tracker.gains[:, 0, 0].mean())
 
     assert stiffness(1.0) < 0.5 * stiffness(10.0) < 0.25 * stiffness(100.0)

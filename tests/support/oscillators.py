@@ -22,17 +22,6 @@ class Oscillator:
         w = 2 * np.pi * frequency_hz
         return 1.0 / (self.stiffness - self.mass * w**2 + 1j * w * self.damping)
 
-    def held(self, frequency_hz: np.ndarray, period_s: float) -> tuple[np.ndarray, np.ndarray]:
-        """Return the sampled position and velocity responses under an exact hold: the underdamped step response in z."""
-        a = self.damping / (2 * self.mass)
-        w = np.sqrt(self.stiffness / self.mass - a**2 + 0j)
-        fade, c, s = np.exp(-a * period_s), np.cos(w * period_s), np.sin(w * period_s)
-        A = fade * np.array([[c + a / w * s, s / w], [-self.stiffness / self.mass * s / w, c - a / w * s]])
-        B = np.array([(1 - A[0, 0]) / self.stiffness, A[0, 1] / self.mass])
-        z = np.exp(2j * np.pi * frequency_hz * period_s)
-        determinant = (z - A[0, 0]) * (z - A[1, 1]) - A[0, 1] * A[1, 0]
-        return (((z - A[1, 1]) * B[0] + A[0, 1] * B[1]) / determinant, (A[1, 0] * B[0] + (z - A[0, 0]) * B[1]) / determinant)
-
     def stepped(self, frequency_hz: np.ndarray, step_s: float) -> tuple[np.ndarray, np.ndarray]:
         """Return the position and velocity responses of semi-implicit Euler with implicit damping, one step a period."""
         z, h = np.exp(2j * np.pi * frequency_hz * step_s), step_s

@@ -34,9 +34,9 @@ from linkplan.studies.feedback.frequency.feedback_loops import (
     with_lqr_errors,
 )
 from linkplan.studies.feedback.frequency.margins import Margins, margins
-from linkplan.studies.feedback.frequency.measure import measure
 from linkplan.studies.feedback.frequency.plant_modes import plant_modes
 from linkplan.studies.feedback.frequency.response import Response, largest_deviation
+from linkplan.studies.feedback.frequency.sinestream import measure
 from linkplan.studies.feedback.frequency.trial import MAX_TRIAL_PERIODS, settle_trials
 
 # Default poses as shares of the reach: five evenly, and one close to each end, where gains are extreme. The end itself may
@@ -100,8 +100,7 @@ def bode_study(
     """
     positions = np.atleast_2d(positions)
     chosen, _ = law_at(mechanism, positions, law, settings, effort_limit, frequency_hz)
-    lines = _scan_lines(mechanism, positions, line) if scanned else []
-    scans = tuple(_scans(mechanism, lines, chosen, scanned, say))
+    scans = tuple(_scans(positions, line, chosen, scanned, mechanism, say)) if scanned else ()
     if line is not None:
         positions = _with_worst(positions, scans)
     loops, ideal = _predicted(mechanism, positions, chosen, say)
@@ -262,7 +261,8 @@ def _loop_name(mechanism: Mechanism, law: SampledLaw) -> str:
 def _message(points: Sequence[BodePoint], disputed: Sequence[str], loop: str) -> str:
     """Return the verdict as a sentence."""
     mechanism = points[0].point.mechanism
-    joint, counted = mechanism.independent_joints[0], _counted(len({p.point.name for p in points}))
+    joint, count = mechanism.independent_joints[0], len({p.point.name for p in points})
+    counted = f"{count} pose{'s' * (count > 1)}"
     if bad := list(dict.fromkeys(p.point.name for p in points if not p.stable)):
         where = "; ".join(bad)
         if mechanism.dof == 1:
@@ -276,21 +276,13 @@ def _message(points: Sequence[BodePoint], disputed: Sequence[str], loop: str) ->
             f"stable by the sampled model and not in MuJoCo at {'; '.join(disputed)} ({len(disputed)} of {counted}), because"
             f" the model omits soft closures, contacts and limits: {loop}"
         )
-    text = f"stable at {'the pose' if counted == _counted(1) else f'all {counted}'}: {loop}"
+    text = f"stable at {f'all {counted}' if count > 1 else 'the pose'}: {loop}"
     known = [(margin, p.point.name) for p in points if (margin := p.phase_margin_deg) is not None]
     if known:
         least, where = min(known)
-        one = counted == _counted(1)
-        text += (
-            f", phase margin {least:.1f} deg"
-            if one
-            else f", least phase margin of these {counted} {least:.1f} deg ({where})"
-        )
+        of_several = f", least phase margin of these {counted} {least:.1f} deg ({where})"
+        text += of_several if count > 1 else f", phase margin {least:.1f} deg"
     return text
-
-
-def _counted(n: int) -> str:
-    return "1 pose" if n == 1 else f"{n} poses"
 
 
 def _predicted(
@@ -316,34 +308,27 @@ def _settles(loops: Sequence[FeedbackLoop], in_contact: np.ndarray, effort_limit
 
 
 def _scans(
-    mechanism: Mechanism,
-    lines: Sequence[tuple[int | None, PoseLine]],
+    positions: np.ndarray,
+    line: PoseLine | None,
     law: SampledLaw,
     count: int,
+    mechanism: Mechanism,
     say: Callable[[str], None],
 ) -> Iterator[Scan]:
-    """Yield the margins along lines: a coordinate's line for that coordinate's loop, a motion's line for all loops."""
-    for coordinate, line in lines:
-        say(f"margins over {line.name} from {line.text(line.low, 4)} to {line.text(line.high, 4)} {line.unit}")
-        for channel in mechanism.channels if coordinate is None else [coordinate]:
-            if (found := scan_line(mechanism, line, law, channel, count)) is not None:
-                yield found
+    """Yield the margins along lines: along `line` for all loops, else over each coordinate's reach for its own.
 
-
-def _scan_lines(mechanism: Mechanism, positions: np.ndarray, line: PoseLine | None) -> list[tuple[int | None, PoseLine]]:
-    """Return the lines to scan, with their coordinate or None for a motion.
-
-    By default there is a line for each coordinate over its reach and all positions (n, n_s). The other coordinates are as
-    in the first position.
+    The reach is extended to all positions (n, n_s). The other coordinates are as in the first position.
     """
-    if line is not None:
-        return [(0 if mechanism.dof == 1 else None, line)]
-    lines: list[tuple[int | None, PoseLine]] = []
-    for channel in mechanism.channels:
+    lines = [] if line is None else [(line, mechanism.channels)]
+    for channel in mechanism.channels if line is None else ():
         low, high = inner_reach(mechanism, channel)
         low, high = min(low, float(positions[:, channel].min())), max(high, float(positions[:, channel].max()))
-        lines.append((channel, coordinate_line(mechanism, channel, low, high, positions[0])))
-    return lines
+        lines.append((coordinate_line(mechanism, channel, low, high, positions[0]), (channel,)))
+    for one, channels in lines:
+        say(f"margins over {one.name} from {one.text(one.low, 4)} to {one.text(one.high, 4)} {one.unit}")
+        for channel in channels:
+            if (found := scan_line(mechanism, one, law, channel, count)) is not None:
+                yield found
 
 
 def _with_worst(positions: np.ndarray, scans: Sequence[Scan]) -> np.ndarray:

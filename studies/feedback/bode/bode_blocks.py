@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 from msgspec.structs import replace
 
-from linkplan.models.tree.friction import frictions_of
 from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy
 from linkplan.studies.feedback.bode.curves import frequency_plot, measured_phase, phase_near
+from linkplan.studies.feedback.bode.plant_words import agreement_text, modes_text
 from linkplan.studies.feedback.bode.scan import Scan, bounds_text
 from linkplan.studies.feedback.frequency.feedback_loops import operating_point, outputs_of, plant_name
 from linkplan.studies.feedback.frequency.margins import Margins, frequency_grid
@@ -35,13 +35,10 @@ from linkplan.studies.output.plan_blocks import radius_figure
 _NYQUIST_HALF_WIDTH, _MAX_NYQUIST_GAIN = 2.5, 30.0
 
 
-def summary(study: BodeStudy, *, verdict: bool = True) -> list[Block]:
-    """Return the margins at every pose, the worst case over the reach, and the agreement with the measurement.
-
-    The verdict is left out where the page's header shows it.
-    """
+def summary(study: BodeStudy) -> list[Block]:
+    """Return the verdict, the margins at every pose, the worst one over the reach, and what was measured."""
     message = study.message[:1].upper() + study.message[1:]
-    blocks: list[Block] = [Text(text=message, tone="good" if study.stable else "bad")] if verdict else []
+    blocks: list[Block] = [Text(text=message, tone="good" if study.stable else "bad")]
     rows = [("mechanism", study.mechanism.name), ("tracker", study.law.name), ("feedback loop", study.loop_name)]
     if shared := study.points[0].point.shared_coordinates:
         rows.append(("at every pose", shared))
@@ -61,13 +58,7 @@ def summary(study: BodeStudy, *, verdict: bool = True) -> list[Block]:
 def _measured(study: BodeStudy) -> list[tuple[str, str]]:
     """Return the agreement of measurement and prediction, or the reason why nothing was measured."""
     if (c := study.measurement) is not None:
-        solref = ", ".join(f"{x[0]:g} {x[1]:g}" for x in c["solref"]) or "none"
-        how = f"sinestream, {c['simulated_steps']} steps of {c['timestep_s']:g} s in MuJoCo {c['mujoco']}"
-        off_db, off_deg = c["closed_loop_deviation_db"], c["closed_loop_deviation_deg"]
-        differ = f"differ from the prediction by at most {off_db:.2g} dB and {off_deg:.2g} deg"
-        text = f"{differ} ({how}, {c['integrator']}, closure constraints' solref {solref})"
-        if any(frictions_of(study.mechanism.model)):
-            text += "; dry friction, which the prediction leaves out, damps small motions: a larger test signal comes closer"
+        text = agreement_text(c, "closed_loop_deviation_db", "closed_loop_deviation_deg", study.mechanism)
         return [("measured closed-loop responses", text)]
     if not study.is_measured:
         return []
@@ -108,11 +99,8 @@ def _plant(study: BodeStudy) -> list[Table]:
     heads, rows = ["loop", "to", "anti-resonances [Hz]", "damping", "resonances [Hz]", "damping"], []
     for entry in study.points:
         for joint, modes in (entry.plant or {}).items():
-            row = [f"{entry.broken_at} at {entry.point.name}", joint]
-            for some in (modes.anti_resonances, modes.resonances):
-                row.append(", ".join(f"{mode.frequency_hz:.4g}" for mode in some) or "none")
-                row.append(", ".join(f"{mode.damping_ratio:.2g}" for mode in some))
-            rows.append(row)
+            swings = *modes_text(modes.anti_resonances), *modes_text(modes.resonances)
+            rows.append([f"{entry.broken_at} at {entry.point.name}", joint, *swings])
     return [table_of("Plant: resonances and anti-resonances", heads, rows)] if rows else []
 
 

@@ -1,11 +1,15 @@
-"""The figures of `linkplan bode`: figures of responses, Nyquist curves and margins along a line."""
+"""The figures, the sections and the report of a feedback loop."""
 
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from linkplan.studies.feedback.bode.bode_blocks import margins_along, nyquist, plants, responses, sensitivities
+from msgspec.structs import replace
+
+from linkplan.studies.feedback.bode.bode_blocks import margins_along, nyquist, plants, responses, sensitivities, summary
 from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy
+from linkplan.studies.output.document import Block, Report, Section
+from linkplan.studies.output.report_file import report_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -43,3 +47,27 @@ def bode_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path | Non
     return figure_of(
         side_by_side(*responses(study, entries, "").values()), path, title=title, columns=2, panel_in=(6.0, 2.9)
     )
+
+
+def bode_sections(study: BodeStudy, name: str) -> list[Section]:
+    """Return the sections of a bode study, the first with the verdict; `name` is for titles and the cursor."""
+    group, joints, channels = f"frequency:{name}", study.mechanism.independent_joints, study.mechanism.channels
+    found: list[tuple[str, list[Block]]] = [(f"Feedback loop: {name}", summary(study))]
+    for channel in channels:
+        of = "" if len(channels) == 1 else f" of {joints[channel].name}"
+        entries = [entry for entry in study.points if entry.channel == channel]
+        plots = [plot for both in responses(study, entries, group).values() for plot in both]
+        further = [nyquist(study, entries), *sensitivities(entries, group), *plants(entries, group)]
+        found.append((f"Frequency response{of}", [*plots, *further]))
+    for scan in study.scans:
+        joint = joints[scan.channel]
+        of = "" if len(channels) == 1 else f" of the loop of {joint.name}"
+        found.append((f"Margins{of} over {scan.line.name}", [*margins_along(study, scan, f"{name}:{joint.name}")]))
+    return [Section(title=title, blocks=blocks, depth=1 + (k > 0)) for k, (title, blocks) in enumerate(found)]
+
+
+def bode_report(study: BodeStudy, extras: Sequence[Section] = ()) -> Report:
+    """Return the report of a feedback loop; `extras` are the sections of further studies of it."""
+    first, *rest = bode_sections(study, f"{study.mechanism.name}, {study.law.name}")
+    sections = [replace(first, blocks=first.blocks[1:]), *rest, *extras]  # the page's header has the verdict
+    return report_of(f"Feedback loop of {study.mechanism.name}", study.message, study.stable, sections)

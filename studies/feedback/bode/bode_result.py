@@ -83,7 +83,7 @@ class MapStudy(Struct, frozen=True, kw_only=True, eq=False):
     `critical_kd`: at each pose the stable kd, `least` to `largest` (null if no kd is too large), at the study's kp, and
     whether MuJoCo settles just below and above the largest. `tried`: gains simulated in MuJoCo, `as_predicted` of them like
     the model. `gains` are the study's kp and kd, `critical` (n, 2) the stable kd with NaN if there is none.
-    `longest_s` is None if the gains are unstable at any period, and infinite if they are stable at any period.
+    `longest_period_s` is None if the gains are unstable at any period, and infinite if they are stable at any period.
     """
 
     kp: np.ndarray
@@ -98,7 +98,6 @@ class MapStudy(Struct, frozen=True, kw_only=True, eq=False):
     gains: Beside[tuple[float, float]] = NOT_READ
     critical: Beside[np.ndarray] = NOT_READ
     settles_near_border: Beside[np.ndarray] = NOT_READ  # (n, 2): MuJoCo settles just below and above the largest stable kd
-    longest_s: Beside[float | None] = NOT_READ
     longest_at: Beside[OperatingPoint | None] = NOT_READ
 
 

@@ -34,10 +34,11 @@ def map_blocks(study: MapStudy, marked: Marked = ()) -> list[Block]:
         ("gains next to the stability boundary tried in MuJoCo", f"{study.tried_count}, as predicted {study.as_predicted}"),
     ]
     gains = f"kp = {own_kp:g} {stiffness}, kd = {own_kd:g} {damping}"
-    if study.longest_s is None:
+    longest_s = study.longest_period_s
+    if longest_s is None:
         rows.append(("longest control period", f"{gains} is unstable at any"))
-    elif np.isfinite(study.longest_s):
-        period = f"{1e3 * study.longest_s:.4g} ms ({1e-3 / study.longest_s:.4g} kHz)"
+    elif np.isfinite(longest_s):
+        period = f"{1e3 * longest_s:.4g} ms ({1e-3 / longest_s:.4g} kHz)"
         rows.append(("longest control period", f"{period} for {gains}, at {study.longest_at.name}"))
     marked = marked or [("these gains", own_kp, own_kd)]
     low, high = np.nan_to_num(study.critical, nan=0.0).T

@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.search.planning import silent
 from linkplan.studies.feedback.bode.bode_result import BodeStudy, MapStudy
-from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, operating_point, refuse_several_freedoms
+from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, operating_point
 from linkplan.studies.feedback.frequency.stability_map import (
     critical_kd,
     longest_period,
@@ -23,15 +23,11 @@ _GRID_POINTS = 48
 
 
 def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy:
-    """Return the map around a bode study's gains, at nine positions from its first pose to its last.
+    """Return the map around the gains of a bode study of one degree of freedom, at nine positions from first pose to last.
 
     Positions between them with a local minimum of the largest stable kd are added.
-
-    Raises:
-        LinkplanError: for a mechanism of more than one degree of freedom.
     """
     mechanism, law = study.mechanism, study.law
-    refuse_several_freedoms(mechanism, "a stability map")
     own_kp, own_kd = (float(gain[0]) for gain in law.settings.gains(mechanism.independent_joints))
     at = [float(entry.point.state[0]) for entry in study.points]
     positions = np.linspace(min(at), max(at), 9 if len(at) > 1 else 1)
@@ -89,7 +85,6 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
         gains=(own_kp, own_kd),
         critical=critical,
         settles_near_border=settles,
-        longest_s=longest,
         longest_at=where,
     )
 

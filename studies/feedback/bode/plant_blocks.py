@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from linkplan.controllers.trackers.names import BUILT_IN
-from linkplan.models.tree.friction import frictions_of
 from linkplan.studies.feedback.bode.curves import frequency_plot, measured_phase, phase_along, phase_near
 from linkplan.studies.feedback.bode.plant_result import LARGEST_UNCERTAINTY, PlantCurve, PlantResponse, PlantStudy, Root
-from linkplan.studies.feedback.bode.plant_words import plant_notes, root_text
-from linkplan.studies.feedback.frequency.plant_modes import Mode
+from linkplan.studies.feedback.bode.plant_words import agreement_text, modes_text, plant_notes, root_text
 from linkplan.studies.output.document import Block, Facts, Plot, Report, Section, Table, Text, table_of
 from linkplan.studies.output.lines import line_style
 from linkplan.studies.output.numbers import drawn_rows
@@ -24,23 +22,20 @@ if TYPE_CHECKING:
 _DRAWN_POINTS = 300
 
 
-def plant_summary(study: PlantStudy, *, verdict: bool = True) -> list[Block]:
-    """Return the plant at every pose and the agreement with the measurement; the page's header may show the verdict."""
+def plant_summary(study: PlantStudy) -> list[Block]:
+    """Return the verdict, the plant at every pose and the agreement with the measurement."""
     message = study.message[:1].upper() + study.message[1:]
-    blocks: list[Block] = [Text(text=message)] if verdict else []
     rows = [("mechanism", study.mechanism_name), *_measured(study)]
     notes = [*plant_notes(study.points), *study.caveats, study.contacts, study.softness, study.note]
-    return [*blocks, Facts(rows=rows), *_tables(study), *(Text(text=note, tone="note") for note in notes if note)]
+    said = [Text(text=note, tone="note") for note in notes if note]
+    return [Text(text=message), Facts(rows=rows), *_tables(study), *said]
 
 
 def _measured(study: PlantStudy) -> list[tuple[str, str]]:
     """Return what held the plant while it was measured, and the agreement with the prediction."""
     if (c := study.measurement) is None:
         return []
-    how = f"sinestream, {c['simulated_steps']} steps of {c['timestep_s']:g} s in MuJoCo {c['mujoco']}, {c['integrator']}"
-    text = f"differ from the prediction by at most {c['deviation_db']:.2g} dB and {c['deviation_deg']:.2g} deg ({how})"
-    if any(frictions_of(study.mechanism.model)):
-        text += "; dry friction, which the prediction leaves out, damps small motions: a larger test signal comes closer"
+    text = agreement_text(c, "deviation_db", "deviation_deg", study.mechanism)
     holders = dict.fromkeys(point.held_by for point in study.points if point.held_by)
     held = ", ".join("nothing: it is stable by itself" if one == "itself" else BUILT_IN[one].words for one in holders)
     return [("held by", held), ("measured responses", text)]
@@ -53,7 +48,7 @@ def _tables(study: PlantStudy) -> list[Table]:
             plant = f"{name} at {point.point.name}" if len(study.points) > 1 else name
             verdicts = [not one.unstable_poles, not one.right_half_plane_zeros]
             at_rest.append([plant, _low(one), one.unit, one.integrators, one.relative_degree, *verdicts])
-            swings.append([plant, *_modes(one.anti_resonances), *_modes(one.resonances)])
+            swings.append([plant, *modes_text(one.anti_resonances), *modes_text(one.resonances)])
             real.append([plant, _on_real_axis(one.zeros), _on_real_axis(one.poles)])
     heads = ["plant", "low frequencies", "unit", "integrators", "poles less zeros", "no unstable pole"]
     pairs = ["plant", "anti-resonances [Hz]", "damping", "resonances [Hz]", "damping"]
@@ -73,12 +68,6 @@ def _low(one: PlantResponse) -> str:
     power = "s" if abs(order) == 1 else f"s^{abs(order)}"
     gain = f"{one.low_frequency_gain:.4g}"
     return gain if order == 0 else f"{gain} / {power}" if order > 0 else f"{gain} {power}"
-
-
-def _modes(modes: Sequence[Mode]) -> tuple[str, str]:
-    """Return the frequencies and damping ratios of modes as text."""
-    frequencies = ", ".join(f"{mode.frequency_hz:.4g}" for mode in modes) or "none"
-    return frequencies, ", ".join(f"{mode.damping_ratio:.2g}" for mode in modes)
 
 
 def _on_real_axis(roots: Sequence[Root]) -> str:
@@ -142,7 +131,7 @@ def plant_report(study: PlantStudy) -> Report:
     name = f"{study.mechanism_name}: {', '.join(study.inputs)} to {', '.join(study.outputs)}"
     plots = [plot for both in plant_plots(study, f"frequency:{name}").values() for plot in both]
     sections = [
-        Section(title=f"Plant: {name}", blocks=plant_summary(study, verdict=False), depth=1),
+        Section(title=f"Plant: {name}", blocks=plant_summary(study)[1:], depth=1),
         Section(title="Frequency response", blocks=plots, depth=2),
     ]
     return report_of(f"Plant of {study.mechanism_name}", study.message, True, sections)

@@ -7,7 +7,7 @@ from msgspec import UNSET, Struct, UnsetType, field
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.structs import NOT_READ, Beside
-from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, OperatingPoint
+from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint
 from linkplan.studies.feedback.frequency.plant_modes import PlantModes
 from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput
 from linkplan.studies.feedback.frequency.response import Response
@@ -69,7 +69,6 @@ class PlantPoint(Struct, frozen=True, kw_only=True, eq=False):
     held_by: str | None
     responses: dict[str, PlantResponse]
     point: Beside[OperatingPoint] = NOT_READ
-    loop: Beside[FeedbackLoop | None] = NOT_READ
 
 
 class PlantStudy(Struct, frozen=True, kw_only=True, eq=False):
@@ -93,8 +92,3 @@ class PlantStudy(Struct, frozen=True, kw_only=True, eq=False):
     mechanism: Beside[Mechanism] = field(default=NOT_READ, name="(mechanism)")
     efforts: Beside[tuple[PlantInput, ...]] = NOT_READ
     positions: Beside[tuple[PlantOutput, ...]] = NOT_READ
-
-
-def pair_name(effort: str, position: str) -> str:
-    """Return the name of the response from an input to an output."""
-    return f"{effort} to {position}"

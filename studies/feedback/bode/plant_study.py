@@ -23,11 +23,10 @@ from linkplan.studies.feedback.bode.plant_result import (
     PlantResponse,
     PlantStudy,
     Root,
-    pair_name,
 )
 from linkplan.studies.feedback.bode.plant_words import plant_message
 from linkplan.studies.feedback.bode.touching import contact_sentence, touched
-from linkplan.studies.feedback.frequency.excitation import Setup
+from linkplan.studies.feedback.frequency.excitation import Measurement, Setup
 from linkplan.studies.feedback.frequency.feedback_loops import (
     FeedbackLoop,
     OperatingPoint,
@@ -36,8 +35,15 @@ from linkplan.studies.feedback.frequency.feedback_loops import (
     label_differences,
 )
 from linkplan.studies.feedback.frequency.plant_modes import modes_of, plant_transfer
-from linkplan.studies.feedback.frequency.plant_sinestream import MeasuredPlants, decay_time_s, measure_plants, sampled_gains
-from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput, gain_unit, plant_input, plant_output
+from linkplan.studies.feedback.frequency.plant_sinestream import decay_time_s, measure_plants, sampled_gains
+from linkplan.studies.feedback.frequency.ports import (
+    PlantInput,
+    PlantOutput,
+    gain_unit,
+    pair_name,
+    plant_input,
+    plant_output,
+)
 from linkplan.studies.feedback.frequency.response import Response, largest_deviation
 from linkplan.studies.feedback.frequency.transfer_function import TransferFunction, in_right_half_plane
 from linkplan.studies.feedback.frequency.trial import settle_trials
@@ -95,7 +101,7 @@ def plant_study(
     held: list[tuple[str, FeedbackLoop] | None] = [None] * len(points)
     pairs = contact_pairs(mechanism, np.array([point.pose for point in points]))
     taken, measured, caveats = None, {}, ()
-    moved = [out for out in outs if any(found[one.name, out.name].gain for found in transfers for one in ins)]
+    moved = [out for out in outs if any(found[pair_name(one, out)].gain for found in transfers for one in ins)]
     if setup is not None and moved:
         in_contact = touched(pairs, len(points))
         held = _holding_loops(points, chosen, in_contact)
@@ -105,7 +111,11 @@ def plant_study(
             if at is None:
                 at = plant_frequencies(transfers, chosen.timing, len(kept) * mechanism.n_u)
             taken = measure_plants(list(kept.values()), ins, moved, at, effort_limit, setup, say)
-            measured = _moving(dict(zip(kept, taken.responses, strict=True)), transfers)
+            # Outputs that do not move at a pose are measured as noise.
+            measured = {
+                i: {name: one for name, one in of.items() if transfers[i][name].gain}
+                for i, of in zip(kept, taken.responses, strict=True)
+            }
         caveats = tuple(_caveats(points, held, in_contact, measured, BUILT_IN[law].words))
     found = tuple(
         _point(point, ins, outs, transfers[i], grid, held[i], measured.get(i, {})) for i, point in enumerate(points)
@@ -129,22 +139,14 @@ def plant_study(
 
 def _transfers(
     point: OperatingPoint, ins: Sequence[PlantInput], outs: Sequence[PlantOutput], say: Callable[[str], None]
-) -> dict[tuple[str, str], TransferFunction]:
-    """Return the predicted transfer functions at a point, by the names of input and output."""
+) -> dict[str, TransferFunction]:
+    """Return the predicted transfer functions at a point, by `pair_name`."""
     say(f"predicted at {point.name}")
     pairs = itertools.product(ins, outs)
-    return {(one.name, out.name): plant_transfer(point, one.push(point), out.slopes(point.pose)) for one, out in pairs}
+    return {pair_name(one, out): plant_transfer(point, one.push(point), out.slopes(point.pose)) for one, out in pairs}
 
 
-def _moving(
-    responses: Mapping[int, Mapping[tuple[str, str], Response]],
-    transfers: Sequence[Mapping[tuple[str, str], TransferFunction]],
-) -> dict[int, dict[tuple[str, str], Response]]:
-    """Return the measured responses without those of outputs that do not move at a pose, which are noise."""
-    return {i: {pair: one for pair, one in of.items() if transfers[i][pair].gain} for i, of in responses.items()}
-
-
-def _measurement(points: Sequence[PlantPoint], taken: MeasuredPlants | None) -> dict[str, Any] | None:
+def _measurement(points: Sequence[PlantPoint], taken: Measurement | None) -> dict[str, Any] | None:
     """Return the conditions of a measurement and its largest deviation from the prediction; None without one."""
     if taken is None:
         return None
@@ -196,7 +198,7 @@ def _caveats(
     points: Sequence[OperatingPoint],
     held: Sequence[tuple[str, FeedbackLoop] | None],
     in_contact: np.ndarray,
-    measured: dict[int, dict[tuple[str, str], Response]],
+    measured: dict[int, dict[str, Response]],
     law: str,
 ) -> Iterator[str]:
     """Yield the reason why nothing is measured at a pose, or how many gains there had not settled."""
@@ -219,16 +221,16 @@ def _point(
     point: OperatingPoint,
     ins: Sequence[PlantInput],
     outs: Sequence[PlantOutput],
-    transfers: dict[tuple[str, str], TransferFunction],
+    transfers: dict[str, TransferFunction],
     grid: np.ndarray,
     held: tuple[str, FeedbackLoop] | None,
-    measured: dict[tuple[str, str], Response],
+    measured: dict[str, Response],
 ) -> PlantPoint:
     """Return the plant at a point, with its measured responses by input and output."""
     responses = {}
     for one, out in itertools.product(ins, outs):
-        found = response_of(transfers[one.name, out.name], gain_unit(one, out), grid)
-        taken = measured.get((one.name, out.name))
+        name = pair_name(one, out)
+        found, taken = response_of(transfers[name], gain_unit(one, out), grid), measured.get(name)
         if held is not None and taken is not None:
             loop, ways = held[1], (one.push(point), out.slopes(point.pose))
             below = grid[grid < loop.timing.nyquist_hz]
@@ -237,10 +239,8 @@ def _point(
                 for f in (below, taken.frequency_hz)
             ]
             found = structs.replace(found, measured=taken.beside(predicted[1]), sampled=_curve(predicted[0]))
-        responses[pair_name(one.name, out.name)] = found
-    return PlantPoint(
-        **pose_values(point), held_by=held[0] if held else None, responses=responses, point=point, loop=held and held[1]
-    )
+        responses[name] = found
+    return PlantPoint(**pose_values(point), held_by=held[0] if held else None, responses=responses, point=point)
 
 
 def response_of(transfer: TransferFunction, unit: str, grid: np.ndarray) -> PlantResponse:
@@ -288,9 +288,7 @@ def _curve_frequencies(transfers: Sequence[TransferFunction], period_s: float) -
     return np.unique(np.concatenate([np.geomspace(*ends, _EVEN_POINTS), beside]))
 
 
-def plant_frequencies(
-    transfers: Sequence[dict[tuple[str, str], TransferFunction]], timing: Sampling, n_rows: int
-) -> np.ndarray:
+def plant_frequencies(transfers: Sequence[Mapping[str, TransferFunction]], timing: Sampling, n_rows: int) -> np.ndarray:
     """Return twenty frequencies [Hz] around the modes of all responses, or else around their other roots.
 
     They start higher where so many rows of simulations would take long.

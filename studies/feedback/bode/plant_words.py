@@ -1,10 +1,14 @@
-"""Sentences on a plant: its verdict, its unstable poles, its zeros in the right half plane."""
+"""Sentences on a plant: its verdict, its unstable poles, its zeros in the right half plane, its modes, its measurement."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.tree.friction import frictions_of
 from linkplan.studies.feedback.bode.plant_result import PlantPoint, PlantResponse, Root
+from linkplan.studies.feedback.frequency.plant_modes import Mode
 
 
 def plant_message(points: Sequence[PlantPoint], efforts: Sequence[str], outputs: Sequence[str]) -> str:
@@ -61,6 +65,23 @@ def _at(places: Sequence[str], points: Sequence[PlantPoint]) -> str:
 
 def _of(place: str, points: Sequence[PlantPoint]) -> str:
     return f" at {place}" if len(points) > 1 else ""
+
+
+def modes_text(modes: Sequence[Mode]) -> tuple[str, str]:
+    """Return the frequencies and damping ratios of modes as text."""
+    frequencies = ", ".join(f"{mode.frequency_hz:.4g}" for mode in modes) or "none"
+    return frequencies, ", ".join(f"{mode.damping_ratio:.2g}" for mode in modes)
+
+
+def agreement_text(measurement: Mapping[str, Any], db: str, deg: str, mechanism: Mechanism) -> str:
+    """Return how far measured responses are from the prediction, by keys of a measurement, and how they were measured."""
+    c, solref = measurement, ", ".join(f"{x[0]:g} {x[1]:g}" for x in measurement["solref"]) or "none"
+    how = f"sinestream, {c['simulated_steps']} steps of {c['timestep_s']:g} s in MuJoCo {c['mujoco']}, {c['integrator']}"
+    text = f"differ from the prediction by at most {c[db]:.2g} dB and {c[deg]:.2g} deg"
+    text += f" ({how}, closure constraints' solref {solref})"
+    if any(frictions_of(mechanism.model)):
+        text += "; dry friction, which the prediction leaves out, damps small motions: a larger test signal comes closer"
+    return text
 
 
 def root_text(root: Root) -> str:

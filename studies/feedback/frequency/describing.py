@@ -10,6 +10,7 @@ when the two limits are at unequal distances.
 """
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 from msgspec import UNSET, Struct, UnsetType
@@ -18,10 +19,10 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.poses.sign_change import sign_change
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.search.planning import silent
-from linkplan.studies.feedback.frequency import sinestream
 from linkplan.studies.feedback.frequency.excitation import Setup, whole_samples
 from linkplan.studies.feedback.frequency.feasible import FeasibleCurve
-from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, refuse_several_freedoms
+from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop
+from linkplan.studies.feedback.frequency.sinestream import measure
 
 # Amplitudes of the command without a limit, divided by the distance to the limit.
 MULTIPLES = (0.3, 0.9, 1.2, 1.6, 2.2, 3.0)
@@ -52,7 +53,6 @@ class LargeSignals(Struct, frozen=True, kw_only=True, eq=False):
     saturated: np.ndarray
     coherence: np.ndarray
     feasible: Sequence[dict[str, float | str | None]] = ()
-    loop: Beside[FeedbackLoop] = NOT_READ
     measured: Beside[np.ndarray] = NOT_READ
     predicted: Beside[np.ndarray] = NOT_READ
     curve: Beside[FeasibleCurve] = NOT_READ
@@ -62,7 +62,6 @@ def saturation(loop: FeedbackLoop, effort_limit: np.ndarray) -> Callable[[np.nda
     """Return the real N(A) (n,) of an actuator's limits about its holding effort, for amplitudes A (n,) [N.m or N]."""
     import control
 
-    refuse_several_freedoms(loop.point.mechanism, "a response past the effort limit")
     low, high = effort_limit[0] - loop.point.hold[0]
     if not (np.isfinite(low) and np.isfinite(high)):
         raise LinkplanError(f"actuator {loop.point.mechanism.actuators[0].name} has no effort limit")
@@ -126,11 +125,10 @@ def large_signals(
     limited = sizes if farthest is None else np.minimum(sizes, farthest)
     setup = Setup(longest_s=3.0)  # a saturated loop may never settle
     same = [loop] * len(sizes)
-    taken = sinestream.run(same, frequency, effort_limit, setup, (quantity,), 0, say, amplitudes=limited)
+    taken = measure(same, frequency, effort_limit, setup, excitations=(quantity,), say=say, amplitudes=limited)
     responses = [one[quantity] for one in taken.responses]
     commands, applied = np.array([one[quantity] for one in taken.actuated]).transpose(1, 2, 0)
-    found = {
-        "amplitude": sizes.T,
+    found: dict[str, Any] = {
         "measured": np.array([response.gain for response in responses]).T,
         "predicted": np.array(
             [[balance(loop, quantity, f, a, N)[0] for a in row] for f, row in zip(frequency, sizes.T, strict=True)]
@@ -142,12 +140,9 @@ def large_signals(
         "coherence": np.array([response.coherence for response in responses]).T,
     }
     if farthest is not None:
-        found |= {
-            name: np.where(farthest < sizes.T, np.nan, values) for name, values in found.items() if name != "amplitude"
-        }
-    joint, amplitude = loop.point.mechanism.independent_joints[0], found.pop("amplitude")
+        found = {name: np.where(farthest < sizes.T, np.nan, values) for name, values in found.items()}
+    joint = loop.point.mechanism.independent_joints[0]
     return LargeSignals(
-        loop=loop,
         pose=loop.point.name,
         response=quantity,
         room=room,
@@ -155,7 +150,7 @@ def large_signals(
         multiples=np.array(multiples, dtype=float),
         gain_db=20 * np.log10(np.abs(found["measured"])),
         predicted_db=20 * np.log10(np.abs(found["predicted"])),
-        **{f"amplitude_{joint.unit}": joint.shown(1.0) * amplitude},
+        **{f"amplitude_{joint.unit}": joint.shown(1.0) * sizes.T},
         **found,
     )
 

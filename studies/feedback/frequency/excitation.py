@@ -34,17 +34,17 @@ MOTION_AMPLITUDE_RAD = np.radians(0.02)
 # The test signal is reduced if its command exceeds this share of the distance from the holding effort to the limit.
 EFFORT_SHARE = 0.05
 
-# Longest window [control periods], which takes minutes, and the memory of all windows together [bytes].
-_MAX_WINDOW_PERIODS, _MAX_WINDOW_BYTES = 2_000_000, 1_000_000_000
+# Longest window [control periods], which takes minutes, and the periods of all windows together: a gigabyte.
+_MAX_WINDOW_PERIODS, _MAX_PERIODS = 2_000_000, 12_500_000
 
 
-def refuse_long(samples: float, lowest_hz: float, copies: float, *, bytes_a_sample: int = 80) -> None:
+def refuse_long(samples: float, lowest_hz: float, copies: float) -> None:
     """Refuse a measurement whose windows are too long to store.
 
     Raises:
         LinkplanError: with the number of samples and the lowest frequency that can be measured.
     """
-    most = min(_MAX_WINDOW_PERIODS, _MAX_WINDOW_BYTES / (bytes_a_sample * max(copies, 1.0)))
+    most = min(_MAX_WINDOW_PERIODS, _MAX_PERIODS / max(copies, 1.0))
     if samples > most:
         raise LinkplanError(
             f"{lowest_hz:g} Hz needs windows of {samples:.3g} control periods in {copies:g} simulations at once; at most"
@@ -57,39 +57,26 @@ def refuse_long(samples: float, lowest_hz: float, copies: float, *, bytes_a_samp
 class Setup:
     """The settings of a measurement.
 
-    `amplitude` [rad or m]: desired motion of the joint; the prediction scales the test signal to it. `ramp_cycles`: cycles
-    of the smooth start. A window is one or more whole cycles. An estimate has settled when its remaining change is below
-    the share `tolerance`; the remaining change follows from two windows and the slowest predicted pole. Then `windows` are
-    averaged. `longest_s` [s] ends the measurement; an estimate that has not settled by then has a large uncertainty.
+    `amplitude` [rad or m]: desired motion of the joint; the prediction scales the test signal to it. `longest_s` [s] ends
+    the measurement; an estimate that has not settled by then has a large uncertainty.
     """
 
     amplitude: float | None = None
-    ramp_cycles: int = 2
-    windows: int = 3
-    tolerance: float = 1e-4
     longest_s: float = 10.0
-
-    def __post_init__(self) -> None:
-        if self.amplitude is not None and not (np.isfinite(self.amplitude) and self.amplitude > 0):
-            raise LinkplanError(f"the amplitude of a test signal is a positive number, got {self.amplitude:g}")
-        if self.ramp_cycles < 0 or self.windows < 2 or not 0 < self.tolerance < 1 or not self.longest_s > 0:
-            raise LinkplanError(
-                "a measurement has a ramp of 0 cycles or more, 2 windows or more and a tolerance within 0 to 1"
-            )
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Measurement:
-    """The measured responses of each loop by quantity, the number of simulated steps, and the simulation settings.
+    """The measured responses of each loop or plant by name, the number of simulated steps, and the simulation settings.
 
-    `actuated`: for each excitation, the phasors (n,) of the commanded and of the applied effort, relative
+    `actuated`: for each loop and excitation, the phasors (n,) of the commanded and of the applied effort, relative
     to the holding effort [N.m or N].
     """
 
     responses: tuple[dict[str, Response], ...]
     simulated_steps: int
     conditions: dict
-    actuated: tuple[dict[str, tuple[np.ndarray, np.ndarray]], ...]
+    actuated: tuple[dict[str, tuple[np.ndarray, np.ndarray]], ...] = ()
 
 
 def whole_samples(frequency_hz: np.ndarray, period_s: float) -> tuple[np.ndarray, np.ndarray]:
@@ -179,15 +166,24 @@ def quantities(
     if excitation == "effort":
         for k, output in enumerate(outputs_of(mechanism, channel)[1:], start=4):
             wanted.append((plant_name(mechanism, channel, output), "plant", output, signals[:, :, k] / U))
-    found = {}
-    for name, quantity, output, estimates in wanted:
-        spread = np.sqrt(np.mean(np.abs(estimates - estimates.mean(axis=0)) ** 2, axis=0) / (len(estimates) - 1))
-        found[name] = Response(
-            frequency_hz=frequency_hz,
-            gain=estimates.mean(axis=0),
-            unit=quantity_unit(loop.point, quantity, channel, output),
-            origin=f"measured in MuJoCo, sinestream, {excitation}",
-            uncertainty=spread,
-            **quality,
+    return {
+        name: measured_response(
+            frequency_hz, estimates, quantity_unit(loop.point, quantity, channel, output), excitation, quality
         )
-    return found
+        for name, quantity, output, estimates in wanted
+    }
+
+
+def measured_response(
+    frequency_hz: np.ndarray, estimates: np.ndarray, unit: str, excitation: str, quality: dict[str, np.ndarray]
+) -> Response:
+    """Return the response of gains estimated in several windows (windows, n)."""
+    gain = estimates.mean(axis=0)
+    return Response(
+        frequency_hz=frequency_hz,
+        gain=gain,
+        unit=unit,
+        origin=f"measured in MuJoCo, sinestream, {excitation}",
+        uncertainty=np.sqrt(np.mean(np.abs(estimates - gain) ** 2, axis=0) / (len(estimates) - 1)),
+        **quality,
+    )

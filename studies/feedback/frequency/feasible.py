@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.models.errors import AssemblyError, LinkplanError
+from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates, needed_effort
 from linkplan.models.poses.assembly import follow
@@ -46,13 +46,7 @@ def feasible_curve(
         effort_limit: (n_u, 2) [N.m or N].
         position_limit: of every joint (n_q, 2); default: the model's.
         speed_limit: of every joint (n_q, 2) [rad/s or m/s]; default: none.
-
-    Raises:
-        LinkplanError: for amplitudes that are not positive.
     """
-    amplitude = np.asarray(amplitude, dtype=float)
-    if not (amplitude.size and np.all(np.isfinite(amplitude)) and amplitude.min() > 0):
-        raise LinkplanError("amplitudes are positive numbers")
     mechanism = point.mechanism
     ranges = np.array([[j.lower, j.upper] for j in mechanism.joints]) if position_limit is None else position_limit
     speeds = np.tile([-np.inf, np.inf], (mechanism.n_q, 1)) if speed_limit is None else speed_limit

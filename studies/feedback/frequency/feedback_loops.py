@@ -19,11 +19,11 @@ import numpy as np
 
 from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.sampling import Sampling, augmented, closed, exact, sampling, simulated, spectral_radius
-from linkplan.controllers.trackers.names import BUILT_IN, LINEAR
+from linkplan.controllers.sampling import Sampling, augmented, closed, sampling, simulated, spectral_radius
+from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.controllers.trackers.tracker import Design, Errors
 from linkplan.models.deadline import check
-from linkplan.models.errors import LinkplanError, choose
+from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.joints import where
 from linkplan.planner.problem.settings import Tracking
@@ -34,7 +34,7 @@ from linkplan.studies.feedback.frequency.response import Response
 if TYPE_CHECKING:
     import control
 
-CONTINUOUS, EXACT, SIMULATED = "continuous", "sampled, exact hold", "sampled, MuJoCo's steps"
+CONTINUOUS, SIMULATED = "continuous", "sampled, MuJoCo's steps"
 # The unit of each response: {q} is the joint's unit, {u} the effort's.
 QUANTITIES = {
     "plant": "{q}/{u}",
@@ -83,6 +83,20 @@ class OperatingPoint:
     def inertia(self) -> np.ndarray:
         """The reduced inertia (n_s, n_s) [kg m2 or kg]."""
         return np.array(self.mechanism.dynamics.reduced_inertia(self.pose))
+
+    def linearised(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return A (2 n_s, 2 n_s) and B (2 n_s, n_u) of x' = A x + B u about the point."""
+        A, B = linearise(self.mechanism, *self._states)
+        return A[0], B[0]
+
+    @property
+    def _states(self) -> tuple[np.ndarray, ...]:
+        return self.pose[None], self.velocity[None], self.hold[None], *self.forces
+
+    def sampled(self, timing: Sampling) -> tuple[np.ndarray, ...]:
+        """Return A, B and B_late of a period in MuJoCo's own steps about the point."""
+        pose, velocity, hold, *forces = self._states
+        return tuple(matrix[0] for matrix in simulated(self.mechanism, pose, velocity, hold, timing, *forces))
 
     def constant(self, period_s: float, n: int = 1) -> SampledReference:
         """Return the point as a reference at rest over n control periods [s]."""
@@ -141,9 +155,8 @@ def law_gain(point: OperatingPoint, law: str, settings: Tracking, effort_limit: 
     """Return a tracker's gain K (n_u, 2 n_s) when it holds a point.
 
     Raises:
-        LinkplanError: for an unknown law, or if LQR has no stabilising gain.
+        LinkplanError: if LQR has no stabilising gain.
     """
-    choose("tracker", law, LINEAR, LinkplanError)
     reference = point.constant(settings.period_s)
 
     def errors() -> Errors:
@@ -164,7 +177,7 @@ def with_lqr_errors(
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class FeedbackLoop:
-    """A law with gain K (n_u, 2 n_s) about an operating point: continuous, sampled, or sampled in MuJoCo's steps (`kind`).
+    """A law with gain K (n_u, 2 n_s) about an operating point: continuous, or sampled in MuJoCo's steps (`kind`).
 
     Continuous: x' = A x + B u. Sampled: x_{k+1} = A x_k + B u_{k-d} + B_late u_{k-d-1}.
     """
@@ -237,7 +250,6 @@ class FeedbackLoop:
 
         `output` is the coordinate to which the plant is meant; by default `channel` itself.
         """
-        choose("response", quantity, QUANTITIES, LinkplanError)
         n_s = self.point.mechanism.dof
         joint, (read, push) = channel, channel_effort(self.point, channel)
         G = self.plant(frequency_hz)
@@ -270,8 +282,7 @@ class FeedbackLoop:
         """
         n_s = self.point.mechanism.dof
         omega = 2 * np.pi * np.asarray(frequency_hz, dtype=float)
-        still = (self.point.pose[None], self.point.velocity[None], self.point.hold[None])
-        A, B = (matrix[0, n_s:] for matrix in linearise(self.point.mechanism, *still))
+        A, B = (matrix[n_s:] for matrix in self.point.linearised())
         w = omega[:, None, None]
         resists = -(w**2) * np.eye(n_s) - A[:, :n_s] - 1j * w * A[:, n_s:]
         along = np.setdiff1d(np.arange(n_s), self.point.mechanism.channels)  # coordinates that only move along
@@ -308,7 +319,7 @@ class SampledLaw:
         """Return the law's loop about a point.
 
         Raises:
-            LinkplanError: for an unknown law, or if LQR has no stabilising gain.
+            LinkplanError: if LQR has no stabilising gain.
         """
         return feedback_loop(point, law_gain(point, self.name, self.settings, self.effort_limit), self.timing, kind)
 
@@ -322,13 +333,12 @@ def sampled_law(mechanism: Mechanism, name: str, settings: Tracking, effort_limi
 def feedback_loop(point: OperatingPoint, gain: np.ndarray, timing: Sampling, kind: str = SIMULATED) -> FeedbackLoop:
     """Return the loop of a gain K (n_u, 2 n_s) about a point."""
     check()  # every sweep and bisection calls this function, so all of them can be interrupted
-    states = (point.pose[None], point.velocity[None], point.hold[None])
     if kind == CONTINUOUS:
-        A, B = linearise(point.mechanism, *states, *point.forces)
+        A, B = point.linearised()
         late = np.zeros_like(B)
     else:
-        A, B, late = (exact if kind == EXACT else simulated)(point.mechanism, *states, timing, *point.forces)
-    return FeedbackLoop(point=point, gain=gain, timing=timing, kind=kind, A=A[0], B=B[0], B_late=late[0])
+        A, B, late = point.sampled(timing)
+    return FeedbackLoop(point=point, gain=gain, timing=timing, kind=kind, A=A, B=B, B_late=late)
 
 
 @functools.lru_cache(maxsize=32)

@@ -8,6 +8,8 @@ A tracker without feedforward settles on a motion that differs from the referenc
 analysis is done about it.
 """
 
+from dataclasses import replace
+
 import numpy as np
 from msgspec import Struct
 
@@ -68,8 +70,8 @@ def frozen_radii(mechanism: Mechanism, reference: SampledReference, gains: np.nd
 
 
 def _closed_along(mechanism: Mechanism, reference: SampledReference, gains: np.ndarray, timing: Sampling) -> np.ndarray:
-    states = reference.pose_rad, reference.velocity_rad_s, reference.effort
-    A, B, B_late = simulated(mechanism, *states, timing, *reference.forces)
+    pose, velocity, effort, *forces = reference.states
+    A, B, B_late = simulated(mechanism, pose, velocity, effort, timing, *forces)
     return closed(*augmented(A, B, B_late, timing), gains)
 
 
@@ -94,7 +96,7 @@ def floquet(
             f"Floquet multipliers need a motion that repeats after whole control periods; this one of {reference.n} periods"
             f" of {reference.period_s:g} s does not: choose tracking.period_s so that it divides the motion's duration"
         )
-    law, one = linear_law(tracker), _cut(reference, n)
+    law, one = linear_law(tracker), reference.part(slice(n), n)
     gains = law.gains[:n]
     if law.feedforward:
         motion, before = one, np.repeat(one.effort[:1], timing.memory, axis=0)
@@ -102,7 +104,8 @@ def floquet(
         motion, before = _steady(mechanism, one, gains, timing, effort_limit)
     steps = _closed_along(mechanism, motion, gains, timing)
     size = steps.shape[1]
-    scale = _scale(mechanism, size)
+    # Disturbances of positions, velocities and delayed commands: small, but far above rounding.
+    scale = np.repeat([1e-5, 1e-3, 1e-4], [mechanism.dof, mechanism.dof, size - 2 * mechanism.dof])
     transition = np.empty((n + 1, size, size))
     transition[0] = np.eye(size)
     product, log = np.eye(size), 0.0  # rescaled so that a growing product does not overflow
@@ -118,7 +121,7 @@ def floquet(
         posinf=_MAX_GROWTH,
     )
     size, measured_size = (np.linalg.norm(M / scale[:, None] * scale, ord=2, axis=(1, 2)) for M in (transition, measured))
-    multipliers, measured_multipliers = (_multiplier_sizes(M[-1]) for M in (transition, measured))
+    multipliers, measured_multipliers = (np.sort(np.abs(np.linalg.eigvals(M[-1])))[::-1] for M in (transition, measured))
     cycle_s, time_s = n * reference.period_s, reference.period_s * np.arange(n + 1)
     seen = int(np.flatnonzero(size > _VISIBLE_SHARE * size.max())[-1])
     left, measured_left = (float(np.log(max(values[seen], _LEAST_SIZE))) for values in (size, measured_size))
@@ -161,16 +164,8 @@ def _steady(mechanism, reference: SampledReference, gains: np.ndarray, timing: S
     position, velocity = states[:, 0, : mechanism.dof], states[:, 0, mechanism.dof :]
     acting = np.clip(np.roll(commands[:, 0], timing.whole, axis=0), *effort_limit.T)
     # The simulated cycle is steady, so the next cycle repeats it.
-    motion = SampledReference(
-        period_s=reference.period_s,
-        time_s=reference.time_s,
-        pose_rad=follow(mechanism, position, reference.pose_rad[0]),
-        position_rad=position,
-        velocity_rad_s=velocity,
-        effort=acting,
-        cycle=n,
-        forces=reference.forces,
-    )
+    pose = follow(mechanism, position, reference.pose_rad[0])
+    motion = replace(reference, pose_rad=pose, position_rad=position, velocity_rad_s=velocity, effort=acting)
     return motion, commands[n - timing.memory :, 0]
 
 
@@ -226,24 +221,6 @@ def _measured(
         columns = slice(2 * n_s + back * n_u, 2 * n_s + (back + 1) * n_u)
         history[:, :, columns] = whole[p - 1 - back : p - back + n]
     return ((history[:, 1:] - history[:, :1]) / scale[:, None]).transpose(0, 2, 1)
-
-
-def _scale(mechanism: Mechanism, size: int) -> np.ndarray:
-    """Return the disturbances (M,) of positions, velocities and delayed commands, small but far above rounding."""
-    n_s = mechanism.dof
-    return np.concatenate([np.full(n_s, 1e-5), np.full(n_s, 1e-3), np.full(size - 2 * n_s, 1e-4)])
-
-
-def _cut(reference: SampledReference, n: int) -> SampledReference:
-    arrays = {
-        name: getattr(reference, name)[:n] for name in ("time_s", "pose_rad", "position_rad", "velocity_rad_s", "effort")
-    }
-    forces = tuple(w[:n] for w in reference.forces)
-    return SampledReference(period_s=reference.period_s, cycle=n, forces=forces, **arrays)
-
-
-def _multiplier_sizes(matrix: np.ndarray) -> np.ndarray:
-    return np.sort(np.abs(np.linalg.eigvals(matrix)))[::-1]
 
 
 def floquet_text(found: Floquet) -> str:

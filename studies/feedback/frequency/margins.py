@@ -15,7 +15,7 @@ from msgspec.structs import replace
 
 from linkplan.controllers.sampling import MOST_DELAY_PERIODS
 from linkplan.models.poses.sign_change import sign_change
-from linkplan.studies.feedback.frequency.feedback_loops import CONTINUOUS, SIMULATED, FeedbackLoop, feedback_loop
+from linkplan.studies.feedback.frequency.feedback_loops import CONTINUOUS, FeedbackLoop, feedback_loop
 from linkplan.studies.feedback.frequency.rest import rest_response
 from linkplan.studies.feedback.frequency.worst import refined_minima
 
@@ -98,10 +98,10 @@ def delay_margin(loop: FeedbackLoop, guess_s: float) -> tuple[float, int]:
     begin = timing.delay_steps * substeps // timing.substeps
     if guess_s + timing.delay_s > min(_MAX_POLE_DELAY_PERIODS, 0.5 * MOST_DELAY_PERIODS) * timing.period_s:
         return guess_s, timing.substeps
-    finer = dataclasses.replace(timing, substeps=substeps, delay_steps=begin)
+    finer = dataclasses.replace(timing, substeps=substeps)
 
     def radius(steps: int) -> float:
-        return float(feedback_loop(loop.point, loop.gain, finer.delayed(steps), SIMULATED).radius or 0.0)
+        return float(feedback_loop(loop.point, loop.gain, dataclasses.replace(finer, delay_steps=steps)).radius or 0.0)
 
     if radius(begin) >= 1.0:  # stable in coarse steps only
         return 0.0, substeps

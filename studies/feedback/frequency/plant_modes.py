@@ -7,7 +7,6 @@ Resonances are the poles of the plant with its open loops, x' = A x + B u. Anti-
 import numpy as np
 from msgspec import Struct
 
-from linkplan.controllers.linearisation import linearise
 from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, channel_effort, outputs_of
 from linkplan.studies.feedback.frequency.transfer_function import TransferFunction, transfer_function
 
@@ -52,7 +51,7 @@ def plant_matrices(point: OperatingPoint, pushes: np.ndarray, rows: np.ndarray) 
     mechanism = point.mechanism
     actuated = mechanism.actuated | bool(np.any(rows[:, ~mechanism.actuated]))
     kept = np.flatnonzero(np.tile(actuated, 2))
-    A, B = (found[0] for found in linearise(mechanism, point.pose[None], point.velocity[None], point.hold[None]))
+    A, B = point.linearised()
     return A[kept][:, kept], B[kept] @ pushes, np.hstack([rows, np.zeros_like(rows)])[:, kept]
 
 

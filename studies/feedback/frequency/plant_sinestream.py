@@ -10,16 +10,22 @@ holds the plant at its point does not change G, because U are the commands with 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from linkplan.models.tree.joints import unit_steps
-from linkplan.studies.feedback.frequency.excitation import EFFORT_SHARE, MOTION_AMPLITUDE_RAD, Setup, whole_samples
+from linkplan.studies.feedback.frequency.excitation import (
+    EFFORT_SHARE,
+    MOTION_AMPLITUDE_RAD,
+    Measurement,
+    Setup,
+    measured_response,
+    whole_samples,
+)
 from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop
-from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput, gain_unit
-from linkplan.studies.feedback.frequency.response import Response
-from linkplan.studies.feedback.frequency.simulated_loops import simulated
+from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput, gain_unit, pair_name
+from linkplan.studies.feedback.frequency.simulated_loops import Excitation, ExcitedLoops
 from linkplan.studies.feedback.frequency.sinestream import refuse_many, settled_phasors
 
 # Signals smaller than this share of the largest of their kind need not settle: their errors change G as little.
@@ -27,58 +33,6 @@ _SMALL_SHARE = 1e-3
 # A response settles to 1e-4 within this many time constants of its slowest pole. A measurement waits that long if all its
 # simulations together then take at most this time [s]; otherwise it waits as long as measurements of loops do.
 _SETTLING_DECAYS, _LONGEST_S = 9.0, 60.0
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class MeasuredPlants:
-    """The responses of each plant by input and output, the number of simulated steps, and the simulation settings."""
-
-    responses: tuple[dict[tuple[str, str], Response], ...]
-    simulated_steps: int
-    conditions: dict
-
-
-class ExcitedPlants:
-    """Simulations of held plants: rows (loop, actuator), each at every frequency in turn; see `sinestream.Excited`.
-
-    It measures the outputs, relative to the operating point, and the commands of all actuators, relative to the efforts
-    that hold it.
-    """
-
-    def __init__(
-        self, loops: Sequence[FeedbackLoop], outputs: Sequence[PlantOutput], effort_limit: np.ndarray, repeats: int
-    ) -> None:
-        def of_rows(values: list) -> np.ndarray:
-            return np.repeat(values, repeats, axis=0)
-
-        mechanism = loops[0].point.mechanism
-        self.rows = tuple((loop, k) for loop in loops for k in range(mechanism.n_u))
-        points = [loop.point for loop, _ in self.rows]
-        self._positions = tuple(outputs)
-        self.outputs = (*outputs, *mechanism.actuators)
-        self.hold = of_rows([point.hold for point in points])
-        self.read = of_rows([np.eye(mechanism.n_u)[k] for _, k in self.rows])
-        self._state = of_rows([point.state for point in points])
-        self._rest = np.stack([output.at_poses(of_rows([point.pose for point in points])) for output in outputs], axis=1)
-        self.simulations = simulated([loop for loop, _ in self.rows], effort_limit, repeats)
-
-    def run(
-        self, active: np.ndarray, signal: np.ndarray, rate: np.ndarray, forward: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Apply test signals (t, r) [N.m or N] for t control periods; `rate` and `forward` belong to references.
-
-        Returns:
-            The command (t, r) of the row's actuator, outputs and commands (t, r, n_y + n_u) relative to the operating
-            point, and all commands (t, r, n_u).
-        """
-        del rate
-        feedforward = self.hold[active] + forward + signal[:, :, None] * self.read[active]
-        reference = np.repeat(self._state[None, active], len(signal), axis=0)
-        pose, _, commands = self.simulations.run_poses(active, reference, feedforward)
-        flat, size = pose.reshape(-1, pose.shape[2]), pose.shape[:2]
-        places = np.stack([output.at_poses(flat).reshape(size) for output in self._positions], axis=2)
-        added = commands - self.hold[active]
-        return np.sum(added * self.read[active], axis=2), np.dstack([places - self._rest[active], added]), commands
 
 
 def measure_plants(
@@ -89,8 +43,8 @@ def measure_plants(
     effort_limit: np.ndarray,
     setup: Setup,
     say: Callable[[str], None],
-) -> MeasuredPlants:
-    """Return the responses from inputs to outputs of the plants in stable loops of one mechanism and one timing.
+) -> Measurement:
+    """Return the responses from inputs to outputs, by `pair_name`, of the plants in stable loops of one mechanism.
 
     Args:
         loops: sampled, with their points; gains of zero leave a plant to itself.
@@ -108,7 +62,12 @@ def measure_plants(
     cycles, samples = whole_samples(frequency_hz, timing.period_s)
     frequency = cycles / (samples * timing.period_s)
     refuse_many(samples, frequency, len(loops) * n_u)
-    excited = ExcitedPlants(loops, outputs, effort_limit, len(frequency))
+    rows = [Excitation(loop=loop, push=of_one, read=of_one) for loop in loops for of_one in np.eye(n_u)]
+
+    def measured(poses: np.ndarray, added: np.ndarray) -> np.ndarray:
+        return np.column_stack([*(output.at_poses(poses) for output in outputs), added])
+
+    excited = ExcitedLoops(rows, measured, effort_limit, len(frequency))
     amplitudes, floors = zip(*(_sizes(loop, outputs, frequency, effort_limit, setup) for loop in loops), strict=True)
     slowest = _SETTLING_DECAYS * max(map(decay_time_s, loops))
     if setup.longest_s < slowest <= _LONGEST_S / (len(loops) * n_u):
@@ -118,28 +77,20 @@ def measure_plants(
     )
     found = []
     for place, loop in enumerate(loops):
-        rows = range(place * n_u, (place + 1) * n_u)
-        signals = np.moveaxis(taken.phasors[rows.start : rows.stop, :, :, 3:], 0, -1)  # (windows, n, n_y + n_u, n_u)
+        own = range(place * n_u, (place + 1) * n_u)
+        signals = np.moveaxis(taken.phasors[own.start : own.stop, :, :, 3:], 0, -1)  # (windows, n, n_y + n_u, n_u)
         Y, U = signals[:, :, : len(outputs)], signals[:, :, len(outputs) :]
         G = np.swapaxes(np.linalg.solve(np.swapaxes(U, 2, 3), np.swapaxes(Y, 2, 3)), 2, 3)
-        quality = _worst([taken.quality(row) for row in rows])
+        quality = _worst([taken.quality(row) for row in own])
         responses = {}
         for one in inputs:
             push = one.push(loop.point)
             for k, output in enumerate(outputs):
-                estimates = G[:, :, k] @ push
-                spread = np.sqrt(np.mean(np.abs(estimates - estimates.mean(axis=0)) ** 2, axis=0) / (len(estimates) - 1))
-                responses[one.name, output.name] = Response(
-                    frequency_hz=frequency,
-                    gain=estimates.mean(axis=0),
-                    unit=gain_unit(one, output),
-                    origin="measured in MuJoCo, sinestream, effort",
-                    uncertainty=spread,
-                    **quality,
-                )
+                found_gain = G[:, :, k] @ push, gain_unit(one, output)
+                responses[pair_name(one, output)] = measured_response(frequency, *found_gain, "effort", quality)
         found.append(responses)
     steps = taken.simulated_periods * timing.substeps
-    return MeasuredPlants(responses=tuple(found), simulated_steps=steps, conditions=excited.simulations.conditions())
+    return Measurement(responses=tuple(found), simulated_steps=steps, conditions=excited.simulations.conditions())
 
 
 def decay_time_s(loop: FeedbackLoop) -> float:

@@ -50,6 +50,11 @@ def gain_unit(one: PlantInput, out: PlantOutput) -> str:
     return f"{out.unit}/({one.unit})" if "." in one.unit else f"{out.unit}/{one.unit}"
 
 
+def pair_name(one: PlantInput, out: PlantOutput) -> str:
+    """Return the name of the response from an input to an output."""
+    return f"{one.name} to {out.name}"
+
+
 def plant_input(mechanism: Mechanism, name: str, what: str) -> PlantInput:
     """Return the effort of an actuator, or else on a joint with a feedback loop, shared by the actuators that move it.
 

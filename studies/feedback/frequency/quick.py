@@ -16,10 +16,7 @@ from linkplan.studies.feedback.frequency.rest import rest_response
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class QuickMargins:
-    """Figures (n,) of n gains, as in `Margins`; the bandwidth of T [Hz] is infinite where T stays above -3 dB.
-
-    `response` and `stiffness` are those at rest, see `rest`.
-    """
+    """Figures (n,) of n gains, as in `Margins`; the bandwidth of T [Hz] is infinite where T stays above -3 dB."""
 
     radius: np.ndarray
     phase_margin_deg: np.ndarray
@@ -27,8 +24,8 @@ class QuickMargins:
     bandwidth_hz: np.ndarray
     settling_s: np.ndarray
     damping_ratio: np.ndarray
-    response: np.ndarray
-    stiffness: np.ndarray
+    response_at_rest: np.ndarray
+    stiffness_at_rest: np.ndarray
 
 
 def quick_loops(point: OperatingPoint, gains: np.ndarray, timing: Sampling, channels: Sequence[int]) -> list[QuickMargins]:
@@ -56,8 +53,8 @@ def quick_loops(point: OperatingPoint, gains: np.ndarray, timing: Sampling, chan
                 bandwidth_hz=bandwidth_hz,
                 settling_s=settling_time_s(poles, timing.period_s),
                 damping_ratio=damping_ratio(poles),
-                response=response,
-                stiffness=stiffness,
+                response_at_rest=response,
+                stiffness_at_rest=stiffness,
             )
         )
     return found

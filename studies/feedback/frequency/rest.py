@@ -10,7 +10,6 @@ so weight and springs (A) weaken or strengthen what the gains hold.
 
 import numpy as np
 
-from linkplan.controllers.linearisation import linearise
 from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, channel_effort
 
 # A joint is held well that settles this near to a small step of its reference, though weight or springs pull it away.
@@ -26,8 +25,7 @@ def rest_response(point: OperatingPoint, gains: np.ndarray, channel: int) -> tup
     unstable loop.
     """
     n_s, actuated = point.mechanism.dof, np.flatnonzero(point.mechanism.actuated).tolist()
-    still = (point.pose[None], point.velocity[None], point.hold[None])
-    A, B = (matrix[0, n_s:][actuated] for matrix in linearise(point.mechanism, *still))
+    A, B = (matrix[n_s:][actuated] for matrix in point.linearised())
     A, K = A[:, actuated], gains[:, :, actuated]
     read, push = channel_effort(point, channel)
     i, inertia = actuated.index(channel), point.inertia[np.ix_(actuated, actuated)]
@@ -41,8 +39,7 @@ def rest_response(point: OperatingPoint, gains: np.ndarray, channel: int) -> tup
 def passive_stiffness(point: OperatingPoint) -> np.ndarray:
     """Return the stiffness (n_s, n_s) [N.m/rad or N/m] that weight and springs give the coordinates about a point."""
     n_s = point.mechanism.dof
-    A, _ = linearise(point.mechanism, point.pose[None], point.velocity[None], point.hold[None])
-    return -point.inertia @ A[0, n_s:, :n_s]
+    return -point.inertia @ point.linearised()[0][n_s:, :n_s]
 
 
 def _inverses(matrices: np.ndarray) -> np.ndarray:

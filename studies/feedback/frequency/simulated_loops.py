@@ -1,7 +1,7 @@
 """Feedback loops simulated in MuJoCo side by side. Each has its own pose, gain and signals; `run` advances them in steps."""
 
 import copy
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +16,7 @@ from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import Sampling
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_rates
-from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, channel_effort, outputs_of
+from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -127,51 +127,59 @@ class SimulatedLoops:
         return log.pose[:, ids], log.velocity[:, ids], log.commanded[:, ids]
 
 
-def simulated(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, repeats: int) -> SimulatedLoops:
-    """Return simulations of loops of one mechanism and one timing, each `repeats` times, held at its operating point."""
+def simulated(loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, velocity: np.ndarray | None = None) -> SimulatedLoops:
+    """Return simulations of loops of one mechanism and one timing, held at their operating points.
 
-    def of_rows(values: list) -> np.ndarray:
-        return np.repeat(values, repeats, axis=0)
-
+    They start with independent rates `velocity` (n, n_s); default: those of their points.
+    """
     points = [loop.point for loop in loops]
     return SimulatedLoops(
         points[0].mechanism,
-        pose=of_rows([point.pose for point in points]),
-        velocity=of_rows([point.state[points[0].mechanism.dof :] for point in points]),
-        gain=of_rows([loop.gain for loop in loops]),
-        under_way=of_rows([point.hold for point in points]),
+        pose=np.array([point.pose for point in points]),
+        velocity=np.array([point.velocity for point in points]) if velocity is None else velocity,
+        gain=np.array([loop.gain for loop in loops]),
+        under_way=np.array([point.hold for point in points]),
         timing=loops[0].timing,
         effort_limit=effort_limit,
     )
 
 
-class ExcitedLoops:
-    """Simulations (n,) of loops of one mechanism and one timing: every row (loop, excitation) `repeats` times.
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class Excitation:
+    """A test signal of a loop: efforts `push` (n_u,) times the signal, or the reference of a joint, its coordinate.
 
-    `hold` (n, n_u) [N.m or N] are the holding efforts; `read` (n, n_u) measures the effort where the loop is broken.
-    `outputs` are the coordinates that are measured, first the channel.
+    `read` (n_u,) gives the excited effort of commands.
+    """
+
+    loop: FeedbackLoop
+    push: np.ndarray
+    read: np.ndarray
+    coordinate: int | None = None
+
+
+class ExcitedLoops:
+    """Simulations (n,) of loops of one mechanism and one timing: every row of excitations `repeats` times.
+
+    `measured` gives outputs (m, n_y) at poses (m, n_q) with commands (m, n_u) [N.m or N], these relative to the holding
+    efforts `hold` (n, n_u). `read` (n, n_u) are those of the rows, `rest` (n, n_y) the outputs at the operating points.
     """
 
     def __init__(
         self,
-        loops: Sequence[FeedbackLoop],
-        excitations: Sequence[str],
-        channel: int,
+        rows: Sequence[Excitation],
+        measured: Callable[[np.ndarray, np.ndarray], np.ndarray],
         effort_limit: np.ndarray,
-        repeats: int = 1,
+        repeats: int,
     ) -> None:
-        def of_rows(values: list) -> np.ndarray:
-            return np.repeat(values, repeats, axis=0)
-
-        self.rows = tuple((loop, excitation) for loop in loops for excitation in excitations)
-        points = [loop.point for loop, _ in self.rows]
-        efforts = [channel_effort(point, channel) for point in points]
-        self.outputs = outputs_of(loops[0].point.mechanism, channel)
-        self._channel, self._state = channel, of_rows([point.state for point in points])
-        self.hold, self.read = of_rows([point.hold for point in points]), of_rows([read for read, _ in efforts])
-        self._push = of_rows([push for _, push in efforts])
-        self._effort = of_rows([excitation == "effort" for _, excitation in self.rows])  # where the test signal is an effort
-        self.simulations = simulated([loop for loop, _ in self.rows], effort_limit, repeats)
+        every = [row for row in rows for _ in range(repeats)]
+        points = [row.loop.point for row in every]
+        self.rows, self._measured = tuple(rows), measured
+        self.hold, self.read = np.array([point.hold for point in points]), np.array([row.read for row in every])
+        self._push, self._state = np.array([row.push for row in every]), np.array([point.state for point in points])
+        n_s = points[0].mechanism.dof
+        self._excited = np.array([np.arange(n_s) == (-1 if row.coordinate is None else row.coordinate) for row in every])
+        self.rest = measured(np.array([point.pose for point in points]), np.zeros_like(self.hold))
+        self.simulations = simulated([row.loop for row in every], effort_limit)
 
     def run(
         self, active: np.ndarray, signal: np.ndarray, rate: np.ndarray, forward: np.ndarray
@@ -185,17 +193,13 @@ class ExcitedLoops:
             forward: feedforward efforts (t, r, n_u) in addition to the holding efforts [N.m or N].
 
         Returns:
-            The command (t, r) of the channel and the positions (t, r, n) of its outputs, relative to the operating point,
-            and all commands (t, r, n_u).
+            The excited effort of the commands (t, r) and the outputs (t, r, n_y), relative to the operating point, and all
+            commands (t, r, n_u).
         """
-        n_s = self._state.shape[1] // 2
-        effort = self._effort[active]
-        reference = np.repeat(self._state[None, active], len(signal), axis=0)
-        reference[:, :, self._channel] += np.where(effort, 0.0, signal)
-        reference[:, :, n_s + self._channel] += np.where(effort, 0.0, rate)
-        feedforward = self.hold[active] + forward
-        feedforward += np.where(effort, signal, 0.0)[:, :, None] * self._push[active]
-        x, commands = self.simulations.run(active, reference, feedforward)
-        command = np.sum((commands - self.hold[active]) * self.read[active], axis=2)
-        seen = list(self.outputs)
-        return command, x[:, :, seen] - self._state[active][:, seen], commands
+        added = [x[:, :, None] * self._excited[active] for x in (signal, rate)]
+        reference = self._state[active] + np.concatenate(added, axis=2)
+        feedforward = self.hold[active] + forward + signal[:, :, None] * self._push[active]
+        pose, _, commands = self.simulations.run_poses(active, reference, feedforward)
+        relative = commands - self.hold[active]
+        outputs = self._measured(*(x.reshape(-1, x.shape[2]) for x in (pose, relative))).reshape(*signal.shape, -1)
+        return np.sum(relative * self.read[active], axis=2), outputs - self.rest[active], commands

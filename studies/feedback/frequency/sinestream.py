@@ -4,13 +4,15 @@ Over a window of N samples with p whole cycles, the phasor of y is (2 / N) sum y
 settled sine with any mean and harmonics.
 """
 
+import itertools
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
 
 import numpy as np
 
+from linkplan.planner.search.planning import silent
 from linkplan.studies.feedback.frequency.excitation import (
+    EXCITATIONS,
     Measurement,
     Setup,
     quantities,
@@ -18,8 +20,8 @@ from linkplan.studies.feedback.frequency.excitation import (
     signal_amplitude,
     whole_samples,
 )
-from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop
-from linkplan.studies.feedback.frequency.simulated_loops import ExcitedLoops, SimulatedLoops
+from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, channel_effort, outputs_of
+from linkplan.studies.feedback.frequency.simulated_loops import Excitation, ExcitedLoops
 
 # The harmonics up to this order count as distortion.
 _DISTORTION_ORDER = 5
@@ -27,36 +29,58 @@ _DISTORTION_ORDER = 5
 _MIN_WINDOW_PERIODS = 160
 # Control periods between two checks of which simulations have settled.
 _CHECK_PERIODS = 64
+# Cycles of the smooth start.
+_RAMP_CYCLES = 2
+# An estimate has settled when its remaining change is below this share; it follows from two windows, of one or more whole
+# cycles each, and the slowest predicted pole. Then this number of windows is averaged.
+_SETTLED_CHANGE, _AVERAGED_WINDOWS = 1e-4, 3
 
 
-def run(
+def measure(
     loops: Sequence[FeedbackLoop],
     frequency_hz: np.ndarray,
     effort_limit: np.ndarray,
-    setup: Setup,
-    excitations: tuple[str, ...],
-    channel: int,
-    say: Callable[[str], None],
+    setup: Setup | None = None,
+    *,
+    excitations: Sequence[str] = tuple(EXCITATIONS),
+    channel: int = 0,
+    say: Callable[[str], None] = silent,
     amplitudes: np.ndarray | None = None,
 ) -> Measurement:
-    """Return a sinestream's measurement; see `measure.measure`. `amplitudes` (loops, excitations, n) replace the setup's."""
-    timing = loops[0].timing
+    """Return the responses of stable sampled loops of one mechanism and one timing, measured about their operating points.
+
+    Args:
+        loops: their gains and points are simulated; their predictions scale the signals.
+        frequency_hz: (n,), moved so that a period has whole samples.
+        effort_limit: of the actuators (n_u, 2) [N.m or N].
+        setup: the settings of the measurement.
+        excitations: keys of EXCITATIONS.
+        channel: index of the excited joint among the independent joints.
+        say: receives progress messages.
+        amplitudes: of the test signals (loops, excitations, n); default: by the setup.
+
+    Raises:
+        LinkplanError: for frequencies above the Nyquist frequency.
+    """
+    setup, timing, mechanism = setup or Setup(), loops[0].timing, loops[0].point.mechanism
     cycles, samples = whole_samples(frequency_hz, timing.period_s)
     frequency = cycles / (samples * timing.period_s)
     refuse_many(samples, frequency, len(loops) * len(excitations))
-    excited = ExcitedLoops(loops, excitations, channel, effort_limit, len(frequency))
-    if amplitudes is None:
-        amplitudes = np.array(
-            [signal_amplitude(loop, frequency, name, effort_limit, setup, channel) for loop, name in excited.rows]
-        )
-    forward = np.zeros((len(excited.rows), len(frequency), len(effort_limit)), dtype=complex)
-    for row, (loop, excitation) in enumerate(excited.rows):
+    rows, sizes, forward = [], [], np.zeros((len(loops) * len(excitations), len(frequency), mechanism.n_u), dtype=complex)
+    for loop, excitation in itertools.product(loops, excitations):
         if excitation == "reference+ff":
-            forward[row] = loop.feedforward(frequency, channel)
-    taken = settled_phasors(excited, cycles, samples, amplitudes, effort_limit, setup, say, forward=forward)
+            forward[len(rows)] = loop.feedforward(frequency, channel)
+        sizes.append(signal_amplitude(loop, frequency, excitation, effort_limit, setup, channel))
+        read, push = channel_effort(loop.point, channel)
+        coordinate = None if excitation == "effort" else channel
+        rows.append(Excitation(loop=loop, push=push if coordinate is None else 0.0 * push, read=read, coordinate=coordinate))
+    seen = mechanism.independent[list(outputs_of(mechanism, channel))]
+    excited = ExcitedLoops(rows, lambda poses, _: poses[:, seen], effort_limit, len(frequency))
+    sizes = np.array(sizes) if amplitudes is None else amplitudes
+    taken = settled_phasors(excited, cycles, samples, sizes, effort_limit, setup, say, forward=forward)
     responses, actuated = [{} for _ in loops], [{} for _ in loops]
-    for row, (_, excitation) in enumerate(excited.rows):
-        place, signals = row // len(excitations), taken.phasors[row]
+    for row, (place, excitation) in enumerate(itertools.product(range(len(loops)), excitations)):
+        signals = taken.phasors[row]
         responses[place] |= quantities(loops[place], channel, excitation, frequency, signals, taken.quality(row))
         actuated[place][excitation] = signals[-1, :, 1], signals[-1, :, 2]
     return Measurement(
@@ -71,26 +95,6 @@ def refuse_many(samples: np.ndarray, frequency_hz: np.ndarray, n_rows: int) -> N
     """Refuse windows (n,) of too many control periods, or too many windows, for rows of simulations of n frequencies."""
     total = float(np.maximum(samples, _MIN_WINDOW_PERIODS).sum()) * n_rows
     refuse_long(float(samples.max()), float(frequency_hz[0]), total / float(samples.max()))
-
-
-class Excited(Protocol):
-    """Simulations (n,): each of the `rows`, whose first entry is a loop, at every frequency in turn.
-
-    `hold` (n, n_u) [N.m or N] are the holding efforts, `read` (n, n_u) gives the excited effort of commands, `outputs` are
-    what `run` measures.
-    """
-
-    rows: tuple[tuple[FeedbackLoop, Any], ...]
-    outputs: tuple[Any, ...]
-    hold: np.ndarray
-    read: np.ndarray
-    simulations: SimulatedLoops
-
-    def run(
-        self, active: np.ndarray, signal: np.ndarray, rate: np.ndarray, forward: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Apply test signals; see `ExcitedLoops.run`."""
-        ...
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -111,7 +115,7 @@ class SettledPhasors:
 
 
 def settled_phasors(
-    excited: Excited,
+    excited: ExcitedLoops,
     cycles: np.ndarray,
     samples: np.ndarray,
     amplitudes: np.ndarray,
@@ -141,14 +145,14 @@ def settled_phasors(
         p=p,
         N=N,
         amplitude=np.asarray(amplitudes, dtype=float).ravel(),
-        ramp=np.maximum(1, setup.ramp_cycles * -(-N // p)),
+        ramp=np.maximum(1, _RAMP_CYCLES * -(-N // p)),
         forward=np.zeros((len(p), n_u)) if forward is None else forward.reshape(-1, n_u),
         period_s=excited.simulations.timing.period_s,
     )
-    n_signals = 3 + len(excited.outputs)
+    n_signals = 3 + excited.rest.shape[1]
     small = np.zeros((n_rows, n_f, n_signals)) if floors is None else floors
     estimates, periods = _simulate(excited, sinusoids, small.reshape(-1, n_signals), effort_limit, setup, say)
-    phasors = np.array([estimate.phasors[-setup.windows :] for estimate in estimates])  # (n, windows, signals)
+    phasors = np.array([estimate.phasors[-_AVERAGED_WINDOWS:] for estimate in estimates])  # (n, windows, signals)
     return SettledPhasors(
         phasors=phasors.reshape(n_rows, n_f, *phasors.shape[1:]).swapaxes(1, 2),
         simulated_periods=periods,
@@ -184,7 +188,7 @@ class _Sinusoids:
 
 
 def _simulate(
-    excited: Excited,
+    excited: ExcitedLoops,
     sinusoids: _Sinusoids,
     floors: np.ndarray,
     effort_limit: np.ndarray,
@@ -193,7 +197,7 @@ def _simulate(
 ) -> tuple[list["_Estimate"], int]:
     """Run every simulation until its estimate settles. Return the estimates (n,) and the control periods simulated."""
     n = len(sinusoids.p)
-    pole = np.repeat(np.array([loop.radius for loop, _ in excited.rows], dtype=float), n // len(excited.rows))
+    pole = np.repeat(np.array([row.loop.radius for row in excited.rows], dtype=float), n // len(excited.rows))
     low, high = effort_limit.T
     estimates = [
         _Estimate(
@@ -202,7 +206,6 @@ def _simulate(
             N=int(sinusoids.N[i]),
             begin=int(sinusoids.ramp[i]),
             pole=float(pole[i]),
-            setup=setup,
         )
         for i in range(n)
     ]
@@ -227,13 +230,13 @@ def _simulate(
 class _Estimate:
     """One simulation's phasors of (in, command, applied, positions), window by window. Mutable."""
 
-    def __init__(self, *, floor: np.ndarray, p: int, N: int, begin: int, pole: float, setup: Setup) -> None:
+    def __init__(self, *, floor: np.ndarray, p: int, N: int, begin: int, pole: float) -> None:
         self._floor = np.maximum(floor, 1e-300)
         self.window = N * -(-_MIN_WINDOW_PERIODS // N)
         # Harmonics above half the sampling rate alias, also onto the fundamental: leave them out.
         orders = np.array([h for h in range(1, _DISTORTION_ORDER + 1) if h == 1 or 2 * h * p < N])
         self._waves = np.exp(-2j * np.pi / N * ((np.arange(self.window)[:, None] * p * orders) % N))
-        self._begin, self._setup = begin, setup
+        self._begin = begin
         # A mode that shrinks by r = pole^window and changed by d between two windows will still change by d r / (1 - r).
         r = pole**self.window
         self._tail = max(1.0, r / (1.0 - r))
@@ -272,7 +275,7 @@ class _Estimate:
         if self.phasors:
             size = np.maximum(np.abs(fundamental), self._floor)
             remaining = float((np.abs(fundamental - self.phasors[-1]) / size).max()) * self._tail
-            self._settled_windows = self._settled_windows + 1 if remaining <= self._setup.tolerance else 0
+            self._settled_windows = self._settled_windows + 1 if remaining <= _SETTLED_CHANGE else 0
         self.phasors.append(fundamental)
         power = np.maximum(self._power / N - (self._mean / N) ** 2, 1e-300)[1:]
         first = np.maximum(0.5 * np.abs(fundamental[1:]) ** 2, 1e-300)
@@ -291,4 +294,4 @@ class _Estimate:
 
     def finished(self, overdue: bool) -> bool:
         """Return True if the last windows agree, or if the time is over and there are enough windows."""
-        return self._settled_windows >= self._setup.windows - 1 or (overdue and len(self.phasors) >= self._setup.windows)
+        return self._settled_windows >= _AVERAGED_WINDOWS - 1 or (overdue and len(self.phasors) >= _AVERAGED_WINDOWS)

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.controllers.sampling import Sampling, closed, sampling, spectral_radius
-from linkplan.controllers.trackers.pd import pd, pd_gain
+from linkplan.controllers.trackers.pd import pd_gain
 from linkplan.planner.search.planning import silent
-from linkplan.studies.feedback.frequency.feedback_loops import SIMULATED, FeedbackLoop, OperatingPoint, feedback_loop
+from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, OperatingPoint, feedback_loop
 from linkplan.studies.feedback.frequency.quick import quick_loops
 from linkplan.studies.feedback.frequency.trial import settle_trials
 from linkplan.studies.feedback.frequency.worst import last_good
@@ -45,12 +45,12 @@ class StabilityMap:
 
 def effort_map(point: OperatingPoint) -> np.ndarray:
     """Return the map (n_u, n_s) from PD's joint efforts to actuator efforts."""
-    return np.hsplit(pd(point.mechanism, point.constant(1.0), 1.0, 0.0).gains[0], 2)[0]
+    return np.linalg.pinv(np.array(point.mechanism.dynamics.effort_map(point.pose)))
 
 
-def pd_loop(point: OperatingPoint, kp: float, kd: float, timing: Sampling, kind: str = SIMULATED) -> FeedbackLoop:
+def pd_loop(point: OperatingPoint, kp: float, kd: float, timing: Sampling) -> FeedbackLoop:
     """Return the PD loop of gains [N.m/rad, N.m.s/rad] about a point."""
-    return feedback_loop(point, pd_gain(effort_map(point), kp, kd), timing, kind)
+    return feedback_loop(point, pd_gains(point, kp, kd), timing)
 
 
 def radii(point: OperatingPoint, kp: np.ndarray, kd: np.ndarray, timing: Sampling) -> np.ndarray:
@@ -60,7 +60,7 @@ def radii(point: OperatingPoint, kp: np.ndarray, kd: np.ndarray, timing: Samplin
 
 def radii_about(point: OperatingPoint, timing: Sampling) -> Callable[[np.ndarray], np.ndarray]:
     """Return the function from gains K (..., n_u, 2 n_s) to the largest pole's size (...,) of loops about a point."""
-    matrices = feedback_loop(point, pd_gain(effort_map(point), 1.0, 1.0), timing).actuated_matrices()
+    matrices = feedback_loop(point, pd_gains(point, 1.0, 1.0), timing).actuated_matrices()
     return lambda gains: spectral_radius(closed(*matrices, gains))
 
 
@@ -74,7 +74,7 @@ def critical_kd(point: OperatingPoint, kp: float, timing: Sampling) -> tuple[flo
     """Return the smallest and the largest kd at which the sampled loop is stable with the given kp, NaN if none is."""
     scale = float(np.max(np.linalg.eigvalsh(np.atleast_2d(point.inertia)))) / timing.period_s
     kd = np.concatenate([[0.0], np.geomspace(1e-6 * scale, 10 * scale, 3600)])
-    largest, per_kp, per_kd = radii_about(point, timing), pd_gains(point, 1.0, 0.0), pd_gains(point, 0.0, 1.0)
+    largest = radii_about(point, timing)
     stable = largest(pd_gains(point, np.full_like(kd, kp), kd)) < 1.0
     if not np.any(stable):
         return np.nan, np.nan
@@ -84,7 +84,7 @@ def critical_kd(point: OperatingPoint, kp: float, timing: Sampling) -> tuple[flo
         return last_good(unstable, good, bad, True, _BORDER_TOLERANCE)[0]
 
     def unstable(kd: float) -> bool | None:
-        return bool(largest(kp * per_kp + kd * per_kd) >= 1.0) or None
+        return bool(largest(pd_gains(point, kp, kd)) >= 1.0) or None
 
     first, last = int(inside[0]), int(inside[-1])
     kd = kd.tolist()

@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.models.tree.joints import unit_steps
 from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop
-from linkplan.studies.feedback.frequency.simulated_loops import SimulatedLoops
+from linkplan.studies.feedback.frequency.simulated_loops import simulated
 
 # Initial velocity [rad/s or m/s], far above the simulator's rounding of 1e-11.
 _KICK_VELOCITY = 1e-3
@@ -25,7 +25,7 @@ def settle_trials(
     loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_periods: int = MAX_TRIAL_PERIODS
 ) -> np.ndarray:
     """Return True for each of n loops of one timing, (n,), that settles in MuJoCo after a small kick to its joints."""
-    mechanism, timing, n = loops[0].point.mechanism, loops[0].timing, len(loops)
+    mechanism, n = loops[0].point.mechanism, len(loops)
     n_s = mechanism.dof
     state = np.array([loop.point.state for loop in loops])
     hold = np.array([loop.point.hold for loop in loops])
@@ -33,15 +33,7 @@ def settle_trials(
     pushes = np.abs(np.array([loop.gain for loop in loops])[:, :, n_s:]).sum(axis=2)
     with np.errstate(divide="ignore"):
         kick = np.minimum(_KICK_VELOCITY, (_KICK_EFFORT_SHARE * room / pushes).min(axis=1))
-    batch = SimulatedLoops(
-        mechanism,
-        pose=np.array([loop.point.pose for loop in loops]),
-        velocity=kick[:, None] * mechanism.actuated,
-        gain=np.array([loop.gain for loop in loops]),
-        under_way=hold,
-        timing=timing,
-        effort_limit=effort_limit,
-    )
+    batch = simulated(loops, effort_limit, kick[:, None] * mechanism.actuated)
     settles = np.zeros(n, dtype=bool)
     unit = unit_steps(mechanism.joints, mechanism.extent_m)[mechanism.independent][mechanism.actuated]
     active, history = np.arange(n), []

@@ -13,6 +13,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, SampledLaw, label_differences
 from linkplan.studies.feedback.frequency.margins import Margins, margins
+from linkplan.studies.feedback.frequency.quick import QuickMargins
 from linkplan.studies.feedback.frequency.rest import LEAST_RESPONSE_AT_REST
 
 # By default an error settles within this many cycles of the bandwidth, and poles have at least this damping ratio.
@@ -44,20 +45,14 @@ class Requirements(Struct, frozen=True, kw_only=True, eq=False):
         return np.inf if self.sensitivity_peak is None else self.sensitivity_peak
 
     def __post_init__(self) -> None:
-        if not (np.isfinite(self.bandwidth_hz) and self.bandwidth_hz > 0):
-            raise LinkplanError(f"the wanted bandwidth is a positive number of hertz, got {self.bandwidth_hz:g}")
         if not 0 <= self.phase_margin_deg < 180:
             raise LinkplanError(f"the wanted phase margin is from 0 to 180 degrees, got {self.phase_margin_deg:g}")
         if not self.largest_peak > 1:
             raise LinkplanError(f"the required peak of the sensitivity must be above 1, got {self.sensitivity_peak:g}")
         if np.isnan(self.settling_s):
             force_setattr(self, "settling_s", SETTLING_CYCLES / self.bandwidth_hz)
-        if not self.settling_s > 0:
-            raise LinkplanError(f"the settling time is a positive number of seconds, got {self.settling_s:g}")
         if not 0 <= self.damping_ratio <= 1:
             raise LinkplanError(f"the damping ratio is from 0 to 1, got {self.damping_ratio:g}")
-        if self.stiffness is not None and not (np.isfinite(self.stiffness) and self.stiffness > 0):
-            raise LinkplanError(f"the stiffness at rest is a positive number of N.m/rad or N/m, got {self.stiffness:g}")
         if self.stiffness is not None:
             force_setattr(self, "response_at_rest", None)
 
@@ -114,8 +109,8 @@ def evaluated(points: Sequence[OperatingPoint], wanted: Requirements, law: Sampl
     """Return a law with the loops of all joints at all points, and the largest relative shortfall."""
     channels = points[0].mechanism.channels
     loops = [_judged(point, channel, law) for channel in channels for point in label_differences(points)]
-    lacking = max(min(shortfall(loop, wanted, law.timing), UNSTABLE_SHORTFALL) for loop in loops)
-    return EvaluatedGains(law=law, loops=tuple(loops), shortfall=float(max(0.0, lacking)))
+    short = [float(shortfall(loop, wanted, law.timing)) if loop.stable else UNSTABLE_SHORTFALL for loop in loops]
+    return EvaluatedGains(law=law, loops=tuple(loops), shortfall=float(np.clip(max(short), 0.0, UNSTABLE_SHORTFALL)))
 
 
 def _judged(point: OperatingPoint, channel: int, law: SampledLaw) -> JudgedLoop:
@@ -137,15 +132,20 @@ def _place(point: OperatingPoint, channel: int) -> dict[str, Any]:
     return {"joint": own.name, "position_deg": hinges, "position_m": slides}
 
 
-def shortfall(found: Margins, wanted: Requirements, timing: Sampling) -> float:
-    """Return the largest relative shortfall of margins: negative with a reserve, infinite without stability or bandwidth."""
-    if not found.stable or found.bandwidth_hz == 0.0:
-        return np.inf
-    band = found.bandwidth_hz or timing.nyquist_hz
-    short = [float(np.log(wanted.bandwidth_hz / band)), found.sensitivity_peak / wanted.largest_peak - 1.0]
-    if wanted.phase_margin_deg and found.phase_margin_deg is not None:
-        short.append(1.0 - found.phase_margin_deg / wanted.phase_margin_deg)
-    short.append(float(np.log(found.settling_s / wanted.settling_s)))
-    short.append(wanted.damping_ratio - found.damping_ratio)
-    short.append(float(wanted.shortfall_at_rest(found.response_at_rest, found.stiffness_at_rest)))
-    return max(short)
+def shortfall(found: Margins | QuickMargins, wanted: Requirements, timing: Sampling, reserve: float = 1.0) -> np.ndarray:
+    """Return the largest relative shortfall (n,) of margins of stable loops, one or n: negative with a reserve.
+
+    `reserve` is a factor on the requirements. A shortfall without a number is `UNSTABLE_SHORTFALL`.
+    """
+    band, phase = (np.inf if x is None else x for x in (found.bandwidth_hz, found.phase_margin_deg))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        short = [
+            np.log(wanted.bandwidth_hz * reserve / np.minimum(band, timing.nyquist_hz)),
+            found.sensitivity_peak * reserve / wanted.largest_peak - 1.0,
+            np.log(found.settling_s * reserve / wanted.settling_s),
+            wanted.damping_ratio * reserve - found.damping_ratio,
+            wanted.shortfall_at_rest(found.response_at_rest, found.stiffness_at_rest),
+        ]
+        if wanted.phase_margin_deg:
+            short.append(1.0 - phase / (wanted.phase_margin_deg * reserve))
+    return np.max([np.nan_to_num(x, nan=UNSTABLE_SHORTFALL, posinf=UNSTABLE_SHORTFALL) for x in short], axis=0)

@@ -5,15 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.controllers.sampling import Sampling
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.problem.keys.kinds import LQR_ERRORS
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, SampledLaw, law_gain
-from linkplan.studies.feedback.frequency.quick import QuickMargins, quick_loops
+from linkplan.studies.feedback.frequency.quick import quick_loops
 from linkplan.studies.feedback.frequency.rest import passive_stiffness
 from linkplan.studies.feedback.frequency.stability_map import effort_map
-from linkplan.studies.feedback.tune.requirements import UNSTABLE_SHORTFALL, Requirements, evaluated
+from linkplan.studies.feedback.tune.requirements import UNSTABLE_SHORTFALL, Requirements, evaluated, shortfall
 
 # Search range of the natural frequency, in units of the required bandwidth, and of the damping ratio.
 _NATURAL_FREQUENCY_RANGE = (0.08, 4.0)
@@ -167,21 +166,6 @@ def _shortfalls(points: Sequence[OperatingPoint], candidates: Sequence[SampledLa
                 known[i] = False
         every = quick_loops(point, np.array(gains), timing, point.mechanism.channels)
         stable = known & (every[0].radius < 1.0)
-        short = np.sum([_shortfall_of(quick, wanted, timing) for quick in every], axis=0)
+        short = np.sum([np.maximum(0.0, shortfall(one, wanted, timing, _SEARCH_RESERVE)) for one in every], axis=0)
         total = np.maximum(total, np.where(stable, short, UNSTABLE_SHORTFALL * len(every) + every[0].radius))
     return total
-
-
-def _shortfall_of(quick: QuickMargins, wanted: Requirements, timing: Sampling) -> np.ndarray:
-    """Return the largest relative shortfall (n,) of stable loops, zero where all requirements are met with the reserve."""
-    band = np.where(np.isfinite(quick.bandwidth_hz), quick.bandwidth_hz, timing.nyquist_hz)
-    with np.errstate(divide="ignore"):
-        short = np.clip(np.log(wanted.bandwidth_hz * _SEARCH_RESERVE / band), 0.0, UNSTABLE_SHORTFALL)
-    if wanted.phase_margin_deg:
-        short = np.maximum(short, 1.0 - quick.phase_margin_deg / (wanted.phase_margin_deg * _SEARCH_RESERVE))
-    short = np.maximum(short, quick.sensitivity_peak * _SEARCH_RESERVE / wanted.largest_peak - 1.0)
-    with np.errstate(invalid="ignore"):
-        short = np.maximum(short, np.log(quick.settling_s * _SEARCH_RESERVE / wanted.settling_s))
-    short = np.maximum(short, wanted.damping_ratio * _SEARCH_RESERVE - quick.damping_ratio)
-    at_rest = wanted.shortfall_at_rest(quick.response, quick.stiffness)
-    return np.maximum(short, np.where(np.isfinite(at_rest), at_rest, UNSTABLE_SHORTFALL))

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from linkplan.controllers.trackers.names import BUILT_IN, LINEAR
+from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.search.planning import silent
@@ -59,11 +59,9 @@ def tune(
         note: on the choice of the points, for the report.
 
     Raises:
-        LinkplanError: for a bandwidth from the Nyquist frequency on, an unknown law, or LQR with several degrees of freedom.
+        LinkplanError: for a bandwidth from the Nyquist frequency on, or LQR with several degrees of freedom.
     """
     mechanism, timing = points[0].mechanism, law.timing
-    if law.name not in LINEAR:
-        raise LinkplanError(f"unknown tracker '{law.name}'; trackers are {', '.join(LINEAR)}")
     if law.by_errors and len(mechanism.channels) > 1:
         raise LinkplanError(
             f"tune finds LQR weights for one degree of freedom, and '{mechanism.name}' has {len(mechanism.channels)}: pd and"
@@ -145,8 +143,9 @@ def _worst(mechanism: Mechanism, line: PoseLine, law: SampledLaw, wanted: Requir
         found = judge(x)
         if not found:
             return np.inf
-        short = max(shortfall(one, wanted, law.timing) for one in found)
-        return -min(short, UNSTABLE_SHORTFALL + (found[0].spectral_radius or 0.0))
+        if not found[0].stable:
+            return -UNSTABLE_SHORTFALL - (found[0].spectral_radius or 0.0)
+        return -float(max(shortfall(one, wanted, law.timing) for one in found))
 
     even = np.linspace(line.low, line.high, SCAN_POSITIONS)
     places = sorted([*even, *refined_minima(reserve, even)], key=reserve)[:3]

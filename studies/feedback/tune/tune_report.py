@@ -13,8 +13,22 @@ from linkplan.planner.files.tables import inline
 from linkplan.studies.feedback.bode.scan import figures
 from linkplan.studies.feedback.tune.requirements import JudgedLoop
 from linkplan.studies.feedback.tune.tuning import Tuning, gains_by_joint
-from linkplan.studies.output.document import Axis, Block, DrawnLimit, Facts, Plot, Series, Table, Text, table_of
+from linkplan.studies.output.document import (
+    Axis,
+    Block,
+    Code,
+    DrawnLimit,
+    Facts,
+    Plot,
+    Report,
+    Section,
+    Series,
+    Table,
+    Text,
+    table_of,
+)
 from linkplan.studies.output.numbers import rounded
+from linkplan.studies.output.report_file import report_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -98,13 +112,10 @@ def tracking_table(tuning: Tuning) -> str:
     return "\n".join(lines) + "\n"
 
 
-def tune_blocks(tuning: Tuning, *, verdict: bool = True) -> list[Block]:
-    """Return the gains in the joints' and the motor's units, and the margins of every loop at every pose.
-
-    The verdict is left out where the page's header shows it.
-    """
+def tune_blocks(tuning: Tuning) -> list[Block]:
+    """Return the verdict, the gains in the joints' and the motor's units, and the margins of every loop at every pose."""
     joints = tuning.joints
-    blocks: list[Block] = [Text(text=tuning.message)] if verdict else []
+    blocks: list[Block] = [Text(text=tuning.message)]
     if BUILT_IN[tuning.tracker].by_errors:
         (position_key, position), (velocity_key, velocity) = list(tuning.tracking.items())[:2]
         weights = f"{position_key} = {position:.5g}, {velocity_key} = {velocity:.5g}"
@@ -168,3 +179,24 @@ def _table(loops: Sequence[JudgedLoop], joint: Joint, several: bool) -> Table:
     heads += ["settling [s]", "damping", "response at rest", f"stiffness [{joint.gain_units[0]}]"]
     of = f", the loop of {joint.name}, the others closed" if several else ""
     return table_of(f"At every position looked at{of}", heads, rows)
+
+
+def tune_report(found: Tuning) -> Report:
+    """Return the report of gains for requirements."""
+    mechanism, wanted, law = found.mechanism, found.wanted, found.best.law
+    rows = [
+        ("mechanism", mechanism.name),
+        ("tracker", law.name),
+        ("wanted bandwidth", f"{wanted.bandwidth_hz:g} Hz at least"),
+        ("wanted phase margin", f"{wanted.phase_margin_deg:g} deg at least"),
+        ("control period", f"{law.timing.period_s:g} s, delay {law.timing.delay_s:g} s"),
+    ]
+    if wanted.sensitivity_peak is not None:
+        rows.append(("wanted peak of |S|", f"{wanted.sensitivity_peak:g} at most"))
+    blocks: list[Block] = [
+        Facts(rows=rows),
+        Code(title="Gains as the [tracking] table of a problem file", text=tracking_table(found)),
+        *tune_blocks(found)[1:],  # the page's header has the verdict
+    ]
+    section = Section(title=f"Gains for {mechanism.name}", blocks=blocks)
+    return report_of(f"Gains for {mechanism.name}", found.message, found.found, [section])

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.controllers.reference import SampledReference, sample
-from linkplan.models.errors import ProblemError, choose
+from linkplan.controllers.reference import SampledReference, hermite, sample
+from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
@@ -21,7 +21,6 @@ from linkplan.planner.problem.limits import Limits
 from linkplan.studies.compare.compare import build_tracker, lqr_settings, tracking_reference
 from linkplan.studies.feedback.frequency.floquet import linear_law
 from linkplan.studies.handover.export.c_source import identifier
-from linkplan.studies.handover.export.formats import C_TRACKERS
 
 # A controller's flash rarely holds more; the file would have 100 megabytes of text.
 _MAX_NUMBERS = 4_000_000
@@ -87,10 +86,9 @@ def interpolated_state(
     tables: LawTables, below: np.ndarray, above: np.ndarray, share: np.ndarray, step: float
 ) -> np.ndarray:
     """Return the reference states (n, 2 n_s) at shares (n,) of a step [s] between rows, by cubic Hermite interpolation."""
-    x, p0, p1 = share[:, None], tables.position[below], tables.position[above]
-    v0, v1 = step * tables.velocity[below], step * tables.velocity[above]
-    a, b = 3 * (p1 - p0) - 2 * v0 - v1, 2 * (p0 - p1) + v0 + v1
-    return np.hstack([p0 + x * (v0 + x * (a + x * b)), (v0 + x * (2 * a + 3 * x * b)) / step])
+    ends = [(tables.position[row], step * tables.velocity[row]) for row in (below, above)]
+    position, slope = hermite(*ends[0], *ends[1], share[:, None])
+    return np.hstack([position, slope / step])
 
 
 def law_tables(plan: Plan, tracker: str, tolerance: float = 0.0) -> LawTables:
@@ -98,14 +96,13 @@ def law_tables(plan: Plan, tracker: str, tolerance: float = 0.0) -> LawTables:
 
     Args:
         plan: with a motion.
-        tracker: one of `C_TRACKERS`.
+        tracker: one of `formats.C_TRACKERS`.
         tolerance: rows are left out while at every control instant the efforts of the reference and the gains stay within
             this share of their largest values; 0 keeps a row at every control instant.
 
     Raises:
-        ProblemError: for a tracker that is no linear law, an invalid tolerance, or tables that would be too large.
+        ProblemError: for an invalid tolerance, or tables that would be too large.
     """
-    choose("tracker for C", tracker, C_TRACKERS, ProblemError)
     if not 0 <= tolerance < 1:
         raise ProblemError(f"the tolerance of a law's tables is a share from 0 to below 1, got {tolerance:g}")
     mechanism, trajectory, plan = plan.problem.mechanism, plan.require_motion("export"), _over_the_motion(plan)
@@ -116,7 +113,7 @@ def law_tables(plan: Plan, tracker: str, tolerance: float = 0.0) -> LawTables:
     if trajectory.periodic:
         gains = np.concatenate([gains, gains[:1]])
     else:
-        at_goal = linear_law(build_tracker(tracker, plan, _rows_of(rows, slice(-1, None)))).gains
+        at_goal = linear_law(build_tracker(tracker, plan, rows.part(slice(-1, None)))).gains
         gains = np.concatenate([gains[:1], gains, np.repeat(at_goal, len(times) + 1 - len(gains), axis=0)])
     if np.all(gains == gains[0]):
         gains = gains[:1]
@@ -201,14 +198,6 @@ def _rows(mechanism: Mechanism, plan: Plan, run: SampledReference) -> tuple[Samp
     return SampledReference(period_s=run.period_s, time_s=time, cycle=None, forces=forces, **rows), times
 
 
-def _rows_of(reference: SampledReference, which: slice) -> SampledReference:
-    """Return some samples of a reference that does not repeat."""
-    names = ("time_s", "pose_rad", "position_rad", "velocity_rad_s", "effort")
-    arrays = {name: getattr(reference, name)[which] for name in names}
-    forces = tuple(w[which] for w in reference.forces)
-    return SampledReference(period_s=reference.period_s, cycle=None, forces=forces, **arrays)
-
-
 def _thinned(tables: LawTables, tolerance: float, size: np.ndarray) -> LawTables:
     """Return tables with the fewest rows that a greedy search finds within a tolerance of the largest efforts (n_u,)."""
     kept = [0]
@@ -239,11 +228,7 @@ def _fits(tables: LawTables, begin: int, end: int, tolerance: float, size: np.nd
     inner = np.arange(begin + 1, end)
     step = float(tables.time_s[end] - tables.time_s[begin])
     share = (tables.time_s[inner] - tables.time_s[begin]) / step
-    below, above, rows = (
-        np.full_like(inner, begin) + tables.held,
-        np.full_like(inner, end) + tables.held,
-        inner + tables.held,
-    )
+    below, above, rows = (at + tables.held for at in (np.full_like(inner, begin), np.full_like(inner, end), inner))
     state = interpolated_state(tables, below, above, share, step)
     error = state - np.hstack([tables.position[rows], tables.velocity[rows]])
     constant = len(tables.gains) == 1

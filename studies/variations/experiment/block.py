@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from linkplan.controllers.mujoco_plant import MujocoPlant, substeps_of
+from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.rollout import Rollout
+from linkplan.controllers.sampling import substeps_of
 from linkplan.controllers.simulate import bytes_each, rollout_of, simulate
 from linkplan.models.errors import ProblemError
 from linkplan.studies.compare.user_tracker import known_tracker

@@ -6,9 +6,9 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.feedback.bode.bode import bode_study
-from linkplan.studies.feedback.bode.bode_sections import bode_sections
+from linkplan.studies.feedback.bode.bode_report import bode_sections
+from linkplan.studies.feedback.frequency.excitation import Setup
 from linkplan.studies.feedback.frequency.feedback_loops import operating_point, sampled_law
-from linkplan.studies.feedback.frequency.measure import Setup
 from tests.support.boom import boom
 
 GAINS = Tracking(kp={"turn": 0.0, "hip": 60.0, "knee": 20.0}, kd={"turn": 0.0, "hip": 2.0, "knee": 0.5}, period_s=1e-3)

@@ -19,7 +19,7 @@ from linkplan.studies.feedback.bode.poses import loop_poses
 from linkplan.studies.feedback.frequency.excitation import Setup
 from linkplan.studies.feedback.frequency.feedback_loops import SIMULATED, feedback_loop, law_gain, operating_point
 from linkplan.studies.feedback.frequency.margins import margins
-from linkplan.studies.feedback.frequency.measure import measure
+from linkplan.studies.feedback.frequency.sinestream import measure
 from linkplan.studies.output.text import text_of
 from tests.support.tolerances_loops import (
     AT_NYQUIST_DB,

@@ -14,9 +14,10 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.feedback.bode.bode import bode_study
 from linkplan.studies.feedback.bode.bode_blocks import summary
 from linkplan.studies.feedback.bode.poses import loop_poses
+from linkplan.studies.feedback.frequency.excitation import Setup
 from linkplan.studies.feedback.frequency.feedback_loops import CONTINUOUS, feedback_loop, law_gain, operating_point
 from linkplan.studies.feedback.frequency.margins import margins
-from linkplan.studies.feedback.frequency.measure import Setup, measure
+from linkplan.studies.feedback.frequency.sinestream import measure
 from linkplan.studies.output.text import text_of
 from tests.support.tolerances_loops import CROSSOVER, MARGIN, MEASURED_DB, MEASURED_DEG
 

@@ -6,7 +6,7 @@ import scipy.linalg
 
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import sampling, simulated, spectral_radius
-from linkplan.controllers.trackers.lqr import Errors, lqr
+from linkplan.controllers.trackers.lqr import lqr
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.felt_inertia import felt_inertia
@@ -16,6 +16,7 @@ from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.compare.compare import compare
 from linkplan.studies.compare.comparison_notes import servo_note
 from linkplan.studies.compare.lqr_weights import scaled
+from tests.support.designs import designed
 from tests.support.parallel_ankle import soft_ankle
 
 PERIOD_S = 2e-3
@@ -86,7 +87,7 @@ def test_gains_for_servos_are_optimal_for_mujocos_own_steps():
     """The slide's servo takes 5e4 N.s/m times 2 ms as 100 kg more: an effort does 0.375 of what it does to 60 kg."""
     mechanism = load_mechanism(BESIDE)
     reference, unit = held(), np.array([600.0, 100.0, 50.0])
-    law = lqr(mechanism, reference, Errors(position=0.01, velocity=1.0, effort=unit))
+    law = lqr(designed(mechanism, reference, (0.01, 1.0, unit)))
     one = [values[:1] for values in (reference.pose_rad, reference.velocity_rad_s, reference.effort)]
     A, B, _ = (matrix[0] for matrix in simulated(mechanism, *one, sampling(mechanism, PERIOD_S)))
     assert B[3, 0] == pytest.approx(PERIOD_S / 160)

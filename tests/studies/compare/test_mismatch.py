@@ -8,7 +8,7 @@ from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.simulate import simulate
 from linkplan.models.errors import ProblemError
-from linkplan.studies.compare.compare import build_tracker, mismatch_of, track, tracking_reference
+from linkplan.studies.compare.compare import build_tracker, delay_of, mismatch_of, track, tracking_reference
 from tests.support.plans import optimal
 
 
@@ -30,4 +30,4 @@ def test_a_fraction_of_a_period_of_delay_acts_as_in_an_ensemble():
 @pytest.mark.parametrize("delay", [-0.5, float("nan"), 1e9])
 def test_a_delay_that_is_none_is_refused(delay):
     with pytest.raises(ProblemError, match="delay_periods"):
-        mismatch_of(optimal("knee-reach"), 1.0, delay)
+        delay_of(delay, "delay_periods")

@@ -14,7 +14,7 @@ from linkplan.controllers.simulate import simulate
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import ProblemError
 from linkplan.planner.plan.plan import Plan
-from linkplan.studies.compare.compare import build_tracker, default_mismatch, track, tracking_reference
+from linkplan.studies.compare.compare import build_tracker, mismatch_of, track, tracking_reference
 from linkplan.studies.output.document import Table
 from linkplan.studies.output.text import text_of
 from linkplan.studies.variations.decompose.decompose import decompose
@@ -64,7 +64,7 @@ def test_the_parts_add_up_to_the_error_of_a_run_of_its_own():
     asked = ("imperfections.payload_mass_factor=1.2", "imperfections.delay_periods=1")
     found = split("pd+ff", SHORT, *asked)
     plan = reach(SHORT)
-    run = track(plan, "pd+ff", default_mismatch(plan, 1.2, 1))
+    run = track(plan, "pd+ff", mismatch_of(plan, 1.2, 1))
     rms = np.degrees(np.sqrt(np.mean(run.error_rad**2)))
     assert found["rms_error"] == pytest.approx(rms, rel=SAME_RUN)
     assert sum(found["parts"].values()) == pytest.approx(rms, rel=PROMISED)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import linkplan
 from linkplan.controllers.reference import SampledReference
 from linkplan.models.errors import ProblemError
 from linkplan.models.poses.along import needed_effort
@@ -260,9 +261,9 @@ def test_the_record_counts_what_is_stored():
     assert record.instants == len(tables.time_s) == 1601
 
 
-def test_a_tracker_that_is_no_table_is_refused():
+def test_a_tracker_that_is_no_table_is_refused(tmp_path):
     with pytest.raises(ProblemError, match="tracker for C 'ct'"):
-        law_tables(optimal("knee-reach"), "ct")
+        linkplan.export(optimal("knee-reach"), tmp_path / "law", to="c", tracker="ct")
 
 
 @pytest.mark.slow

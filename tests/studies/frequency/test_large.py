@@ -88,8 +88,8 @@ def large(loop):
 
 
 @pytest.mark.slow
-def test_below_the_limit_nothing_depends_on_the_amplitude(large):
-    small = large.loop.gains("reference", large.frequency_hz)
+def test_below_the_limit_nothing_depends_on_the_amplitude(large, loop):
+    small = loop.gains("reference", large.frequency_hz)
     assert np.abs(large.measured[:, 0] / small - 1).max() < UNSATURATED
     assert large.saturated[:, 0].max() == 0
     assert large.describing[:, 0] == pytest.approx(1.0, abs=SATURATION)

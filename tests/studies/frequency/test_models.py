@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from linkplan.controllers.integrator import simulator_step
 from linkplan.controllers.sampling import Sampling, augmented, sampling, simulated
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.feedback.frequency.feedback_loops import CONTINUOUS, EXACT, SIMULATED, feedback_loop, operating_point
-from linkplan.studies.feedback.frequency.measure import measure
+from linkplan.studies.feedback.frequency.feedback_loops import CONTINUOUS, SIMULATED, feedback_loop, operating_point
+from linkplan.studies.feedback.frequency.sinestream import measure
 from linkplan.studies.feedback.frequency.stability_map import pd_loop
 from tests.support.oscillators import inertia_alone, mass_on_a_spring, pendulum
 from tests.support.tolerances_loops import MEASURED_DB, MEASURED_DEG, SHORT_HOLD, STEPPED, WHOLE_PERIODS
@@ -42,11 +42,11 @@ def closed_forms(oscillator, kind, f):
     """Return position and velocity responses of the joint's effort."""
     if kind == CONTINUOUS:
         return oscillator.plant(f), 2j * np.pi * f * oscillator.plant(f)
-    return oscillator.held(f, T) if kind == EXACT else oscillator.stepped(f, T)
+    return oscillator.stepped(f, T)
 
 
 @pytest.mark.parametrize("model", MODELS)
-@pytest.mark.parametrize("kind", [CONTINUOUS, EXACT, SIMULATED])
+@pytest.mark.parametrize("kind", [CONTINUOUS, SIMULATED])
 def test_predicted_responses_are_the_closed_forms(model, kind):
     oscillator = MODELS[model]()
     loop, gear = loop_of(oscillator, kind)
@@ -77,11 +77,10 @@ def test_any_oscillators_sampled_loop_is_its_closed_form(mass, ratio, natural_hz
     w = 2 * np.pi * natural_hz
     made = mass_on_a_spring(gear=1.0, mass=mass, damping=2 * ratio * mass * w, stiffness=mass * w**2)
     made = replace(made, position=0.0)  # at rest, where no spring is too stiff to be held
-    for kind in (EXACT, SIMULATED):
-        loop, _ = loop_of(made, kind, kp=kp, kd=kd)
-        position, velocity = closed_forms(made, kind, FREQUENCIES)
-        expected = kp * position + kd * velocity
-        assert np.abs(loop.gains("loop", FREQUENCIES) / expected - 1).max() < CLOSED_FORM
+    loop, _ = loop_of(made, SIMULATED, kp=kp, kd=kd)
+    position, velocity = closed_forms(made, SIMULATED, FREQUENCIES)
+    expected = kp * position + kd * velocity
+    assert np.abs(loop.gains("loop", FREQUENCIES) / expected - 1).max() < CLOSED_FORM
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -89,8 +88,8 @@ def test_feedforward_makes_the_continuous_loop_follow_exactly_and_leads_a_sample
     oscillator = MODELS[model]()
     loop, _ = loop_of(oscillator, CONTINUOUS)
     assert np.abs(loop.gains("reference+ff", FREQUENCIES) - 1).max() < CLOSED_FORM
-    sampled, _ = loop_of(oscillator, EXACT)
-    position, velocity = oscillator.held(FREQUENCIES, T)
+    sampled, _ = loop_of(oscillator, SIMULATED)
+    position, velocity = oscillator.stepped(FREQUENCIES, T)
     w = 2j * np.pi * FREQUENCIES
     need = oscillator.stiffness + oscillator.mass * w**2 + oscillator.damping * w
     expected = position * (KP + KD * w + need * np.exp(w * T / 2)) / (1 + KP * position + KD * velocity)
@@ -100,16 +99,16 @@ def test_feedforward_makes_the_continuous_loop_follow_exactly_and_leads_a_sample
 @pytest.mark.parametrize("delay", [1, 2])
 def test_a_whole_delay_turns_the_sampled_loop_by_its_own_phase(delay):
     oscillator = mass_on_a_spring()
-    late, _ = loop_of(oscillator, EXACT, sampling(load_mechanism(oscillator.mjcf), T, delay))
-    prompt, _ = loop_of(oscillator, EXACT)
+    late, _ = loop_of(oscillator, SIMULATED, sampling(load_mechanism(oscillator.mjcf), T, delay))
+    prompt, _ = loop_of(oscillator, SIMULATED)
     turn = np.exp(-2j * np.pi * FREQUENCIES * T * delay)
     assert np.abs(late.gains("loop", FREQUENCIES) / (prompt.gains("loop", FREQUENCIES) * turn) - 1).max() < CLOSED_FORM
 
 
 def test_a_broken_delay_turns_the_loop_by_its_own_phase_where_the_hold_is_short():
     oscillator = mass_on_a_spring()
-    late, _ = loop_of(oscillator, EXACT, sampling(load_mechanism(oscillator.mjcf), T, 2.5))
-    prompt, _ = loop_of(oscillator, EXACT)
+    late, _ = loop_of(oscillator, SIMULATED, sampling(load_mechanism(oscillator.mjcf), T, 2.5))
+    prompt, _ = loop_of(oscillator, SIMULATED, Sampling(period_s=T, substeps=2))
     slow = np.geomspace(0.3, 5.0, 9)
     turned = np.unwrap(np.angle(late.gains("loop", slow) / prompt.gains("loop", slow)))
     assert turned == pytest.approx(-2 * np.pi * slow * 2.5 * T, rel=SHORT_HOLD)

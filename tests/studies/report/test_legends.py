@@ -6,7 +6,7 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.feedback.bode.bode import bode_study
-from linkplan.studies.feedback.bode.bode_sections import bode_report
+from linkplan.studies.feedback.bode.bode_report import bode_report
 from linkplan.studies.feedback.frequency.excitation import Setup
 from linkplan.studies.output.document import Axis, Plot, Section, Series, Table
 from linkplan.studies.output.report_file import report_of, write_report

@@ -6,7 +6,7 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.feedback.bode.bode import bode_study
-from linkplan.studies.feedback.bode.bode_sections import bode_report
+from linkplan.studies.feedback.bode.bode_report import bode_report
 from linkplan.studies.output.document import Axis, Plane, Plot, Series, Table
 from linkplan.studies.output.plan_blocks import radius_figure
 from tests.support.reports import blocks
