@@ -17,7 +17,7 @@ from linkplan.planner.plan.folder import write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.compare.tracker_source import object_hash, refuse_other_sources, source_hash
 from linkplan.studies.compare.user_tracker import TrackerLike
-from linkplan.studies.variations.experiment.conduct import conduct, read_results, write_results
+from linkplan.studies.variations.experiment.conduct import conduct, read_parts, read_results, write_results
 from linkplan.studies.variations.experiment.design import LATIN_HYPERCUBE, replicate_of
 from linkplan.studies.variations.experiment.experiment import (
     AskedRecord,
@@ -124,11 +124,9 @@ def run_experiment(
             return saved_outcome(target)
     with parts_folder(target) as folder, working(folder, asked, "an experiment"):
         experiment = conduct(folder, settings, sources, objects, plan, engine, say, threads)
-        write_results(folder, folder / RESULTS, experiment)
-        outcome = _outcome(experiment, read_results(folder / RESULTS, experiment), request)
-        (folder / RESULTS).unlink()
+        outcome = _outcome(experiment, read_parts(folder, experiment), request)
         if target is not None:
-            finish(folder, target, lambda place: _save(outcome, folder, place), RECORD)
+            finish(folder, target, lambda place: _save(outcome, place), RECORD)
     return outcome
 
 
@@ -144,11 +142,11 @@ def experiment_figure(outcome: ExperimentOutcome, path: Path | None) -> "Figure"
     return figure_of(drawn, path, title=title, columns=3, panel_in=(4.0, 3.0))
 
 
-def _save(outcome: ExperimentOutcome, folder: Path, place: Path) -> None:
+def _save(outcome: ExperimentOutcome, place: Path) -> None:
     """Write an outcome's files into an empty folder, and check that the record and the results can be read."""
     from linkplan.studies.variations.experiment.sensitivity_blocks import save_tornados
 
-    write_results(folder, place / RESULTS, outcome.experiment)
+    write_results(place / RESULTS, outcome.experiment, outcome.results)
     read_results(place / RESULTS, outcome.experiment)
     write_json(place / RECORD, outcome)
     read_asked(place)
