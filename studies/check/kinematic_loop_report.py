@@ -210,11 +210,6 @@ def measured(of: Sweep) -> KinematicLoopPath:
     return of if isinstance(of, KinematicLoopPath) else measure(of.mechanism, of.poses, of.title, coordinate=of.coordinate)
 
 
-def reach_paths(along: Sequence[Sweep]) -> tuple[KinematicLoopPath, ...]:
-    """Return the report along each path."""
-    return tuple(map(measured, along))
-
-
 def reach_sweeps(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[Sweep, ...]:
     """Return the sweep of each independent joint over its reach."""
     found = []
