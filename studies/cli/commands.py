@@ -30,8 +30,7 @@ def run_study(arguments: argparse.Namespace) -> int:
     target, say = output_folder(arguments), progress(arguments)
     result = called(arguments, say)
     if target is not None:
-        parquet = {"parquet": arguments.parquet} if hasattr(arguments, "parquet") else {}
-        result.save(target, report=arguments.report, **parquet)
+        result.save(target, report=arguments.report, parquet=getattr(arguments, "parquet", False))
     return answered(arguments, result)
 
 

@@ -161,10 +161,6 @@ class ExperimentResult(Result):
 
         return experiment_report(self.outcome, None if self.folder is None else functools.partial(sample_again, self.folder))
 
-    def draw(self, place: Path) -> None:
-        """Write experiment.png."""
-        self.plot(place / "experiment.png")
-
     def __repr__(self) -> str:
         one = self.outcome.experiment
         return f"ExperimentResult({one.plan.problem.name!r}: {one.n} machines, {', '.join(one.settings.trackers)})"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from linkplan.inputs import Source, source_of
+from linkplan.inputs import Source, given_problem
 from linkplan.models.errors import ProblemError
 from linkplan.paths import drawn, path_of
 from linkplan.planner.plan.plan import Plan
@@ -54,9 +54,7 @@ def size(
         motors = [{"name": "M90", "peak_effort": 15.0, "rotor_inertia": 1e-4, "gears": [6, 9]}]
         print(linkplan.size("knee-reach", motors))
     """
-    asked = source_of(problem).problem() if isinstance(problem, Source | str | Path) else problem
-    if not isinstance(asked, Problem):
-        raise ProblemError(f"size takes a Problem, or the name or path of one, got {type(problem).__name__}")
+    asked = given_problem(problem)
     if isinstance(motors, Sequence) and not isinstance(motors, str):
         listed = motors_from({"motor": motors})
     else:

@@ -15,7 +15,7 @@ from linkplan.models.transfer.rest import OutputMotion, rest_effort
 from linkplan.paths import drawn
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.reporting import Progress, listener
-from linkplan.results import Result, saved
+from linkplan.results import Result
 from linkplan.studies.handover.transfer.columns import arrays_of
 from linkplan.studies.handover.transfer.serial_study import Serial
 from linkplan.studies.handover.transfer.study import Transfer, transfer_study
@@ -221,24 +221,11 @@ class TransferResult(Result):
 
         return transfer_report(self.found)
 
-    def draw(self, place: Path, *, parquet: bool = False) -> None:
+    def write_tables(self, place: Path, *, parquet: bool) -> None:
         """Write the tables (CSV, NPZ, with `parquet` Parquet too), the serial equivalent and the figure."""
         from linkplan.studies.handover.transfer.files import write_files
 
         write_files(self.found, place, parquet=parquet)
-
-    def save(self, folder: str | Path, *, report: bool = False, parquet: bool = False) -> Path:
-        """Write the tables, the figure and the record into a folder, whole or not at all, and return its path.
-
-        Args:
-            folder: an older result of the same kind in it is replaced.
-            report: whether report.html, a page, is written too.
-            parquet: whether the tables are written as Parquet too.
-
-        Raises:
-            LinkplanError: if the folder cannot be written, or holds what linkplan did not write.
-        """
-        return saved(self, folder, lambda place: self.draw(place, parquet=parquet), report=report)
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of the curves over each joint's range, saved at `path` if it is given."""
