@@ -249,7 +249,7 @@ def _repeated(
     parser: argparse.ArgumentParser, name: str, metavar: str, text: str, kind: Callable[[str], object] = str
 ) -> None:
     """Add an option that may be given again."""
-    parser.add_argument(name, action=values.Appended, default=(), metavar=metavar, help=text, type=kind)
+    parser.add_argument(name, action="append", default=[], metavar=metavar, help=text, type=kind)
 
 
 def _table(parser: argparse.ArgumentParser, name: str, metavar: str, text: str, kind: Callable[[str], object]) -> None:

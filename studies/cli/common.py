@@ -77,7 +77,7 @@ def source_asked(arguments: argparse.Namespace, name: str, parameters: Container
     selection = {key: getattr(arguments, key, None) for key in SELECTION if key not in parameters}
     return Source(
         name=name,
-        settings=arguments.set,
+        settings=tuple(arguments.set),
         selection={key: list(value) if isinstance(value, tuple) else value for key, value in selection.items() if value},
         anyway=getattr(arguments, "anyway", False),
     )

@@ -18,7 +18,7 @@ from linkplan.results import Result
 from linkplan.studies.feedback.bode.poses import loop_poses
 from linkplan.studies.feedback.frequency.feedback_loops import operating_point, sampled_law
 from linkplan.studies.feedback.tune import tune as tuning
-from linkplan.studies.feedback.tune import tune_report
+from linkplan.studies.feedback.tune import tune_report, tune_sections
 from linkplan.studies.feedback.tune.requirements import LEAST_DAMPING_RATIO, Requirements
 from linkplan.studies.feedback.tune.tuning import Tuning
 from linkplan.studies.output.document import Block, Report
@@ -130,8 +130,6 @@ class TuneResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.feedback.tune import tune_sections
-
         return tune_sections.tune_report(self.tuning)
 
     def draw(self, place: Path) -> None:

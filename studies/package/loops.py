@@ -26,6 +26,7 @@ from linkplan.studies.feedback.bode.bode import bode_study
 from linkplan.studies.feedback.bode.bode_blocks import summary
 from linkplan.studies.feedback.bode.bode_report import bode_figure, save_bode
 from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy
+from linkplan.studies.feedback.bode.bode_sections import bode_report
 from linkplan.studies.feedback.bode.large_study import large_study
 from linkplan.studies.feedback.bode.loop_blocks import along_blocks, large_blocks, map_blocks
 from linkplan.studies.feedback.bode.map_study import map_study
@@ -261,8 +262,6 @@ class BodeResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.feedback.bode.bode_sections import bode_report
-
         return bode_report(self.study, list(self._further.values()))
 
     def draw(self, place: Path) -> None:

@@ -18,7 +18,7 @@ from linkplan.results import Result
 from linkplan.studies.output.document import Block, Report
 from linkplan.studies.variations.size.candidates import actuator_of, motors_from, read_motors
 from linkplan.studies.variations.size.sizing import Sizing, size_motors
-from linkplan.studies.variations.size.sizing_blocks import sizing_blocks
+from linkplan.studies.variations.size.sizing_blocks import sizing_blocks, sizing_figure, sizing_report
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -82,8 +82,6 @@ class SizeResult(Result):
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of efforts over speeds with the motors' limits, saved at `path` if it is given."""
-        from linkplan.studies.variations.size.sizing_blocks import sizing_figure
-
         return drawn(path, lambda place: sizing_figure(self.sizing, place))
 
     def blocks(self) -> list[Block]:
@@ -92,8 +90,6 @@ class SizeResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.variations.size.sizing_blocks import sizing_report
-
         return sizing_report(self.sizing, self.plan)
 
     def draw(self, place: Path) -> None:

@@ -17,8 +17,10 @@ from linkplan.planner.problem.settings import to_toml_types
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
 from linkplan.studies.handover.transfer.columns import arrays_of
-from linkplan.studies.handover.transfer.serial_study import Serial
+from linkplan.studies.handover.transfer.serial_study import Serial, errors_along, motion_of_samples
+from linkplan.studies.handover.transfer.serial_urdf import urdf_notes, urdf_text
 from linkplan.studies.handover.transfer.study import Transfer, transfer_study
+from linkplan.studies.handover.transfer.transfer_blocks import transfer_blocks, transfer_report
 from linkplan.studies.handover.transfer.transfer_figures import TransferFigures, transfer_figures
 
 if TYPE_CHECKING:
@@ -158,8 +160,6 @@ class TransferResult(Result):
         Raises:
             LinkplanError: if the linkage has none, with the reason.
         """
-        from linkplan.studies.handover.transfer.serial_urdf import urdf_notes, urdf_text
-
         self._serial()
         text = urdf_text(self.found)
         if text is None:
@@ -177,8 +177,6 @@ class TransferResult(Result):
             Arrays (n, n_joints): "effort" that the motion needs, and the errors of the "static map" (a tree without anything
             reflected), of the "serial equivalent", and of the "serial with table".
         """
-        from linkplan.studies.handover.transfer.serial_study import errors_along, motion_of_samples
-
         table, serial = self.found.table, self._serial()
         found = errors_along(table, serial.model, serial.rest, motion_of_samples(table.outputs, time_s, position_rad))
         return {"effort": found.effort, **found.named()}
@@ -211,14 +209,10 @@ class TransferResult(Result):
 
     def blocks(self) -> list[Block]:
         """Return the table and the curves."""
-        from linkplan.studies.handover.transfer.transfer_blocks import transfer_blocks
-
         return transfer_blocks(self.found)
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.handover.transfer.transfer_blocks import transfer_report
-
         return transfer_report(self.found)
 
     def write_tables(self, place: Path, *, parquet: bool) -> None:
