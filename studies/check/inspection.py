@@ -134,7 +134,10 @@ def inspect(
         contacts=[{"geoms": pair.geoms, "poses": len(pair.poses), "depth_m": pair.depth_m} for pair in touching],
         problems=tuple(dict.fromkeys([*problems, *refused])),
         notes=(*notes, *noted),
-        sites_at_home_m=sites_at_home(mechanism),
+        sites_at_home_m={
+            name: places_of(mechanism, int(mechanism.model.site(name).id), mechanism.home)[0]
+            for name in site_names(mechanism.model)
+        },
         bodies_at_home_deg={
             name: float(np.degrees(sigma @ mechanism.home)) for name, sigma in turning_bodies(mechanism).items()
         },
@@ -330,22 +333,21 @@ def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:
     joint, branching, said = mechanism.joints[mechanism.independent[can.coordinate]], dict(can.branching), []
     for position in can.singular:
         at = f"singular pose at {joint.name} = {joint.text(position, 5)} {joint.unit}"
-        if position in can.single:
-            said.append(
-                f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}, for every choice"
-                " of coordinate. A single motion passes this pose, so the mechanism keeps its branch; the loop forces grow"
-                " without bound"
-            )
-        elif position in branching:
-            said.append(
-                f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}. The mechanism may"
-                " change to another branch there, and the loop forces grow without bound, for every choice of coordinate"
-            )
-        else:
+        if position not in branching:
             said.append(
                 f"{at}: {joint.name} is at a dead centre. The mechanism can pass it, but not with {joint.name} as its"
                 " coordinate: set mechanism.independent to another joint"
             )
+            continue
+        branches = (
+            "A single motion passes this pose, so the mechanism keeps its branch"
+            if position in can.single
+            else "The mechanism may change to another branch there"
+        )
+        said.append(
+            f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}, for every choice of"
+            f" coordinate. {branches}; the loop forces grow without bound"
+        )
     return said
 
 
@@ -372,9 +374,3 @@ def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
 
 def _range(joint: Joint) -> str:
     return f"[{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}] {joint.unit}"
-
-
-def sites_at_home(mechanism: Mechanism) -> dict[str, np.ndarray]:
-    """Return the positions (3,) [m] of a model's named sites at home, in the world's frame."""
-    index = {name: mechanism.model.site(name).id for name in site_names(mechanism.model)}
-    return {name: places_of(mechanism, int(site), mechanism.home)[0] for name, site in index.items()}
