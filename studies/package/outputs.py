@@ -44,10 +44,11 @@ def report(
 
         linkplan.report(linkplan.plan("knee-reach"), "reach.html")
     """
-    from linkplan.studies.output.report_file import refuse_other_files, write_report
+    from linkplan.planner.files.single_file import check_file_target
+    from linkplan.studies.output.report_file import PAGE_MARK, write_report
 
     place, say = path_of(path, "path"), listener(progress)
-    refuse_other_files(place)
+    check_file_target(place, mark=PAGE_MARK)
     say(f"reading {result}" if isinstance(result, str | Path) else "writing the report")
     return write_report(_document(result), place)
 
@@ -111,8 +112,6 @@ def render(
 
     choose("tracker", tracker, TRACKERS, ProblemError)
     place, say = path_of(path, "path"), listener(progress)
-    if place.suffix.lower() not in SUFFIXES:
-        raise ProblemError(f"path ends in {', '.join(SUFFIXES)}, got '{place}'")
     check_file_target(place, SUFFIXES)
     settings = RenderSettings(
         suffix=place.suffix.lower(),
