@@ -18,13 +18,12 @@ from linkplan.models.poses.along import (
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.controls import control_excess
-from linkplan.models.poses.equilibrium import lock_words
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.drives import drivable, motors_hint, outside_at_home, range_words
-from linkplan.studies.check.new.hanging import driven_columns, hanging_columns
+from linkplan.studies.check.new.hanging import driven_columns, hanging_columns, lock_at_home
 from linkplan.studies.check.summary import grouped
 
 
@@ -81,14 +80,10 @@ def why_not(answer: Plan, within_s: float | None) -> str:
         last = f"; of the last one, {failures[0]}" if failures else ""
         said = f"no motion was found within {within_s:g} s of work{last}; planning it without that bound may find one"
     coasting = np.flatnonzero(np.isin(mechanism.independent, mechanism.coasting_dofs)).tolist()
-    loose = [
-        (mechanism.independent_joints[k], float(mechanism.home[mechanism.independent[k]]))
-        for k in sorted({*hanging_columns(mechanism), *coasting})
-    ]
-    locked = [(joint, x) for joint, x in loose if joint.chart is None]
-    names = listed([joint.name for joint, _ in loose], 8)
-    held = f"{lock_words(locked, mechanism.selection.lock)} holds them"  # with what `new` has locked, which goes with it
-    remedy = held if locked else f"start and goal are to be poses at which {names} hang at rest"
+    loose = sorted({*hanging_columns(mechanism), *coasting})
+    lock = lock_at_home(mechanism, loose)  # with what `new` has locked, which goes with it
+    names = listed([mechanism.independent_joints[k].name for k in loose], 8)
+    remedy = f"{lock} holds them" if lock else f"start and goal are to be poses at which {names} hang at rest"
     return f"{said}; nothing drives these joints, which swing or coast as the others move: {remedy}" if loose else said
 
 
