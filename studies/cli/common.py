@@ -45,11 +45,10 @@ def folder_asked(arguments: argparse.Namespace) -> Path:
     """Return the folder of -o, which can be written."""
     if not arguments.output:
         raise ProblemError("-o takes a folder, got an empty name")
-    from linkplan.models.extras import load_extra
-    from linkplan.paths import folder_to_write
+    from linkplan.paths import folder_to_write, require_parquet
 
     if getattr(arguments, "parquet", False):
-        load_extra("pyarrow.parquet", "--parquet")
+        require_parquet("--parquet")
     with naming("-o"):
         return folder_to_write(arguments.output, f"{arguments.command}.json")
 

@@ -56,6 +56,13 @@ def file_to_write(value: object) -> Path:
     return target
 
 
+def require_parquet(what: str) -> None:
+    """Refuse what needs Parquet, if its package is not installed."""
+    from linkplan.models.extras import load_extra
+
+    load_extra("pyarrow.parquet", what)
+
+
 def write_schema(path: str, text: str) -> None:
     """Write a JSON Schema into a file; an older schema of linkplan's is replaced.
 
