@@ -1,7 +1,7 @@
 """Single files, written whole or not at all; files of the user are never replaced.
 
-`write_new` makes a new file, `write_over` replaces an earlier one, `write_again` replaces a file that is as it was written,
-and `write_file_whole` replaces only files that carry linkplan's mark.
+`write_new` makes a new file, `write_again` replaces a file that is as it was written, and `write_file_whole` replaces only
+files that carry linkplan's mark.
 """
 
 import os
@@ -9,10 +9,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 from linkplan.models.errors import PlanFileError, refusals
+from linkplan.models.reading import read_head
 from linkplan.models.work_folders import replace_file, sweep, work_folder
 
 # The mark of pictures and films, where each format allows it: a PNG's text, a GIF's comment, an MP4's metadata.
 MADE_BY = "made by linkplan render"
+# A mark is within so many bytes of a file's begin: those of pictures, films, pages and schemas are.
+_MARKED_BYTES = 16 << 20
 
 
 def check_new(path: Path) -> None:
@@ -52,17 +55,6 @@ def write_new(path: Path, content: bytes) -> None:
                 file.write(content)
 
 
-def write_over(path: Path, content: bytes) -> None:
-    """Replace an earlier file by a new one in one step, once the new one is on the disk.
-
-    Raises:
-        PlanFileError: when the disk refuses; the earlier file is then unchanged.
-    """
-    with refusals(f"cannot write '{path}'", RuntimeError):
-        place = path.resolve()  # a link stays a link
-        replace_file(place, lambda work: work.write_bytes(content))
-
-
 def write_again(path: Path, content: bytes, earlier: bytes) -> None:
     """Replace a file that was written before with the content `earlier`, or write a new one if there is none.
 
@@ -93,14 +85,14 @@ def _check_unchanged(path: Path, earlier: bytes) -> None:
         )
 
 
-def check_file_target(target: Path, suffixes: tuple[str, ...]) -> None:
-    """Refuse a file that could not be written later, before long work begins.
+def check_file_target(target: Path, suffixes: tuple[str, ...] = (), mark: str = MADE_BY) -> None:
+    """Refuse a file with a mark that could not be written later, before long work begins; by default any suffix is legal.
 
     Raises:
         PlanFileError: for another suffix, a folder, a file that linkplan did not write, or a place that cannot be written.
     """
     suffix = target.suffix.lower()
-    if suffix not in suffixes:
+    if suffixes and suffix not in suffixes:
         raise PlanFileError(f"'{target}' ends in {', '.join(suffixes[:-1])} or {suffixes[-1]}, got '{target.suffix}'")
     with refusals(f"'{target}' cannot be written", RuntimeError, ValueError):
         place = target.resolve()
@@ -108,21 +100,23 @@ def check_file_target(target: Path, suffixes: tuple[str, ...]) -> None:
         if place.is_dir():
             raise PlanFileError(f"'{target}' is a folder; the result is a file")
         _check_folder(target, place.parent)
-        if os.path.lexists(place) and not _is_ours(place):
+        if os.path.lexists(place) and not _is_ours(place, mark):
             raise PlanFileError(f"'{target}' is there and not linkplan's; move it or name another file")
 
 
-def write_file_whole(target: Path, suffixes: tuple[str, ...], write: Callable[[Path], None]) -> None:
+def write_file_whole(
+    target: Path, write: Callable[[Path], object], suffixes: tuple[str, ...] = (), mark: str = MADE_BY
+) -> None:
     """Write a file by `write(path)` next to its place, then move it there; on any failure nothing changes.
 
     Raises:
         PlanFileError: when the disk refuses, or the place holds a file that is not linkplan's.
     """
-    check_file_target(target, suffixes)
+    check_file_target(target, suffixes, mark)
 
     def write_and_check(path: Path) -> None:
         write(path)
-        check_file_target(target, suffixes)  # again: the work may have taken long
+        check_file_target(target, suffixes, mark)  # again: the work may have taken long
 
     with refusals(f"cannot write '{target}'"):
         replace_file(target.resolve(), write_and_check)
@@ -136,14 +130,7 @@ def _check_folder(path: Path, folder: Path) -> None:
         raise PlanFileError(f"'{path}' cannot be written: no permission to write into '{path.parent}'")
 
 
-def _is_ours(path: Path) -> bool:
+def _is_ours(path: Path, mark: str) -> bool:
     """Check that a file carries linkplan's mark, or is empty, so that nothing is lost."""
-    if not path.is_file():
-        return False
-    mark, kept = MADE_BY.encode(), b""
-    with path.open("rb") as file:
-        while chunk := file.read(1 << 20):
-            if mark in kept + chunk:
-                return True
-            kept = chunk[-len(mark) :]
-    return path.stat().st_size == 0
+    begin = read_head(path, f"'{path}'", _MARKED_BYTES, PlanFileError)
+    return not begin or mark.encode() in begin

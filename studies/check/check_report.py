@@ -57,7 +57,7 @@ def path_blocks(path: KinematicLoopPath, *, brief: bool = False) -> list[Block]:
     columns = quantities(path)
     if brief and path.coordinate is not None:
         columns = _own(path, columns)
-    table = _pose_table(path, columns)
+    table = _table(path, columns, f"along {path.title}, at rest")
     changing = brief and path.coordinate != 0
     said = [*weight_sentences(path, changing=changing), *unheld_sentences(path, changing=changing), *balance_sentences(path)]
     sentences = [Text(text=text, tone="note") for text in said]
@@ -72,11 +72,6 @@ def path_blocks(path: KinematicLoopPath, *, brief: bool = False) -> list[Block]:
     )
     same = [Facts(rows=[("the same at every pose", ", ".join(constant))])] if constant else []
     return [*table, weight, *same, *_site_table(path), *_body_table(path), *sentences]
-
-
-def _pose_table(path: KinematicLoopPath, columns: list[Column]) -> list[Table]:
-    """Return the table of a path; an empty list if no column changes."""
-    return _table(path, columns, f"along {path.title}, at rest")
 
 
 def _site_table(path: KinematicLoopPath) -> list[Table]:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from linkplan.models.errors import counted
 from linkplan.studies.check.check_report import path_blocks
 from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath
@@ -43,10 +44,9 @@ def path_section(path: KinematicLoopPath, name: str, of: int) -> Section:
 
 def check_report(found: WholeCheck | RefusedModel) -> Report:
     """Return the report of a check."""
-    n = len(found.problems)
-    verdict = f"{n} problem{'s' if n != 1 else ''} found" if n else "no problems found"
+    verdict = f"{counted(len(found.problems), 'problem')} found" if found.problems else "no problems found"
     if isinstance(found, RefusedModel):
         sections = [Section(title=f"Model: {found.name}", blocks=found.blocks())]
     else:
         sections = check_sections(found)
-    return report_of(f"Check of {found.name}", verdict, not n, sections)
+    return report_of(f"Check of {found.name}", verdict, not found.problems, sections)

@@ -60,10 +60,10 @@ def contact_findings(
         named.add(meeting.geoms)
         if meeting.since_s is None:
             continue
+        said = _on_the_way(mechanism, meeting, path, position_at)
         if treatment == "note":
-            notes.append(f"{_on_the_way(mechanism, meeting, path, position_at)}: contact forces are not planned for")
+            notes.append(f"{said}: contact forces are not planned for")
         else:
-            said = _on_the_way(mechanism, meeting, path, position_at)
             problems.append(f'{said}: a plan through it is refused unless limits.contacts = "note"')
     for pair in pairs:
         if pair.geoms not in named:

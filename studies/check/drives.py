@@ -122,6 +122,20 @@ def is_damped(mechanism: Mechanism, pose: np.ndarray, column: int) -> bool:
     return bool(drag[0] != drag[1] or rubs or model.tendon_frictionloss.any())
 
 
+def range_words(joint: Joint) -> str:
+    """Return a joint's range as text."""
+    return f"[{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}] {joint.unit}"
+
+
+def outside_at_home(mechanism: Mechanism) -> list[str]:
+    """Return a sentence on each joint that is outside its range at home."""
+    return [
+        f"joint {joint.name} stands at {joint.text(x)} {joint.unit} at home, outside its range {range_words(joint)}"
+        for joint, x in zip(mechanism.joints, mechanism.home, strict=True)
+        if not joint.lower - RANGE_ROUNDING <= x <= joint.upper + RANGE_ROUNDING
+    ]
+
+
 def pressed_joints(mechanism: Mechanism) -> list[tuple[Joint, float]]:
     """Return the joints, with their positions [rad or m], that weight and springs press onto their stops at home.
 

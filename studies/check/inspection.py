@@ -12,7 +12,7 @@ from linkplan.models.closure.newton import OPEN_M
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError, ProblemError, listed
 from linkplan.models.floating import floating_sentence
-from linkplan.models.mechanism import Joint, Mechanism
+from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import RANGE_ROUNDING, ball_angles, shut_balls
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.body_angles import turning_bodies
@@ -27,8 +27,10 @@ from linkplan.studies.check.drives import (
     feeble_drives,
     floating_columns,
     motors_hint,
+    outside_at_home,
     pressed_stops,
     pushed_one_way,
+    range_words,
     steerable_columns,
     undriven,
 )
@@ -134,7 +136,10 @@ def inspect(
         contacts=[{"geoms": pair.geoms, "poses": len(pair.poses), "depth_m": pair.depth_m} for pair in touching],
         problems=tuple(dict.fromkeys([*problems, *refused])),
         notes=(*notes, *noted),
-        sites_at_home_m=sites_at_home(mechanism),
+        sites_at_home_m={
+            name: places_of(mechanism, int(mechanism.model.site(name).id), mechanism.home)[0]
+            for name in site_names(mechanism.model)
+        },
         bodies_at_home_deg={
             name: float(np.degrees(sigma @ mechanism.home)) for name, sigma in turning_bodies(mechanism).items()
         },
@@ -269,11 +274,7 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
     if mechanism.home_gap_m > OPEN_M:
         problems.append(f"loop {_open_loops(mechanism)} at the model's reference pose: the simulator closes it abruptly")
         notes.append(f"a pose that closes it, to write into the model: {keyframe_of(mechanism.coordinates, mechanism.home)}")
-    for joint, x in zip(mechanism.joints, mechanism.home, strict=True):
-        if not joint.lower - RANGE_ROUNDING <= x <= joint.upper + RANGE_ROUNDING:
-            problems.append(
-                f"joint {joint.name} stands at {joint.text(x, 4)} {joint.unit} at home, outside its range {_range(joint)}"
-            )
+    problems += outside_at_home(mechanism)
     for ball, angle in zip(mechanism.balls, ball_angles(mechanism, mechanism.home[None])[0], strict=True):
         if angle > ball.largest + RANGE_ROUNDING and ball.largest:
             by, most = np.degrees([angle, ball.largest])
@@ -306,16 +307,16 @@ def _stop_note(mechanism: Mechanism, can: Reach, *, upper: bool) -> str | None:
     if end.joint is None or end.joint == index:
         return None
     joint, other = mechanism.joints[index], mechanism.joints[end.joint]
-    stop = f"joint {other.name}'s range {_range(other)} stops the mechanism at {joint.name} ="
+    stop = f"joint {other.name}'s range {range_words(other)} stops the mechanism at {joint.name} ="
     stop += f" {joint.text(end.position, 4)} {joint.unit}"
     distance = abs(end.position - (joint.upper if upper else joint.lower))
     if not np.isfinite([joint.lower, joint.upper]).any() or distance <= 0.01 * (joint.upper - joint.lower):
         return stop
     if other.kind == "slide" and joint.kind == "hinge":
-        return f"{stop}, a stroke's end inside {joint.name}'s own range {_range(joint)}"
+        return f"{stop}, a stroke's end inside {joint.name}'s own range {range_words(joint)}"
     if _moves_with_others(mechanism, pose, end.joint, can.coordinate):
-        return f"{stop} while the other coordinates stay at home ({joint.name}'s own range: {_range(joint)})"
-    return f"{stop} ({joint.name}'s own range: {_range(joint)})"
+        return f"{stop} while the other coordinates stay at home ({joint.name}'s own range: {range_words(joint)})"
+    return f"{stop} ({joint.name}'s own range: {range_words(joint)})"
 
 
 def _moves_with_others(mechanism: Mechanism, pose: np.ndarray, joint: int, column: int) -> bool:
@@ -330,22 +331,21 @@ def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:
     joint, branching, said = mechanism.joints[mechanism.independent[can.coordinate]], dict(can.branching), []
     for position in can.singular:
         at = f"singular pose at {joint.name} = {joint.text(position, 5)} {joint.unit}"
-        if position in can.single:
-            said.append(
-                f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}, for every choice"
-                " of coordinate. A single motion passes this pose, so the mechanism keeps its branch; the loop forces grow"
-                " without bound"
-            )
-        elif position in branching:
-            said.append(
-                f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}. The mechanism may"
-                " change to another branch there, and the loop forces grow without bound, for every choice of coordinate"
-            )
-        else:
+        if position not in branching:
             said.append(
                 f"{at}: {joint.name} is at a dead centre. The mechanism can pass it, but not with {joint.name} as its"
                 " coordinate: set mechanism.independent to another joint"
             )
+            continue
+        branches = (
+            "A single motion passes this pose, so the mechanism keeps its branch"
+            if position in can.single
+            else "The mechanism may change to another branch there"
+        )
+        said.append(
+            f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}, for every choice of"
+            f" coordinate. {branches}; the loop forces grow without bound"
+        )
     return said
 
 
@@ -368,13 +368,3 @@ def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
     every = "turn" if can.upper.reason == "full turn" else can.upper.reason
     again = "" if can.period is None else f", and again every {every}"
     return [f"toggle poses: {'; '.join(said)}{again}"] if said else []
-
-
-def _range(joint: Joint) -> str:
-    return f"[{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}] {joint.unit}"
-
-
-def sites_at_home(mechanism: Mechanism) -> dict[str, np.ndarray]:
-    """Return the positions (3,) [m] of a model's named sites at home, in the world's frame."""
-    index = {name: mechanism.model.site(name).id for name in site_names(mechanism.model)}
-    return {name: places_of(mechanism, int(site), mechanism.home)[0] for name, site in index.items()}

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from linkplan.models.errors import counted
+from linkplan.models.errors import counted, listed
+from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.body_angles import sum_text, turning_bodies
 from linkplan.models.poses.reach import Reach
 from linkplan.models.tree.joints import where
@@ -16,16 +17,13 @@ from linkplan.studies.output.plan_blocks import figure
 def inspection_blocks(found: Inspection) -> list[Block]:
     """Return the findings on an assembled mechanism, its problems first."""
     mechanism = found.mechanism
-    independent = ", ".join(joint.name for joint in mechanism.independent_joints)
-    freedoms = f"{mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
-    first = Text(text=f"{mechanism.name}: {freedoms} ({independent} independent of {counted(mechanism.n_q, 'joint')})")
     verdict = [Text(text=f"PROBLEM: {problem}", tone="bad") for problem in found.problems]
     verdict = verdict or [Text(text="no problems found", tone="good")]
     limits = [[a.name, a.target, a.lower, a.upper, a.unit] for a in mechanism.actuators]
     drives = table_of("Actuators", ["actuator", "acts on", "least effort", "most effort", "unit"], limits)
     notes = [Text(text=note, tone="note") for note in found.notes]
     return [
-        first,
+        headline(mechanism, mechanism.dof),
         *verdict,
         _facts(found),
         reach_table(found, found.reaches),
@@ -37,10 +35,16 @@ def inspection_blocks(found: Inspection) -> list[Block]:
     ]
 
 
+def headline(mechanism: Mechanism, most: int) -> Text:
+    """Return the line on a mechanism's freedoms, with the names of at most `most` independent joints."""
+    independent = listed([joint.name for joint in mechanism.independent_joints], most)
+    freedoms = f"{counted(mechanism.dof, 'degree')} of freedom"
+    return Text(text=f"{mechanism.name}: {freedoms} ({independent} independent of {counted(mechanism.n_q, 'joint')})")
+
+
 def _facts(found: Inspection) -> Facts:
     mechanism = found.mechanism
-    n_rows = mechanism.n_closure_rows
-    rank = f"{n_rows} row{'s' if n_rows != 1 else ''}, rank {len(mechanism.closure_rows)}"
+    rank = f"{counted(mechanism.n_closure_rows, 'row')}, rank {len(mechanism.closure_rows)}"
     units = sorted({closure.unit for closure in mechanism.closures}) or ["m"]
     gaps = " and ".join(f"{figure(getattr(found, f'closure_gap_{unit}'), 2)} {unit}" for unit in units)
     rows = [

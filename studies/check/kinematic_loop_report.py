@@ -28,6 +28,7 @@ from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import Reach
 from linkplan.models.reduction.reduced import ReducedDynamics
 from linkplan.models.reduction.regular_inertia import is_regular, singular_inertia_text
+from linkplan.models.transfer.polytope import effort_box
 from linkplan.models.tree.dynamics import site_names
 from linkplan.models.tree.joints import where
 from linkplan.planner.closed_chain.guess import GUESS_SAMPLES, first_guess, follows_reference, poses_along
@@ -210,11 +211,6 @@ def measured(of: Sweep) -> KinematicLoopPath:
     return of if isinstance(of, KinematicLoopPath) else measure(of.mechanism, of.poses, of.title, coordinate=of.coordinate)
 
 
-def reach_paths(along: Sequence[Sweep]) -> tuple[KinematicLoopPath, ...]:
-    """Return the report along each path."""
-    return tuple(map(measured, along))
-
-
 def reach_sweeps(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[Sweep, ...]:
     """Return the sweep of each independent joint over its reach."""
     found = []
@@ -334,13 +330,7 @@ def _reflected(ratio: np.ndarray, inertia: np.ndarray) -> np.ndarray:
 def _available(ratio: np.ndarray, limit: np.ndarray) -> np.ndarray:
     """Return the least and the largest effort (n, n_s, 2) on each coordinate by actuators within their limits (n_u, 2)."""
     pushes = np.abs(ratio) > ROUNDING_SHARE * np.abs(ratio).max(axis=(0, 1), initial=0.0)
-    found = np.zeros((*ratio.shape[:2], 2))
-    for j in np.flatnonzero(pushes.any(axis=(0, 1))):
-        columns = pushes[:, :, j].any(axis=0)  # an actuator acts on few coordinates
-        ends = np.multiply(ratio[:, columns, j, None], limit[j], out=np.zeros((len(ratio), columns.sum(), 2)),
-                           where=pushes[:, columns, j, None])  # fmt: skip
-        found[:, columns] += np.sort(ends, axis=-1)
-    return found
+    return effort_box(np.where(pushes, ratio, 0.0).transpose(0, 2, 1), limit)
 
 
 def _singularity(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:

@@ -34,6 +34,10 @@ class RefusedModel(Struct, frozen=True, kw_only=True, eq=False):
         """There are no notes: the text explains the problem."""
         return ()
 
+    def summary(self) -> list[Block]:
+        """Return the findings, which are few."""
+        return self.blocks()
+
     def blocks(self) -> list[Block]:
         """Return the findings as a document."""
         found: list[Block] = [

@@ -191,17 +191,22 @@ def _closure_laws(mechanism: Mechanism, data: mujoco.MjData) -> Iterator[tuple[s
                 yield name, index, rows, ClosureLaw(inertia=inertia, stiffness=float(stiffness), solimp=solimp, scale=scale)
 
 
+def weight_load(mechanism: Mechanism) -> LoadedClosures:
+    """Return the closures at home while the actuators hold the weight."""
+    home, still = mechanism.home, np.zeros(mechanism.dof)
+    hold, _ = needed_effort(mechanism, home[None], still[None], still[None])
+    return loaded_closures(mechanism, home, still, still, hold[0])
+
+
 def _loads(mechanism: Mechanism) -> list[LoadedClosures]:
     """Return the closures at home: while the weight is held, then under each actuator alone at each limit."""
-    dynamics, home, still = mechanism.dynamics, mechanism.home, np.zeros(mechanism.dof)
-    hold, _ = needed_effort(mechanism, home[None], still[None], still[None])
-    loads = [loaded_closures(mechanism, home, still, still, hold[0])]
+    home, still, loads = mechanism.home, np.zeros(mechanism.dof), [weight_load(mechanism)]
     for j, actuator in enumerate(mechanism.actuators):
         for end in (actuator.lower, actuator.upper):
             if np.isfinite(end) and end != 0:
                 effort = np.zeros(mechanism.n_u)
                 effort[j] = end
-                gained = acceleration_at(dynamics, home, still, effort)
+                gained = acceleration_at(mechanism.dynamics, home, still, effort)
                 loads.append(replace(loaded_closures(mechanism, home, still, gained, effort), actuator=actuator.name))
     return loads
 

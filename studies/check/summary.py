@@ -4,11 +4,11 @@ from collections.abc import Iterable, Sequence
 
 import mujoco
 
-from linkplan.models.errors import counted, listed
+from linkplan.models.errors import listed
 from linkplan.models.mechanism import Mechanism
 from linkplan.studies.check.drives import floating_columns
 from linkplan.studies.check.inspection import Inspection
-from linkplan.studies.check.inspection_blocks import reach_table
+from linkplan.studies.check.inspection_blocks import headline, reach_table
 from linkplan.studies.output.document import Block, Facts, Text
 from linkplan.studies.output.text import by_kind, limits_text
 
@@ -21,9 +21,6 @@ _MOST_CHARACTERS = 240
 def summary_blocks(found: Inspection) -> list[Block]:
     """Return the summary, which leaves lines for what to do next."""
     mechanism = found.mechanism
-    freedoms = f"{mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
-    independent = listed([joint.name for joint in mechanism.independent_joints], MOST_COORDINATES)
-    first = Text(text=f"{mechanism.name}: {freedoms} ({independent} independent of {counted(mechanism.n_q, 'joint')})")
     problems = grouped(mechanism, found.problems)
     verdict: list[Block] = [
         Text(text=f"PROBLEM: {text}", tone="bad") for text in _first(problems, MOST_PROBLEMS, "problems")
@@ -37,6 +34,7 @@ def summary_blocks(found: Inspection) -> list[Block]:
             ("driven by", drives or "nothing"),
         ]
     )
+    first = headline(mechanism, MOST_COORDINATES)
     return [first, *(verdict or [Text(text="no problems found", tone="good")]), facts, *_reaches(found), *notes]
 
 

@@ -1,7 +1,6 @@
 """The whole result of `linkplan check`: the inspection of a mechanism, and the loop report along its motion or reach."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -25,28 +24,11 @@ from linkplan.studies.check.kinematic_loop_report import (
     inertia_notes,
     measured,
     motion_path,
-    reach_paths,
     reach_sweeps,
 )
 from linkplan.studies.check.refused_model import REFUSED
 from linkplan.studies.check.summary import summary_blocks
 from linkplan.studies.output.document import Block, Text
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class MeasuredPaths(Sequence[KinematicLoopPath]):
-    """The loop reports along sweeps, each measured when it is asked for and not kept.
-
-    A report has the square of the number of coordinates in each of its poses, and each coordinate has a report.
-    """
-
-    along: tuple[Sweep, ...]
-
-    def __len__(self) -> int:
-        return len(self.along)
-
-    def __getitem__(self, index: int) -> KinematicLoopPath:
-        return measured(self.along[index])
 
 
 class WholeCheck(Inspection, frozen=True, kw_only=True, eq=False, dict=True):
@@ -56,13 +38,16 @@ class WholeCheck(Inspection, frozen=True, kw_only=True, eq=False, dict=True):
     sweeps: Beside[tuple[Sweep, ...]] = NOT_READ
 
     @property
-    def paths(self) -> Sequence[KinematicLoopPath]:
-        """The loop report along the motion, or along each sweep; a summary of many coordinates needs none."""
-        return MeasuredPaths(along=self.sweeps) if self.brief else self._few_paths
+    def paths(self) -> Iterable[KinematicLoopPath]:
+        """The loop report along the motion, or along each sweep; a summary of many coordinates needs none.
+
+        A report has the square of the number of coordinates in each of its poses: those of many coordinates are not kept.
+        """
+        return map(measured, self.sweeps) if self.brief else self._few_paths
 
     @cached_property  # hence dict=True: the paths are measured once, when they are asked for
     def _few_paths(self) -> tuple[KinematicLoopPath, ...]:
-        return reach_paths(self.sweeps)
+        return tuple(map(measured, self.sweeps))
 
     @property
     def brief(self) -> bool:

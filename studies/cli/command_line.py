@@ -97,7 +97,7 @@ def build_parser() -> Parser:
 
     text = "prove the limits of a plan at every instant, in ball arithmetic, from its saved polynomials"
     prove = command("prove", text, output=False)
-    _add(prove, "plan", "PLAN", "a saved plan's folder, a built-in problem or a TOML file")
+    _plan(prove, anyway=False)
     _off(prove, "--no-existence", "prove the limits alone, and do not look for the model's own motion near the plan")
     _all(prove)
 
@@ -117,7 +117,7 @@ def build_parser() -> Parser:
     _add(size, "--rest-s", "T", text, float, 0.0)
 
     track = command("track", "run one tracker on a plan in MuJoCo", report=True)
-    _add(track, "plan", "PLAN", "a saved plan's folder, a built-in problem or a TOML file")
+    _plan(track)
     _all(track)
     _tracker(track)
     _add(track, "--sample", "N", "run this sample of an experiment again; PLAN is the experiment's folder", int)
@@ -125,7 +125,7 @@ def build_parser() -> Parser:
     _parquet(track, "every run's .csv")
 
     compare = command("compare", "run trackers side by side on a plan, nominal and with a mismatch", report=True)
-    _add(compare, "plan", "PROBLEM-or-PLAN", "a saved plan's folder, a built-in problem or a TOML file")
+    _plan(compare, "PROBLEM-or-PLAN")
     _all(compare)
     _trackers(compare)
     _mismatch(compare, 1.2, 1)
@@ -136,8 +136,7 @@ def build_parser() -> Parser:
 
     text = "split each tracker's error among its causes: plan, sampling and delay, simulator, devices, model, limits"
     split = command("decompose", text, report=True)
-    _add(split, "plan", "PROBLEM-or-PLAN", "a saved plan's folder, a built-in problem or a TOML file")
-    _anyway(split)
+    _plan(split, "PROBLEM-or-PLAN")
     _trackers(split)
     text = "machines that [imperfections] are drawn for; one where nothing is random (default: %(default)s)"
     _add(split, "--samples", "N", text, int, 16)
@@ -175,8 +174,7 @@ def build_parser() -> Parser:
 
     view = command("view", "play a tracked plan in MuJoCo's interactive viewer, where keys change its gains", output=False)
     view.epilog = f"keys in the window: {keys_text()}; {EPILOG}"
-    _add(view, "plan", "PLAN", "a saved plan's folder, a built-in problem or a TOML file")
-    _anyway(view)
+    _plan(view)
     _tracker(view)
     _add(view, "--slow", "X", "times slower than real (default: %(default)s)", float, 4.0)
     _add(view, "--seconds", "S", "close the window after this time (default: when you do)", float)
@@ -251,7 +249,7 @@ def _repeated(
     parser: argparse.ArgumentParser, name: str, metavar: str, text: str, kind: Callable[[str], object] = str
 ) -> None:
     """Add an option that may be given again."""
-    parser.add_argument(name, action=values.Appended, default=(), metavar=metavar, help=text, type=kind)
+    parser.add_argument(name, action="append", default=[], metavar=metavar, help=text, type=kind)
 
 
 def _table(parser: argparse.ArgumentParser, name: str, metavar: str, text: str, kind: Callable[[str], object]) -> None:
@@ -318,8 +316,7 @@ def _tracker(parser: argparse.ArgumentParser) -> None:
 
 
 def _experiment(parser: argparse.ArgumentParser) -> None:
-    _add(parser, "plan", "PROBLEM-or-PLAN", "a built-in problem, a TOML file or a saved plan's folder")
-    _anyway(parser)
+    _plan(parser, "PROBLEM-or-PLAN")
     _add(parser, "--samples", "N", "machines (default: %(default)s)", int, 200)
     _trackers(parser)
     _add(parser, "--seed", "N", "of all random numbers (default: %(default)s)", int, 0)
@@ -352,10 +349,9 @@ def _file(parser: argparse.ArgumentParser, text: str, *, required: bool = False)
 
 
 def _render(render: argparse.ArgumentParser) -> None:
-    _add(render, "plan", "PLAN", "a saved plan's folder, a built-in problem or a TOML file")
+    _plan(render)
     text = "the file to write, whole: .mp4, .gif or .png; one that linkplan did not write is left alone"
     _add(render, "-o --output", "FILE", text, required=True)
-    _anyway(render)
     _tracker(render)
     _add(render, "--slow", "X", "times slower than real (default: to last some 4 s)", float)
     _add(render, "--fps", "N", "frames a second (default: %(default)s)", float, 25.0)
@@ -368,6 +364,12 @@ def _render(render: argparse.ArgumentParser) -> None:
     _add(render, "--instants", "N", "number of instants in one picture (default: %(default)s)", int, 7)
 
 
+def _plan(parser: argparse.ArgumentParser, metavar: str = "PLAN", *, anyway: bool = True) -> None:
+    _add(parser, "plan", metavar, "a saved plan's folder, a built-in problem or a TOML file")
+    if anyway:
+        _anyway(parser)
+
+
 def _anyway(parser: argparse.ArgumentParser) -> None:
     _flag(parser, "--anyway", "run a saved plan that does not pass its certificate, with a note and exit code 1")
 
@@ -378,7 +380,6 @@ def _at(parser: argparse.ArgumentParser, text: str) -> None:
 
 
 def _mismatch(parser: argparse.ArgumentParser, mass_factor: float, delay: float) -> None:
-    _anyway(parser)
     text = "mismatch: factor on the payload's mass, on all moving masses without one (default: %(default)s)"
     _add(parser, "--mass-factor", "X", text, float, mass_factor)
     _add(parser, "--delay-periods", "N", "mismatch: further control periods of delay (default: %(default)s)", float, delay)

@@ -6,7 +6,7 @@ import json
 
 import linkplan
 from linkplan import names
-from linkplan.studies.cli.common import deliver, file_asked, folder_asked, naming, new_file, output_folder, source_asked
+from linkplan.studies.cli.common import answered, file_asked, folder_asked, naming, new_file, output_folder, source_asked
 from linkplan.studies.cli.exit_codes import DONE, NO, saved_fault_report
 from linkplan.studies.cli.printing import Progress, flush_streams, progress, refuse, show
 
@@ -29,8 +29,9 @@ def run_study(arguments: argparse.Namespace) -> int:
     """Run a study whose result is saved, drawn and shown as every other; 1 if its answer is no."""
     target, say = output_folder(arguments), progress(arguments)
     result = called(arguments, say)
-    deliver(arguments, target, result)
-    return DONE if result.passed else NO
+    if target is not None:
+        result.save(target, report=arguments.report, parquet=getattr(arguments, "parquet", False))
+    return answered(arguments, result)
 
 
 run_track = run_compare = run_decompose = run_bode = run_tune = run_transfer = run_size = run_study
@@ -45,15 +46,12 @@ def run_plan(arguments: argparse.Namespace) -> int:
         say.keep(f"saved in {target}")
     elif target is not None:
         say.keep(f"nothing written: {plan.status}")
-    show(arguments, plan.to_dict, plan.blocks)
-    return DONE if plan.passed else NO
+    return answered(arguments, plan)
 
 
 def run_prove(arguments: argparse.Namespace) -> int:
     """Prove a plan's limits at every instant; 1 if one of them is refuted."""
-    result = called(arguments, progress(arguments))
-    show(arguments, result.to_dict, result.blocks)
-    return DONE if result.passed else NO
+    return answered(arguments, called(arguments, progress(arguments)))
 
 
 def run_batch(arguments: argparse.Namespace) -> int:
@@ -62,8 +60,7 @@ def run_batch(arguments: argparse.Namespace) -> int:
     result = called(arguments, say, folder=target)
     if target is not None:
         say.keep(f"saved in {target}")
-    show(arguments, result.to_dict, result.blocks)
-    return DONE if result.passed else NO
+    return answered(arguments, result)
 
 
 def run_experiment(arguments: argparse.Namespace) -> int:
@@ -72,8 +69,7 @@ def run_experiment(arguments: argparse.Namespace) -> int:
     result = called(arguments, progress(arguments), folder=target)
     if arguments.report and target is not None:
         result.report(target / "report.html")
-    show(arguments, result.to_dict, result.blocks)
-    return DONE if result.passed else NO
+    return answered(arguments, result)
 
 
 def run_view(arguments: argparse.Namespace) -> int:
@@ -86,10 +82,7 @@ def run_view(arguments: argparse.Namespace) -> int:
 
 def run_render(arguments: argparse.Namespace) -> int:
     """Draw a tracked plan as a film or a picture; 1 if the plan does not pass."""
-    say = progress(arguments)
-    done = called(arguments, say, path=file_asked(arguments))
-    show(arguments, done.to_dict, done.blocks)
-    return DONE if done.passed else NO
+    return answered(arguments, called(arguments, progress(arguments), path=file_asked(arguments)))
 
 
 def run_demo(arguments: argparse.Namespace) -> int:
@@ -143,9 +136,7 @@ def run_export(arguments: argparse.Namespace) -> int:
     say = progress(arguments)
     with naming("-o"):
         path = folder_asked(arguments) if arguments.to in names.FOLDER_FORMATS else new_file(arguments)
-    done = called(arguments, say, path=path)
-    show(arguments, done.to_dict, done.blocks)
-    return DONE if done.passed else NO
+    return answered(arguments, called(arguments, say, path=path))
 
 
 def run_list(arguments: argparse.Namespace) -> int:

@@ -1,4 +1,4 @@
-"""Functions shared by the commands: output folders, sources with their options, and the delivery of results."""
+"""Functions shared by the commands: output folders, sources with their options, and the end of a command."""
 
 import argparse
 import contextlib
@@ -7,10 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from linkplan.models.errors import PlanFileError, ProblemError
+from linkplan.studies.cli.exit_codes import DONE, NO, ExitCode
 from linkplan.studies.cli.printing import show
 
 if TYPE_CHECKING:
     from linkplan.inputs import Source
+    from linkplan.outputs import Exported, Rendered
+    from linkplan.plans import Plan
     from linkplan.results import Result
 
 # Options for further files in a result's folder.
@@ -74,17 +77,13 @@ def source_asked(arguments: argparse.Namespace, name: str, parameters: Container
     selection = {key: getattr(arguments, key, None) for key in SELECTION if key not in parameters}
     return Source(
         name=name,
-        settings=arguments.set,
+        settings=tuple(arguments.set),
         selection={key: list(value) if isinstance(value, tuple) else value for key, value in selection.items() if value},
         anyway=getattr(arguments, "anyway", False),
     )
 
 
-def deliver(arguments: argparse.Namespace, target: Path | None, result: "Result") -> None:
-    """Save a result into the folder of -o, if there is one, and show it."""
-    if target is not None:
-        files = {"report": arguments.report}
-        if hasattr(arguments, "parquet"):
-            files["parquet"] = arguments.parquet
-        result.save(target, **files)
+def answered(arguments: argparse.Namespace, result: "Result | Plan | Rendered | Exported") -> ExitCode:
+    """Show a result and return its exit code: 1 if its answer is no."""
     show(arguments, result.to_dict, result.blocks)
+    return DONE if result.passed else NO

@@ -7,17 +7,6 @@ from typing import Any
 from linkplan.names import TRACKERS
 
 
-class Appended(argparse.Action):
-    """An option that may be given again: a tuple of its values."""
-
-    def __call__(
-        self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option_string: str | None = None
-    ) -> None:
-        """Append a value."""
-        del parser, option_string
-        setattr(namespace, self.dest, (*getattr(namespace, self.dest), values))
-
-
 class Tabled(argparse.Action):
     """An option NAME=VALUE that may be given again: a table of its values, one for each name; None without it."""
 

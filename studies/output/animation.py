@@ -5,12 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.models.kinematics import fields_at
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.skeleton import view
-from linkplan.models.tree.coordinates import joint_label
-from linkplan.studies.output.bodies import Drawing, bodies_of, cut_pin_labels, drawing_of, floors_of
+from linkplan.studies.output.bodies import Drawing, bodies_of, drawing_of, floors_of, named_pins
 from linkplan.studies.output.document import Animation, Ghost
 from linkplan.studies.output.drives import drives_of
 from linkplan.studies.output.numbers import direction_name, rounded, rounded_times
@@ -94,9 +92,8 @@ def animation(
 def _labels(drawing: Drawing, poses: np.ndarray, places: Mapping[str, np.ndarray]) -> list[tuple[str, list]]:
     """Return the names of joints, cut pins and named sites with their positions; one name at one place appears once."""
     mechanism = drawing.mechanism
-    anchors = fields_at(mechanism.model, mechanism.qpos_of(poses), "xanchor")[0] @ drawing.frame.T
-    named = [(joint_label(mechanism.model, k), anchors[:, k]) for k in range(mechanism.model.njnt)]
+    named = [(name, at @ drawing.frame.T) for name, at in named_pins(mechanism, poses)]
     found: dict[tuple, tuple[str, list]] = {}
-    for name, at in (*named, *cut_pin_labels(drawing, poses), *places.items()):
+    for name, at in (*named, *places.items()):
         found.setdefault((name, *np.round(at[0] / mechanism.extent_m, 4)), (name, rounded(at)))
     return list(found.values())

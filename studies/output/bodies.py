@@ -10,6 +10,7 @@ from linkplan.models.kinematics import data_at
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.skeleton import Stick, body_name, sticks
 from linkplan.models.poses.solids import Solid, body_frames, cut_pins, faces, outline, solids, visible_sites
+from linkplan.models.tree.coordinates import joint_label
 from linkplan.studies.output.body_colours import body_colours, colour_name
 from linkplan.studies.output.document import Body, Numbers, Shape
 from linkplan.studies.output.numbers import rounded
@@ -149,13 +150,13 @@ def _depth(drawing: Drawing, own: list[Solid], pins: np.ndarray) -> float:
     return float(f"{np.mean(depths) if depths else 0.0:.4g}")
 
 
-def cut_pin_labels(drawing: Drawing, poses: np.ndarray) -> list[tuple[str, np.ndarray]]:
-    """Return the names of the pins at which loops are closed, each with its positions (n, dimension) [m]."""
-    places, turns = body_frames(drawing.mechanism, poses)
-    return [
-        (pin.name, (places[:, pin.body] + turns[:, pin.body] @ pin.point) @ drawing.frame.T)
-        for pin in cut_pins(drawing.mechanism)
-    ]
+def named_pins(mechanism: Mechanism, poses: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    """Return the names of joints and of the pins that close loops, each with its positions (n, 3) [m] at poses (n, n_q)."""
+    model = mechanism.model
+    joints = [(joint_label(model, k), int(model.jnt_bodyid[k]), model.jnt_pos[k]) for k in range(model.njnt)]
+    cut = [(pin.name, pin.body, pin.point) for pin in cut_pins(mechanism)]
+    places, turns = body_frames(mechanism, poses)
+    return [(name, places[:, body] + turns[:, body] @ point) for name, body, point in (*joints, *cut)]
 
 
 def floors_of(mechanism: Mechanism) -> list[float]:

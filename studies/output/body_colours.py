@@ -34,7 +34,9 @@ def body_colours(mechanism: Mechanism) -> dict[int, tuple[float, ...]]:
             colours[body] = colours[root]
             continue
         own = np.flatnonzero((model.body_weldid[model.geom_bodyid] == body) & coloured)
-        colours[body] = (*map(float, model.geom_rgba[own[0], :3]), 1.0) if len(own) else _series_colour(moving)
+        colours[body] = (
+            (*map(float, model.geom_rgba[own[0], :3]), 1.0) if len(own) else to_rgba(BODY_SERIES[moving % len(BODY_SERIES)])
+        )
         moving += 1
     return colours
 
@@ -51,7 +53,3 @@ def hex_of(rgba: tuple[float, ...]) -> str:
     """Return a colour as "#rrggbb"."""
     red, green, blue = rgba[:3]
     return to_hex((red, green, blue))
-
-
-def _series_colour(k: int) -> tuple[float, ...]:
-    return to_rgba(BODY_SERIES[k % len(BODY_SERIES)])

@@ -12,11 +12,12 @@ from linkplan.planner.certificate.certificate import (
 )
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.limits.limit import Margin
+from linkplan.planner.limits.samples import Samples
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.sites import task_words
 from linkplan.studies.output.document import Checklist, Item
-from linkplan.studies.output.draw_plan import LEAST_SHOWN, DrawnMotion
+from linkplan.studies.output.draw_plan import LEAST_SHOWN
 from linkplan.studies.output.numbers import significant
 
 # The first words of the certificate's sentence on the velocity. The verdict also uses the integrated velocity, so the
@@ -24,7 +25,7 @@ from linkplan.studies.output.numbers import significant
 _NOT_ITS_VELOCITY = "the planned velocity is not"
 
 
-def certificate_list(plan: Plan, motion: DrawnMotion, group: str) -> Checklist:
+def certificate_list(plan: Plan, motion: Samples, group: str) -> Checklist:
     """Return the checklist of a plan's certificate; its instants move the cursor of `group`."""
     certificate = plan.certificate
     assert certificate is not None  # of a motion
@@ -37,18 +38,16 @@ def certificate_list(plan: Plan, motion: DrawnMotion, group: str) -> Checklist:
     return Checklist(title="Checks between the nodes", group=group, items=items)
 
 
-def _efforts(plan: Plan, motion: DrawnMotion) -> list[Item]:
+def _efforts(plan: Plan, motion: Samples) -> list[Item]:
     items = []
     for j, actuator in enumerate(plan.problem.mechanism.actuators):
-        values, (low, high) = motion.effort[:, j], plan.problem.limits.effort[j]
+        values, (low, high) = motion.u[:, j], plan.problem.limits.effort[j]
         inside = np.minimum(values - low, high - values)
         at = int(np.argmin(inside)) if np.isfinite(inside).any() else int(np.argmax(np.abs(values)))
         limit = high if high - values[at] <= values[at] - low else low
         over = inside.min() < 0 and plan.certificate.effort_excess > 0
         items.append(
-            _item(
-                f"effort of {actuator.name}", not over, _seen(values[at]), limit, actuator.unit, _instant(motion.time_s[at])
-            )
+            _item(f"effort of {actuator.name}", not over, _seen(values[at]), limit, actuator.unit, _instant(motion.time[at]))
         )
     return items
 

@@ -9,11 +9,11 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.skeleton import Stick, body_name, sticks, view
-from linkplan.models.poses.solids import body_frames, cut_pins, outline, solids, thickened
-from linkplan.models.tree.coordinates import joint_label
+from linkplan.models.poses.solids import body_frames, outline, solids, thickened
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.sites import SiteLimit
+from linkplan.studies.output.bodies import named_pins
 from linkplan.studies.output.body_colours import body_colours, hex_of
 from linkplan.studies.output.figure import GREY, PIN_NAME, SERIES, outside_legend
 from linkplan.studies.output.numbers import direction_name
@@ -89,14 +89,8 @@ def name_pins(axes, mechanism: Mechanism, pose: np.ndarray) -> None:
 def pins_by_place(mechanism: Mechanism, pose: np.ndarray) -> dict[tuple[float, float], list[str]]:
     """Return the places (right, up) [m] of all joints and closing pins at a pose (n_q,), with the names of those at each."""
     right, up = view(mechanism.model)
-    places, turns = body_frames(mechanism, pose[None])
-    joints = range(mechanism.model.njnt)
-    named = [(joint_label(mechanism.model, k), int(mechanism.model.jnt_bodyid[k])) for k in joints]
-    at_joints = [places[0, body] + turns[0, body] @ mechanism.model.jnt_pos[k] for k, (_, body) in enumerate(named)]
-    pins = [(name, place) for (name, _), place in zip(named, at_joints, strict=True)]
-    pins += [(pin.name, places[0, pin.body] + turns[0, pin.body] @ pin.point) for pin in cut_pins(mechanism)]
     found: dict[tuple[float, float], list[str]] = {}
-    for name, place in pins:
+    for name, (place,) in named_pins(mechanism, pose[None]):
         x, y = np.round(np.array([place @ right, place @ up]) / mechanism.extent_m, 3) * mechanism.extent_m
         if name not in found.setdefault((float(x), float(y)), []):
             found[float(x), float(y)].append(name)

@@ -1,7 +1,7 @@
 """A plan over time: its motion, sampled; its plots; and its figure with the mechanism or the paths of its sites."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -9,10 +9,9 @@ import numpy as np
 
 from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.planner.limits.samples import actuator_speeds, closure_forces
+from linkplan.planner.limits.samples import Samples
 from linkplan.planner.plan.folder import write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.sites import AXES, angles_of
@@ -27,50 +26,23 @@ if TYPE_CHECKING:
 LEAST_SHOWN = 1e-9
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class DrawnMotion:
-    """A plan at instants (n,) [s]; at a jump in effort there is an instant on each side.
-
-    `position`, `velocity`, `acceleration` (n, n_s) of the independent joints [rad or m, and per second]; `pose`, `rates`
-    (n, n_q) of all joints; `effort` (n, n_u) [N.m or N], `power` (n, n_u) [W]; `closure_force` (n, n_closures) [N].
-    """
-
-    time_s: np.ndarray
-    position: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    pose: np.ndarray
-    rates: np.ndarray
-    effort: np.ndarray
-    power: np.ndarray
-    closure_force: np.ndarray
-
-
-def drawn_motion(plan: Plan) -> DrawnMotion:
+def drawn_motion(plan: Plan) -> Samples:
     """Return a plan's motion at instants spread over every interval: 12 steps each, but 300 to 700 steps in all.
+
+    At a jump in effort there is an instant on each side. Efforts that are never larger than rounding are zero.
 
     Raises:
         AssemblyError: if the kinematic loops do not close along the motion.
     """
-    problem, trajectory = plan.problem, plan.trajectory
+    trajectory = plan.require_motion("draw")
+    u = trajectory.effort
+    trajectory = replace(trajectory, effort=np.where(np.abs(u).max(axis=(0, 1)) > LEAST_SHOWN, u, 0.0))
     n = len(trajectory.breaks_s) - 1
-    steps = int(np.clip(max(12, 300 // n), 1, max(2, 700 // n)))
-    time = trajectory.dense_times(steps)
-    s, v, a = (at(time) for at in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at))
-    u = trajectory.effort_at(time)
-    u = np.where(np.abs(u).max(axis=0) > LEAST_SHOWN, u, 0.0)
-    q = follow(problem.mechanism, s, trajectory.start_pose)
-    return DrawnMotion(
-        time_s=time,
-        position=s,
-        velocity=v,
-        acceleration=a,
-        pose=q,
-        rates=joint_rates(problem.mechanism, q, v),
-        effort=u,
-        power=u * actuator_speeds(problem, q, v),
-        closure_force=closure_forces(problem, q, v, a, u, *problem.mechanism.forces_at(time)),
-    )
+    points = np.linspace(0.0, 1.0, int(np.clip(max(12, 300 // n), 1, max(2, 700 // n))) + 1)
+    points[-1] = 1.0 - 1e-12  # still on this interval
+    time = trajectory.times_at(points)
+    q = follow(plan.problem.mechanism, trajectory.position_at(time), trajectory.start_pose)
+    return Samples(problem=plan.problem, trajectory=trajectory, points=points, time=time, q=q)
 
 
 def plan_figure(plan: Plan, path: Path | None = None) -> "Figure":
@@ -81,7 +53,7 @@ def plan_figure(plan: Plan, path: Path | None = None) -> "Figure":
     motion = drawn_motion(plan)
     drawn = time_plots(plan, motion)
     shown = [*drawn["position"], *drawn["speed"], *drawn["effort"]]
-    poses = motion.pose[np.linspace(0, len(motion.pose) - 1, 5).astype(int)]
+    poses = motion.q[np.linspace(0, len(motion.q) - 1, 5).astype(int)]
 
     def mechanism(axes) -> None:
         draw_sites(axes, plan) if plan.problem.sites else draw_poses(axes, plan.problem.mechanism, poses)
@@ -90,9 +62,9 @@ def plan_figure(plan: Plan, path: Path | None = None) -> "Figure":
     return figure_of(side_by_side(shown, [mechanism]), path, title=title, columns=2, panel_in=(6.2, 2.7))
 
 
-def time_plots(plan: Plan, motion: DrawnMotion, group: str = "", period: float | None = None) -> dict[str, list[Plot]]:
+def time_plots(plan: Plan, motion: Samples, group: str = "", period: float | None = None) -> dict[str, list[Plot]]:
     """Return the plots of a plan's motion over time, by what they show."""
-    mechanism, limits, time = plan.problem.mechanism, plan.problem.limits, motion.time_s
+    mechanism, limits, time = plan.problem.mechanism, plan.problem.limits, motion.time
     independent, dependent = list(mechanism.independent), list(mechanism.dependent)
     reference = plan.problem.reference_over(time[-1] - time[0])
 
@@ -111,7 +83,7 @@ def time_plots(plan: Plan, motion: DrawnMotion, group: str = "", period: float |
     def over_time(title: str, what: str, lines: Sequence[Line]) -> list[Plot]:
         return plots(title, what, TIME, time, lines, group=group, period=period)
 
-    positions = joints(independent, motion.pose, limits.position, "")
+    positions = joints(independent, motion.q, limits.position, "")
     if reference is not None:
         wanted = reference.derivative(time)
         positions += [
@@ -119,81 +91,80 @@ def time_plots(plan: Plan, motion: DrawnMotion, group: str = "", period: float |
             for joint, x in zip(mechanism.independent_joints, wanted.T, strict=True)
         ]
     efforts = [
-        Line(name=actuator.name, values=motion.effort[:, j], unit=actuator.unit, limits=tuple(limits.effort[j]))
+        Line(name=actuator.name, values=motion.u[:, j], unit=actuator.unit, limits=tuple(limits.effort[j]))
         for j, actuator in enumerate(mechanism.actuators)
     ]
     powers = [
-        Line(name=actuator.name, values=motion.power[:, j], unit="W", limits=tuple(limits.power[j]))
-        for j, actuator in enumerate(mechanism.actuators)
+        Line(name=actuator.name, values=power, unit="W", limits=tuple(limits.power[j]))
+        for j, (actuator, power) in enumerate(zip(mechanism.actuators, (motion.u * motion.actuator_speeds).T, strict=True))
     ]
     return {
         "position": over_time("Position of the independent joints", "position", positions),
         "dependent position": over_time(
-            "Position of the dependent joints", "position", joints(dependent, motion.pose, limits.position, "")
+            "Position of the dependent joints", "position", joints(dependent, motion.q, limits.position, "")
         ),
         "site": [
             *over_time("Sites", "place", _site_lines(plan, motion)),
             *over_time("Angles of bodies", "angle", _body_lines(plan, motion)),
         ],
         "speed": over_time(
-            "Speed of the independent joints", "speed", joints(independent, motion.rates, limits.speed, "/s")
+            "Speed of the independent joints", "speed", joints(independent, motion.joint_rates, limits.speed, "/s")
         ),
         "dependent speed": over_time(
-            "Speed of the dependent joints", "speed", joints(dependent, motion.rates, limits.speed, "/s")
+            "Speed of the dependent joints", "speed", joints(dependent, motion.joint_rates, limits.speed, "/s")
         ),
         "effort": over_time("Effort of the actuators", "effort", efforts),
         "power": over_time("Mechanical power of the actuators", "power", powers),
     }
 
 
-def force_plots(plan: Plan, motion: DrawnMotion, group: str = "", period: float | None = None) -> list[Plot]:
+def force_plots(plan: Plan, motion: Samples, group: str = "", period: float | None = None) -> list[Plot]:
     """Return the plots of the forces in every pin: in cut pins, which the closures hold, and in the pins of the tree."""
     mechanism, limits = plan.problem.mechanism, plan.problem.limits.closure_force
     cut = [
-        Line(name=name, values=motion.closure_force[:, c], unit="N", limits=(-np.inf, float(limits[c])))
+        Line(name=name, values=motion.closure_forces[:, c], unit="N", limits=(-np.inf, float(limits[c])))
         for c, name in enumerate(mechanism.closure_names)
     ]
     title = "Force in the pins"
     try:
-        given = motion.pose, motion.velocity, motion.acceleration, motion.effort
-        loads = pin_forces(mechanism, *given, *mechanism.forces_at(motion.time_s))
+        loads = pin_forces(mechanism, motion.q, motion.v, motion.a, motion.u, *motion.forces)
     except ModelError:  # the model's file is no longer there
         title, loads = "Force in the cut pins, without the model's file", {}
     lines = [*cut, *(Line(name=name, values=force, unit="N") for name, force in loads.items())]
     applied = plots(
-        "Forces over time on sites", "force", TIME, motion.time_s, _applied(mechanism, motion), group=group, period=period
+        "Forces over time on sites", "force", TIME, motion.time, _applied(mechanism, motion), group=group, period=period
     )
-    return [*plots(title, "force", TIME, motion.time_s, lines, group=group, period=period), *applied]
+    return [*plots(title, "force", TIME, motion.time, lines, group=group, period=period), *applied]
 
 
-def _applied(mechanism: Mechanism, motion: DrawnMotion) -> list[Line]:
+def _applied(mechanism: Mechanism, motion: Samples) -> list[Line]:
     """Return the components of the forces over time that are not zero throughout."""
     if mechanism.forces is None:
         return []
     heads = [f"{site} {axis}" for site in mechanism.forces.sites for axis in AXES]
-    (forces,) = mechanism.forces_at(motion.time_s)
+    (forces,) = motion.forces
     return [Line(name=head, values=values, unit="N") for head, values in zip(heads, forces.T, strict=True) if np.any(values)]
 
 
-def _site_lines(plan: Plan, motion: DrawnMotion) -> list[Line]:
+def _site_lines(plan: Plan, motion: Samples) -> list[Line]:
     """Return the moving coordinates of the sites that a problem names, in millimetres."""
     mechanism, lines = plan.problem.mechanism, []
     for name, index in plan.problem.sites.items():
-        places = places_of(mechanism, index, motion.pose)
+        places = places_of(mechanism, index, motion.q)
         for axis, values in zip("xyz", places.T, strict=True):
             if np.ptp(values) > 1e-6 * mechanism.extent_m:
                 lines.append(Line(name=f"{name}, {axis}", values=1e3 * values, unit="mm"))
     return lines
 
 
-def _body_lines(plan: Plan, motion: DrawnMotion) -> list[Line]:
+def _body_lines(plan: Plan, motion: Samples) -> list[Line]:
     """Return the angles of the bodies that a problem names, with their limits, in degrees."""
     problem = plan.problem
     limits = {one.body: (float(np.degrees(one.low)), float(np.degrees(one.high))) for one in problem.limits.body}
     return [
         Line(
             name=name,
-            values=np.degrees(angles_of(problem.mechanism, index, motion.pose)),
+            values=np.degrees(angles_of(problem.mechanism, index, motion.q)),
             unit="deg",
             limits=limits.get(name, (-np.inf, np.inf)),
         )

@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from linkplan.planner.limits.samples import Samples
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.output.document import Facts
-from linkplan.studies.output.draw_plan import DrawnMotion
 from linkplan.studies.output.plan_blocks import figure, least_margin, objective_digits, objective_unit
 
 
@@ -15,7 +15,7 @@ def verdict_sentence(plan: Plan) -> str:
     return f"{plan.message}; every limit is kept at and between the nodes"
 
 
-def lead_facts(plan: Plan, motion: DrawnMotion) -> Facts:
+def lead_facts(plan: Plan, motion: Samples) -> Facts:
     """Return the facts of a plan with a motion that its reader looks for first."""
     problem, digits = plan.problem, objective_digits(plan)
     rows = [_peak_effort(plan, motion), least_margin(plan)]
@@ -26,18 +26,18 @@ def lead_facts(plan: Plan, motion: DrawnMotion) -> Facts:
     return Facts(rows=[row for row in rows if row is not None])
 
 
-def _peak_effort(plan: Plan, motion: DrawnMotion) -> tuple[str, str] | None:
+def _peak_effort(plan: Plan, motion: Samples) -> tuple[str, str] | None:
     """Return the largest effort as a share of its limit, with its instant; without limits, the largest effort."""
     actuators = plan.problem.mechanism.actuators
     if not actuators:
         return None
     limits = np.asarray(plan.problem.limits.effort, dtype=float)
-    side = np.where(motion.effort < 0, -limits[:, 0], limits[:, 1])
-    share = np.abs(motion.effort) / np.where(np.isfinite(side) & (side > 0), side, np.inf)
-    size = share if share.any() else np.abs(motion.effort)
+    side = np.where(motion.u < 0, -limits[:, 0], limits[:, 1])
+    share = np.abs(motion.u) / np.where(np.isfinite(side) & (side > 0), side, np.inf)
+    size = share if share.any() else np.abs(motion.u)
     at, j = np.unravel_index(int(np.argmax(size)), size.shape)
-    actuator, value = actuators[j], motion.effort[at, j]
+    actuator, value = actuators[j], motion.u[at, j]
     limit = limits[j, 0] if value < 0 else limits[j, 1]
     known = f" of {limit:.5g} {actuator.unit} ({100 * share[at, j]:.3g} %)"
     of = known if np.isfinite(limit) else f" {actuator.unit}, no limit"
-    return "peak effort", f"{value:.4g}{of}, {actuator.name} at {motion.time_s[at]:.4g} s"
+    return "peak effort", f"{value:.4g}{of}, {actuator.name} at {motion.time[at]:.4g} s"

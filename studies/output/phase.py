@@ -3,22 +3,22 @@
 import numpy as np
 
 from linkplan.models.errors import LinkplanError
+from linkplan.planner.limits.samples import Samples
 from linkplan.planner.phase_plane.grid import PhasePlane as PhaseGrid
 from linkplan.planner.phase_plane.grid import grid_of, plane_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.output.document import Axis, Plane, Series
-from linkplan.studies.output.draw_plan import DrawnMotion
 from linkplan.studies.output.numbers import drawn_rows, rounded, rounded_times
 
 
-def phase_plane(plan: Plan, motion: DrawnMotion, group: str, period: float | None) -> Plane | None:
+def phase_plane(plan: Plan, motion: Samples, group: str, period: float | None) -> Plane | None:
     """Return the phase plane of a plan; None for several degrees of freedom."""
     mechanism = plan.problem.mechanism
     if mechanism.dof != 1:
         return None
     joint = mechanism.independent_joints[0]
     unit = joint.shown(1.0)
-    s, v = motion.position[:, 0], motion.velocity[:, 0]
+    s, v = motion.q[:, mechanism.independent[0]], motion.v[:, 0]
     rows = drawn_rows(np.column_stack([s, v]))
     path = Series(name="planned", x=rounded(unit * s[rows]), y=rounded(unit * v[rows]), colour=None, width=2.2)
     most = 2.5 * float(np.abs(v).max()) or 1.0  # limit curves are unbounded next to singular poses
@@ -34,17 +34,18 @@ def phase_plane(plan: Plan, motion: DrawnMotion, group: str, period: float | Non
         curves=[*curves, path],
         group=group,
         track=len(curves),
-        track_times=rounded_times(motion.time_s[rows]),
+        track_times=rounded_times(motion.time[rows]),
         period=period,
     )
 
 
-def _limit_curves(plan: Plan, motion: DrawnMotion, most: float) -> list[tuple[str, np.ndarray, np.ndarray, str, int]]:
+def _limit_curves(plan: Plan, motion: Samples, most: float) -> list[tuple[str, np.ndarray, np.ndarray, str, int]]:
     """Return curves: name, positions, speeds (signed), look, colour; none if the grid cannot cover the motion."""
-    problem, s = plan.problem, motion.position[:, 0]
+    problem = plan.problem
+    s = motion.q[:, problem.mechanism.independent[0]]
     places = np.array([s[0], s.max(), s.min(), s[-1]])
     try:
-        gridded = grid_of(problem, places, motion.pose[0], 600)
+        gridded = grid_of(problem, places, motion.q[0], 600)
     except LinkplanError:
         return []
     if gridded is None:
@@ -53,7 +54,7 @@ def _limit_curves(plan: Plan, motion: DrawnMotion, most: float) -> list[tuple[st
     found = []
     if problem.motion.kind == "reach" and abs(s[-1] - s[0]) > 1e-9:
         way = int(np.sign(s[-1] - s[0]))
-        speeds = motion.velocity[[0, -1], 0]
+        speeds = motion.v[[0, -1], 0]
         for name, start, v, step, effort, back, colour in (
             ("full effort from the start", s[0], speeds[0], way, way, False, 2),
             ("full braking into the goal", s[-1], speeds[1], -way, -way, True, 4),

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from linkplan.models.errors import AssemblyError, ProblemError
+from linkplan.models.errors import AssemblyError, ProblemError, counted
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan.plan import Plan, not_honoured
@@ -85,9 +85,8 @@ def _about(plan: Plan) -> Facts:
 
 def _mechanism_text(plan: Plan) -> str:
     mechanism = plan.problem.mechanism
-    freedoms = f"{mechanism.dof} degree{'s' if mechanism.dof != 1 else ''} of freedom"
     payload = "" if mechanism.payload is None else ", with a payload"
-    return f"{mechanism.name}, {freedoms}, {mechanism.n_q} joints{payload}"
+    return f"{mechanism.name}, {counted(mechanism.dof, 'degree')} of freedom, {counted(mechanism.n_q, 'joint')}{payload}"
 
 
 def _animation(plan: Plan, group: str, period: float | None) -> Block:

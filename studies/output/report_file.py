@@ -6,7 +6,6 @@ The page fetches nothing: its content security policy allows its own scripts by 
 import base64
 import hashlib
 import html
-import os
 import re
 from collections.abc import Sequence
 from importlib import resources
@@ -14,17 +13,16 @@ from pathlib import Path
 
 import msgspec
 
-from linkplan.models.errors import PlanFileError
-from linkplan.models.reading import MAX_FILE_BYTES, read_head
+from linkplan.models.reading import MAX_FILE_BYTES
 from linkplan.planner.files.manifest import read_record
-from linkplan.planner.files.single_file import write_over
+from linkplan.planner.files.single_file import write_file_whole
 from linkplan.planner.plan.folder import versions
 from linkplan.studies.output.document import Report, Section
 
 # Each script uses only those before it.
 _PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "bars", "shapes", "animation", "player", "blocks", "main")
-# A file with these words in its first 1,000 bytes is a report, which a new one may replace.
-_OURS = b'<meta name="generator" content="linkplan">'
+# A file with these words is a report, which a new one may replace.
+PAGE_MARK = '<meta name="generator" content="linkplan">'
 # The height of a page in a notebook.
 _SHOWN_HEIGHT_PX = 640
 
@@ -83,27 +81,8 @@ def write_report(report: Report, path: Path) -> WrittenPage:
     Raises:
         PlanFileError: if another file exists at this path, or the file cannot be written.
     """
-    refuse_other_files(path)
-    write_over(path, report_html(report).encode("utf-8", "replace"))
+    write_file_whole(path, lambda place: place.write_bytes(report_html(report).encode("utf-8", "replace")), mark=PAGE_MARK)
     return WrittenPage(path)
-
-
-def refuse_other_files(path: Path) -> None:
-    """Refuse a path at which a file exists that is not a report.
-
-    Raises:
-        PlanFileError: with the path.
-    """
-    if os.path.isdir(path):
-        raise PlanFileError(f"a report is one HTML file, and '{path}' is a folder; name a file in it")
-    if not os.path.exists(path):
-        return
-    try:
-        begin = read_head(path, f"'{path}'", 1000, PlanFileError)
-    except PlanFileError:
-        begin = b""
-    if _OURS not in begin:
-        raise PlanFileError(f"'{path}' is no report of linkplan's, and is not replaced; name another file")
 
 
 DOCUMENT, PAGE = "report.json", "report.html"

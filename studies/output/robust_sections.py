@@ -4,15 +4,14 @@ import math
 
 import numpy as np
 
+from linkplan.planner.limits.samples import Samples
 from linkplan.planner.plan.plan import Plan
-from linkplan.planner.problem.instant import corner_efforts_along
 from linkplan.planner.search.planning import saved_price
 from linkplan.studies.output.document import Block, Facts, Plot, Section, Table, Text
-from linkplan.studies.output.draw_plan import DrawnMotion
 from linkplan.studies.output.lines import TIME, Line, plots
 
 
-def robust_section(plan: Plan, motion: DrawnMotion, group: str, period: float | None) -> Section | None:
+def robust_section(plan: Plan, motion: Samples, group: str, period: float | None) -> Section | None:
     """Return the section of a plan's reserve and corners; None if it has neither."""
     corners, reserve = plan.problem.robust.corners, plan.problem.limits.reserve
     if not corners and not reserve:
@@ -66,21 +65,19 @@ def _table(plan: Plan) -> Table:
     return Table(title="Corners of the ranges, each certified between the nodes", columns=[*heads, ("at", "s")], rows=rows)
 
 
-def _efforts(plan: Plan, motion: DrawnMotion, group: str, period: float | None) -> list[Plot]:
+def _efforts(plan: Plan, motion: Samples, group: str, period: float | None) -> list[Plot]:
     """Return the plots of the effort that every corner and the model need of each actuator."""
     problem, mechanism = plan.problem, plan.problem.mechanism
     corners = problem.robust.corners
-    given = motion.pose, motion.velocity, motion.acceleration, motion.effort
-    efforts = corner_efforts_along(mechanism, corners, *given, *mechanism.forces_at(motion.time_s))
     found = []
     for j, actuator in enumerate(mechanism.actuators):
         bounds = tuple(problem.limits.effort[j])
-        needed, unit = motion.effort[:, j], actuator.unit
+        needed, unit = motion.u[:, j], actuator.unit
         modelled = Line(name="as modelled", values=needed, unit=unit, limits=bounds, colour=None, width=2.4)
         lines = [
-            Line(name=corner.description, values=np.asarray(efforts[:, item, j]), unit=unit, limits=bounds)
+            Line(name=corner.description, values=np.asarray(motion.corner_efforts[:, item, j]), unit=unit, limits=bounds)
             for item, corner in enumerate(corners)
         ]
         title = f"What each machine needs of {actuator.name} for the motion"
-        found += plots(title, "effort", TIME, motion.time_s, [*lines, modelled], group=group, period=period)
+        found += plots(title, "effort", TIME, motion.time, [*lines, modelled], group=group, period=period)
     return found

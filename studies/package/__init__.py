@@ -17,65 +17,41 @@ it is given.
 import importlib
 
 TYPE_CHECKING = False  # like that of typing, which takes as long to load as everything else here
-if TYPE_CHECKING:  # for editors and type checkers; `_HOMES` below has the same names at run time
-    from linkplan.batches import batch
-    from linkplan.controllers.trackers.tracker import Tracker
-    from linkplan.decompositions import decompose
-    from linkplan.experiments import experiment
-    from linkplan.first_motion import new
-    from linkplan.gains import tune
-    from linkplan.loops import bode
-    from linkplan.mechanisms import check, load_mechanism
-    from linkplan.models.errors import LinkplanError
-    from linkplan.models.mechanism import Mechanism
-    from linkplan.motors import size
-    from linkplan.names import schema
-    from linkplan.ode_plans import solve_ocp
-    from linkplan.outputs import export, render, report
-    from linkplan.planner.ode.problem import OdeProblem
-    from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
-    from linkplan.planner.problem.problem import Problem
-    from linkplan.plans import Plan, Planner, plan, prove, read_plan
-    from linkplan.tracking import compare, track
-    from linkplan.transfers import transfer
-    from linkplan.viewing import demo, explore, view
+if TYPE_CHECKING:  # for editors and type checkers; `_MODULES` below has the same names at run time
+    from linkplan.batches import batch as batch
+    from linkplan.controllers.trackers.tracker import Tracker as Tracker
+    from linkplan.decompositions import decompose as decompose
+    from linkplan.experiments import experiment as experiment
+    from linkplan.first_motion import new as new
+    from linkplan.gains import tune as tune
+    from linkplan.loops import bode as bode
+    from linkplan.mechanisms import check as check
+    from linkplan.mechanisms import load_mechanism as load_mechanism
+    from linkplan.models.errors import LinkplanError as LinkplanError
+    from linkplan.models.mechanism import Mechanism as Mechanism
+    from linkplan.motors import size as size
+    from linkplan.names import schema as schema
+    from linkplan.ode_plans import solve_ocp as solve_ocp
+    from linkplan.outputs import export as export
+    from linkplan.outputs import render as render
+    from linkplan.outputs import report as report
+    from linkplan.planner.ode.problem import OdeProblem as OdeProblem
+    from linkplan.planner.problem.extra import ExtraCost as ExtraCost
+    from linkplan.planner.problem.extra import ExtraLimit as ExtraLimit
+    from linkplan.planner.problem.problem import Problem as Problem
+    from linkplan.plans import Plan as Plan
+    from linkplan.plans import Planner as Planner
+    from linkplan.plans import plan as plan
+    from linkplan.plans import prove as prove
+    from linkplan.plans import read_plan as read_plan
+    from linkplan.tracking import compare as compare
+    from linkplan.tracking import track as track
+    from linkplan.transfers import transfer as transfer
+    from linkplan.viewing import demo as demo
+    from linkplan.viewing import explore as explore
+    from linkplan.viewing import view as view
 
     __version__: str
-
-__all__ = [
-    "ExtraCost",
-    "ExtraLimit",
-    "LinkplanError",
-    "Mechanism",
-    "OdeProblem",
-    "Plan",
-    "Planner",
-    "Problem",
-    "Tracker",
-    "batch",
-    "bode",
-    "check",
-    "compare",
-    "decompose",
-    "demo",
-    "experiment",
-    "explore",
-    "export",
-    "load_mechanism",
-    "new",
-    "plan",
-    "prove",
-    "read_plan",
-    "render",
-    "report",
-    "schema",
-    "size",
-    "solve_ocp",
-    "track",
-    "transfer",
-    "tune",
-    "view",
-]
 
 # The public names by their modules, loaded when a name is first used (PEP 562). No module of this package has a public name,
 # because its import would replace that name by the module.
@@ -103,6 +79,7 @@ _MODULES = {
     "linkplan.outputs": ("export", "render", "report"),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
+__all__ = sorted(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]  its names are those of the imports above
 
 
 def __getattr__(name: str) -> object:

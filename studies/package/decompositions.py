@@ -18,7 +18,11 @@ from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
 from linkplan.studies.output.document import Block, Report
 from linkplan.studies.variations.decompose import decompose as study
 from linkplan.studies.variations.decompose.decomposition import Decomposition
-from linkplan.studies.variations.decompose.decomposition_blocks import decomposition_blocks
+from linkplan.studies.variations.decompose.decomposition_blocks import (
+    decomposition_blocks,
+    decomposition_figure,
+    decomposition_report,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -79,8 +83,6 @@ class DecompositionResult(Result):
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of every tracker's parts as bars, saved at `path` if it is given."""
-        from linkplan.studies.variations.decompose.decomposition_blocks import decomposition_figure
-
         return drawn(path, lambda place: decomposition_figure(self.decomposition, place))
 
     def blocks(self) -> list[Block]:
@@ -89,8 +91,6 @@ class DecompositionResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.variations.decompose.decomposition_blocks import decomposition_report
-
         return decomposition_report(self.decomposition, self.plan)
 
     def draw(self, place: Path) -> None:

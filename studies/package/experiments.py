@@ -25,6 +25,7 @@ from linkplan.studies.variations.experiment.block import replay
 from linkplan.studies.variations.experiment.experiment import Settings, plan_digest
 from linkplan.studies.variations.experiment.experiment_blocks import outcome_blocks, sensitivity
 from linkplan.studies.variations.experiment.sensitivity import Sensitivity
+from linkplan.studies.variations.experiment.sensitivity_blocks import save_tornados, tornado_figure
 from linkplan.studies.variations.experiment.statistics import Estimate
 from linkplan.studies.variations.experiment.study import ExperimentOutcome, experiment_figure, run_experiment
 from linkplan.studies.variations.tasks.cluster import engine_of
@@ -161,10 +162,6 @@ class ExperimentResult(Result):
 
         return experiment_report(self.outcome, None if self.folder is None else functools.partial(sample_again, self.folder))
 
-    def draw(self, place: Path) -> None:
-        """Write experiment.png."""
-        self.plot(place / "experiment.png")
-
     def __repr__(self) -> str:
         one = self.outcome.experiment
         return f"ExperimentResult({one.plan.problem.name!r}: {one.n} machines, {', '.join(one.settings.trackers)})"
@@ -200,14 +197,10 @@ class SensitivityResult(Result):
 
     def draw(self, place: Path) -> None:
         """Write the chart of each rms error."""
-        from linkplan.studies.variations.experiment.sensitivity_blocks import save_tornados
-
         save_tornados(self.outcome.name, self.found, place)
 
     def plot(self, path: str | Path | None = None, metric: str | None = None) -> Figure:
         """Return the tornado chart of a metric, with a panel for each tracker, saved at `path` if it is given."""
-        from linkplan.studies.variations.experiment.sensitivity_blocks import tornado_figure
-
         _, asked = self._asked(next(iter(self.found.trackers)), metric)
         return drawn(path, lambda place: tornado_figure(self.outcome.name, self.found, asked, place))
 

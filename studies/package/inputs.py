@@ -127,6 +127,21 @@ def plan_of(plan: PlanLike, say: Listener, doing: str) -> Plan:
     return with_motion(_saved_plan(source_of(plan), say) if isinstance(plan, Source | str | Path) else plan, doing)
 
 
+def given_problem(problem: object) -> Problem:
+    """Return a problem: itself, or that of a name or path.
+
+    Raises:
+        LinkplanError: if it is none of these, or cannot be read.
+    """
+    if isinstance(problem, Source):
+        return problem.problem()
+    if isinstance(problem, str | Path):
+        return Problem.from_file(problem)
+    if not isinstance(problem, Problem):
+        raise ProblemError(f"what is planned is a Problem, a built-in problem's name or a TOML file, got {problem!r}")
+    return problem
+
+
 def problem_of(plan: PlanLike) -> Problem | None:
     """Return the problem that is to be planned; None for a plan, also a saved one.
 

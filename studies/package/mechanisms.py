@@ -15,13 +15,13 @@ from linkplan.paths import drawn
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.results import Result
+from linkplan.studies.check.refused_model import REFUSED, RefusedModel, refused_model
 from linkplan.studies.output.document import Block, Report
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from msgspec import Struct
 
-    from linkplan.studies.check.refused_model import RefusedModel
     from linkplan.studies.check.whole_check import WholeCheck
 
 
@@ -121,7 +121,6 @@ def check(subject: Subject, *, at_deg: Poses = (), at_m: Poses = ()) -> CheckRes
         found = linkplan.check("optimus-knee")
         print(found.problems, found)
     """
-    from linkplan.studies.check.refused_model import REFUSED, refused_model
     from linkplan.studies.check.whole_check import check_whole, mechanism_and_problem
 
     notes: tuple[str, ...] = ()
@@ -191,9 +190,7 @@ class CheckResult(Result):
 
     def summary(self) -> list[Block]:
         """Return the findings in less than thirty lines."""
-        from linkplan.studies.check.refused_model import RefusedModel
-
-        return self.found.blocks() if isinstance(self.found, RefusedModel) else self.found.summary()
+        return self.found.summary()
 
     def document(self) -> Report:
         """Return the report."""
@@ -206,7 +203,6 @@ class CheckResult(Result):
         from linkplan.models.model_text import urdf_root
         from linkplan.models.selected_model import whole_model_text
         from linkplan.studies.check.path_plots import MAX_FIGURES, inspection_figure, path_figure
-        from linkplan.studies.check.refused_model import RefusedModel
 
         if isinstance(self.found, RefusedModel):
             return
@@ -225,7 +221,6 @@ class CheckResult(Result):
             LinkplanError: if the model is not a valid mechanism.
         """
         from linkplan.studies.check.path_plots import inspection_figure
-        from linkplan.studies.check.refused_model import RefusedModel
 
         if isinstance(self.found, RefusedModel):
             raise LinkplanError(f"nothing to draw: {self.found.error}")

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from linkplan.inputs import Source, source_of
+from linkplan.inputs import Source, given_problem
 from linkplan.models.errors import ProblemError
 from linkplan.paths import drawn, path_of
 from linkplan.planner.plan.plan import Plan
@@ -18,7 +18,7 @@ from linkplan.results import Result
 from linkplan.studies.output.document import Block, Report
 from linkplan.studies.variations.size.candidates import actuator_of, motors_from, read_motors
 from linkplan.studies.variations.size.sizing import Sizing, size_motors
-from linkplan.studies.variations.size.sizing_blocks import sizing_blocks
+from linkplan.studies.variations.size.sizing_blocks import sizing_blocks, sizing_figure, sizing_report
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -54,9 +54,7 @@ def size(
         motors = [{"name": "M90", "peak_effort": 15.0, "rotor_inertia": 1e-4, "gears": [6, 9]}]
         print(linkplan.size("knee-reach", motors))
     """
-    asked = source_of(problem).problem() if isinstance(problem, Source | str | Path) else problem
-    if not isinstance(asked, Problem):
-        raise ProblemError(f"size takes a Problem, or the name or path of one, got {type(problem).__name__}")
+    asked = given_problem(problem)
     if isinstance(motors, Sequence) and not isinstance(motors, str):
         listed = motors_from({"motor": motors})
     else:
@@ -84,8 +82,6 @@ class SizeResult(Result):
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of efforts over speeds with the motors' limits, saved at `path` if it is given."""
-        from linkplan.studies.variations.size.sizing_blocks import sizing_figure
-
         return drawn(path, lambda place: sizing_figure(self.sizing, place))
 
     def blocks(self) -> list[Block]:
@@ -94,8 +90,6 @@ class SizeResult(Result):
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.variations.size.sizing_blocks import sizing_report
-
         return sizing_report(self.sizing, self.plan)
 
     def draw(self, place: Path) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import os
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, cast
 from linkplan.inputs import PlanLike, Source, Subject, note_forces, plan_of, source_of, subject_of
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
-from linkplan.paths import file_to_write, path_of
+from linkplan.paths import file_to_write, folder_to_write, path_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.reporting import Listener, Progress, listener
 from linkplan.results import Result, Shown
@@ -43,10 +44,11 @@ def report(
 
         linkplan.report(linkplan.plan("knee-reach"), "reach.html")
     """
-    from linkplan.studies.output.report_file import refuse_other_files, write_report
+    from linkplan.planner.files.single_file import check_file_target
+    from linkplan.studies.output.report_file import PAGE_MARK, write_report
 
     place, say = path_of(path, "path"), listener(progress)
-    refuse_other_files(place)
+    check_file_target(place, mark=PAGE_MARK)
     say(f"reading {result}" if isinstance(result, str | Path) else "writing the report")
     return write_report(_document(result), place)
 
@@ -110,8 +112,6 @@ def render(
 
     choose("tracker", tracker, TRACKERS, ProblemError)
     place, say = path_of(path, "path"), listener(progress)
-    if place.suffix.lower() not in SUFFIXES:
-        raise ProblemError(f"path ends in {', '.join(SUFFIXES)}, got '{place}'")
     check_file_target(place, SUFFIXES)
     settings = RenderSettings(
         suffix=place.suffix.lower(),
@@ -238,7 +238,6 @@ def _exported_c(
     say: Listener,
 ) -> Exported:
     """Write a model's dynamics or a plan's control law as C into a folder."""
-    from linkplan.paths import folder_to_write
     from linkplan.planner.files.folders import write_json, write_whole
     from linkplan.studies.handover.export.formats import C_TRACKERS
 
@@ -255,10 +254,7 @@ def _exported_c(
             raise ProblemError("sizes is for a model in C; a law's flash and stack are measured anyway")
         plan = plan_of(asked, say, "export")
         tables, passed = law_tables(plan, tracker, tolerance or 0.0), plan.passed
-
-        def write(place: Path) -> None:
-            records.append(write_law(tables, place, plan.problem.name))
-            write_json(place / "export.json", records[0])
+        made = functools.partial(write_law, tables, plan=plan.problem.name)
     else:
         from linkplan.studies.handover.export.c_files import write_model
         from linkplan.studies.handover.export.c_model import model_code
@@ -270,10 +266,11 @@ def _exported_c(
         note_forces(mechanism, say, "in the exported model")
         code = model_code(with_outputs(mechanism, joints) if joints else mechanism)
         say(f"{code.mechanism.name}: C code")
+        made = functools.partial(write_model, code, compiled=sizes or None)
 
-        def write(place: Path) -> None:
-            records.append(write_model(code, place, compiled=sizes or None))
-            write_json(place / "export.json", records[0])
+    def write(place: Path) -> None:
+        records.append(made(place))
+        write_json(place / "export.json", records[0])
 
     write_whole(target, write, "export.json")
     return Exported(path=target, passed=passed, struct=records[0])

@@ -69,29 +69,10 @@ def write_schema(path: str, text: str) -> None:
     Raises:
         LinkplanError: if another file exists at the path.
     """
-    from linkplan.planner.files.single_file import write_over
+    from linkplan.planner.files.single_file import write_file_whole
 
-    place = path_of(path, "path")
-    if place.is_dir():
-        raise ProblemError(f"a schema is a file, got the folder '{path}'")
-    if place.exists() and not _is_a_schema(place):
-        raise ProblemError(f"'{place}' is there and not linkplan's; move it or name another file")
-    write_over(place, f"{text}\n".encode())
-
-
-def _is_a_schema(place: Path) -> bool:
-    """Tell if a file is empty or a schema that linkplan wrote, which may be replaced."""
-    from linkplan.models.errors import LinkplanError
-    from linkplan.models.reading import MOST_TOML_BYTES, read_file
-    from linkplan.planner.problem.keys.key_table import DIALECT, FILES
-
-    try:
-        text = read_file(place, f"'{place}'", MOST_TOML_BYTES).decode("utf-8")  # refuses devices, whose content never ends
-        said = json.loads(text) if text else {"$schema": DIALECT, "title": "linkplan problem file"}
-    except (LinkplanError, ValueError, RecursionError):
-        return False
-    titles = [f"linkplan {name} file" for name in FILES]
-    return isinstance(said, dict) and said.get("$schema") == DIALECT and said.get("title") in titles
+    mark = '"title": "linkplan '  # that of the whole schema
+    write_file_whole(path_of(path, "path"), lambda place: place.write_text(f"{text}\n", encoding="utf-8"), mark=mark)
 
 
 def plain_json(record: object) -> str:

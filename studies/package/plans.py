@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 
 from msgspec import UNSET, structs
 
-from linkplan.inputs import PlanLike, Source, plan_of, source_of, with_motion
+from linkplan.inputs import PlanLike, Source, given_problem, plan_of, source_of, with_motion
 from linkplan.models.deadline import NO_DEADLINE, OutOfTimeError
 from linkplan.models.errors import ProblemError
 from linkplan.paths import drawn, path_of
@@ -56,7 +56,7 @@ def plan(problem: Problem | Source | str | Path, progress: Progress | None = Non
         print(linkplan.plan("knee-reach"))
     """
     say, begun = listener(progress), time.process_time()
-    found = plan_motion(_problem(problem), say)
+    found = plan_motion(given_problem(problem), say)
     found = with_price(found, price_of(found, say))
     return Plan.of(_proved(found, prove, time.process_time() - begun, say))
 
@@ -197,7 +197,7 @@ class Planner:
         Raises:
             LinkplanError: if the problem is invalid.
         """
-        return Plan.of(self._planner.plan(_problem(problem)))
+        return Plan.of(self._planner.plan(given_problem(problem)))
 
     def step(self, problem: Problem | str | Path) -> NextMotion | None:
         """Return a motion by a few Newton steps from the last plan, for replanning at the rate of control.
@@ -210,7 +210,7 @@ class Planner:
         Raises:
             LinkplanError: if the problem is invalid.
         """
-        return self._planner.step(_problem(problem))
+        return self._planner.step(given_problem(problem))
 
 
 class Plan(planned.Plan, Reported):
@@ -286,13 +286,3 @@ class Plan(planned.Plan, Reported):
     def struct(self) -> PlanRecord:
         """The record of plan.json; with a reserve or ranges it has the price of robustness, too."""
         return structs.replace(plan_folder.record_of(self), price=saved_price(self) or UNSET)
-
-
-def _problem(problem: object) -> Problem:
-    if isinstance(problem, Source):
-        return problem.problem()
-    if isinstance(problem, str | Path):
-        return Problem.from_file(problem)
-    if not isinstance(problem, Problem):
-        raise ProblemError(f"what is planned is a Problem, a built-in problem's name or a TOML file, got {problem!r}")
-    return problem

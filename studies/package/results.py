@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
@@ -112,35 +111,43 @@ class Result(Reported):
         return pandas.DataFrame([list(row) for row in found[0].rows], columns=heads)
 
     def draw(self, place: Path) -> None:
-        """Write figures and tables into an existing folder; by default there are none."""
+        """Write figures into an existing folder; by default there are none."""
         del place
 
-    def save(self, folder: str | Path, *, report: bool = False) -> Path:
-        """Write the record, the figures and the document into a folder, whole or not at all, and return its path.
+    def write_tables(self, place: Path, *, parquet: bool) -> None:
+        """Write tables into an existing folder, with `parquet` as Parquet too; by default there are none."""
+        del place
+        if parquet:
+            raise LinkplanError(
+                f"parquet is for the tables of track, compare and transfer; a {type(self).__name__} has none"
+            )
+
+    def save(self, folder: str | Path, *, report: bool = False, parquet: bool = False) -> Path:
+        """Write the record, tables, figures and the document into a folder, whole or not at all, and return its path.
+
+        Runs have a table each: `nominal-pd.csv` and `.npz` have a row for each control instant, with units in the heads;
+        `mismatch-pd.csv` has the same for the mismatch.
 
         Args:
             folder: an older result of the same kind in it is replaced.
             report: whether report.html, an animated page, is written too.
+            parquet: whether the tables of `track`, `compare` and `transfer` are written as Parquet too.
 
         Raises:
             LinkplanError: if the folder has other files, or cannot be written.
         """
+        from linkplan.planner.files.folders import write_json, write_whole
+        from linkplan.studies.output.report_file import save_report
+
         if not self.record_name:
             raise LinkplanError("this result is written while it is made: give its function a folder")
-        return saved(self, folder, self.draw, report=report)
+        target, record = path_of(folder, "folder"), f"{self.record_name}.json"
 
+        def write(place: Path) -> None:
+            write_json(place / record, self.to_dict())
+            self.write_tables(place, parquet=parquet)
+            self.draw(place)
+            save_report(self.document(), place, page=report)
 
-def saved(result: Result, folder: str | Path, draw: Callable[[Path], object], *, report: bool) -> Path:
-    """Write a result into a folder with the files that `draw` makes, as `Result.save` does."""
-    from linkplan.planner.files.folders import write_json, write_whole
-    from linkplan.studies.output.report_file import save_report
-
-    target, record = path_of(folder, "folder"), f"{result.record_name}.json"
-
-    def write(place: Path) -> None:
-        write_json(place / record, result.to_dict())
-        draw(place)
-        save_report(result.document(), place, page=report)
-
-    write_whole(target, write, record)
-    return target
+        write_whole(target, write, record)
+        return target

@@ -17,7 +17,7 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.planner.problem.settings import number, whole
 from linkplan.reporting import Listener, Progress, listener
-from linkplan.results import Result, saved
+from linkplan.results import Result
 from linkplan.studies.compare import compare as study
 from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure, document_blocks, document_figure
 from linkplan.studies.compare.comparison_figures import ComparisonFigures, comparison_figures
@@ -218,28 +218,15 @@ class TrackingResult(Result):
         section = Section(title=title, blocks=document_blocks(self.document_runs)) if self.document_runs else None
         return comparison_report(self.comparison, section)
 
-    def draw(self, place: Path, *, parquet: bool = False) -> None:
-        """Write every run's time series and the figures."""
+    def write_tables(self, place: Path, *, parquet: bool) -> None:
+        """Write every run's time series."""
         save_time_series(self.comparison, place, parquet=parquet)
+
+    def draw(self, place: Path) -> None:
+        """Write the figures."""
         comparison_figure(self.comparison, place / f"{self.record_name}.png")
         if self.document_runs:
             document_figure(document_blocks(self.document_runs), place / "desired_and_actual.png")
-
-    def save(self, folder: str | Path, *, report: bool = False, parquet: bool = False) -> Path:
-        """Write every run's time series into a folder, whole or not at all, with the record and the figure; return its path.
-
-        `nominal-pd.csv` and `.npz` have a row for each control instant, with units in the heads; `mismatch-pd.csv` has the
-        same for the mismatch.
-
-        Args:
-            folder: an older result of the same kind in it is replaced.
-            report: whether report.html, an animated page, is written too.
-            parquet: whether every time series is written as Parquet too.
-
-        Raises:
-            LinkplanError: if the folder has other files, or cannot be written.
-        """
-        return saved(self, folder, lambda place: self.draw(place, parquet=parquet), report=report)
 
     def plot(self, path: str | Path | None = None, *, every_joint: bool = False) -> Figure:
         """Return the figure of motion, error and effort of every tracker, saved at `path` if it is given.

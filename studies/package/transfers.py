@@ -15,10 +15,12 @@ from linkplan.models.transfer.rest import OutputMotion, rest_effort
 from linkplan.paths import drawn
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.reporting import Progress, listener
-from linkplan.results import Result, saved
+from linkplan.results import Result
 from linkplan.studies.handover.transfer.columns import arrays_of
-from linkplan.studies.handover.transfer.serial_study import Serial
+from linkplan.studies.handover.transfer.serial_study import Serial, errors_along, motion_of_samples
+from linkplan.studies.handover.transfer.serial_urdf import urdf_notes, urdf_text
 from linkplan.studies.handover.transfer.study import Transfer, transfer_study
+from linkplan.studies.handover.transfer.transfer_blocks import transfer_blocks, transfer_report
 from linkplan.studies.handover.transfer.transfer_figures import TransferFigures, transfer_figures
 
 if TYPE_CHECKING:
@@ -158,8 +160,6 @@ class TransferResult(Result):
         Raises:
             LinkplanError: if the linkage has none, with the reason.
         """
-        from linkplan.studies.handover.transfer.serial_urdf import urdf_notes, urdf_text
-
         self._serial()
         text = urdf_text(self.found)
         if text is None:
@@ -177,8 +177,6 @@ class TransferResult(Result):
             Arrays (n, n_joints): "effort" that the motion needs, and the errors of the "static map" (a tree without anything
             reflected), of the "serial equivalent", and of the "serial with table".
         """
-        from linkplan.studies.handover.transfer.serial_study import errors_along, motion_of_samples
-
         table, serial = self.found.table, self._serial()
         found = errors_along(table, serial.model, serial.rest, motion_of_samples(table.outputs, time_s, position_rad))
         return {"effort": found.effort, **found.named()}
@@ -211,34 +209,17 @@ class TransferResult(Result):
 
     def blocks(self) -> list[Block]:
         """Return the table and the curves."""
-        from linkplan.studies.handover.transfer.transfer_blocks import transfer_blocks
-
         return transfer_blocks(self.found)
 
     def document(self) -> Report:
         """Return the report."""
-        from linkplan.studies.handover.transfer.transfer_blocks import transfer_report
-
         return transfer_report(self.found)
 
-    def draw(self, place: Path, *, parquet: bool = False) -> None:
+    def write_tables(self, place: Path, *, parquet: bool) -> None:
         """Write the tables (CSV, NPZ, with `parquet` Parquet too), the serial equivalent and the figure."""
         from linkplan.studies.handover.transfer.files import write_files
 
         write_files(self.found, place, parquet=parquet)
-
-    def save(self, folder: str | Path, *, report: bool = False, parquet: bool = False) -> Path:
-        """Write the tables, the figure and the record into a folder, whole or not at all, and return its path.
-
-        Args:
-            folder: an older result of the same kind in it is replaced.
-            report: whether report.html, a page, is written too.
-            parquet: whether the tables are written as Parquet too.
-
-        Raises:
-            LinkplanError: if the folder cannot be written, or holds what linkplan did not write.
-        """
-        return saved(self, folder, lambda place: self.draw(place, parquet=parquet), report=report)
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of the curves over each joint's range, saved at `path` if it is given."""

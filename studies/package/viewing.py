@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -58,7 +57,7 @@ def view(
         number(seconds, "seconds", positive=True)
     if not has_screen():
         raise ProblemError(f"view needs a screen: neither DISPLAY nor WAYLAND_DISPLAY is set; {_ALTERNATIVES}")
-    gl = find_gl("glfw", os.environ)
+    gl = find_gl("glfw")
     if gl.name is None:
         raise ProblemError(f"view needs a screen, and none can be opened ({gl.why_not}); {_ALTERNATIVES}")
     say = listener(progress)

@@ -9,7 +9,6 @@ import importlib
 import os
 import subprocess
 import sys
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 from linkplan.models.errors import LinkplanError, one_line
@@ -47,17 +46,15 @@ class GL:
     why_not: str = ""
 
 
-def find_gl(asked: str | None, environment: Mapping[str, str] | None = None) -> GL:
+def find_gl(asked: str | None) -> GL:
     """Return the first OpenGL that draws a picture.
 
     Args:
         asked: the value of MUJOCO_GL: a name, "disable", or any; None if it is not set.
-        environment: of the process; by default that of this process.
 
     Raises:
         LinkplanError: if MUJOCO_GL has an unknown value.
     """
-    environment = os.environ if environment is None else environment
     word = (asked or "").lower().strip()
     if word in _OFF:
         return GL(name=None, why_not=f"MUJOCO_GL is {word}")
@@ -68,16 +65,14 @@ def find_gl(asked: str | None, environment: Mapping[str, str] | None = None) -> 
     loaded = os.environ.get("PYOPENGL_PLATFORM", "") if "OpenGL" in sys.modules else ""
     if loaded in names:
         names = (loaded,)  # a process can use one platform only
+    from linkplan.controllers.playback import has_screen
+
     said = []
     for name in names:
-        if (
-            name == "glfw"
-            and sys.platform == "linux"
-            and not (environment.get("DISPLAY") or environment.get("WAYLAND_DISPLAY"))
-        ):
+        if name == "glfw" and not has_screen():
             said.append("glfw: no display")
             continue
-        why_not = _tried(name, environment.get("DISPLAY", ""))
+        why_not = _tried(name, os.environ.get("DISPLAY", ""))
         if not why_not:
             return GL(name=name)
         said.append(f"{name}: {why_not}")

@@ -9,19 +9,14 @@ import numpy as np
 from linkplan.controllers.controls import Controls
 from linkplan.controllers.playback import Rows, Shown
 from linkplan.controllers.trackers.names import BUILT_IN
-from linkplan.models.poses.skeleton import pins_in_space
-from linkplan.models.poses.solids import solids
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.compare.compare import lqr_settings, tracking_reference
-from linkplan.studies.output.body_colours import body_colours
 from linkplan.studies.render.caption import effort_lines
-from linkplan.studies.render.efforts import effort_shapes
-from linkplan.studies.render.framing import axes_of, framed, own_direction
+from linkplan.studies.render.framing import framed, own_direction
 from linkplan.studies.render.motion import TrackedMotion, tracked_motion
 from linkplan.studies.render.mujoco_painter import add_figure, add_shapes
-from linkplan.studies.render.scenes import Figure, all_points, beside_geoms, place_bodies, rod_radius
-from linkplan.studies.render.shapes import bones, ghostly
+from linkplan.studies.render.scenes import all_points, film_scenes, place_bodies
 
 
 def run_maker(plan: Plan) -> Callable[[Controls], Shown]:
@@ -59,25 +54,17 @@ def with_gains(tracking: Tracking, kp_factor: float, kd_factor: float) -> Tracki
 
 def shown(motion: TrackedMotion, words: Callable[[int], Rows]) -> Shown:
     """Return a motion for the viewer."""
-    mechanism, model = motion.mechanism, motion.mechanism.model
-    colours, radius, size = body_colours(mechanism), rod_radius(mechanism), mechanism.extent_m
-    own, planned = ({b: p for b, p in pins_in_space(mechanism, q).items() if b} for q in (motion.pose, motion.reference))
-    beside = [solid for solid in solids(mechanism) if solid.kind != "geom"]
-    data, option = mujoco.MjData(model), mujoco.MjvOption()
-    towards = -axes_of(*own_direction(model))[2]
+    model = motion.mechanism.model
+    direction, data, option = own_direction(model), mujoco.MjData(model), mujoco.MjvOption()
 
     def decorate(scene, k: int, ghost: bool) -> None:
         """Add the skeleton, the payload, the ghost and the efforts of instant k."""
-        add_shapes(scene, bones({body: pins[k] for body, pins in own.items()}, radius, colours))
-        add_shapes(scene, beside_geoms(mechanism, motion.pose[k : k + 1], colours, beside)[0])
-        place_bodies(model, data, mechanism.qpos_of(motion.pose[k]))
-        for actuator, share in zip(mechanism.actuators, motion.shares[k], strict=True):
-            add_shapes(scene, effort_shapes(model, data, actuator, float(share), size, towards))
+        (picture,) = film_scenes(motion, np.array([k]), direction)
+        planned, own = picture.figures
+        add_shapes(scene, (*own.shapes, *picture.efforts))
         if ghost:
-            qpos = mechanism.qpos_of(motion.reference[k])
-            rods = ghostly(bones({body: pins[k] for body, pins in planned.items()}, radius, colours))
-            place_bodies(model, data, qpos)
-            add_figure(scene, model, data, option, Figure(qpos=qpos, shapes=rods, ghost=True))
+            place_bodies(model, data, planned.qpos)
+            add_figure(scene, model, data, option, planned)
 
     return Shown(time_s=motion.time_s, pose=motion.pose, decorate=decorate, words=words, stable=motion.stable)
 

@@ -90,7 +90,7 @@ def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callab
         say(f"tracked by {settings.tracker}; {motion.duration_s:.4g} s of motion, shown {slow:g} times slower")
     with _painter(motion, camera, settings, gl) as paint:
         if settings.suffix == ".png":
-            write_file_whole(path, SUFFIXES, lambda place: write_png(place, picture(motion, camera, settings, paint)))
+            write_file_whole(path, lambda place: write_png(place, picture(motion, camera, settings, paint)), SUFFIXES)
             n, film = 1, False
         else:
             instants = np.array([motion.index_at(time) for time in times])
@@ -181,7 +181,7 @@ def _write_film(
         some = np.append(some, shown[np.argmax(loads)])  # with the red of an effort at its limit
         write_gif(place, reported(), n, settings.fps, list(images(some)))
 
-    write_file_whole(path, SUFFIXES, write)
+    write_file_whole(path, write, SUFFIXES)
 
 
 def _foot(motion: TrackedMotion, *, ghost: bool) -> str:

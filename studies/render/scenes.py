@@ -1,7 +1,6 @@
 """The contents of a picture at an instant: the mechanism, the ghost of the plan, and the efforts."""
 
 import copy
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -9,7 +8,7 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.skeleton import pins_in_space, tendon_lines
-from linkplan.models.poses.solids import Solid, body_frames, solids, visible_geoms
+from linkplan.models.poses.solids import body_frames, solids, visible_geoms
 from linkplan.studies.output.body_colours import body_colours, plain_geoms
 from linkplan.studies.render.efforts import effort_shapes
 from linkplan.studies.render.framing import axes_of, corners
@@ -58,17 +57,17 @@ def skeletons(mechanism: Mechanism, poses: np.ndarray) -> list[tuple[RenderedSha
     """Return the skeleton of the moving bodies at each of the poses (n, n_q)."""
     pins, colours = pins_in_space(mechanism, poses), body_colours(mechanism)
     pins.pop(0, None)
-    radius = rod_radius(mechanism)
-    extra = beside_geoms(mechanism, poses, colours, [solid for solid in solids(mechanism) if solid.kind != "geom"])
+    radius, extra = rod_radius(mechanism), beside_geoms(mechanism, poses, colours)
     return [
         (*bones({body: points[k] for body, points in pins.items()}, radius, colours), *extra[k]) for k in range(len(poses))
     ]
 
 
 def beside_geoms(
-    mechanism: Mechanism, poses: np.ndarray, colours: dict[int, tuple[float, ...]], shown: Sequence[Solid]
+    mechanism: Mechanism, poses: np.ndarray, colours: dict[int, tuple[float, ...]]
 ) -> list[tuple[RenderedShape, ...]]:
     """Return solids that are no geoms of the model, the payload and arms to sites, at each of the poses (n, n_q)."""
+    shown = [solid for solid in solids(mechanism) if solid.kind != "geom"]
     places, turns = body_frames(mechanism, poses)
     found = []
     for place, turn in zip(places, turns, strict=True):

@@ -182,6 +182,12 @@ def test_a_check_has_findings_text_record_and_figure(subject, tmp_path):
     json.dumps(found.to_dict(), allow_nan=False)
 
 
+def test_a_result_without_tables_is_not_saved_as_parquet(tmp_path):
+    with pytest.raises(LinkplanError, match=r"parquet is for the tables of .*; a CheckResult has none"):
+        linkplan.check("five-bar").save(tmp_path / "checked", parquet=True)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_problem_that_cannot_be_planned_is_checked_all_the_same(tmp_path):
     text = linkplan.Problem.from_file("knee-reach").to_toml()
     (tmp_path / "bad.toml").write_text(text.replace("duration_s = 0.16", "duration_s = -1"), encoding="utf-8")

@@ -18,14 +18,12 @@ from linkplan.models.poses.along import (
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
 from linkplan.models.poses.controls import control_excess
-from linkplan.models.poses.equilibrium import lock_words
-from linkplan.models.tree.joints import Joint
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.check.drives import drivable, motors_hint
-from linkplan.studies.check.new.hanging import driven_columns, hanging_columns
+from linkplan.studies.check.drives import drivable, motors_hint, outside_at_home, range_words
+from linkplan.studies.check.new.hanging import driven_columns, hanging_columns, lock_at_home
 from linkplan.studies.check.summary import grouped
 
 
@@ -53,7 +51,7 @@ def obstacle_on_way(problem: Problem) -> str | None:
     outside = np.any((poses < ranges[:, 0] - RANGE_ROUNDING) | (poses > ranges[:, 1] + RANGE_ROUNDING), axis=0)
     if outside.any():
         joint = mechanism.joints[int(np.argmax(outside))]
-        return f"joint {joint.name} is outside its range {_range_words(joint)}"
+        return f"joint {joint.name} is outside its range {range_words(joint)}"
     turned = np.any(beyond_balls(mechanism, poses) > RANGE_ROUNDING, axis=0)
     if turned.any():
         return f"ball joint {mechanism.balls[int(np.argmax(turned))].name} is outside its range"
@@ -69,15 +67,9 @@ def obstacle_on_way(problem: Problem) -> str | None:
 
 def why_stuck(mechanism: Mechanism) -> str:
     """Return why the driven joints cannot leave home; if a joint is outside its range at home, that joint is named."""
-    for joint, x in zip(mechanism.joints, mechanism.home.tolist(), strict=True):
-        if not joint.lower - RANGE_ROUNDING <= x <= joint.upper + RANGE_ROUNDING:
-            said = f"{joint.text(x)} {joint.unit} at home, outside its range {_range_words(joint)}"
-            return f"joint {joint.name} stands at {said}; mechanism.home_deg and home_m name another pose"
+    for sentence in outside_at_home(mechanism):
+        return f"{sentence}; mechanism.home_deg and home_m name another pose"
     return "the joints cannot leave home"
-
-
-def _range_words(joint: Joint) -> str:
-    return f"[{joint.text(joint.lower)}, {joint.text(joint.upper)}] {joint.unit}"
 
 
 def why_not(answer: Plan, within_s: float | None) -> str:
@@ -88,14 +80,10 @@ def why_not(answer: Plan, within_s: float | None) -> str:
         last = f"; of the last one, {failures[0]}" if failures else ""
         said = f"no motion was found within {within_s:g} s of work{last}; planning it without that bound may find one"
     coasting = np.flatnonzero(np.isin(mechanism.independent, mechanism.coasting_dofs)).tolist()
-    loose = [
-        (mechanism.independent_joints[k], float(mechanism.home[mechanism.independent[k]]))
-        for k in sorted({*hanging_columns(mechanism), *coasting})
-    ]
-    locked = [(joint, x) for joint, x in loose if joint.chart is None]
-    names = listed([joint.name for joint, _ in loose], 8)
-    held = f"{lock_words(locked, mechanism.selection.lock)} holds them"  # with what `new` has locked, which goes with it
-    remedy = held if locked else f"start and goal are to be poses at which {names} hang at rest"
+    loose = sorted({*hanging_columns(mechanism), *coasting})
+    lock = lock_at_home(mechanism, loose)  # with what `new` has locked, which goes with it
+    names = listed([mechanism.independent_joints[k].name for k in loose], 8)
+    remedy = f"{lock} holds them" if lock else f"start and goal are to be poses at which {names} hang at rest"
     return f"{said}; nothing drives these joints, which swing or coast as the others move: {remedy}" if loose else said
 
 

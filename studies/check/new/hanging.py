@@ -4,7 +4,7 @@ The drives hold their coordinates. The pose of least potential energy of the oth
 two such poses that is slow compared with the swings of the hanging joints needs little more than the holding effort.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
@@ -94,11 +94,17 @@ def resting_positions(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> 
     for column in hanging if pose is not None else ():
         rest[column] = _rounded(mechanism.independent_joints[column], float(pose[mechanism.independent[column]]))
     if pose is None or not is_equilibrium(mechanism, close_at(mechanism, rest, near)):
-        loose = [(mechanism.independent_joints[k], mechanism.home[mechanism.independent[k]]) for k in hanging]
-        locked = [(joint, float(x)) for joint, x in loose if joint.chart is None]
-        held = f"; {lock_words(locked, mechanism.selection.lock)} holds it" if locked else ""
-        raise AssemblyError(f"what nothing drives does not hang at rest on the way{held}")
+        lock = lock_at_home(mechanism, hanging)
+        raise AssemblyError(f"what nothing drives does not hang at rest on the way{lock and f'; {lock} holds it'}")
     return rest
+
+
+def lock_at_home(mechanism: Mechanism, columns: Sequence[int]) -> str:
+    """Return the key that locks coordinates at home, beside what is locked already; "" if none of them can be locked."""
+    home = mechanism.home[mechanism.independent]
+    places = [(mechanism.independent_joints[k], float(home[k])) for k in columns]
+    locked = [(joint, x) for joint, x in places if joint.chart is None]
+    return lock_words(locked, mechanism.selection.lock) if locked else ""
 
 
 def is_equilibrium(mechanism: Mechanism, pose: np.ndarray) -> bool:

@@ -3,12 +3,11 @@
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.period import travel_scales
 from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.plan.plan import Plan
-from linkplan.studies.check.softness import STIFF_KEY, held_gap, loaded_closures
+from linkplan.studies.check.softness import STIFF_KEY, loaded_closures, weight_load
 
 # A larger gap is another mechanism than the planned one: a share of the mechanism's extent or an angle [rad] at rest, and a
 # share of the travel in a motion.
@@ -26,9 +25,7 @@ def home_gap(mechanism: Mechanism) -> float:
     """
     if not mechanism.closures or not mechanism.n_u or not mechanism.dof:
         return 0.0
-    still = np.zeros((1, mechanism.dof))
-    hold = needed_effort(mechanism, mechanism.home[None], still, still)[0][0]
-    return held_gap(mechanism, mechanism.home, hold) / mechanism.extent_m
+    return weight_load(mechanism).gap_m / mechanism.extent_m
 
 
 def planned_gap(plan: Plan) -> float:

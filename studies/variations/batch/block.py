@@ -3,20 +3,16 @@
 The blocks depend on the number of cases only, so that every plan is reproducible.
 """
 
-import io
 import tempfile
-import zipfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import msgspec
 from msgspec import Struct, field
-from msgspec.structs import replace
 
 from linkplan.models.errors import PlanFileError, one_line
-from linkplan.models.reading import MAX_FILE_BYTES
-from linkplan.planner.files.columns import read_member, read_trajectory
+from linkplan.planner.files.columns import read_trajectory
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan.folder import record_of, write_plan
 from linkplan.planner.plan.record import read_plan_record
@@ -29,7 +25,6 @@ from linkplan.studies.variations.tasks.streaming import blocks_of
 # A block is a sixteenth of the cases within these bounds. Short blocks spread over workers and are soon redone; long blocks
 # reuse more solutions.
 _MIN_BLOCK_CASES, _MAX_BLOCK_CASES = 8, 64
-_CASES = "cases.json"
 _FILES = ("plan.json", "trajectory.npz", "trajectory.csv", "trajectory.parquet")
 
 
@@ -74,53 +69,42 @@ def plan_block(batch: BatchFile, block: int, target: Path | None, parquet: bool,
 
 
 def packed(answers: list[Planned]) -> bytes:
-    """Return the answers of a block as one archive."""
-    records = msgspec.json.encode([replace(answer, files={}) for answer in answers])
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
-        archive.writestr(zipfile.ZipInfo(_CASES), records)  # without date: zip has no dates before 1980
-        for answer in answers:
-            for name, content in answer.files.items():
-                archive.writestr(zipfile.ZipInfo(f"{answer.name}/{name}"), content)
-    return buffer.getvalue()
+    """Return the answers of a block as the content of one file."""
+    return msgspec.msgpack.encode(answers)
 
 
 def unpacked(path: Path, cases: Sequence[CaseSection], place: Path | None) -> list[Planned]:
-    """Return the answers of a block from its archive, and write their files into folders at `place` if given.
+    """Return the answers of a block from its file, and write the plans into folders at `place` if given.
 
     Raises:
-        PlanFileError: if the archive is damaged, belongs to other cases, or holds an invalid plan.
+        PlanFileError: if the file is damaged, belongs to other cases, or holds an invalid plan.
     """
     if not path.is_file():
         raise PlanFileError(f"'{path}' is not a file; remove it, and the same command plans its cases again")
     try:
-        with zipfile.ZipFile(path) as archive:
-            answers = msgspec.json.decode(read_member(archive, _CASES, MAX_FILE_BYTES), type=list[Planned])
-            if [one.name for one in answers] != [case.name for case in cases]:
-                raise ValueError("its cases are not those of the batch")
-            if place is not None:
-                _unpack(archive, answers, place)
-    except Exception as error:  # the zip parser raises many kinds of errors on damaged files
-        why = one_line(error) or type(error).__name__
+        answers = msgspec.msgpack.decode(path.read_bytes(), type=list[Planned])
+        if [one.name for one in answers] != [case.name for case in cases]:
+            raise ValueError("its cases are not those of the batch")
+        for answer in [] if place is None else answers:
+            _unpack(answer, place / answer.name)
+    except (msgspec.MsgspecError, ValueError, PlanFileError) as error:
+        why = one_line(error)
         raise PlanFileError(f"'{path}' is damaged: {why}; remove it, and the same command plans its cases again") from error
     return answers
 
 
-def _unpack(archive: zipfile.ZipFile, answers: Sequence[Planned], place: Path) -> None:
-    """Write the files of plans into a folder for each case, and check that the plans can be read.
+def _unpack(answer: Planned, folder: Path) -> None:
+    """Write the files of a case's plan into its folder, and check that the plan can be read.
 
     Raises:
-        ValueError: if a member is not a file of a case's plan, or too large.
-        PlanFileError: if a plan's files are damaged.
+        ValueError: if a file is not that of a plan.
+        PlanFileError: if a file is damaged.
     """
-    planned = [one.name for one in answers if one.failure is None]
-    legal = {f"{name}/{file}" for name in planned for file in _FILES}
-    if others := sorted(set(archive.namelist()) - legal - {_CASES}):
-        raise ValueError(f"'{others[0][:100]}' is no file of its plans")
-    for name in archive.namelist():
-        if name != _CASES:
-            (place / name).parent.mkdir(exist_ok=True)
-            (place / name).write_bytes(read_member(archive, name, MAX_FILE_BYTES))
-    for name in planned:
-        read_plan_record(place / name)
-        read_trajectory(place / name / "trajectory.npz")
+    if others := sorted(answer.files.keys() - set(_FILES)):
+        raise ValueError(f"'{answer.name}/{others[0][:100]}' is no file of its plans")
+    for name, content in answer.files.items():
+        folder.mkdir(exist_ok=True)
+        (folder / name).write_bytes(content)
+    if answer.failure is None:
+        read_plan_record(folder)
+        read_trajectory(folder / "trajectory.npz")

@@ -60,7 +60,7 @@ def run_batch(
     with parts_folder(target) as folder, working(folder, asked, "a batch"):
 
         def write(block: int, answers: list[Planned]) -> None:
-            replace_file(part(folder, block, "zip"), functools.partial(Path.write_bytes, data=packed(answers)))
+            replace_file(part(folder, block, "msgpack"), functools.partial(Path.write_bytes, data=packed(answers)))
 
         def save(place: Path) -> None:
             outcomes.append(_outcome(folder, batch, place))
@@ -98,7 +98,7 @@ def _outcome(folder: Path, batch: BatchFile, place: Path | None) -> BatchOutcome
     rows, failures, cases = [], [], {}
     for block, numbers in enumerate(case_blocks(len(batch.case))):
         cases_here = [batch.case[i] for i in numbers]
-        for answer in unpacked(part(folder, block, "zip"), cases_here, place):
+        for answer in unpacked(part(folder, block, "msgpack"), cases_here, place):
             rows.append(answer.row)
             failures += [] if answer.failure is None else [answer.failure]
             cases[answer.name] = answer.record

@@ -14,69 +14,49 @@ up to the rms error, because errors of different causes can cancel or occur at d
 
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import whole
 from linkplan.planner.search.planning import silent
+from linkplan.studies.compare.compare import actuated_by_unit
 from linkplan.studies.compare.user_tracker import TrackerLike
 from linkplan.studies.variations.decompose.decomposition import Decomposition, Shares, TrackerShares
 from linkplan.studies.variations.decompose.ladder import CAUSES, run_ladder
-from linkplan.studies.variations.experiment.experiment import Experiment, Settings, experiment_of, imperfections_asked
+from linkplan.studies.variations.experiment.experiment import Settings, experiment_of, imperfections_asked
 
 # Machines that are simulated by default and at most, if something is random. For more, use an experiment.
 DEFAULT_SAMPLES, MOST_SAMPLES = 16, 1000
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class ErrorParts:
-    """The parts of a rms error, in its unit, as arrays over the causes.
+def error_parts(errors: np.ndarray, increments: np.ndarray, joints: Sequence[str]) -> Shares:
+    """Return the parts of errors e_K from e_1 to e_K and d_1 to d_K (K, t, n, n_s), by the names of causes and joints.
 
-    `parts` (K,) add up to `rms`, and so do `of_joints` (K, n_s) over both axes. `alone` (K,) are the rms values of the
-    increments; `after` (K,) is the rms error after each cause is switched on.
-    """
-
-    rms: float
-    parts: np.ndarray
-    of_joints: np.ndarray
-    alone: np.ndarray
-    after: np.ndarray
-
-    def named(self, joints: Sequence[str]) -> Shares:
-        """Return the parts by the names of the causes and of the joints (n_s,)."""
-
-        def by_cause(values: np.ndarray) -> dict[str, float]:
-            return dict(zip(CAUSES, values.tolist(), strict=True))
-
-        return Shares(
-            rms_error=self.rms,
-            parts=by_cause(self.parts),
-            parts_of_joints={name: by_cause(column) for name, column in zip(joints, self.of_joints.T, strict=True)},
-            rms_of_increment=by_cause(self.alone),
-            rms_error_on_rung=by_cause(self.after),
-        )
-
-
-def error_parts(errors: np.ndarray, increments: np.ndarray) -> ErrorParts:
-    """Return the parts of errors e_K from e_1 to e_K and d_1 to d_K (K, t, n, n_s).
-
-    t instants, n machines, n_s joints of one unit.
+    t instants, n machines, n_s `joints` of one unit.
     """
     instants = errors.shape[1] * errors.shape[2]
 
     def rms_of(values: np.ndarray) -> np.ndarray:
         return np.sqrt(np.sum(values**2, axis=(1, 2, 3)) / instants)
 
+    def by_cause(values: np.ndarray) -> dict[str, float]:
+        return dict(zip(CAUSES, values.tolist(), strict=True))
+
     rms = float(rms_of(errors[-1:])[0])
     projected = np.sum(increments * errors[-1], axis=(1, 2)) / instants
     of_joints = projected / rms if rms > 0 else np.zeros_like(projected)
-    return ErrorParts(
-        rms=rms, parts=of_joints.sum(axis=1), of_joints=of_joints, alone=rms_of(increments), after=rms_of(errors)
+    return Shares(
+        rms_error=rms,
+        parts=by_cause(of_joints.sum(axis=1)),
+        parts_of_joints={name: by_cause(column) for name, column in zip(joints, of_joints.T, strict=True)},
+        rms_of_increment=by_cause(rms_of(increments)),
+        rms_error_on_rung=by_cause(rms_of(errors)),
     )
 
 
@@ -107,6 +87,7 @@ def decompose(
     if not any(factor.spread.random or "noise" in factor.key for factor in experiment.section.factors):
         experiment = replace(experiment, values=experiment.values[:1])
     found: dict[str, TrackerShares] = {}
+    reference, mechanism = experiment.reference, plan.problem.mechanism
     for one in asked:
         ladder = run_ladder(experiment, one)
         if ladder.tracker in found:
@@ -117,9 +98,8 @@ def decompose(
         found[ladder.tracker] = TrackerShares(
             machines=int(kept.sum()),
             failures=dict(Counter(failed for failed in ladder.failure if failed is not None)),
-            **(_by_unit(experiment, errors, increments) if np.any(kept) else {}),
+            **(_by_unit(mechanism, errors, increments) if np.any(kept) else {}),
         )
-    reference, mechanism = experiment.reference, plan.problem.mechanism
     return Decomposition(
         decomposition=plan.problem.name,
         machines=experiment.n,
@@ -134,21 +114,10 @@ def decompose(
     )
 
 
-def joints_by_unit(experiment: Experiment) -> dict[str, np.ndarray]:
-    """Return the indices of the controllable independent joints, by their unit."""
-    mechanism = experiment.plan.problem.mechanism
-    actuated = mechanism.actuated
-    units = np.array([joint.unit for joint in mechanism.independent_joints])
-    return {str(unit): np.flatnonzero(actuated & (units == unit)) for unit in dict.fromkeys(units[actuated])}
-
-
-def _by_unit(experiment: Experiment, errors: np.ndarray, increments: np.ndarray) -> dict[str, Shares]:
+def _by_unit(mechanism: Mechanism, errors: np.ndarray, increments: np.ndarray) -> dict[str, Shares]:
     """Return the parts of errors and increments (n_steps, t, n, n_s) [rad or m], for the joints of each unit."""
-    joints = experiment.plan.problem.mechanism.independent_joints
-    factor = np.array([joint.shown(1.0) for joint in joints])
-    errors, increments = factor * errors, factor * increments
-    found = {}
-    for unit, which in joints_by_unit(experiment).items():
-        names = [joints[i].name for i in which.tolist()]
-        found[unit] = error_parts(errors[..., which], increments[..., which]).named(names)
-    return found
+    names = np.array([joint.name for joint in mechanism.independent_joints])
+    return {
+        unit: error_parts(factor * errors[..., which], factor * increments[..., which], names[which].tolist())
+        for unit, (which, factor) in actuated_by_unit(mechanism).items()
+    }

@@ -3,7 +3,7 @@
 import functools
 import hashlib
 import socket
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -56,7 +56,7 @@ def conduct(
     if not (folder / PLAN).is_dir():
         made = plan()
         experiment_of(made, settings)  # what is refused leaves no folder
-        keep_plan(folder, made)
+        write_whole(folder / PLAN, lambda place: write_plan(made, place))
     folder = folder.resolve()
     written = _hash_of(folder / PLAN)
     experiment = replace(_opened(folder, settings, written), own=own)
@@ -101,12 +101,6 @@ def _work(
     return run_block(replace(_opened(folder, settings, written), own=own), block, threads or share)
 
 
-def keep_plan(folder: Path, plan: Plan) -> None:
-    """Write the plan into a folder of parts, completely or not at all."""
-    if not (folder / PLAN).is_dir():
-        write_whole(folder / PLAN, lambda place: write_plan(plan, place))
-
-
 def column_kinds(experiment: Experiment) -> dict[str, Kind]:
     """Return the kinds of an experiment's result columns by name, in order."""
     kinds: dict[str, Kind] = {"sample": "count", "tracker": "word", "success": "flag", "failure": "word"}
@@ -117,27 +111,26 @@ def column_kinds(experiment: Experiment) -> dict[str, Kind]:
 
 def write_part(folder: Path, experiment: Experiment, block: int, columns: Mapping[str, list]) -> None:
     """Write a block's results as a part, completely or not at all."""
+    replace_file(part(folder, block, "parquet"), lambda place: write_results(place, experiment, columns))
+
+
+def write_results(path: Path, experiment: Experiment, columns: Mapping[str, Sequence | np.ndarray]) -> None:
+    """Write columns of results into a file."""
     import pyarrow as pa
     import pyarrow.parquet as parquet
 
-    table = pa.table(dict(columns), schema=schema_of(column_kinds(experiment)))
-    replace_file(part(folder, block, "parquet"), lambda place: parquet.write_table(table, place))
+    parquet.write_table(pa.table(dict(columns), schema=schema_of(column_kinds(experiment))), path)
 
 
-def write_results(folder: Path, path: Path, experiment: Experiment) -> None:
-    """Check all parts and write them in order into one file.
+def read_parts(folder: Path, experiment: Experiment) -> dict[str, np.ndarray]:
+    """Return the columns of all parts in their order.
 
     Raises:
         PlanFileError: if a part is damaged or belongs to another experiment.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as parquet
-
-    schema = schema_of(column_kinds(experiment))
-    with parquet.ParquetWriter(path, schema) as writer:
-        for block, samples in enumerate(sample_blocks(experiment)):
-            columns = read_results(part(folder, block, "parquet"), experiment, samples)
-            writer.write_table(pa.table(columns, schema=schema))
+    blocks = enumerate(sample_blocks(experiment))
+    parts = [read_results(part(folder, block, "parquet"), experiment, samples) for block, samples in blocks]
+    return {name: np.concatenate([columns[name] for columns in parts]) for name in parts[0]}
 
 
 def read_results(path: Path, experiment: Experiment, samples: range | None = None) -> dict[str, np.ndarray]:

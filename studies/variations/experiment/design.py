@@ -56,7 +56,7 @@ def machines_by_design(
         elif design == SOBOL:
             value = at_chance(factors[i].spread, np.clip(share, _MIN_PROBABILITY, 1 - _MIN_PROBABILITY))
         else:
-            low, high = _whole_range(factors[i].spread) if design == "grid" else ends_of(factors[i])
+            low, high = ends_of(factors[i])
             value = low + share * (high - low)
         values[:, i] = np.clip(value, quantity.low, quantity.high)
     return values, np.arange(len(values)) if scheme is None else scheme.draws, scheme
@@ -96,14 +96,9 @@ def varied(factors: Sequence[Factor]) -> list[int]:
     return [i for i, factor in enumerate(factors) if factor.spread.random]
 
 
-def _whole_range(spread: Spread) -> np.ndarray:
-    """Return the ends (2,) of a distribution's range, a normal one's central 95 %."""
-    return at_chance(spread, np.array([0.0, 1.0] if spread.kind == "uniform" else [0.025, 0.975]))
-
-
 def ends_of(factor: Factor) -> tuple[float, float]:
     """Return the ends of a factor's range; for a normal distribution, of its central 95 % interval."""
-    spread: Spread = factor.spread
+    spread = factor.spread
     if spread.kind == "normal":
         ends = spread.first - NORMAL_QUANTILE * spread.second, spread.first + NORMAL_QUANTILE * spread.second
         return max(ends[0], factor.quantity.low), min(ends[1], factor.quantity.high)

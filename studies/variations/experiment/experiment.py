@@ -63,14 +63,10 @@ def default_imperfections(plan: Plan) -> dict:
     actuators = list(zip(mechanism.actuators, size.tolist(), strict=True))
     # A 12-bit command of both signs; friction up to 2 % of the effort limit, or of the planned peak without a limit.
     table["torque_resolution"] = {actuator.name: most / 2048 for actuator, most in actuators}
-    driven = {joint: most for actuator, most in actuators if (joint := _joint(mechanism, actuator)) is not None}
+    driven = {mechanism.joints[actuator.joint].name: most for actuator, most in actuators if actuator.joint is not None}
     if driven:
         table["coulomb_friction"] = {joint: [0.0, 0.02 * most] for joint, most in driven.items()}
     return table
-
-
-def _joint(mechanism: Mechanism, actuator) -> str | None:
-    return None if actuator.joint is None else mechanism.joints[actuator.joint].name
 
 
 class Settings(Struct, frozen=True, kw_only=True):

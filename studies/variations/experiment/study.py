@@ -13,12 +13,13 @@ from linkplan.models.extras import load_extra
 from linkplan.planner.files.folders import check_target, plain_record, write_json
 from linkplan.planner.files.manifest import read_record
 from linkplan.planner.files.structs import NOT_READ, Beside
-from linkplan.planner.plan.folder import write_plan
+from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.compare.tracker_source import object_hash, refuse_other_sources, source_hash
 from linkplan.studies.compare.user_tracker import TrackerLike
-from linkplan.studies.variations.experiment.conduct import conduct, read_results, write_results
+from linkplan.studies.variations.experiment.conduct import conduct, read_parts, read_results, write_results
 from linkplan.studies.variations.experiment.design import LATIN_HYPERCUBE, replicate_of
+from linkplan.studies.variations.experiment.distributions import SHOWN, distributions
 from linkplan.studies.variations.experiment.experiment import (
     AskedRecord,
     Experiment,
@@ -32,6 +33,7 @@ from linkplan.studies.variations.experiment.experiment import (
 )
 from linkplan.studies.variations.experiment.metrics import metrics_of
 from linkplan.studies.variations.experiment.sensitivity import Sensitivity, sensitivity_of
+from linkplan.studies.variations.experiment.sensitivity_blocks import save_tornados
 from linkplan.studies.variations.experiment.summary import Summary, chatter_notes, summarise
 from linkplan.studies.variations.sensitivity.scheme import MORRIS, ONE_AT_A_TIME
 from linkplan.studies.variations.tasks.engine import Engine, Say, serial
@@ -124,18 +126,15 @@ def run_experiment(
             return saved_outcome(target)
     with parts_folder(target) as folder, working(folder, asked, "an experiment"):
         experiment = conduct(folder, settings, sources, objects, plan, engine, say, threads)
-        write_results(folder, folder / RESULTS, experiment)
-        outcome = _outcome(experiment, read_results(folder / RESULTS, experiment), request)
-        (folder / RESULTS).unlink()
+        outcome = _outcome(experiment, read_parts(folder, experiment), request)
         if target is not None:
-            finish(folder, target, lambda place: _save(outcome, folder, place), RECORD)
+            finish(folder, target, lambda place: _save(outcome, place), RECORD)
     return outcome
 
 
 def experiment_figure(outcome: ExperimentOutcome, path: Path | None) -> "Figure":
     """Return the figure of an experiment's distributions, saved at `path` if given."""
     from linkplan.studies.output.figure import figure_of
-    from linkplan.studies.variations.experiment.distributions import SHOWN, distributions
 
     one, metrics = outcome.experiment, outcome.metrics
     names = [name for start in SHOWN for name in metrics if name.startswith(start)]
@@ -144,11 +143,9 @@ def experiment_figure(outcome: ExperimentOutcome, path: Path | None) -> "Figure"
     return figure_of(drawn, path, title=title, columns=3, panel_in=(4.0, 3.0))
 
 
-def _save(outcome: ExperimentOutcome, folder: Path, place: Path) -> None:
+def _save(outcome: ExperimentOutcome, place: Path) -> None:
     """Write an outcome's files into an empty folder, and check that the record and the results can be read."""
-    from linkplan.studies.variations.experiment.sensitivity_blocks import save_tornados
-
-    write_results(folder, place / RESULTS, outcome.experiment)
+    write_results(place / RESULTS, outcome.experiment, outcome.results)
     read_results(place / RESULTS, outcome.experiment)
     write_json(place / RECORD, outcome)
     read_asked(place)
@@ -201,8 +198,6 @@ def saved_experiment(folder: Path) -> Experiment:
     Raises:
         PlanFileError: if the folder holds no experiment.
     """
-    from linkplan.planner.plan.folder import read_plan
-
     asked = read_asked(folder)
     return experiment_of(read_plan(folder / PLAN, anyway=True), asked.settings)
 

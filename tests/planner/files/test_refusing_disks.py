@@ -10,9 +10,9 @@ from linkplan.models import work_folders
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files import folders
 from linkplan.planner.files.folders import check_target, write_json, write_whole
-from linkplan.planner.files.single_file import write_over
+from linkplan.planner.files.single_file import check_file_target, write_file_whole
 from linkplan.planner.plan.folder import read_plan
-from linkplan.studies.output.report_file import refuse_other_files
+from linkplan.studies.output.report_file import PAGE_MARK
 
 
 def result(text: str):
@@ -88,7 +88,7 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path, monkeypatch):
     (tmp_path / "report.html").write_bytes(b"old")
     monkeypatch.setattr(os, "fsync", refuse)
     with pytest.raises(PlanFileError, match="No space left"):
-        write_over(tmp_path / "report.html", b"new")
+        write_file_whole(tmp_path / "report.html", lambda place: place.write_bytes(b"new"), mark="old")
     assert (tmp_path / "report.html").read_bytes() == b"old"
     assert names(tmp_path) == ["report.html"]
 
@@ -96,7 +96,7 @@ def test_a_file_is_replaced_whole_or_not_at_all(tmp_path, monkeypatch):
 def test_a_link_to_an_earlier_file_is_written_through(tmp_path):
     (tmp_path / "report.html").write_bytes(b"old")
     (tmp_path / "link").symlink_to("report.html")
-    write_over(tmp_path / "link", b"new")
+    write_file_whole(tmp_path / "link", lambda place: place.write_bytes(b"new"), mark="old")
     assert os.readlink(tmp_path / "link") == "report.html"
     assert (tmp_path / "report.html").read_bytes() == b"new"
 
@@ -104,8 +104,8 @@ def test_a_link_to_an_earlier_file_is_written_through(tmp_path):
 def test_a_file_of_gigabytes_is_no_report_and_is_not_read_to_its_end(tmp_path):
     with (tmp_path / "report.html").open("wb") as file:
         os.truncate(file.fileno(), 10_000_000_000)
-    with pytest.raises(PlanFileError, match="no report"):
-        refuse_other_files(tmp_path / "report.html")
+    with pytest.raises(PlanFileError, match="not linkplan's"):
+        check_file_target(tmp_path / "report.html", mark=PAGE_MARK)
 
 
 def changed(folder: Path, **values: object) -> None:

@@ -13,7 +13,7 @@ OURS = b"\x89 " + MADE_BY.encode() + b" rest"
 
 def test_a_file_is_written_and_nothing_is_left_beside_it(tmp_path):
     target = tmp_path / "film.mp4"
-    write_file_whole(target, KINDS, lambda path: path.write_bytes(OURS))
+    write_file_whole(target, lambda path: path.write_bytes(OURS), KINDS)
     assert target.read_bytes() == OURS
     assert list(tmp_path.iterdir()) == [target]
 
@@ -27,7 +27,7 @@ def test_a_failure_leaves_the_earlier_file_and_nothing_else(tmp_path):
         raise RuntimeError("the encoder fails")
 
     with pytest.raises(RuntimeError):
-        write_file_whole(target, KINDS, fails)
+        write_file_whole(target, fails, KINDS)
     assert target.read_bytes() == OURS
     assert list(tmp_path.iterdir()) == [target]
 
@@ -38,14 +38,14 @@ def test_an_interrupt_while_writing_leaves_nothing(tmp_path):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        write_file_whole(tmp_path / "film.mp4", KINDS, interrupted)
+        write_file_whole(tmp_path / "film.mp4", interrupted, KINDS)
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_file_of_linkplans_own_is_written_over_and_anothers_is_not(tmp_path):
     target = tmp_path / "film.mp4"
     target.write_bytes(OURS)
-    write_file_whole(target, KINDS, lambda path: path.write_bytes(OURS + b"2"))
+    write_file_whole(target, lambda path: path.write_bytes(OURS + b"2"), KINDS)
     assert target.read_bytes() == OURS + b"2"
     target.write_bytes(b"holidays")
     with pytest.raises(PlanFileError, match="not linkplan's"):

@@ -314,6 +314,6 @@ def test_an_earlier_schema_is_replaced_and_no_other_file(tmp_path, capsys):
 
 def test_the_command_refuses_a_folder_and_other_files_in_a_line(tmp_path, capsys):
     assert main(["schema", "-o", str(tmp_path)]) == 2
-    assert "a schema is a file, got the folder" in capsys.readouterr().err
+    assert "is a folder; the result is a file" in capsys.readouterr().err
     assert main(["schema", "batches"]) == 2
     assert "did you mean 'batch'" in capsys.readouterr().err

@@ -42,7 +42,7 @@ def test_a_gimbal_lock_in_a_reach_is_a_note_that_names_joints_and_pose():
     (note,) = [text for text in found.notes if "singular inertia" in text]
     assert note.startswith("singular inertia at b = -90 deg, in 2 of ")
     assert "joints a and c move together without moving any mass there" in note
-    felt = found.paths[1].figures.reflected_inertia["actuator 0"]
+    felt = list(found.paths)[1].figures.reflected_inertia["actuator 0"]
     assert np.flatnonzero(np.isnan(felt)).tolist() == [0, len(felt) - 1]
 
 

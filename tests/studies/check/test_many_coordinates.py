@@ -10,7 +10,7 @@ from linkplan.models.poses.reach import reach
 from linkplan.studies.check.check_sections import check_sections
 from linkplan.studies.check.drives import _krylov_space
 from linkplan.studies.check.inspection import inspect
-from linkplan.studies.check.kinematic_loop_report import most_poses, reach_paths, reach_sweeps, thinned
+from linkplan.studies.check.kinematic_loop_report import measured, most_poses, reach_sweeps, thinned
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.output.document import Animation
 from linkplan.studies.output.text import text_of
@@ -68,10 +68,10 @@ def test_contacts_of_many_coordinates_are_looked_for_at_a_bounded_number_of_pose
 
 
 def test_records_of_very_many_coordinates_have_those_of_their_own_only(wholes):
-    assert list(wholes[9].paths[7].figures.joint_rate["j0"]) == [f"j{i}" for i in range(9)]
+    assert list(measured(wholes[9].sweeps[7]).figures.joint_rate["j0"]) == [f"j{i}" for i in range(9)]
     mechanism = load_mechanism(chain(30))
     (sweep,) = reach_sweeps(mechanism, [reach(mechanism, 7)])
-    (path,) = reach_paths([sweep])
+    path = measured(sweep)
     figures = path.figures
     assert figures.coordinate == "j7"
     assert list(figures.joint_rate["j0"]) == list(figures.gravity_effort) == ["j7"]
@@ -82,7 +82,7 @@ def test_a_summary_of_many_coordinates_measures_no_path():
     whole = check_whole(load_mechanism(chain(7)), None)
     assert whole.summary()
     assert "paths" not in vars(whole)
-    assert len(whole.paths) == 7
+    assert len(list(whole.paths)) == 7
 
 
 def test_the_animations_of_many_coordinates_have_as_many_numbers_as_one(wholes):

@@ -18,8 +18,8 @@ from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.kinematic_loop_report import (
     KinematicLoopPath,
     measure,
+    measured,
     motion_path,
-    reach_paths,
     reach_sweeps,
     swept,
 )
@@ -48,7 +48,7 @@ def knee_path() -> KinematicLoopPath:
 @cache
 def swept_paths(name: str) -> tuple[KinematicLoopPath, ...]:
     mechanism = mechanism_of(name)
-    paths = reach_paths(reach_sweeps(mechanism, tuple(reach(mechanism, column) for column in range(mechanism.dof))))
+    paths = [*map(measured, reach_sweeps(mechanism, [reach(mechanism, column) for column in range(mechanism.dof)]))]
     assert len(paths) == mechanism.dof
     return paths
 
@@ -102,7 +102,7 @@ def test_the_slider_crank_s_weight_and_pin_force_at_rest_are_statics():
 
 def test_the_gripper_s_cable_has_the_closed_form_s_arm_inertia_and_holding_pull():
     mechanism = load_mechanism("parallel-gripper", independent=["right_crank"])
-    (path,) = reach_paths(reach_sweeps(mechanism, (reach(mechanism),)))
+    (path,) = map(measured, reach_sweeps(mechanism, (reach(mechanism),)))
     assert mechanism.actuators[0].joint is None, "a tendon's, on no joint"
     q = path.positions[:, 0]
     assert relative_error(path.ratio[:, 0, 0], np.full(len(q), -2 * PULLEY)) < KNEE
@@ -145,7 +145,7 @@ def test_a_mechanism_without_actuators_is_reported_on_too():
     start, end = WELDED.index("<actuator>"), WELDED.index("</actuator>") + len("</actuator>")
     mechanism = load_mechanism(WELDED[:start] + WELDED[end:])
     assert mechanism.n_u == 0
-    (path,) = reach_paths(reach_sweeps(mechanism, (reach(mechanism),)))
+    (path,) = map(measured, reach_sweeps(mechanism, (reach(mechanism),)))
     assert np.array_equal(path.unheld_effort, path.gravity_effort)
     assert np.abs(path.gravity_effort).max() > 0.01
     assert "no actuator holds" in text_of(path_blocks(path))
@@ -253,7 +253,7 @@ def test_the_other_branch_has_the_other_sign(ask_json):
 def test_the_table_tells_weight_alone_from_what_holds_weight_and_springs():
     """The gripper's springs pull against its weight: the cable holds both, and the pins' forces are of both."""
     mechanism = load_mechanism("parallel-gripper")
-    (path,) = reach_paths(reach_sweeps(mechanism, (reach(mechanism),)))
+    (path,) = map(measured, reach_sweeps(mechanism, (reach(mechanism),)))
     columns = {column.head: column.values for column in quantities(path)}
     still = np.zeros(1)
     both = np.array([np.array(mechanism.dynamics.inverse_dynamics(q, still, still)).item() for q in path.poses])

@@ -9,7 +9,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import least_effort
 from linkplan.studies.check.check_report import path_blocks
 from linkplan.studies.check.inspection import inspect
-from linkplan.studies.check.kinematic_loop_report import reach_paths, reach_sweeps
+from linkplan.studies.check.kinematic_loop_report import measured, reach_sweeps
 from linkplan.studies.output.text import text_of
 
 # Two motors turn a platform's pitch and roll by gears, as ankles have: either alone runs into the roll's range.
@@ -59,7 +59,7 @@ def tumbling():
 
 def test_of_a_reach_the_sentences_name_the_coordinate_that_moves_and_no_other(tumbling):
     mechanism = tumbling
-    paths = reach_paths(reach_sweeps(mechanism, inspect(mechanism, []).reaches))
+    paths = [*map(measured, reach_sweeps(mechanism, inspect(mechanism, []).reaches))]
     for path, name in zip(paths, ("j0", "j1", "j2"), strict=True):
         lines = text_of(path_blocks(path)).splitlines()
         said = [line for line in lines if " at j" in line and ("holds" in line or "asks" in line)]
@@ -69,7 +69,7 @@ def test_of_a_reach_the_sentences_name_the_coordinate_that_moves_and_no_other(tu
 
 def test_of_many_coordinates_what_stays_the_same_is_said_once(tumbling):
     mechanism = tumbling
-    paths = reach_paths(reach_sweeps(mechanism, inspect(mechanism, []).reaches))
+    paths = [*map(measured, reach_sweeps(mechanism, inspect(mechanism, []).reaches))]
     texts = [text_of(path_blocks(path, brief=True)) for path in paths]
     assert [text.count("no actuator holds j1 still") for text in texts] == [1, 1, 0]
     assert [text.count("no actuator holds j2 still") for text in texts] == [1, 0, 1]

@@ -36,6 +36,10 @@ def test_there_are_commands_to_look_at():
     assert set(commands()) - OWN <= set(linkplan.__all__)
 
 
+def _frozen(value: object) -> object:
+    return tuple(value) if isinstance(value, list) else value
+
+
 @pytest.mark.parametrize("name", sorted(set(commands()) - OWN))
 def test_options_have_the_names_and_defaults_of_the_functions_parameters(name):
     parameters = dict(inspect.signature(getattr(linkplan, name)).parameters)
@@ -50,7 +54,7 @@ def test_options_have_the_names_and_defaults_of_the_functions_parameters(name):
         is_needed = action.required and action.nargs is None
         assert (default is inspect.Parameter.empty) == is_needed, dest
         if not is_needed:
-            assert action.default == (tuple(default) if isinstance(default, list) else default), dest
+            assert _frozen(action.default) == _frozen(default), dest
 
 
 def test_a_source_has_the_options_that_say_how_an_argument_is_read():

@@ -15,7 +15,7 @@ from tests.support.plans import optimal, saved_plan
 
 SMALL = ("--size-px", "160x120", "--fps", "10", "--slow", "5")
 REFUSED = [
-    (["-o", "film.avi"], [".mp4, .gif, .png", ".avi"]),
+    (["-o", "film.avi"], [".mp4, .gif or .png", ".avi"]),
     (["-o", "film.mp4", "--fps", "-3"], ["fps", "-3"]),
     (["-o", "film.mp4", "--slow", "0"], ["slow", "0"]),
     (["-o", "film.mp4", "--size-px", "200"], ["WIDTHxHEIGHT", "200"]),

@@ -12,7 +12,7 @@ import pytest
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.search.planning import silent
-from linkplan.studies.variations.experiment.conduct import conduct, keep_plan, read_results
+from linkplan.studies.variations.experiment.conduct import conduct, read_results
 from linkplan.studies.variations.experiment.experiment import Settings, request_of
 from linkplan.studies.variations.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment, saved_outcome
 from linkplan.studies.variations.tasks import unfinished as parts
@@ -205,7 +205,6 @@ def test_a_part_of_other_machines_is_refused_and_the_parts_are_kept(whole, tmp_p
     left = parts.unfinished(target)
     source = {"name": "knee-reach"}
     with parts.working(left, plain_record(request_of(source, None, SETTINGS, {})), "an experiment"):
-        keep_plan(left, plan())
         conduct(left, SETTINGS, {}, {}, plan, serial, silent)
     one = parts.part(left, 0, "parquet")
     parquet.write_table(column("sample", first(5))(parquet.read_table(one)), one)

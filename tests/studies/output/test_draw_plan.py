@@ -139,4 +139,4 @@ def test_efforts_of_rounding_size_are_drawn_as_zero():
     for what in ("effort", "power"):
         (line,) = plots[what][0].series
         assert not np.any(line.y)
-    assert drawn_motion(plan).effort.any()
+    assert drawn_motion(plan).u.any()

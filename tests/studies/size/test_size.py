@@ -177,7 +177,9 @@ def test_missing_files_servos_and_wrong_subjects_are_refused(tmp_path):
         linkplan.size("knee-reach", tmp_path)
     with pytest.raises(linkplan.LinkplanError, match="unknown actuator 'act_P'"):
         linkplan.size("knee-reach", motors, actuator="act_P")
-    with pytest.raises(linkplan.LinkplanError, match="size takes a Problem, or the name or path of one, got int"):
+    with pytest.raises(
+        linkplan.LinkplanError, match="what is planned is a Problem, a built-in problem's name or a TOML file, got"
+    ):
         linkplan.size(7, motors)
     with pytest.raises(linkplan.LinkplanError, match="rest_s is a number of at least 0, got -1"):
         linkplan.size("knee-reach", motors, rest_s=-1)
