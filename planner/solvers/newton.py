@@ -51,13 +51,7 @@ FEASIBLE = "Feasible_Point_Found"
 _COST_OF_STATES, _COST_OF_EFFORTS = 1e-2, 1e4
 # At most so many quadratic programs to the nearest feasible point; motions of 2 to 10 motors take up to 3.
 _MOST_PROGRAMS = 12
-_PIQP = {
-    "eps_abs": 0.1 * SOLVER_TOLERANCE,
-    "eps_rel": 0.0,
-    "iterative_refinement_always_enabled": True,
-    "max_iter": 100,
-    "verbose": False,
-}
+_PIQP = {"eps_abs": 0.1 * SOLVER_TOLERANCE, "eps_rel": 0.0, "max_iter": 100, "verbose": False}
 # Steps diverge once the violation is this factor times the first one, or a small one.
 _DIVERGED_FACTOR, _SMALL_VIOLATION = 10.0, 1e-3
 
