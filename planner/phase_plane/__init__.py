@@ -1,5 +1,5 @@
-"""The phase plane: the exact answer for one degree of freedom.
+"""The phase plane: least-time motions of one degree of freedom.
 
-In: a `Problem` of one degree of freedom. Out: motions of least time within its limits on effort, power and pin
-force. They are guesses for a solver, motions of their own, and bounds.
+In: a `Problem` of one degree of freedom. Out: motions of least time that satisfy its limits on effort, power, speed and
+pin force. They serve as initial guesses, as plans and as bounds.
 """

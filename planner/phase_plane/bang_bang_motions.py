@@ -1,10 +1,11 @@
-"""Motions of one degree of freedom by the phase plane: full effort, swings that build up energy, and a braking last leg.
+"""Bang-bang motions of one degree of freedom by the phase plane, including swings that build up energy.
 
-Along s the energy w = v^2 / 2 obeys dw/ds = a(s, v, u) (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985): a leg
-that pushes with full effort from rest, another that brakes to rest at the goal, and where they cross the switch. With the
-reduced inertia M(s), M w changes only by the work of weight and efforts, so that legs keep their energy however quickly M
-changes near a singular pose. If the direct way is blocked, the quickest way over a grid of turning places is searched. The
-motions are starts for a solver, which finds the optimum and honours everything that the phase plane leaves out.
+Along s the energy w = v^2 / 2 satisfies dw/ds = a(s, v, u) (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985). A
+leg is a stretch of motion in one direction. One leg accelerates from rest with full effort, and another brakes to rest at
+the goal. They cross at the switch. With the reduced inertia M(s), the energy M w changes only by the work of weight and
+efforts. Legs are therefore exact in energy, even where M changes quickly near a singular pose. If no direct motion exists,
+the quickest sequence of legs over a grid of turning points is searched. The motions are initial guesses for a solver, which
+finds the optimum under all limits, including those that the phase plane ignores.
 """
 
 import heapq
@@ -31,7 +32,7 @@ _SAME_ENERGY_SHARE = 1e-6
 
 
 def least_time_guess(problem: Problem, start_pose: np.ndarray) -> Guess | None:
-    """Return the reach or turn of least time that the phase plane knows, whatever duration is asked; None without one."""
+    """Return the least-time reach or turn of the phase plane, whatever the problem's duration; None if there is none."""
     if problem.mechanism.forces is not None:
         return None
     if problem.motion.turns is not None:
@@ -40,9 +41,9 @@ def least_time_guess(problem: Problem, start_pose: np.ndarray) -> Guess | None:
 
 
 def _quickest_turn(problem: Problem, start_pose: np.ndarray) -> Guess | None:
-    """Return the turn under full effort after which the energy is as before it; None where dampers do not take that effort.
+    """Return the full-effort turn with equal energy before and after; None if dampers cannot absorb the effort's work.
 
-    The more energy it begins with, the more the dampers take: the energy gained falls through zero, at the quickest turn.
+    The dampers absorb more at a higher initial energy, so the energy gained decreases. Its zero gives the quickest turn.
     """
     motion, limits = problem.motion, problem.limits
     if problem.mechanism.dof != 1 or motion.waypoints or motion.goal is not None or not np.all(np.isfinite(limits.effort)):
@@ -78,7 +79,7 @@ def _quickest_turn(problem: Problem, start_pose: np.ndarray) -> Guess | None:
 
 
 def phase_plane_applies(problem: Problem) -> bool:
-    """True if the phase plane applies: a reach of one degree of freedom with limits on all efforts, no forces over time."""
+    """True for a reach of one degree of freedom with limits on all efforts and without external forces over time."""
     if (
         problem.mechanism.forces is not None
         or problem.mechanism.n_equations != 1
@@ -92,13 +93,13 @@ def phase_plane_applies(problem: Problem) -> bool:
 
 
 def least_share(problem: Problem, start_pose: np.ndarray, duration: float) -> tuple[float, Guess] | None:
-    """Return the least factor on the effort limits with which the phase plane knows of a reach, and that motion.
+    """Return the least factor on the effort limits with which the phase plane finds a reach, and that motion.
 
-    None where it knows of none, however large the efforts, or where it does not look.
+    None if no factor up to 1024 gives a motion, or if the phase plane does not apply.
 
     Args:
-        problem: of a reach, all its efforts limited.
-        start_pose: closed, at its start.
+        problem: a reach with limits on all efforts.
+        start_pose: the closed pose at the start.
         duration: the longest that the motion may take [s].
     """
     if not phase_plane_applies(problem):
@@ -122,13 +123,13 @@ def least_share(problem: Problem, start_pose: np.ndarray, duration: float) -> tu
 
 
 def phase_plane_guess(problem: Problem, quickest: Guess) -> Guess:
-    """Return the motion of least time of a reach or of turns, from `least_time_guess`, stretched to a fixed duration."""
+    """Return the least-time motion of `least_time_guess`, scaled in time to the problem's duration if that is fixed."""
     duration = problem.motion.duration_s
     return quickest if duration is None else stretched(quickest, duration)
 
 
 def _planes(problem: Problem, start_pose: np.ndarray) -> Callable[[float], Guess | None]:
-    """Return the function from a share of the effort limits to the quickest motion; its poses are followed once."""
+    """Return the function from a factor on the effort limits to the quickest motion. The grid's poses are computed once."""
     parts = parts_of(problem.motion)
     places = np.concatenate([part.places for part in parts])
     grid = grid_of(problem, places, start_pose, _GRID_CELLS)
@@ -150,14 +151,14 @@ def _planes(problem: Problem, start_pose: np.ndarray) -> Callable[[float], Guess
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Part:
-    """A part of a motion between known speeds: places (n,) from first to last, which are passed in turn."""
+    """A part of a motion between known speeds, which passes the positions `places` (n,) in this order."""
 
     places: np.ndarray
     speeds: tuple[float, float]
 
 
 def parts_of(motion: Motion) -> list[Part]:
-    """Return a reach's parts. Waypoints on the way are passed as quickly as may be, those at which it turns back at rest."""
+    """Return the parts of a reach. It passes a waypoint at the highest possible speed, or at rest if it turns back there."""
     places = np.array([motion.start[0], *(w.position[0] for w in motion.waypoints), motion.goal[0]])
     ends = [0.0 if v is None else float(v[0]) for v in (motion.start_speed, motion.goal_speed)]
     speeds = np.array([ends[0], *(w.speed[0] for w in motion.waypoints), ends[1]])
@@ -170,9 +171,9 @@ def parts_of(motion: Motion) -> list[Part]:
 
 
 def _resting_places(plane: PhasePlane, part: Part) -> tuple[float | None, float | None]:
-    """Return where full effort stops a part that begins at speed, and where one that ends at speed begins from rest.
+    """Return the positions at which full effort stops a moving start, and from which it reaches a moving end.
 
-    None for an end at rest, and where no rest is within the grid. The second place is a little further away than need be.
+    None for an end at rest, or if the grid has no such position. The second position is a little farther than necessary.
     """
     found: list[float | None] = []
     for place, v, along in ((part.places[0], part.speeds[0], 1), (part.places[-1], part.speeds[1], -1)):
@@ -192,7 +193,7 @@ def _resting_places(plane: PhasePlane, part: Part) -> tuple[float | None, float 
 
 
 def _stop(plane: PhasePlane, part: Part, start: int, rest: float):
-    """Return the leg (indices, w, directions of the push) by which full effort stops a part that begins at speed."""
+    """Return the leg (indices, w, directions of the effort) on which full effort stops a part that begins at a speed."""
     v = part.speeds[0]
     way = int(np.sign(v))
     index = np.arange(start, plane.at(rest) + way, way)
@@ -201,7 +202,7 @@ def _stop(plane: PhasePlane, part: Part, start: int, rest: float):
 
 
 def _arriving(plane: PhasePlane, ends: list[tuple[int, float]], deadline: Deadline) -> dict[tuple[int, int], np.ndarray]:
-    """Return the braking legs (w at cell ends) by where and in which direction they arrive at places with speeds."""
+    """Return braking legs (w at cell ends) by position and direction of arrival, for places with given speeds."""
     found = {}
     for place, v in ends:
         deadline.require_time()
@@ -212,9 +213,9 @@ def _arriving(plane: PhasePlane, ends: list[tuple[int, float]], deadline: Deadli
 
 
 def _legs(plane: PhasePlane, part: Part, deadline: Deadline):
-    """Return a part's legs (indices, w, directions of the push at each), the quickest by way of a grid of turns.
+    """Return the quickest legs of a part (indices, w, directions of the effort at each) over a grid of turning points.
 
-    None where there is no way. Dijkstra over the places where a motion may rest.
+    None if there are none. Dijkstra's algorithm searches the positions at which a motion may rest.
     """
     n, speeds = len(plane.s), part.speeds
     start, goal = plane.at(part.places[0]), plane.at(part.places[-1])
@@ -263,7 +264,7 @@ def _duration(plane: PhasePlane, leg) -> float:
 
 
 def _joined(plane: PhasePlane, index: np.ndarray, push: np.ndarray, goal: int, way: int, brake: np.ndarray | None):
-    """Return a pushing leg up to where it crosses the braking leg into the goal, then that one; None without a crossing."""
+    """Return an accelerating leg up to its crossing with the braking leg into the goal, then that; None if none cross."""
     if brake is None or not (goal - index[0]) * way > 0:
         return None
     ahead = np.arange(index[0], goal + way, way)
@@ -288,7 +289,7 @@ def _joined(plane: PhasePlane, index: np.ndarray, push: np.ndarray, goal: int, w
 
 
 def _guess(plane: PhasePlane, parts: list[Part], ways: list, start_pose: np.ndarray) -> Guess:
-    """Return parts' legs as a guess: position and velocity by Hermite cubics over time, efforts as they push."""
+    """Return the legs of all parts as a guess: Hermite cubics of position over time, with the efforts of the legs."""
     import scipy
 
     visited, times, v, pushes, boundaries = [plane.at(parts[0].places[0])], [0.0], [parts[0].speeds[0]], [], [0]

@@ -1,11 +1,11 @@
-"""Motions of least squared effort within a given time, for one freedom and one actuator: legs over the way, not over time.
+"""Motions of least squared effort in a given time, for one degree of freedom and one actuator, as legs over position.
 
-Over the way s from rest to rest, the effort of a cell follows from the speeds v at its ends,
+The independent variable is the position s, on a grid of cells. The effort of a cell follows from the speeds v at its ends,
 u = (d(M v^2 / 2) - dW) / (r ds) with the reduced inertia M, the work W of weight, springs and friction, and the actuator's
-speed r per unit of v. The cells are dense where joints or the inertia change most, however short a time they take: a linkage
-flies past a dead centre within a thousandth of the motion, and a program over time steps over it. Time is the sum of
-2 ds / (v + v'), and what is left of the given time costs what a rest costs. A motion goes straight to its goal, or turns
-back once, beyond its start or beyond its goal. Turning places are tried, and the best is tried again more finely.
+speed r per unit of v. Cells are shorter where joints or the inertia change most with s. A linkage may pass a dead centre
+within a thousandth of the motion, which a mesh over time does not resolve. The duration is the sum of 2 ds / (v + v'). The
+remainder of the given time is a rest, with the cost of holding still. A motion goes directly to its goal, or turns back
+once, beyond its start or its goal. Several turning points are tried, then those around the best one.
 """
 
 import itertools
@@ -28,7 +28,7 @@ _EFFORT_RESERVES = (0.01, 0.03, 0.1)
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Legs:
-    """A motion over its own cells: when (n,) [s] it is where (n,) and how fast (n,), and its cost with the rest's."""
+    """A motion at the ends of its cells: times (n,) [s], positions (n,), speeds (n,), and the cost including the rest."""
 
     time: np.ndarray
     s: np.ndarray
@@ -36,11 +36,11 @@ class Legs:
     cost: float
 
     def breaks(self) -> np.ndarray:
-        """Return the ends [s] of not too many intervals, with as many cells in each."""
+        """Return the ends [s] of a moderate number of intervals with equal numbers of cells."""
         return self.time[self._ends()]
 
     def guess(self, start_pose: np.ndarray) -> Guess:
-        """Return the motion as a guess: cubics between its breaks."""
+        """Return the motion as a guess: cubic polynomials between the breaks."""
         import scipy
 
         ends = self._ends()
@@ -53,7 +53,7 @@ class Legs:
 
 
 def legs_apply(problem: Problem) -> bool:
-    """True if legs are known: of squared efforts, of one actuator of one freedom, from rest to rest in a fixed duration."""
+    """True for squared effort, one actuator, one degree of freedom, and a motion from rest to rest in a fixed duration."""
     motion = problem.motion
     if (problem.mechanism.dof, problem.mechanism.n_u) != (1, 1) or not phase_plane_applies(problem):
         return False
@@ -64,12 +64,12 @@ def legs_apply(problem: Problem) -> bool:
 
 
 def cheapest_legs(problem: Problem, start_pose: np.ndarray, rest: float | None) -> Iterator[Legs]:
-    """Yield the legs of least squared effort that take the duration asked, with a rest or exactly, by ever larger reserves.
+    """Yield legs of least squared effort in the given duration, which may include a rest, for increasing effort reserves.
 
     Args:
-        problem: for which `legs_apply`.
-        start_pose: closed, at the start.
-        rest: the squared effort [N2 m2 or N2] of a rest at start or goal; None where neither is held.
+        problem: one for which `legs_apply` is true.
+        start_pose: the closed pose at the start.
+        rest: the squared effort [N2 m2 or N2] of a rest at start or goal; None if neither can be held.
     """
     (part,), asked = parts_of(problem.motion), problem.motion.duration_s
     grid = grid_of(problem, part.places, start_pose, _GRID_CELLS)
@@ -93,14 +93,14 @@ def cheapest_legs(problem: Problem, start_pose: np.ndarray, rest: float | None) 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class _Way:
-    """The plane over which legs go, the duration asked [s], and the squared effort of a rest or None."""
+    """The phase plane of the legs, the required duration [s], and the squared effort of a rest or None."""
 
     plane: PhasePlane
     asked: float
     rest: float | None
 
     def turns(self, ends: list[int], near: int | None = None) -> Iterator[int | None]:
-        """Yield cell ends at which a motion may turn back, None for the straight way; or those next to one of them."""
+        """Yield the cell ends at which a motion may turn back (None: it goes directly), or those next to a given one."""
         low, high = sorted(ends)
         sides = [np.linspace(low, 0, _TURNING_PLACES + 1), np.linspace(high, len(self.plane.s) - 1, _TURNING_PLACES + 1)]
         if near is None:
@@ -113,7 +113,7 @@ class _Way:
         yield from (int(at) for at in close if 0 <= at < len(self.plane.s) and not low <= at <= high)
 
     def legs(self, ends: list[int], turn: int | None, cells: int, reserve: float = 0.0) -> Legs | None:
-        """Return the best legs by way of a turning place, of so many cells at the most; None where no efforts carry them."""
+        """Return the best legs over a turning point with at most a number of cells; None if no efforts produce such legs."""
         start, goal = ends
         stops = [start, goal] if turn is None else [start, turn, goal]
         time, cost, efforts, unknowns, begin, parts = ca.SX(0), ca.SX(0), [], [], [], []
@@ -140,7 +140,7 @@ class _Way:
         return (0.0 if self.rest is not None else self.asked), self.asked, limit
 
     def _efforts(self, at: np.ndarray, way: int, speed: ca.SX, ds: np.ndarray) -> ca.SX:
-        """Return the efforts of cells between cell ends (n,) from the speeds (n,) there."""
+        """Return the efforts (n - 1,) of the cells between cell ends (n,) from the speeds (n,) at these ends."""
         plane = self.plane
         full = {side: effort[::2, 0][at] for side, effort in plane.effort.items()}
         acts = (plane.force[1][at] - plane.force[-1][at]) / (full[1] - full[-1])
@@ -155,7 +155,7 @@ class _Way:
 def _solved(
     v: ca.SX, cost: ca.SX, time: ca.SX, efforts: ca.SX, begin: np.ndarray, bounds: tuple[float, float, np.ndarray]
 ) -> tuple[np.ndarray, float] | None:
-    """Return the speeds (n,) of least cost and the cost; None where none keep the bounds on time and efforts."""
+    """Return the speeds (n,) of least cost and this cost; None if none satisfy the bounds on time and efforts."""
     least, most, limit = bounds
     first = begin / most
     scale = 1.0 / max(float(np.square(limit).max()) * most, np.finfo(float).tiny)
@@ -173,9 +173,9 @@ def _solved(
 
 
 def _joined(plane: PhasePlane, parts: list, speeds: np.ndarray, cost: float) -> Legs:
-    """Return legs one after another, from the speeds at the cell ends inside them.
+    """Return consecutive legs as one motion, from the speeds at the inner cell ends.
 
-    Within a cell the energy goes on as smoothly as between cells, and the speed follows from the inertia there.
+    Within a cell the energy is interpolated smoothly, and the speed follows from the energy and the inertia there.
     """
     import scipy
 

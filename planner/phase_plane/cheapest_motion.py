@@ -1,9 +1,10 @@
-"""Motions of least effort in a given time, for one degree of freedom: dynamic programming over position, speed and time.
+"""Motions of least squared effort in a given time, for one degree of freedom, by dynamic programming over a state grid.
 
 With the reduced inertia M, x = integral of sqrt(M) ds and y = dx/dt, the dynamics are y' = (F + D v - R sign v) / sqrt(M):
-the force, drag and rub of a `PhasePlane`. The least cost from a state is that of a step, and the least from the state after
-it (Bellman, Dynamic Programming, Princeton 1957). The dynamics do not depend on time, so one matrix interpolates after every
-step. On a coarse grid this is no optimum, but it has the swings of one that is near the best of all.
+with force F, drag D and dry friction R of a `PhasePlane`. The least cost from a state is the minimum over the steps of the
+cost of a step plus the least cost from the state after it (Bellman, Dynamic Programming, Princeton 1957). The dynamics do
+not depend on time, so the same matrix interpolates after every step. On a coarse grid the motion is not an optimum, but it
+has the swings of a motion near the global optimum.
 """
 
 from dataclasses import dataclass
@@ -18,7 +19,7 @@ from linkplan.planner.problem.problem import Problem
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class _Steps:
-    """Steps of `step_s` over a plane: a push of 0 is full effort backwards, one of 1 full effort forwards."""
+    """Steps of `step_s` [s] on a plane. A push of 0 is full effort backward, and a push of 1 is full effort forward."""
 
     plane: PhasePlane
     x: np.ndarray  # (n,) at the plane's positions
@@ -26,15 +27,15 @@ class _Steps:
     step_s: float
 
     def at(self, values: np.ndarray, x: np.ndarray) -> np.ndarray:
-        """Return values (n,) at the plane's positions, at other places."""
+        """Return values (n,) given at the plane's positions, interpolated to other positions."""
         return np.interp(x, self.x, values)
 
     def between(self, values: dict[int, np.ndarray], x: np.ndarray, push: np.ndarray) -> np.ndarray:
-        """Return what lies between the values (n,) of both full efforts."""
+        """Return the value between those (n,) of both full efforts, interpolated by the push."""
         return (1 - push) * self.at(values[-1], x) + push * self.at(values[+1], x)
 
     def effort(self, x: np.ndarray, push: np.ndarray) -> np.ndarray:
-        """Return efforts (..., n_u) in units of the largest."""
+        """Return the efforts (..., n_u) relative to the largest effort."""
         ends = {way: u[::2] / self.scale for way, u in self.plane.effort.items()}
         one = [self.between({way: u[:, j] for way, u in ends.items()}, x, push) for j in range(len(self.scale))]
         return np.stack(one, axis=-1)
@@ -52,19 +53,19 @@ class _Steps:
         return x + self.step_s * middle, y + self.step_s * rate(x + 0.5 * self.step_s * y, middle)
 
     def cost(self, x: np.ndarray, push: np.ndarray) -> np.ndarray:
-        """Return the squared efforts of a step, in units of the largest."""
+        """Return the cost of a step: its squared efforts, relative to the largest effort."""
         return self.step_s * np.square(self.effort(x, push)).sum(axis=-1)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class _States:
-    """A grid of states: evenly spaced x (n_x,) and y (n_y,)."""
+    """A grid of states with evenly spaced x (n_x,) and y (n_y,)."""
 
     x: np.ndarray
     y: np.ndarray
 
     def corners(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the indices (n, 4) of the states around others (n,), their weights (n, 4), and which are outside (n,)."""
+        """Return indices (n, 4) and weights (n, 4) of the grid states around other states (n,), and which are outside."""
         across = (x - self.x[0]) / (self.x[1] - self.x[0]), (y - self.y[0]) / (self.y[1] - self.y[0])
         sizes = len(self.x), len(self.y)
         outside = np.any([(a < 0) | (a > n - 1) for a, n in zip(across, sizes, strict=True)], axis=0)
@@ -76,12 +77,12 @@ class _States:
 
 
 def cheapest_guess(problem: Problem, start_pose: np.ndarray, quickest: Guess) -> Guess | None:
-    """Return a motion of little effort in the given duration; None where its grid is not open.
+    """Return a motion of approximately least squared effort in the given duration; None if there is no grid for it.
 
     Args:
-        problem: a reach of fixed duration between two places, all its efforts limited.
-        start_pose: closed, at its start.
-        quickest: from `least_time_guess`; the motion stays near the places that it passes.
+        problem: a reach of fixed duration between two positions, with limits on all efforts.
+        start_pose: the closed pose at the start.
+        quickest: the motion of `least_time_guess`; the result stays near the positions of this motion.
     """
     (part,), duration = parts_of(problem.motion), problem.motion.duration_s
     assert duration is not None  # fixed
@@ -110,7 +111,7 @@ def cheapest_guess(problem: Problem, start_pose: np.ndarray, quickest: Guess) ->
 
 
 def _least_costs(steps: _Steps, states: _States, goal: np.ndarray, n_steps: int) -> list[np.ndarray]:
-    """Return the least costs (n_x n_y,) with 0, 1, ... steps to go; one that misses the goal costs by its distance."""
+    """Return the least costs (n_x n_y,) with 0, 1, ... steps to go. The final cost grows with the distance to the goal."""
     import scipy
 
     grid = np.meshgrid(states.x, states.y, np.linspace(0.0, 1.0, 11), indexing="ij")
@@ -130,7 +131,7 @@ def _least_costs(steps: _Steps, states: _States, goal: np.ndarray, n_steps: int)
 
 
 def _followed(steps: _Steps, states: _States, least: list[np.ndarray], start: np.ndarray) -> np.ndarray:
-    """Return the states (n_steps + 1, 2) from a start on, each after the push of least cost."""
+    """Return the states (n_steps + 1, 2) from a start, with the push of least cost in every step."""
     push = np.linspace(0.0, 1.0, 81)
     path = [start]
     for to_go in least[-2::-1]:
@@ -143,7 +144,7 @@ def _followed(steps: _Steps, states: _States, least: list[np.ndarray], start: np
 
 
 def _guess(part: Part, duration: float, position: np.ndarray, velocity: np.ndarray, start_pose: np.ndarray) -> Guess:
-    """Return evenly timed positions and velocities (n,) as a guess that meets its ends, efforts by inverse dynamics."""
+    """Return positions and velocities (n,) at equal time steps as a guess with exact ends, efforts by inverse dynamics."""
     import scipy
 
     position[[0, -1]], velocity[[0, -1]] = part.places[[0, -1]], part.speeds

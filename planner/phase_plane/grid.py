@@ -1,6 +1,6 @@
-"""The phase plane's grid over one degree of freedom: where a motion may go, and what its energy gains on the way.
+"""The phase plane's grid over one degree of freedom: the positions of a motion, and the work done between them.
 
-Next to a singular pose joints fly while the crank creeps: cells are closer together there.
+Cells are shorter near a singular pose, where some joints move fast relative to the coordinate s.
 """
 
 from dataclasses import dataclass
@@ -21,9 +21,9 @@ from linkplan.planner.problem.problem import Problem
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class PhasePlane:
-    """A grid over s: positions (n,) of cell ends, and there the reduced inertia and its energy's gains.
+    """A grid over s: positions (n,) of cell ends, the reduced inertia there, and the work of the efforts up to there.
 
-    d(M w)/ds = dW[direction]/ds + drag v - rub along the motion, exact but for dampers that are not linear.
+    d(M w)/ds = dW[direction]/ds + drag v - rub along the motion, which is exact unless dampers are nonlinear.
     """
 
     s: np.ndarray
@@ -38,20 +38,20 @@ class PhasePlane:
 
     @property
     def undamped(self) -> bool:
-        """Whether no damper and no dry friction takes energy anywhere."""
+        """True if neither dampers nor dry friction dissipate energy anywhere."""
         return not np.any(self.drag) and not np.any(self.rub)
 
     def at(self, place: float) -> int:
-        """Return the cell end at a place."""
+        """Return the index of the cell end at a position."""
         return int(np.argmin(np.abs(self.s - place)))
 
     def leg(
         self, start: int, w: float, step: int, effort: int, *, backwards: bool = False, below: np.ndarray | None = None
     ) -> np.ndarray:
-        """Return w at cell ends from `start` on, index by index in steps of +-1, until it would fall to zero or below.
+        """Return w at the cell ends from index `start` on, in steps of +1 or -1, until w would fall to zero or below.
 
-        `effort` is the direction of the push. Backwards, the motion runs against the steps: a braking leg from its end. It
-        stays `below` w at cell ends (n,).
+        `effort` is the direction of the effort. With `backwards` the motion runs against the steps: a braking leg, computed
+        from its end. `below` (n,) are upper bounds of w at the cell ends.
         """
         sign = -step if backwards else step
         if not w and step * (self.force[effort][start] - sign * self.rub[start]) <= 0:
@@ -80,7 +80,7 @@ class PhasePlane:
     def _free_leg(
         self, start: int, w: float, step: int, effort: int, top: np.ndarray, below: np.ndarray | None
     ) -> np.ndarray:
-        """Return as `leg` where no damper counts: energy is the work alone, and the least that a place admits is kept on.
+        """Return the same as `leg` without dampers: the work gives the energy, limited by the largest w of each position.
 
         E_k = min(E_0 + W_k - W_0, min over places j on the way of (top E_j + W_k - W_j)).
         """
@@ -103,16 +103,16 @@ class PhasePlane:
 def grid_of(
     problem: Problem, places: np.ndarray, start_pose: np.ndarray, n_cells: int, *, graded: bool = True
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Return positions (n,) around places that a motion passes, within the ranges that hold from its start on, and poses.
+    """Return positions (n,) around the places that a motion passes, within the joints' ranges, and the poses there.
 
-    The poses (2 n - 1, n_q) are at the grid points and midway between them. None where not all places are within reach on
-    one side of what is out of range.
+    The poses (2 n - 1, n_q) are at the grid points and midway between them. None if a position that is out of range
+    separates one of the places from the others.
 
     Args:
-        problem: of one degree of freedom.
-        places: positions that are cell ends, the start first.
-        start_pose: closed, at the start.
-        n_cells: cells of the grid over s; two poses a cell.
+        problem: a problem of one degree of freedom.
+        places: positions that become cell ends, the start first.
+        start_pose: the closed pose at the start.
+        n_cells: number of cells of the grid over s, with two poses per cell.
         graded: whether cells are closer together where joints or the inertia change most.
     """
     mechanism, limits = problem.mechanism, problem.limits
@@ -149,7 +149,7 @@ def grid_of(
 
 
 def _around(place: float, s: np.ndarray, poses: np.ndarray, within: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the part of a grid around a place in which all poses are `within` (2 n - 1,) what is allowed."""
+    """Return the part of a grid around a place in which all poses are allowed, as `within` (2 n - 1,) states."""
     begin, out = 2 * int(np.argmin(np.abs(s - place))), np.flatnonzero(~within)
     first = (int(out[out < begin].max(initial=-1)) + 2) // 2
     last = (int(out[out > begin].min(initial=len(poses))) - 1) // 2
@@ -157,14 +157,14 @@ def _around(place: float, s: np.ndarray, poses: np.ndarray, within: np.ndarray) 
 
 
 def _holds(s: np.ndarray, ends: np.ndarray) -> bool:
-    """Return True if a grid has cells, and the lowest and the highest place that a motion passes."""
+    """Return True if a grid has cells and contains the lowest and the highest place that a motion passes."""
     return len(s) >= 3 and bool(s[0] <= ends[0] <= ends[1] <= s[-1])
 
 
 def _followed(problem: Problem, s: np.ndarray, places: np.ndarray, start_pose: np.ndarray):
-    """Return positions (n,) with the places among them, and the poses (2 n - 1, n_q) at and between them.
+    """Return positions (n,) that include the places, and the poses (2 n - 1, n_q) at and between them.
 
-    None where the loops open on the way.
+    None if the kinematic loops cannot be closed at one of the positions.
     """
     room = 1e-9 * (s[-1] - s[0])
     apart = np.all(np.abs(s[:, None] - places) > room, axis=1)
@@ -180,7 +180,7 @@ def _followed(problem: Problem, s: np.ndarray, places: np.ndarray, start_pose: n
 
 
 def _graded(problem: Problem, s: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Return positions (n,) between the same ends: half the cells are even, half where joints or the inertia change most."""
+    """Return positions (n,) between the same ends: half of their density is uniform, half follows joints and inertia."""
     inertia = sampled(problem.mechanism.dynamics.reduced_inertia, poses)[:, 0, 0]
     steps = np.abs(np.diff(np.column_stack([poses, np.log(inertia)]), axis=0))
     share = (steps / np.maximum(steps.sum(axis=0), np.finfo(float).tiny)).mean(axis=1)
@@ -220,7 +220,7 @@ def plane_of(problem: Problem, s: np.ndarray, poses: np.ndarray, limit: np.ndarr
 
 
 def _drag(both: np.ndarray, rub: np.ndarray) -> np.ndarray:
-    """Return M da/dv (n,) of dampers, out of what these and dry friction come to at a speed of one, both ways."""
+    """Return M da/dv (n,) of the dampers, from the efforts of dampers and dry friction at unit speed in both directions."""
     if not rub.any():
         return both
     damped = np.minimum(both + rub, 0.0)
@@ -229,7 +229,7 @@ def _drag(both: np.ndarray, rub: np.ndarray) -> np.ndarray:
 
 
 def _top(problem: Problem, poses: np.ndarray) -> np.ndarray:
-    """Return the largest w = v^2 / 2 at poses (n, n_q) that every joint's speed limit admits."""
+    """Return the largest w = v^2 / 2 (n,) at poses (n, n_q) that satisfies the speed limits of all joints."""
     mechanism, speed = problem.mechanism, np.abs(problem.limits.speed).min(axis=1)
     ratio = np.abs(sampled(mechanism.dynamics.velocity_map, poses)[:, :, 0])
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -238,13 +238,13 @@ def _top(problem: Problem, poses: np.ndarray) -> np.ndarray:
 
 
 def _kept(fastest: np.ndarray, inertia: np.ndarray, braking: np.ndarray, way: int) -> np.ndarray:
-    """Return the largest w (n,) from which a motion can keep what is fastest (n,) further on, by braking in time.
+    """Return the largest w (n,) from which a motion that brakes can satisfy the speed limits further on.
 
     Args:
-        fastest: largest w at every place.
-        inertia: (n,) there.
-        braking: (n,) the work up to there of weight and full effort against the way.
-        way: +1 or -1.
+        fastest: (n,) the largest w that the speed limits allow at each position.
+        inertia: (n,) the reduced inertia there.
+        braking: (n,) the work of weight and full braking effort up to there.
+        way: the direction of motion, +1 or -1.
     """
     energy = inertia * fastest
     if np.all(np.isinf(energy)):

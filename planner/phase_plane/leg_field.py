@@ -1,10 +1,10 @@
-"""The acceleration of one degree of freedom along its way within limits on effort, power, line, pin force and speed.
+"""Accelerations of one degree of freedom under limits on effort, power, torque-speed line, pin force and speed.
 
-Each limit bounds the effort at a place and a speed. A power P bounds it by P / w. The torque-speed line of a motor bounds it
-by u = u_0 (1 - w / w_0), from its stall effort and its no-load speed. A pin force is affine in the effort, and its rating R
-bounds it by the roots of |F(s, v, u)|^2 = R^2. Limits on the speeds of joints bound the speed along the way by the maximum
-velocity curve. Where one of these limits binds, r v is constant, so that v' = -r' v^2 / r; r is that joint's speed per unit
-of v.
+Each limit bounds the effort at a given position and speed. A limit P on power bounds the effort by P / w, where w is the
+actuator's speed. The torque-speed line of a motor bounds it by u = u_0 (1 - w / w_0), from stall effort to no-load speed. A
+pin force is affine in the effort, and its rating R bounds the effort by the roots of |F(s, v, u)|^2 = R^2. Speed limits of
+joints bound the speed v by the maximum velocity curve. Where the speed limit of a joint is active, the joint's speed r v is
+constant, so v' = -r' v^2 / r. Here r is the joint's speed per unit of v.
 """
 
 from collections.abc import Callable
@@ -31,18 +31,18 @@ POSES_PER_PART = 2001
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class PinForces:
-    """Forces of closures that are limited, along a part of the way: F = still + square v^2 + linear v + by_effort u.
+    """Limited closure forces along a part of the motion: F = still + square v^2 + linear v + by_effort u.
 
-    `curves` gives (4, n_rows) [N, ...] over the coordinate, divided by the closures' ratings; `rows` are those of each.
+    `curves` gives (4, n_rows) [N, ...] over the coordinate, divided by the closures' ratings; `rows` are each closure's rows.
     """
 
     curves: Callable[[Any], np.ndarray]
     rows: tuple[slice, ...]
 
     def efforts(self, s: Any, v: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the least and largest efforts (..., n_closures) that each closure bears, and whether it bears any.
+        """Return the least and largest effort (..., n_closures) that each closure's rating allows, and if it allows any.
 
-        If the closure bears no load, both are the effort of least force.
+        If no effort satisfies the rating, both are the effort of least force.
         """
         values, v = self.curves(s), np.asarray(v, dtype=float)[..., None]
         force = values[..., 0, :] + values[..., 1, :] * v**2 + values[..., 2, :] * v
@@ -61,7 +61,7 @@ class PinForces:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class VelocityCurve:
-    """The maximum velocity curve: the largest speed along a part of the way at which all joints keep their speed limits.
+    """The maximum velocity curve along a part of the motion: the largest speed that satisfies all joints' speed limits.
 
     `curves(s, order)`  are the joints' speeds per unit of v (n,) at s, or their derivatives by s if `order`
     is 1. `speed` (n, 2) are the joints' speed limits [rad/s or m/s]. `way` is the direction, +1 or -1.
@@ -72,19 +72,19 @@ class VelocityCurve:
     way: float
 
     def shares(self, s: Any) -> np.ndarray:
-        """Return each joint's speed (..., n) per unit of v along the way, as a share of its limit in that direction."""
+        """Return each joint's speed (..., n) per unit of v, relative to its speed limit in that direction."""
         ratio = self.way * self.curves(s)
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.fmax(ratio / np.where(ratio > 0, self.speed[:, 1], self.speed[:, 0]), 0.0)
 
     def at(self, s: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Return the largest speed (...) along the way, and which of the joints (...) is then at its limit."""
+        """Return the largest speed (...) and the index (...) of the joint that is at its limit at this speed."""
         shares = self.shares(s)
         with np.errstate(divide="ignore"):
             return 1.0 / shares.max(axis=-1), np.argmax(shares, axis=-1)
 
     def acceleration(self, s: Any, v: Any, joint: Any) -> np.ndarray:
-        """Return the acceleration (...) at which the speed of a joint is constant; `joint` may name one for each place."""
+        """Return the acceleration (...) at which a joint's speed is constant; `joint` is one index, or one per position."""
         ratio, slope = (
             np.take_along_axis(self.curves(s, order), np.asarray(joint)[..., None], axis=-1)[..., 0] for order in (0, 1)
         )
@@ -93,7 +93,7 @@ class VelocityCurve:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class LegField:
-    """All that effort, power, motors' lines, pin forces and speeds allow along a part of the way.
+    """The efforts and accelerations that the limits on effort, power, line, pin force and speed allow along a part.
 
     M a = still + square v^2 + linear v + maps u; `curves` gives (M, still, square, linear, maps...) over the coordinate.
     `effort` (n_u, 2) [N.m or N], `power` (n_u, 2) [W], `line` (n_u, 2) of stall efforts and no-load speeds, `way` +1 or -1;
@@ -110,13 +110,13 @@ class LegField:
 
     @property
     def at_speed(self) -> int:
-        """The number of the first joint with a limited speed among the limits that an actuator is held at."""
+        """The index of the first joint with a limited speed, among the limits at which an actuator can be held."""
         return AT_FORCE + (0 if self.pins is None else len(self.pins.rows))
 
     def at(self, s: Any, v: Any, *, towards: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the limits (..., n_u) that hold below the velocity curve, the efforts (..., n_u) and the acceleration.
+        """Return the active limits (..., n_u) below the velocity curve, the efforts (..., n_u) and the acceleration.
 
-        The efforts are those that push towards the end, or brake, at places and speeds.
+        The efforts accelerate towards the end with all that the limits allow, or brake, at given positions and speeds.
         """
         maps = self.curves(s)[..., 4:]
         upper = (maps * self.way > 0) == towards
@@ -139,7 +139,7 @@ class LegField:
         return held, *self.along(s, v, held)
 
     def along(self, s: Any, v: Any, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the efforts (..., n_u) of actuators that are held at limits, and the acceleration, at places and speeds."""
+        """Return the efforts (..., n_u) of actuators held at limits, and the acceleration, at given positions and speeds."""
         values, v = self.curves(s), np.asarray(v, dtype=float)
         free = values[..., 1] + values[..., 2] * v**2 + values[..., 3] * v
         if self.velocity_curve is not None and np.all(held >= self.at_speed):
@@ -161,17 +161,17 @@ class LegField:
         return effort, (free + (values[..., 4:] * effort).sum(axis=-1)) / values[..., 0]
 
     def line_efforts(self, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the least and the largest efforts (..., n_u) of the motors' lines at speeds of the actuators (..., n_u)."""
+        """Return the least and the largest effort (..., n_u) on the motors' lines at actuator speeds (..., n_u)."""
         stall, no_load = self.line.T
         return -stall * (1.0 + rate / no_load), stall * (1.0 - rate / no_load)
 
     @property
     def strength(self) -> np.ndarray:
-        """The largest effort (n_u,) that an actuator gives anywhere."""
+        """The largest effort (n_u,) of each actuator at any position and speed."""
         return np.minimum(np.abs(self.effort).max(axis=1), self.line[:, 0])
 
     def keeps(self, s: np.ndarray, v: np.ndarray, effort: np.ndarray) -> bool:
-        """True if efforts (n, n_u) keep all limits on efforts, powers, lines and pin forces at places and speeds (n,)."""
+        """True if efforts (n, n_u) at positions and speeds (n,) satisfy all limits on effort, power, line and pin force."""
         room = _LIMIT_TOLERANCE * np.abs(self.effort).max()
         rate = self.curves(s)[:, 4:] * v[:, None]
         least_of_line, most_of_line = self.line_efforts(rate)
@@ -187,7 +187,7 @@ class LegField:
 
 
 def supports_pin_limits(problem: Problem) -> bool:
-    """True if there are limits on pin forces that legs can keep: with one freedom, one actuator and no dry friction."""
+    """True if legs can satisfy the limits on pin forces: one degree of freedom, one actuator and no dry friction."""
     mechanism = problem.mechanism
     if not problem.limits.limited_closures or (mechanism.dof, mechanism.n_u) != (1, 1):
         return False
@@ -195,7 +195,7 @@ def supports_pin_limits(problem: Problem) -> bool:
 
 
 def knows_speeds(problem: Problem) -> bool:
-    """True if there are limits on speeds that legs can keep: with one freedom and one actuator."""
+    """True if legs can satisfy the limits on speeds: one degree of freedom and one actuator."""
     return (problem.mechanism.dof, problem.mechanism.n_u) == (1, 1) and bool(np.any(np.isfinite(problem.limits.speed)))
 
 
@@ -211,10 +211,10 @@ def lines_of(problem: Problem) -> np.ndarray:
 
 
 def field_along(problem: Problem, part: Part, start_pose: np.ndarray) -> LegField:
-    """Return the field of accelerations that effort, power, pin forces and speeds allow along a part.
+    """Return the field of accelerations that the problem's limits allow along a part.
 
     Raises:
-        AssemblyError: where the way is not open.
+        AssemblyError: if the loops cannot be closed at a position of the part.
     """
     import scipy
 
@@ -260,7 +260,7 @@ def field_along(problem: Problem, part: Part, start_pose: np.ndarray) -> LegFiel
 
 
 def _pins(problem: Problem, place: np.ndarray, forces: np.ndarray) -> PinForces:
-    """Return forces (n, 4, n_rows) [N, ...] of all closures at places (n,) as those of limited ones, by their ratings."""
+    """Return the limited closure forces, divided by their ratings, from those (n, 4, n_rows) [N, ...] of all closures."""
     import scipy
 
     limited, columns, rows = problem.limits.limited_closures, [], []

@@ -1,8 +1,9 @@
-"""The motion along the phase plane's legs as polynomials, collocated interval by interval without a solver.
+"""The motion along the phase plane's legs as polynomials, by collocation of one interval at a time without a solver.
 
-Under a limit on power the speed converges within a thousandth of the motion to the speed at which the power carries the
-weight. Backwards from the goal it does the same, so that a program over the whole motion is ill-conditioned. Each leg is
-therefore collocated in the direction in which its errors decrease: ahead from the start, back from the goal.
+Under a limit on power, the speed converges within a thousandth of the motion to the speed at which the power balances the
+weight. Backward in time from the goal, the speed converges likewise. A program over the whole motion is therefore
+ill-conditioned. Each leg is collocated in the direction in which its errors decrease: forward in time from the start, and
+backward from the goal.
 """
 
 import itertools
@@ -28,13 +29,13 @@ _CHECKED_AT = np.linspace(0.0, 1.0, 12)
 
 
 def legs_motion(problem: Problem, start_pose: np.ndarray) -> Trajectory | None:
-    """Return the quickest reach that never turns back but where it must, along its limits; None without one.
+    """Return the quickest reach along its limits that turns back only at required waypoints; None if there is none.
 
-    No motion that goes on to its turning place is anywhere faster than the legs allow, so that this one is the quickest.
+    No motion without additional turns is faster than the legs at any position, so this motion is the quickest of them.
 
     Args:
-        problem: whose efforts are limited; of its other limits, those on power, line, pin force and speed count.
-        start_pose: closed (n_q,), at the start.
+        problem: one with limits on all efforts. Limits on power, line, pin force and speed are considered, others are not.
+        start_pose: the closed pose (n_q,) at the start.
     """
     limits = problem.limits
     rated = (1.0 - _LIMIT_RESERVE) * limits.closure_force
@@ -61,15 +62,15 @@ def legs_motion(problem: Problem, start_pose: np.ndarray) -> Trajectory | None:
 
 
 def _inside(limit: np.ndarray) -> np.ndarray:
-    """Return limits [low, high] (n, 2) a little further in."""
+    """Return the limits [low, high] (n, 2), slightly tightened."""
     share = np.where(np.isfinite(limit), np.abs(limit), 0.0)
     return limit + _LIMIT_RESERVE * share * np.array([1.0, -1.0])
 
 
 def _pieces(leg: Leg, boundaries: np.ndarray, deadline: Deadline) -> tuple[list, list, list, list] | None:
-    """Return the beginnings [s] of a leg's intervals and their coefficients; None if the intervals get too short.
+    """Return the start times [s] of a leg's intervals and their coefficients; None if the intervals become too short.
 
-    Position (m + 2,), velocity (m + 1,) and effort (m, n_u) each.
+    Each interval has coefficients of position (m + 2,), velocity (m + 1,) and effort (m, n_u).
     """
     arcs = leg.arcs()
     until = np.array([end - leg.later for end, _ in arcs])
@@ -101,14 +102,14 @@ def _pieces(leg: Leg, boundaries: np.ndarray, deadline: Deadline) -> tuple[list,
 
 
 def _collocated(leg: Leg, held: np.ndarray, t: float, h: float, at: np.ndarray):
-    """Return an interval's coefficients and the state (2,) at its end; None where they are not close to the leg's law.
+    """Return an interval's coefficients and the state (2,) at its end; None if they are not close to the leg's dynamics.
 
     Args:
-        leg: whose law is followed.
-        held: what actuators are held at there (n_u,).
-        t: where the interval begins, in the leg's time [s].
-        h: its width, negative backwards.
-        at: place and speed there (2,).
+        leg: the leg.
+        held: the limits (n_u,) at which the actuators are held on the interval.
+        t: the start of the interval, in the leg's time [s].
+        h: the width of the interval [s], negative backward in time.
+        at: position and speed (2,) at t.
     """
     known = scheme(LEGS_SCHEME)
     nodes = known.nodes

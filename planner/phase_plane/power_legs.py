@@ -1,12 +1,13 @@
-"""Least-time motions of one degree of freedom along limits on power, lines, pin force and speed: legs in the phase plane.
+"""Least-time motions of one degree of freedom as legs along limits on power, torque-speed line, pin force and speed.
 
-One leg accelerates from the start with all the effort that the limits allow, another brakes into the goal, and their
-crossing is the switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985). Limits on speeds add the maximum
-velocity curve. Where this curve falls and the motion can brake as fast, the legs into the goal follow it. Where the curve
-rises faster than the motion can accelerate, a leg from the start leaves it and later meets a leg into the goal.
+One leg accelerates from the start with all the effort that the limits allow. Another leg brakes into the goal. They cross
+at the switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985). Limits on speeds add the maximum velocity
+curve. Where this curve falls and the motion can brake as fast, the legs into the goal follow it. Where the curve rises
+faster than the motion can accelerate, a leg from the start leaves it and later meets a leg into the goal.
 
-Along a power limit the effort falls off from a bang at rest. This bang may last a hundred-thousandth of the motion, which a
-grid over the way or a mesh over time does not show. The integrated legs give the end of each arc and the limit along it.
+Under a power limit, the motion from rest begins with a bang arc, after which the effort decreases. This bang arc may last
+a hundred-thousandth of the motion, which neither a grid over position nor a mesh over time resolves. The integrated legs
+give the end of each arc and the limit along it.
 """
 
 from collections.abc import Callable, Iterator
@@ -31,9 +32,9 @@ _SAME_SPEED = 1e-9
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Leg:
-    """A leg over its own time (begin, end) [s]; `later` [s] is when its time is 0 in the motion.
+    """A leg over its own time (begin, end) [s]; its time 0 is the instant `later` [s] of the motion.
 
-    `held` is the limit (n_u,) along the whole leg, None if it follows from the field.
+    `held` (n_u,) is the active limit along the whole leg; None if the field determines it.
     """
 
     field: LegField
@@ -46,7 +47,7 @@ class Leg:
     held: np.ndarray | None = None
 
     def time_at(self, place: float) -> float:
-        """Return when it passes a place [s]."""
+        """Return the time [s] at which the leg passes a position."""
         import scipy
 
         way = self.field.way
@@ -56,29 +57,29 @@ class Leg:
         return float(scipy.optimize.brentq(lambda t: self.state(t)[0] - place, self.begin, self.end, xtol=1e-15))
 
     def speed_at(self, place: float) -> float:
-        """Return the leg's speed at a place."""
+        """Return the leg's speed at a position."""
         return float(self.state(self.time_at(place))[1])
 
     def held_at(self, t: float) -> tuple[int, ...]:
-        """Return the limit held at an instant of its own time."""
+        """Return the active limit at an instant of the leg's own time."""
         held = self.field.at(*self.state(t), towards=self.towards)[0] if self.held is None else self.held
         return tuple(int(one) for one in held)
 
     def is_possible(self) -> bool:
-        """True if an effort keeps all limits at every examined instant."""
+        """True if at every examined instant an effort satisfies all limits."""
         s, v = self.state(self._looks())
         field, held = self.field, self.held
         effort = field.at(s, v, towards=self.towards)[1] if held is None else field.along(s, v, held)[0]
         return field.keeps(s, v, effort)
 
     def _looks(self) -> np.ndarray:
-        """Return the instants (n,), in its own time, at which it is examined: four in each step of the integration."""
+        """Return the instants (n,) at which the leg is examined, in its own time: four in each step of the integration."""
         knots = np.unique(np.clip(self.steps, self.begin, self.end))
         looks = np.interp(np.arange(4 * (len(knots) - 1) + 1) / 4, np.arange(len(knots)), knots)
         return 0.5 * (looks[1:] + looks[:-1])
 
     def arcs(self) -> list[tuple[float, tuple[int, ...]]]:
-        """Return the leg's arcs in order: the end of each [s], in the motion's time, and the limit along it."""
+        """Return the leg's arcs in order: the end [s] of each arc, in the motion's time, and the active limit."""
         looks = self._looks()
         held, found = [self.held_at(t) for t in looks], []
         for k in range(1, len(looks)):
@@ -92,13 +93,13 @@ class Leg:
 
 
 def power_legs(problem: Problem, start_pose: np.ndarray) -> tuple[list[Leg], np.ndarray] | None:
-    """Return the legs of the quickest reach that never turns back but where it must, along its limits.
+    """Return the legs of the quickest reach along its limits that turns back only at required waypoints.
 
-    And when it passes start, waypoints and goal [s]; None without one, or if no power, line, force or speed is at its limit.
+    Also return the times [s] of start, waypoints and goal. None without such a reach, or if only effort limits are active.
 
     Args:
-        problem: whose efforts are limited; of its other limits, those on power, line, pin force and speed count.
-        start_pose: closed (n_q,), at the start.
+        problem: one with limits on all efforts. Limits on power, line, pin force and speed are considered, others are not.
+        start_pose: the closed pose (n_q,) at the start.
     """
     legs, boundaries = [], [0.0]
     try:
@@ -120,14 +121,14 @@ def power_legs(problem: Problem, start_pose: np.ndarray) -> tuple[list[Leg], np.
 
 
 def _leg_at(legs: list[Leg], place: float) -> Leg:
-    """Return the leg of consecutive ones that passes a place."""
+    """Return the leg, of consecutive legs, that passes a position."""
     way = legs[0].field.way
     return next((leg for leg in legs if way * (leg.state(leg.end)[0] - place) > 0), legs[-1])
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class _Way:
-    """A part of the way, along which legs are integrated."""
+    """A part of the motion, along which legs are integrated."""
 
     field: LegField
     part: Part
@@ -135,7 +136,7 @@ class _Way:
 
     @cached_property
     def places(self) -> np.ndarray:
-        """Places (n,) from start to goal at which the velocity curve is examined."""
+        """Positions (n,) from start to goal at which the velocity curve is examined."""
         return np.linspace(self.part.places[0], self.part.places[-1], POSES_PER_PART)
 
     @cached_property
@@ -145,32 +146,32 @@ class _Way:
 
     @cached_property
     def beside(self) -> float:
-        """The distance within which places are not distinct: far below that over which the motion gathers its speed."""
+        """The distance below which positions count as equal, much shorter than that over which the motion accelerates."""
         share = min(1.0, self.top_speed / self.fastest)
         return max(1e-7 * self.span * share**2, 4 * np.finfo(float).eps * float(np.abs(self.places).max()))
 
     @cached_property
     def fastest(self) -> float:
-        """The speed that all efforts together would give on the whole way."""
+        """The speed that all efforts together would reach from start to goal."""
         values, effort = self.field.curves(self.places), np.abs(self.field.effort).max(axis=1)
         force = np.abs(values[:, 1]) + np.abs(values[:, 4:]) @ effort
         return float(np.sqrt(2 * self.span * (force / values[:, 0]).max()))
 
     @cached_property
     def top_speed(self) -> float:
-        """The largest speed that limits on speeds and the motors' lines admit anywhere; infinite without them."""
+        """The largest speed that limits on speeds and the motors' lines allow at any position; infinite without them."""
         with np.errstate(divide="ignore"):
             no_load = np.abs(self.field.line[:, 1] / self.field.curves(self.places)[:, 4:])
         return float(np.minimum(self._fastest_at(self.places), no_load.min(axis=1)).max())
 
     def legs(self) -> list[Leg] | None:
-        """Return the legs of the quickest motion from start to goal; None where they do not meet."""
+        """Return the legs of the quickest motion from start to goal; None if they do not meet."""
         back = self._back()
         found = None if back is None else self._ahead(back)
         return found if found is not None and all(leg.is_possible() for leg in found) else None
 
     def _leg(self, begin: float, v: float, end: float, *, towards: bool, held: np.ndarray | None = None) -> Leg:
-        """Return the leg from a place and a speed until a place, or until it stalls: ahead in time, or back from there."""
+        """Return the leg from a position and speed to another position, or until it stalls: forward or backward in time."""
         import scipy
 
         field, way = self.field, self.field.way
@@ -200,12 +201,12 @@ class _Way:
         )
 
     def _fastest_at(self, place: Any) -> np.ndarray:
-        """Return the maximum velocity curve (...) at places; infinite without limits on speeds."""
+        """Return the maximum velocity curve (...) at positions; infinite without limits on speeds."""
         curve = self.field.velocity_curve
         return np.full(np.shape(place), np.inf) if curve is None else curve.at(place)[0]
 
     def _excess(self, place: Any, *, towards: bool) -> np.ndarray:
-        """Return the acceleration along the velocity curve less that of all effort towards the end, or of full braking."""
+        """Return the acceleration along the velocity curve minus that under full effort towards the end, or full braking."""
         curve, way = self.field.velocity_curve, self.field.way
         assert curve is not None  # its callers are on it
         with np.errstate(all="ignore"):  # the curve may be infinite at some places
@@ -215,7 +216,7 @@ class _Way:
     def _back(self) -> list[Leg] | None:
         """Return the legs, in order, of the fastest motion that arrives at the goal; None if it does not reach the start.
 
-        Backwards from the goal, it brakes with all effort below the velocity curve, and follows the curve where it can.
+        Seen backward from the goal, the motion brakes fully below the velocity curve, and follows the curve where it can.
         """
         way, start, place, v = self.field.way, self.part.places[0], self.part.places[-1], self.part.speeds[1]
         found: list[Leg] = []
@@ -241,7 +242,7 @@ class _Way:
         return found[::-1]
 
     def _first_above(self, leg: Leg, top: Callable[[Any], np.ndarray]) -> float | None:
-        """Return the first instant, in a leg's own time, at which the leg is faster than `top`; None if never."""
+        """Return the first instant, in a leg's own time, at which the leg is faster than `top`; None if there is none."""
         import scipy
 
         way, t = self.field.way, np.linspace(leg.begin, leg.end, POSES_PER_PART)[:: 1 if leg.towards else -1]
@@ -262,12 +263,12 @@ class _Way:
         return float(scipy.optimize.brentq(apart, t[k - 1], t[k], xtol=1e-15)) if apart(t[k - 1]) < 0 else float(t[k - 1])
 
     def _followed_from(self, place: float) -> float:
-        """Return the first place from which the motion can follow the velocity curve to a place on it."""
+        """Return the first position from which the motion can follow the velocity curve to a given position."""
         before = self.places[self.field.way * (self.places - place) < 0][::-1]
         return self._sign_change(np.concatenate([[place], before]), towards=False, sign=-1.0)
 
     def _sign_change(self, places: np.ndarray, *, towards: bool, sign: float) -> float:
-        """Return the first of places (n,), refined, at which the excess has a sign; the last one if there is none."""
+        """Return the first of positions (n,), refined, at which the excess has a given sign; otherwise the last one."""
         import scipy
 
         has = sign * self._excess(places, towards=towards) > 0
@@ -277,7 +278,7 @@ class _Way:
         return float(scipy.optimize.brentq(lambda at: float(self._excess(at, towards=towards)), places[k - 1], places[k]))
 
     def _curve_legs(self, first: float, last: float) -> Iterator[Leg]:
-        """Yield the legs along the velocity curve between two places, one for each joint that is at its limit."""
+        """Yield the legs along the velocity curve between two positions, one for each joint that is at its limit in turn."""
         import scipy
 
         curve, way = self.field.velocity_curve, self.field.way
@@ -298,7 +299,7 @@ class _Way:
                 yield self._leg(begin, way * float(self._fastest_at(begin)), end, towards=True, held=held)
 
     def _ahead(self, back: list[Leg]) -> list[Leg] | None:
-        """Return the legs from the start, at full acceleration, then those into the goal where they meet; None if none do.
+        """Return the legs from the start at full acceleration, and after their meeting those into the goal; None if none meet.
 
         The motion leaves the velocity curve where the curve rises faster than full effort accelerates.
         """
@@ -326,7 +327,7 @@ class _Way:
             place, v = left_at, way * float(self._fastest_at(left_at))
 
     def _along(self, back: list[Leg], place: float) -> tuple[list[Leg], float | None]:
-        """Return the legs into the goal from a place on, and the place at which the motion cannot follow them, or None."""
+        """Return the legs into the goal from a position, and the position at which the motion cannot follow them, or None."""
         way, found = self.field.way, []
         for leg in back:
             last = float(leg.state(leg.end)[0])

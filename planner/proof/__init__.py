@@ -1,5 +1,5 @@
-"""Proofs that a motion keeps its limits at every instant, in ball arithmetic.
+"""Proofs that a motion satisfies its limits at every instant, in ball arithmetic.
 
 In: a problem and the coefficients of a trajectory.
-Out: `Proof`: claims on the whole motion, each proved, refuted or undecided, and what is checked at samples only.
+Out: a `Proof`: claims on the whole motion, each of them proved, refuted, undecided or sampled (checked at samples only).
 """

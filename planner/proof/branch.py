@@ -26,14 +26,14 @@ _MOST_INFLATIONS = 6
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class EnclosedRoot:
-    """A root z for every s of a box: `enclosure` contains it, and it is the only one in `region`."""
+    """The root z for every s of a box: `enclosure` contains the root, and `region` contains no other root."""
 
     enclosure: list[arb]
     region: list[arb]
 
 
 def pose_of(blocks: Blocks, s: Sequence[Ball], z: Sequence[Ball]) -> list[Ball]:
-    """Return the pose q (n_q,) from its independent and dependent coordinates."""
+    """Return the pose q (n_q,) with the given independent and dependent coordinates."""
     found: list = [None] * (len(s) + len(z))
     for index, value in (*zip(blocks.independent, s, strict=True), *zip(blocks.dependent, z, strict=True)):
         found[index] = value
@@ -41,10 +41,10 @@ def pose_of(blocks: Blocks, s: Sequence[Ball], z: Sequence[Ball]) -> list[Ball]:
 
 
 def newton(blocks: Blocks, s: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """Return the dependent coordinates (rank,) by Newton's method in numbers, as a guess without proof.
+    """Return the dependent coordinates (rank,) by Newton's method in floating point: a guess, which is not proved.
 
     Raises:
-        NotSeparatedError: when it does not converge.
+        NotSeparatedError: if the iteration does not converge.
     """
     if not blocks.rank:
         return np.zeros(0)
@@ -68,10 +68,10 @@ def newton(blocks: Blocks, s: np.ndarray, z: np.ndarray) -> np.ndarray:
 
 
 def krawczyk(blocks: Blocks, s: Sequence[arb], guess: np.ndarray) -> EnclosedRoot:
-    """Return the root near a guess for every s of a box.
+    """Return an enclosure of the root near a guess for every s of a box, by Krawczyk's operator.
 
     Raises:
-        NotSeparatedError: when existence or uniqueness is not proved.
+        NotSeparatedError: if the operator proves neither existence nor uniqueness of the root.
     """
     n = blocks.rank
     if n == 0:
@@ -105,7 +105,7 @@ def krawczyk(blocks: Blocks, s: Sequence[arb], guess: np.ndarray) -> EnclosedRoo
 def series_of(blocks: Blocks, s: Sequence[arb_series], root: Sequence[arb], order: int) -> list[arb_series]:
     """Return the series z (rank,) with `order` coefficients along the series s (n_s,), from the constant terms `root`.
 
-    If the balls of s and z_0 contain the coefficients at every expansion point of a box, so do the result's.
+    If the balls of s and z_0 contain the coefficients at every expansion point of a box, so do the balls of the result.
     """
     n = len(root)
     coefficients = [[z] for z in root]
@@ -127,7 +127,7 @@ def series_of(blocks: Blocks, s: Sequence[arb_series], root: Sequence[arb], orde
 
 @functools.cache
 def _doublings(order: int) -> tuple[tuple[int, int], ...]:
-    """Return the numbers of coefficients before and after each step of Newton's method, which at most doubles them."""
+    """Return the numbers of coefficients before and after each Newton step, which at most doubles the number."""
     caps = [order]
     while caps[-1] > 1:
         caps.append((caps[-1] + 1) // 2)

@@ -15,9 +15,9 @@ from linkplan.planner.proof.walk import Ball
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Claim:
-    """low - slack[0] <= f(t) <= high + slack[1] at every instant. All values of a state have to keep it.
+    """low - slack[0] <= f(t) <= high + slack[1] at every instant. Every value of `values` at a state must satisfy it.
 
-    Numbers are SI; `per_unit` times them is in `unit`. The default slack are the allowances for rounding.
+    Numbers are in SI; a number times `per_unit` is in `unit`. The default slack is the allowance for rounding.
     """
 
     name: str
@@ -29,18 +29,18 @@ class Claim:
 
     @property
     def allowed(self) -> tuple[float, float]:
-        """The allowances of [low, high]; for rounding as in the certificate: 1e-9, or 1e-9 of an end above one."""
+        """The allowances on [low, high]. For rounding, as in the certificate: 1e-9, or 1e-9 of a limit above one."""
         low, high = (ROUNDING_SHARE * max(1.0, abs(float(x))) if np.isfinite(x) else 0.0 for x in self.bounds)
         return (low, high) if self.slack is None else self.slack
 
     @property
     def marks(self) -> tuple[float, float]:
-        """The limits with their allowances."""
+        """The limits [low, high], extended by their allowances."""
         return float(self.bounds[0]) - self.allowed[0], float(self.bounds[1]) + self.allowed[1]
 
 
 def of_kinetics(of: Callable[[Kinetics], Ball]) -> Callable[[State], list[Ball]]:
-    """Return the values of a quantity for a motion's one or two kinetics."""
+    """Return the values of a quantity for the one or two `Kinetics` of a motion."""
     return lambda state: [of(kinetics) for kinetics in state.kinetics]
 
 
@@ -50,7 +50,7 @@ _LOOSE_SHARE = 1e-2
 
 @dataclass(eq=False, slots=True, kw_only=True)
 class Record:
-    """The bounds on one claim so far; the sweep over the boxes extends them."""
+    """The bounds found so far on the quantity of one claim. The sweep over the boxes extends them."""
 
     least: float = math.inf
     greatest: float = -math.inf
@@ -62,7 +62,7 @@ class Record:
     undecided: list[tuple[float, float]] = field(default_factory=list)
 
     def loosened_by(self, verdict: Verdict, form: TaylorForm, claim: Claim) -> bool:
-        """Return True if a bound would extend the known range, and is mostly the remainder."""
+        """Return True if a bound would extend the known range and consists mostly of the Taylor form's remainder."""
         extends = verdict.least < self.least or verdict.greatest > self.greatest
         size = max(
             abs(verdict.least), abs(verdict.greatest), max(claim.allowed) if claim.bounds[0] == claim.bounds[1] else 0.0
@@ -78,14 +78,14 @@ class Record:
 
 
 def undecided_reason(boxes: list[tuple[float, float]]) -> str:
-    """Return a phrase on the boxes (begin, end) [s] that are not decided."""
+    """Return the reason that lists the undecided boxes (begin, end) [s]."""
     begin, end = boxes[0]
     more = f" and in {len(boxes) - 1} more boxes" if len(boxes) > 1 else ""
     return f"not decided between t = {begin:.9g} s and {end:.9g} s{more}"
 
 
 def finding_of_claim(claim: Claim, record: Record) -> Finding:
-    """Return the finding of a claim from its record."""
+    """Return the finding on a claim from the bounds in its record."""
     k, (low, high) = claim.per_unit, claim.marks
     if record.refuted is not None:
         upper = record.refuted.least > high

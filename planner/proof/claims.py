@@ -1,6 +1,6 @@
-"""The claims of a problem on every instant of a motion: those of its limits, and those that every motion has to keep.
+"""The claims of a problem at every instant of a motion: those of its limits, and those that hold for every motion.
 
-Every motion keeps all rows of the loops, needs no more than the planned efforts, and follows its reference.
+For every motion, all rows of the closure are zero, the planned efforts produce the motion, and a reference is followed.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -29,9 +29,9 @@ _NOT_ENCLOSED = "balls do not enclose one of its operations"
 
 
 def claims_of(problem: Problem, trajectory: Trajectory) -> tuple[list[Claim], list[Finding]]:
-    """Return the claims of a problem on a trajectory at every instant, and the findings on limits that have none.
+    """Return the claims of a problem on a trajectory at every instant, and the findings on limits without a claim.
 
-    A limit that claims nothing, or whose value is not enclosed, is undecided: what is not shown is not proved.
+    A limit without a claim, or with a value that cannot be enclosed, is undecided.
     """
     claims, open_limits = [], []
     for limit in limits_of(problem):
@@ -49,7 +49,7 @@ def claims_of(problem: Problem, trajectory: Trajectory) -> tuple[list[Claim], li
 
 
 def _sort_in(one: Claimed, problem: Problem, claims: list[Claim], open_limits: list[Finding]) -> None:
-    """Add what a limit claims to the claims, or to the findings if it is not enclosed."""
+    """Add the claim of a limit to the claims. If its value cannot be enclosed, add an undecided finding instead."""
     if one.unknown:
         open_limits.append(_undecided(one.name, one.unknown))
         return
@@ -62,7 +62,7 @@ def _sort_in(one: Claimed, problem: Problem, claims: list[Claim], open_limits: l
 
 
 def _values(one: Claimed, problem: Problem) -> Callable[[State], list[Ball]]:
-    """Return the function of a state that encloses what a limit claims."""
+    """Return the function from a state to an enclosure of the quantity that a limit bounds."""
     value = one.value
     if isinstance(value, Sequence):
         walks = [walk_of(function) for function in value]
@@ -90,9 +90,9 @@ def _undecided(name: str, reason: str) -> Finding:
 
 
 def loop_claims(problem: Problem, _: Trajectory) -> Iterator[Claim]:
-    """Yield the claim on rows of the loops that the branch does not solve: redundant ones, and those of normal equations.
+    """Yield the claim on closure rows for which the branch does not solve: redundant rows, and those of normal equations.
 
-    Out of a plane, a planar loop has rows that are constant.
+    Constant rows, such as those of a planar loop normal to its plane, are left out if they are zero.
     """
     mechanism = problem.mechanism
     solved = {int(row) for row in mechanism.closure_rows} - {row for loop in mechanism.projected for row in loop.rows}
@@ -110,7 +110,7 @@ def loop_claims(problem: Problem, _: Trajectory) -> Iterator[Claim]:
 
 
 def reference_claims(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:
-    """Yield the claims that a motion follows its reference exactly."""
+    """Yield the claims that a motion equals its reference, to 1e-6 of the span."""
     reference = problem.reference_over(trajectory.duration_s)
     if problem.motion.kind != "track" or reference is None:
         return
@@ -132,7 +132,7 @@ def _enclosed_sine(sine: Sine, i: int, time: Ball) -> Ball:
 
 
 def _residuals(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:
-    """Yield the claims that the planned efforts give the motion, with the certificate's allowance."""
+    """Yield the claims that the planned efforts produce the motion, with the certificate's allowance."""
     mechanism = problem.mechanism
     largest = np.abs(np.array(mechanism.dynamics.effort_map(trajectory.start_pose))) @ np.abs(trajectory.effort).max((0, 1))
     inertia = np.abs(np.array(mechanism.dynamics.reduced_inertia(trajectory.start_pose)))
@@ -146,7 +146,7 @@ def _residuals(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:
 
 
 def sampled_findings(problem: Problem, failures: Sequence[str]) -> list[Finding]:
-    """Return the findings that only a certificate has: contacts, limits that a file does not hold, and its `failures`."""
+    """Return the findings that only a certificate gives: contacts, limits missing in a saved plan, and `failures`."""
     unread = "its expression is Python, which files do not hold; linkplan.read_plan takes it again"
     contacts = "distances between geoms are compared at samples"
     return [

@@ -15,9 +15,9 @@ _SERIES_TERMS = 40
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class LinearBox:
-    """A box: its width [s], A (n_s, 2 n_s) by coefficients of x in [-1, 1], D, the forms of d, and the plan's first jump.
+    """A box: width [s], A (n_s, 2 n_s) as coefficients of powers of x in [-1, 1], D, the forms of d, the jump at the start.
 
-    `end_s` is its end, and `tube` (2 n_s,) half the width of the tube.
+    `end_s` [s] is the end of the box, and `tube` (2 n_s,) half the width of the tube around the plan.
     """
 
     end_s: float
@@ -30,16 +30,16 @@ class LinearBox:
 
 
 def size_of(coefficients: Sequence[arb], middles: Sequence[float] | None = None) -> arb:
-    """Return a bound on a polynomial of x in [-1, 1], or on its distance from one with coefficients in numbers."""
+    """Return a bound on |p(x)| over x in [-1, 1], or on the distance of p from a polynomial in floating point."""
     middles = [0.0] * len(coefficients) if middles is None else middles
     return sum((abs(c - arb(m)).upper() for c, m in zip(coefficients, middles, strict=True)), arb(0))
 
 
 def contracted(boxes: Sequence[LinearBox], n_s: int) -> tuple[np.ndarray, float]:
-    """Return W (n_boxes, 2 n_s) up to the end of each box, and the contraction Z.
+    """Return the error bound W (n_boxes, 2 n_s) up to the end of each box, and the contraction factor Z.
 
-    Every box sees the earlier ones' d and D W through Phi. The polynomial of d acts with its sign: over an interval of
-    collocation it is zero on average. Its remainders, the plan's jumps and D W act by their size.
+    Phi propagates d and D W of the earlier boxes to each box. The polynomial of d is integrated with its sign, because
+    its mean over an interval of collocation is zero. The remainders, the plan's jumps and D W enter by absolute value.
     """
     n, unit = 2 * n_s, _rate_unit(boxes, n_s)
     scale = [arb(1)] * n_s + [1 / unit] * n_s  # of (s, s' / unit)
@@ -75,7 +75,7 @@ def contracted(boxes: Sequence[LinearBox], n_s: int) -> tuple[np.ndarray, float]
 
 
 def _rate_unit(boxes: Sequence[LinearBox], n_s: int) -> arb:
-    """Return a rate [1/s] that makes positions and velocities alike: the root of the largest da/ds."""
+    """Return a rate [1/s] that scales velocities to the size of positions: the root of the largest |da/ds|."""
     largest = max((abs(entry[0]) for box in boxes for row in box.slopes for entry in row[:n_s]), default=0.0)
     return arb(max(largest, 1.0)).sqrt().mid()
 
@@ -85,7 +85,7 @@ def _absolute(matrix: arb_mat) -> arb_mat:
 
 
 def _beside(left: arb_mat, right: arb_mat) -> arb_mat:
-    """Return [left right]."""
+    """Return the block matrix [left right]."""
     rows = zip(left.tolist(), right.tolist(), strict=True)
     return arb_mat([[*a, *b] for a, b in rows])
 
@@ -109,7 +109,7 @@ def _growth(box: LinearBox, unit: arb, n_s: int) -> arb_mat:
 
 
 def _transition(box: LinearBox, unit: arb, n_s: int) -> tuple[arb_mat, arb_mat]:
-    """Return Phi over a box, and what the polynomial of -d adds over it.
+    """Return Phi over a box, and the integral over the box of Phi times the polynomial of -d.
 
     Both are columns of Y with Y' = A Y, A extended by a column of -d. The series of Y in x + 1 has terms with
     m Y_m = h / 2 sum_i A_i Y_(m - 1 - i). With |Y(z)| <= Y_R = exp(int_0^R |A|) on the disc of radius R = 8, the remainder

@@ -1,4 +1,4 @@
-"""Enclosures of a table's curve over time: of a reference, or of a force."""
+"""Enclosures of a curve over time that a table gives: a reference, or an external force."""
 
 from collections.abc import Iterator
 
@@ -24,7 +24,7 @@ def forces_over(mechanism: Mechanism, time: Ball) -> list[list[Ball]]:
 def enclosed(curve: Spline, column: int, time: Ball) -> Ball:
     """Return a ball or series around a column of a curve over a ball of times.
 
-    If the ball meets several pieces, a series has bounds on its coefficients up to the first that jumps between them.
+    If the ball overlaps several pieces, a series has bounds on its coefficients up to the first derivative that jumps.
     """
     box, slack = constant_term(time), _ROUNDING_SHARE * curve.period_s
     low, high, middle = float(box.lower()) + slack, float(box.upper()) - slack, float(box.mid())
@@ -48,7 +48,7 @@ def enclosed(curve: Spline, column: int, time: Ball) -> Ball:
 
 
 def _pieces(curve: Spline, low: float, high: float) -> Iterator[tuple[int, arb]]:
-    """Yield the pieces that times from low to high meet, each with the time [s] of its begin."""
+    """Yield the pieces that overlap the times from low to high, each with the time [s] at which it begins."""
     T, knots = curve.period_s, curve.knots_s
     if not curve.periodic:
         low, high = (min(max(at, 0.0), T) for at in (low, high))
@@ -62,7 +62,7 @@ def _pieces(curve: Spline, low: float, high: float) -> Iterator[tuple[int, arb]]
 
 
 def _along(curve: Spline, k: int, column: int, after: Ball) -> Ball:
-    """Return the polynomial of a piece at times after its begin."""
+    """Return the value of a piece's polynomial at times [s] since the piece begins."""
     value: Ball = 0 * after
     for coefficient in curve.coefficients[:, k, column]:
         value = value * after + float(coefficient)

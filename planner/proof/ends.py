@@ -1,4 +1,4 @@
-"""Findings on single instants of a motion: pieces that join, prescribed ends, the start pose; and on its slope."""
+"""Findings on single instants of a motion: jumps between pieces, prescribed ends and the start pose. Also on its slope."""
 
 import numpy as np
 
@@ -23,16 +23,16 @@ START_POSE_ERROR = 1e-6
 
 
 def position_spans(problem: Problem, trajectory: Trajectory) -> np.ndarray:
-    """Return the spans (n_s,) [rad or m] of which pieces may jump by a share: the largest of a unit.
+    """Return the spans (n_s,) [rad or m] that scale the allowed jumps: the largest span among coordinates of a unit.
 
-    A position at rest differs from piece to piece in its last digits, which is no jump.
+    The span is bounded from below, because the last digits of a position at rest differ from piece to piece.
     """
     moved, farthest = np.ptp(trajectory.position, axis=(0, 1)), np.abs(trajectory.position).max(axis=(0, 1))
     return np.maximum(_largest_of_unit(problem, np.maximum(moved, 1e-6 * farthest)), 1e-9)
 
 
 def end_findings(problem: Problem, trajectory: Trajectory) -> list[Finding]:
-    """Return the findings on breaks, ends and waypoints, and on the slope of the planned position."""
+    """Return the findings on jumps, ends and waypoints, and on the derivative of the planned position."""
     span = position_spans(problem, trajectory)
     largest = _largest_of_unit(problem, np.abs(trajectory.velocity).max(axis=(0, 1)))
     speeds = np.maximum(largest, 1e-9 / trajectory.duration_s)
@@ -56,7 +56,7 @@ def end_findings(problem: Problem, trajectory: Trajectory) -> list[Finding]:
 
 
 def _places(problem: Problem, trajectory: Trajectory) -> list[Finding]:
-    """Return the finding on the sites and bodies prescribed at the start, the goal or a waypoint, at these instants."""
+    """Return the finding on the prescribed places of sites and bodies at the start, the goal and the waypoints."""
     tasks = problem.motion.tasks
     if not tasks:
         return []
@@ -70,7 +70,7 @@ def _places(problem: Problem, trajectory: Trajectory) -> list[Finding]:
 
 
 def _effort_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
-    """Return the findings on jumps of efforts whose rate is limited, also from one period to the next."""
+    """Return the findings on jumps of efforts with a limited rate, including the jump from one period to the next."""
     ahead = trajectory.effort[0] if trajectory.periodic else trajectory.effort[0, 1:]
     before = trajectory.effort[-1, np.arange(-1 if trajectory.periodic else 0, len(trajectory.breaks_s) - 2)]
     jumps = np.abs(ahead - before).max(axis=0, initial=0.0)
@@ -83,7 +83,7 @@ def _effort_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
 
 
 def _acceleration_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
-    """Return the findings on jumps of accelerations whose rate is limited, also from rest and to rest."""
+    """Return the findings on jumps of accelerations with a limited rate, including those from rest and to rest."""
     columns = sorted({column for limit in limits_of(problem) for column in limit.rows.jerk})
     size = max(float(np.abs(trajectory.acceleration_at(trajectory.dense_times(4))).max()), float(np.finfo(float).tiny))
     jumps = np.abs(trajectory.acceleration_jumps())
@@ -100,7 +100,7 @@ def _acceleration_jumps(problem: Problem, trajectory: Trajectory) -> list[Findin
 
 
 def _largest_of_unit(problem: Problem, values: np.ndarray) -> np.ndarray:
-    """Return for each coordinate (n_s,) the largest value (n_s,) of the coordinates with its unit, rad or m."""
+    """Return, for each coordinate, the largest of the values (n_s,) of all coordinates with the same unit, rad or m."""
     hinges = np.array([joint.kind == "hinge" for joint in problem.mechanism.independent_joints])
     return np.where(hinges, *(values[of].max(initial=0.0) for of in (hinges, ~hinges)))
 
@@ -120,9 +120,9 @@ def _slope(trajectory: Trajectory, speed: np.ndarray) -> Finding:
 
 
 def _start(problem: Problem, trajectory: Trajectory) -> list[Finding]:
-    """Return the finding on the start pose, which selects the branch: it is where the problem's branch leads to.
+    """Return the finding on the start pose: it must be the pose on the problem's branch, because it selects the branch.
 
-    Where the problem prescribes no start, the branch is that of the pose from which the planner begins.
+    If the problem prescribes no start, the branch is that of the planner's initial pose.
     """
     name, spins = "the motion starts on the problem's branch", problem.mechanism.cyclic
     moved = np.zeros(problem.mechanism.n_q, dtype=bool)

@@ -1,22 +1,22 @@
-"""A motion of the model near a plan: Newton-Kantorovich's theorem for the planned efforts.
+"""Existence of a motion of the model near a plan, under the planned efforts, by the Newton-Kantorovich theorem.
 
-The plan is y = (s, s'), and f(s, s', u(t)) the model's acceleration. The model's own motion under the planned efforts, from
-the plan's start, is y + e with
+The plan is y = (s, s'), and f(s, s', u(t)) is the model's acceleration. The model's own motion starts as the plan does and
+has the planned efforts. It is y + e with
 
     e' - A e = g(t, e) = (0, -d) + F(y + e) - F(y) - A e,   d = s'' - f(s, s', u),   A(t) near dF/dy,
 
-where A is a polynomial in numbers on each box. Phi(t, tau) is the fundamental matrix of e' = A e, and L^-1 g is the integral
-of Phi(t, tau) g(tau) over tau < t. With W(t) >= |L^-1 d| by components, and D >= |dF/dy - A| over the box and over a tube
-around y, the map e -> L^-1 g(e) contracts in the norm max |e| / W by
+where A is a polynomial with floating-point coefficients on each box. Phi(t, tau) is the fundamental matrix of e' = A e, and
+L^-1 g is the integral of Phi(t, tau) g(tau) over tau < t. Let W(t) >= |L^-1 d| in each component, and D >= |dF/dy - A| on
+the box and in a tube around y. The map e -> L^-1 g(e) contracts in the norm max |e| / W by
 
     Z = max over t of (|L^-1| D W) / W.
 
 If Z <= 1/2 and W / (1 - Z) lies in the tube, the tube contains exactly one motion, and |e| <= W / (1 - Z) (Kantorovich and
 Akilov, Functional Analysis, 1982, chapter XVIII; Nakao, Plum and Watanabe, Numerical Verification Methods, 2019, section
-6.1). With D as the Lipschitz constant of dF/dy times the tube's width, this is the condition h <= 1/2.
+6.1). If D is the Lipschitz constant of dF/dy times the tube's width, this is Kantorovich's condition h <= 1/2.
 
-W hardly depends on the tube, and it grows along the motion. So a first tube, whose width is a guess, gives the second one:
-2 W(t), the narrowest that Z = 1/2 allows.
+W grows along the motion, and hardly depends on the tube. A first tube, whose width is a guess, therefore gives the width
+of the second tube: 2 W(t), the smallest that Z = 1/2 allows.
 """
 
 import functools
@@ -55,35 +55,35 @@ _SLOPE_ORDER = 4
 
 
 class NoMotionError(ArithmeticError):
-    """No motion is proved near the plan; the message says why."""
+    """No motion of the model is proved near the plan; the message states the reason."""
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ErrorTube:
-    """Half the widths (m, 2 n_s) of a tube around positions and velocities, up to increasing instants (m,) [s]."""
+    """Half widths (m, 2 n_s) of a tube around positions and velocities, each up to one of the instants (m,) [s]."""
 
     until_s: np.ndarray
     radii: np.ndarray
 
     @property
     def is_guess(self) -> bool:
-        """Whether no bounds led to this tube."""
+        """True if the width of the tube is a guess, not a result of bounds."""
         return len(self.radii) == 1
 
     def at(self, end_s: float) -> np.ndarray:
-        """Return the larger half widths (2 n_s,) up to an instant."""
+        """Return the half widths (2 n_s,) that hold up to an instant."""
         return self.radii[min(np.searchsorted(self.until_s, end_s), len(self.radii) - 1)]
 
 
 def first_tube(trajectory: Trajectory) -> ErrorTube:
-    """Return a tube of one width around a motion."""
+    """Return a tube of constant width around a motion."""
     return ErrorTube(until_s=np.array([np.inf]), radii=_FIRST_TUBE_SHARE * _sizes(trajectory)[None])
 
 
 class Neighbourhood:
-    """The bounds on a motion's boxes, collected in the order of time.
+    """The bounds on the boxes of a motion, collected in the order of time.
 
-    `failure` says why there are none. `next_tube` is that of another attempt, None if there is none or it is hopeless.
+    `failure` states why there are no bounds. `next_tube` is the tube of the next attempt; None if that would hardly succeed.
     """
 
     def __init__(self, mechanism: Mechanism, trajectory: Trajectory, tube: ErrorTube) -> None:
@@ -96,7 +96,7 @@ class Neighbourhood:
         self.next_tube: ErrorTube | None = None
 
     def takes(self, states: tuple[State, State], at: tuple[float, float], halvings: int, order: int) -> bool:
-        """Add the bounds on a box, centre and radius in tau; return False if it has to be halved for them."""
+        """Add the bounds on a box (centre and radius in tau); return False if the box must first be halved."""
         if self.failure:
             return True
         piece = states[0].piece
@@ -124,10 +124,10 @@ class Neighbourhood:
         return bool(self.failure)
 
     def radii(self) -> np.ndarray:
-        """Return the distance (2 n_s,) within which one motion of the model under the planned efforts exists.
+        """Return the distance (2 n_s,) from the plan within which exactly one motion of the model exists.
 
         Raises:
-            NoMotionError: when the theorem's conditions do not hold.
+            NoMotionError: if the theorem's conditions do not hold.
         """
         if self.failure:
             raise NoMotionError(self.failure)
@@ -147,7 +147,7 @@ class Neighbourhood:
         return radii[-1]
 
     def findings(self) -> list[Finding]:
-        """Return the findings on the distance of the model's own motion from the plan, one for each position and speed."""
+        """Return the findings on the distance of the model's own motion from the plan, in each position and velocity."""
         try:
             near = self.radii()
         except NoMotionError as error:
@@ -173,7 +173,7 @@ class Neighbourhood:
         return [TaylorForm.of(a, b, order) for a, b in zip(*found, strict=True)]
 
     def _box(self, states: tuple[State, State], at: tuple[float, float], defect, forms) -> LinearBox:
-        """Return a box; A is the middles of the coefficients of the forms of dF/dy."""
+        """Return a box; the coefficients of A are the midpoints of those of the forms of dF/dy."""
         slopes = [[[float(c.mid()) for c in form.coefficients] for form in row] for row in forms]
         variation = [
             [size_of(form.coefficients, middles) + form.remainder for form, middles in zip(*rows, strict=True)]
@@ -214,12 +214,12 @@ class Neighbourhood:
         ]
 
     def _is_small(self, defect: Sequence[TaylorForm]) -> bool:
-        """Return True if a shorter box would not bound the defect much better."""
+        """Return True if the bound on the defect would not become much smaller on a shorter box."""
         least = _DEFECT_SHARE * self._acceleration
         return all(form.remainder <= max(least, above(size_of(form.coefficients)) / 4) for form in defect)
 
     def _is_tight(self, slopes: Sequence[Sequence[TaylorForm]]) -> bool:
-        """Return True if a shorter box would not bound dF/dy much better; what the tube adds stays."""
+        """Return True if a shorter box would not bound dF/dy much better, because the tube's width dominates."""
         n_s = self._n_s
         for k, unit in zip((0, n_s), self._units, strict=True):
             entries = [form for row in slopes for form in row[k : k + n_s]]
@@ -230,24 +230,24 @@ class Neighbourhood:
 
 
 def _state(piece: Piece, tau: float) -> list[arb]:
-    """Return the planned positions and their slopes (2 n_s,) at an end of an interval."""
+    """Return the planned positions and their derivatives (2 n_s,) at an end of an interval."""
     return [p(arb(tau)) for p in piece.position] + [p.derivative()(arb(tau)) / piece.width for p in piece.position]
 
 
 def _end_s(piece: Piece, at: tuple[float, float]) -> float:
-    """Return the end [s] of a box, whose centre and radius in tau are given."""
+    """Return the end [s] of the box with a given centre and radius in tau."""
     return piece.begin_s + sum(at) * float(piece.width)
 
 
 def _sizes(trajectory: Trajectory) -> np.ndarray:
-    """Return each coordinate's span and largest speed (2 n_s,); of one that hardly moves, a share of the others' largest."""
+    """Return each coordinate's span and largest speed (2 n_s,), at least a share of the largest of all coordinates."""
     sizes = (np.ptp(trajectory.position, axis=(0, 1)), np.abs(trajectory.velocity).max(axis=(0, 1)))
     return np.concatenate([np.maximum(size, 1e-2 * size.max() + 1e-9) for size in sizes])
 
 
 @functools.lru_cache(maxsize=16)
 def _model_of(mechanism: Mechanism) -> tuple[Walk, Walk, Walk]:
-    """Return q -> M_r, (q, v, a, u, forces) -> residual r, and -> dr/ds along the closure and dr/dv side by side."""
+    """Return three walks: q -> M_r; (q, v, a, u, forces) -> residual r; the same -> [dr/ds along the closure, dr/dv]."""
     dynamics, n_s = mechanism.dynamics, mechanism.dof
     names = (("q", mechanism.n_q), ("v", n_s), ("a", n_s), ("u", len(mechanism.actuators)))
     q, v, *_ = symbols = [*(ca.SX.sym(name, n) for name, n in names), *force_symbols(mechanism)]
@@ -258,7 +258,7 @@ def _model_of(mechanism: Mechanism) -> tuple[Walk, Walk, Walk]:
 
 
 def _slopes_at(mechanism: Mechanism, q, v, a, u, forces=()) -> list[list[Ball]]:
-    """Return df/d(s, v) (n_s, 2 n_s) at poses q and rates v, from any accelerations a (n_s,)."""
+    """Return df/d(s, v) (n_s, 2 n_s) at pose q and velocity v; a (n_s,) are the accelerations there."""
     inertia_of, residual, slopes = _model_of(mechanism)
     inertia, n_s = inertia_of(q)[0], len(v)
     (defect,) = solve_enclosed(inertia, [dense(residual(q, v, a, u, *forces)[0], n_s)])

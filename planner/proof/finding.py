@@ -14,8 +14,8 @@ OWN_MOTION = "the model's own motion under the planned efforts"
 class Finding(Struct, frozen=True, kw_only=True):
     """One claim and its answer.
 
-    `bound` encloses the worst value on the whole motion, in `unit`; for a refuted claim it is a value that certainly occurs,
-    at `time_s`. `mark` is the limit with its allowance, and `margin` the distance from bound to mark, negative beyond it.
+    `bound` bounds the worst value on the whole motion, in `unit`. For a refuted claim it is a value that certainly occurs,
+    at `time_s`. `mark` is the limit plus its allowance. `margin` is the distance from bound to mark, negative beyond it.
     `boxes` counts the boxes of time on which the claim was evaluated. `reason` says why a claim is not proved.
     """
 
@@ -37,9 +37,9 @@ class Finding(Struct, frozen=True, kw_only=True):
 
 
 class Proof(Struct, frozen=True, kw_only=True):
-    """Findings on one motion; `boxes` were evaluated in `seconds` of processor time.
+    """The findings on one motion. `boxes` counts the boxes; `seconds` is the processor time of the claims on them.
 
-    `existence_seconds` were spent besides on a motion of the model near the plan.
+    `existence_seconds` is the additional processor time of the claim that a motion of the model exists near the plan.
     """
 
     findings: Beside[tuple[Finding, ...]]
@@ -58,12 +58,12 @@ class Proof(Struct, frozen=True, kw_only=True):
 
     @property
     def passed(self) -> bool:
-        """Whether no claim is refuted."""
+        """True if no claim is refuted."""
         return not self.of("refuted")
 
     @InJson
     def complete(self) -> bool:
-        """Whether every claim that can be enclosed is proved."""
+        """True if no claim is refuted or undecided."""
         return self.passed and not self.of("undecided")
 
     @InJson
@@ -72,14 +72,14 @@ class Proof(Struct, frozen=True, kw_only=True):
         return "proved" if self.complete else "undecided" if self.passed else "refuted"
 
     def sentence(self) -> str:
-        """Return the verdict and its cost in one sentence."""
+        """Return a sentence with the verdict and its cost."""
         counts = ", ".join(f"{len(self.of(answer))} {answer}" for answer in ANSWERS if self.of(answer))
         besides = f", existence in {self.existence_seconds:.2g} s" if self.existence_seconds >= 0.01 else ""
         return f"{self.verdict}: {counts}; {self.boxes} boxes in {self.seconds:.2g} s{besides}"
 
 
 def finding_of(name: str, value: float, mark: float, unit: str, time_s: float | None = None, where: str = "") -> Finding:
-    """Return the finding on a number that is known at single points: it is at most its mark or not."""
+    """Return the finding on a number that is not enclosed over boxes: proved if it is at most its mark, else refuted."""
     kept = value <= mark
     reason = "" if kept else f"{value:.4g} {unit} in place of at most {mark:.4g}{where}".replace("  ", " ")
     margin = mark - value if math.isfinite(value) else None
@@ -88,5 +88,5 @@ def finding_of(name: str, value: float, mark: float, unit: str, time_s: float | 
 
 
 def no_motion(why: str) -> Finding:
-    """Return the finding that no motion is proved near a plan."""
+    """Return the finding that no motion of the model is proved near a plan."""
     return Finding(name=OWN_MOTION, answer="sampled", reason=f"by an integration with error control: {why}")

@@ -1,4 +1,4 @@
-"""The motion on a box of time as series: poses, rates, and what the model needs, computed when it is first used."""
+"""The motion on a box of time as power series: poses, rates and the efforts of the model, each computed at first use."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -22,7 +22,7 @@ JOIN_SHARE = 1e-8
 
 
 def power_form(bernstein: np.ndarray) -> list[arb]:
-    """Return the coefficients of powers of tau in [0, 1] from Bernstein coefficients (degree + 1,), exact to the ball."""
+    """Return coefficients of powers of tau in [0, 1] as balls that enclose those of Bernstein coefficients (degree + 1,)."""
     degree, found = len(bernstein) - 1, []
     b = [arb(float(x)) for x in bernstein]
     for j in range(degree + 1):
@@ -33,7 +33,7 @@ def power_form(bernstein: np.ndarray) -> list[arb]:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Piece:
-    """Interval `index` of a trajectory: its polynomials in tau in [0, 1], for each coordinate or actuator."""
+    """Interval `index` of a trajectory: polynomials in tau in [0, 1], one for each coordinate or actuator."""
 
     index: int
     begin_s: float
@@ -58,7 +58,7 @@ class Piece:
 
 
 def _agrees(trajectory: Trajectory, k: int) -> bool:
-    """Return True if the planned velocity on interval k and its slope are those of the position, to rounding."""
+    """Return True if, on interval k, planned velocity and acceleration are derivatives of the position, up to rounding."""
     slope = PiecewisePolynomial(trajectory.position, trajectory.breaks_s).derivative()
     velocity = PiecewisePolynomial(trajectory.velocity, trajectory.breaks_s)
     if slope.coefficients.shape != velocity.coefficients.shape:
@@ -71,7 +71,7 @@ def _agrees(trajectory: Trajectory, k: int) -> bool:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Kinetics:
-    """Rates and accelerations (n_q,) of all joints, and the generalised forces that they need."""
+    """Velocities and accelerations (n_q,) of all joints, and the generalised forces that the motion needs."""
 
     state: "State"
     rates: list[Ball]
@@ -83,12 +83,12 @@ class Kinetics:
     def jerks(self) -> list[Ball]:
         """The jerks (n_q,) of all joints.
 
-        Those of `State.of_velocity` are the planned ones: rounding of the position is large in its third derivative.
+        With `State.of_velocity` they follow from the velocity: a third derivative amplifies rounding.
         """
         return [self.state.rate * x.derivative() for x in self.accelerations]
 
     def needed(self, corner: Corner | None = None) -> tuple[list[Ball], list[Ball]]:
-        """Return the reduced efforts tau (n_s,), and the multipliers J_z^-T (...)_z, of the model or a corner's machine."""
+        """Return the reduced efforts tau (n_s,) and the multipliers J_z^-T (...)_z of the nominal model or of a corner."""
         state, factor = self.state, 1.0 if corner is None else corner.payload_factor
         walk = state.blocks.tree if factor == 1.0 else loaded_tree(state.blocks.mechanism, factor)
         if factor not in self._trees:
@@ -101,14 +101,14 @@ class Kinetics:
 
     @cached_property
     def tau(self) -> tuple[list[Ball], list[Ball]]:
-        """`needed` of the model."""
+        """The reduced efforts tau (n_s,) and the multipliers of the nominal model."""
         return self.needed()
 
     def efforts(self, corner: Corner | None = None) -> list[Ball]:
         """Return the efforts (n_u,) of the actuators by inverse dynamics.
 
-        With other numbers of actuators and degrees of freedom, they are the planned efforts plus the least ones that
-        compensate the difference, u + P^+ (tau - P u).
+        If the numbers of actuators and of degrees of freedom differ, they are the planned efforts plus the least efforts
+        that compensate the difference: u + P^+ (tau - P u).
         """
         if corner not in self._efforts:
             self._efforts[corner] = self._by_inverse_dynamics(corner)
@@ -130,7 +130,7 @@ class Kinetics:
 
     @cached_property
     def residual(self) -> list[Ball]:
-        """The reduced efforts (n_s,) that the planned efforts do not give, tau - P u."""
+        """The reduced efforts (n_s,) that the planned efforts do not provide, tau - P u."""
         tau, state = self.tau[0], self.state
         return [t - c for t, c in zip(tau, product(state.effort_map, state.u, len(tau)), strict=True)]
 
@@ -155,7 +155,7 @@ class Kinetics:
 
 
 def _least(P: Matrix, of: Sequence[Ball], n_columns: int) -> list[Ball]:
-    """Return P^+ b (n_columns,) for a matrix of full rank."""
+    """Return P^+ b (n_columns,) with the pseudoinverse of a matrix P of full rank."""
     PT, n_rows = transposed(P), len(of)
     if n_columns >= n_rows:
         (inner,) = solve_enclosed(_squared(P, n_rows), [of])
@@ -178,7 +178,7 @@ def _squared(A: Matrix, n_rows: int) -> Matrix:
 class State:
     """A motion as series of x over a box: positions s (n_s,), pose q (n_q,), planned velocity v and efforts u.
 
-    `rate` is dx/dt [1/s], `time` counts from the motion's begin [s].
+    `rate` is dx/dt [1/s], `time` is the time since the start of the motion [s].
     """
 
     blocks: Blocks
@@ -192,7 +192,7 @@ class State:
     _kept: dict[str, list[Ball]] = field(default_factory=dict)
 
     def of_pose(self, name: str) -> list[Ball]:
-        """Return a column of the reduced dynamics that depends on the pose only."""
+        """Return the value of a column of the reduced dynamics that depends only on the pose."""
         if name not in self._kept:
             walk, n_rows = pose_walk(self.blocks.mechanism, name)
             self._kept[name] = dense(walk(self.q)[0], n_rows)
@@ -210,7 +210,7 @@ class State:
 
     @cached_property
     def forces(self) -> list[list[Ball]]:
-        """The forces over time (3 n_sites,) as the last input of the `forced` dynamics; empty without any."""
+        """The external forces over time (3 n_sites,), the last input of the `forced` dynamics; empty if there are none."""
         return forces_over(self.blocks.mechanism, self.time)
 
     @cached_property
@@ -266,7 +266,7 @@ class State:
 
     @cached_property
     def of_position(self) -> Kinetics:
-        """Rates and accelerations that are derivatives of the planned positions."""
+        """Velocities and accelerations as derivatives of the planned positions."""
         rates = [self.rate * x.derivative() for x in self.q]
         return Kinetics(state=self, rates=rates, accelerations=[self.rate * x.derivative() for x in rates])
 
@@ -278,7 +278,7 @@ class State:
         return Kinetics(state=self, rates=rates, accelerations=pose_of(self.blocks, a, self._dependent(a, rates)))
 
     def _dependent(self, of_s: Sequence[Ball], rates: list[Ball] | None) -> list[Ball]:
-        """Return -J_z^-1 (J_s x + J' q'), without the second term if there are no `rates`."""
+        """Return -J_z^-1 (J_s x + J' q'), or -J_z^-1 J_s x if `rates` are not given."""
         n = self.blocks.rank
         if n == 0:
             return []
@@ -290,5 +290,5 @@ class State:
 
     @property
     def kinetics(self) -> list[Kinetics]:
-        """The motion's kinetics: one, or two if the planned velocity is not the slope of the planned position."""
+        """The kinetics of the motion: one, or two if the planned velocity is not the derivative of the planned position."""
         return [self.of_position] if self.piece.one_velocity else [self.of_position, self.of_velocity]

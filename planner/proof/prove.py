@@ -1,4 +1,4 @@
-"""The proof of a motion: boxes of time are halved until every claim is proved, refuted or too narrow to decide."""
+"""The proof of a motion. Boxes of time are halved until each claim is decided, or the box is too short to halve."""
 
 import time
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ _TIGHTENING_ROUNDS = 8
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class _Box:
-    """tau in [centre - radius, centre + radius] of an interval, after so many halvings, and its open claims."""
+    """tau in [centre - radius, centre + radius] of an interval, after a number of halvings, and its open claims."""
 
     centre: float
     radius: float
@@ -54,9 +54,9 @@ class _Box:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class _Anchor:
-    """The branch up to a time: the region of a unique root there, None if the branch was lost, and the root at the end.
+    """The branch up to a time: the region in which its root is unique (None if the branch was lost), and the root there.
 
-    `z` and `slope` = dz/dtau are numbers.
+    `z` and `slope` = dz/dtau are floating-point numbers.
     """
 
     region: list[arb] | None
@@ -75,18 +75,18 @@ def prove(
     *,
     existence: bool = True,
 ) -> Proof:
-    """Return the proof of a trajectory's claims, from its coefficients alone.
+    """Return the proof of the claims on a trajectory, from the coefficients of its polynomials.
 
     Args:
         problem: the problem with its limits.
         trajectory: the motion.
-        failures: sentences of its certificate on what samples have refuted.
-        until: the deadline of the claims; when it passes, no more motions are looked for.
-        order: the coefficients of Taylor forms before their remainder.
-        existence: whether a motion of the model is looked for near the trajectory.
+        failures: sentences of the certificate on limits that samples violate.
+        until: the deadline. When it passes, the search for a motion of the model ends.
+        order: the number of coefficients of a Taylor form before its remainder.
+        existence: whether to search for a motion of the model near the trajectory.
 
     Raises:
-        OutOfTimeError: if the deadline passes before all claims are judged, or intervals show that they take twice the time.
+        OutOfTimeError: if the deadline passes before all claims are decided, or the first intervals predict twice that time.
     """
     begun, before = time.process_time(), (ctx.prec, ctx.cap)
     ctx.prec = _PRECISION_BITS
@@ -105,7 +105,7 @@ def prove(
 
 
 def _along(problem: Problem, trajectory: Trajectory, until: Deadline, order: int) -> tuple[list[Finding], int]:
-    """Return the findings on every instant, and the number of boxes."""
+    """Return the findings on the claims at every instant, and the number of boxes."""
     try:
         blocks, (claims, open_limits) = blocks_of(problem.mechanism), claims_of(problem, trajectory)
         shared = {"problem": problem, "trajectory": trajectory, "blocks": blocks, "until": until, "order": order}
@@ -137,7 +137,7 @@ def _existence(problem: Problem, trajectory: Trajectory, until: Deadline, order:
 
 @dataclass(eq=False, kw_only=True)
 class _Sweep:
-    """One pass over a motion in the order of time."""
+    """One pass over the boxes of a motion, in the order of time."""
 
     problem: Problem
     trajectory: Trajectory
@@ -170,7 +170,7 @@ class _Sweep:
             anchor = self._interval(piece, replace(anchor, slope=0 * anchor.slope, tau=0.0))
 
     def _start(self, piece: Piece) -> _Anchor:
-        """Return the branch of the start pose, whose distance from the closed pose is recorded."""
+        """Return the branch of the start pose, and record the distance of this pose from the closed pose."""
         given = self.trajectory.start_pose[list(self.blocks.dependent)]
         s = [p(arb(0)) for p in piece.position]
         try:
@@ -186,7 +186,7 @@ class _Sweep:
         return _Anchor(region=root.region, end=root.enclosure, z=z, slope=np.zeros_like(z), tau=0.0)
 
     def _lost(self, piece: Piece, box: _Box, anchor: _Anchor) -> _Anchor:
-        """Return where the sweep goes on after a box on which the branch was lost: a guess by Newton's method."""
+        """Return the anchor from which the sweep continues after a box without a branch: a guess by Newton's method."""
         tau = box.centre + box.radius
         z = anchor.z + (tau - anchor.tau) * anchor.slope
         try:
@@ -196,7 +196,7 @@ class _Sweep:
         return _Anchor(region=None, end=[], z=z, slope=0 * z, tau=tau)
 
     def _interval(self, piece: Piece, anchor: _Anchor) -> _Anchor:
-        """Decide the claims on one interval; return where the branch is at its end."""
+        """Decide the claims on one interval, and return the branch at its end."""
         asked = [_NEAR_PLAN] if self.near else list(range(len(self.claims)))
         stack = _boxes(self.depth, asked)
         coarsest = _MAX_HALVINGS
@@ -234,10 +234,10 @@ class _Sweep:
         return anchor
 
     def _states(self, piece: Piece, box: _Box, anchor: _Anchor) -> tuple[tuple[State, State], _Anchor]:
-        """Return the motion at the middle of a box and over the box, and the branch at its end.
+        """Return the states at the middle of a box and over the box, and the branch at its end.
 
         Raises:
-            NotSeparatedError: when the branch is not enclosed, or not known to be that of the anchor.
+            NotSeparatedError: if the branch cannot be enclosed, or is not proved to be that of the anchor.
         """
         blocks = self.blocks
         guess = anchor.z + (box.centre - anchor.tau) * anchor.slope
@@ -255,7 +255,7 @@ class _Sweep:
         return (middle, whole), _Anchor(region=root.region, end=end, z=numbers.sum(axis=1), slope=slope, tau=tau)
 
     def _decided(self, i: int, states: tuple[State, State], piece: Piece, box: _Box) -> bool:
-        """Record a claim's bound on a box; return False if the box has to be halved for it."""
+        """Record a claim's bound on a box; return False if the box must be halved to decide the claim."""
         if i == _NEAR_PLAN:
             return self.near.takes(states, (box.centre, box.radius), box.halvings, self.order)
         claim, record = self.claims[i], self.records[i]
@@ -282,7 +282,7 @@ class _Sweep:
         return decided
 
     def _leave(self, piece: Piece, box: _Box, claims: Sequence[int], *, closed: bool) -> None:
-        """Record claims as undecided on a box."""
+        """Record that claims are undecided on a box."""
         begin, end = (piece.begin_s + (box.centre + x * box.radius) * float(piece.width) for x in (-1, 1))
         ends = begin, end
         for i in claims:
@@ -300,7 +300,7 @@ class _Sweep:
 
 
 def _boxes(halvings: int, claims: list[int]) -> list[_Box]:
-    """Return the boxes of an interval that is halved so often, the first one last."""
+    """Return the boxes of an interval after a number of halvings, in reversed order of time."""
     n = 2**halvings
     return [_Box(centre=(k + 0.5) / n, radius=0.5 / n, halvings=halvings, claims=claims) for k in reversed(range(n))]
 
@@ -308,18 +308,18 @@ def _boxes(halvings: int, claims: list[int]) -> list[_Box]:
 def states_of(
     blocks: Blocks, piece: Piece, box: tuple[float, float], guess: np.ndarray, slack: Sequence[arb], order: int
 ) -> tuple[State, State, EnclosedRoot]:
-    """Return the motion at the middle of a box and over the box, and the root of the closure over the box.
+    """Return the states at the middle of a box and over the box, and the root of the closure over the box.
 
     Args:
-        blocks: of the mechanism.
+        blocks: the mechanism's blocks.
         piece: an interval of the trajectory.
         box: centre and radius in tau.
         guess: the dependent coordinates (rank,) at the centre.
-        slack: balls (n_s,) that are added to the positions in which the root is unique.
-        order: of the Taylor forms.
+        slack: balls (n_s,) by which the positions for which the root is unique are extended.
+        order: the number of coefficients of the Taylor forms.
 
     Raises:
-        NotSeparatedError: when the root is not enclosed.
+        NotSeparatedError: if the root cannot be enclosed.
     """
     r, everywhere = arb(box[1]), arb(0, 1)
     along = arb_poly([arb(box[0]), r])
@@ -339,7 +339,7 @@ def states_of(
 
 
 def _linked(anchor: _Anchor, region: list[arb], begin: list[arb], box: _Box) -> bool:
-    """Return True if a box's roots, at its begin and in its region, are on the branch of the anchor."""
+    """Return True if the roots of a box, at its begin and in its region, are on the anchor's branch."""
     assert anchor.region is not None  # of the box before
     if all(of.contains(x) for of, x in zip(anchor.region, begin, strict=True)):
         return True

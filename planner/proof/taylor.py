@@ -4,7 +4,7 @@ With x in [-1, 1] over the box, f(x) = sum_k f_k x^k + R x^n: f_k are Taylor coe
 Taylor coefficient at every point of the box (Tucker, Validated Numerics, 2011, ch. 5). Bernstein coefficients bound the
 polynomial, and its halves bound it more tightly without new evaluations of the model.
 
-Small linear systems over balls and series are solved by elimination that skips the zeros of the structure.
+Small linear systems over balls and series are solved by an elimination that skips structural zeros.
 """
 
 import functools
@@ -23,18 +23,18 @@ _MAX_HALVINGS = 20
 
 
 class NotSeparatedError(ArithmeticError):
-    """The balls are too wide: a pivot may vanish, or a root is not isolated."""
+    """The balls are too wide: a pivot may vanish, or a root is not isolated from others."""
 
 
 def solve_enclosed(matrix: Matrix, columns: Sequence[Sequence[Ball | None]]) -> list[list[Ball]]:
-    """Return the solutions x (n,) of A x = b for several right sides b (n,); None is a zero.
+    """Return the solutions x (n,) of A x = b for several right-hand sides b (n,); an entry None is zero.
 
     Args:
         matrix: A (n, n) by its nonzero entries.
-        columns: the right sides.
+        columns: the right-hand sides b.
 
     Raises:
-        NotSeparatedError: when every possible pivot of a column contains zero.
+        NotSeparatedError: if every possible pivot of a column contains zero.
     """
     n = len(columns[0])
     rows = [{column: matrix[row, column] for column in range(n) if (row, column) in matrix} for row in range(n)]
@@ -66,7 +66,7 @@ def solve_enclosed(matrix: Matrix, columns: Sequence[Sequence[Ball | None]]) -> 
 
 
 def _subtract(row: dict[int, Ball], factor: Ball, of: dict[int, Ball], after: int) -> None:
-    """Subtract a multiple of a row from another, in the columns after one."""
+    """Subtract a multiple of a row from another row, in the columns after a given one."""
     for column, entry in of.items():
         if column > after:
             row[column] = row[column] - factor * entry if column in row else -(factor * entry)
@@ -94,9 +94,9 @@ def product(matrix: Matrix, x: Sequence[Ball], n_rows: int) -> list[Ball]:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Verdict:
-    """A bound on one box: `answer` is True (within the marks), False (outside at `at`, in [-1, 1]) or None (not known).
+    """A bound on one box: `answer` is True (within the marks), False (outside at x = `at` in [-1, 1]) or None (undecided).
 
-    `least` and `greatest` enclose the values; for a violation, the value at the point.
+    `least` and `greatest` enclose the values on the box; for a violation, they enclose the value at that point.
     """
 
     answer: bool | None
@@ -117,8 +117,8 @@ class TaylorForm:
     def of(cls, middle: Ball, box: Ball, order: int) -> "TaylorForm":
         """Return the form of at most `order` coefficients from the series at the middle and over the whole box.
 
-        Derivatives of series have fewer. So has the form beside a kink: as many as the function has bounded derivatives, and
-        beside a jump none but the range.
+        A derivative of a series has fewer coefficients. Near a kink the form has as many as the function has bounded
+        derivatives. Near a jump it consists of the range alone.
         """
         if isinstance(box, arb):
             return cls(coefficients=[box], remainder=arb(0), whole=box)
@@ -139,7 +139,7 @@ class TaylorForm:
         return sum(self.coefficients, arb(0)) + arb(0, self.remainder)
 
     def verdict(self, low: arb, high: arb) -> Verdict:
-        """Return whether all values lie between two marks."""
+        """Return the verdict on whether all values lie between two marks."""
         if self.whole > low and self.whole < high and not self.remainder.is_finite():
             return Verdict(answer=True, least=below(self.whole), greatest=above(self.whole))
         n, E = len(self.coefficients), arb(0, self.remainder)
@@ -171,12 +171,12 @@ class TaylorForm:
 
 
 def below(value: arb) -> float:
-    """Return a number that is not above any value of a ball."""
+    """Return a floating-point number that is at most the lower end of a ball."""
     return math.nextafter(float(value.lower()), -math.inf)
 
 
 def above(value: arb) -> float:
-    """Return a number that is not below any value of a ball."""
+    """Return a floating-point number that is at least the upper end of a ball."""
     return math.nextafter(float(value.upper()), math.inf)
 
 

@@ -1,12 +1,13 @@
-"""The walk of a CasADi function on balls and truncated power series, and the blocks of a model that a proof evaluates.
+"""Evaluation of a CasADi function on balls and truncated power series (a `Walk`), and the model's blocks for a proof.
 
 A ball (flint's `arb`) is a midpoint with a radius that contains the exact real number; a series (`arb_series`) has balls as
-coefficients (Johansson, IEEE Trans. Computers 66, 2017). The expressions of the model are the only model: nothing is
-written twice. An operation with a kink (a minimum, a switch) is exact where its argument stays on one side. Where it does
-not, both sides enclose as many coefficients as the function has bounded derivatives, and the others are infinite.
+coefficients (Johansson, IEEE Trans. Computers 66, 2017). The proof has no model of its own: it evaluates the expressions of
+the mechanism's model. An operation with a kink (a minimum, a switch) is exact if its argument stays on one side of the kink.
+Otherwise the result encloses both sides in as many coefficients as the function has bounded derivatives. The other
+coefficients are infinite.
 
-The reduced dynamics are one long expression in the planner's program. Here closure, tree and arms are blocks, evaluated one
-after another and joined by small linear systems, so that the cost grows with their sum and not with their product.
+The planner's program contains the reduced dynamics as one long expression. Here closure, tree dynamics and moment arms are
+separate blocks, connected by small linear systems. The cost therefore grows with the sum of their lengths, not the product.
 """
 
 import functools
@@ -28,7 +29,7 @@ UNKNOWN = arb(0, math.inf)
 
 
 class UnknownOperationError(ValueError):
-    """An expression has an operation that the walk does not enclose."""
+    """An expression contains an operation for which the walk has no enclosure."""
 
 
 def constant_term(x: Ball) -> arb:
@@ -37,7 +38,7 @@ def constant_term(x: Ball) -> arb:
 
 
 def known_to(coefficients: list[arb], *like: Ball) -> Ball:
-    """Return a series with these coefficients and unknown ones after them, or a ball if none of `like` is a series."""
+    """Return a series with these coefficients, followed by infinite ones; or a ball if no item of `like` is a series."""
     orders = [x.prec for x in like if isinstance(x, arb_series)]
     if not orders:
         return coefficients[0]
@@ -58,7 +59,7 @@ def larger(a: Ball, b: Ball) -> Ball:
 
 
 def _signed_square(a: Ball, _: Ball) -> Ball:
-    """Return a |a|, which has a bounded second derivative where a changes its sign."""
+    """Return a |a|, whose second derivative is bounded where a changes sign."""
     value, square = constant_term(a), a * a
     if value >= 0 or value <= 0:
         return square if value >= 0 else -square
@@ -74,13 +75,13 @@ def _sign(a: Ball, _: Ball) -> Ball:
 
 
 def _less(a: Ball, b: Ball) -> Ball:
-    """Return 1 or 0, or the ball [0, 1] of a comparison that the balls do not decide."""
+    """Return a < b as 1 or 0, or as the ball [0, 1] if the balls overlap."""
     low, high = constant_term(a), constant_term(b)
     return arb(1) if low < high else arb(0) if low >= high else known_to([arb(0.5, 0.5)], a, b)
 
 
 def _chosen(condition: Ball, a: Ball) -> Ball:
-    """Return a where the condition is 1 and zero where it is 0."""
+    """Return a if the condition is 1, and zero if it is 0."""
     value = constant_term(condition)
     if value == 1:
         return a
@@ -177,7 +178,7 @@ class Walk:
     places: tuple[tuple[tuple[int, int], ...], ...]
 
     def __call__(self, *arguments: Sequence[Ball]) -> list[dict[tuple[int, int], Ball]]:
-        """Return every output's nonzero entries by (row, column); each argument has the entries of a dense input."""
+        """Return the nonzero entries of every output by (row, column); each argument lists all entries of a dense input."""
         slots: list = [None] * self.n_slots
         for slot, value in self.constants:
             slots[slot] = value
@@ -196,7 +197,7 @@ def walk_of(function: ca.Function) -> Walk:
     """Return the walk of a function over SX with dense inputs.
 
     Raises:
-        UnknownOperationError: for an operation without an enclosure.
+        UnknownOperationError: if the function contains an operation without an enclosure.
     """
     steps, inputs, constants = [], [], []
     outputs = [[-1] * function.nnz_out(k) for k in range(function.n_out())]
@@ -274,7 +275,7 @@ def blocks_of(mechanism: Mechanism) -> Blocks:
     """Return the blocks of a mechanism.
 
     Raises:
-        UnknownOperationError: when the model has an operation that balls do not enclose.
+        UnknownOperationError: if the model contains an operation without an enclosure.
     """
     dynamics = mechanism.dynamics
     q, rates, _ = motion = [ca.SX.sym(name, mechanism.n_q) for name in ("q", "qd", "qdd")]
@@ -297,12 +298,12 @@ def blocks_of(mechanism: Mechanism) -> Blocks:
 
 
 def _walk(name: str, inputs: list[ca.SX], output: ca.SX) -> Walk:
-    """Return the walk of an expression without repeated operations."""
+    """Return the walk of an expression, with common subexpressions evaluated once."""
     return walk_of(ca.Function(name, inputs, [output], {"cse": True}))
 
 
 def _in_numbers(function: ca.Function) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Return a call of a function of the pose with a column and a matrix as its outputs, on arrays."""
+    """Return a function on arrays: from the pose to the column and the matrix that are a CasADi function's outputs."""
     pose, column = np.empty(function.numel_in(0)), np.empty(function.numel_out(0))
     matrix = np.empty(function.size_out(1), order="F")
     entries = matrix.reshape(-1, order="F")
@@ -318,14 +319,14 @@ def _in_numbers(function: ca.Function) -> Callable[[np.ndarray], tuple[np.ndarra
 
 @functools.lru_cache(maxsize=64)
 def pose_walk(mechanism: Mechanism, name: str) -> tuple[Walk, int]:
-    """Return the walk of a column of the reduced dynamics that depends on the pose only, and its number of rows."""
+    """Return the walk of a column of the reduced dynamics that depends only on the pose, and its number of rows."""
     q, function = ca.SX.sym("q", mechanism.n_q), getattr(mechanism.dynamics, name)
     return _walk(name, [q], ca.densify(function(q))), function.size1_out(0)
 
 
 @functools.lru_cache(maxsize=16)
 def loaded_tree(mechanism: Mechanism, payload_factor: float) -> Walk:
-    """Return the walk of the tree, see `Blocks`, with the payload's mass and inertia times a factor."""
+    """Return the walk of the tree (see `Blocks`) with the payload's mass and inertia multiplied by a factor."""
     numbers = np.array(mechanism.payload.numbers(), dtype=float)
     numbers[[0, 4, 5, 6]] *= payload_factor
     symbols = [ca.SX.sym(name, mechanism.n_q) for name in ("q", "qd", "qdd")]
@@ -335,5 +336,5 @@ def loaded_tree(mechanism: Mechanism, payload_factor: float) -> Walk:
 
 
 def force_symbols(mechanism: Mechanism) -> list[ca.SX]:
-    """Return symbols for the last inputs of a mechanism's `forced` dynamics."""
+    """Return the symbols of the external forces, the last inputs of a mechanism's `forced` dynamics."""
     return [] if mechanism.forces is None else [ca.SX.sym("forces", 3 * len(mechanism.forces.sites))]
