@@ -33,7 +33,7 @@ POSES_PER_PART = 2001
 class PinForces:
     """Limited closure forces along a part of the motion: F = still + square v^2 + linear v + by_effort u.
 
-    `curves` gives (4, n_rows) [N, ...] over the coordinate, divided by the closures' ratings; `rows` are each closure's rows.
+    `curves` gives (4, n_rows) over the coordinate: forces [N, ...] divided by ratings. `rows` are each closure's rows.
     """
 
     curves: Callable[[Any], np.ndarray]

@@ -299,7 +299,7 @@ class _Way:
                 yield self._leg(begin, way * float(self._fastest_at(begin)), end, towards=True, held=held)
 
     def _ahead(self, back: list[Leg]) -> list[Leg] | None:
-        """Return the legs from the start at full acceleration, and after their meeting those into the goal; None if none meet.
+        """Return the legs at full acceleration, and from their crossing on the legs into the goal; None if they never cross.
 
         The motion leaves the velocity curve where the curve rises faster than full effort accelerates.
         """
@@ -327,7 +327,7 @@ class _Way:
             place, v = left_at, way * float(self._fastest_at(left_at))
 
     def _along(self, back: list[Leg], place: float) -> tuple[list[Leg], float | None]:
-        """Return the legs into the goal from a position, and the position at which the motion cannot follow them, or None."""
+        """Return the legs from a position into the goal, and the position at which they cannot be followed, or None."""
         way, found = self.field.way, []
         for leg in back:
             last = float(leg.state(leg.end)[0])
