@@ -110,7 +110,7 @@ def loop_claims(problem: Problem, _: Trajectory) -> Iterator[Claim]:
 
 
 def reference_claims(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:
-    """Yield the claims that a motion equals its reference, to 1e-6 of the span."""
+    """Yield the claims that a motion equals its reference, with an allowance relative to its span."""
     reference = problem.reference_over(trajectory.duration_s)
     if problem.motion.kind != "track" or reference is None:
         return

@@ -258,7 +258,7 @@ def _model_of(mechanism: Mechanism) -> tuple[Walk, Walk, Walk]:
 
 
 def _slopes_at(mechanism: Mechanism, q, v, a, u, forces=()) -> list[list[Ball]]:
-    """Return df/d(s, v) (n_s, 2 n_s) at pose q and velocity v; a (n_s,) are the accelerations there."""
+    """Return df/d(s, v) (n_s, 2 n_s) at pose q and velocity v; a (n_s,) may be any accelerations."""
     inertia_of, residual, slopes = _model_of(mechanism)
     inertia, n_s = inertia_of(q)[0], len(v)
     (defect,) = solve_enclosed(inertia, [dense(residual(q, v, a, u, *forces)[0], n_s)])
