@@ -149,7 +149,7 @@ def grid_of(
 
 
 def _around(place: float, s: np.ndarray, poses: np.ndarray, within: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the part of a grid around a place in which all poses are allowed, as `within` (2 n - 1,) states."""
+    """Return the largest part of a grid around a place with `within` (2 n - 1,) true at all its poses."""
     begin, out = 2 * int(np.argmin(np.abs(s - place))), np.flatnonzero(~within)
     first = (int(out[out < begin].max(initial=-1)) + 2) // 2
     last = (int(out[out > begin].min(initial=len(poses))) - 1) // 2
@@ -180,7 +180,7 @@ def _followed(problem: Problem, s: np.ndarray, places: np.ndarray, start_pose: n
 
 
 def _graded(problem: Problem, s: np.ndarray, poses: np.ndarray) -> np.ndarray:
-    """Return positions (n,) between the same ends: half of their density is uniform, half follows joints and inertia."""
+    """Return positions (n,) between the same ends, spread half evenly and half by the changes of pose and inertia."""
     inertia = sampled(problem.mechanism.dynamics.reduced_inertia, poses)[:, 0, 0]
     steps = np.abs(np.diff(np.column_stack([poses, np.log(inertia)]), axis=0))
     share = (steps / np.maximum(steps.sum(axis=0), np.finfo(float).tiny)).mean(axis=1)

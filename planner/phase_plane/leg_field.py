@@ -187,7 +187,7 @@ class LegField:
 
 
 def supports_pin_limits(problem: Problem) -> bool:
-    """True if legs can satisfy the limits on pin forces: one degree of freedom, one actuator and no dry friction."""
+    """True if pin forces are limited, with one degree of freedom, one actuator and no dry friction, as legs require."""
     mechanism = problem.mechanism
     if not problem.limits.limited_closures or (mechanism.dof, mechanism.n_u) != (1, 1):
         return False
@@ -195,7 +195,7 @@ def supports_pin_limits(problem: Problem) -> bool:
 
 
 def knows_speeds(problem: Problem) -> bool:
-    """True if legs can satisfy the limits on speeds: one degree of freedom and one actuator."""
+    """True if speeds are limited and legs can satisfy these limits: one degree of freedom and one actuator."""
     return (problem.mechanism.dof, problem.mechanism.n_u) == (1, 1) and bool(np.any(np.isfinite(problem.limits.speed)))
 
 
