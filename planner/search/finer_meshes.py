@@ -67,8 +67,8 @@ _MOST_ITERATIONS = 150
 # Once a motion passes, further meshes take at most this share of the time: what is left is for changing it, so that it can
 # be proved.
 _SHARE_OF_MESHES = 2.0 / 3.0
-# The motion that is kept is changed on at most so many meshes.
-_MAX_RESTORATIONS = 4
+# The motion that is kept is changed on at most so many meshes; with corners of [robust] five are needed.
+_MAX_RESTORATIONS = 6
 # A joint is at an end of its range within this share of it.
 _NEAR_RANGE = 1e-3
 # An interval is divided into so many at most, and a mesh has so many times the intervals asked for at most.
@@ -98,10 +98,9 @@ def of_several(problem: Problem) -> bool:
     """True if motions of several motors are refined here, on a mesh and within limits that allow it.
 
     One motor that drives several freedoms swings them: its motions are unstable, and ask for more exact meshes. Limits on
-    power keep a motion away from themselves by their coefficients, so that only the objective tells a coarse mesh. Efforts
-    at the corners of [robust] are overrun by hundredths of their limits wherever they jump inside an interval.
+    power keep a motion away from themselves by their coefficients, so that only the objective tells a coarse mesh.
     """
-    kept = problem.mesh.breaks is not None or np.any(np.isfinite(problem.limits.power)) or problem.robust.corners
+    kept = problem.mesh.breaks is not None or np.any(np.isfinite(problem.limits.power))
     return min(problem.mechanism.n_equations, problem.mechanism.n_u) > 1 and not kept
 
 
@@ -215,10 +214,11 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
     for steps in range(_MAX_RESTORATIONS):
         if is_sound(at.certificate) or case.problem.solver.deadline.passed:
             break
-        mesh = divided(at.found.mesh, _inexact(case, at))
-        if steps and at.certificate is not None and at.overruns:  # by as little as this mesh errs
+        pieces = _inexact(case, at)
+        if steps and at.certificate is not None and at.overruns:  # by as little as this mesh errs, or by its error
+            pieces = np.maximum(pieces, 1 + (at.report.overrun > 0))
             case = case.tightened(at.certificate, at.found.motion)
-        found = nearest_on(case, at.found, mesh, position_rows=kept.rows)
+        found = nearest_on(case, at.found, divided(at.found.mesh, pieces), position_rows=kept.rows)
         if found is None and not at.passed:  # efforts and other limits that bind together leave no freedom
             mesh = divided(at.found.mesh, _coarse(case, at))
             way = _Way(kept.case, mesh, _durations(at), "finer mesh")
