@@ -97,7 +97,7 @@ def test_an_exported_model_has_the_same_force():
     forces = [np.array(one.dynamics.passive(q, still)).ravel() for one in (mechanism, again)]
     assert np.abs(forces[0]).max() > 10
     np.testing.assert_allclose(forces[0], forces[1], rtol=1e-9)
-    assert mechanism.source["force"] == {"tyre": list(FORCE)}
+    assert mechanism.source["force"] == {"tyre": tuple(FORCE)}
 
 
 def test_a_force_is_noted_and_a_zero_one_is_none():
