@@ -31,12 +31,17 @@ from linkplan.planner.search.solving import first_mesh, longest
 from linkplan.planner.solvers.solve import OUT_OF_TIME
 from linkplan.planner.trajectory import Trajectory
 
+# The factors on the least duration of the smooth path in which it is tried if the duration is free: slow motions keep limits
+# on speed, acceleration and power.
+_LONGER_FACTORS = (1.0, 2.0, 4.0, 8.0)
 # The factors on the duration of a motion that does not pass, with which it is tried again.
 _SLOWER_FACTORS = (1.001, 1.003, 1.01, 1.03)
 
 
 def along_smooth_path(search: Search) -> Plan | None:
     """Return the smooth path from start to goal as a "feasible" plan; None if its certificate does not pass.
+
+    If the duration is free, the first of several that passes is taken.
 
     Raises:
         OutOfTimeError: if the deadline for judging motions passes.
@@ -46,22 +51,23 @@ def along_smooth_path(search: Search) -> Plan | None:
         return None
     # A search that is out of time has this motion at hand, however late the solver's first iteration let it end.
     problem = replace(asked, solver=asked.solver.replace(deadline=Deadline().within(asked.solver.max_time_s)))
-    try:
-        if not _is_carried(problem, search.smooth):
-            return None
-        progress("the smooth path itself")
-        mesh, durations = first_mesh(problem, search.smooth)
-        motion = motion_along(problem, search.smooth, mesh.breaks(durations))
-        objective, _ = objective_value(problem, motion)
-        within = f" within {asked.solver.max_time_s:g} s" if search.stopped == OUT_OF_TIME else ""
-        said = (
-            f"motion of {motion.duration_s:.6g} s along the smooth path, which satisfies every limit; the solver found no"
-            f" better one{within}"
-        )
-        plan = without_solving(problem, motion, objective, said)
-    except AssemblyError:
-        return None
-    return plan if plan.passed else None
+    for factor in _LONGER_FACTORS if asked.motion.duration_s is None else (1.0,):
+        guess = stretched(search.smooth, factor * search.smooth.duration_s)
+        if factor > 1 and guess.duration_s > longest(problem):
+            break
+        with contextlib.suppress(AssemblyError):
+            if not _is_carried(problem, guess):
+                continue
+            progress(f"the smooth path itself in {guess.duration_s:.4g} s")
+            mesh, durations = first_mesh(problem, guess)
+            motion = motion_along(problem, guess, mesh.breaks(durations))
+            within = f" within {asked.solver.max_time_s:g} s" if search.stopped == OUT_OF_TIME else ""
+            along = f"motion of {motion.duration_s:.6g} s along the smooth path, which satisfies every limit"
+            said = f"{along}; the solver found no better one{within}"
+            plan = without_solving(problem, motion, objective_value(problem, motion)[0], said)
+            if plan.passed:
+                return plan
+    return None
 
 
 def at_rest(search: Search) -> Plan | None:

@@ -67,6 +67,19 @@ def test_its_efforts_are_those_of_inverse_dynamics_and_its_objective_is_their_in
     assert smooth.objective == pytest.approx(integral, rel=1e-5)
 
 
+@pytest.mark.parametrize(("power_w", "longest_s", "factor"), [(3.0, 9.0, 2), (1.0, 9.0, 4), (1.0, 0.5, None)])
+def test_with_a_free_duration_it_takes_as_long_as_limits_on_power_ask_for(power_w, longest_s, factor):
+    """A motion in twice the time needs an eighth of the power where no weight is carried."""
+    power = f"limits.power_w={{ act_O1 = {power_w}, act_O2 = {power_w} }}"
+    free = ['motion.duration_s="free"', f"motion.max_duration_s={longest_s}", 'objective.minimize="time"']
+    problem = load_problem("five-bar-reach", [STRONG, power, *free])
+    plan = unsolved(problem)
+    assert plan.status == ("failed" if factor is None else "feasible")
+    if factor is not None:
+        least_s = Search(problem=problem, start_pose=problem.start_pose()).smooth.duration_s
+        assert plan.trajectory.duration_s == pytest.approx(factor * least_s)
+
+
 def test_it_is_no_answer_if_its_efforts_exceed_their_limits():
     plan = unsolved(load_problem("five-bar-reach"))
     assert plan.status == "failed"
