@@ -1,6 +1,6 @@
-"""Newton steps on a program: from an optimum to other numbers, and to the nearest feasible point.
+"""From an optimum of a program to one with other numbers, and from any unknowns to the nearest feasible point.
 
-From an optimum to other numbers they are steps on the optimality conditions, with one factorisation for all steps.
+Newton steps on the optimality conditions, with one factorisation for all of them, lead to other numbers.
 
 With the active bounds and rows as equations, the conditions are F(x, lambda) = 0, with
 
@@ -239,6 +239,7 @@ def nearest_feasible(transcribed: Transcribed, x: np.ndarray) -> Solution:
             shapes = {"h": cost.sparsity(), "a": jacobian.sparsity()}
             step_of = ca.conic("step", "piqp", shapes, {"piqp": _PIQP, "error_on_fail": False})
         (low, low_rows), (high, high_rows) = (np.split(end - here, [len(x)]) for end in (lower, upper))
+        # Whether the solver reached its tolerance does not matter: the violation at the next point tells.
         found = step_of(h=cost, g=0.0, a=jacobian, lbx=low, ubx=high, lba=low_rows, uba=high_rows)
         x, steps = np.clip(x + np.array(found["x"]).ravel(), transcribed.lower, transcribed.upper), steps + 1
     return Solution(
