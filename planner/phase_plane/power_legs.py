@@ -61,7 +61,7 @@ class Leg:
         return float(self.state(self.time_at(place))[1])
 
     def held_at(self, t: float) -> tuple[int, ...]:
-        """Return the active limit at an instant of the leg's own time."""
+        """Return the codes (n_u,) of the active limits at a time [s] on the leg's clock, as of `held`."""
         held = self.field.at(*self.state(t), towards=self.towards)[0] if self.held is None else self.held
         return tuple(int(one) for one in held)
 

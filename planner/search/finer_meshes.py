@@ -67,7 +67,7 @@ _MOST_ITERATIONS = 150
 # Once a motion passes, further meshes take at most this share of the time: what is left is for changing it, so that it can
 # be proved.
 _SHARE_OF_MESHES = 2.0 / 3.0
-# The motion that is kept is changed on at most so many meshes; with corners of [robust] five are needed.
+# The best motion is corrected on at most so many meshes; with corners of [robust] up to five are needed.
 _MAX_RESTORATIONS = 6
 # A joint is at an end of its range within this share of it.
 _NEAR_RANGE = 1e-3
@@ -215,7 +215,8 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
         if is_sound(at.certificate) or case.problem.solver.deadline.passed:
             break
         pieces = _inexact(case, at)
-        if steps and at.certificate is not None and at.overruns:  # by as little as this mesh errs, or by its error
+        if steps and at.certificate is not None and at.overruns:
+            # Halving removes an overrun that is an error of this mesh. Tightening removes any other.
             pieces = np.maximum(pieces, 1 + (at.report.overrun > 0))
             case = case.tightened(at.certificate, at.found.motion)
         found = nearest_on(case, at.found, divided(at.found.mesh, pieces), position_rows=kept.rows)

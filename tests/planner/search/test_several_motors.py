@@ -169,7 +169,7 @@ def test_a_motion_that_overruns_its_efforts_a_little_passes_if_it_is_a_little_sl
 
 
 def test_a_least_time_with_limits_on_the_rates_of_efforts_is_changed_until_a_proof_accepts_its_efforts(in_least_time):
-    """Efforts, their limits and those on their rates bind together: on a finer mesh what binds has to leave its bound."""
+    """On the finer mesh no motion has all the efforts and rates at their limits that the coarse motion has there."""
     rates = np.array([[-13931.0, 13931.0], [-12859.0, 12859.0]])  # across all of its range in a tenth of the motion
     plan = plan_motion(with_limits(in_least_time, effort_rate=rates))
     assert plan.status == "optimal"
