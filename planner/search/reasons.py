@@ -11,7 +11,8 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import demanded, least_effort, needed_effort
 from linkplan.planner.closed_chain.guess import Guess, even_poses, guess_from
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
-from linkplan.planner.limits.kinds import RELAXED_LAST, factor_of, limits_of, relaxed_kinds, violation, without
+from linkplan.planner.limits.joints import RangeLimit
+from linkplan.planner.limits.kinds import factor_of, limits_of, relaxed_kinds, violation, without
 from linkplan.planner.limits.limit import Limit
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.plan.plan import Plan
@@ -262,7 +263,7 @@ def efforts_without_other_limits(search: Search) -> Plan | None:
 
 def one_last_limit(search: Search) -> Plan | None:
     """Return the plan that names the joint whose range forbids the motion."""
-    return _first_without(search, relaxed_kinds(search.problem, RELAXED_LAST))
+    return _first_without(search, relaxed_kinds(search.problem, (RangeLimit,)))
 
 
 def efforts_by_the_phase_plane(search: Search) -> Plan | None:

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from linkplan.planner.limits.efforts import EffortLimit, RobustLimit
-from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
-from linkplan.planner.limits.kinds import KINDS, RELAXED
+from linkplan.planner.limits.joints import SpeedLimit
+from linkplan.planner.limits.kinds import KINDS
 from linkplan.planner.limits.limit import Limit
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.proof.claims import claims_of
@@ -19,11 +19,6 @@ def test_every_kind_of_limit_is_in_the_table():
     assert {kind.__name__ for kind in Limit.__subclasses__() if kind.__module__ != __name__} == {
         kind.__name__ for kind in KINDS
     }
-
-
-def test_the_diagnosis_may_take_every_kind_away_but_ranges_and_efforts_which_it_takes_last():
-    assert set(RELAXED) == set(KINDS) - {RangeLimit, EffortLimit}
-    assert len(RELAXED) == len(KINDS) - 2
 
 
 def test_no_two_kinds_have_one_key():
