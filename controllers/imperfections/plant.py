@@ -82,8 +82,8 @@ class ImperfectPlant:
     rates: np.ndarray
 
 
-def as_modelled(one: Imperfections) -> bool:
-    """Return True if a machine's model, start and clock are as modelled, so that such machines can share one plant."""
+def is_nominal(one: Imperfections) -> bool:
+    """Return True if a machine's model, start and clock are nominal, so that such machines can share one plant."""
     machine, start, clock = one.machine, one.start, one.clock
     numbers = (machine.viscous, machine.coulomb, start.position_error, start.velocity_error, clock.phase_periods)
     factors = (machine.mass_factor, clock.period_factor, one.drives.constant_factor)
