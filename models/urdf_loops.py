@@ -344,7 +344,7 @@ def add_motors(spec: mujoco.MjSpec, names: Sequence[str], where: str = "") -> li
     for name in names:
         joint = _joint(spec, name, where)
         if joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-            raise ModelError(f"joint '{name}' is no hinge and no slide, so that a motor has no axis there")
+            raise ModelError(f"joint '{name}' is neither a hinge nor a slide, so a motor has no axis there")
         on_joint = mujoco.mjtTrn.mjTRN_JOINT
         own = [a for a in spec.actuators if a.trntype == on_joint and a.target == joint.name]
         filters = [a for a in own if not a.plugin.active and a.dyntype in FILTERS]

@@ -45,7 +45,8 @@ def closed_pose(model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism
     if residual > mechanism.closed_m:
         at = where(mechanism.independent_joints, q[mechanism.independent])
         raise AssemblyError(
-            f"the loop does not close at the start, {at}, with this machine's lengths: {1e3 * residual:.3g} mm are left"
+            f"the loop does not close at the start, {at}, with this machine's lengths:"
+            f" a gap of {1e3 * residual:.3g} mm remains"
         )
     return q
 

@@ -26,7 +26,7 @@ from linkplan.models.tree.joints import Joint
 # Neighbours on either side in a spline of poses. Its error at steps of half a degree is below 1e-8.
 _SPLINE_NEIGHBOURS = 5
 # The reason of an end that nothing makes. A slide, and what moves one, is followed over this many sizes of the model.
-_NOTHING_SO_FAR, _SLIDE_EXTENTS = "nothing so far", 20
+_NOTHING_SO_FAR, _SLIDE_EXTENTS = "no end found", 20
 # A hinge that nothing stops and that does not come back is followed over this many turns.
 _MAX_TURNS = 100
 
@@ -37,7 +37,7 @@ class End:
 
     position: float
     # "range of A", "range of ball joint B", "end of rod_rx's chart", "singular pose",
-    # "full turn", "20 turns" or "nothing so far"
+    # "full turn", "20 turns" or "no end found"
     reason: str
     joint: int | None  # the coordinate whose range ends the reach
     stops: bool = True  # false if the joint goes on beyond it

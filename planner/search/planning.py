@@ -134,7 +134,7 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
 
 REPAIRS: tuple[Repair, ...] = (
     Repair(
-        name="limits on power and pin force kept at every instant",
+        name="limits on power and pin force satisfied at every instant",
         tried=attempts.may_be_enclosed,
         repair=attempts.enclosed,
     ),

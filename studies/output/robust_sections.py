@@ -61,7 +61,7 @@ def _table(plan: Plan) -> Table:
             figures = [round(x, places) + 0.0 for x in (worst.value, worst.limit, worst.left)]
             at = float(f"{worst.time_s:.5g}")
             rows.append([corner.description, worst.kept, actuator.name, *figures, actuator.unit, at])
-    heads = [(head, "") for head in ("machine", "kept", "nearest to its limit", "effort", "limit", "left", "unit")]
+    heads = [(head, "") for head in ("machine", "passed", "nearest to its limit", "effort", "limit", "left", "unit")]
     return Table(title="Corners of the ranges, each certified between the nodes", columns=[*heads, ("at", "s")], rows=rows)
 
 

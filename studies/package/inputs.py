@@ -105,7 +105,7 @@ def read_subject(subject: Subject) -> tuple[Mechanism, Problem | None, dict]:
         return subject.mechanism, subject, subject.to_dict().get("tracking", {})
     if isinstance(subject, Mechanism):
         return subject, None, {}
-    raise ProblemError(f"a study is asked about a mechanism, a Problem, or the name or path of either, got {subject!r}")
+    raise ProblemError(f"the subject is a mechanism, a Problem, or the name or path of either, got {subject!r}")
 
 
 def note_forces(mechanism: Mechanism, say: Listener, where: str) -> None:

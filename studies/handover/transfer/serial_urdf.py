@@ -78,9 +78,9 @@ def urdf_notes(transfer: Transfer) -> list[str]:
         "closures of other loops": model.neq > 0,
         "shapes other than boxes, spheres, cylinders and capsules": None in [_shape(model, g) for g in range(model.ngeom)],
     }
-    found += [f"{what} are left out" for what, there in lacking.items() if there]
+    found += [f"{what} are omitted" for what, there in lacking.items() if there]
     if np.any(model.body_jntnum > 1):
-        found.append("a link of 1e-6 kg and 1e-9 kg m2 stands between two joints of one body")
+        found.append("a link of 1e-6 kg and 1e-9 kg m2 is added between two joints of one body")
     return found
 
 

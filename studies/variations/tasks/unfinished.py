@@ -83,10 +83,10 @@ def _compare(folder: Path, asked: Mapping, what: str) -> None:
     if not path.exists():
         strangers = [entry.name for entry in folder.iterdir() if entry.name not in (_LOCK, PLAN) and entry.name[0] != "."]
         if strangers:
-            raise PlanFileError(f"'{folder}' holds '{strangers[0]}', which is none of {what}'s; move it away")
+            raise PlanFileError(f"'{folder}' contains '{strangers[0]}', which is not part of {what}; move it away")
         replace_file(path, lambda place: write_json(place, asked))
         return
-    refuse_other(path, asked, f"'{folder}' holds the parts of {what} that was asked otherwise")
+    refuse_other(path, asked, f"'{folder}' has parts of {what} with other settings")
 
 
 def refuse_other(path: Path, asked: Mapping, what: str) -> None:

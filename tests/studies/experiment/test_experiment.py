@@ -152,7 +152,7 @@ def test_another_experiment_is_refused_where_one_stands_whole_or_not(tmp_path, m
     monkeypatch.setattr(conducting, "run_block", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         done(tmp_path / "y")
-    with pytest.raises(PlanFileError, match=r"the parts of an experiment that was asked otherwise \(seed was 0, now 1\)"):
+    with pytest.raises(PlanFileError, match=r"has parts of an experiment with other settings \(seed was 0, now 1\)"):
         done(tmp_path / "y", other)
 
 
@@ -299,7 +299,7 @@ def test_an_empty_table_of_imperfections_means_none_and_a_missing_one_the_defaul
     outcome = run_experiment({"name": "knee-reach"}, None, lambda: none, FEW, tmp_path / "none", silent)
     assert outcome.imperfections == {}
     (note,) = outcome.notes
-    assert note.startswith("[imperfections] is empty: all machines are alike")
+    assert note.startswith("[imperfections] is empty: all machines are equal")
     with pytest.raises(ProblemError, match="needs an imperfection"):
         run_experiment({}, None, lambda: none, structs.replace(FEW, design="morris"), tmp_path / "refused", silent)
     assert [path.name for path in tmp_path.iterdir()] == ["none"]  # the refused one has no parts
