@@ -151,3 +151,17 @@ class Result(Reported):
 
         write_whole(target, write, record)
         return target
+
+
+class MechanismResult(Result):
+    """The result of a study of a mechanism, whose struct has the `mechanism_name` and the `message`."""
+
+    __slots__ = ()
+
+    @property
+    def message(self) -> str:
+        """The verdict in a sentence."""
+        return cast("Any", self.struct).message
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({cast('Any', self.struct).mechanism_name!r}: {self.message})"
