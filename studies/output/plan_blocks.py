@@ -18,10 +18,10 @@ from linkplan.studies.output.certificate_list import certificate_list
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
 from linkplan.studies.output.text import brief_rows, checks, limits_text, notes_of
 
-# Solvers stop at a relative 1e-8. A certificate passes at a relative error of about 1e-3 at the most.
+# Solvers stop at a relative 1e-8. A certificate passes at a relative error of at most about 1e-3.
 _MAX_DIGITS, _MIN_DIGITS = 8, 3
 _TITLES = {
-    "refuted": "Refuted: the motion certainly breaks these",
+    "refuted": "Refuted: the motion violates these",
     "undecided": "Undecided: these are neither proved nor refuted",
     "proved": "Proved at every instant, for the model and the polynomials of the plan",
 }

@@ -138,7 +138,7 @@ def given_problem(problem: object) -> Problem:
     if isinstance(problem, str | Path):
         return Problem.from_file(problem)
     if not isinstance(problem, Problem):
-        raise ProblemError(f"what is planned is a Problem, a built-in problem's name or a TOML file, got {problem!r}")
+        raise ProblemError(f"the problem is a Problem, a built-in problem's name or a TOML file, got {problem!r}")
     return problem
 
 

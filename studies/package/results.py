@@ -140,7 +140,7 @@ class Result(Reported):
         from linkplan.studies.output.report_file import save_report
 
         if not self.record_name:
-            raise LinkplanError("this result is written while it is made: give its function a folder")
+            raise LinkplanError("this result is only saved while it is computed: pass a folder to its function")
         target, record = path_of(folder, "folder"), f"{self.record_name}.json"
 
         def write(place: Path) -> None:

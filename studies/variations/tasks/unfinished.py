@@ -62,7 +62,7 @@ def working(folder: Path, asked: Mapping, what: str) -> Iterator[None]:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
-                raise PlanFileError(f"another process is at work on '{folder}'") from error
+                raise PlanFileError(f"another process is using '{folder}'") from error
         held = True
         _compare(folder, asked, what)
         (folder / PARTS).mkdir(exist_ok=True)
@@ -70,7 +70,7 @@ def working(folder: Path, asked: Mapping, what: str) -> Iterator[None]:
             sweep(place)
         yield
     except OSError as error:
-        raise PlanFileError(f"cannot write '{folder}': {error.strerror or error}; what is done is kept") from error
+        raise PlanFileError(f"cannot write '{folder}': {error.strerror or error}; finished parts are kept") from error
     finally:
         if lock is not None:
             if held and not (folder / PLAN).exists() and not any(folder.glob(f"{PARTS}/part-*")):

@@ -92,8 +92,8 @@ DAMAGED = {
     "without a motion": (without("trajectory.npz"), "trajectory.npz"),
     "with a plan cut short": (with_file("plan.json", b"{"), "truncated or not JSON"),
     "with a motion cut short": (with_file("trajectory.npz", b"PK"), "truncated or not a trajectory"),
-    "with a file of somebody's": (with_file("mine.txt", b"mine"), "'0/mine.txt' is no file of its plans"),
-    "with a file above it": (with_file("../../mine.txt", b"mine"), "is no file of its plans"),
+    "with a file of somebody's": (with_file("mine.txt", b"mine"), "'0/mine.txt' is not a file of its plans"),
+    "with a file above it": (with_file("../../mine.txt", b"mine"), "is not a file of its plans"),
 }
 
 

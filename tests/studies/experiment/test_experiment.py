@@ -159,7 +159,7 @@ def test_another_experiment_is_refused_where_one_stands_whole_or_not(tmp_path, m
 def test_two_at_once_are_told_apart(tmp_path):
     asked = {"settings": {"seed": 0}}
     folder = tmp_path / "x.unfinished"
-    at_once = pytest.raises(PlanFileError, match="another process is at work")
+    at_once = pytest.raises(PlanFileError, match="another process is using")
     with parts.working(folder, asked, "a thing"), at_once, parts.working(folder, asked, "a thing"):
         pass
 
@@ -177,7 +177,7 @@ def test_a_full_disk_is_one_line_and_what_was_done_is_kept(tmp_path, monkeypatch
             raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(parquet, "write_table", full)
-    with pytest.raises(PlanFileError, match="No space left on device; what is done is kept") as refused:
+    with pytest.raises(PlanFileError, match="No space left on device; finished parts are kept") as refused:
         done(tmp_path / "x")
     assert "\n" not in str(refused.value)
     folder = parts.unfinished(tmp_path / "x")
