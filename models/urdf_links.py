@@ -156,7 +156,7 @@ def _settle_inertias(spec: mujoco.MjSpec) -> list[str]:
     notes = [f"links without inertia get {LEAST_INERTIA_KGM2:g} kg.m^2: {listed(points, 8)}"] if points else []
     if changes:
         notes.append(
-            "links of which one principal moment is not positive, or larger than the sum of the others, get the nearest"
-            f" inertia that a body has (change, of the largest moment): {listed(changes, 8)}"
+            "physically impossible inertias of links are replaced by the nearest possible ones (change, of the largest"
+            f" moment): {listed(changes, 8)}"
         )
     return notes

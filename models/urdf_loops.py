@@ -108,7 +108,7 @@ def _table(place: Path, kind: type[Table], keys: set[str]) -> Table | None:
     try:
         return msgspec.convert(found, kind)
     except msgspec.ValidationError as error:
-        raise ModelError(f"'{place}' is not what closes a URDF's loops: {error}") from error
+        raise ModelError(f"'{place}' does not describe closures of a URDF: {error}") from error
 
 
 def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple[str, ...]:

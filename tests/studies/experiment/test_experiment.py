@@ -212,7 +212,10 @@ def test_a_tracker_that_fails_on_some_machines_is_counted_and_the_others_stand(t
     monkeypatch.setattr(blocks, "law_of", lambda *_: Failing())
     outcome = done(tmp_path / "x", Settings(trackers=("pd",), samples=12))
     one = outcome.trackers["pd"]
-    assert set(one.failures) == {"the tracker failed: RuntimeError: behind", "the tracker gave an effort that is no number"}
+    assert set(one.failures) == {
+        "the tracker failed: RuntimeError: behind",
+        "the tracker gave an effort that is not a number",
+    }
     assert 0 < sum(one.failures.values()) < 12
     assert one.means["rms_error_deg"].n == 12 - sum(one.failures.values())
     assert outcome.results["failure"][one.worst[0]] is not None  # failures are the worst
