@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import mujoco
 import numpy as np
 
-from linkplan.models.errors import ModelError, listed
+from linkplan.models.errors import ModelError, counted, listed
 from linkplan.models.kinematics import (
     FREE,
     SLIDE,
@@ -102,8 +102,7 @@ def floating_sentence(model: mujoco.MjModel) -> str | None:
     else:
         remedy = "nothing else moves, and a plan needs an actuator that it can use"
     whose = "its" if len(bases + loose) == 1 else "their"
-    counted = f"{freedoms} degree{'s' if freedoms > 1 else ''} of freedom"
-    return f"{floating_words(model)}: nothing drives {whose} {counted}; {remedy}"
+    return f"{floating_words(model)}: nothing drives {whose} {counted(freedoms, 'degree')} of freedom; {remedy}"
 
 
 def refuse_many_loose(name: str, model: mujoco.MjModel) -> None:

@@ -28,7 +28,7 @@ from linkplan.models.closure.rank import (
     numerical_rank,
     weak_rank,
 )
-from linkplan.models.errors import LockedError, ModelError
+from linkplan.models.errors import LockedError, ModelError, counted
 from linkplan.models.kinematics import data_at
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.joints import Joint
@@ -366,7 +366,7 @@ def _freed_text(freed: dict[str, int]) -> str:
         return ""
     parts = [f"{part} ({more})" for part, more in freed.items()]
     first = next(iter(freed.values()))
-    parts[0] = parts[0].replace(f"({first})", f"({first} degree{'s' if first > 1 else ''} of freedom)")
+    parts[0] = parts[0].replace(f"({first})", f"({counted(first, 'degree')} of freedom)")
     return f"; it moves without {', '.join(parts)}"
 
 
