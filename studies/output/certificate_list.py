@@ -38,8 +38,9 @@ def certificate_list(plan: Plan, group: str = "") -> Checklist:
 
 
 def _efforts(plan: Plan) -> list[Item]:
-    items, time = [], plan.trajectory.dense_times(12)
-    efforts = plan.trajectory.effort_at(time)
+    items, trajectory = [], plan.trajectory
+    time = trajectory.dense_times(max(12, 300 // (len(trajectory.breaks_s) - 1)))
+    efforts = trajectory.effort_at(time)
     for j, actuator in enumerate(plan.problem.mechanism.actuators):
         values, (low, high) = efforts[:, j], plan.problem.limits.effort[j]
         inside = np.minimum(values - low, high - values)

@@ -87,9 +87,7 @@ def _base_fixed(model: mujoco.MjModel) -> Change | None:
     if not 0 < len(floats) < model.njnt:
         return None
     what, joints = floating_words(model), [joint_label(model, j) for j in floats]
-    return {"fix_base": True}, (
-        f"{what}: it is fixed in place at home (mechanism.fix_base = true; joints {listed(joints, 4)})"
-    )
+    return {"fix_base": True}, (f"{what}: fixed in place at home (mechanism.fix_base = true; joints {listed(joints, 4)})")
 
 
 def _ball_rods_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
