@@ -276,7 +276,7 @@ def _next_way(case: MechanismCase, before: CertifiedIterate, at: CertifiedIterat
     if case.n_tightenings and (at.overruns or (at.passed and cost > 1)):
         overrun = at.report.overrun if at.overruns else _overrun_before(before, at)
         mesh = divided(mesh, np.where(overrun > 0, _enough(case, np.full(len(overrun), max(cost, 2.0))), 1))
-        return _Way(_loosened(case, _margin_of(case)), mesh, durations, "limits as asked again, on a finer mesh")
+        return _Way(_loosened(case, _margin_of(case)), mesh, durations, "the problem's own limits again, on a finer mesh")
     if settled:
         return None
     return _Way(case, divided(mesh, 1 + rough_of(at.found.motion)), durations, "finer mesh")

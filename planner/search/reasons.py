@@ -151,7 +151,7 @@ def path_effort(problem: Problem, guess: Guess) -> PathEffort | None:
         f" {effort[at, column]:.4g} {actuator.unit} at t = {time[at]:.3g} s,"
     )
     if bound[at, column] == 0:
-        sentence += " a direction in which it gives nothing"
+        sentence += " a direction in which its limit is 0"
     else:
         sentence += f" {factors[at, column]:.4g} times its limit of {bound[at, column]:.4g} {actuator.unit}"
     k, row = np.unravel_index(int(np.argmax(np.abs(missed))), missed.shape)
@@ -225,7 +225,9 @@ def efforts_contradicted(search: Search) -> Plan | None:
     if _over(search) is None or not enough_time(search) or search.quickest is None:
         return None
     known = search.quickest.duration_s
-    return _failed(search, f"by the phase plane a motion of {known:.5g} s keeps the effort limits, but it was not found")
+    return _failed(
+        search, f"the phase plane has a motion of {known:.5g} s within the effort limits, but the search missed it"
+    )
 
 
 def efforts_without_proof(search: Search) -> Plan | None:

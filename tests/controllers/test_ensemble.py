@@ -148,7 +148,7 @@ def test_trackers_that_run_one_after_another_share_the_machines():
     simulate(plant, feedback(), reference, machines)
     first = dict(plant.built)
     simulate(plant, follower(), reference, machines)
-    assert len(first) == 3, "machines as modelled are one"
+    assert len(first) == 3, "nominal machines share one plant"
     assert all(plant.built[key] is one for key, one in first.items())
     simulate(plant, follower(), reference, machines[:2])
     assert len(plant.built) == 2, "the memory of machines that run no more is given back"

@@ -28,7 +28,7 @@ def both(text, efforts, machines=AS_MODELLED, limit=50.0):
 
 @pytest.mark.parametrize("integrator", ["Euler", "RK4"])
 @pytest.mark.parametrize("text", [GRIPPER, RSSR], ids=["servo", "ball"])
-def test_a_machine_as_modelled_runs_as_alone(text, integrator):
+def test_a_nominal_machine_runs_as_alone(text, integrator):
     text = hard(text, 1e-4, integrator)
     mechanism = load_mechanism(text)
     efforts = wave(mechanism, 0.05)

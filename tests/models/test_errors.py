@@ -166,7 +166,7 @@ PAYLOADS = {
     "com text": ({"com_m": "abc"}, ["payload.com_m", "three", "abc"]),
     "com beyond floats": ({"com_m": [10**400, 0, 0]}, ["payload.com_m"]),
     "inertia negative": ({"inertia_kgm2": [1.0, 1.0, -0.1]}, ["payload.inertia_kgm2[2]", "at least 0", "-0.1"]),
-    "inertia of no body": ({"inertia_kgm2": [1.0, 1.0, 2.5]}, ["payload.inertia_kgm2", "no rigid body", "2.5"]),
+    "inertia of no body": ({"inertia_kgm2": [1.0, 1.0, 2.5]}, ["payload.inertia_kgm2", "not that of a rigid body", "2.5"]),
     "inertia nan": ({"inertia_kgm2": [1.0, np.nan, 1.0]}, ["payload.inertia_kgm2[1]", "a number", "nan"]),
     "inertia a table": ({"inertia_kgm2": {}}, ["payload.inertia_kgm2", "three"]),
     "unknown key": ({"mass": 1.0}, ["'mechanism.payload.mass'", "did you mean 'mass_kg'?", *CUBE]),

@@ -27,7 +27,7 @@ def test_every_result_has_a_report(plan, loop, tmp_path):
     for name, result in results.items():
         place = linkplan.report(result, tmp_path / f"{name}.html")
         assert place.read_text(encoding="utf-8").startswith("<!doctype html>"), name
-    with pytest.raises(linkplan.LinkplanError, match="a report is on a result"):
+    with pytest.raises(linkplan.LinkplanError, match="a report takes a result"):
         linkplan.report(7, tmp_path / "seven.html")
 
 
@@ -66,7 +66,7 @@ def test_new_puts_motors_on_joints_as_its_refusal_offers():
 
 def test_a_mechanism_in_place_of_a_problem_is_refused_in_one_short_sentence():
     """The sentence had all numbers of the mechanism in it, 6000 characters."""
-    with pytest.raises(linkplan.LinkplanError, match="what is planned is a Problem") as refused:
+    with pytest.raises(linkplan.LinkplanError, match="the problem is a Problem") as refused:
         linkplan.plan(linkplan.load_mechanism("five-bar"))
     assert len(str(refused.value)) < 200
 

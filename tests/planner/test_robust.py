@@ -95,7 +95,7 @@ def test_what_forbids_a_robust_motion_is_named():
     assert "payload 2" in plan.message
 
 
-def test_the_price_is_what_the_machine_as_modelled_does_better():
+def test_the_price_is_what_the_nominal_machine_does_better():
     plan = planned("knee-sprint", "limits.reserve=0.1")
     price = price_of(plan)
     assert price.nominal == pytest.approx(optimal("knee-sprint").objective, rel=1e-9)
@@ -198,7 +198,7 @@ def test_weaker_motors_of_an_underactuated_mechanism_are_planned_for():
 
 
 def test_a_price_is_never_negative():
-    """The plan itself is a motion of the machine as modelled, also where the search for that one's finds a dearer one."""
+    """The plan itself is a motion of the nominal machine, also where the search for that one's finds a dearer one."""
     plan = planned("cart-pole-swing-up", "limits.reserve=0.35")
     assert plan.objective < optimal("cart-pole-swing-up").objective
     assert price_of(plan).nominal == plan.objective

@@ -96,7 +96,7 @@ def test_at_every_corner_a_robust_plan_s_efforts_keep_their_limits_and_drive_muj
         assert lacking.max() < 1e-6 * needed.max()
 
 
-def test_with_more_motors_than_freedoms_the_machine_as_modelled_has_the_plan_s_own_efforts():
+def test_with_more_motors_than_freedoms_the_nominal_machine_has_the_plan_s_own_efforts():
     mechanism = load_mechanism(TWO_MOTORS, payload=SHANK)
     q = mechanism.home[None]
     v, a, u = np.array([[2.0]]), np.array([[30.0]]), np.array([[5.0, 7.0]])

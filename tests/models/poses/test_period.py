@@ -68,7 +68,7 @@ def test_an_unbalanced_rotor_behind_an_irrational_gear_never_comes_back():
     can = reach(geared(np.pi, unbalanced_m=0.01))
     assert can.turns_fully
     assert can.period is None
-    assert {can.lower.reason, can.upper.reason} == {"nothing so far"}
+    assert {can.lower.reason, can.upper.reason} == {"no end found"}
 
 
 def test_a_lead_screw_reaches_over_the_whole_travel_of_its_nut():

@@ -48,7 +48,7 @@ def test_a_plan_with_a_limit_that_claims_nothing_is_not_proved(monkeypatch):
     monkeypatch.setattr(EffortLimit, "claims", lambda *_: iter(()))
     proof = prove(plan.problem, plan.trajectory, existence=False)
     assert not proof.complete
-    assert [one.reason for one in proof.of("undecided")] == ["not proved: the limit claims nothing"]
+    assert [one.reason for one in proof.of("undecided")] == ["not proved: the limit has no claim"]
 
 
 def test_only_actuators_with_a_limit_have_one_at_the_corners():

@@ -77,7 +77,7 @@ def test_little_effort_near_a_singular_pose_is_not_a_motion_and_a_rest():
     plan = plan_motion(leg(duration_s=0.279953, minimize="effort"))
     assert plan.status == "optimal"
     assert plan.objective <= LEAST_EFFORT * (1 + 1e-3)
-    assert "it keeps 0.01 of the home pose's distance from singular poses" in plan.message
+    assert "it keeps a distance from singular poses, 0.01 of that at home" in plan.message
     assert "ties" not in plan.message
 
 

@@ -88,7 +88,7 @@ DAMAGED = {
     "a negative error": (column("max_error_deg", first(-1.0)), "row 0 has -1.0"),
     "a negative effort": (column("peak_effort", first(-1.0)), "column peak_effort is 0, more, or none"),
     "a success that failed": (column("failure", first("it fell")), "column success is false where a run failed"),
-    "another machine": (column("imperfection.delay_periods", first(1.1)), "what the experiment's seed gives that machine"),
+    "another machine": (column("imperfection.delay_periods", first(1.1)), "the value by the experiment's seed"),
 }
 
 
@@ -170,7 +170,7 @@ RECORDS = {
     "samples of a fraction": (asked(lambda said: said["settings"].update(samples=1.5)), "at `$.asked.settings.samples`"),
     "negative samples": (asked(lambda said: said["settings"].update(samples=-1)), "samples"),
     "other samples": (asked(lambda said: said["settings"].update(samples=7)), "has 12 rows; 14 were asked for"),
-    "another seed": (asked(lambda said: said["settings"].update(seed=1)), "what the experiment's seed gives"),
+    "another seed": (asked(lambda said: said["settings"].update(seed=1)), "the value by the experiment's seed"),
     "another design": (asked(lambda said: said["settings"].update(design="random")), "design"),
     "another tracker": (asked(lambda said: said["settings"].update(trackers=["pd", "lqr"])), "column tracker is pd, lqr"),
     "trackers in another order": (asked(lambda said: said["settings"].update(trackers=["pd+ff", "pd"])), "in turn"),

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.output.body_colours import body_colours
+from linkplan.studies.output.body_colours import PAYLOAD, body_colours
 from linkplan.studies.render.efforts import effort_shapes, load_shares
 from linkplan.studies.render.framing import own_direction
 from linkplan.studies.render.scenes import all_points, film_scenes, place_bodies, skeletons, stroboscopic_scene
-from linkplan.studies.render.shapes import GHOST, PAYLOAD, load_colour
+from linkplan.studies.render.shapes import GHOST, load_colour
 from tests.support.linkages import GRIPPER, RSSR
 from tests.support.pictures import N, rods, waved
 from tests.support.tolerances_planner import ROUNDING
