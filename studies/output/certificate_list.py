@@ -101,11 +101,11 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
     items = [replace(item, worst=_digits(item.worst), limit=_digits(item.limit)) for item in items]
     if mechanism.closures:
         what = "least det J_z, relative to home (0 at a singular pose)"
-        items.append(_item(what, True, certificate.singularity_ratio, None, "", None))
+        items.append(_item(what, None, certificate.singularity_ratio, None, "", None))
     limited = [margin.name for margin in certificate.margins if margin.what == "closure_force"]
     forces = zip(mechanism.closure_names, certificate.peak_closure_force, strict=True)
     rest = [(name, force) for name, force in forces if name not in limited]
-    return [*items, *(_item(f"closure force of {name}", True, force, None, "N", None) for name, force in rest)]
+    return [*items, *(_item(f"closure force of {name}", None, force, None, "N", None) for name, force in rest)]
 
 
 def _contacts(plan: Plan, certificate: Certificate) -> list[Item]:
@@ -132,10 +132,10 @@ def _seen(value: float) -> float:
     return value if abs(value) > LEAST_SHOWN else 0.0
 
 
-def _item(label: str, passed: bool, worst: float, limit: float | None, unit: str, at: float | None) -> Item:
+def _item(label: str, passed: bool | None, worst: float, limit: float | None, unit: str, at: float | None) -> Item:
     return Item(
         label=label,
-        passed=bool(passed),
+        passed=None if passed is None else bool(passed),
         worst=significant(worst, 5),
         limit=significant(limit, 6),
         unit=unit,

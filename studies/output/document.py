@@ -93,7 +93,7 @@ class Item(Struct, frozen=True, kw_only=True, eq=False):
     """One line of a checklist: the worst value, its limit, their unit, and the instant [s] of the worst value."""
 
     label: str
-    passed: bool
+    passed: bool | None  # None without a limit
     worst: float | None = None
     limit: float | None = None
     unit: str = ""

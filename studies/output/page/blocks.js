@@ -48,7 +48,8 @@ function showChecklist(block) {
       cursorOf(block.group).move(item.instant_s);
     };
     const at = item.instant_s === null ? "–" : make("button", { type: "button", class: "instant", title: "move the cursor there" }, `${said(item.instant_s)} s`);
-    const verdict = make("td", { class: item.passed ? "good" : "bad" }, item.passed ? "✓" : "✗ NO");
+    const [tone, mark] = item.passed === null ? ["", "–"] : item.passed ? ["good", "✓"] : ["bad", "✗ NO"];
+    const verdict = make("td", { class: tone }, mark);
     const cells = [verdict, make("td", {}, item.label), make("td", { class: "number" }, value(item.worst)), make("td", { class: "number" }, value(item.limit)), make("td", {}, at)];
     return make("tr", item.instant_s === null ? {} : { class: "goes", onclick: go }, ...cells);
   });
