@@ -48,7 +48,7 @@ class Corner:
         if self.torque_factor != 1:
             words.append(f"torque constant {self.torque_factor:g}")
         words += [f"{joint} rubbing {viscous:g} v {coulomb:+g}" for joint, viscous, coulomb in self.friction]
-        return ", ".join(words) or "as modelled"
+        return ", ".join(words) or "nominal"
 
 
 class Robust(RobustSection, frozen=True, eq=False):

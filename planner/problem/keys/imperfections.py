@@ -51,7 +51,7 @@ def _quantity(
     low: float = -_MAX_QUANTITY,
     high: float = _MAX_QUANTITY,
     of: str = "",
-    otherwise: str = "as modelled",
+    otherwise: str = "nominal",
     twin: bool = False,
 ) -> Any:
     """Return the description of a quantity's key; with `twin` that of hinges, which declares the key of slides too."""
