@@ -111,7 +111,7 @@ class Loosen:
         asked = state.asked.with_scheme(best.solution.transcribed.scheme.name)
         coarse = best if loose is None else loose.found
         marked = np.zeros(best.mesh.n_intervals, dtype=bool) if loose is None else most_overrun(loose)
-        mesh, durations = halved(coarse.mesh, marked), np.bincount(coarse.mesh.segment, np.diff(coarse.motion.breaks_s))
+        mesh, durations = halved(coarse.mesh, marked), coarse.durations
         found = attempt(
             asked, asked.start_from(coarse.motion), mesh, durations, "the problem's own limits",
             warm=True, fixed=_held_in(best), position_rows=state.position_rows,
@@ -218,7 +218,8 @@ class ReduceEffortOverrun:
         if state.asked.problem.solver.deadline.passed:
             return counted
         case = state.case.with_scheme(coarse.solution.transcribed.scheme.name)
-        found = nearest_on(case, coarse, halved(coarse.mesh, self.marked), position_rows=state.position_rows)
+        mesh = halved(coarse.mesh, self.marked)
+        found = nearest_on(case, coarse, mesh, coarse.durations, position_rows=state.position_rows)
         if found is None:
             return counted
         at = certify_iterate(state.asked, found)
@@ -226,17 +227,19 @@ class ReduceEffortOverrun:
         return replace(counted, iterate=at, best=at, ended=False) if better else counted
 
 
-def nearest_on(case: Case, coarse: Iterate, mesh: Mesh, *, position_rows: WhichJoints) -> Iterate | None:
+def nearest_on(
+    case: Case, coarse: Iterate, mesh: Mesh, durations: np.ndarray, *, position_rows: WhichJoints
+) -> Iterate | None:
     """Return the motion on a finer mesh that is nearest to that of a coarser one; None without one.
 
     Args:
         case: what is solved.
         coarse: the coarser motion.
         mesh: the finer mesh.
+        durations: (n_segments,) [s] of its segments.
         position_rows: as of `attempt`.
     """
     what, before = "the same motion on a finer mesh", coarse.solution.transcribed
-    durations = np.bincount(coarse.mesh.segment, weights=np.diff(coarse.motion.breaks_s))
     progress(f"{what}: {mesh.n_intervals} intervals")
     try:
         transcribed = case.transcribe(

@@ -180,6 +180,11 @@ class Iterate:
         """The mesh of the solve."""
         return self.solution.transcribed.program.mesh
 
+    @property
+    def durations(self) -> np.ndarray:
+        """The durations (n_segments,) [s] of the mesh's segments."""
+        return np.bincount(self.mesh.segment, np.diff(self.motion.breaks_s))
+
 
 def attempt(
     case: Case,

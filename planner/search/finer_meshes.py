@@ -170,7 +170,7 @@ def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -
     few = settings.replace(max_iterations=min(most, settings.max_iterations or most), deadline=until)
     case = replace(way.case, problem=replace(way.case.problem, solver=few))
     found: list[Iterate] = []
-    mesh, durations = without_empty(way.mesh, way.durations, _MET_SHARE * way.durations.sum() / len(way.mesh.fraction))
+    mesh, durations = _without_met(way.mesh, way.durations)
     free = case.asked.motion.duration_s is None
     lost = _LOST_SHARE_AT_FIRST if another and not free else _LOST_SHARE
     for adaptive in (free, not free):
@@ -180,6 +180,11 @@ def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -
             if share_gained(finer.solution.objective, coarse.solution.objective) <= lost:
                 break
     return min(found, key=lambda finer: finer.solution.objective, default=None)
+
+
+def _without_met(mesh: Mesh, durations: np.ndarray) -> tuple[Mesh, np.ndarray]:
+    """Return a mesh without segments whose switch times have met, and the other segments' durations [s]."""
+    return without_empty(mesh, durations, _MET_SHARE * durations.sum() / len(mesh.fraction))
 
 
 def is_sound(certificate: Certificate | None) -> bool:
@@ -222,10 +227,11 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
             # Halving removes an overrun that is an error of this mesh. Tightening removes any other.
             pieces = np.maximum(pieces, 1 + (at.report.overrun > 0))
             case = case.tightened(at.certificate, at.found.motion)
-        found = nearest_on(case, at.found, divided(at.found.mesh, pieces), position_rows=kept.rows)
+        mesh, durations = _without_met(divided(at.found.mesh, pieces), at.found.durations)
+        found = nearest_on(case, at.found, mesh, durations, position_rows=kept.rows)
         if found is None and not at.passed:  # efforts and other limits that bind together leave no freedom
             mesh = divided(at.found.mesh, _coarse(case, at))
-            way = _Way(kept.case, mesh, _durations(at), "finer mesh")
+            way = _Way(kept.case, mesh, at.found.durations, "finer mesh")
             found = _solved(way, at.found, kept.rows, kept.case.problem.solver.deadline)
         changed = None if found is None else certify_iterate(asked, found)
         if changed is None or changed.certificate is None or (at.passed and not changed.passed):
@@ -257,7 +263,7 @@ def _next_way(case: MechanismCase, before: CertifiedIterate, at: CertifiedIterat
     if at.certificate is None:
         return None
     pieces, mesh = _coarse(case, at), at.found.mesh
-    boundaries, durations = at.found.motion.breaks_s[mesh.boundaries()], _durations(at)
+    boundaries, durations = at.found.motion.breaks_s[mesh.boundaries()], at.found.durations
     further = _apart(jumps_of(case, at.found), np.concatenate([[0.0], np.cumsum(durations)]), at.found.motion)
     if (nearer := _nearer(case, at.found)) is not case:
         return _Way(nearer, mesh, durations, "nearer to singular poses")
@@ -322,10 +328,6 @@ def _settled_change(case: MechanismCase) -> float:
 
 def _margin_of(case: MechanismCase) -> float:
     return case.problem.limits.singular_margin
-
-
-def _durations(at: CertifiedIterate) -> np.ndarray:
-    return np.bincount(at.found.mesh.segment, np.diff(at.found.motion.breaks_s))
 
 
 def _coarse(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:

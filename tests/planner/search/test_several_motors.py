@@ -269,6 +269,17 @@ def test_a_motion_within_a_limit_on_the_jerk_of_a_site_has_segments_that_end_whe
     assert plan.objective == pytest.approx(859.65, rel=1e-3)
 
 
+@pytest.mark.slow
+def test_a_segment_whose_switch_times_meet_on_finer_meshes_is_removed_and_the_motion_is_proved():
+    """Within 0.8 times the largest force on the rod's pin; a segment of 6e-11 s had accelerations of rounding only."""
+    mechanism = linkplan.load_mechanism(DATA / "leg_with_four_bar_knee.xml")
+    limits = {"contacts": "note", "closure_force": {"rod_end-knee_tab": 2347.431}}
+    plan = linkplan.plan(linkplan.Problem.reach(mechanism, **ENDS, minimize="time", mesh={"intervals": 40}, limits=limits))
+    assert plan.status == "optimal"
+    assert plan.proof.passed
+    assert plan.objective == pytest.approx(0.187648, rel=1e-4)
+
+
 def test_one_motor_and_given_breaks_have_another_search(in_least_time):
     assert of_several(in_least_time)
     assert not of_several(load_problem("knee-reach"))
