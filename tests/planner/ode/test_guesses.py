@@ -5,7 +5,7 @@ import pytest
 
 from linkplan.planner.ode.formulation import _open_end_path, guesses_of, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
-from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.transcription.collocation import Curves
 from tests.support.ode import squared_effort
 
 
@@ -22,7 +22,7 @@ def problem(duration: object, effort_limit: list[list[float]], *guesses: StateGu
     )
 
 
-def completed(duration: object, effort_limit: list[list[float]], **guess) -> OdeTrajectory:
+def completed(duration: object, effort_limit: list[list[float]], **guess) -> Curves:
     """Return the motion of a guess, with what it lacks."""
     return guesses_of(problem(duration, effort_limit, StateGuess(**guess)))[0]
 
