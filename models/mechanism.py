@@ -31,7 +31,7 @@ from linkplan.models.digest import compiled_bytes
 from linkplan.models.equations import Equations
 from linkplan.models.errors import ModelError
 from linkplan.models.external_forces import ForcesOverTime
-from linkplan.models.floating import refuse_many_loose
+from linkplan.models.floating import MAX_LOOSE_BODIES, refuse_many_loose
 from linkplan.models.kinematics import extent_m, set_softness
 from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html
@@ -319,7 +319,8 @@ def load_mechanism(
     set_softness(model, solref)
     if model.njnt == 0:
         raise ModelError(f"model '{name}' has no joint: there is nothing to move")
-    refuse_many_loose(name, model)
+    if model.nbody > MAX_LOOSE_BODIES:
+        refuse_many_loose(name, model)
     pi = None if payload is None else ca.SX.sym("payload", len(payload.numbers()))
     transition = transition_speed(friction_transition)
     tree = build_tree(model, home_qpos(model), _varied(model, pi), transition)

@@ -130,7 +130,6 @@ def cached(key: str, kind: type[CodeT]) -> CodeT | None:
     """Return the compiled functions kept under a key, or None if they are missing or cannot be loaded."""
     try:
         folder = trusted_folder(make=False)
-        sweep(folder)
         found = (folder / f"{key}.so").stat()
         return _loaded(folder, key, kind, (found.st_ino, found.st_size, found.st_mtime_ns))
     except (OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError):
@@ -170,6 +169,7 @@ def compiled(key: str, kind: type[CodeT], build: Callable[[], CodeT], deadline: 
         return functions
     try:
         folder = trusted_folder(make=True)
+        sweep(folder)
         with work_folder(folder) as work:
             record, command = _written(functions, work, key)
             with waiting_for_child():

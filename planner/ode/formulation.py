@@ -82,7 +82,7 @@ def formulate_ode(
         ),
         returns=tuple(problem.returns),
         theta=lambda times: np.broadcast_to(p, (*times.shape, len(p))),
-        tightening=tightening_over(tightenings, rows, problem.path_limit),
+        tightening=tightening_over(tightenings, rows, problem.path_limit) if tightenings else None,
         endpoint=endpoint,
         endpoint_bounds=problem.ends_limit,
         endpoint_parameters=p if endpoint is not None else np.zeros(0),

@@ -27,7 +27,7 @@ from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import Say, Step, recorded, recording, silent
 from linkplan.planner.refinement.marking import Tightening, tightenings_of
 from linkplan.planner.refinement.state import Refined
-from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
+from linkplan.planner.refinement.switches import LONGER, bounded_by_guess
 from linkplan.planner.solvers.solve import INVALID, OF_TIME, OUT_OF_TIME, SOLVER_TOLERANCE, Solution, why_stopped
 from linkplan.planner.transcription.collocation import Curves, Transcribed, collocate, curves_of
 from linkplan.planner.transcription.formulation import Start, Units

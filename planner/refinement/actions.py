@@ -13,7 +13,7 @@ from linkplan.planner.refinement.constrained_arcs import FixedArcs, interval_bre
 from linkplan.planner.refinement.history import add_step, progress, step_of
 from linkplan.planner.refinement.marking import most_overrun, widths_of
 from linkplan.planner.refinement.state import RefinementState, observed
-from linkplan.planner.refinement.switch_search import mesh_with_switches, settle_switch_times
+from linkplan.planner.refinement.switches import mesh_with_switches, settle_switch_times
 from linkplan.planner.solvers.newton import nearest_feasible
 from linkplan.planner.solvers.solve import SUCCEEDED
 from linkplan.planner.transcription.collocation import Transcribed

@@ -19,6 +19,24 @@ from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh
 
 
+class PiecewiseMotion(Protocol):
+    """The part of a motion that refinement reads."""
+
+    @property
+    def breaks_s(self) -> np.ndarray:
+        """The intervals' ends (n + 1,) [s]."""
+        ...
+
+    @property
+    def effort(self) -> np.ndarray:
+        """The efforts' Bernstein coefficients (degree + 1, n, n_u)."""
+        ...
+
+    def effort_at(self, time_s: np.ndarray) -> np.ndarray:
+        """Return efforts (n, n_u) at times (n,)."""
+        ...
+
+
 class RefinementCertificate(Protocol):
     """The part of a certificate that refinement reads."""
 
@@ -171,7 +189,7 @@ class Case(Protocol):
 class Iterate:
     """The motion and solution of one solve; `fixed` are the efforts and path quantities held along its arcs, or None."""
 
-    motion: Any  # a `switches.PiecewiseMotion` of the case's own type
+    motion: Any  # a `PiecewiseMotion` of the case's own type
     solution: Solution
     fixed: FixedArcs | None = None
 

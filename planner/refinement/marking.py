@@ -12,8 +12,7 @@ import numpy as np
 
 from linkplan.planner.limits.limit import Margin, Tightened
 from linkplan.planner.problem.settings import MeshSettings
-from linkplan.planner.refinement.case import Case, CertifiedIterate, RefinementCertificate
-from linkplan.planner.refinement.switches import PiecewiseMotion
+from linkplan.planner.refinement.case import Case, CertifiedIterate, PiecewiseMotion, RefinementCertificate
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import MAX_DEGREE
 
@@ -92,13 +91,11 @@ def evened(tightenings: tuple[Tightening, ...]) -> tuple[Tightening, ...]:
 
 def tightening_over(
     tightenings: tuple[Tightening, ...], rows: list[TightenedRow], path: np.ndarray
-) -> Callable[[np.ndarray], np.ndarray] | None:
+) -> Callable[[np.ndarray], np.ndarray]:
     """Return a function from breaks (n + 1,) [s] to how much (n, n_path) the bounds `path` (n_path, 2) are tightened.
 
     `rows` say of which limits the first of these quantities are; the others are never tightened.
     """
-    if not tightenings:
-        return None
     size = np.where(np.isfinite(path), np.where(path == 0, 1.0, np.abs(path)), 0.0)
     size[[column for column, row in enumerate(rows) if row.tightened is Tightened.IN_UNITS]] = 1.0
     factor = [2.0 if row.tightened is Tightened.SQUARED else 1.0 for row in rows]
@@ -135,15 +132,6 @@ def marked_for(at: CertifiedIterate, strictness: float) -> np.ndarray:
     if growth.sum() > 1.0:
         marked |= growth > MARKED_SHARE * max(1.0, SHARE_OF_WORST * growth.max() * n) / n
     return marked
-
-
-def beyond_efforts(at: CertifiedIterate) -> np.ndarray:
-    """Return the intervals (n,) whose effort overrun is near or above the proof's allowance.
-
-    There are none where every interval keeps the allowance.
-    """
-    overrun = np.zeros(at.n_intervals) if at.certificate is None else at.certificate.effort_overrun
-    return (overrun > MARKED_SHARE) & bool(overrun.max(initial=0.0) > 1.0)
 
 
 def overrunning(at: CertifiedIterate) -> np.ndarray:

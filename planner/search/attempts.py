@@ -23,7 +23,7 @@ from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.state import REPORTED_CHANGE, Refined
-from linkplan.planner.search.finer_meshes import of_several, refine_several
+from linkplan.planner.search.finer_meshes import refine_several
 from linkplan.planner.search.ladder import Budget, Search, Steps, followed
 from linkplan.planner.search.solving import (
     GRID_ERROR_FACTOR,
@@ -81,6 +81,16 @@ def plan_from(
     if unavoidable(problem, missed.trajectory, missed.certificate):
         search.verdicts.append(missed)  # every other motion meets the same contact
     return missed
+
+
+def of_several(problem: Problem) -> bool:
+    """True if motions of several motors are refined by `refine_several`, on a mesh and within limits that allow it.
+
+    One motor that drives several freedoms swings them: its motions are unstable, and ask for more exact meshes. Limits on
+    power keep a motion away from themselves by their coefficients, so that only the objective tells a coarse mesh.
+    """
+    kept = problem.mesh.breaks is not None or np.any(np.isfinite(problem.limits.power))
+    return min(problem.mechanism.n_equations, problem.mechanism.n_u) > 1 and not kept
 
 
 def _solved(problem: Problem, guess: Guess, word: str, search: Search) -> Iterator[Iterate]:

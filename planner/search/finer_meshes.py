@@ -28,7 +28,7 @@ from linkplan.planner.refinement.case import CertifiedIterate, Iterate, attempt,
 from linkplan.planner.refinement.constrained_arcs import arc_ends, own_arcs, path_multipliers
 from linkplan.planner.refinement.marking import degree_of, rough_of
 from linkplan.planner.refinement.state import Refined
-from linkplan.planner.refinement.switch_search import mesh_with_switches
+from linkplan.planner.refinement.switches import mesh_with_switches
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, divided, uniform, without_empty
 
@@ -92,16 +92,6 @@ class _Kept:
     case: MechanismCase
     at: CertifiedIterate
     rows: frozenset[int]
-
-
-def of_several(problem: Problem) -> bool:
-    """True if motions of several motors are refined here, on a mesh and within limits that allow it.
-
-    One motor that drives several freedoms swings them: its motions are unstable, and ask for more exact meshes. Limits on
-    power keep a motion away from themselves by their coefficients, so that only the objective tells a coarse mesh.
-    """
-    kept = problem.mesh.breaks is not None or np.any(np.isfinite(problem.limits.power))
-    return min(problem.mechanism.n_equations, problem.mechanism.n_u) > 1 and not kept
 
 
 def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
