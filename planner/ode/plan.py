@@ -22,7 +22,7 @@ from linkplan.planner.ode.certificate import (
 )
 from linkplan.planner.ode.formulation import formulate_ode, guesses_of, start_from, units_of
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.refinement.case import ErrorReport, Iterate, RefinementTarget, attempt
+from linkplan.planner.refinement.case import ErrorReport, Iterate, RefinementTarget, attempt, error_report
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import Say, Step, recorded, recording, silent
 from linkplan.planner.refinement.marking import Tightening, tightenings_of
@@ -91,16 +91,15 @@ class OdeCase:
 
     def error_report(self, certificate: OdeCertificate) -> ErrorReport:
         """Return the errors that a certificate reports; another mesh may remove each of them."""
-        over = [margin.overrun for margin in certificate.margins if margin.of.facts.tightened is not None]
-        return ErrorReport(
+        tolerance = self.problem.tolerance
+        return error_report(
+            certificate,
             # The objective is to be that of the integrated motion, too.
-            exact=certificate.integration_error <= self.problem.tolerance
-            and certificate.objective_error <= OBJECTIVE_ERROR_FACTOR * self.problem.tolerance
+            exact=certificate.integration_error <= tolerance
+            and certificate.objective_error <= OBJECTIVE_ERROR_FACTOR * tolerance
             and certificate.overrun <= OVERRUN_SHARE,
             repairable=not certificate.passed,
             leaves_positions=any(margin.what == "state" and not margin.kept for margin in certificate.margins),
-            overruns=not all(margin.kept for margin in certificate.margins),
-            overrun=np.max([np.zeros(len(certificate.growth)), *over], axis=0),
             touching=certificate.touching,
             integration_error=certificate.integration_error,
         )
@@ -108,10 +107,6 @@ class OdeCase:
     def tightened(self, certificate: OdeCertificate, motion: Curves) -> "OdeCase":
         """Return the case with path limits tightened by what the solution overran them; rows keep those of states."""
         return replace(self, tightenings=self.tightenings + tightenings_of(certificate.margins, motion.breaks_s))
-
-    def with_scheme(self, name: str) -> "OdeCase":
-        """Return the case with another transcription."""
-        return replace(self, problem=replace(self.problem, mesh=self.problem.mesh.replace(scheme=name)))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)

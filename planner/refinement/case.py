@@ -3,7 +3,7 @@
 A mechanism's problem and a user's differential equation implement `Case`, so that the same code refines both.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -180,9 +180,20 @@ class Case(Protocol):
         """Return the case with limits tightened by what a motion overran them (constraint tightening)."""
         ...
 
-    def with_scheme(self, name: str) -> Self:
-        """Return the case with another transcription."""
-        ...
+
+def with_scheme(case: Any, name: str) -> Any:
+    """Return a `Case` with another transcription."""
+    return replace(case, problem=replace(case.problem, mesh=case.problem.mesh.replace(scheme=name)))
+
+
+def error_report(certificate: Any, **found: Any) -> ErrorReport:
+    """Return the errors that a certificate with `margins` shows, and what its client found: the other fields."""
+    over = [margin.overrun for margin in certificate.margins if margin.of.facts.tightened is not None]
+    return ErrorReport(
+        overruns=not all(margin.kept for margin in certificate.margins),
+        overrun=np.max([np.zeros(len(certificate.growth)), *over], axis=0),
+        **found,
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

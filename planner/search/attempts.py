@@ -19,7 +19,7 @@ from linkplan.planner.closed_chain.guess import Guess, closes
 from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.case import Iterate, attempt
+from linkplan.planner.refinement.case import Iterate, attempt, with_scheme
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.state import REPORTED_CHANGE, Refined
@@ -228,7 +228,7 @@ def _smoothed(
     durations = np.bincount(mesh.segment, np.diff(at.motion.breaks_s))
     if finer:
         mesh = halved(mesh, np.ones(mesh.n_intervals, dtype=bool))
-    now = replace(case.with_scheme(transcribed.scheme.name), smoothing=smoothing)
+    now = replace(with_scheme(case, transcribed.scheme.name), smoothing=smoothing)
     what = f"smoothing of efforts {smoothing / SMOOTHING_WEIGHT:.3g} of the first" + (", finer mesh" if finer else "")
     found = attempt(now, now.start_from(at.motion), mesh, durations, what, warm=True)
     return None if found is None else (now, found)

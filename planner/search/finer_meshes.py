@@ -24,7 +24,7 @@ from linkplan.planner.limits.rates import smooth_columns
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.actions import nearest_on
-from linkplan.planner.refinement.case import CertifiedIterate, Iterate, attempt, certify_iterate, share_gained
+from linkplan.planner.refinement.case import CertifiedIterate, Iterate, attempt, certify_iterate, share_gained, with_scheme
 from linkplan.planner.refinement.constrained_arcs import arc_ends, own_arcs, path_multipliers
 from linkplan.planner.refinement.marking import degree_of, rough_of
 from linkplan.planner.refinement.state import Refined
@@ -226,7 +226,7 @@ def _first_way(case: MechanismCase, at: CertifiedIterate) -> _Way:
     asked, found, motion = case.asked, at.found, at.found.motion
     case = replace(case if asked.motion.duration_s is None else _nearer(case, found), ties=TIE_WEIGHT)
     if asked.mesh.refine != "intervals":
-        case = case.with_scheme(_FINER_SCHEME)
+        case = with_scheme(case, _FINER_SCHEME)
     n = max(8, round(_SHARE_OF_INTERVALS * asked.mesh.intervals))
     boundaries, jumps = motion.breaks_s[found.mesh.boundaries()], jumps_of(case, found)
     if len(boundaries) == 2 and not len(jumps):
