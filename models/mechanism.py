@@ -25,7 +25,7 @@ from linkplan.models.closure.mobility import (
     round_spins,
 )
 from linkplan.models.closure.newton import ProjectedLoops, projected_loops
-from linkplan.models.coordinate_choice import choose_coordinates
+from linkplan.models.coordinate_choice import choose_coordinates, refuse_singular_inertia
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.digest import compiled_bytes
 from linkplan.models.equations import Equations
@@ -37,7 +37,6 @@ from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
-from linkplan.models.reduction.regular_inertia import refuse_singular_inertia
 from linkplan.models.selection import Selection, home_qpos
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.dynamics import build_tree
