@@ -59,5 +59,6 @@ def test_errors_that_grow_beyond_rounding_are_carried_on_from_restart_to_restart
     assert found.restarts == 2
     assert found.errors[:, 0] == pytest.approx(np.abs(errors), rel=1e-5)
     assert found.errors[:, 1] == pytest.approx(np.zeros(4), abs=1e-12)
+    assert found.states[:, -1, 0] == pytest.approx(ends[1:] + errors * size[0], rel=1e-5)  # from where it has come to
     shares = np.abs(made) * np.abs(errors).max() / np.abs(made).sum()
     assert scaled_defects(found.defects, found.errors)[:, 0] == pytest.approx(shares, rel=1e-5)
