@@ -96,6 +96,8 @@ class MechanismCase:
             leaves_positions=any(
                 margin.of.facts.tightened is Tightened.IN_PROBLEM and margin.left < 0 for margin in certificate.margins
             ),
+            residual_share=certificate.residual_share,
+            effort_overrun=certificate.effort_overrun,
             integration_error_deg=certificate.integration_error_deg,
         )
 

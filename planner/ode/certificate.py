@@ -78,8 +78,6 @@ class OdeCertificate:
     boundary_error: float
     integration_restarts: int  # how often the integration was restarted, the motion being unstable; 0 as a rule
     growth: np.ndarray  # (n_intervals,) of the integration error, in shares of what is allowed
-    residual_share: np.ndarray  # (n_intervals,) zero: the integration shows every error
-    effort_overrun: np.ndarray  # (n_intervals,) zero: efforts are bounded at every instant
     failures: tuple[str, ...]
 
     @property
@@ -149,8 +147,6 @@ def certify_ode(problem: OdeProblem, motion: Curves) -> OdeCertificate:
         boundary_error=missed,
         integration_restarts=found.restarts,
         growth=np.nan_to_num(np.max(shares, axis=0) / INTEGRATION_SHARE, nan=np.inf),
-        residual_share=np.zeros(n),
-        effort_overrun=np.zeros(n),
         failures=tuple(sentence for wrong, sentence in faults if wrong),
     )
 

@@ -222,7 +222,7 @@ class ReduceEffortOverrun:
         if found is None:
             return counted
         at = certify_iterate(state.asked, found)
-        better = at.passed and at.certificate.effort_overrun.max() < best.certificate.effort_overrun.max()
+        better = at.passed and at.report.effort_overrun.max() < best.report.effort_overrun.max()
         return replace(counted, iterate=at, best=at, ended=False) if better else counted
 
 

@@ -37,30 +37,6 @@ class PiecewiseMotion(Protocol):
         ...
 
 
-class RefinementCertificate(Protocol):
-    """The part of a certificate that refinement reads."""
-
-    @property
-    def passed(self) -> bool:
-        """True if every claim holds."""
-        ...
-
-    @property
-    def growth(self) -> np.ndarray:
-        """The contribution of each interval (n_intervals,) to the integration error, as a share of the allowed error."""
-        ...
-
-    @property
-    def residual_share(self) -> np.ndarray:
-        """The dynamics residual on each interval (n_intervals,), as a share of the allowed residual."""
-        ...
-
-    @property
-    def effort_overrun(self) -> np.ndarray:
-        """The needed effort beyond its limit on each interval (n_intervals,), as a share of a proof's allowance."""
-        ...
-
-
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class RefinementTarget:
     """The known form of the best motion, and the accuracy that is asked for.
@@ -102,6 +78,9 @@ class ErrorReport:
         leaves_positions: a state leaves its range between the nodes.
         overruns: a state or another limit is overrun between the nodes.
         overrun: (n_intervals,) the largest overrun of any limit on each interval, as a share of the limit.
+        growth: (n_intervals,) the contribution of each interval to the integration error, as a share of the allowed error.
+        residual_share: (n_intervals,) the dynamics residual, as a share of the allowed residual.
+        effort_overrun: (n_intervals,) the needed effort beyond its limit, as a share of a proof's allowance.
         touching: (n_intervals,) True where a limit binds on a part of the interval; None if it is not computed.
         integration_error_deg: [deg], of a mechanism.
         integration_error: as a share of the states' sizes, of a differential equation.
@@ -112,6 +91,9 @@ class ErrorReport:
     leaves_positions: bool
     overruns: bool
     overrun: np.ndarray
+    growth: np.ndarray
+    residual_share: np.ndarray
+    effort_overrun: np.ndarray
     touching: np.ndarray | None = None
     integration_error_deg: float | None = None
     integration_error: float | None = None
@@ -134,7 +116,7 @@ class RefinementSettings(Protocol):
 class Case(Protocol):
     """A problem that can be refined.
 
-    Its motions are a `PiecewiseMotion`, its certificates a `RefinementCertificate`, of types of its own, as its starts are.
+    Its motions are a `PiecewiseMotion` of a type of its own, as its starts and its certificates are.
     """
 
     @property
@@ -187,12 +169,18 @@ def with_scheme(case: Any, name: str) -> Any:
 
 
 def error_report(certificate: Any, **found: Any) -> ErrorReport:
-    """Return the errors that a certificate with `margins` shows, and what its client found: the other fields."""
+    """Return the errors that a certificate with `margins` and `growth` shows, and what its client found: the other fields.
+
+    A residual and an effort overrun that the client does not have are zero.
+    """
+    none = np.zeros(len(certificate.growth))
     over = [margin.overrun for margin in certificate.margins if margin.of.facts.tightened is not None]
+    errors: dict[str, Any] = {"residual_share": none, "effort_overrun": none} | found
     return ErrorReport(
         overruns=not all(margin.kept for margin in certificate.margins),
-        overrun=np.max([np.zeros(len(certificate.growth)), *over], axis=0),
-        **found,
+        overrun=np.max([none, *over], axis=0),
+        growth=certificate.growth,
+        **errors,
     )
 
 
@@ -272,7 +260,7 @@ class CertifiedIterate:
     """An iterate, its certificate, and the errors that this shows; None without a certificate."""
 
     found: Iterate
-    certificate: Any  # a `RefinementCertificate` of the case's own type, or None
+    certificate: Any  # of the case's own type, or None
     report: ErrorReport | None
 
     @property

@@ -99,7 +99,7 @@ def _beyond_efforts(at: CertifiedIterate) -> np.ndarray:
 
     There are none where every interval keeps the allowance.
     """
-    overrun = np.zeros(at.n_intervals) if at.certificate is None else at.certificate.effort_overrun
+    overrun = np.zeros(at.n_intervals) if at.report is None else at.report.effort_overrun
     return (overrun > MARKED_SHARE) & bool(overrun.max(initial=0.0) > 1.0)
 
 
@@ -117,10 +117,10 @@ def _within_efforts(state: RefinementState) -> Action | None:
 def _towards_a_proof(state: RefinementState) -> Action | None:
     """Return the action on the best motion if a proof would find that it needs more effort than there is."""
     best = state.best
-    if best is None or state.restored >= MAX_RESTORATIONS or (state.restored and state.ended):
+    if best is None or best.report is None or state.restored >= MAX_RESTORATIONS or (state.restored and state.ended):
         return None
     # A changed motion is brought well within the allowance: its largest effort may lie between the samples.
-    beyond = best.certificate.effort_overrun > MARKED_SHARE if state.restored else _beyond_efforts(best)
+    beyond = best.report.effort_overrun > MARKED_SHARE if state.restored else _beyond_efforts(best)
     return ReduceEffortOverrun(beyond) if beyond.any() else None
 
 
@@ -216,7 +216,7 @@ def _higher_scheme(state: RefinementState, inexact: np.ndarray, over: np.ndarray
         return None
     higher = None if state.target.enclosed else higher_on_arcs(state.case, at, over)
     if higher is None and not (over.any() and _switches_are_open(state)):
-        higher = higher_for(state.case, at.certificate, inexact)
+        higher = higher_for(state.case, at.report, inexact)
     return None if higher is not None and state.target.enclosed and degree_of(higher) > MAX_ROUGH_DEGREE else higher
 
 

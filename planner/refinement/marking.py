@@ -12,7 +12,7 @@ import numpy as np
 
 from linkplan.planner.limits.limit import Margin, Tightened
 from linkplan.planner.problem.settings import MeshSettings
-from linkplan.planner.refinement.case import Case, CertifiedIterate, PiecewiseMotion, RefinementCertificate
+from linkplan.planner.refinement.case import Case, CertifiedIterate, ErrorReport, PiecewiseMotion
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import MAX_DEGREE
 
@@ -118,11 +118,11 @@ def tightening_over(
 
 def marked_for(at: CertifiedIterate, strictness: float) -> np.ndarray:
     """Return the intervals (n,) with more than their share of an error that is too large."""
-    certificate, n = at.certificate, at.n_intervals
-    if certificate is None:
+    report, n = at.report, at.n_intervals
+    if report is None:
         return np.ones(n, dtype=bool)
     with np.errstate(over="ignore"):
-        growth, residual = certificate.growth * strictness, certificate.residual_share
+        growth, residual = report.growth * strictness, report.residual_share
     if not np.all(np.isfinite(growth)):
         return np.ones(n, dtype=bool)
     marked = np.zeros(n, dtype=bool)
@@ -169,11 +169,11 @@ def rough_of(motion: PiecewiseMotion) -> np.ndarray:
     return rough >= ROUGH_SHARE * rough.max()
 
 
-def higher_for(case: Case, certificate: RefinementCertificate | None, marked: np.ndarray) -> str | None:
+def higher_for(case: Case, report: ErrorReport | None, marked: np.ndarray) -> str | None:
     """Return the scheme of higher degree that reduces the error more than a finer mesh, or None."""
-    if certificate is None or not marked.any():
+    if report is None or not marked.any():
         return None
-    growth = certificate.growth[marked]
+    growth = report.growth[marked]
     even = marked.mean() >= EVEN_SHARE and growth.max() <= OUTLIER_FACTOR * max(float(np.median(growth)), 1e-300)
     return raised(case.problem.mesh) if even or case.problem.mesh.refine == "degree" else None
 

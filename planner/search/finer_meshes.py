@@ -316,7 +316,7 @@ def _durations(at: CertifiedIterate) -> np.ndarray:
 
 def _coarse(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
     """Return into how many (n,) each interval is divided, by how far its residual and its overruns are too large."""
-    errors = at.certificate.residual_share / _MOST_RESIDUAL, at.report.overrun / _MOST_TIGHTENED
+    errors = at.report.residual_share / _MOST_RESIDUAL, at.report.overrun / _MOST_TIGHTENED
     return _enough(case, np.maximum(*errors))
 
 
@@ -325,9 +325,9 @@ def _inexact(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
 
     The allowance of efforts is kept by a factor of three: the largest effort may lie between the samples.
     """
-    growth = at.certificate.growth * (case.target.strictness if case.target.tolerance_given else 1.0)
+    growth = at.report.growth * (case.target.strictness if case.target.tolerance_given else 1.0)
     too_large = growth.sum() > 0.5 or not np.isfinite(growth.sum())
-    errors = np.maximum(2.0 * growth * len(growth) * too_large, 3.0 * at.certificate.effort_overrun)
+    errors = np.maximum(2.0 * growth * len(growth) * too_large, 3.0 * at.report.effort_overrun)
     return np.maximum(_coarse(case, at), _enough(case, errors))
 
 
