@@ -64,6 +64,8 @@ KEYS: Mapping = {
     269: ("End", "the plan's ghost", lambda c: replace(c, ghost=not c.ghost)),
     268: ("Home", "begin again, first gains", _again),
 }
+# Every key and its effect as one line.
+KEYS_TEXT = "; ".join(f"{name} {does}" for name, does, _ in KEYS.values())
 
 
 def pressed(controls: Controls, key: int) -> Controls:
@@ -83,8 +85,3 @@ def advanced(at_s: float, elapsed_s: float, controls: Controls, duration_s: floa
     if controls.paused:
         return at_s
     return (at_s + elapsed_s / controls.slowness) % (duration_s + HOLD_S / controls.slowness)
-
-
-def keys_text() -> str:
-    """Return every key and its effect as one line."""
-    return "; ".join(f"{name} {does}" for name, does, _ in KEYS.values())

@@ -17,9 +17,10 @@ from linkplan.models.actuation.actuators import (
 )
 from linkplan.models.actuation.transmission import attachment
 from linkplan.models.closure.equations import equality_name
+from linkplan.models.kinematics import disabled
 from linkplan.models.tree.coordinates import BALL, FREE, joint_label
 from linkplan.models.tree.dynamics import build_tree
-from linkplan.models.tree.passive import compensates, disabled, is_gas_spring, limits_off, spans_branches, tendon_armatures
+from linkplan.models.tree.passive import compensates, is_gas_spring, limits_off, spans_branches, tendon_armatures
 from linkplan.models.tree.tendons import LACKING, lacks_length, tendon_label
 
 

@@ -18,6 +18,9 @@ from linkplan.models.kinematics import (
     tied_bodies,
 )
 
+# A hand's or a table's objects; two hundred have 1,200 coordinates, which take minutes.
+MAX_LOOSE_BODIES = 20
+
 
 def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
     """Return the joints of floating bodies.
@@ -112,10 +115,10 @@ def refuse_many_loose(name: str, model: mujoco.MjModel) -> None:
         ModelError: with the remedy.
     """
     _, loose = floating_bodies(model)
-    if len(loose) > 20:  # a hand's or a table's objects; two hundred have 1,200 coordinates, which take minutes
+    if len(loose) > MAX_LOOSE_BODIES:
         raise ModelError(
             f"model '{name}': {_names(model, loose)} are loose: nothing drives these {len(loose)} bodies, and a mechanism"
-            " has at most 20 of them; mechanism.fix_base = true fixes them in place"
+            f" has at most {MAX_LOOSE_BODIES} of them; mechanism.fix_base = true fixes them in place"
         )
 
 

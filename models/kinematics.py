@@ -1,4 +1,4 @@
-"""The geometry of a model: places of its bodies at a pose, points that its equality constraints tie together, its size."""
+"""The geometry of a model: places of its bodies at a pose, points that equality constraints tie, its size, its contacts."""
 
 import mujoco
 import numpy as np
@@ -16,6 +16,18 @@ STIFF = "stiff"
 # width [m], midpoint, power).
 STIFF_SOLIMP = (0.999, 0.999, 0.001, 0.5, 2.0)
 CONNECT, WELD = int(mujoco.mjtEq.mjEQ_CONNECT), int(mujoco.mjtEq.mjEQ_WELD)
+
+
+def disabled(model: mujoco.MjModel, *bits: mujoco.mjtDisableBit) -> bool:
+    """Return True if any of these disable flags of the model's options is set."""
+    return any(model.opt.disableflags & int(bit) for bit in bits)
+
+
+def may_collide(model: mujoco.MjModel) -> bool:
+    """Return True if any two geoms of a model can be in contact."""
+    if disabled(model, mujoco.mjtDisableBit.mjDSBL_CONTACT, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
+        return False
+    return bool(model.npair) or bool(np.any(model.geom_contype) and np.any(model.geom_conaffinity))
 
 
 def data_at(model: mujoco.MjModel, qpos: np.ndarray | None = None) -> mujoco.MjData:

@@ -25,19 +25,18 @@ from linkplan.models.closure.mobility import (
     round_spins,
 )
 from linkplan.models.closure.newton import ProjectedLoops, projected_loops
-from linkplan.models.coordinate_choice import choose_coordinates
+from linkplan.models.coordinate_choice import choose_coordinates, refuse_singular_inertia
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.digest import compiled_bytes
 from linkplan.models.equations import Equations
 from linkplan.models.errors import ModelError
 from linkplan.models.external_forces import ForcesOverTime
-from linkplan.models.floating import refuse_many_loose
+from linkplan.models.floating import MAX_LOOSE_BODIES, refuse_many_loose
 from linkplan.models.kinematics import extent_m, set_softness
 from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html
 from linkplan.models.payload import BODY_NAME, Payload, payload_from
 from linkplan.models.reduction.reduced import ReducedDynamics, reduce_tree, with_numbers
-from linkplan.models.reduction.regular_inertia import refuse_singular_inertia
 from linkplan.models.selection import Selection, home_qpos
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.dynamics import build_tree
@@ -319,7 +318,8 @@ def load_mechanism(
     set_softness(model, solref)
     if model.njnt == 0:
         raise ModelError(f"model '{name}' has no joint: there is nothing to move")
-    refuse_many_loose(name, model)
+    if model.nbody > MAX_LOOSE_BODIES:
+        refuse_many_loose(name, model)
     pi = None if payload is None else ca.SX.sym("payload", len(payload.numbers()))
     transition = transition_speed(friction_transition)
     tree = build_tree(model, home_qpos(model), _varied(model, pi), transition)

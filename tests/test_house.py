@@ -38,7 +38,6 @@ ROOMS = {
 }  # fmt: skip
 TRANSCRIPTION_MAY = {
     "linkplan.models.compiled.functions",
-    "linkplan.models.compiled.lanes",
     "linkplan.models.deadline",
     "linkplan.models.errors",
 }

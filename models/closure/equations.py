@@ -21,10 +21,9 @@ import numpy as np
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import ModelError
-from linkplan.models.kinematics import extent_m, tied_points
+from linkplan.models.kinematics import disabled, extent_m, tied_points
 from linkplan.models.tree.coordinates import product
 from linkplan.models.tree.dynamics import HINGE, Frame, Tree, common_ancestor, frame_in
-from linkplan.models.tree.passive import disabled
 from linkplan.models.tree.tendons import LACKING, is_fixed, tendon_joints, tendon_label
 
 CONNECT, WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD

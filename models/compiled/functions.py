@@ -78,6 +78,27 @@ def mapped(function: ca.Function, n: int) -> ca.Function:
     return function.map(n)
 
 
+def over_columns(function: ca.Function, lanes: int, n: int) -> Callable:
+    """Return a call of a function at n samples; its inputs and outputs stack the samples' columns side by side.
+
+    Args:
+        function: of as many samples as `lanes`.
+        lanes: 1, or `N_LANES`; the last sample is repeated where n is no multiple.
+        n: the number of samples.
+    """
+    calls = -(-n // lanes)
+    mapped, missing = function.map(calls), calls * lanes - n
+
+    def call(*arguments: ca.MX) -> ca.MX | tuple[ca.MX, ...]:
+        if not missing:
+            return mapped(*arguments)
+        found = mapped(*(ca.horzcat(x, ca.repmat(x[:, x.shape[1] - x.shape[1] // n :], 1, missing)) for x in arguments))
+        cut = [x[:, : x.shape[1] // (calls * lanes) * n] for x in (found if isinstance(found, tuple) else (found,))]
+        return cut[0] if len(cut) == 1 else tuple(cut)
+
+    return call
+
+
 # The functions of one library.
 CodeT = TypeVar("CodeT", bound="DataclassInstance")
 # -O1 compiles in half the time of -O2, and its straight-line code is as fast. Products and sums are not fused, so compiled
@@ -130,7 +151,6 @@ def cached(key: str, kind: type[CodeT]) -> CodeT | None:
     """Return the compiled functions kept under a key, or None if they are missing or cannot be loaded."""
     try:
         folder = trusted_folder(make=False)
-        sweep(folder)
         found = (folder / f"{key}.so").stat()
         return _loaded(folder, key, kind, (found.st_ino, found.st_size, found.st_mtime_ns))
     except (OSError, ValueError, KeyError, TypeError, RuntimeError, AttributeError):
@@ -170,6 +190,7 @@ def compiled(key: str, kind: type[CodeT], build: Callable[[], CodeT], deadline: 
         return functions
     try:
         folder = trusted_folder(make=True)
+        sweep(folder)
         with work_folder(folder) as work:
             record, command = _written(functions, work, key)
             with waiting_for_child():

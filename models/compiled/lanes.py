@@ -7,7 +7,7 @@ CasADi's interpreter to the last bit.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import casadi as ca
 
@@ -94,27 +94,6 @@ int %(name)s_work(long long *sz_arg, long long *sz_res, long long *sz_iw, long l
     return 0;
 }
 """
-
-
-def over_columns(function: ca.Function, lanes: int, n: int) -> Callable:
-    """Return a call of a function at n samples; its inputs and outputs stack the samples' columns side by side.
-
-    Args:
-        function: of as many samples as `lanes`.
-        lanes: 1, or `N_LANES`; the last sample is repeated where n is no multiple.
-        n: the number of samples.
-    """
-    calls = -(-n // lanes)
-    mapped, missing = function.map(calls), calls * lanes - n
-
-    def call(*arguments: ca.MX) -> ca.MX | tuple[ca.MX, ...]:
-        if not missing:
-            return mapped(*arguments)
-        found = mapped(*(ca.horzcat(x, ca.repmat(x[:, x.shape[1] - x.shape[1] // n :], 1, missing)) for x in arguments))
-        cut = [x[:, : x.shape[1] // (calls * lanes) * n] for x in (found if isinstance(found, tuple) else (found,))]
-        return cut[0] if len(cut) == 1 else tuple(cut)
-
-    return call
 
 
 def in_lanes(functions: Sequence[ca.Function]) -> str | None:

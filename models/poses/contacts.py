@@ -16,10 +16,9 @@ from msgspec import Struct
 
 from linkplan.models.closure.rank import FILE_ROUNDING_SHARE
 from linkplan.models.deadline import NO_DEADLINE, Deadline, one_thread_at_a_time
-from linkplan.models.kinematics import BALL, HINGE, data_at, in_body, in_world, tied_points
+from linkplan.models.kinematics import BALL, HINGE, data_at, in_body, in_world, may_collide, tied_points
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.models.tree.passive import disabled
 
 # An overlap up to this share deeper than at home is there by construction: the overlap of two links on a pin varies.
 _EXTRA_DEPTH_SHARE = 0.1
@@ -75,13 +74,6 @@ class _PoseSample:
     def away(self, pair: Pair) -> float:
         """Return the clearance of a pair away from the pins that its bodies share."""
         return self.clearance.get(pair, (np.inf, np.inf))[1]
-
-
-def may_collide(model: mujoco.MjModel) -> bool:
-    """Return True if any two geoms of a model can be in contact."""
-    if disabled(model, mujoco.mjtDisableBit.mjDSBL_CONTACT, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
-        return False
-    return bool(model.npair) or bool(np.any(model.geom_contype) and np.any(model.geom_conaffinity))
 
 
 def contact_pairs(mechanism: Mechanism, poses: np.ndarray) -> tuple[ContactPair, ...]:

@@ -17,8 +17,8 @@ import mujoco
 import numpy as np
 
 from linkplan.models.errors import ModelError
+from linkplan.models.kinematics import disabled
 from linkplan.models.tree.coordinates import FREE, SLIDE, joint_label
-from linkplan.models.tree.passive import disabled
 from linkplan.models.tree.tendons import is_fixed, tendon_joints, tendon_label
 
 # Default transition speed v_0 [rad/s on a hinge; extents per second on a slide or tendon].

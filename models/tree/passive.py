@@ -14,16 +14,11 @@ import casadi as ca
 import mujoco
 import numpy as np
 
-from linkplan.models.kinematics import clamped_joints, data_at
+from linkplan.models.kinematics import clamped_joints, data_at, disabled
 from linkplan.models.tree.coordinates import HINGE, SLIDE
 
 JOINT_TRANSMISSIONS = (int(mujoco.mjtTrn.mjTRN_JOINT), int(mujoco.mjtTrn.mjTRN_JOINTINPARENT))
 SITE_TRANSMISSION = int(mujoco.mjtTrn.mjTRN_SITE)
-
-
-def disabled(model: mujoco.MjModel, *bits: mujoco.mjtDisableBit) -> bool:
-    """Return True if any of these disable flags of the model's options is set."""
-    return any(model.opt.disableflags & int(bit) for bit in bits)
 
 
 def compensates(model: mujoco.MjModel) -> bool:

@@ -9,6 +9,7 @@ version with adaptive steps, for intervals on which even steps are too long, or 
 import functools
 import itertools
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
@@ -28,6 +29,10 @@ _MAX_EVALUATIONS = 20_000
 STIFF_EVALUATIONS = 2_000
 # Numbers of intervals in one call, few at first: if a step is too long, all that follow in the call are lost.
 _STRETCHES = (1, 4, 16, 64)
+# Growth of an error at which the integration is restarted. Rounding times this is far below a certificate's 0.01 deg.
+RESTART_GROWTH = 1e4
+# Finite differences of a state by the state at the beginning of an interval take this step, in units.
+ERROR_STEP = 1e-6
 
 # From the time since the beginning of an interval [s] and the state (n,) to its rate (n,).
 Rate = Callable[[float, np.ndarray], np.ndarray]
@@ -172,6 +177,91 @@ def side_by_side(
             return None
         reached[k] = again
     return reached
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class ErrorsAlong:
+    """The integrated motion beside a planned one, interval by interval.
+
+    `states` (n, 1 + m, n_y) are the integrated states at the intervals' beginnings and at shares of them, to first order;
+    `errors` (n, k) the distances from the planned states at the intervals' ends, and `defects` (n, k) what each interval
+    adds to them, both in units. `restarts` counts the restarts.
+    """
+
+    states: np.ndarray
+    errors: np.ndarray
+    defects: np.ndarray
+    restarts: int
+
+
+def errors_along(
+    rate: ca.Function,
+    widths_s: np.ndarray,
+    inputs: np.ndarray,
+    states: np.ndarray,
+    judged: Sequence[int],
+    ends: np.ndarray,
+    unit: np.ndarray,
+    shares: np.ndarray,
+    most: float,
+    until: Deadline,
+) -> ErrorsAlong | None:
+    """Return the errors of a planned motion whose every interval is integrated from the planned state; None on failure.
+
+    The transition matrices of the intervals are finite differences. They carry errors along the motion to first order.
+
+    Args:
+        rate: see `strides`.
+        widths_s: (n,) [s].
+        inputs: (n, k_inputs), constant on each interval.
+        states: (n, 1 + k, n_y) planned at the beginnings, and beside these by `ERROR_STEP` of each judged state's unit.
+        judged: the k entries of a state whose errors count.
+        ends: (n, k) planned at the intervals' ends.
+        unit: (k,) of the judged states.
+        shares: see `side_by_side`.
+        most: see `propagated`.
+        until: deadline.
+    """
+    n, count, n_y = states.shape
+    widths, given = np.repeat(widths_s, count), np.repeat(inputs, count, axis=0)
+    reached = side_by_side(rate, widths, given, states.reshape(-1, n_y), shares, until)
+    if reached is None:
+        return None
+    reached = np.concatenate([states[:, :, None], reached.reshape(n, count, len(shares), n_y)], axis=2)
+    slopes = (reached[:, 1:] - reached[:, :1]) / ERROR_STEP  # by errors in units
+    defects = (reached[:, 0, -1][:, judged] - ends) / unit
+    begins, errors, restarts = propagated(defects, slopes[:, :, -1][:, :, judged].swapaxes(1, 2) / unit[:, None], most)
+    along = reached[:, 0] + np.einsum("nkmy,nk->nmy", slopes, begins)
+    return ErrorsAlong(states=along, errors=np.abs(errors), defects=defects, restarts=restarts)
+
+
+def propagated(defects: np.ndarray, transitions: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray, int]:
+    """Return the errors (n, k) at the begin and at the end of every interval, and the number of restarts.
+
+    Args:
+        defects: (n, k) that the intervals add to an error, in units.
+        transitions: (n, k, k), by which they multiply the error before.
+        most: the errors are restarted at zero wherever one made before would have grown by more than this factor.
+    """
+    begins, ends, restarts = np.zeros_like(defects), np.zeros_like(defects), 0
+    error, carried = np.zeros(defects.shape[1]), np.eye(defects.shape[1])
+    for k, (defect, transition) in enumerate(zip(defects, transitions, strict=True)):
+        begins[k], ends[k] = error, transition @ error + defect
+        error, carried = ends[k], transition @ carried
+        # The spectral norm bounds an error's growth: that of a product is at most the product of the norms. An error that
+        # has shrunk below one made now can be forgotten.
+        grown = np.linalg.norm(carried, 2)
+        if grown > most:
+            error, restarts = np.zeros_like(error), restarts + 1
+        if not 1 <= grown <= most:
+            carried = np.eye(len(error))
+    return begins, ends, restarts
+
+
+def scaled_defects(defects: np.ndarray, errors: np.ndarray) -> np.ndarray:
+    """Return the sizes of defects (n, k) in shares of which the largest errors of (n, k) are the sum."""
+    sizes = np.abs(defects)
+    return sizes * np.abs(errors).max(axis=0) / np.maximum(sizes.sum(axis=0), np.finfo(float).tiny)
 
 
 def called(function: ca.Function, inputs: np.ndarray, width: float) -> Rate:

@@ -14,9 +14,10 @@ from msgspec.structs import replace
 
 from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
+from linkplan.models.kinematics import may_collide
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
-from linkplan.models.poses.contacts import Contact, may_collide, meetings, new_meetings
+from linkplan.models.poses.contacts import Contact, meetings, new_meetings
 from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE, exact_bounds, relative_violation
@@ -228,6 +229,8 @@ def geom_names(meeting: Contact) -> str:
 
 def contact_notes(found: tuple[Contact, ...]) -> tuple[str, ...]:
     """Return phrases on the contacts that a plan neglects: one for each that begins on the way, one for all the others."""
+    if not found:
+        return ()
     begun = [
         f"contact of {geom_names(meeting)} from t = {meeting.since_s:.5g} s on, {_neglected(meeting.depth_m)}"
         for meeting in new_meetings(found)

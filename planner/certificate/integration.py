@@ -21,7 +21,17 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.assembly import strides as one_stride
-from linkplan.planner.certificate.flow import INTEGRATION_RTOL, STIFF_EVALUATIONS, called, flow, side_by_side, strides
+from linkplan.planner.certificate.flow import (
+    ERROR_STEP,
+    INTEGRATION_RTOL,
+    RESTART_GROWTH,
+    STIFF_EVALUATIONS,
+    called,
+    errors_along,
+    flow,
+    scaled_defects,
+    strides,
+)
 from linkplan.planner.problem.instant import position_units
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
@@ -40,8 +50,6 @@ Bounds = tuple[np.ndarray, np.ndarray] | np.ndarray
 POSE_SLACK = 2e-9
 # Parts of an interval are at least so long, as shares of it: a force that bends closer to an end than this bends there.
 _CUT_SHARE = 1e-7
-# Growth of an error at which the integration is restarted. Rounding times this is far below a certificate's 0.01 deg.
-RESTART_GROWTH = 1e4
 
 
 def relative_violation(values: np.ndarray, bounds: Bounds, size: np.ndarray | float) -> float:
@@ -199,58 +207,24 @@ def _integrated_with_restarts(
     begins = np.hstack([trajectory.position[0], trajectory.velocity[0]])
     ends = np.hstack([trajectory.position[-1], trajectory.velocity[-1]])
     poses = follow(mechanism, trajectory.position[0], trajectory.start_pose, until)
-    step = 1e-6  # of finite differences, in shares of the motion's spans and speeds
-    aside = np.vstack([np.zeros(2 * n_s), step * np.diag(unit)])
-    count, starts = len(aside), (begins[:, None] + aside).reshape(-1, 2 * n_s)
-    poses, inputs = (np.repeat(of, count, axis=0) for of in (poses, inputs))
-    states = np.hstack([one_stride(mechanism, poses, starts[:, :n_s]), starts[:, n_s:]])
+    aside = np.vstack([np.zeros(2 * n_s), ERROR_STEP * np.diag(unit)])
+    starts = (begins[:, None] + aside).reshape(-1, 2 * n_s)
+    closed = one_stride(mechanism, np.repeat(poses, len(aside), axis=0), starts[:, :n_s])
+    states = np.hstack([closed, starts[:, n_s:]]).reshape(n, len(aside), -1)
     if not np.all(np.isfinite(states)):  # a pose next to a singular one, whose loops do not close a little aside
         return None
-    reached = side_by_side(function, np.repeat(widths, count), inputs, states, np.array([0.5, 1.0]), until)
-    if reached is None:
+    judged = [*mechanism.independent, *range(n_q, n_q + n_s)]
+    found = errors_along(function, widths, inputs, states, judged, ends, unit, np.array([0.5, 1.0]), RESTART_GROWTH, until)
+    if found is None or not found.restarts:
         return None
-    ends_reached = np.hstack([reached[:, 1, mechanism.independent], reached[:, 1, n_q:]])
-    there = ends_reached.reshape(n, count, 2 * n_s) / unit  # of errors in units
-    defects, transitions = there[:, 0] - ends / unit, ((there[:, 1:] - there[:, :1]) / step).transpose(0, 2, 1)
-    _, errors, restarts = propagated(defects, transitions, RESTART_GROWTH)
-    if not restarts:
-        return None
-    errors, adds = np.abs(errors), scaled_defects(defects[:, :n_s], errors[:, :n_s]) * span
+    errors, defects = found.errors, found.defects
+    adds = scaled_defects(defects[:, :n_s], errors[:, :n_s]) * span
     return Integrated(
         position=errors[:, :n_s].max(axis=0) * span,
         velocity=float(errors[:, n_s:].max(initial=0.0)),
         growth=np.maximum.reduceat((adds / allowed).max(axis=1), first),
-        restarts=restarts,
+        restarts=found.restarts,
     )
-
-
-def propagated(defects: np.ndarray, transitions: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return the errors (n, k) at the begin and at the end of every interval, and the number of restarts.
-
-    Args:
-        defects: (n, k) that the intervals add to an error, in units.
-        transitions: (n, k, k), by which they multiply the error before.
-        most: the errors are restarted at zero wherever one made before would have grown by more than this factor.
-    """
-    begins, ends, restarts = np.zeros_like(defects), np.zeros_like(defects), 0
-    error, carried = np.zeros(defects.shape[1]), np.eye(defects.shape[1])
-    for k, (defect, transition) in enumerate(zip(defects, transitions, strict=True)):
-        begins[k], ends[k] = error, transition @ error + defect
-        error, carried = ends[k], transition @ carried
-        # The spectral norm bounds an error's growth: that of a product is at most the product of the norms. An error that
-        # has shrunk below one made now can be forgotten.
-        grown = np.linalg.norm(carried, 2)
-        if grown > most:
-            error, restarts = np.zeros_like(error), restarts + 1
-        if not 1 <= grown <= most:
-            carried = np.eye(len(error))
-    return begins, ends, restarts
-
-
-def scaled_defects(defects: np.ndarray, errors: np.ndarray) -> np.ndarray:
-    """Return the sizes of defects (n, k) in shares of which the largest errors of (n, k) are the sum."""
-    sizes = np.abs(defects)
-    return sizes * np.abs(errors).max(axis=0) / np.maximum(sizes.sum(axis=0), np.finfo(float).tiny)
 
 
 def _in_pieces(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarray) -> tuple[Trajectory, np.ndarray]:

@@ -35,7 +35,7 @@ from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.reference import Sine
 from linkplan.planner.problem.settings import SolverSettings
-from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
+from linkplan.planner.refinement.case import ErrorReport, RefinementTarget, error_report
 from linkplan.planner.refinement.history import progress, recorded
 from linkplan.planner.refinement.marking import Tightening, evened, tightenings_of
 from linkplan.planner.solvers.solve import Solution
@@ -89,15 +89,15 @@ class MechanismCase:
 
     def error_report(self, certificate: Certificate) -> ErrorReport:
         """Return the certificate's findings that refinement needs."""
-        over = [margin.overrun for margin in certificate.margins if margin.of.facts.tightened is not None]
-        return ErrorReport(
+        return error_report(
+            certificate,
             exact=is_exact(self.asked, certificate),
             repairable=certificate.repairable,
             leaves_positions=any(
                 margin.of.facts.tightened is Tightened.IN_PROBLEM and margin.left < 0 for margin in certificate.margins
             ),
-            overruns=not all(margin.kept for margin in certificate.margins),
-            overrun=np.max([np.zeros(len(certificate.growth)), *over], axis=0),
+            residual_share=certificate.residual_share,
+            effort_overrun=certificate.effort_overrun,
             integration_error_deg=certificate.integration_error_deg,
         )
 
@@ -108,10 +108,6 @@ class MechanismCase:
         everywhere = self.n_tightenings >= 1  # after the first time overruns are small and move between intervals
         problem = _tightened(self.problem, certificate, further=everywhere)
         return replace(self, problem=problem, tightenings=self.tightenings + further, n_tightenings=self.n_tightenings + 1)
-
-    def with_scheme(self, name: str) -> "MechanismCase":
-        """Return the case with another transcription."""
-        return replace(self, problem=replace(self.problem, mesh=self.problem.mesh.replace(scheme=name)))
 
 
 def case_of(problem: Problem, *, kinks: bool = True, enclosed: bool = False) -> MechanismCase:

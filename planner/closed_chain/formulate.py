@@ -138,7 +138,7 @@ def formulate(
         smooth=objective.is_smoothed or objective.efforts("smooth") or bool(rows.rate_columns),
         eta=np.concatenate(eta),
         theta=_theta(problem, asked, scales, value),
-        tightening=tightening_over(tightenings, [_tightened_row(limit) for limit in asked.rows], path),
+        tightening=tightening_over(tightenings, list(map(_tightened_row, asked.rows)), path) if tightenings else None,
         own_tightening=own_tightening,
         position_path=tuple(k for k, limit in enumerate(asked.rows) if _is_given_with_pose(limit)),
         passed=_passed_rows(problem, asked),
@@ -212,8 +212,8 @@ def _interval_rows(
         **{field: tuple(entries) for field, entries in fields.items()},
     )
     own = {kind: np.array(of_kind).reshape(-1, 2) for kind, of_kind in bounds.items()}
-    tightened = {kind: tightening_over(tightenings, of_kind, own[kind]) for kind, of_kind in enclosed.items()}
-    return own_rows, own, {kind: of_kind for kind, of_kind in tightened.items() if of_kind is not None}
+    tightened = enclosed if tightenings else {}
+    return own_rows, own, {kind: tightening_over(tightenings, rows, own[kind]) for kind, rows in tightened.items()}
 
 
 def tie_weights(problem: Problem, ties: float) -> np.ndarray:

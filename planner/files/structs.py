@@ -4,7 +4,7 @@ A value that follows from the fields is a property of type `InJson`, and its JSO
 """
 
 import functools
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Generic, TypeVar, get_origin
 
 import numpy as np
 from msgspec import UNSET, Struct, convert
@@ -20,11 +20,8 @@ else:
     class Number(float):
         """The type of a field with a number that need not be finite: null in JSON, not a number when it is read."""
 
-    class Beside:
+    class Beside(Generic[T]):
         """The type of a field that figures need and the JSON does not have: `Beside[np.ndarray]`."""
-
-        def __class_getitem__(cls, kind: object) -> type:
-            return cls
 
 
 class InJson(property):
@@ -45,7 +42,7 @@ def json_values(struct: Struct) -> dict[str, Any]:
 def _json_fields(kind: type[Struct]) -> tuple[tuple[str, str, Any], ...]:
     """Return the attribute, the key and the omitted value of the fields and properties in the JSON."""
     omits = kind.__struct_config__.omit_defaults
-    own = [(f.name, f.encode_name, f.default if omits else UNSET) for f in fields(kind) if f.type is not Beside]
+    own = [(f.name, f.encode_name, f.default if omits else UNSET) for f in fields(kind) if get_origin(f.type) is not Beside]
     return (*own, *((name, name, UNSET) for name, value in vars(kind).items() if isinstance(value, InJson)))
 
 

@@ -5,9 +5,10 @@ import numpy as np
 
 from linkplan.planner.limits.limit import Tightened
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
-from linkplan.planner.ode.trajectory import OdeTrajectory
 from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.refinement.marking import TightenedRow, Tightening, tightening_over
+from linkplan.planner.transcription.bernstein import PiecewisePolynomial
+from linkplan.planner.transcription.collocation import Curves
 from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, Start, Units
 from linkplan.planner.transcription.interval import IntervalRows
 from linkplan.planner.transcription.system import Endpoint, System, node_symbols
@@ -21,7 +22,7 @@ def depends_on_time(problem: OdeProblem) -> bool:
     return any(problem.function(name).sparsity_jac(3, 0).nnz() for name in ("rate", "running_cost", "path"))
 
 
-def units_of(problem: OdeProblem, guess: OdeTrajectory) -> Units:
+def units_of(problem: OdeProblem, guess: Curves) -> Units:
     """Return units of order one: sizes in the guess, at the ends, of finite limits; the objective's along the guess."""
     times, duration = guess.breaks_s, guess.duration_s
     x, u = guess.state_at(times), guess.effort_at(times)
@@ -55,14 +56,7 @@ def _first_size(*candidates: np.ndarray) -> np.ndarray:
 def formulate_ode(
     problem: OdeProblem, units: Units, *, state_rows: bool = False, tightenings: tuple[Tightening, ...] = ()
 ) -> Formulation:
-    """Return a problem's formulation.
-
-    Args:
-        problem: what to solve.
-        units: of its unknowns.
-        state_rows: whether limited states are kept between the nodes by constraint rows.
-        tightenings: how far path limits are tightened over the motion, where it overran them between nodes.
-    """
+    """Return a problem's formulation; with `state_rows`, limited states are kept between the nodes by constraint rows."""
     p, X = problem.parameters, units.state[:, None]
     timed = len(X) - problem.n_x  # 1 if time is the last state, else 0
     state = np.vstack([problem.state_limit, free_bounds(timed)]) / X
@@ -74,14 +68,11 @@ def formulate_ode(
     rows = [TightenedRow("path", k, Tightened.BY_SHARE) for k in range(len(problem.path_limit))]
     return Formulation(
         build_system=lambda: _system(problem, units),
-        n_s=0,
         n_x=len(units.state),
-        n_z=0,
         n_u=problem.n_u,
         rows=IntervalRows(state_columns=limited if state_rows else (), open_end_path=_open_end_path(problem)),
         units=units,
         state=state,
-        algebraic=np.zeros((0, 2)),
         effort=problem.effort_limit,
         path=problem.path_limit,
         own={"state": state[list(limited)]},
@@ -90,10 +81,8 @@ def formulate_ode(
             PhaseBoundary(state=goal, time=(low / units.time_s, high / units.time_s)),
         ),
         returns=tuple(problem.returns),
-        smooth=False,
-        eta=np.zeros(0),
         theta=lambda times: np.broadcast_to(p, (*times.shape, len(p))),
-        tightening=tightening_over(tightenings, rows, problem.path_limit),
+        tightening=tightening_over(tightenings, rows, problem.path_limit) if tightenings else None,
         endpoint=endpoint,
         endpoint_bounds=problem.ends_limit,
         endpoint_parameters=p if endpoint is not None else np.zeros(0),
@@ -119,9 +108,7 @@ def _system(problem: OdeProblem, units: Units) -> System:
     running = problem.function("running_cost")(*at) * T / units.objective
     column = ca.densify(ca.vertcat(node.r - rate * T / ca.DM(units.state), path, running))
     return System(
-        n_s=0,
         n_x=n_state,
-        n_z=0,
         n_u=problem.n_u,
         node=ca.Function("node", [node.stacked, p], [column]),
         n_equations=n_state,
@@ -141,31 +128,25 @@ def _endpoint(problem: OdeProblem, units: Units) -> Endpoint | None:
     return Endpoint(function=ca.Function("endpoint", symbols, [ca.vertcat(rows, cost)]), n_rows=rows.numel())
 
 
-def guesses_of(problem: OdeProblem) -> list[OdeTrajectory]:
-    """Return the given guesses, then the straight line between the given values of start and goal."""
-    ends = [
-        [_middle(row, _middle(over, 0.0)) for row, over in zip(rows, other, strict=True)]
-        for rows, other in ((problem.start, problem.goal), (problem.goal, problem.start))
-    ]
-    line = np.clip(np.linspace(ends[0], ends[1], 21), *problem.state_limit.T)
-    return [_completed(problem, guess) for guess in (*problem.guesses, StateGuess(state=line))]
+def guesses_of(problem: OdeProblem) -> list[Curves]:
+    """Return the given guesses, then the straight line between the given values of start and goal.
 
-
-def _completed(problem: OdeProblem, guess: StateGuess) -> OdeTrajectory:
-    """Return straight lines through a guess's rows, with efforts and a duration where it lacks them."""
+    Each consists of straight lines through the guess's rows, with efforts and a duration where it lacks them.
+    """
+    ends = zip(problem.start, problem.goal, strict=True)
+    line = np.array([[_middle(row, _middle(other, 0.0)) for row, other in (end, end[::-1])] for end in ends])
+    line = np.clip(np.linspace(line[:, 0], line[:, 1], 21), *problem.state_limit.T)
     low, high = problem.duration
-    middle = 0.5 * (low + high) if high < 100 * low else 1.0
-    duration = float(np.clip(middle if guess.duration_s is None else guess.duration_s, low, high))
-    middles = [[_middle(row, 0.0) for row in problem.effort_limit]] * 2
-    both = guess.state, middles if guess.effort is None else guess.effort
-    shares = np.linspace(0.0, 1.0, max(map(len, both)))
-    state, effort = (
-        np.column_stack([np.interp(shares, np.linspace(0.0, 1.0, len(rows)), column) for column in np.transpose(rows)])
-        for rows in both
-    )
-    return OdeTrajectory(
-        breaks_s=duration * shares, state=np.stack([state[:-1], state[1:]]), effort=np.stack([effort[:-1], effort[1:]])
-    )
+    usual_s = 0.5 * (low + high) if high < 100 * low else 1.0
+    middles, found = [[_middle(row, 0.0) for row in problem.effort_limit]] * 2, []
+    for guess in (*problem.guesses, StateGuess(state=line)):
+        both = guess.state, np.array(middles) if guess.effort is None else guess.effort
+        shares = np.linspace(0.0, 1.0, max(map(len, both)))
+        lines = [PiecewisePolynomial(np.stack([y[:-1], y[1:]]), np.linspace(0.0, 1.0, len(y)))(shares) for y in both]
+        state, effort = (np.stack([y[:-1], y[1:]]) for y in lines)
+        duration = np.clip(usual_s if guess.duration_s is None else guess.duration_s, low, high)
+        found.append(Curves(breaks_s=duration * shares, state=state, effort=effort))
+    return found
 
 
 def _middle(row: np.ndarray, otherwise: float) -> float:
@@ -174,7 +155,7 @@ def _middle(row: np.ndarray, otherwise: float) -> float:
     return float(finite.mean()) if len(finite) else otherwise
 
 
-def start_from(motion: OdeTrajectory, units: Units) -> Start:
+def start_from(motion: Curves, units: Units) -> Start:
     """Return a motion as a scaled start on any mesh."""
     timed = len(units.state) > motion.state.shape[2]
 

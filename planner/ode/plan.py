@@ -1,34 +1,112 @@
 """The answer to a user's optimal-control problem, by the transcription, refinement and certificate that mechanisms get.
 
-problem = OdeProblem(name="double integrator", rate=lambda x, u, p, t: [x[1], u[0]], start=[0, 0], goal=[1, 0],
-                     effort_limit=[[-1, 1]], duration_s=(0.1, 10), final_cost=lambda x0, xT, T, p: T)
-plan = plan_ode(problem).require()        # plan.objective is 2, with one switch at T / 2
-
-There is no search beyond the guesses and the straight line between the given values of start and goal.
+The first of the guesses and the straight line that leads to a motion that passes is the answer; there is no other search.
 """
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.errors import InfeasibleError
-from linkplan.planner.ode.case import OdeCase
-from linkplan.planner.ode.certificate import OdeCertificate, functions_not_finite
-from linkplan.planner.ode.formulation import guesses_of, units_of
+from linkplan.planner.limits.limit import WhichJoints
+from linkplan.planner.ode.certificate import (
+    INTEGRATION_SHARE,
+    OBJECTIVE_ERROR_FACTOR,
+    OVERRUN_SHARE,
+    OdeCertificate,
+    certify_ode,
+    functions_not_finite,
+    running_cost,
+)
+from linkplan.planner.ode.formulation import formulate_ode, guesses_of, start_from, units_of
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.trajectory import OdeTrajectory
-from linkplan.planner.refinement.case import Iterate, attempt
+from linkplan.planner.refinement.case import ErrorReport, Iterate, RefinementTarget, attempt, error_report
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import Say, Step, recorded, recording, silent
+from linkplan.planner.refinement.marking import Tightening, tightenings_of
 from linkplan.planner.refinement.state import Refined
-from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
-from linkplan.planner.solvers.solve import INVALID, OF_TIME, OUT_OF_TIME, SOLVER_TOLERANCE, why_stopped
+from linkplan.planner.refinement.switches import LONGER, bounded_by_guess
+from linkplan.planner.solvers.solve import INVALID, OF_TIME, OUT_OF_TIME, SOLVER_TOLERANCE, Solution, why_stopped
+from linkplan.planner.transcription.collocation import Curves, Transcribed, collocate, curves_of
+from linkplan.planner.transcription.formulation import Start, Units
 from linkplan.planner.transcription.mesh import Mesh, broken, uniform
+from linkplan.planner.transcription.schemes import scheme
 
+# The objective settles to this share where the user gives no tolerance and that is cheap.
+_OBJECTIVE_TOLERANCE = 1e-6
 # Efforts are wild between the nodes if the integrated state ends this share of its size away. They are read then at this
 # share of an interval: the first node of radau-3.
 _WILD_SHARE, _FIRST_NODE = 1e-3, 0.155
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class OdeCase:
+    """A `planner.refinement.case.Case` of a user's problem, whose path limits may be tightened."""
+
+    problem: OdeProblem
+    units: Units
+    tightenings: tuple[Tightening, ...] = ()
+
+    @property
+    def target(self) -> RefinementTarget:
+        """The form of the best motion, of which little is known, and the accuracy that is asked for."""
+        problem = self.problem
+        return RefinementTarget(
+            effort_limit=problem.effort_limit,
+            # Efforts can jump if both limits are finite.
+            switches=bool(np.any(np.all(np.isfinite(problem.effort_limit), axis=1))),
+            bang_bang=False,  # a differential equation's efforts may take a singular arc anywhere
+            continuous_efforts=False,  # nothing is known of its costs
+            strictness=INTEGRATION_SHARE / problem.tolerance,
+            tolerance_given=True,  # the mesh may grow beyond what is comfortable
+            objective_tolerance=problem.objective_tolerance or _OBJECTIVE_TOLERANCE,
+            objective_tolerance_given=problem.objective_tolerance is not None,
+        )
+
+    def transcribe(
+        self, start: Start, mesh: Mesh, durations: np.ndarray, *, position_rows: WhichJoints = False, **arcs: Any
+    ) -> Transcribed:
+        """Return the program from a start."""
+        formulation = formulate_ode(self.problem, self.units, state_rows=bool(position_rows), tightenings=self.tightenings)
+        settings, solver = self.problem.mesh, self.problem.solver
+        chosen = scheme(settings.scheme, settings.effort)
+        how = {"compile_mode": solver.compile, "deadline": solver.deadline}
+        return collocate(formulation, chosen, mesh, durations, start, **how, **arcs)
+
+    def motion(self, solution: Solution) -> Curves:
+        """Return a solution's polynomials."""
+        curves = curves_of(solution.transcribed, solution.x, self.problem.effort_limit)
+        motion = replace(curves, state=curves.state[..., : self.problem.n_x])  # time may be the last one
+        return replace(motion, running=running_cost(self.problem, motion, solution.transcribed.scheme))
+
+    def start_from(self, motion: Curves) -> Start:
+        """Return a solution as a start."""
+        return start_from(motion, self.units)
+
+    def certify(self, motion: Curves) -> OdeCertificate:
+        """Return a solution's certificate."""
+        return certify_ode(self.problem, motion)
+
+    def error_report(self, certificate: OdeCertificate) -> ErrorReport:
+        """Return the errors that a certificate reports; another mesh may remove each of them."""
+        tolerance = self.problem.tolerance
+        return error_report(
+            certificate,
+            # The objective is to be that of the integrated motion, too.
+            exact=certificate.integration_error <= tolerance
+            and certificate.objective_error <= OBJECTIVE_ERROR_FACTOR * tolerance
+            and certificate.overrun <= OVERRUN_SHARE,
+            repairable=not certificate.passed,
+            leaves_positions=any(margin.what == "state" and not margin.kept for margin in certificate.margins),
+            touching=certificate.touching,
+            integration_error=certificate.integration_error,
+        )
+
+    def tightened(self, certificate: OdeCertificate, motion: Curves) -> "OdeCase":
+        """Return the case with path limits tightened by what the solution overran them; rows keep those of states."""
+        return replace(self, tightenings=self.tightenings + tightenings_of(certificate.margins, motion.breaks_s))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
@@ -36,7 +114,7 @@ class OdePlan:
     """A solution with its certificate, or none and the reason.
 
     `status` is "optimal", "feasible" (certified, but less exact than was asked, or with an objective that still moves by
-    more: `message` says by how much), "infeasible" or "failed". `objective_error` estimates the error of the objective, in
+    more: `message` says by how much) or "failed". `objective_error` estimates the error of the objective, in
     its units: by its change from mesh to mesh, and by its distance from the objective of the integrated motion. A plan that
     failed has no objective; its trajectory and certificate, if any, show what does not hold.
     """
@@ -46,7 +124,7 @@ class OdePlan:
     message: str
     objective: float | None = None
     objective_error: float | None = None
-    trajectory: OdeTrajectory | None = None
+    trajectory: Curves | None = None
     certificate: OdeCertificate | None = None
     history: tuple[Step, ...] = ()
 
@@ -100,9 +178,9 @@ def plan_of(problem: OdeProblem, refined: Refined) -> OdePlan:
     )
 
 
-def without_motion(problem: OdeProblem, reason: str, status: str = "failed") -> OdePlan:
+def without_motion(problem: OdeProblem, reason: str) -> OdePlan:
     """Return the plan of a problem without a motion."""
-    return OdePlan(problem=problem, status=status, message=f"{status}: {reason}", history=recorded())
+    return OdePlan(problem=problem, status="failed", message=f"failed: {reason}", history=recorded())
 
 
 def _verdict(problem: OdeProblem, refined: Refined) -> tuple[str, str]:
@@ -161,60 +239,37 @@ def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
     """Return the solution of a problem; one without an answer says why in `message`.
 
     Args:
-        problem: the problem; `solver.max_time_s` limits the whole plan. The first of the guesses and the straight line that
-            leads to a motion that passes is the answer.
+        problem: the problem; `solver.max_time_s` limits the whole plan.
         say: called with a line of progress from time to time.
     """
     with recording(say):
-        return replace(_first_plan(replace(problem, solver=problem.solver.begun())), problem=problem)
+        begun, failed = replace(problem, solver=problem.solver.begun()), None
+        for k, guess in enumerate(begun.solver.deadline.take(guesses_of(begun))):
+            plan = _plan_from(begun, guess, f"start {k + 1}" if k else "first solve")
+            if plan is not None and plan.passed:
+                return replace(plan, problem=problem)
+            failed = failed or plan
+        return replace(failed or _nothing_found(begun), problem=problem)
 
 
-def _first_plan(problem: OdeProblem) -> OdePlan:
-    """Return the plan from the first guess with a motion that passes, or else the first that fails."""
-    contradiction = _contradiction(problem)
-    if contradiction is not None:
-        return without_motion(problem, contradiction, "infeasible")
-    failed, settings = None, problem.mesh
-    mesh = uniform(settings.intervals) if settings.breaks is None else broken(settings.breaks)
-    for k, guess in enumerate(problem.solver.deadline.take(guesses_of(problem))):
-        case = OdeCase(problem, units_of(problem, guess))
-        found = _solved(case, guess, mesh, f"start {k + 1}" if k else "first solve")
-        if found is None:
-            continue
-        plan = _refined_plan(case, found)
-        if plan.passed:
-            return plan
-        failed = failed or plan
-    return failed or _nothing_found(problem)
-
-
-def _solved(case: OdeCase, motion: OdeTrajectory, mesh: Mesh, what: str, *, warm: bool = False) -> Iterate | None:
-    return attempt(case, case.start_from(motion), mesh, np.array([motion.duration_s]), what, warm=warm)
-
-
-def _refined_plan(case: OdeCase, found: Iterate) -> OdePlan:
-    """Return the plan that a first solution is refined to.
+def _plan_from(problem: OdeProblem, guess: Curves, what: str) -> OdePlan | None:
+    """Return the plan that a guess leads to, or None if the solver finds no motion from it.
 
     An effort that acts through its sine and cosine alone may leap by whole turns from node to node: the equations hold
     there, and between them its polynomial is wild. Efforts constant over an interval are next to a motion.
     """
+    case, breaks = OdeCase(problem, units_of(problem, guess)), problem.mesh.breaks
+    mesh = uniform(problem.mesh.intervals) if breaks is None else broken(breaks)
+    found = attempt(case, case.start_from(guess), mesh, np.array([guess.duration_s]), what)
+    if found is None:
+        return None
     if case.certify(found.motion).integration_error > _WILD_SHARE:
-        at = found.motion.times_at(np.array([_FIRST_NODE]))
-        held = replace(found.motion, effort=found.motion.effort_at(at)[None])
-        found = _solved(case, held, found.mesh, "efforts constant at first", warm=True) or found
-    reason = held_by_guess(case.problem, found)
+        efforts = found.motion.effort_at(found.motion.times_at(np.array([_FIRST_NODE])))
+        start, duration = case.start_from(replace(found.motion, effort=efforts[None])), np.array([found.motion.duration_s])
+        found = attempt(case, start, found.mesh, duration, "efforts constant at first", warm=True) or found
+    reason = held_by_guess(problem, found)
     refined = refine(case, found) if reason is None else None
-    return without_motion(case.problem, f"{reason}") if refined is None else plan_of(case.problem, refined)
-
-
-def _contradiction(problem: OdeProblem) -> str | None:
-    """Return the sentence on a limit that no motion can keep, found without solving, or None."""
-    for what, rows in (("start", problem.start), ("goal", problem.goal)):
-        for name, (low, high), (least, most) in zip(problem.states, rows, problem.state_limit, strict=True):
-            if low > most or high < least:
-                asked = low if low > most else high
-                return f"{what} asks for {name} = {asked:g}, beyond its limits {least:g} to {most:g}"
-    return None
+    return without_motion(problem, reason or "no certificate") if refined is None else plan_of(problem, refined)
 
 
 def _nothing_found(problem: OdeProblem) -> OdePlan:

@@ -55,19 +55,7 @@ class OdeProblem:
     `tolerance` is on the state after integration, relative to each state's size; `objective_tolerance` on the objective's
     change from one mesh to the next, relative: None asks for 1e-6 where that is cheap. Mesh and solver settings mean what
     they do for mechanisms, tolerance_deg apart; `solver.starts` must be 1, because there is no search beyond the guesses.
-
-    Example::
-
-        cart = linkplan.OdeProblem(
-            name="cart",
-            rate=lambda x, u, p, t: [x[1], u[0]],
-            start=[0, 0],
-            goal=[1, 0],
-            effort_limit=[[-1, 1]],
-            duration_s=(0.1, 9.0),
-            final_cost=lambda x_0, x_T, T, p: T,
-        )
-        print(linkplan.solve_ocp(cart).duration_s)  # 2 s
+    `linkplan.solve_ocp` has an example.
     """
 
     name: str
@@ -97,27 +85,30 @@ class OdeProblem:
         self._freeze_arrays()
         self._check_lists()
         self._check_settings()
-        self._check_functions()
+        for name in ("rate", "running_cost", "path", *_AT_ENDS):  # functions that give a wrong number of values
+            n = {"rate": self.n_x, "path": len(self.path_limit), "ends": len(self.ends_limit)}.get(name, 1)
+            got = self.function(name).numel_out(0)
+            if got != n:
+                of = "x at the start, x at the end, duration, p" if name in _AT_ENDS else "x, u, p, t"
+                raise ProblemError(f"{name} gives {n} values of ({of}), got {got}")
 
     def _freeze_arrays(self) -> None:
         """Store start, goal, limits and parameters as arrays that cannot be changed, and refuse other shapes."""
-        values = {name: _rows(name, getattr(self, name), values=True) for name in ("start", "goal")}
-        if len(values["start"]) != len(values["goal"]) or len(values["start"]) == 0:
-            raise ProblemError(
-                f"start and goal have one value a state, got {len(values['start'])} and {len(values['goal'])}"
-            )
-        values |= {name: _rows(name, getattr(self, name)) for name in ("effort_limit", "path_limit", "ends_limit")}
-        free = self.state_limit is None
-        values["state_limit"] = free_bounds(len(values["start"])) if free else _rows("state_limit", self.state_limit)
-        values["parameters"] = np.ravel(_array("parameters", self.parameters))
-        for name, value in values.items():
+        ends = {name: _rows(name, getattr(self, name), values=True) for name in ("start", "goal")}
+        n_x = len(ends["start"])
+        if len(ends["goal"]) != n_x or n_x == 0:
+            raise ProblemError(f"start and goal have one value a state, got {n_x} and {len(ends['goal'])}")
+        limits = {name: _rows(name, getattr(self, name)) for name in ("effort_limit", "path_limit", "ends_limit")}
+        limits["state_limit"] = free_bounds(n_x) if self.state_limit is None else _rows("state_limit", self.state_limit)
+        parameters = np.ravel(_array("parameters", self.parameters))
+        for name, value in (ends | limits | {"parameters": parameters}).items():
             object.__setattr__(self, name, frozen(value))
-        if len(self.state_limit) != self.n_x:
-            raise ProblemError(f"state_limit has one [low, high] for each of {self.n_x} states, got {len(self.state_limit)}")
-        if len(self.effort_limit) == 0:
+        if len(self.state_limit) != n_x:
+            raise ProblemError(f"state_limit has one [low, high] for each of {n_x} states, got {len(self.state_limit)}")
+        if self.n_u == 0:
             raise ProblemError("effort_limit has one [low, high] for each effort; a problem has at least one")
-        if not np.all(np.isfinite(self.parameters)):
-            raise ProblemError(f"parameters are finite numbers, got {self.parameters}")
+        if not np.all(np.isfinite(parameters)):
+            raise ProblemError(f"parameters are finite numbers, got {parameters}")
 
     def _check_lists(self) -> None:
         """Refuse names, indices and guesses of other numbers of states; number states and efforts without names."""
@@ -136,9 +127,14 @@ class OdeProblem:
                 raise ProblemError(f"guesses are {StateGuess.__module__}.StateGuess objects, got {guess!r}")
             if guess.state.shape[1] != n_x or (guess.effort is not None and guess.effort.shape[1] != n_u):
                 raise ProblemError(f"a guess has {n_x} states and {n_u} efforts, got {guess.state.shape[1]} states")
+        for what, rows in (("start", self.start), ("goal", self.goal)):
+            for name, (low, high), (least, most) in zip(self.states, rows, self.state_limit, strict=True):
+                if low > most or high < least:
+                    asked = low if low > most else high
+                    raise ProblemError(f"{what} asks for {name} = {asked:g}, beyond its limits {least:g} to {most:g}")
 
     def _check_settings(self) -> None:
-        """Refuse durations, tolerances and settings that mean nothing, and a problem without a cost."""
+        """Refuse durations, tolerances and settings that mean nothing, and a problem without a rate or a cost."""
         low, high = self.duration
         if not (0 <= low <= high and high > 0 and np.isfinite(low)):
             raise ProblemError(
@@ -150,22 +146,13 @@ class OdeProblem:
         if self.solver.starts != 1:
             raise ProblemError(f"solver.starts is 1 for a differential equation, got {self.solver.starts}: give `guesses`")
         share: Any = Annotated[float, Meta(gt=0, le=1)]
-        for name in ("tolerance", "objective_tolerance"):
-            if getattr(self, name) is not None or name == "tolerance":
-                read(share, to_toml_types(getattr(self, name)), name)
-        if self.running_cost is None and self.final_cost is None:
-            raise ProblemError("a problem needs running_cost, final_cost or both: otherwise no motion is the best")
-
-    def _check_functions(self) -> None:
-        """Refuse functions that give a wrong number of values."""
+        read(share, to_toml_types(self.tolerance), "tolerance")
+        if self.objective_tolerance is not None:
+            read(share, to_toml_types(self.objective_tolerance), "objective_tolerance")
         if self.rate is None:
             raise ProblemError("rate is a function of (x, u, p, t), got None")
-        costs = {"running_cost": 1, "final_cost": 1}
-        for name, n in {"rate": self.n_x, "path": len(self.path_limit), "ends": len(self.ends_limit), **costs}.items():
-            got = self.function(name).numel_out(0)
-            if got != n:
-                of = "x at the start, x at the end, duration, p" if name in _AT_ENDS else "x, u, p, t"
-                raise ProblemError(f"{name} gives {n} values of ({of}), got {got}")
+        if self.running_cost is None and self.final_cost is None:
+            raise ProblemError("a problem needs running_cost, final_cost or both: otherwise no motion is the best")
 
     @property
     def n_x(self) -> int:

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 import numpy as np
 from flint import arb
 
-from linkplan.models.mechanism import Mechanism
+from linkplan.models.external_forces import ForcesOverTime
 from linkplan.planner.problem.table_reference import Spline
 from linkplan.planner.proof.walk import Ball, constant_term, known_to
 
@@ -13,12 +13,10 @@ from linkplan.planner.proof.walk import Ball, constant_term, known_to
 _ROUNDING_SHARE = 1e-9
 
 
-def forces_over(mechanism: Mechanism, time: Ball) -> list[list[Ball]]:
-    """Return enclosures of the external forces over a ball of times, in the form of `Mechanism.forces_at`."""
-    if mechanism.forces is None:
-        return []
-    assert isinstance(mechanism.forces.curve, Spline)
-    return [[enclosed(mechanism.forces.curve, k, time) for k in range(3 * len(mechanism.forces.sites))]]
+def forces_over(forces: ForcesOverTime, time: Ball) -> list[list[Ball]]:
+    """Return enclosures of external forces over a ball of times, in the form of `Mechanism.forces_at`."""
+    assert isinstance(forces.curve, Spline)
+    return [[enclosed(forces.curve, k, time) for k in range(3 * len(forces.sites))]]
 
 
 def enclosed(curve: Spline, column: int, time: Ball) -> Ball:

@@ -205,7 +205,8 @@ class Neighbourhood:
             root = krawczyk(blocks, [constant_term(one) for one in s], guess)
             q = pose_of(blocks, s, series_of(blocks, s, root.enclosure, cap))
             time = arb_series((piece.since + piece.width * along)(about).coeffs(), prec=cap)
-            found.append(_slopes_at(self._mechanism, q, v, a, u, forces_over(self._mechanism, time)))
+            forces = [] if self._mechanism.forces is None else forces_over(self._mechanism.forces, time)
+            found.append(_slopes_at(self._mechanism, q, v, a, u, forces))
         if not all(region.contains(z[0]) for region, z in zip(root.region, states[1].z, strict=True)):
             raise NotSeparatedError("the branch is not known to be the plan's")
         return [

@@ -211,7 +211,8 @@ class State:
     @cached_property
     def forces(self) -> list[list[Ball]]:
         """The external forces over time (3 n_sites,), the last input of the `forced` dynamics; empty if there are none."""
-        return forces_over(self.blocks.mechanism, self.time)
+        mechanism = self.blocks.mechanism
+        return [] if mechanism.forces is None else forces_over(mechanism.forces, self.time)
 
     @cached_property
     def tangent(self) -> Matrix:

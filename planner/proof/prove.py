@@ -10,8 +10,7 @@ from flint import arb, arb_poly, arb_series, ctx
 from linkplan.models.deadline import NO_DEADLINE, Deadline, OutOfTimeError
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.branch import EnclosedRoot, krawczyk, newton, series_of
-from linkplan.planner.proof.claim import Claim, Record, finding_of_claim, undecided_reason
-from linkplan.planner.proof.claims import claims_of, sampled_findings
+from linkplan.planner.proof.claims import Claim, Record, claims_of, finding_of_claim, sampled_findings, undecided_reason
 from linkplan.planner.proof.ends import START_POSE_ERROR, end_findings, position_spans
 from linkplan.planner.proof.existence import (
     EXISTENCE_SECONDS,

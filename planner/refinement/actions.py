@@ -8,12 +8,12 @@ import numpy as np
 from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.limits.limit import WhichJoints
-from linkplan.planner.refinement.case import Case, Iterate, attempt, certify_iterate
+from linkplan.planner.refinement.case import Case, Iterate, attempt, certify_iterate, with_scheme
 from linkplan.planner.refinement.constrained_arcs import FixedArcs, interval_breaks, released
 from linkplan.planner.refinement.history import add_step, progress, step_of
 from linkplan.planner.refinement.marking import most_overrun, widths_of
 from linkplan.planner.refinement.state import RefinementState, observed
-from linkplan.planner.refinement.switch_search import mesh_with_switches, settle_switch_times
+from linkplan.planner.refinement.switches import mesh_with_switches, settle_switch_times
 from linkplan.planner.solvers.newton import nearest_feasible
 from linkplan.planner.solvers.solve import SUCCEEDED
 from linkplan.planner.transcription.collocation import Transcribed
@@ -69,7 +69,7 @@ class RaiseDegree:
 
     def apply(self, state: RefinementState) -> RefinementState:
         """Return the state with the scheme; where no motion is found, one that does not pass is halved instead."""
-        higher = replace(state, case=state.case.with_scheme(self.scheme))
+        higher = replace(state, case=with_scheme(state.case, self.scheme))
         after = _after(higher, np.zeros(state.iterate.n_intervals, dtype=bool), f"higher degree, {self.scheme}")
         lost = after.ended and after.iterate is state.iterate and not state.iterate.passed
         return replace(state, degree_lost=True, rounds=state.rounds + 1) if lost else after
@@ -108,7 +108,7 @@ class Loosen:
     def apply(self, state: RefinementState) -> RefinementState:
         """Return the state with the limits as asked."""
         best, loose = state.best.found, state.loosened
-        asked = state.asked.with_scheme(best.solution.transcribed.scheme.name)
+        asked = with_scheme(state.asked, best.solution.transcribed.scheme.name)
         coarse = best if loose is None else loose.found
         marked = np.zeros(best.mesh.n_intervals, dtype=bool) if loose is None else most_overrun(loose)
         mesh, durations = halved(coarse.mesh, marked), coarse.durations
@@ -142,7 +142,7 @@ class ReleaseArcs:
         if release is None:
             return replace(state, releases=state.releases + 1, ended=True)
         ends, fixed = release
-        finest = state.asked.with_scheme(best.solution.transcribed.scheme.name)
+        finest = with_scheme(state.asked, best.solution.transcribed.scheme.name)
         boundaries = interval_breaks(best.solution)[best.mesh.boundaries()]
         switch_times = ends[1:-1][~np.isin(ends[1:-1], boundaries)]
         mesh, durations = mesh_with_switches(boundaries, switch_times, state.asked.problem.mesh.intervals)
@@ -217,13 +217,13 @@ class ReduceEffortOverrun:
         coarse, counted = best.found, replace(state, restored=state.restored + 1, ended=True)
         if state.asked.problem.solver.deadline.passed:
             return counted
-        case = state.case.with_scheme(coarse.solution.transcribed.scheme.name)
+        case = with_scheme(state.case, coarse.solution.transcribed.scheme.name)
         mesh = halved(coarse.mesh, self.marked)
         found = nearest_on(case, coarse, mesh, coarse.durations, position_rows=state.position_rows)
         if found is None:
             return counted
         at = certify_iterate(state.asked, found)
-        better = at.passed and at.certificate.effort_overrun.max() < best.certificate.effort_overrun.max()
+        better = at.passed and at.report.effort_overrun.max() < best.report.effort_overrun.max()
         return replace(counted, iterate=at, best=at, ended=False) if better else counted
 
 

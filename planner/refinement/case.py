@@ -3,7 +3,7 @@
 A mechanism's problem and a user's differential equation implement `Case`, so that the same code refines both.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -19,27 +19,21 @@ from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh
 
 
-class RefinementCertificate(Protocol):
-    """The part of a certificate that refinement reads."""
+class PiecewiseMotion(Protocol):
+    """The part of a motion that refinement reads."""
 
     @property
-    def passed(self) -> bool:
-        """True if every claim holds."""
+    def breaks_s(self) -> np.ndarray:
+        """The intervals' ends (n + 1,) [s]."""
         ...
 
     @property
-    def growth(self) -> np.ndarray:
-        """The contribution of each interval (n_intervals,) to the integration error, as a share of the allowed error."""
+    def effort(self) -> np.ndarray:
+        """The efforts' Bernstein coefficients (degree + 1, n, n_u)."""
         ...
 
-    @property
-    def residual_share(self) -> np.ndarray:
-        """The dynamics residual on each interval (n_intervals,), as a share of the allowed residual."""
-        ...
-
-    @property
-    def effort_overrun(self) -> np.ndarray:
-        """The needed effort beyond its limit on each interval (n_intervals,), as a share of a proof's allowance."""
+    def effort_at(self, time_s: np.ndarray) -> np.ndarray:
+        """Return efforts (n, n_u) at times (n,)."""
         ...
 
 
@@ -84,6 +78,9 @@ class ErrorReport:
         leaves_positions: a state leaves its range between the nodes.
         overruns: a state or another limit is overrun between the nodes.
         overrun: (n_intervals,) the largest overrun of any limit on each interval, as a share of the limit.
+        growth: (n_intervals,) the contribution of each interval to the integration error, as a share of the allowed error.
+        residual_share: (n_intervals,) the dynamics residual, as a share of the allowed residual.
+        effort_overrun: (n_intervals,) the needed effort beyond its limit, as a share of a proof's allowance.
         touching: (n_intervals,) True where a limit binds on a part of the interval; None if it is not computed.
         integration_error_deg: [deg], of a mechanism.
         integration_error: as a share of the states' sizes, of a differential equation.
@@ -94,6 +91,9 @@ class ErrorReport:
     leaves_positions: bool
     overruns: bool
     overrun: np.ndarray
+    growth: np.ndarray
+    residual_share: np.ndarray
+    effort_overrun: np.ndarray
     touching: np.ndarray | None = None
     integration_error_deg: float | None = None
     integration_error: float | None = None
@@ -116,7 +116,7 @@ class RefinementSettings(Protocol):
 class Case(Protocol):
     """A problem that can be refined.
 
-    Its motions are a `PiecewiseMotion`, its certificates a `RefinementCertificate`, of types of its own, as its starts are.
+    Its motions are a `PiecewiseMotion` of a type of its own, as its starts and its certificates are.
     """
 
     @property
@@ -162,16 +162,33 @@ class Case(Protocol):
         """Return the case with limits tightened by what a motion overran them (constraint tightening)."""
         ...
 
-    def with_scheme(self, name: str) -> Self:
-        """Return the case with another transcription."""
-        ...
+
+def with_scheme(case: Any, name: str) -> Any:
+    """Return a `Case` with another transcription."""
+    return replace(case, problem=replace(case.problem, mesh=case.problem.mesh.replace(scheme=name)))
+
+
+def error_report(certificate: Any, **found: Any) -> ErrorReport:
+    """Return the errors that a certificate with `margins` and `growth` shows, and what its client found: the other fields.
+
+    A residual and an effort overrun that the client does not have are zero.
+    """
+    none = np.zeros(len(certificate.growth))
+    over = [margin.overrun for margin in certificate.margins if margin.of.facts.tightened is not None]
+    errors: dict[str, Any] = {"residual_share": none, "effort_overrun": none} | found
+    return ErrorReport(
+        overruns=not all(margin.kept for margin in certificate.margins),
+        overrun=np.max([none, *over], axis=0),
+        growth=certificate.growth,
+        **errors,
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Iterate:
     """The motion and solution of one solve; `fixed` are the efforts and path quantities held along its arcs, or None."""
 
-    motion: Any  # a `switches.PiecewiseMotion` of the case's own type
+    motion: Any  # a `PiecewiseMotion` of the case's own type
     solution: Solution
     fixed: FixedArcs | None = None
 
@@ -248,7 +265,7 @@ class CertifiedIterate:
     """An iterate, its certificate, and the errors that this shows; None without a certificate."""
 
     found: Iterate
-    certificate: Any  # a `RefinementCertificate` of the case's own type, or None
+    certificate: Any  # of the case's own type, or None
     report: ErrorReport | None
 
     @property

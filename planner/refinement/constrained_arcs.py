@@ -15,11 +15,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.planner.refinement.switches import SHARE_AT_LIMIT
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.bernstein import bernstein_matrix
 from linkplan.planner.transcription.collocation import Transcribed
 
+# A coefficient within this share of the span of the limits counts as at its limit, and so does a path quantity within this
+# share of its limit; the solver is exact to 1e-8.
+SHARE_AT_LIMIT = 1e-3
 # This share of a segment, at each of its ends, is left out.
 SHARE_BESIDE_SWITCHES = 0.15
 # An end of an arc within so many intervals of a switch time is that switch time.

@@ -28,12 +28,11 @@ from linkplan.planner.refinement.actions import (
     ReleaseArcs,
     Tighten,
 )
-from linkplan.planner.refinement.case import Case, Iterate, certify_iterate
+from linkplan.planner.refinement.case import Case, CertifiedIterate, Iterate, certify_iterate
 from linkplan.planner.refinement.constrained_arcs import arcs_against_their_limits
 from linkplan.planner.refinement.marking import (
     EVEN_SHARE,
     MARKED_SHARE,
-    beyond_efforts,
     degree_of,
     grown,
     higher_for,
@@ -46,7 +45,7 @@ from linkplan.planner.refinement.marking import (
     uneven_of,
 )
 from linkplan.planner.refinement.state import Refined, RefinementState, observed
-from linkplan.planner.refinement.switch_search import is_bang_bang, settle_switch_times
+from linkplan.planner.refinement.switches import is_bang_bang, settle_switch_times
 
 # A boundary layer a ten-thousandth of the motion long takes eight halvings; no refinement of the record took more rounds.
 MAX_ROUNDS = 24
@@ -95,9 +94,18 @@ def _towards_a_certificate(state: RefinementState) -> Action | None:
     return _finer(state, over)
 
 
+def _beyond_efforts(at: CertifiedIterate) -> np.ndarray:
+    """Return the intervals (n,) whose effort overrun is near or above the proof's allowance.
+
+    There are none where every interval keeps the allowance.
+    """
+    overrun = np.zeros(at.n_intervals) if at.report is None else at.report.effort_overrun
+    return (overrun > MARKED_SHARE) & bool(overrun.max(initial=0.0) > 1.0)
+
+
 def _within_efforts(state: RefinementState) -> Action | None:
     """Return the action on an exact motion that needs more effort than a proof allows, if it costs little."""
-    beyond = beyond_efforts(state.iterate)
+    beyond = _beyond_efforts(state.iterate)
     if not beyond.any() or state.target.enclosed:
         return None
     higher = raised(state.case.problem.mesh) if beyond.mean() >= EVEN_SHARE else None
@@ -109,10 +117,10 @@ def _within_efforts(state: RefinementState) -> Action | None:
 def _towards_a_proof(state: RefinementState) -> Action | None:
     """Return the action on the best motion if a proof would find that it needs more effort than there is."""
     best = state.best
-    if best is None or state.restored >= MAX_RESTORATIONS or (state.restored and state.ended):
+    if best is None or best.report is None or state.restored >= MAX_RESTORATIONS or (state.restored and state.ended):
         return None
     # A changed motion is brought well within the allowance: its largest effort may lie between the samples.
-    beyond = best.certificate.effort_overrun > MARKED_SHARE if state.restored else beyond_efforts(best)
+    beyond = best.report.effort_overrun > MARKED_SHARE if state.restored else _beyond_efforts(best)
     return ReduceEffortOverrun(beyond) if beyond.any() else None
 
 
@@ -208,7 +216,7 @@ def _higher_scheme(state: RefinementState, inexact: np.ndarray, over: np.ndarray
         return None
     higher = None if state.target.enclosed else higher_on_arcs(state.case, at, over)
     if higher is None and not (over.any() and _switches_are_open(state)):
-        higher = higher_for(state.case, at.certificate, inexact)
+        higher = higher_for(state.case, at.report, inexact)
     return None if higher is not None and state.target.enclosed and degree_of(higher) > MAX_ROUGH_DEGREE else higher
 
 

@@ -12,8 +12,7 @@ import numpy as np
 
 from linkplan.planner.limits.limit import Margin, Tightened
 from linkplan.planner.problem.settings import MeshSettings
-from linkplan.planner.refinement.case import Case, CertifiedIterate, RefinementCertificate
-from linkplan.planner.refinement.switches import PiecewiseMotion
+from linkplan.planner.refinement.case import Case, CertifiedIterate, ErrorReport, PiecewiseMotion
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import MAX_DEGREE
 
@@ -92,13 +91,11 @@ def evened(tightenings: tuple[Tightening, ...]) -> tuple[Tightening, ...]:
 
 def tightening_over(
     tightenings: tuple[Tightening, ...], rows: list[TightenedRow], path: np.ndarray
-) -> Callable[[np.ndarray], np.ndarray] | None:
+) -> Callable[[np.ndarray], np.ndarray]:
     """Return a function from breaks (n + 1,) [s] to how much (n, n_path) the bounds `path` (n_path, 2) are tightened.
 
     `rows` say of which limits the first of these quantities are; the others are never tightened.
     """
-    if not tightenings:
-        return None
     size = np.where(np.isfinite(path), np.where(path == 0, 1.0, np.abs(path)), 0.0)
     size[[column for column, row in enumerate(rows) if row.tightened is Tightened.IN_UNITS]] = 1.0
     factor = [2.0 if row.tightened is Tightened.SQUARED else 1.0 for row in rows]
@@ -121,11 +118,11 @@ def tightening_over(
 
 def marked_for(at: CertifiedIterate, strictness: float) -> np.ndarray:
     """Return the intervals (n,) with more than their share of an error that is too large."""
-    certificate, n = at.certificate, at.n_intervals
-    if certificate is None:
+    report, n = at.report, at.n_intervals
+    if report is None:
         return np.ones(n, dtype=bool)
     with np.errstate(over="ignore"):
-        growth, residual = certificate.growth * strictness, certificate.residual_share
+        growth, residual = report.growth * strictness, report.residual_share
     if not np.all(np.isfinite(growth)):
         return np.ones(n, dtype=bool)
     marked = np.zeros(n, dtype=bool)
@@ -135,15 +132,6 @@ def marked_for(at: CertifiedIterate, strictness: float) -> np.ndarray:
     if growth.sum() > 1.0:
         marked |= growth > MARKED_SHARE * max(1.0, SHARE_OF_WORST * growth.max() * n) / n
     return marked
-
-
-def beyond_efforts(at: CertifiedIterate) -> np.ndarray:
-    """Return the intervals (n,) whose effort overrun is near or above the proof's allowance.
-
-    There are none where every interval keeps the allowance.
-    """
-    overrun = np.zeros(at.n_intervals) if at.certificate is None else at.certificate.effort_overrun
-    return (overrun > MARKED_SHARE) & bool(overrun.max(initial=0.0) > 1.0)
 
 
 def overrunning(at: CertifiedIterate) -> np.ndarray:
@@ -181,11 +169,11 @@ def rough_of(motion: PiecewiseMotion) -> np.ndarray:
     return rough >= ROUGH_SHARE * rough.max()
 
 
-def higher_for(case: Case, certificate: RefinementCertificate | None, marked: np.ndarray) -> str | None:
+def higher_for(case: Case, report: ErrorReport | None, marked: np.ndarray) -> str | None:
     """Return the scheme of higher degree that reduces the error more than a finer mesh, or None."""
-    if certificate is None or not marked.any():
+    if report is None or not marked.any():
         return None
-    growth = certificate.growth[marked]
+    growth = report.growth[marked]
     even = marked.mean() >= EVEN_SHARE and growth.max() <= OUTLIER_FACTOR * max(float(np.median(growth)), 1e-300)
     return raised(case.problem.mesh) if even or case.problem.mesh.refine == "degree" else None
 

@@ -12,7 +12,7 @@ from linkplan.planner.refinement.case import (
     error_of,
 )
 from linkplan.planner.refinement.constrained_arcs import arcs_against_their_limits, limits_bind, off_limit_intervals
-from linkplan.planner.refinement.switch_search import at_bounds
+from linkplan.planner.refinement.switches import at_bounds
 from linkplan.planner.solvers.solve import SOLVER_TOLERANCE, SUCCEEDED, Solution
 
 # The motion of a coarser mesh is kept if it is better than that of a finer one by more than this share, which is above the

@@ -19,11 +19,11 @@ from linkplan.planner.closed_chain.guess import Guess, closes
 from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.case import Iterate, attempt
+from linkplan.planner.refinement.case import Iterate, attempt, with_scheme
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.state import REPORTED_CHANGE, Refined
-from linkplan.planner.search.finer_meshes import of_several, refine_several
+from linkplan.planner.search.finer_meshes import refine_several
 from linkplan.planner.search.ladder import Budget, Search, Steps, followed
 from linkplan.planner.search.solving import (
     GRID_ERROR_FACTOR,
@@ -81,6 +81,14 @@ def plan_from(
     if unavoidable(problem, missed.trajectory, missed.certificate):
         search.verdicts.append(missed)  # every other motion meets the same contact
     return missed
+
+
+def of_several(problem: Problem) -> bool:
+    """True if motions of several motors are refined by `refine_several`, on a mesh and within limits that allow it.
+
+    One motor that drives several freedoms swings them: its motions are unstable, and ask for more exact meshes.
+    """
+    return min(problem.mechanism.n_equations, problem.mechanism.n_u) > 1 and problem.mesh.breaks is None
 
 
 def _solved(problem: Problem, guess: Guess, word: str, search: Search) -> Iterator[Iterate]:
@@ -218,7 +226,7 @@ def _smoothed(
     durations = np.bincount(mesh.segment, np.diff(at.motion.breaks_s))
     if finer:
         mesh = halved(mesh, np.ones(mesh.n_intervals, dtype=bool))
-    now = replace(case.with_scheme(transcribed.scheme.name), smoothing=smoothing)
+    now = replace(with_scheme(case, transcribed.scheme.name), smoothing=smoothing)
     what = f"smoothing of efforts {smoothing / SMOOTHING_WEIGHT:.3g} of the first" + (", finer mesh" if finer else "")
     found = attempt(now, now.start_from(at.motion), mesh, durations, what, warm=True)
     return None if found is None else (now, found)

@@ -16,7 +16,7 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import attempt, share_gained
 from linkplan.planner.refinement.decision import refine
-from linkplan.planner.refinement.switch_search import at_bounds
+from linkplan.planner.refinement.switches import at_bounds
 from linkplan.planner.search.attempts import certified, only_feasible
 from linkplan.planner.search.ladder import Budget, KnownMotions, Search, Steps, followed
 from linkplan.planner.search.solving import INTERVALS_PER_SWING, graded_mesh, longest, solve_from

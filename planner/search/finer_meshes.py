@@ -24,11 +24,11 @@ from linkplan.planner.limits.rates import smooth_columns
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.actions import nearest_on
-from linkplan.planner.refinement.case import CertifiedIterate, Iterate, attempt, certify_iterate, share_gained
+from linkplan.planner.refinement.case import CertifiedIterate, Iterate, attempt, certify_iterate, share_gained, with_scheme
 from linkplan.planner.refinement.constrained_arcs import arc_ends, own_arcs, path_multipliers
 from linkplan.planner.refinement.marking import degree_of, rough_of
 from linkplan.planner.refinement.state import Refined
-from linkplan.planner.refinement.switch_search import mesh_with_switches
+from linkplan.planner.refinement.switches import mesh_with_switches
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, divided, uniform, without_empty
 
@@ -95,14 +95,6 @@ class _Kept:
     case: MechanismCase
     at: CertifiedIterate
     rows: frozenset[int]
-
-
-def of_several(problem: Problem) -> bool:
-    """True if motions of several motors are refined here, on a mesh and within limits that allow it.
-
-    One motor that drives several freedoms swings them: its motions are unstable, and ask for more exact meshes.
-    """
-    return min(problem.mechanism.n_equations, problem.mechanism.n_u) > 1 and problem.mesh.breaks is None
 
 
 def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
@@ -245,7 +237,7 @@ def _first_way(case: MechanismCase, at: CertifiedIterate) -> _Way:
     asked, found, motion = case.asked, at.found, at.found.motion
     case = replace(case if asked.motion.duration_s is None else _nearer(case, found), ties=TIE_WEIGHT)
     if asked.mesh.refine != "intervals":
-        case = case.with_scheme(_FINER_SCHEME)
+        case = with_scheme(case, _FINER_SCHEME)
     share = _SHARE_ALONG_PRODUCTS if case.enclosed else _SHARE_OF_INTERVALS
     n = max(8, round(share * asked.mesh.intervals))
     boundaries, jumps = motion.breaks_s[found.mesh.boundaries()], jumps_of(case, found)
@@ -332,7 +324,7 @@ def _margin_of(case: MechanismCase) -> float:
 
 def _coarse(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
     """Return into how many (n,) each interval is divided, by how far its residual and its overruns are too large."""
-    errors = at.certificate.residual_share / _MOST_RESIDUAL, at.report.overrun / _MOST_TIGHTENED
+    errors = at.report.residual_share / _MOST_RESIDUAL, at.report.overrun / _MOST_TIGHTENED
     return _enough(case, np.maximum(*errors))
 
 
@@ -341,9 +333,9 @@ def _inexact(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
 
     The allowance of efforts is kept by a factor of three: the largest effort may lie between the samples.
     """
-    growth = at.certificate.growth * (case.target.strictness if case.target.tolerance_given else 1.0)
+    growth = at.report.growth * (case.target.strictness if case.target.tolerance_given else 1.0)
     too_large = growth.sum() > 0.5 or not np.isfinite(growth.sum())
-    errors = np.maximum(2.0 * growth * len(growth) * too_large, 3.0 * at.certificate.effort_overrun)
+    errors = np.maximum(2.0 * growth * len(growth) * too_large, 3.0 * at.report.effort_overrun)
     return np.maximum(_coarse(case, at), _enough(case, errors))
 
 

@@ -10,8 +10,7 @@ from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, pertu
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import add_step, step_of
-from linkplan.planner.refinement.switch_search import MESH_ERROR_SHARE, mesh_with_switches
-from linkplan.planner.refinement.switches import find_bang_efforts, find_switch_times
+from linkplan.planner.refinement.switches import MESH_ERROR_SHARE, find_bang_efforts, find_switch_times, mesh_with_switches
 from linkplan.planner.search.solving import first_mesh
 from linkplan.planner.solvers.solve import solve
 from linkplan.planner.trajectory import Trajectory

@@ -21,7 +21,7 @@ from linkplan.planner.refinement.case import share_gained
 from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
 from linkplan.planner.refinement.state import REPORTED_CHANGE
 from linkplan.planner.search import attempts, continuations, reasons, starts, waiting, without_solver
-from linkplan.planner.search.finer_meshes import of_several
+from linkplan.planner.search.attempts import of_several
 from linkplan.planner.search.ladder import FULL_BUDGET, SHORT_BUDGET, Budget, Repair, Search, SearchMethod, run_search
 from linkplan.planner.search.several_motors import from_several_starts
 from linkplan.planner.search.site_path import plan_along_path

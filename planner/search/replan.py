@@ -26,7 +26,7 @@ from linkplan.planner.limits.kinds import structure_of
 from linkplan.planner.plan.plan import MotionTable, Plan, sample_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, add_step, recorded, recording, silent, step_of
-from linkplan.planner.refinement.switch_search import bounded_by_guess
+from linkplan.planner.refinement.switches import bounded_by_guess
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.solvers.newton import Conditions, NewtonStep, Optimum, conditions_of, newton_step

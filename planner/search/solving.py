@@ -13,7 +13,7 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, stretched, with_force_times
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
-from linkplan.planner.refinement.switch_search import LONGER, bounded_by_guess
+from linkplan.planner.refinement.switches import LONGER, bounded_by_guess
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.mesh import Mesh, broken, segmented, uniform
 

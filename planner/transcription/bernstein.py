@@ -50,6 +50,36 @@ class PiecewisePolynomial:
         return PiecewisePolynomial(slope, self.breaks).derivative(order - 1)
 
 
+class OnIntervals:
+    """The times of a motion whose intervals end at `breaks_s` (n + 1,) [s]."""
+
+    __slots__ = ()
+    breaks_s: np.ndarray
+
+    @property
+    def duration_s(self) -> float:
+        """The duration [s]."""
+        return float(self.breaks_s[-1] - self.breaks_s[0])
+
+    def dense_times(self, per_interval: int = 10) -> np.ndarray:
+        """Return increasing times: every interval's two ends and `per_interval` - 1 times between them.
+
+        A break appears twice, just before and at it, so that both sides of a jump in effort are included.
+        """
+        inner = np.linspace(0.0, 1.0, per_interval + 1)
+        inner[-1] = 1.0 - 1e-12
+        return self.times_at(inner)
+
+    def times_at(self, points: np.ndarray) -> np.ndarray:
+        """Return the times (n_intervals * n,) at shares (n,) of every interval."""
+        return (self.breaks_s[:-1, None] + np.diff(self.breaks_s)[:, None] * points).ravel()
+
+    def quadrature(self, per_interval: int = 10) -> tuple[np.ndarray, np.ndarray]:
+        """Return times and weights (n_intervals * per_interval,) [s] of Gauss-Legendre quadrature on every interval."""
+        nodes, weights = np.polynomial.legendre.leggauss(per_interval)
+        return self.times_at(0.5 + 0.5 * nodes), (np.diff(self.breaks_s)[:, None] * 0.5 * weights).ravel()
+
+
 @cache
 def _binomials(n: int) -> np.ndarray:
     return np.array([comb(n, k) for k in range(n + 1)], dtype=float)

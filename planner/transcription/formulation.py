@@ -56,21 +56,21 @@ class Formulation:
     """
 
     build_system: Callable[[], System]
-    n_s: int
+    n_s: int = 0
     n_x: int
-    n_z: int
+    n_z: int = 0
     n_u: int
     rows: IntervalRows
     units: Units
     state: np.ndarray
-    algebraic: np.ndarray
+    algebraic: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     effort: np.ndarray
     path: np.ndarray
     own: dict[str, np.ndarray]
     boundaries: tuple[PhaseBoundary, ...]
     returns: tuple[int, ...]
-    smooth: bool
-    eta: np.ndarray
+    smooth: bool = False
+    eta: np.ndarray = field(default_factory=lambda: np.zeros(0))
     theta: Callable[[np.ndarray], np.ndarray]
     tightening: Callable[[np.ndarray], np.ndarray] | None = None
     own_tightening: dict[str, Callable[[np.ndarray], np.ndarray]] = field(default_factory=dict)

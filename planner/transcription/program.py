@@ -23,8 +23,7 @@ from pathlib import Path
 import casadi as ca
 import numpy as np
 
-from linkplan.models.compiled.functions import tools_hash
-from linkplan.models.compiled.lanes import over_columns
+from linkplan.models.compiled.functions import over_columns, tools_hash
 from linkplan.planner.transcription.interval import IntervalFunctions, IntervalRows, open_end_path
 from linkplan.planner.transcription.mesh import Layout, Mesh, Triplets, pattern, scatter
 from linkplan.planner.transcription.schemes import Scheme

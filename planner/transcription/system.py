@@ -30,9 +30,9 @@ class System:
     (n_xi,) stacks a node's scaled unknowns and theta (n_theta,) its parameters.
     """
 
-    n_s: int
+    n_s: int = 0
     n_x: int
-    n_z: int
+    n_z: int = 0
     n_u: int
     node: ca.Function
     n_equations: int

@@ -19,6 +19,7 @@ import numpy as np
 from msgspec import Struct
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.models.coordinate_choice import is_regular, singular_inertia_text
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import least_effort, sampled
@@ -27,7 +28,6 @@ from linkplan.models.poses.body_angles import turning_bodies
 from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import Reach
 from linkplan.models.reduction.reduced import ReducedDynamics
-from linkplan.models.reduction.regular_inertia import is_regular, singular_inertia_text
 from linkplan.models.transfer.polytope import effort_box
 from linkplan.models.tree.dynamics import site_names
 from linkplan.models.tree.joints import where

@@ -4,8 +4,7 @@ import argparse
 import shlex
 from typing import TYPE_CHECKING
 
-from linkplan.studies.cli.commands import called
-from linkplan.studies.cli.common import output_folder
+from linkplan.studies.cli.commands import called, output_folder
 from linkplan.studies.cli.exit_codes import DONE, NO
 from linkplan.studies.cli.printing import show
 

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import NoReturn
 
 from linkplan.models.errors import closest, nearest, one_line
-from linkplan.names import C_TRACKERS, FOLDER_FORMATS, FORMATS, LINEAR, keys_text
+from linkplan.names import C_TRACKERS, FOLDER_FORMATS, FORMATS, KEYS_TEXT, LINEAR
 from linkplan.studies.cli import option_values as values
 from linkplan.studies.cli.exit_codes import BAD_INPUT
 from linkplan.studies.cli.printing import put
@@ -173,7 +173,7 @@ def build_parser() -> Parser:
     _transfer(command("transfer", text, report=True))
 
     view = command("view", "play a tracked plan in MuJoCo's interactive viewer, where keys change its gains", output=False)
-    view.epilog = f"keys in the window: {keys_text()}; {EPILOG}"
+    view.epilog = f"keys in the window: {KEYS_TEXT}; {EPILOG}"
     _plan(view)
     _tracker(view)
     _add(view, "--slow", "X", "times slower than real (default: %(default)s)", float, 4.0)

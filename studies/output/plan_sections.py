@@ -10,7 +10,6 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan.plan import Plan, not_honoured
 from linkplan.planner.problem.build import file_text
-from linkplan.studies.output.actuator_blocks import demand_blocks
 from linkplan.studies.output.animation import animation, frames_of
 from linkplan.studies.output.certificate_list import certificate_list
 from linkplan.studies.output.document import Block, Code, Facts, Plot, Report, Section, Text
@@ -18,7 +17,7 @@ from linkplan.studies.output.draw_plan import drawn_motion, force_plots, time_pl
 from linkplan.studies.output.lead import lead_facts, verdict_sentence
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.phase import phase_plane
-from linkplan.studies.output.plan_blocks import facts, names_in, proof_blocks, solves
+from linkplan.studies.output.plan_blocks import demand_blocks, facts, names_in, proof_blocks, solves
 from linkplan.studies.output.report_file import report_of
 from linkplan.studies.output.robust_sections import robust_section
 from linkplan.studies.output.text import in_brief, notes_of

@@ -1,6 +1,6 @@
 """The legal names of arguments, in modules that load quickly, and the schema of problem files."""
 
-from linkplan.controllers.controls import keys_text
+from linkplan.controllers.controls import KEYS_TEXT
 from linkplan.controllers.trackers.names import LINEAR, TRACKERS
 from linkplan.models.catalogue import MODELS, PAYLOADS
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
@@ -13,13 +13,13 @@ __all__ = [
     "FILE_KINDS",
     "FOLDER_FORMATS",
     "FORMATS",
+    "KEYS_TEXT",
     "LINEAR",
     "MODELS",
     "PAYLOADS",
     "PROBLEMS",
     "SCHEMES",
     "TRACKERS",
-    "keys_text",
     "problem_descriptions",
     "problem_keys",
     "schema",

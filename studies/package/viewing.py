@@ -46,7 +46,7 @@ def view(
 
         linkplan.view("knee-reach", slow=10.0)
     """
-    from linkplan.controllers.controls import Controls, keys_text
+    from linkplan.controllers.controls import KEYS_TEXT, Controls
     from linkplan.controllers.playback import has_screen, play
     from linkplan.controllers.trackers.names import TRACKERS
     from linkplan.studies.render.gl import find_gl
@@ -65,7 +65,7 @@ def view(
     from linkplan.studies.render.live import aim, run_maker
 
     say.keep(f"{answer.problem.name} tracked by {tracker}, {slow:g} times slower; close the window to end")
-    say.keep(f"keys: {keys_text()}")
+    say.keep(f"keys: {KEYS_TEXT}")
     make = run_maker(answer)
     begin = Controls(tracker=tracker, slowness=slow)
     last = play(answer.problem.mechanism, begin, make, seconds=seconds, camera=aim(answer, tracker))

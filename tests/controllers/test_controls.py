@@ -5,7 +5,7 @@ import queue
 
 import pytest
 
-from linkplan.controllers.controls import HOLD_S, KEYS, Controls, advanced, keys_text, pressed
+from linkplan.controllers.controls import HOLD_S, KEYS, KEYS_TEXT, Controls, advanced, pressed
 from linkplan.controllers.playback import after_keys, pace
 
 START = Controls(tracker="pd", slowness=4.0)
@@ -89,7 +89,7 @@ def test_a_motion_that_is_stopped_stands_still():
 
 
 def test_every_key_is_said():
-    assert all(name in keys_text() for name in KEY)
+    assert all(name in KEYS_TEXT for name in KEY)
 
 
 def test_what_is_written_says_speed_stop_and_refusal():

@@ -3,8 +3,8 @@
 import mujoco
 import pytest
 
-from linkplan.models.errors import LinkplanError
-from linkplan.models.floating import floating_joints, floating_sentence
+from linkplan.models.errors import LinkplanError, ModelError
+from linkplan.models.floating import MAX_LOOSE_BODIES, floating_joints, floating_sentence
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.selection import Selection
 from tests.support.mechanisms import replaced
@@ -53,6 +53,12 @@ def test_a_base_between_the_stops_of_a_rail_on_a_frame_that_stands_still_floats(
 )
 def test_a_base_that_something_holds_on_its_rail_does_not_float(old, new):
     assert floating_joints(mujoco.MjModel.from_xml_string(replaced(ON_A_RAIL, old, new))) == set()
+
+
+def test_a_scene_with_too_many_loose_bodies_is_refused():
+    loose = "".join(f'<body name="b{k}"><freejoint/><geom size=".1"/></body>' for k in range(MAX_LOOSE_BODIES + 1))
+    with pytest.raises(ModelError, match="nothing drives these 21 bodies, and a mechanism has at most 20 of them"):
+        load_mechanism(replaced(ON_A_RAIL, "<worldbody>", f"<worldbody>{loose}"))
 
 
 # A free body that hangs on a cable.

@@ -6,8 +6,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.models.compiled.functions import compiler
-from linkplan.models.compiled.lanes import N_LANES, in_lanes, over_columns
+from linkplan.models.compiled.functions import compiler, over_columns
+from linkplan.models.compiled.lanes import N_LANES, in_lanes
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")
 # Values of both signs, in and out of the domains of roots and inverse functions, and the exceptions of floating point.

@@ -9,7 +9,7 @@ import pytest
 from linkplan.planner.certificate.flow import flow
 from linkplan.planner.certificate.integration import exact_bounds, relative_violation
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
-from linkplan.planner.ode.case import OdeCase
+from linkplan.planner.ode.plan import OdeCase
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import Case
 from linkplan.planner.refinement.perturbation import perturbation

@@ -5,7 +5,7 @@ import numpy as np
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
-from linkplan.planner.refinement.switch_search import mesh_with_switches
+from linkplan.planner.refinement.switches import mesh_with_switches
 from tests.support.bodies import HINGE, QUARTER_TURN, body_plan, body_problem
 
 FREE = QUARTER_TURN + 'duration_s = "free"\n'

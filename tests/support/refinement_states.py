@@ -65,13 +65,8 @@ def iterate(
     if tightened:
         formulation = replace(solution.transcribed.formulation, tightening=lambda breaks: np.zeros((len(breaks) - 1, 0)))
         solution = replace(solution, transcribed=replace(solution.transcribed, formulation=formulation))
-    certificate = structs.replace(
-        first.certificate,
-        failures=() if passed else ("errs",),
-        growth=growth,
-        residual_share=residual,
-        effort_overrun=beyond,
-    )
+    certificate = structs.replace(first.certificate, failures=() if passed else ("errs",))
+    report = {"growth": growth, "residual_share": residual, "effort_overrun": beyond} | report
     report = {"repairable": True, "leaves_positions": False, "integration_error_deg": 1e-3} | report
     report = ErrorReport(exact=exact, overruns=bool(overrun.any()), overrun=overrun, **report)
     return CertifiedIterate(found=replace(first.found, solution=solution), certificate=certificate, report=report)

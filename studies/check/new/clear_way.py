@@ -5,6 +5,7 @@ import numpy as np
 from linkplan.models.audit import audit
 from linkplan.models.errors import AssemblyError, ProblemError, listed, one_line
 from linkplan.models.floating import floating_sentence
+from linkplan.models.kinematics import may_collide
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import (
     RANGE_ROUNDING,
@@ -16,7 +17,7 @@ from linkplan.models.poses.along import (
     shut_balls,
 )
 from linkplan.models.poses.assembly import follow
-from linkplan.models.poses.contacts import may_collide, meetings, new_meetings
+from linkplan.models.poses.contacts import meetings, new_meetings
 from linkplan.models.poses.controls import control_excess
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.limits.samples import singularity_ratios

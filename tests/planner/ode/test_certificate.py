@@ -6,7 +6,7 @@ import pytest
 from linkplan.planner.limits.samples import sample_points
 from linkplan.planner.ode.certificate import certify_ode, running_cost, sizes_of
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.transcription.collocation import Curves
 from linkplan.planner.transcription.schemes import scheme
 from tests.support.ode import FREE_EFFORT, NAN, squared_effort
 
@@ -28,7 +28,7 @@ def judged(running: np.ndarray | None = None, efforts: np.ndarray | None = None,
         **{"start": [0], "goal": [NAN]} | given,
     )
     breaks = np.linspace(0.0, DURATION_S, INTERVALS + 1)
-    motion = OdeTrajectory(
+    motion = Curves(
         breaks_s=breaks,
         state=SPEED * np.array([breaks[:-1], breaks[1:]])[:, :, None],
         effort=np.full((1, INTERVALS, 1), SPEED) if efforts is None else efforts[None, :, None],
@@ -78,7 +78,7 @@ def test_the_margin_of_a_state_is_measured_between_the_samples_too():
     )  # fmt: skip
     state = np.array([1 - a**2, 1 - a**2 + a, 1 - (1 - a) ** 2]).reshape(3, 1, 1)
     effort = np.array([2 * a, 2 * a - 2]).reshape(2, 1, 1)
-    certificate = certify_ode(problem, OdeTrajectory(breaks_s=np.array([0.0, 1.0]), state=state, effort=effort))
+    certificate = certify_ode(problem, Curves(breaks_s=np.array([0.0, 1.0]), state=state, effort=effort))
     assert certificate.integration_error < 1e-10
     assert left_of(certificate, "state") == pytest.approx([-1e-4], abs=1e-12)
 
@@ -161,7 +161,7 @@ def test_refinement_is_asked_for_where_a_state_s_own_interval_adds_its_error():
         0, 2, 1
     )
     effort = SPEED * np.array([1.0, 1.0, 1 + 4e-3, 1.0])[None, :, None]
-    certificate = certify_ode(problem, OdeTrajectory(breaks_s=breaks, state=state, effort=effort))
+    certificate = certify_ode(problem, Curves(breaks_s=breaks, state=state, effort=effort))
     assert certificate.growth == pytest.approx([0.0, 0.0, 4e-3 / INTERVALS / 1e-4, 0.0], abs=1e-5)
 
 
@@ -184,7 +184,7 @@ def test_the_running_cost_of_an_interval_is_its_own_where_the_effort_jumps(name)
         name="jump", rate=lambda x, u, p, t: [u[0]], start=[0], goal=[NAN], effort_limit=FREE_EFFORT,  # noqa: ARG005
         duration_s=2.0, running_cost=squared_effort,
     )  # fmt: skip
-    motion = OdeTrajectory(
+    motion = Curves(
         breaks_s=np.array([0.0, 0.5, 2.0]), state=np.zeros((2, 2, 1)), effort=np.array([3.0, -1.0])[None, :, None]
     )
     assert running_cost(problem, motion, scheme(name)) == pytest.approx([9.0 * 0.5, 1.0 * 1.5], rel=1e-9)
@@ -207,7 +207,7 @@ def test_an_effort_is_refused_by_the_most_that_one_exceeds_its_limits(limits, ex
     )
     state = np.array([[0.0], [SPEED * DURATION_S]])[:, :, None]
     effort = np.array([SPEED, 0.0])[: len(limits)].reshape(1, 1, -1)
-    certificate = certify_ode(problem, OdeTrajectory(breaks_s=np.array([0.0, DURATION_S]), state=state, effort=effort))
+    certificate = certify_ode(problem, Curves(breaks_s=np.array([0.0, DURATION_S]), state=state, effort=effort))
     assert max(0.0, -min(left_of(certificate, "effort"))) == pytest.approx(excess)
     assert any(failure.startswith("effort") for failure in certificate.failures) == (excess > 0)
 

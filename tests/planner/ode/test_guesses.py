@@ -1,11 +1,13 @@
 """What a guess lacks, its duration and efforts; and which rows a formulation has where no node stands."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from linkplan.planner.ode.formulation import _open_end_path, guesses_of, units_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
-from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.transcription.collocation import Curves
 from tests.support.ode import squared_effort
 
 
@@ -22,7 +24,7 @@ def problem(duration: object, effort_limit: list[list[float]], *guesses: StateGu
     )
 
 
-def completed(duration: object, effort_limit: list[list[float]], **guess) -> OdeTrajectory:
+def completed(duration: object, effort_limit: list[list[float]], **guess) -> Curves:
     """Return the motion of a guess, with what it lacks."""
     return guesses_of(problem(duration, effort_limit, StateGuess(**guess)))[0]
 
@@ -59,6 +61,14 @@ def test_a_guess_is_straight_between_its_rows_of_states_and_of_efforts(state, ef
     time = 2.0 * np.linspace(0.0, 1.0, 5)
     assert guess.state_at(time)[:, 0] == pytest.approx(np.interp(time, np.linspace(0.0, 2.0, len(state)), state))
     assert guess.effort_at(time)[:, 0] == pytest.approx(np.interp(time, np.linspace(0.0, 2.0, len(effort)), effort))
+
+
+@pytest.mark.parametrize(
+    ("start", "ends"), [([np.nan], (1.0, 1.0)), ([[0.0, 0.5]], (0.25, 1.0)), ([[-np.inf, 0.5]], (0.5, 1.0))]
+)
+def test_the_straight_line_begins_in_the_middle_of_the_start_or_at_the_goal_if_the_start_is_free(start, ends):
+    line = guesses_of(replace(problem(1.0, [[-1.0, 1.0]]), start=start))[-1]
+    assert line.state_at(np.array([0.0, 1.0]))[:, 0] == pytest.approx(ends)
 
 
 @pytest.mark.parametrize(

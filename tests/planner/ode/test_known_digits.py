@@ -8,9 +8,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.ode.formulation import guesses_of, start_from, units_of
-from linkplan.planner.ode.plan import OdePlan, known_digits, plan_ode, plan_of
+from linkplan.planner.ode.plan import OdeCase, OdePlan, known_digits, plan_ode, plan_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.decision import refine

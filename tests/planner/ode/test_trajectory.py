@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.transcription.collocation import Curves
 
-MOTION = OdeTrajectory(
+MOTION = Curves(
     breaks_s=np.array([1.0, 2.0, 4.0]), state=np.array([[[0.0], [2.0]], [[2.0], [-4.0]]]),
     effort=np.array([2.0, -3.0])[None, :, None],
 )  # fmt: skip

@@ -11,7 +11,7 @@ from linkplan.planner.certificate.integration import RESTART_GROWTH
 from linkplan.planner.ode.certificate import certify_ode
 from linkplan.planner.ode.plan import OdePlan
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.ode.trajectory import OdeTrajectory
+from linkplan.planner.transcription.collocation import Curves
 from tests.support.ode import FREE_EFFORT, solved
 from tests.support.tolerances_planner import ODE_CLOSED_FORM
 
@@ -65,7 +65,7 @@ def test_whether_a_motion_is_unstable_does_not_hang_on_its_mesh(n_intervals, cou
         duration_s=LONG_S,
         running_cost=lambda x, u, p, t: u[0] ** 2,  # noqa: ARG005
     )
-    still = OdeTrajectory(
+    still = Curves(
         breaks_s=np.linspace(0.0, LONG_S, n_intervals + 1),
         state=np.zeros((4, n_intervals, 2)),
         effort=np.zeros((3, n_intervals, 1)),
@@ -116,7 +116,7 @@ def test_along_a_constant_state_an_error_grows_by_the_pole_until_the_integration
     problem, n = beside_a_pole(duration_s), 60
     breaks, effort = np.linspace(0.0, duration_s, n + 1), np.full((1, n, 1), -POLE)
     effort[0, :n_off, 0] += off
-    still = OdeTrajectory(breaks_s=breaks, state=np.ones((2, n, 1)), effort=effort)
+    still = Curves(breaks_s=breaks, state=np.ones((2, n, 1)), effort=effort)
     certificate = certify_ode(problem, still)
     most = max(RESTART_GROWTH, problem.tolerance / INTEGRATION_RTOL)
     until = breaks[np.flatnonzero(np.exp(POLE * breaks) > most)[0]]

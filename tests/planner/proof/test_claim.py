@@ -7,7 +7,7 @@ import pytest
 from flint import arb
 
 from linkplan.planner.limits.efforts import share_of
-from linkplan.planner.proof.claim import Claim, Record, finding_of_claim, undecided_reason
+from linkplan.planner.proof.claims import Claim, Record, finding_of_claim, undecided_reason
 from linkplan.planner.proof.taylor import TaylorForm, Verdict
 
 

@@ -8,8 +8,7 @@ from flint import arb
 
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import SiteLimit
-from linkplan.planner.proof.claim import Claim
-from linkplan.planner.proof.claims import claims_of
+from linkplan.planner.proof.claims import Claim, claims_of
 from linkplan.planner.proof.motion import State
 from linkplan.planner.proof.walk import blocks_of
 from tests.support.arms import LOWER, UPPER, foot_of

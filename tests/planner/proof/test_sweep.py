@@ -11,7 +11,7 @@ from linkplan.models.deadline import NO_DEADLINE
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.proof import prove
 from linkplan.planner.proof.branch import newton
-from linkplan.planner.proof.claim import Record
+from linkplan.planner.proof.claims import Record
 from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import _Anchor, _Box, _boxes, _closure_findings, _linked, _Sweep
 from linkplan.planner.proof.walk import Blocks, blocks_of

@@ -8,8 +8,7 @@ from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.constrained_arcs import arc_ends, find_constrained_paths, off_limit_intervals
-from linkplan.planner.refinement.switch_search import settle_switch_times
-from linkplan.planner.refinement.switches import find_switch_times
+from linkplan.planner.refinement.switches import find_switch_times, settle_switch_times
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.solving import first_mesh
 from linkplan.planner.trajectory import Trajectory

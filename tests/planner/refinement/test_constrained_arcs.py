@@ -8,7 +8,7 @@ import pytest
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.refinement.constrained_arcs import arc_ends, find_constrained_paths, own_arcs, path_arcs
-from linkplan.planner.refinement.switch_search import at_bounds
+from linkplan.planner.refinement.switches import at_bounds
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import uniform

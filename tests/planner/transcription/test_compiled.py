@@ -9,8 +9,8 @@ import pytest
 
 from linkplan.models.compiled import functions as module
 from linkplan.models.compiled.cache import cache_folder, wanted_again
-from linkplan.models.compiled.functions import cached, compiled, compiled_as_asked, compiler
-from linkplan.models.compiled.lanes import N_LANES, over_columns
+from linkplan.models.compiled.functions import cached, compiled, compiled_as_asked, compiler, over_columns
+from linkplan.models.compiled.lanes import N_LANES
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.limits.actuators import PowerLimit

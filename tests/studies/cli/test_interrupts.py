@@ -13,7 +13,7 @@ from linkplan.models.deadline import ended_by
 from linkplan.planner.plan.folder import read_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.cli import commands, common
+from linkplan.studies.cli import commands
 from tests.support.plans import optimal
 
 pytestmark = [
@@ -39,7 +39,7 @@ def test_a_signal_while_planning_ends_the_command_and_writes_nothing(number, ask
 @pytest.mark.parametrize("number", CODES)
 def test_a_signal_after_the_result_was_written_says_where_it_is(number, ask, tmp_path, monkeypatch):
     monkeypatch.setattr("linkplan.plans.plan_motion", lambda problem, _: optimal(problem.name))
-    monkeypatch.setattr(common, "show", lambda *_: os.kill(os.getpid(), number))
+    monkeypatch.setattr(commands, "show", lambda *_: os.kill(os.getpid(), number))
     place = tmp_path / "P"
     code, _, err = ask("plan", "knee-reach", "-o", str(place))
     assert code == CODES[number]

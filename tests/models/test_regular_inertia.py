@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from linkplan.models.coordinate_choice import is_regular, without_inertia
 from linkplan.models.errors import InertiaError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.reduction.regular_inertia import is_regular, without_inertia
 
 BOX = '<geom type="box" size="0.1 0.2 0.3" contype="0" conaffinity="0"/>'
 
