@@ -36,14 +36,6 @@ def test_a_problem_is_planned_elsewhere_as_here(plan):
     assert linkplan.plan(sent(plan.problem)).objective == plan.objective
 
 
-def test_a_mechanisms_loops_close_elsewhere_too(plan):
-    knee = plan.problem.mechanism
-    again = sent(knee)
-    pose = knee.home + np.array([0.1, 0.0, 0.0])
-    np.testing.assert_array_equal(np.array(again.dynamics.closure(pose)), np.array(knee.dynamics.closure(pose)))
-    np.testing.assert_array_equal(again.qpos_of(pose), knee.qpos_of(pose))
-
-
 @pytest.mark.parametrize("another", [copy.copy, copy.deepcopy, sent], ids=["copy", "deep copy", "pickle"])
 def test_a_planner_s_copy_is_a_new_planner_that_plans_the_same(plan, another):
     planner = linkplan.Planner(progress=lambda _: None)

@@ -4,7 +4,6 @@ import pytest
 
 from linkplan.models.errors import LockedError, UnassembledError
 from linkplan.models.mechanism import load_mechanism
-from tests.support.linkages import WELDED
 from tests.support.mechanisms import TRUSS, replaced
 from tests.support.refusals import TWO_BODIES
 
@@ -50,10 +49,6 @@ def test_a_truss_in_a_line_is_said_to_be_held_by_its_pin():
 def test_couplings_that_lock_two_bodies_are_named():
     text = TWO_BODIES % '<equality><joint name="left" joint1="ja"/><joint name="right" joint1="jb"/></equality>'
     assert freed(text) == {"left": 1, "right": 1}
-
-
-def test_a_mechanism_that_moves_is_not_refused():
-    assert load_mechanism(WELDED).dof >= 1
 
 
 def test_a_loop_that_locks_its_nearest_closed_pose_offers_no_pose():

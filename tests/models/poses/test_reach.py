@@ -159,11 +159,6 @@ def test_a_turn_that_leads_back_home_is_walked_once(text, once, monkeypatch):
     assert len(r.poses_once) == (len(r.poses) + 1) // 2 if once else len(r.poses)
 
 
-def test_turning_points_between_regular_poses_are_found_together(monkeypatch):
-    monkeypatch.setattr("linkplan.models.poses.reach._pose_where", lambda *of: pytest.fail(f"alone: {of}"))
-    assert len(toggles.__wrapped__(load_mechanism(SLIDER_CRANK))) == 4
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("coordinate", [0, 1])
 def test_the_other_motor_of_a_five_bar_stays_at_home_over_the_reach(coordinate):

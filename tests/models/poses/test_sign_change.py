@@ -25,17 +25,6 @@ def test_the_place_is_found_to_the_tolerance(shape, backwards):
     assert sign_change(function, *ends, xtol=1e-14) == pytest.approx(root, abs=1e-3 if shape == "flat" else 2e-14)
 
 
-def test_a_smooth_function_is_asked_a_few_times_only():
-    asked = []
-    sign_change(lambda x: asked.append(x) or math.exp(x) - 2.0, 0.0, 1.0, xtol=1e-14)
-    assert len(asked) < 12
-
-
-@pytest.mark.parametrize("end", [0.0, 1.0])
-def test_an_end_that_is_a_root_is_returned(end):
-    assert sign_change(lambda x: x - end, 0.0, 1.0, xtol=1e-14) == end
-
-
 def test_many_places_are_found_together_and_none_where_the_function_has_no_value():
     roots, asked = np.array([0.1, 0.5, np.nan, 0.9]), []
     found = sign_change(lambda x: asked.append(x) or np.exp(3 * x) - np.exp(3 * roots), np.zeros(4), np.ones(4), xtol=1e-14)

@@ -18,11 +18,6 @@ def test_every_effort_of_the_motors_lies_in_the_box_and_the_box_is_touched():
         np.testing.assert_allclose(corners.max(axis=0), high)
 
 
-def test_corners_count_the_motors_in_binary_the_last_one_first():
-    np.testing.assert_allclose(effort_corners(G, LIMIT)[0, 1], G[0].T @ [-40.0, 25.0])
-    np.testing.assert_allclose(effort_corners(G, LIMIT)[0, 2], G[0].T @ [30.0, -20.0])
-
-
 def test_a_motor_without_limits_leaves_joints_without_an_arm_alone():
     box = effort_box(np.array([[[1.0, 0.0]]]), np.array([[-np.inf, np.inf]]))
     np.testing.assert_array_equal(box[0], [[-np.inf, np.inf], [0.0, 0.0]])

@@ -16,9 +16,6 @@ from tests.support.tolerances import (
     CONSERVED,
     DIFFERENCES,
     ENERGY,
-    MOMENT,
-    SPIN,
-    TREE,
     TREE_ACCELERATION,
     UNIT_VECTOR,
     relative_error,
@@ -62,10 +59,6 @@ def states(n: int = 20) -> tuple[np.ndarray, np.ndarray]:
 
 def at(q: np.ndarray, rates: np.ndarray, ctrl: np.ndarray | None = None):
     return simulated(acrobat().model, acrobat().qpos_of(q), acrobat().qvel_of(q, rates), ctrl)
-
-
-def velocity_matrix(q: np.ndarray) -> np.ndarray:
-    return np.array([acrobat().qvel_of(q, rate) for rate in np.eye(acrobat().n_q)]).T
 
 
 def test_a_ball_joint_has_three_coordinates_and_a_free_joint_six():
@@ -114,45 +107,6 @@ def test_rates_are_the_derivative_of_what_mujoco_integrates():
             return acrobat().q_of(qpos)
 
         assert relative_error(derivative(moved, 1e-3), rate) < DIFFERENCES
-
-
-def test_the_mass_matrix_is_mujocos_in_these_coordinates():
-    for q, rates in zip(*states(), strict=True):
-        T = velocity_matrix(q)
-        assert relative_error(np.array(acrobat().dynamics.mass_matrix(q)), T.T @ at(q, rates).mass_matrix @ T) < TREE
-
-
-def spin(c: np.ndarray, rate: np.ndarray) -> np.ndarray:
-    """Return the angular velocity of a chart, from its formula; takes complex numbers."""
-    sigma = c / 4
-    square = sigma @ sigma
-    return ((1 - square) * rate - 2 * np.cross(sigma, rate) + 2 * sigma * (sigma @ rate)) / (1 + square) ** 2
-
-
-def test_the_bias_is_mujocos_by_the_change_of_coordinates():
-    for q, rates in zip(*states(), strict=True):
-        T, s, convective = velocity_matrix(q), at(q, rates), np.zeros(acrobat().n_q)
-        for turning in (slice(3, 6), slice(6, 9)):
-            assert np.abs(spin(q[turning], rates[turning]) - (T @ rates)[turning]).max() < SPIN * np.abs(rates).max()
-            # The derivative of G c' along c', exact by a complex step.
-            convective[turning] = spin(q[turning] + 1e-30j * rates[turning], rates[turning]).imag / 1e-30
-        expected = T.T @ (s.bias + s.mass_matrix @ convective)
-        assert np.abs(expected - T.T @ s.bias).max() > 1e-3, "the coordinates' own curvature matters"
-        assert relative_error(np.array(acrobat().dynamics.bias(q, rates)).ravel(), expected) < TREE
-
-
-def test_springs_and_dampers_are_mujocos():
-    for q, rates in zip(*states(), strict=True):
-        expected = velocity_matrix(q).T @ at(q, rates).passive
-        assert np.abs(expected).max() > 1e-3, "the dampers act"
-        assert relative_error(np.array(acrobat().dynamics.passive(q, rates)).ravel(), expected) < TREE
-
-
-def test_actuator_moments_are_mujocos_on_balls_and_free_bodies():
-    assert acrobat().n_u == 7
-    for q, rates in zip(*states(), strict=True):
-        expected = velocity_matrix(q).T @ at(q, rates).moment.T
-        assert relative_error(np.array(acrobat().dynamics.effort_matrix(q)), expected) < MOMENT
 
 
 def test_kinetic_and_potential_energy_are_mujocos():

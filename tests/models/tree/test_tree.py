@@ -70,12 +70,6 @@ def test_passive_force_is_mujocos(name):
     assert worst_relative_error(sampled(mechanism(name).dynamics.passive, q, v)[:, :, 0], forces) < TREE
 
 
-@pytest.mark.parametrize("name", ["optimus-knee", "optimus-knee-source"])
-def test_a_model_without_springs_and_dampers_has_no_passive_force(name):
-    q, v, _ = states(name)
-    assert not np.any(sampled(mechanism(name).dynamics.passive, q, v))
-
-
 @over(TREES)
 def test_an_open_tree_accelerates_as_in_mujoco_under_its_motors(name):
     chain = mechanism(name)
@@ -204,9 +198,3 @@ def test_unclamped_controls_leave_a_motor_unlimited():
     chain = load_mechanism(text)
     assert saturated(chain.model, 0).tolist() == [-1e6, 1e6], "the flag matters"
     assert chain.effort_limit.tolist() == [[-np.inf, np.inf]]
-
-
-@pytest.mark.parametrize(("joint", "unit"), [("crank", "N.m"), ("slide", "N")])
-def test_an_effort_has_its_joints_unit(joint, unit):
-    chain = load_mechanism(replaced(SLIDER_CRANK, '<motor joint="crank"', f'<motor joint="{joint}"'))
-    assert chain.actuators[0].unit == unit

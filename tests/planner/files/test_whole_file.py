@@ -11,13 +11,6 @@ KINDS = (".mp4", ".png")
 OURS = b"\x89 " + MADE_BY.encode() + b" rest"
 
 
-def test_a_file_is_written_and_nothing_is_left_beside_it(tmp_path):
-    target = tmp_path / "film.mp4"
-    write_file_whole(target, lambda path: path.write_bytes(OURS), KINDS)
-    assert target.read_bytes() == OURS
-    assert list(tmp_path.iterdir()) == [target]
-
-
 def test_a_failure_leaves_the_earlier_file_and_nothing_else(tmp_path):
     target = tmp_path / "film.mp4"
     target.write_bytes(OURS)

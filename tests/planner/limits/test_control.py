@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 import linkplan
-from linkplan.planner.limits.actuators import ControlLimit, _ctrl, _ranged
-from linkplan.planner.limits.limit import Margin
+from linkplan.planner.limits.actuators import _ctrl, _ranged
 
 # A position servo of 50 N.m/rad and 1 N.m: beyond 0.32 rad every ctrl of its range gives the clamp.
 ARM = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody><body><joint name="O" axis="0 1 0"/>
@@ -38,9 +37,3 @@ def test_a_servo_s_ctrl_is_the_one_with_which_mujoco_gives_the_effort():
     mujoco.mj_forward(mechanism.model, data)
     (effort,), (length,), (speed,) = data.actuator_force, data.actuator_length, data.actuator_velocity
     assert _ctrl(actuator, effort, length, speed) == pytest.approx(1.1, rel=1e-12)
-
-
-def test_the_sentence_on_a_ctrl_below_a_limit_of_zero_keeps_its_sign():
-    given = {"name": "thumb", "unit": "", "time_s": 0.25, "overrun": np.zeros(1), "upper": False, "size": 1.0}
-    margin = Margin(of=ControlLimit(0), value=-0.0072, limit=0.0, left=-0.0072, **given)
-    assert margin.sentence() == "the ctrl of thumb comes to -0.0072 at t = 0.25 s, 0.0072 beyond its limit of 0"

@@ -10,7 +10,6 @@ from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
 from linkplan.planner.limits.kinds import KINDS, RELAXED
 from linkplan.planner.limits.limit import Limit
 from linkplan.planner.problem.instant import Robust
-from linkplan.planner.proof.claims import claims_of
 from linkplan.planner.proof.prove import prove
 from tests.support.plans import planned
 
@@ -61,9 +60,3 @@ def test_only_actuators_with_a_limit_have_one_at_the_corners():
     assert len(RobustLimit.of(problem)) == 2
     free = replace(problem, limits=replace(problem.limits, effort=np.array([[-np.inf, np.inf]])))
     assert RobustLimit.of(free) == []
-
-
-def test_every_limit_of_a_problem_has_a_claim():
-    plan = planned("knee-reach")
-    names = [claim.name for claim in claims_of(plan.problem, plan.trajectory)[0]]
-    assert {"effort of act_O by inverse dynamics", "planned effort of act_O"} <= set(names)

@@ -45,8 +45,3 @@ def test_an_interval_with_a_kink_has_the_least_of_its_samples():
     values, bent = np.concatenate([20 * (POINTS - 0.37) ** 2 - 2.0, POINTS + 5.0]), np.arange(2 * len(POINTS)) == 3
     margin = margin_of(None, Measured("q", values, (0.0, np.inf), "N", bent=bent), SAMPLES)
     assert margin.left == values.min()
-
-
-def test_an_overrun_is_a_share_of_the_size_that_is_given():
-    margin = margin_of(None, Measured("q", np.tile(POINTS, 2), (-np.inf, 0.5), "N", size=0.25), SAMPLES)
-    assert margin.overrun == pytest.approx((2.0, 2.0), rel=1e-9)

@@ -33,10 +33,3 @@ def test_power_is_effort_times_speed(most, left):
     power = margin(f"limits.power_w.motor={most}")
     assert power.value == pytest.approx(4.0, rel=1e-9)
     assert power.left == pytest.approx(left, rel=1e-9)
-
-
-@pytest.mark.parametrize(("bounds", "left"), [((-1.5, 4.0), 0.5), ((-0.75, 4.0), -0.25)])
-def test_the_rate_of_effort_is_its_slope(bounds, left):
-    rate = margin(f"limits.effort_rate.motor={list(bounds)}")
-    assert rate.value == pytest.approx(-1.0, rel=1e-9)
-    assert rate.left == pytest.approx(left, rel=1e-9)

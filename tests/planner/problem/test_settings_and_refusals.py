@@ -12,8 +12,7 @@ from linkplan.models.poses.reach import End, reach
 from linkplan.planner.problem.extra import ExtraCost, checked_extras
 from linkplan.planner.problem.instant import Corner, Robust, corner_efforts_along, free_instant
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.settings import MeshSettings, SolverSettings
-from linkplan.planner.problem.sites import SitePoint, _squared, shown
+from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.problem.start import _way_through
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, body_problem
 
@@ -24,12 +23,6 @@ SINE = ("reference.amplitude_deg.J=20", "reference.frequency_hz=2.0")
 
 def quarter(*overrides: str, model: str = HINGE) -> Problem:
     return body_problem(model, SECOND, *overrides)
-
-
-def test_breaks_of_the_first_mesh_say_how_many_intervals_there_are():
-    mesh = quarter("mesh.breaks=[0, 0.2, 0.5, 1]").mesh
-    assert mesh.intervals == 3
-    assert mesh.breaks.tolist() == [0.0, 0.2, 0.5, 1.0]
 
 
 @pytest.mark.parametrize(
@@ -172,18 +165,6 @@ def test_the_remedy_at_the_end_of_a_reach_is_that_of_the_end_that_is_in_the_way(
 # Places of sites.
 
 
-def test_the_distance_of_points_from_a_segment_is_to_its_nearest_point():
-    a, b = np.array([1.0, 1.0, 0.0]), np.array([3.0, 1.0, 0.0])
-    points = np.array([[2.0, 1.5, 0.0], [0.0, 1.0, 2.0], [5.0, 2.0, 0.0], [1.5, 1.0, 0.0]])
-    assert _squared(points, a, b) == pytest.approx([0.25, 5.0, 5.0, 0.0])
-
-
-def test_a_place_is_off_a_point_by_its_prescribed_coordinates():
-    point = SitePoint(site="foot", index=0, point=np.array([1.0, np.nan, -2.0]))
-    assert point.distance_m(np.array([4.0, 100.0, 2.0])) == pytest.approx(5.0)
-    assert shown(point.point) == "{ x = 1, z = -2 }"
-
-
 # Terms, names and times.
 
 
@@ -198,12 +179,3 @@ def test_the_certificate_has_a_tenth_of_the_time_and_solves_the_rest():
     begun = SolverSettings(max_time_s=1000.0).begun()
     assert begun.deadline.left_s == pytest.approx(900.0, abs=1.0)
     assert begun.certificate_deadline.left_s == pytest.approx(1000.0, abs=1.0)
-
-
-@pytest.mark.parametrize(("apart", "legal"), [(1.1e-9, True), (0.9e-9, False)])
-def test_breaks_are_a_billionth_of_the_duration_apart(apart, legal):
-    if legal:
-        assert MeshSettings(breaks=[0.0, apart, 1.0]).breaks.tolist() == [0.0, apart, 1.0]
-        return
-    with pytest.raises(ProblemError, match="at least 1e-09 apart"):
-        MeshSettings(breaks=[0.0, apart, 1.0])

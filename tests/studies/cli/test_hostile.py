@@ -36,13 +36,10 @@ def test_a_bar_that_is_as_it_should_be_is_read():
 
 NONSENSE = {
     "negative armature": (bar(joint='armature="-1"'), "armature"),
-    "infinite armature": (bar(joint='armature="inf"'), "not finite"),
     "infinite gear": (bar(motor='gear="inf"'), "not finite"),
     "absurd gear": (bar(motor='gear="1e300"'), "beyond"),
     "negative timestep": (bar(more='<option timestep="-1"/>'), "timestep"),
-    "no timestep": (bar(more='<option timestep="0"/>'), "timestep"),
     "negative damping": (bar(joint='damping="-1"'), "damping"),
-    "infinite mass": (bar().replace('mass="1"', 'mass="inf"'), ""),
     "infinite gravity": (bar(more='<option gravity="0 0 inf"/>'), "not finite"),
     "escape in a name": (bar().replace('"bar"', '"&#27;[31m"'), ""),
     "an endless name": (bar().replace('"bar"', '"' + 600 * "a" + '"'), "600 characters"),
@@ -97,10 +94,7 @@ def test_toml_that_breaks_its_reader_is_refused(content, tmp_path):
     "setting",
     [
         "mechanism.independent=3",
-        "mechanism.independent=true",
-        "mechanism.independent=1979-05-27",
         "motion.duration_s=1e6",
-        "tracking.period_s=1e9",
         "tracking.duration_s=1e9",
         "tracking.kp=1e300",
     ],
