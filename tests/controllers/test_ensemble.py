@@ -2,7 +2,7 @@
 
 import copy
 import dataclasses
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -13,7 +13,6 @@ from linkplan.controllers.imperfections.imperfections import Imperfections, Push
 from linkplan.controllers.mujoco_plant import DIVERGED, MujocoPlant
 from linkplan.controllers.simulate import Ensemble, simulate
 from tests.support.machines import LOOP, everything, feedback, follower, reach, run_alone, run_machines
-from tests.support.tolerances_loops import SAME_RUN
 
 
 def logs(ensemble: Ensemble, i: int) -> list[np.ndarray]:
@@ -23,34 +22,6 @@ def logs(ensemble: Ensemble, i: int) -> list[np.ndarray]:
 
 def same_bits(first: list[np.ndarray], second: list[np.ndarray]) -> bool:
     return all(np.array_equal(a, b, equal_nan=True) for a, b in zip(first, second, strict=True))
-
-
-@pytest.mark.parametrize("law", [feedback, follower])
-@pytest.mark.parametrize("delay", [0, 2])
-def test_a_machine_without_imperfections_is_the_single_run(law, delay):
-    mechanism, reference = reach()
-    loop = replace(LOOP, delay_periods=delay)
-    single = run_alone(mechanism, reference, law(), loop)
-    many = run_machines(mechanism, reference, law(), loop, [Imperfections()] * 3, threads=2)
-    for i in range(3):
-        assert np.abs(many.pose[:, i] - single.pose_rad).max() < SAME_RUN
-        assert np.abs(many.commanded[:, i] - single.commanded).max() < SAME_RUN * 1e3
-        assert np.abs(many.applied[:, i] - single.applied).max() < SAME_RUN * 1e3
-        assert many.gap_m[i] == pytest.approx(single.gap_m.max(), rel=1e-6)
-    assert np.ptp(single.position_rad) > 1e-3  # it moves
-
-
-def test_a_machine_is_the_same_to_the_last_bit_at_any_batch_size_and_number_of_threads():
-    mechanism, reference = reach()
-    machines = [everything(seed) for seed in range(7)]
-    whole = run_machines(mechanism, reference, follower(), LOOP, machines, threads=1)
-    assert whole.failure == (None,) * 7
-    for size, threads in ((1, 1), (3, 2), (7, 2)):
-        for first in range(0, 7, size):
-            part = run_machines(mechanism, reference, follower(), LOOP, machines[first : first + size], threads)
-            for i in range(len(part.failure)):
-                assert same_bits(logs(part, i), logs(whole, first + i)), (size, threads, first + i)
-    assert not same_bits(logs(whole, 0), logs(whole, 1))
 
 
 def test_a_machine_that_diverges_is_frozen_and_harms_no_other(tmp_path, monkeypatch):

@@ -68,16 +68,6 @@ def test_a_servo_gives_the_effort_that_a_motor_would(integrator):
     assert np.abs(first.applied - efforts).max() < ROUNDING
 
 
-def test_what_acts_is_what_the_end_of_a_servos_range_leaves():
-    mechanism = load_mechanism(hard(GRIPPER, PERIOD_S))
-    efforts = np.tile([5.0, 0.9], (2, 1))
-    held = replaced(GRIPPER, 'ctrlrange="-0.6 0.6"', 'ctrlrange="-0.01 0.01"')
-    free, cut = scripted(mechanism, efforts, 50.0), scripted(load_mechanism(hard(held, PERIOD_S)), efforts, 50.0)
-    assert np.abs(free.applied[:, 1] - 0.9).max() < ROUNDING
-    assert abs(cut.applied[0, 1] - 5 * 0.01) < ROUNDING, "kp times the end of its range, at rest at home"
-    assert cut.commanded[0, 1] == 0.9
-
-
 def test_servos_that_run_in_threads_of_their_own_do_not_meddle_with_each_other():
     mechanism = load_mechanism(hard(GRIPPER, 1e-4, "implicitfast"))
     efforts = [wave(mechanism, size) for size in (0.02, 0.05, 0.08, 0.1)]

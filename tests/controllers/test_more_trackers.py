@@ -241,14 +241,6 @@ def test_mpc_without_an_active_limit_is_lqr():
         )
 
 
-def test_a_run_of_mpc_that_meets_no_limit_is_lqr_s():
-    lqr, mpc = run_of("lqr", "knee-reach", mass_factor=1.2, delay=1), run_of("mpc", "knee-reach", mass_factor=1.2, delay=1)
-    assert lqr.saturated_fraction == 0
-    assert np.abs(lqr.error_rad).max() > 1e-3
-    np.testing.assert_allclose(mpc.position_rad, lqr.position_rad, rtol=0, atol=1e-6 * np.abs(lqr.error_rad).max())
-    np.testing.assert_allclose(mpc.applied, lqr.applied, rtol=1e-6)
-
-
 def test_mpc_keeps_the_limits_that_lqr_goes_beyond():
     position, velocity = states_about("knee-reach", 60, 12, 0.2)
     beyond = np.abs(asked("lqr", 60, position, velocity)[:, 0]) > 100

@@ -201,7 +201,23 @@ def test_no_text_whatever_gets_past_the_reader_as_another_error(key, text):
     assert isinstance(answer, Problem) or len(answer.splitlines()) == 1
 
 
-# What overrides do.
+# What overrides do: what is set, what is read then, its value.
+SETTINGS = [
+    ("mesh.scheme=radau-2", lambda problem: problem.mesh.scheme, "radau-2"),
+    ('mesh.scheme = "radau-2"', lambda problem: problem.mesh.scheme, "radau-2"),
+    ("tracking.kp=1e3", lambda problem: problem.tracking.kp, 1000.0),
+    ("limits.effort.act_O=[-50, inf]", lambda problem: problem.limits.effort.tolist(), [[-50.0, np.inf]]),
+    ("motion.goal_deg={O = 10}", lambda problem: problem.motion.goal, pytest.approx(np.radians(10))),
+    ("motion.duration_s=free", lambda problem: problem.motion.duration_s, None),
+    ("mechanism.payload=none", lambda problem: problem.mechanism.payload, None),
+    ('mechanism.payload={body="rocker", mass_kg=2, com_m=[0, 0, 1]}', lambda p: p.mechanism.payload.body, "rocker"),
+]
+
+
+@pytest.mark.parametrize(("override", "read", "value"), SETTINGS)
+def test_a_setting_is_what_the_problem_has(override, read, value):
+    assert read(load_problem(REACH, [override])) == value
+    assert read(load_problem(REACH)) != value
 
 
 def test_a_key_of_a_built_in_payload_keeps_its_other_values():

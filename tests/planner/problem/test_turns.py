@@ -10,7 +10,7 @@ import scipy.optimize
 import linkplan
 from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import CertificateError, ProblemError
-from tests.support.linkages import GRIPPER, PRESS, UNCUT
+from tests.support.linkages import GRIPPER, UNCUT
 from tests.support.mechanisms import replaced
 from tests.support.slider_crank import inertia, potential
 from tests.support.tolerances_planner import CLOSURE_M, ROLLOUT_GAP_M

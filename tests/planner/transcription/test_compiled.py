@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.compiled import functions as module
-from linkplan.models.compiled.cache import cache_folder, wanted_again
+from linkplan.models.compiled.cache import wanted_again
 from linkplan.models.compiled.functions import cached, compiled, compiled_as_asked, compiler
 from linkplan.models.compiled.lanes import N_LANES, over_columns
 from linkplan.models.mechanism import load_mechanism
@@ -74,14 +74,6 @@ def test_what_is_compiled_once_is_found_again_whole(folder):
     assert sorted(path.name for path in folder.iterdir()) == ["k1.json", "k1.so"]
 
 
-@pytest.mark.slow
-@needs_compiler
-@pytest.mark.usefixtures("folder")
-def test_a_cached_function_is_not_built_again():
-    compiled("k1", NodeFunctions, built)
-    compiled("k1", NodeFunctions, lambda: pytest.fail("built again"))
-
-
 @needs_compiler
 def test_auto_compiles_what_is_wanted_a_second_time(folder, monkeypatch):
     monkeypatch.setattr(module, "wanted_again", wanted_again)
@@ -108,13 +100,6 @@ def test_a_compiler_that_fails_is_said_and_costs_nothing_else(folder, monkeypatc
         functions = compiled("k1", NodeFunctions, built)
     assert "External" not in functions.node_value.class_name()
     assert list(folder.iterdir()) == []
-
-
-@pytest.mark.parametrize("content", [b"", b"{", b'{"n_own": 2}'])
-def test_a_damaged_entry_counts_as_none(folder, content):
-    (folder / "k1.json").write_bytes(content)
-    (folder / "k1.so").write_bytes(b"not a library")
-    assert cached("k1", NodeFunctions) is None
 
 
 def keys(payload="shank", asked=None, name="radau-2", effort="polynomial", costs=("effort",)):
@@ -149,10 +134,6 @@ def test_keys_follow_the_expressions_and_not_their_sources():
     assert chain_key(system, transcription, rows, build_node(system)) == keys()[1]
 
 
-def test_the_cache_lies_where_it_is_told_to(folder):
-    assert cache_folder() == folder
-
-
 @pytest.mark.slow
 @needs_compiler
 def test_a_plan_is_the_same_compiled_and_interpreted(folder):
@@ -161,8 +142,3 @@ def test_a_plan_is_the_same_compiled_and_interpreted(folder):
         plans = [plan_motion(load_problem("knee-reach", [f"solver.compile={mode}"])) for mode in ("never", "always")]
     assert list(folder.glob("*.so"))
     assert plans[1].objective == pytest.approx(plans[0].objective, rel=COMPILED)
-
-
-def test_payloads_have_functions_of_their_own():
-    fingerprints = {load_mechanism("optimus-knee", payload=payload).fingerprint() for payload in (None, "shank")}
-    assert len(fingerprints) == 2

@@ -1,35 +1,24 @@
 """Transcriptions: exactness on polynomials, known tableaux, guarded constants, and the order that each one claims."""
 
 from dataclasses import fields, replace
-from functools import cache
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.polynomial import Polynomial
 from scipy.integrate import quad
 
 from linkplan.models.errors import ProblemError
-from linkplan.models.poses.assembly import close_at
-from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.closed_chain.guess import first_guess
-from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search.planning import plan_motion
-from linkplan.planner.solvers.solve import solve
 from linkplan.planner.transcription.bernstein import bernstein_gram, bernstein_integral, bernstein_matrix
-from linkplan.planner.transcription.mesh import uniform
 from linkplan.planner.transcription.schemes import NAMES, scheme
-from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, TURN
-from tests.support.tolerances_planner import EFFORT_JUMP, EXACT_EFFORT, MINIMUM_TIME, ORDER, UNIT, UNIT_VALUES
+from tests.support.bodies import HINGE, HINGE_INERTIA, TURN
+from tests.support.tolerances_planner import EFFORT_JUMP, EXACT_EFFORT, UNIT, UNIT_VALUES
 
 FIRST_ORDER = ("trapezoid", "hermite-simpson")
 CONSISTENT = tuple(name for name in NAMES if name not in FIRST_ORDER)
-RADAU = tuple(name for name in NAMES if name.startswith("radau"))
 TAU = np.linspace(0.0, 1.0, 41)
 
 
@@ -82,25 +71,6 @@ def test_a_first_order_form_integrates_the_polynomial_through_its_nodal_velociti
     assert np.abs(between[0] - between[1]).max() > 1e-3
 
 
-@pytest.mark.parametrize("name", RADAU)
-def test_radau_weights_integrate_degree_2m_minus_2_and_no_more(name):
-    constants = scheme(name)
-    m = constants.n_nodes
-    for power in range(2 * m - 1):
-        assert constants.weights @ constants.nodes**power == pytest.approx(1 / (power + 1), abs=UNIT)
-    if m <= 5:  # beyond, the first missed monomial is missed by less than rounding
-        assert abs(constants.weights @ constants.nodes ** (2 * m - 1) - 1 / (2 * m)) > 100 * UNIT
-
-
-@pytest.mark.parametrize("name", RADAU)
-def test_radau_nodes_are_the_roots_that_define_them(name):
-    nodes = scheme(name).nodes
-    m = len(nodes)
-    radau = np.polynomial.legendre.Legendre([0] * (m - 1) + [1, -1])  # P_{m-1} - P_m vanishes at +1 and at the rest
-    np.testing.assert_allclose(radau(2 * nodes - 1), 0, atol=UNIT)
-    assert nodes[-1] == pytest.approx(1.0, abs=UNIT)
-
-
 def test_radau_2_is_the_radau_iia_tableau():
     np.testing.assert_allclose(scheme("radau-2").velocity, [[5 / 12, -1 / 12], [3 / 4, 1 / 4]], atol=UNIT)
 
@@ -140,11 +110,6 @@ def test_a_slip_in_a_scheme_s_name_is_answered_with_the_nearest():
         scheme("hermite-simson")
 
 
-@pytest.mark.parametrize("degree", range(9))
-def test_bernstein_polynomials_are_a_partition_of_unity(degree):
-    np.testing.assert_allclose(bernstein_matrix(degree, TAU).sum(axis=1), 1, atol=UNIT)
-
-
 @pytest.mark.parametrize("degree", range(5))
 def test_bernstein_gram_matrix_is_the_integral_of_products(degree):
     def product(t: float, i: int, j: int) -> float:
@@ -164,58 +129,10 @@ def test_bernstein_integral_gives_the_antiderivative_from_zero(degree):
     np.testing.assert_allclose(values, exact, atol=UNIT_VALUES)
 
 
-@settings(derandomize=True, deadline=None, max_examples=50)
-@given(st.lists(st.floats(-100, 100), min_size=1, max_size=9))
-def test_a_bernstein_polynomial_stays_in_the_hull_of_its_coefficients(coefficients):
-    values = bernstein_matrix(len(coefficients) - 1, np.linspace(0, 1, 101)) @ np.array(coefficients)
-    assert values.max() <= max(coefficients) + UNIT
-    assert values.min() >= min(coefficients) - UNIT
-
-
-@cache
-def knee_error(name: str, intervals: int) -> float:
-    """Return how far [deg] the integrated model ends from a least-effort swing of the knee, planned on a fixed mesh."""
-    problem = load_problem("knee-reach", [f"mesh.scheme={name}", f"mesh.intervals={intervals}", "motion.duration_s=0.3"])
-    guess = first_guess(problem, close_at(problem.mechanism, problem.motion.start))
-    transcribed = transcribe(problem, guess, uniform(intervals), np.array([guess.duration_s]))
-    solution = solve(transcribed)
-    assert solution.converged
-    return certify(problem, trajectory_of(transcribed, solution.x, problem.limits.effort)).integration_error_deg
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("name", "order"),
-    [
-        ("trapezoid", 2),
-        ("trapezoid-consistent", 2),
-        ("hermite-simpson", 4),
-        ("hermite-simpson-consistent", 4),
-        ("radau-1", 1),
-        ("radau-2", 3),
-        ("radau-3", 5),
-        ("gauss-1", 2),
-        ("gauss-2", 4),
-        ("gauss-3", 6),
-    ],
-)
-def test_the_error_of_a_swing_falls_with_the_order_that_the_scheme_claims(name, order):
-    meshes = (10, 20, 40)
-    slope = -np.polyfit(np.log(meshes), np.log([knee_error(name, n) for n in meshes]), 1)[0]
-    assert slope == pytest.approx(order, abs=ORDER)
-
-
-@pytest.mark.slow
-def test_a_higher_order_pays_on_one_mesh():
-    errors = [knee_error(name, 20) for name in ("radau-1", "radau-2", "hermite-simpson", "radau-3")]
-    assert all(b < 0.1 * a for a, b in pairwise(errors))
-
-
 # A single body: its optimum has a closed form.
 
 
 TURN_MOTION = "start_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\n"
-FREE = ("objective.minimize=time", "motion.duration_s=free")
 
 
 def plan_body(folder: Path, mjcf: str, motion: str, *overrides: str) -> Plan:
@@ -237,27 +154,6 @@ def test_the_least_effort_of_a_pure_inertia_is_a_straight_line(tmp_path):
     time = np.linspace(0, 1.5, 301)[:-1]
     line = 6 * HINGE_INERTIA * TURN / 1.5**2 * (1 - 2 * time / 1.5)
     np.testing.assert_allclose(plan.trajectory.effort_at(time)[:, 0], line, atol=EFFORT_JUMP)
-
-
-@pytest.mark.slow
-def test_a_pure_inertia_turns_fastest_in_twice_the_root_of_inertia_times_angle_over_torque(tmp_path):
-    plan = plan_body(tmp_path, HINGE, TURN_MOTION, *FREE)
-    assert plan.objective == pytest.approx(2 * np.sqrt(HINGE_INERTIA * TURN / 4), rel=MINIMUM_TIME)
-
-
-@pytest.mark.slow
-def test_a_pure_inertia_under_a_speed_limit_turns_fastest_by_a_trapezium(tmp_path):
-    speed = np.radians(120)
-    assert np.sqrt(4 * TURN / HINGE_INERTIA) > 2 * speed  # the limit binds
-    plan = plan_body(tmp_path, HINGE, TURN_MOTION, *FREE, "limits.speed_deg_s.J=120")
-    assert plan.objective == pytest.approx(TURN / speed + speed * HINGE_INERTIA / 4, rel=MINIMUM_TIME)
-
-
-@pytest.mark.slow
-def test_a_lift_rises_fastest_with_its_weight_helping_the_brake(tmp_path):
-    plan = plan_body(tmp_path, LIFT, "start_m = { J = 0.1 }\ngoal_m = { J = 0.9 }\n", *FREE)
-    rise, brake = 50 / 2 - 9.81, 30 / 2 + 9.81
-    assert plan.objective == pytest.approx(np.sqrt(2 * 0.8 * (rise + brake) / (rise * brake)), rel=MINIMUM_TIME)
 
 
 @pytest.mark.parametrize(

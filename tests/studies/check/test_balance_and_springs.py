@@ -55,14 +55,6 @@ def test_lengths_and_motion_ratios_of_a_spring_are_those_of_the_law_of_cosines()
     assert list(path.spring_length_m) == ["spring"], "a cable without a spring is none"
 
 
-def test_sites_are_where_the_arm_takes_them():
-    path = along(load_mechanism(SWINGARM))
-    angle = np.radians(path.q_deg["pivot"])
-    np.testing.assert_allclose(path.site_m["wheel"][:, [0, 2]], turned(angle, WHEEL), atol=1e-12)
-    assert np.ptp(path.site_m["wheel"][:, 2]) > 0.3
-    np.testing.assert_allclose(path.site_m["frame"], np.tile([0.1, 0.0, 0.05], (len(angle), 1)), atol=1e-15)
-
-
 def test_a_pose_in_balance_is_where_the_energy_has_no_slope():
     (one,) = along(load_mechanism(SWINGARM)).balance
     found = scipy.optimize.minimize_scalar(energy, bounds=np.radians([-25, 25]), method="bounded", options={"xatol": 1e-12})

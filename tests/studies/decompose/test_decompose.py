@@ -188,19 +188,6 @@ def test_a_report_has_the_parts_and_the_plan():
     assert len(report.sections) > 1
 
 
-@pytest.mark.parametrize(
-    ("asked", "said"),
-    [
-        ([], "one or more trackers, got none"),
-        (["pdf"], "unknown tracker 'pdf'"),
-        (["pd", "pd"], "different names, got 'pd' twice"),
-    ],
-)
-def test_trackers_that_cannot_be_are_refused(asked, said):
-    with pytest.raises(ProblemError, match=said):
-        decompose(reach(SHORT, AS_MODELLED), asked)
-
-
 def test_a_law_of_one_reference_is_refused_and_a_function_is_not():
     plan = reach(SHORT, AS_MODELLED)
 

@@ -36,10 +36,6 @@ def done(target, settings=FEW, problem="knee-reach", overrides=(SHORT,), **how):
     return run_experiment({"name": problem}, None, lambda: plan, settings, target, silent, **how)
 
 
-def content(folder):
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
-
-
 @pytest.fixture
 def short_blocks(monkeypatch):
     """Let blocks be of two samples."""
@@ -308,15 +304,6 @@ def test_an_empty_table_of_imperfections_means_none_and_a_missing_one_the_defaul
     (note,) = done(tmp_path / "defaults").notes
     assert "without [imperfections]" in note
     assert "torque_bandwidth_hz" in note
-
-
-def test_a_block_of_long_runs_has_few_samples_so_that_little_is_lost():
-    many = Settings(trackers=("pd", "pd+ff"), samples=1000)
-    short, long = (experiment_of(optimal("knee-reach", f"tracking.duration_s={t}"), many) for t in (0.01, 10.0))
-    assert blocks.block_samples(short) == blocks.BLOCK_SAMPLES
-    assert blocks.block_samples(long) * 2 * long.reference.n <= blocks.BLOCK_STEPS
-    covered = [sample for samples in blocks.sample_blocks(long) for sample in samples]
-    assert covered == list(range(1000))
 
 
 def test_a_tracker_whose_gains_are_too_high_for_its_encoder_is_said_to_chatter(tmp_path):

@@ -1,6 +1,5 @@
 """A response as a value, frequencies of whole samples, several freedoms, and what is refused."""
 
-import control
 import numpy as np
 import pytest
 
@@ -11,35 +10,9 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.feedback.bode.bode import bode_study
 from linkplan.studies.feedback.frequency.excitation import whole_samples
 from linkplan.studies.feedback.frequency.feedback_loops import feedback_loop, law_gain, operating_point
-from linkplan.studies.feedback.frequency.response import Response
 from linkplan.studies.feedback.frequency.sinestream import measure
 from tests.support.mechanisms import FIVE_BAR
-from tests.support.tolerances_loops import COUPLED_DB, COUPLED_DEG, NEAREST_WHOLE, PRINTED_DB
-
-F = np.array([1.0, 2.0, 4.0])
-
-
-def test_a_response_goes_to_python_control():
-    response = Response(frequency_hz=F, gain=1 / (1 + 1j * F), unit="1", origin="typed in")
-    data = response.frd()
-    assert isinstance(data, control.FrequencyResponseData)
-    assert np.asarray(data(2j * np.pi * 2.0)) == pytest.approx(1 / (1 + 2j))
-    assert np.asarray(data.omega) == pytest.approx(2 * np.pi * F)
-    assert np.asarray(data.frdata)[0, 0] == pytest.approx(response.gain)
-
-
-def test_a_response_knows_its_size_its_phase_and_its_distance_from_another():
-    gain = np.array([1.0, 0.5j, -0.1])
-    response = Response(frequency_hz=F, gain=gain, unit="1", origin="a")
-    assert response.gain_db == pytest.approx([0.0, -6.0206, -20.0], abs=PRINTED_DB)
-    assert response.phase_deg == pytest.approx([0.0, 90.0, 180.0])
-    db, deg = response.against(Response(frequency_hz=F, gain=2j * gain, unit="1", origin="b"))
-    assert db == pytest.approx(-6.0206, abs=PRINTED_DB)
-    assert deg == pytest.approx(-90.0)
-    assert response.coherence == pytest.approx(1.0)
-    assert response.uncertainty == pytest.approx(0.0)
-    with pytest.raises(ValueError, match="read-only"):
-        response.gain[0] = 2.0
+from tests.support.tolerances_loops import COUPLED_DB, COUPLED_DEG, NEAREST_WHOLE
 
 
 def test_measured_frequencies_repeat_after_whole_samples_next_to_those_asked_for():
@@ -95,20 +68,6 @@ def test_the_study_has_a_loop_for_every_joint():
 @pytest.fixture(scope="module")
 def knee():
     return load_mechanism("optimus-knee")
-
-
-def knee_loop(knee, kd, period=1e-4):
-    point = operating_point(knee, np.radians([3.6]))
-    gain = law_gain(point, "pd", Tracking(kp=200.0, kd=kd, period_s=period), knee.effort_limit)
-    return feedback_loop(point, gain, sampling(knee, period))
-
-
-def test_frequencies_above_nyquist_are_refused(knee):
-    loop = knee_loop(knee, 1.0)
-    with pytest.raises(LinkplanError, match="5001 Hz is above the Nyquist frequency"):
-        loop.gains("loop", np.array([10.0, 5001.0]))
-    with pytest.raises(LinkplanError, match="Nyquist"):
-        measure([loop], np.array([10.0, 100.0, 1000.0, 3000.0, 5001.0]), knee.effort_limit)
 
 
 def test_a_pose_that_the_limits_cannot_hold_is_refused():

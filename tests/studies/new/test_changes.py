@@ -13,7 +13,6 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.new.changes import changed_mechanism, raised_limits
 from linkplan.studies.check.new.hanging import hanging_columns
 from tests.support.data import DATA
-from tests.support.linkages import ROD
 from tests.support.parallel_ankle import ankle_text, soft_ankle
 
 # A chassis that slides and pitches in a plane, with a wheel-leg of five bars whose motors are on the chassis.
@@ -271,13 +270,6 @@ def test_other_dry_friction_stays_as_it_is(table):
     mechanism, notes = changed_mechanism(table)
     assert notes == ()
     assert np.degrees(mechanism.friction_transition) == pytest.approx(table.get("friction_transition_deg_s", 2.0))
-
-
-def test_a_rod_between_ball_joints_loses_its_spin():
-    mechanism, notes = changed_mechanism({"model": ROD})
-    assert mechanism.dof == 1
-    assert mechanism.source["lock_spin"] == ["ball"]
-    assert any("mechanism.lock_spin: ball" in note for note in notes)
 
 
 FLAT = """<mujoco><option gravity="0 0 0"/><default><joint axis="0 1 0"/><geom type="capsule" size="0.01" contype="0"

@@ -50,24 +50,3 @@ def test_a_picture_of_an_instant_after_the_run_is_refused_with_its_end():
     asked = RenderSettings(suffix=".png", at_s=99.0)
     with pytest.raises(ProblemError, match=f"ends at {motion.time_s[-1]:.4g} s; there is no picture of it at 99 s"):
         picture(motion, None, asked, None)
-
-
-@pytest.mark.parametrize(
-    ("asked", "words"),
-    [
-        ({"fps": -1.0}, "fps"),
-        ({"fps": float("nan")}, "fps"),
-        ({"fps": 60.0, "suffix": ".gif"}, "from 0.01 to 50"),
-        ({"fps": 1e-9, "suffix": ".gif"}, "from 0.01 to 50"),  # a GIF's frames stand eleven minutes at the most
-        ({"slow": 0.0}, "slow"),
-        ({"size": (801, 600)}, "even"),
-        ({"size": (8, 6)}, "64 to 4096"),
-        ({"at_s": 0.1}, ".png"),
-        ({"at_s": -0.1, "suffix": ".png"}, "from 0 on"),
-        ({"there_and_back": True, "suffix": ".png"}, "film"),
-        ({"instants": 0}, "1 to 40"),
-    ],
-)
-def test_settings_that_make_no_sense_are_refused(asked, words):
-    with pytest.raises(ProblemError, match=words):
-        RenderSettings(**({"suffix": ".mp4"} | asked))
