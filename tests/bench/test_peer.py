@@ -56,12 +56,3 @@ def test_packages_solve_the_same_problem_and_again_for_another_goal(package, sol
     assert answer.objective == pytest.approx(LEAST[duration], rel=APART)
     assert again(np.radians(55.0)) < (1 - APART) * answer.objective
     assert again(ENDS[1]) == pytest.approx(answer.objective, rel=SOLVED)
-
-
-def test_a_package_that_is_missing_is_said_with_what_to_do(monkeypatch):
-    real = packages.importlib.util.find_spec
-    monkeypatch.setattr(packages.importlib.util, "find_spec", lambda name: real(name) if name == "casadi" else None)
-    there, missing = packages.installed()
-    assert list(there) == ["Opti"]
-    assert missing["rockit"] == "not installed: pip install 'linkplan[peers]'"
-    assert "pip install --no-deps yapss" in missing["YAPSS"]

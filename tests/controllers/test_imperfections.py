@@ -18,13 +18,10 @@ from linkplan.controllers.imperfections.imperfections import (
 )
 from linkplan.controllers.imperfections.plant import plant
 from linkplan.controllers.imperfections.sensing import measure, sensing
-from linkplan.controllers.reference import state_at
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.payload import BODY_NAME
 from tests.support.machines import LOOP, everything, reach
-from tests.support.plans import optimal
 from tests.support.references import hinge_reference
 
 LIMIT = np.array([[-10.0, 10.0]])
@@ -155,13 +152,3 @@ def test_a_link_grows_about_its_joint():
 
 
 # The whole loop.
-
-
-def test_states_between_samples_are_the_plan_s():
-    _, reference = reach()
-    times = np.array([0.00123, 0.0101234, 0.0002])
-    position, velocity = state_at(reference, times)
-    trajectory = optimal("knee-reach").trajectory
-    assert position == pytest.approx(trajectory.position_at(times), abs=1e-9)
-    assert velocity == pytest.approx(trajectory.velocity_at(times), abs=1e-4)
-    assert BODY_NAME  # the payload is there

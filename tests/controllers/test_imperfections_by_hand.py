@@ -164,12 +164,3 @@ def test_a_gap_along_the_hinges_of_a_planar_loop_stays_and_takes_no_part_in_its_
     model.site_pos[model.eq_obj1id[0], 0] += 0.2
     with pytest.raises(AssemblyError, match=r"does not close at the start, O = 0 deg, .* 4[67]\.\d mm are left"):
         closed_pose(model, data, mechanism, mechanism.home)
-
-
-def test_positions_of_a_turning_motion_go_on_from_turn_to_turn():
-    """A turn in 4 periods, sampled for 10: the third turn begins two turns further on."""
-    mechanism = load_mechanism(HINGE)
-    turn = motion_along([0.0, 4 * PERIOD], [0.0, 2 * np.pi], periodic=True)
-    reference = sample(mechanism, turn, PERIOD, 10 * PERIOD)
-    assert reference.position_rad[:, 0] == pytest.approx(0.5 * np.pi * np.arange(10), abs=1e-12)
-    assert reference.pose_rad[:, 0] == pytest.approx(0.5 * np.pi * np.arange(10), abs=1e-12)

@@ -12,7 +12,6 @@ import pytest
 from linkplan.controllers.feedback_loop import LoopLog
 from linkplan.controllers.imperfections.imperfections import Clock, Drives, Imperfections
 from linkplan.controllers.imperfections.plant import scale_masses
-from linkplan.controllers.mujoco_plant import _columns
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.simulate import Ensemble, bytes_each
 from linkplan.controllers.trackers.pd import pd
@@ -63,11 +62,6 @@ def test_a_delay_of_two_of_five_steps_mixes_both_commands_in_that_proportion():
     applied = ramped(Imperfections(clock=Clock(delay_periods=0.4))).applied[:, 0, 0]
     asked = 0.25 * np.arange(1, 9)
     assert applied == pytest.approx(0.4 * np.append(asked[:1], asked[:-1]) + 0.6 * asked, rel=1e-12)
-
-
-@pytest.mark.parametrize("index", [[2, 3, 4], [4, 3, 2], [0], [1, 3]])
-def test_columns_are_those_of_their_indices_in_their_order(index):
-    assert np.arange(10)[_columns(np.array(index))].tolist() == index
 
 
 def test_the_memory_of_a_machine_s_log_is_that_of_its_arrays():

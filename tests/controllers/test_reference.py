@@ -37,11 +37,6 @@ def test_between_samples_a_cubic_motion_is_itself(at):
     assert velocity == pytest.approx([path.deriv()(at * PERIOD)], abs=1e3 * ROUNDING)
 
 
-def test_at_a_sample_the_state_is_the_sample_to_the_last_bit():
-    reference, _ = cubic_samples(200)
-    assert np.array_equal(state_at(reference, reference.time_s)[0], reference.position_rad)
-
-
 @pytest.mark.parametrize("beyond", [0.5, 1.0, 3.25])
 def test_after_the_last_sample_the_motion_goes_on_at_its_last_velocity(beyond):
     reference, _ = cubic_samples()

@@ -90,15 +90,6 @@ def test_held_and_delayed_efforts_on_a_hinge_are_the_closed_form(delay, late):
         assert runs.velocity[k, 0, 0] == pytest.approx(speed, rel=SAME_FIGURE, abs=ROUNDING)
 
 
-@pytest.mark.parametrize(("delay", "share"), [(0.0, 0.0), (0.25, 0.25), (1.5, 0.5)])
-def test_what_acts_in_a_period_is_the_mean_of_both_commands(delay, share):
-    mechanism = load_mechanism(HINGE)
-    runs = simulate(RigidPlant(mechanism=mechanism, delay_periods=delay), Ramp(), hinge_reference(mechanism, 8))
-    arrived = np.maximum(np.arange(8.0) - np.floor(delay), 0.0) + 1.0
-    before = np.maximum(arrived - 1.0, 1.0)
-    np.testing.assert_allclose(runs.applied[:, 0, 0], share * before + (1 - share) * arrived, rtol=1e-12)
-
-
 def test_a_long_period_is_integrated_in_steps_of_the_simulator():
     """A rod falls for half a second under a held effort: scipy's answer, for a slow clock beside a fast one too."""
     mechanism = load_mechanism(PENDULUM.format(limit=9))

@@ -48,12 +48,3 @@ def test_a_waypoint_of_any_time_is_missed_by_the_error_at_the_nearest_break(plac
     problem = body_problem(HINGE, f'kind = "reach"\n{ends}duration_s = 1.0\nwaypoints = [{{ {asked} }}]\n')
     motion = motion_along([0.0, 0.5, 1.0], [[0.0, 1.0], [1.0, 2.0]])
     assert end_state_error(problem, motion, 2.0) == pytest.approx(error, abs=1e-12)
-
-
-@pytest.mark.parametrize("turns", [1, -2])
-@pytest.mark.parametrize("missed", [0.0, 0.1, -0.1])
-def test_a_joint_s_error_after_turns_is_its_distance_from_whole_ones(turns, missed):
-    problem = body_problem(HINGE, TURN.format(turns=turns))
-    travelled = 2 * np.pi * turns + missed
-    q = np.linspace(0.3, 0.3 + travelled, 5)[:, None]
-    assert _turn_error(problem, q) == pytest.approx(abs(missed / travelled), abs=1e-12)

@@ -13,11 +13,6 @@ AT_CLAMP = 1e-4
 REACH = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 60.0 }\nduration_s = 0.8\n'
 
 
-def test_a_servo_with_room_is_planned():
-    plan = body_plan(SERVO.format(reach=2.0), REACH)
-    assert plan.status == "optimal", plan.message
-
-
 @pytest.mark.slow
 def test_a_servo_that_pulls_back_with_all_its_force_at_the_goal_is_planned_with():
     """At 60 deg any ctrl to 0.5 pulls back with the 20 N.m at which its forcerange ends: so it slows down and arrives."""

@@ -132,36 +132,11 @@ def test_a_crank_that_turns_fully_may_go_a_turn_or_one_and_a_half_ways_beyond_it
     assert [s[0], s[-1]] == pytest.approx([low - beyond, high + beyond], abs=2e-3 * (high - low + 2 * beyond))
 
 
-def test_the_grid_s_room_to_the_ends_of_a_range_is_a_thousandth_of_it():
-    s, _ = grid(pendulum('range="-40 100"'))
-    assert np.degrees([s[0], s[-1]]) == pytest.approx([-40.0 + 0.14, 100.0 - 0.14], abs=1e-3)
-
-
-def test_where_neither_joint_nor_inertia_changes_more_than_elsewhere_a_graded_grid_is_even():
-    (s, poses), (even, _) = (grid(pendulum(), graded=graded) for graded in (True, False))
-    at_ends = np.radians([-30.0, 60.0])
-    assert np.all(np.abs(even[:, None] - at_ends).min(axis=0) == 0)
-    assert np.all(np.abs(s[:, None] - at_ends).min(axis=0) == 0)
-    cells = np.diff(s)
-    assert np.median(cells) == pytest.approx(np.ptp(s) / len(cells), rel=0.02)
-    assert len(even) == 200 + 1 + 2  # cell ends, and the two places among them
-    np.testing.assert_allclose(poses[:, 0], np.interp(np.arange(2 * len(s) - 1) / 2, np.arange(len(s)), s), atol=1e-12)
-
-
 def test_a_place_out_of_the_range_has_no_grid():
     problem = pendulum('range="-40 100"')
     for goal_deg, known in ((99.0, True), (101.0, False)):
         places = np.radians([-30.0, goal_deg])
         assert (grid_of(problem, places, problem.start_pose(), 50) is not None) is known
-
-
-def test_a_place_next_to_a_cell_end_takes_its_place():
-    problem = pendulum('range="-40 100"', start_deg=-25.0)
-    ends, pose = grid_of(problem, problem.motion.start, problem.start_pose(), 60, graded=False)[0], problem.start_pose()
-    places = np.array([problem.motion.start[0], ends[40] + 1e-12])
-    s, _ = grid_of(problem, places, pose, 60, graded=False)
-    assert np.diff(s).min() > 1e-6
-    assert places[1] in s
 
 
 def test_a_grid_ends_at_the_narrower_of_reach_and_limits():
@@ -191,9 +166,3 @@ def test_a_grid_keeps_the_margin_to_singular_poses():
     free, kept = (load_problem("knee-sprint", [f"limits.singular_margin={margin}"]) for margin in (0.0, 0.1))
     ratios = [singularity_ratios(problem, grid(problem, 100)[1]) for problem in (free, kept)]
     assert ratios[0].min() < 0.1 <= ratios[1].min()
-
-
-def test_a_place_is_at_the_nearest_cell_end_and_a_leg_from_an_end_goes_only_inwards():
-    plane = even_plane(force=3.0)
-    assert (plane.at(1.234), plane.at(-1.0), plane.at(9.0)) == (123, 0, 400)
-    assert [len(plane.leg(at, 1.0, step, step)) for at in (0, 400) for step in (+1, -1)] == [401, 1, 1, 401]

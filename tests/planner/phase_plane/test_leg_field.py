@@ -111,25 +111,6 @@ def test_a_state_at_the_power_s_limit_is_kept(towards):
     assert kept(loose, towards)
 
 
-@pytest.mark.parametrize(("beyond", "keeps"), [(3e-7, True), (3e-6, False)])
-@pytest.mark.parametrize("side", [+1, -1])
-def test_a_pin_that_asks_for_more_power_than_there_is_allows_nothing_but_rounding(side, beyond, keeps):
-    """Its forces ask for 2 to 6 N.m with this sign; at that speed 2 N.m are 12 W."""
-    asking = pin((-2.0 * side, 0.0), (0.5, 0.0))
-    assert sorted(abs(x.item()) for x in asking.efforts(0.0, SPEED)[:2]) == pytest.approx([2.0, 6.0])
-    limited = replace(field(12.0 * (1 - beyond)), pins=asking, effort=np.array([[-9.0, 9.0]]))
-    assert kept(limited, towards=side < 0) is keeps
-
-
-@pytest.mark.parametrize(("beyond", "keeps"), [(2e-6, True), (2e-5, False)])
-@pytest.mark.parametrize("side", [+1, -1])
-def test_a_pin_that_asks_for_more_effort_than_there_is_allows_nothing_but_rounding(side, beyond, keeps):
-    """Its forces ask for 4 N.m at least with this sign, of 4 N.m."""
-    asking = pin((-3.0 * side, 0.0), (0.5, 0.0))
-    ends = [-4.0 + beyond, 0.0] if side < 0 else [0.0, 4.0 - beyond]
-    assert kept(replace(field(np.inf), pins=asking, effort=np.array([ends])), towards=side < 0) is keeps
-
-
 def test_arcs_end_where_the_power_comes_to_its_limit():
     """Accelerated evenly from rest at 2 m/s2, 5 N.m spend 12 W from 0.8 rad/s on, which is 0.4 s after the leg began."""
     limited = field(12.0)

@@ -7,7 +7,7 @@ import pytest
 from flint import arb, arb_series, ctx
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.proof.branch import _doublings, krawczyk, newton, series_of
+from linkplan.planner.proof.branch import krawczyk, newton, series_of
 from linkplan.planner.proof.taylor import NotSeparatedError
 from linkplan.planner.proof.walk import Blocks, blocks_of
 
@@ -20,9 +20,6 @@ MODEL = """<mujoco><worldbody>
 <body pos="1.1 0 0"><joint name="P" type="slide" axis="1 0 0"/><inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/>
 <site name="pin"/></body></worldbody><equality><connect site1="tip" site2="pin"/></equality>
 <actuator><motor joint="O" ctrlrange="-1 1"/></actuator></mujoco>"""
-
-
-BITS = 100
 
 
 @pytest.fixture(scope="module")
@@ -93,13 +90,3 @@ def test_a_series_along_a_motion_has_the_closed_form_s_coefficients(blocks, orde
         assert [float(one[k].mid()) for k in range(order)] == pytest.approx(
             [float(exact[k].mid()) for k in range(order)], rel=1e-12, abs=1e-12
         )
-
-
-@pytest.mark.parametrize("order", range(1, 40))
-def test_coefficients_at_most_double_from_one_up_to_the_order(order):
-    steps = _doublings(order)
-    known = [1, *(after for _, after in steps)]
-    assert [before for before, _ in steps] == known[:-1]
-    assert known[-1] == order
-    assert all(before < after <= 2 * before for before, after in steps)
-    assert len(steps) == math.ceil(math.log2(order))

@@ -6,7 +6,7 @@ from flint import arb
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
-from linkplan.planner.proof.contraction import LinearBox, _growth, _rate_unit, _transition, contracted, size_of
+from linkplan.planner.proof.contraction import LinearBox, _growth, _transition, contracted
 from linkplan.planner.proof.taylor import TaylorForm
 
 # A double integrator of one coordinate; a damped one with a spring that changes; two that are coupled.
@@ -80,18 +80,6 @@ def test_growth_is_the_exponential_of_the_slopes_sizes(slopes):
     np.testing.assert_allclose(numbers(_growth(box(slopes, h), arb(unit), n_s)), expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize(("first", "second", "rate"), [(16.0, -25.0, 5.0), (-36.0, 4.0, 6.0), (0.3, 0.2, 1.0)])
-def test_the_unit_of_rates_is_the_root_of_the_largest_stiffness_and_one_at_least(first, second, rate):
-    boxes = [box([[[first, 100.0], [400.0]]]), box([[[second], [-400.0]]])]
-    assert float(_rate_unit(boxes, 1)) == pytest.approx(rate)
-    assert float(_rate_unit(boxes[:1], 1)) == pytest.approx(max(1.0, np.sqrt(abs(first))))
-
-
-def test_a_polynomial_is_at_most_the_sum_of_its_coefficients_sizes():
-    assert float(size_of([arb(1.5), arb(-2), arb(0, 0.25)])) == pytest.approx(3.75)
-    assert float(size_of([arb(1.5), arb(-2)], [1.0, -2.5])) == pytest.approx(1.0)
-
-
 def test_errors_of_a_double_integrator_add_up_as_in_closed_form():
     """Two boxes of width h: remainders r and the plan's jump act by their size, the polynomial d with its sign.
 
@@ -119,12 +107,3 @@ def test_defects_of_opposite_signs_cancel_and_remainders_do_not():
     remainders = contracted([box(FREE, h, [[0.0]], r)] * 3, 1)[0]
     own = G @ [0.0, h * r]
     np.testing.assert_allclose(remainders, [own, G @ own + own, G @ (G @ own + own) + own], rtol=1e-10)
-
-
-def test_bounds_in_units_of_other_time_are_the_same():
-    """s'' = k s with time five times as fast: k and r grow by 25, speeds by 5."""
-    slow, quick = (
-        contracted([box([[[4.0 * f**2], [0.1 * f]]], 0.2 / f, [[0.3 * f**2, 0.1 * f**2]], 0.01 * f**2)] * 3, 1)[0]
-        for f in (1.0, 5.0)
-    )
-    np.testing.assert_allclose(quick, slow * [1.0, 5.0], rtol=1e-10)

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.planner.proof.contraction import LinearBox, contracted
-from linkplan.planner.proof.existence import ErrorTube, Neighbourhood, _sizes, _slopes_at, first_tube
+from linkplan.planner.proof.existence import Neighbourhood, _slopes_at, first_tube
 from linkplan.planner.proof.finding import Finding
 from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import prove, states_of
@@ -128,11 +128,6 @@ def test_the_first_tube_s_bounds_make_a_second_one_in_which_a_motion_is_proved(n
     assert {finding.answer for finding in found} == {"proved"}
 
 
-def test_a_tube_is_as_wide_as_its_bounds_up_to_an_instant():
-    tube = ErrorTube(until_s=np.array([0.5, 1.0]), radii=np.array([[1.0, 2.0], [3.0, 4.0]]))
-    assert [list(tube.at(t)) for t in (0.2, 0.5, 0.6, 1.0, 1.1)] == [[1, 2], [1, 2], [3, 4], [3, 4], [3, 4]]
-
-
 # Along t^2 (3 - 2 t) of the quarter turn in two seconds: the largest coefficient of its speed, and its acceleration.
 DURATION_S, SPEED, ACCELERATION = 2.0, 1.5 * TURN, 1.5 * TURN
 
@@ -161,40 +156,6 @@ def test_a_radius_is_proved_up_to_what_a_certificate_allows(monkeypatch, share, 
     assert (position.answer, speed.answer) == (answer, answer)
     assert (position.mark, speed.mark) == pytest.approx((0.01, np.degrees(0.02 * SPEED)))
     assert position.margin == pytest.approx((1 - share) * 0.01)
-
-
-@pytest.mark.parametrize(
-    ("coefficients", "remainder", "small"),
-    [
-        ((0.0,), 0.9e-7 * ACCELERATION, True),
-        ((0.0,), 1.1e-7 * ACCELERATION, False),
-        ((1e-3, -1e-3), 0.49e-3, True),
-        ((1e-3, -1e-3), 0.51e-3, False),
-    ],
-)
-def test_a_defect_is_small_by_the_acceleration_or_by_its_polynomial(coefficients, remainder, small):
-    assert near()._is_small([form(*coefficients, remainder=remainder)]) is small
-
-
-@pytest.mark.parametrize(
-    ("stiffness", "damping", "tight"),
-    [
-        (form(0.0, remainder=0.24), form(0.0, remainder=0.49), True),  # 1 / T^2 and 1 / T
-        (form(0.0, remainder=0.26), form(0.0, remainder=0.49), False),
-        (form(0.0, remainder=0.24), form(0.0, remainder=0.51), False),
-        (form(-3.0, remainder=2.9), form(2.0, remainder=1.9), True),
-        (form(-3.0, remainder=3.1), form(2.0, remainder=1.9), False),
-    ],
-)
-def test_slopes_are_tight_by_their_own_size_or_by_the_motion_s_rates(stiffness, damping, tight):
-    assert near()._is_tight([[stiffness, damping]]) is tight
-
-
-def test_sizes_are_spans_and_largest_speeds_and_of_what_hardly_moves_a_hundredth_of_the_others():
-    motion = motion_along(np.arange(3.0), [[[1.0, 0.0], [3.0, 1e-3]]] * 2, velocity=[[[-5.0, 4.0], [2.0, 0.0]]])
-    np.testing.assert_allclose(_sizes(motion), [2.0, 0.02, 5.0, 4.0], rtol=1e-6)
-    still = replace(motion, position=0 * motion.position, velocity=0 * motion.velocity)
-    np.testing.assert_allclose(_sizes(still), 1e-9)
 
 
 def test_the_defect_of_a_turn_without_efforts_is_its_acceleration():

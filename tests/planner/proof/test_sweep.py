@@ -92,18 +92,6 @@ def sweep_of(problem, motion, blocks) -> _Sweep:
     return _Sweep(problem=problem, trajectory=motion, blocks=blocks, claims=[], until=NO_DEADLINE, order=6)
 
 
-def test_the_start_gap_is_the_largest_distance_of_a_dependent_joint_from_the_closed_pose(five_bar):
-    problem, motion, blocks = five_bar
-    pose = np.array(motion.start_pose)
-    closed = newton(blocks, pose[list(blocks.independent)], pose[list(blocks.dependent)])
-    pose[list(blocks.dependent)] = closed + np.array([1e-3, -2e-4])
-    off = replace(motion, start_pose=pose)
-    sweep = sweep_of(problem, off, blocks)
-    anchor = sweep._start(Piece.of(off, 0))
-    assert sweep.start_gap == pytest.approx(1e-3, rel=1e-6)
-    assert anchor.z == pytest.approx(closed, abs=1e-9)
-
-
 def test_a_loop_that_stands_still_is_linked_over_the_last_digits_of_its_coordinates(five_bar):
     problem, motion, blocks = five_bar
     pose = np.array(motion.start_pose)

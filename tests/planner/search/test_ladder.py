@@ -145,10 +145,6 @@ def test_diagnoses_never_return_a_motion():
     assert all(plan.trajectory is None and plan.status != "optimal" for plan in plans)
 
 
-def test_rungs_are_few_and_their_names_are_their_own():
-    assert len({method.name for method in SEARCH_METHODS}) == len(SEARCH_METHODS) <= 11
-
-
 @pytest.mark.parametrize(
     ("end", "factor", "most", "stages"),
     [(10.0, 2.0, 10.0, (1, 2, 4, 8, 10)), (0.1, 0.5, 1.0, (1, 0.5, 0.25, 0.125, 0.1)), (8.0, 2.0, 3.0, (1, 2))],
@@ -206,26 +202,3 @@ def test_an_objective_that_moves_by_a_ten_thousandth_is_said_and_by_a_twentieth_
     plan = plan_motion(load_problem("knee-reach"))
     assert plan.status == status
     assert (f"its objective still changed by {100 * change:.1g} %" in plan.message) is (change > 1e-4)
-
-
-def test_a_lost_step_is_tried_again_with_roots_of_the_factor_as_often_as_is_allowed():
-    tried = []
-
-    def lost(_stage: float, value: float) -> None:
-        tried.append(value)
-
-    path = followed(1.0, Steps(begin=1.0, end=99.0, factor=16.0, halvings=2), lost)
-    assert not path.arrived
-    assert tried == pytest.approx([16.0, 4.0, 2.0])
-
-
-def test_a_method_that_shares_its_time_gets_half_of_what_is_left():
-    shares = []
-    methods = [
-        SearchMethod(
-            name=str(half), run=lambda _, budget: shares.append(budget.share_of_time), budget=Budget(), shares_time=of
-        )
-        for half, of in ((True, lambda _: True), (False, lambda _: False))
-    ]
-    run_search(search_for(load_problem("knee-reach")), methods)
-    assert shares == [0.5, 1.0]

@@ -36,12 +36,6 @@ def test_durations_keep_the_rows_exactly_if_every_boundary_is_at_a_time_that_it_
         assert keeps_rows(durations_of(np.array(times)), WINDOWS, [None] * 5) is legal, times
 
 
-@pytest.mark.parametrize(("time", "legal"), [(0.4, False), (0.5, True), (0.6, False)])
-def test_a_boundary_at_a_share_of_the_whole_duration_is_there(time, legal):
-    free, times = (0.0, np.inf), np.array([0.2, 0.3, time, 0.8, 1.0])
-    assert keeps_rows(durations_of(times), [free] * 5, [None, None, 0.5, None, None]) is legal
-
-
 @pytest.mark.parametrize("continuous", [False, True])
 @pytest.mark.parametrize("way", [1, -1, 0])
 def test_a_held_quantity_is_at_its_limit_at_every_node_of_its_arc_and_where_it_meets_a_bang(continuous, way):

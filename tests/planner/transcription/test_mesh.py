@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from linkplan.planner.transcription.mesh import Mesh, broken, halved, segmented, uniform, without_empty
+from linkplan.planner.transcription.mesh import Mesh, broken, halved, segmented, without_empty
 
 DURATIONS = np.array([0.1, 3.0, 0.2])
 
@@ -17,13 +17,6 @@ def test_segments_have_intervals_in_proportion_to_their_durations_and_a_least_nu
     assert np.bincount(mesh.segment).tolist() == [3, 9, 3]
     assert (mesh.n_intervals, mesh.n_segments, mesh.n_phases) == (15, 3, 2)
     assert mesh.boundaries().tolist() == [0, 12, 15]
-
-
-def test_the_breaks_are_the_ends_of_intervals_in_their_segments():
-    at = three_segments().breaks(DURATIONS)
-    np.testing.assert_allclose(at[:4], [0.0, 0.1 / 3, 0.2 / 3, 0.1])
-    np.testing.assert_allclose(at[4:13], 0.1 + np.arange(1, 10) / 3.0)
-    np.testing.assert_allclose(at[-2:], [3.1 + 0.4 / 3, 3.3])
 
 
 def test_only_marked_intervals_are_halved():
@@ -47,12 +40,6 @@ def test_only_marked_intervals_are_halved():
 def test_a_mesh_that_does_not_fill_its_segments_and_phases_is_refused(fraction, segment, phase):
     with pytest.raises(ValueError, match="mesh"):
         Mesh(fraction=np.array(fraction), segment=np.array(segment), phase=None if phase is None else np.array(phase))
-
-
-def test_a_uniform_mesh_has_equal_intervals_in_one_segment():
-    mesh = uniform(4)
-    np.testing.assert_allclose(mesh.breaks(np.array([2.0])), [0.0, 0.5, 1.0, 1.5, 2.0])
-    assert mesh.boundaries().tolist() == [0, 4]
 
 
 def test_a_segment_without_a_duration_goes_unless_it_is_the_longest_of_its_phase():

@@ -138,16 +138,6 @@ def test_so_do_those_of_a_program_whose_goal_is_a_place_of_a_site(durations):
     assert_derivatives(transcribed)
 
 
-@every_case
-def test_the_last_rows_are_the_linear_ones(case):
-    transcribed = built(case)
-    program, x = transcribed.program, point(transcribed, 9)
-    rows = np.array(program.functions["nlp"](x, transcribed.parameters)[1]).ravel()
-    n_linear = program.linear.shape[0]
-    assert len(rows) == program.n_rows == program.mesh.n_intervals * program.interval.n_rows + n_linear
-    np.testing.assert_allclose(rows[len(rows) - n_linear :], np.array(program.linear.dm() @ x).ravel(), atol=DERIVATIVE)
-
-
 @pytest.mark.parametrize("name", ["knee-reach", "knee-sprint", "knee-sine-shank"])
 def test_a_planned_motion_written_back_keeps_every_row(name):
     plan = planned(name)
@@ -201,13 +191,6 @@ def row_kinds(interval) -> tuple[str, ...]:
     """Return the kind of each row of an interval."""
     at_open_ends = tuple(interval.node_kinds[i] for i in interval.open_end_rows)
     return interval.own_kinds + interval.n_nodes * interval.node_kinds + interval.n_open_ends * at_open_ends
-
-
-def test_a_closed_loop_is_a_row_at_every_node():
-    kinds = row_kinds(built(CASES[0]).program.interval)
-    n_nodes = built(CASES[0]).program.layout.n_nodes
-    assert kinds.count("closure") == 2 * n_nodes
-    assert kinds.count("dynamics") == n_nodes
 
 
 def test_an_open_loop_breaks_the_closure_rows_by_its_gap():

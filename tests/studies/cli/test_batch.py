@@ -96,22 +96,16 @@ def test_a_saved_case_is_a_plan_like_any_other(batch_file, tmp_path, capsys):
         (f"{CASES}[sweep]\nx = [1]", ["one of the two"]),
         ('problem = "knee-reach"\ncases = []', ["'cases'", "did you mean 'case'"]),
         ('problem = "knee-reach"\n[sweep]\nmotion.duration_s = 0.2', ["sweep.motion.duration_s", "one or more values"]),
-        ('problem = "knee-reach"\n[sweep]\nmotion.duration_s = []', ["sweep.motion.duration_s", "one or more values"]),
         (f'problem = "knee-reach"\n[sweep]\na.b = {list(range(200))}\na.c = {list(range(200))}', ["10000", "40000"]),
         ('problem = "knee-reach"\nset = "a.b=1"\n[sweep]\na.b = [1]', ["list of", "a.b=1"]),
         ('problem = "knee-reach"\n[[case]]\nname = "a/b"', ["case.name", "a/b"]),
         ('problem = "knee-reach"\n[[case]]\nname = "a"\n[[case]]\nname = "a"', ["twice: a"]),
         ('problem = "knee-reach"\n[[case]]\nname = "Å"\n[[case]]\nname = "a\u030a"', ["twice: a\u030a, Å"]),
         ('problem = "knee-reach"\n[[case]]\nname = "batch.json"', ["without .json at its end, got 'batch.json'"]),
-        ('problem = "knee-reach"\n[[case]]\nname = "Report.JSON"', ["without .json at its end, got 'Report.JSON'"]),
         ('problem = "knee-reach"\n[[case]]\nname = ".linkplan.json"', ["case.name", "got '.linkplan.json'"]),
-        ('problem = "knee-reach"\n[[case]]\nname = ".."', ["case.name", "got '..'"]),
         (f'problem = "knee-reach"\n[[case]]\nname = "{"é" * 60}"', ["case.name", "got 'ééé"]),
-        ('problem = "knee-reach"\n[[case]]\nsets = []', ["'case.sets'", "did you mean 'set'"]),
         ('problem = "knee-reach"\n[[case]]\nset = ["motion.kind=walk"]', ["case 'case-1'", "motion.kind", "walk"]),
         ('problem = "knee-reach"\n[sweep]\nmotion.goal_deg.O = [45, 85]', ["case '2'", "O = 85 deg is beyond reach"]),
-        ('problem = "knee-raech"\n[[case]]\nset = []', ["knee-raech", "did you mean 'knee-reach'"]),
-        ("problem = ", ["not TOML"]),
     ],
 )
 def test_a_bad_batch_is_refused_in_one_line(batch_file, text, words):
@@ -120,8 +114,3 @@ def test_a_bad_batch_is_refused_in_one_line(batch_file, text, words):
     for word in words:
         assert word in str(refused.value)
     assert "\n" not in str(refused.value)
-
-
-def test_a_batch_that_is_no_file_is_refused():
-    with pytest.raises(ProblemError, match="not a file"):
-        read_batch("nowhere.toml")

@@ -12,14 +12,13 @@ from linkplan.models.catalogue import built_in_text
 from linkplan.models.compiled import functions
 from linkplan.models.errors import CertificateError, LinkplanError, ModelError, PlanFileError, ProblemError, one_line
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.files import tables
 from linkplan.planner.plan.folder import read_plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.cli import main as program
 from linkplan.studies.output.figure import page
 from tests.bench.fuzz import fuzz
-from tests.support.plans import optimal, saved_plan
+from tests.support.plans import saved_plan
 
 CRANK = built_in_text("slider-crank")
 BAR = """<mujoco><option timestep="1e-3"/><worldbody><body name="bar"><joint name="h" axis="0 1 0" {joint}/>
@@ -217,12 +216,6 @@ def test_a_plan_of_a_duration_whose_square_is_no_float_is_refused(factor, tmp_pa
     folder = scaled(saved_plan("knee-reach", tmp_path), "breaks_s", factor)
     with pytest.raises(PlanFileError):
         read_plan(folder)
-
-
-def test_a_plan_that_passes_is_read_and_its_objective_is_its_integral(tmp_path):
-    plan = read_plan(saved_plan("knee-reach", tmp_path))
-    assert plan.status == "optimal"
-    assert objective_value(plan.problem, plan.trajectory)[0] == pytest.approx(optimal("knee-reach").objective, rel=1e-9)
 
 
 def test_an_array_that_declares_more_than_it_may_is_refused_before_it_is_read(tmp_path):

@@ -3,16 +3,9 @@
 import pytest
 
 from linkplan.studies.cli.main import main
-from linkplan.studies.output.document import Facts, Text, table_of
-from linkplan.studies.output.text import brief_rows, in_brief, notes_of, text_of
+from linkplan.studies.output.text import brief_rows, in_brief, notes_of
 
 CARTS = 6
-
-
-def test_the_worst_row_stands_for_a_kind_of_more_than_four():
-    rows = [[f"room of j{k}", float(k)] for k in range(5)] + [["room of gap", 7.0]]
-    brief = brief_rows(rows, [3.0, 1.0, -2.0, 5.0, 4.0, 9.0], ["deg"] * 6, [f"j{k}" for k in range(5)])
-    assert brief == [["room of j2, the worst of 5", 2.0], ["room of gap", 7.0]]
 
 
 @pytest.mark.parametrize("units", [["deg"] * 4 + ["m"], ["deg", "m", "deg", "m", "deg"]])
@@ -24,16 +17,6 @@ def test_rows_of_several_units_are_several_kinds(units):
 def test_names_count_as_whole_words():
     rows = [[f"room of {what}", 0.0] for what in ("arm", "forearm", "arm-2", "arms", "army")]
     assert brief_rows(rows, range(5), ["deg"] * 5, ["arm"]) is None
-
-
-def test_only_blocks_with_brief_rows_change():
-    text, whole = Text(text="text"), Facts(rows=[("a", "1")])
-    few = Facts(rows=[("a", "1"), ("b", "2")], brief=[("b", "2")])
-    table = table_of("t", ["head"], [[1.0], [2.0]], brief=[[2.0]])
-    brief = in_brief([text, whole, few, table])
-    assert brief[0] is text
-    assert brief[1] is whole
-    assert text_of(brief[2:]).split() == ["b:", "2", "t", "head", "----", "2"]
 
 
 def test_the_first_note_stands_for_more_than_four_that_differ_in_names_and_numbers():

@@ -47,20 +47,6 @@ def test_a_table_in_a_pipe_is_as_wide_as_it_is():
     assert wide.splitlines()[2].split() == ["first", *map(str, range(9))]
 
 
-def test_heads_are_folded_before_columns_are_laid_out_in_parts(monkeypatch):
-    heads = ["O [deg]", *(f"weight alone joint_{k} [N.m]" for k in range(5))]
-    shown = on_a_terminal([table_of("", heads, [[1.5] * 6])], 80, monkeypatch)
-    assert [line.split() for line in shown.splitlines() if "1.5" in line] == [["1.5"] * 6]
-
-
-def test_every_part_of_a_wide_table_begins_with_the_first_column(monkeypatch):
-    heads = ["case", *(f"a_rather_long_quantity_{k} [kg m2]" for k in range(9))]
-    shown = on_a_terminal([table_of("", heads, [["first", *map(float, range(9))]])], 80, monkeypatch)
-    rows = [line.split() for line in shown.splitlines() if line.startswith("first ")]
-    assert len(rows) > 1
-    assert [x for row in rows for x in row[1:]] == [str(k) for k in range(9)]
-
-
 def test_a_document_is_read_from_top_to_bottom():
     blocks = [
         Text(text="a verdict"),
