@@ -2,6 +2,7 @@
 
 import csv
 import logging
+import pickle
 import types
 
 import numpy as np
@@ -234,3 +235,26 @@ def test_what_is_no_problem_is_refused(problem):
 def test_progress_that_cannot_be_called_is_refused_before_any_work(plan):
     with pytest.raises(ProblemError, match=r"progress is a function of one line of text, got 'loud'"):
         linkplan.plan(plan.problem, "loud")
+
+
+def test_a_plan_is_proved_when_asked_and_keeps_its_proof(tmp_path):
+    plan = linkplan.plan("cart-pole-swing-up", prove=True)
+    assert plan.proof.complete
+    assert plan.proof.verdict == "proved"
+    assert plan.to_dict()["proof"]["proved"]
+    assert pickle.loads(pickle.dumps(plan)).proof == plan.proof
+    assert "proof: proved" in str(plan)
+    again = linkplan.read_plan(plan.save(tmp_path / "swing-up"))
+    assert again.proof is None
+    assert again.prove().complete
+
+
+def test_a_plan_comes_with_a_proof_if_there_is_time_for_one(monkeypatch):
+    proof = linkplan.plan("cart-pole-swing-up").proof
+    assert proof is not None
+    assert proof.passed
+    monkeypatch.setattr("linkplan.plans._PROOF_SECONDS", 0.0)
+    monkeypatch.setattr("linkplan.plans._PROOF_SHARE", 0.0)
+    said: list[str] = []
+    assert linkplan.plan("cart-pole-swing-up", said.append).proof is None
+    assert any(line.startswith("proof skipped") for line in said)

@@ -9,9 +9,12 @@ import pytest
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.reach import End, reach
+from linkplan.planner.problem import start
 from linkplan.planner.problem.extra import ExtraCost, checked_extras
-from linkplan.planner.problem.instant import Corner, Robust, corner_efforts_along, free_instant
-from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.imperfections import spread_of
+from linkplan.planner.problem.instant import Corner, Robust, Scales, corner_efforts_along, free_instant
+from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.problem.reference import Sine, is_whole
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.problem.start import _way_through
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, body_problem
@@ -179,3 +182,73 @@ def test_the_certificate_has_a_tenth_of_the_time_and_solves_the_rest():
     begun = SolverSettings(max_time_s=1000.0).begun()
     assert begun.deadline.left_s == pytest.approx(900.0, abs=1.0)
     assert begun.certificate_deadline.left_s == pytest.approx(1000.0, abs=1.0)
+
+
+def test_the_units_of_power_and_force_are_the_largest_of_their_parts():
+    scales = Scales(
+        time_s=0.5, position=np.array([2.0, 0.1]), effort=np.array([7.0]), residual=np.array([3.0, 8.0]), length_m=0.25
+    )
+    assert scales.power == pytest.approx(2.0 * 3.0 / 0.5)
+    assert scales.force == pytest.approx(8.0 / 0.25)
+    assert scales.vector() == pytest.approx([0.5, 2.0, 0.1, 7.0, 3.0, 8.0, 0.25, 12.0, 32.0])
+
+
+@pytest.mark.parametrize(
+    ("number", "whole"),
+    [(1.0, True), (3.0 + 1e-10, True), (1e6 * (1 + 1e-10), True), (2.5, False), (3.0 + 1e-7, False), (0.0, False)],
+)
+def test_a_ratio_is_whole_but_for_the_rounding_of_decimals(number, whole):
+    assert is_whole(number) is whole
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_each_derivative_of_a_sine_is_the_slope_of_the_one_before(order):
+    sine = Sine(amplitude=np.array([0.3, 0.1]), bias=np.array([0.2, -1.0]), phase=np.array([0.4, 0.0]), frequency_hz=1.5)
+    time, step = np.linspace(0.0, 1.0, 7), 1e-6
+    slope = (sine.derivative(time + step, order) - sine.derivative(time - step, order)) / (2 * step)
+    np.testing.assert_allclose(sine.derivative(time, order + 1), slope, atol=1e-6)
+    np.testing.assert_allclose(sine.derivative(np.zeros(1)), [[0.2 + 0.3 * np.sin(0.4), -1.0]])
+    assert sine.period_s == pytest.approx(1 / 1.5)
+
+
+@pytest.mark.parametrize(
+    ("value", "is_random"),
+    [
+        (1.1, False),
+        ([0.9, 1.1], True),
+        ([1.1, 1.1], False),
+        ({"uniform": [0.9, 1.1]}, True),
+        ({"normal": [1.0, 0.05]}, True),
+        ({"normal": [1.0, 0.0]}, False),
+    ],
+)
+def test_machines_differ_if_a_distribution_has_a_width(value, is_random):
+    assert spread_of(value, "payload_mass_factor", "payload_mass_factor").random is is_random
+
+
+@pytest.mark.parametrize("value", [[1.1, 0.9], {"normal": [1.0, -0.1]}, [1.0], {"uniform": 1.0}, {"mean": [1.0, 2.0]}])
+def test_what_is_no_distribution_is_refused(value):
+    with pytest.raises(ProblemError, match=r"imperfections\.payload_mass_factor"):
+        spread_of(value, "payload_mass_factor", "payload_mass_factor")
+
+
+@pytest.mark.parametrize(("beyond", "reason"), [(-0.1, "what lies below"), (0.1, "what lies above")])
+def test_the_reason_is_that_of_the_end_beyond_which_a_position_lies(monkeypatch, beyond, reason):
+    mechanism = load_problem("knee-reach").mechanism
+    found = reach(mechanism)
+    ends = {
+        name: replace(getattr(found, name), reason=f"what lies {word}")
+        for name, word in (("lower", "below"), ("upper", "above"))
+    }
+    monkeypatch.setattr(start, "reach", lambda _mechanism: replace(found, **ends))
+    at = found.upper.position if beyond > 0 else found.lower.position
+    with pytest.raises(ProblemError, match=reason):
+        start._check_reach(mechanism, None, "goal", np.array([at + beyond]))
+
+
+def test_a_joint_of_several_is_named_alone():
+    five_bar = load_mechanism("five-bar")
+    only = five_bar.independent_joints[0].name
+    with pytest.raises(ProblemError, match="which is independent") as refused:
+        Problem.reach(five_bar, start_deg={only: 0.0}, goal_deg={only: 10.0})
+    assert "plans in what is named" not in str(refused.value)

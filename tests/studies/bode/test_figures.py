@@ -15,6 +15,7 @@ import linkplan
 from linkplan.studies.cli.main import main
 from linkplan.studies.demo.draw_margins import PICTURE, margins_figure
 from linkplan.studies.feedback.bode import bode_blocks
+from linkplan.studies.feedback.bode.curves import phase_along
 from tests.support.figure_texts import text_faults
 from tests.support.figures import curves, saved_figures
 
@@ -128,3 +129,11 @@ def test_the_picture_of_margins_shows_those_of_python_control_and_loops_that_nea
         assert angle[-60:].mean() == pytest.approx(1.0, abs=0.05), name
         assert (swing > 0.1) == ("delay" in name), name
     assert PICTURE.is_file()
+
+
+def test_a_phase_that_passes_a_resonance_the_other_way_round_stays_beside_the_first():
+    frequency = np.array([0.1, 0.5, 0.9, 1.1, 2.0, 10.0])
+    predicted = np.array([-180.0, -180.0, 0.0, -180.0, -180.0, -180.0])
+    delay = np.array([-0.1, -0.5, -0.9, -100.0, -170.0, -300.0])
+    passed = predicted + delay + np.array([360.0, 360.0, 360.0, 720.0, 720.0, 720.0])
+    np.testing.assert_allclose(phase_along(frequency, passed, frequency, predicted), predicted + delay)

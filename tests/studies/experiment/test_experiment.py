@@ -19,7 +19,7 @@ from linkplan.studies.cli.main import main
 from linkplan.studies.variations.experiment import block as blocks
 from linkplan.studies.variations.experiment import conduct as conducting
 from linkplan.studies.variations.experiment.block import replay
-from linkplan.studies.variations.experiment.experiment import Settings, experiment_of, fall_note
+from linkplan.studies.variations.experiment.experiment import Settings, default_imperfections, experiment_of, fall_note
 from linkplan.studies.variations.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment
 from linkplan.studies.variations.tasks import unfinished as parts
 from tests.support.data import ROOT
@@ -343,3 +343,10 @@ def test_lqr_with_its_own_weights_does_not_chatter_on_a_light_ankle():
         varied[name] = runs.results["chatter"].mean()
     assert varied["own"] < 50.0  # [N.m]; the plan's own effort varies by 2 N.m
     assert varied["of a heavy machine"] > 1000.0
+
+
+def test_a_plan_s_reserve_does_not_make_the_machine_s_imperfections_smaller():
+    whole, kept = optimal("knee-sprint"), optimal("knee-sprint", "limits.reserve=0.1")
+    assert kept.certificate.peak_effort[0] < 0.95 * whole.certificate.peak_effort[0]
+    assert default_imperfections(kept) == default_imperfections(whole)
+    assert default_imperfections(kept)["coulomb_friction"] == {"O": [0.0, 2.0]}

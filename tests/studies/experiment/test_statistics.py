@@ -7,7 +7,9 @@ import scipy.stats
 from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.imperfections import Factor, Spread
 from linkplan.studies.variations.experiment.design import N_HYPERCUBES, machines_by_design, replicate_of
+from linkplan.studies.variations.experiment.distributions import distributions
 from linkplan.studies.variations.experiment.experiment_blocks import estimated
+from linkplan.studies.variations.experiment.metrics import Metric
 from linkplan.studies.variations.experiment.statistics import Estimate, mean_of, pair_of, share_of
 
 REPEATS = 500
@@ -144,3 +146,21 @@ def test_the_interval_of_a_latin_hypercube_s_mean_is_as_wide_as_the_mean_varies(
 def test_hypercubes_are_of_equal_size_and_few_samples_are_independent():
     assert np.bincount(replicate_of(23)).tolist() == [3, 2, 2, 3, 2, 2, 3, 2, 2, 2]
     assert replicate_of(4).tolist() == [0, 1, 2, 3]
+
+
+def drawn(values: list[float], unit: str):
+    results = {"figure": np.array(values), "tracker": np.array(["lqr"] * len(values))}
+    return distributions(results, ["lqr"], ["figure"], {"figure": Metric(text="a figure", unit=unit)})
+
+
+def test_a_curve_begins_at_no_machine_and_failures_never_arrive():
+    (plot,) = drawn([3.0, 1.0, np.nan, 2.0], "deg")
+    (line,) = plot.series
+    assert line.look == "steps"  # of one machine after the other
+    assert (line.x[0], line.y[0]) == (1, 0)
+    assert list(zip(line.x, line.y, strict=True))[1:4] == [(1, 25), (2, 50), (3, 75)]
+    assert max(line.y) == 75
+
+
+def test_a_metric_with_one_value_on_all_machines_has_no_plot():
+    assert drawn([0.0, 0.0], "1") == drawn([np.nan], "deg") == []
