@@ -24,18 +24,10 @@ from tests.support.designs import designed
 from tests.support.fourbar import SHANK, knee
 from tests.support.motions import motion_along
 from tests.support.plans import optimal
-from tests.support.references import hinge_reference
+from tests.support.references import PERIOD, hinge_reference, reference_of
 from tests.support.tolerances_planner import EXPONENTIAL, GAINS, ROUNDING, SAME_FIGURE
 
-PERIOD = 1e-3
 TRACKERS = ("pd", "pd+ff", "lqr")
-
-
-@cache
-def reference_of(name: str, period_s: float = PERIOD, duration_s: float | None = None) -> SampledReference:
-    plan = optimal(name)
-    duration = plan.trajectory.duration_s if duration_s is None else duration_s
-    return sample(plan.problem.mechanism, plan.trajectory, period_s, duration)
 
 
 def lqr_of(plan: Plan, reference: SampledReference) -> StateFeedback:

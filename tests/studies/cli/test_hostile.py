@@ -36,7 +36,6 @@ def test_a_bar_that_is_as_it_should_be_is_read():
 NONSENSE = {
     "negative armature": (bar(joint='armature="-1"'), "armature"),
     "infinite gear": (bar(motor='gear="inf"'), "not finite"),
-    "absurd gear": (bar(motor='gear="1e300"'), "beyond"),
     "negative timestep": (bar(more='<option timestep="-1"/>'), "timestep"),
     "negative damping": (bar(joint='damping="-1"'), "damping"),
     "infinite gravity": (bar(more='<option gravity="0 0 inf"/>'), "not finite"),
@@ -44,7 +43,6 @@ NONSENSE = {
     "an endless name": (bar().replace('"bar"', '"' + 600 * "a" + '"'), "600 characters"),
     "a million copies": (bar(more='<worldbody><replicate count="1000000"><site/></replicate></worldbody>'), "count"),
     "a huge field": (bar(more='<asset><hfield name="f" nrow="100000" ncol="9" size="1 1 1 1"/></asset>'), "nrow"),
-    "a sensor of a billion numbers": (bar(more='<sensor><user name="u" dim="1000000000"/></sensor>'), "dim"),
     "huge stack": (bar(more='<size nstack="900000000"/>'), "nstack"),
 }
 
