@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from linkplan.controllers import rigid_plant
 from linkplan.controllers.imperfections.imperfections import Clock, Imperfections, Start
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
@@ -137,23 +136,6 @@ def test_a_run_that_is_lost_ends_there_and_harms_no_other():
     assert both.failure == (None, LOST)
     assert np.isnan(both.pose[-1, 1]).all()
     np.testing.assert_array_equal(both.pose[:, 0], alone.pose[:, 0])
-
-
-@pytest.mark.parametrize(("gaps", "failure"), [((0.0, 0.0), None), ((0.1, 0.0), LOST), ((0.0, 0.1), LOST)])
-def test_a_loop_that_opens_in_either_part_of_a_period_is_lost(monkeypatch, gaps, failure):
-    """A command that arrives within a period divides it in two; the gaps [m] at the ends of its parts are given."""
-    parts, onward = [], rigid_plant.evaluated
-
-    def evaluated(function, state, *given):
-        after, opened = onward(function, state, *given)
-        parts.append(state)
-        return after, np.full_like(opened, gaps[(len(parts) - 1) % 2])
-
-    monkeypatch.setattr(rigid_plant, "evaluated", evaluated)
-    mechanism = load_mechanism(HINGE)
-    plant = RigidPlant(mechanism=mechanism, delay_periods=0.25)
-    assert simulate(plant, Ramp(), hinge_reference(mechanism, 4)).failure == (failure,)
-    assert len(parts) >= 2
 
 
 # Computed torque: e'' + 2 zeta w e' + w^2 e = 0, whose answer for zeta = 1 is e_0 (1 + w t) exp(-w t).

@@ -45,17 +45,6 @@ def test_the_reach_of_a_four_bar_ends_at_its_singular_poses(bar):
     assert r.singular == (r.lower.position, r.upper.position)
 
 
-def test_where_newton_crosses_the_fold_at_once_the_last_pose_ends_the_reach(monkeypatch):
-    """Loops that a file's rounding leaves open may be solved on the fold's other side: no root is bracketed then."""
-    mechanism = load_mechanism("optimus-knee")
-    near = reach(mechanism).poses[1]
-    folds = [float(mechanism.dynamics.block_singularity(near + np.array([0.0, turn, 0.0]))) for turn in (0.0, np.pi)]
-    assert folds[0] * folds[1] < 0
-    monkeypatch.setattr(reach_file.newton, "root_by_newton", lambda *_: (near + np.array([0.0, np.pi, 0.0]), np.zeros(1)))
-    monkeypatch.setattr(reach_file, "sign_change", lambda *_, **__: pytest.fail("no root is bracketed"))
-    np.testing.assert_array_equal(reach_file._singular_pose(mechanism, near, 0), near)
-
-
 def test_some_of_the_random_four_bars_have_singular_poses_and_some_turn_fully():
     assert {bool(len(bar.singular())) for bar in random_bars()} == {False, True}
 

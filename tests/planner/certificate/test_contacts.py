@@ -16,7 +16,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import Contact, meetings
 from linkplan.planner.certificate import further_checks
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.certificate.further_checks import contact_notes, surely_collides, unavoidable, with_contacts
+from linkplan.planner.certificate.further_checks import contact_notes, unavoidable, with_contacts
 from linkplan.planner.closed_chain.case import finished
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.plan.folder import read_plan, record_of, write_plan
@@ -325,20 +325,6 @@ def test_a_collision_is_found_where_the_ball_reaches_the_wall_and_refused_unless
         assert place == pytest.approx(GOAL_M + beyond, abs=1e-5)
         assert refused.unrepairable == refused.failures
         assert f"collide at t = {found.since_s:.5g} s" in refused.failures[0]
-
-
-@pytest.mark.parametrize(("share", "sure"), [(1.01, True), (0.99, False), (np.nan, False)])
-@pytest.mark.parametrize("others", [(), (1e-9,)])
-def test_a_collision_is_sure_where_it_is_ten_times_deeper_than_the_motion_is_exact(swing, monkeypatch, share, sure, others):
-    """The extent times 0.01 degrees, and 1 mm of the slides."""
-    problem, trajectory = replace(swing[0.05].problem, contacts="refuse"), swing[0.05].trajectory
-    off = structs.replace(swing[0.05].certificate, integration_error_deg=0.01, integration_error_m=1e-3)
-    depth = share * 10 * (problem.mechanism.extent_m * np.radians(0.01) + 1e-3)
-    found = tuple(meeting(0.5, depth_m) for depth_m in (*others, depth))
-    monkeypatch.setattr(further_checks, "meetings", lambda *_: found)
-    monkeypatch.setattr(further_checks, "certify", lambda *_: off)
-    assert (surely_collides(problem, trajectory) is not None) is sure
-    assert surely_collides(replace(problem, contacts="note"), trajectory) is None
 
 
 @pytest.mark.parametrize(

@@ -174,14 +174,3 @@ def test_a_stable_motion_beside_a_joint_at_rest_is_integrated_in_one_go():
     judged = integrate(plan.problem.mechanism, wrong, 4.0, np.full(2, 1e-4))
     assert judged.position[0] > 1e-4
     assert judged.restarts == 0
-
-
-def test_an_error_that_does_not_grow_costs_one_integration(monkeypatch):
-    from linkplan.planner.certificate import integration
-
-    calls, flow = [], integration.flow
-    monkeypatch.setattr(integration, "flow", lambda *given, **named: calls.append(1) or flow(*given, **named))
-    plan = planned()
-    wrong = replace(plan.trajectory, effort=1.1 * plan.trajectory.effort)
-    integrate(plan.problem.mechanism, wrong, 4.0, np.full(2, 1e-4))
-    assert len(calls) <= len(plan.trajectory.breaks_s) - 1

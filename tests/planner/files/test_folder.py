@@ -293,13 +293,6 @@ def test_a_plan_that_could_not_be_used_once_it_is_saved_is_not_saved(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_plan_that_reads_back_the_same_is_not_certified_again(tmp_path, monkeypatch):
-    """Its certificate is the same: of a leg's plan it took a quarter of the time."""
-    plan = optimal("knee-reach")
-    monkeypatch.setattr("linkplan.planner.plan.folder.certify", lambda *_: pytest.fail("certified again"))
-    write_whole(tmp_path / "plan", lambda new: write_plan(plan, new))
-
-
 def test_a_motion_that_was_changed_on_disk_no_longer_counts_as_optimal(saved):
     with_arrays(effort=0.5 * stored(saved)["effort"])(saved)
     try:

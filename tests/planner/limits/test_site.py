@@ -6,7 +6,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.planner.limits import site as site_limits
 from linkplan.planner.limits.kinds import factor_of
 from linkplan.planner.limits.limit import Margin, limit_margin
 from linkplan.planner.limits.samples import samples_of
@@ -121,24 +120,6 @@ def test_a_relaxed_limit_is_further_out_by_a_share_of_the_extent_and_the_factor_
     tube = problem(along=[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], radius_m=0.5)
     assert SitePathLimit.relaxed(tube, 1.1).limits.site[0].low == tube.limits.site[0].low
     assert factor_of(SitePathLimit, replace(asked, limits=replace(asked.limits, site=())), motion()) is None
-
-
-@pytest.mark.parametrize(("highest", "intervals"), [(1.2, 1), (0.97, 2)])
-def test_only_intervals_beyond_a_limit_or_nearest_to_it_are_sampled_finely(monkeypatch, highest, intervals):
-    """Of three intervals the last one has the highest instant, and the second one ends at 0.998 m."""
-    asked, sizes = problem(z=[-9.0, highest]), []
-
-    def follow(mechanism, path, *given):
-        sizes.append(len(path))
-        return kinds_follow(mechanism, path, *given)
-
-    kinds_follow = site_limits.follow
-    samples = samples_of(asked, motion())
-    monkeypatch.setattr(site_limits, "follow", follow)
-    (limit,) = SitePathLimit.of(asked)
-    found = limit_margin(limit, samples)
-    assert found.left == pytest.approx(highest - 1.0, abs=FINE_GRID)
-    assert sizes == [33 * intervals]
 
 
 def test_what_a_wall_through_the_origin_leaves_is_a_share_of_the_mechanism_s_extent():

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from linkplan.planner.closed_chain.guess import Guess
-from linkplan.planner.phase_plane import cheapest_motion
 from linkplan.planner.phase_plane.bang_bang_motions import Part, least_time_guess
 from linkplan.planner.phase_plane.cheapest_legs import cheapest_legs
 from linkplan.planner.phase_plane.cheapest_motion import _followed, _guess, _least_costs, _States, _Steps, cheapest_guess
@@ -173,25 +172,6 @@ def test_a_guess_meets_its_ends_and_counts_its_swings(last, swings):
     assert guess.position(ends)[:, 0] == pytest.approx([1.0, 2.0])
     assert guess.velocity(ends)[:, 0] == pytest.approx([0.25, -0.5])
     assert guess.swings == swings
-
-
-def test_states_are_a_quarter_of_the_way_around_the_quickest_motion_and_a_little_above_its_speed(monkeypatch):
-    """With 2.5 N.m on 0.25 kg m2, the speed at the middle of a quarter turn is sqrt(10 pi / 2); x = sqrt(0.25) s."""
-    made = []
-
-    class Made(Exception):  # noqa: N818 - it ends the search
-        pass
-
-    def least_costs(_steps: _Steps, states: _States, *_):
-        made.append(states)
-        raise Made
-
-    monkeypatch.setattr(cheapest_motion, "_least_costs", least_costs)
-    with pytest.raises(Made):
-        programmed(1.0, 90.0, 0.0, 2.5)
-    (states,) = made
-    assert states.y[[0, -1]] == pytest.approx(0.5 * 1.15 * np.sqrt(5 * np.pi) * np.array([-1, 1]), rel=1e-3)
-    assert np.ptp(states.x) == pytest.approx(0.5 * 1.5 * np.pi / 2, rel=1e-2)
 
 
 # The legs' cost against a closed form: cells, and a reserve of a hundredth of the limits.

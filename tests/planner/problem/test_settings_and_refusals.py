@@ -6,8 +6,6 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.models.compiled import functions
-from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.reach import End, reach
@@ -19,7 +17,6 @@ from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.reference import Sine, is_whole
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.problem.start import _way_through
-from linkplan.planner.search.planning import plan_motion
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, body_problem
 
 SECOND = QUARTER_TURN + "duration_s = 1.0\n"
@@ -323,20 +320,3 @@ def test_a_broken_delay_is_for_loops_and_not_for_motions_that_are_tracked():
     values = {name: getattr(problem, name) for name in Problem.__slots__} | {"tracking": broken}
     with pytest.raises(ProblemError, match=r"tracking\.delay_periods is a whole number from 0 to 1000, got 0\.5"):
         Problem(**values)
-
-
-def test_what_compiles_knows_when_the_plan_is_to_be_done(monkeypatch):
-    known = []
-
-    def interpreted(key, kind, build, deadline=NO_DEADLINE):
-        del key, kind
-        known.append(deadline)
-        return build()
-
-    monkeypatch.setattr(functions, "compiled", interpreted)
-    monkeypatch.setattr(functions, "cached", lambda *_: None)
-    problem = load_problem("knee-reach", ("solver.compile=always", "solver.max_time_s=60"))
-    begun = Deadline().within(60.0 + 1.0)
-    assert plan_motion(problem).trajectory is not None
-    assert len(known) >= 2
-    assert all(deadline.at_s <= begun.at_s for deadline in known)

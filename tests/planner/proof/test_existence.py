@@ -149,16 +149,6 @@ def form(*coefficients: float, remainder: float) -> TaylorForm:
     return TaylorForm(coefficients=[arb(c) for c in coefficients], remainder=arb(remainder), whole=arb(0))
 
 
-@pytest.mark.parametrize(("share", "answer"), [(0.99, "proved"), (1.01, "sampled")])
-def test_a_radius_is_proved_up_to_what_a_certificate_allows(monkeypatch, share, answer):
-    """A hundredth of a degree, and a fiftieth of the largest speed."""
-    monkeypatch.setattr(Neighbourhood, "radii", lambda _: share * np.array([np.radians(0.01), 0.02 * SPEED]))
-    position, speed = near().findings()
-    assert (position.answer, speed.answer) == (answer, answer)
-    assert (position.mark, speed.mark) == pytest.approx((0.01, np.degrees(0.02 * SPEED)))
-    assert position.margin == pytest.approx((1 - share) * 0.01)
-
-
 def test_the_defect_of_a_turn_without_efforts_is_its_acceleration():
     """Over the whole quarter turn, x from -1 to 1, the defect is exactly -A x; its remainder is zero."""
     ctx.prec = 100

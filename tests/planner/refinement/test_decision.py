@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.refinement import actions, decision
+from linkplan.planner.refinement import decision
 from linkplan.planner.refinement.actions import (
     Halve,
     ImposeRanges,
@@ -64,19 +64,6 @@ def test_where_it_needs_more_effort_everywhere_the_degree_is_raised_and_on_a_lar
 def test_what_no_mesh_mends_and_an_action_that_led_nowhere_are_the_end():
     assert next_action(state(iterate(passed=False, exact=False, repairable=False))) is None
     assert next_action(state(iterate(passed=False, exact=False, growth=ONE_OF_TEN), ended=True)) is None
-
-
-def test_a_motion_whose_higher_degree_is_not_solved_is_halved(monkeypatch):
-    coarse = state(iterate(passed=False, exact=False, growth=1.0))
-    action = next_action(coarse)
-    assert action == RaiseDegree("radau-5")
-    monkeypatch.setattr(actions, "_solved_on", lambda *_: None)
-    after = action.apply(coarse)
-    assert not after.ended
-    assert after.rounds == coarse.rounds + 1
-    assert isinstance(next_action(after), Halve)
-    passing = replace(coarse, iterate=iterate(passed=True, exact=False, growth=1.0))
-    assert action.apply(passing).ended  # a motion that passes is kept as it is
 
 
 def test_an_error_on_one_interval_halves_it():

@@ -20,7 +20,7 @@ from linkplan.planner.search.ladder import FULL_BUDGET, Budget, Search, SearchMe
 from linkplan.planner.search.planning import DIAGNOSES, SEARCH_METHODS, plan_motion
 from linkplan.planner.search.replan import Replanner
 from linkplan.planner.search.solving import first_mesh
-from linkplan.planner.search.starts import from_first_starts, no_time
+from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.solve import OF_TIME, OUT_OF_TIME
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_problem
 from tests.support.ode import robbins
@@ -186,19 +186,6 @@ def test_a_continuation_ends_where_it_has_gone_far_enough():
     assert path.arrived
     assert path.stages == (1.0, 2.0, 4.0)
     assert all(whole for *_, whole in enough)
-
-
-@pytest.mark.parametrize(
-    ("switch_times", "duration", "too_short"),
-    [(None, 0.995, False), (None, 0.98, True), ([0.5], 0.9995, False), ([0.5], 0.998, True)],
-)
-def test_the_phase_plane_rules_out_a_duration_by_a_thousandth_and_along_speed_limits_by_a_hundredth(
-    switch_times, duration, too_short
-):
-    search = search_for(load_problem("knee-reach", [f"motion.duration_s={duration}"]))
-    known = replace(search.smooth, duration_s=1.0, switch_times_s=switch_times, boundaries_s=None)
-    search.__dict__["quickest"] = known
-    assert no_time(search) is too_short
 
 
 @pytest.mark.parametrize(("change", "status"), [(5e-5, "optimal"), (5e-4, "optimal"), (0.04, "optimal"), (0.06, "feasible")])

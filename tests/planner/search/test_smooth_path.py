@@ -9,7 +9,6 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem, load_problem
-from linkplan.planner.search import without_solver
 from linkplan.planner.search.ladder import SHORT_BUDGET, Search, SearchMethod
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.reasons import nothing_found
@@ -99,18 +98,6 @@ def test_a_path_is_carried_where_the_actuators_give_every_effort_that_it_needs(n
     problem = load_problem(name, [STRONG] if name == "five-bar-reach" else [])
     search = Search(problem=problem, start_pose=problem.start_pose())
     assert _is_carried(problem, search.smooth) is carried
-
-
-@pytest.mark.parametrize(("missing", "carried"), [(0.9e-9, True), (1.1e-9, False)])
-def test_an_effort_that_is_missing_to_rounding_of_the_largest_one_is_none(monkeypatch, missing, carried):
-    """One of the actuators rests, which makes the missing efforts no more important."""
-
-    def needed(mechanism, poses, *_motion):
-        return np.tile([0.0, 2.0], (len(poses), 1)), np.full((len(poses), mechanism.dof), 2.0 * missing)
-
-    monkeypatch.setattr(without_solver, "needed_effort", needed)
-    problem = load_problem("five-bar-reach", [STRONG])
-    assert _is_carried(problem, Search(problem=problem, start_pose=problem.start_pose()).smooth) is carried
 
 
 def problem(*settings: str) -> Problem:

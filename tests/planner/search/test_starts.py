@@ -9,11 +9,10 @@ from scipy.optimize import brentq, minimize_scalar
 
 import linkplan
 from linkplan.models.errors import ProblemError
-from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.plan.folder import write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
-from linkplan.planner.search import least_limit, starts
+from linkplan.planner.search import starts
 from linkplan.planner.search.planning import SEARCH_METHODS, plan_motion
 from linkplan.planner.search.starts import with_switch_times
 from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, PENDULUM, QUARTER_TURN, TURN, body_plan, body_problem
@@ -247,21 +246,6 @@ def test_least_time_finds_its_switch_from_a_mesh_that_has_none_there():
     assert any("switch times as unknowns" in step.what for step in plan.history)
     assert np.abs(plan.trajectory.breaks_s - switch).min() < MINIMUM_TIME * exact
     assert plan.history[0].objective > plan.objective  # without the cut the switch is smeared
-
-
-@pytest.mark.parametrize(("factors", "best"), [((3.0, 2.0, 4.0), 2.0), ((3.0, None, 2.5), 2.5), ((0.9, 0.5, 0.4), 0.9)])
-def test_the_least_factor_on_the_limits_is_kept_and_a_motion_within_them_ends_the_search(monkeypatch, factors, best):
-    problem, left = load_problem("knee-reach"), iter(factors)
-
-    def found(*_, **__):
-        factor = next(left)
-        none = {"trajectory": None, "mesh": None, "durations": np.empty(0)}
-        return None if factor is None else least_limit.LeastLimit(factor=factor, first=factor, **none)
-
-    monkeypatch.setattr(least_limit, "least_limit", found)
-    answer = least_limit.least_limit_of_starts(problem, first_guess(problem, problem.start_pose()))
-    assert answer is not None
-    assert answer.factor == best
 
 
 def test_a_least_time_plan_is_a_guess_that_knows_its_switch():

@@ -119,16 +119,6 @@ def test_building_and_solving_are_parts_of_the_time_that_the_call_takes():
     assert found.build_s + found.solve_s <= time.perf_counter() - begin
 
 
-@pytest.mark.parametrize(("compile_mode", "most"), [("never", None), ("auto", 3)])
-def test_one_that_may_not_be_compiled_or_may_take_few_iterations_is_begun_once(compile_mode, most, monkeypatch):
-    monkeypatch.setattr(module, "_COMPILING_COST", 1)
-    monkeypatch.setattr(module, "_MIN_PATIENCE_ITERATIONS", 3)
-    settings, program = programmed(f"solver.compile={compile_mode}")
-    found = solve(program, settings.replace(max_iterations=most))
-    assert not found.transcribed.program.interval.compiled
-    assert (found.status == OUT_OF_ITERATIONS) == (most == 3)
-
-
 NOTHING = Solution(
     transcribed=None,
     x=np.zeros(1),
@@ -156,16 +146,3 @@ def test_rounding_does_not_end_a_search_where_another_barrier_finds_the_motion(a
     assert [adaptive for adaptive, _ in asked] == [False, True]
     assert asked[1][1] <= asked[0][1]
     assert solution.objective == (2.0 if again == SUCCEEDED else 1.0)
-
-
-def test_what_is_infeasible_is_not_solved_twice(monkeypatch):
-    asked = []
-
-    def solved(*_, **__):
-        asked.append(1)
-        return replace(NOTHING, status="Infeasible_Problem_Detected")
-
-    monkeypatch.setattr(solvers, "_patience", lambda *_: None)
-    monkeypatch.setattr(solvers, "_solved", solved)
-    solve(None)
-    assert len(asked) == 1

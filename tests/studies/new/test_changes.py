@@ -5,7 +5,6 @@ import tomllib
 import numpy as np
 import pytest
 
-from linkplan.models.closure import initial_assembly
 from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import needed_effort
@@ -286,19 +285,6 @@ def test_another_home_than_a_singular_pose_is_named():
     assert "home_deg" in mechanism.source
     assert "open or singular at the model's own pose" in notes[0]
     assert "mechanism.home_deg" in notes[0]
-
-
-def test_the_closed_pose_of_a_robot_is_searched_for_once_whatever_is_changed(monkeypatch):
-    searched = []
-    search = initial_assembly.nearest_closed_pose
-    monkeypatch.setattr(initial_assembly, "nearest_closed_pose", lambda *given: searched.append(1) or search(*given))
-    base = '<body name="base"><freejoint name="root"/><geom type="sphere" size="0.1" mass="5"/>'
-    robot = FLAT.format(before=base, after="</body>").replace('<joint name="O"/>', '<joint name="O" frictionloss="0.1"/>')
-    mechanism, notes = changed_mechanism({"model": robot})
-    assert "the base base floats" in notes[0]
-    assert "open or singular at the model's own pose" in notes[-1]
-    assert [joint.name for joint in mechanism.joints] == ["O", "A", "C"]
-    assert len(searched) == 1
 
 
 def test_a_ball_joint_that_a_default_limits_to_0_deg_is_named(tmp_path, ask):

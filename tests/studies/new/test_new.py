@@ -2,7 +2,6 @@
 
 import re
 import tomllib
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -271,14 +270,6 @@ def test_a_joint_outside_its_range_at_home_begins_inside():
     assert found.planned, found.why
     for place in (found.plan.problem.motion.start, found.plan.problem.motion.goal):
         assert 40 < np.degrees(place[0]) < 100
-
-
-def test_where_the_smooth_path_is_the_plan_of_a_small_mechanism_planning_searches_no_longer_either(monkeypatch):
-    smooth = replace(begun("five-bar").plan, solved=None)
-    monkeypatch.setattr("linkplan.studies.check.new.first_motion.plan_motion", lambda *_: smooth)
-    found = first_motion({"model": "five-bar"}, print)
-    assert found.tables["solver"]["max_time_s"] > 0
-    assert any("planning searches for a better motion" in change for change in found.changes)
 
 
 # An arm of one joint, without a name, and without a motor.
