@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.phase_plane.bang_bang_motions import Part, least_time_guess
@@ -192,12 +193,17 @@ OVER_CENTRE = """
 """
 
 
-def test_legs_of_an_inertia_alone_cost_what_the_cubic_does():
-    """The least integral of u^2 from rest to rest is 12 (I turn)^2 / T^3."""
-    problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 1.5\n")
+@pytest.mark.parametrize("damping", [0.0, 0.6])
+def test_legs_of_a_damped_inertia_cost_what_its_gramian_says(damping):
+    """The least integral of u^2 to a state x is x W^-1 x, W the Gramian of I v' = u - c v; without damping, a cubic's."""
+    problem = body_problem(HINGE.replace("<joint ", f'<joint damping="{damping}" '), QUARTER_TURN + "duration_s = 1.5\n")
     legs = next(cheapest_legs(problem, problem.start_pose(), None))
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    A = np.array([[0.0, 1.0], [0.0, -damping / HINGE_INERTIA]])
+    pushed = [expm(A * 0.75 * (1 + x)) @ [0.0, 1.0 / HINGE_INERTIA] for x in nodes]
+    gramian = 0.75 * sum(w * np.outer(x, x) for w, x in zip(weights, pushed, strict=True))
     assert legs.time[-1] == pytest.approx(1.5, rel=CELLS)
-    assert legs.cost == pytest.approx(12 * (HINGE_INERTIA * TURN) ** 2 / 1.5**3, rel=CELLS)
+    assert legs.cost == pytest.approx(TURN**2 * np.linalg.inv(gramian)[0, 0], rel=CELLS)
 
 
 def test_a_rest_takes_what_is_left_of_the_time_where_it_costs_less_than_moving():
