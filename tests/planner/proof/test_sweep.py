@@ -11,12 +11,13 @@ from flint import arb, ctx
 from linkplan.models.deadline import NO_DEADLINE
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.limits.efforts import share_of
+from linkplan.planner.proof import prove
 from linkplan.planner.proof.branch import newton
 from linkplan.planner.proof.claim import Claim, Record, finding_of_claim, undecided_reason
 from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import _Anchor, _Box, _boxes, _closure_findings, _linked, _Sweep
 from linkplan.planner.proof.taylor import Verdict
-from linkplan.planner.proof.walk import blocks_of
+from linkplan.planner.proof.walk import Blocks, blocks_of
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 from tests.support.motions import motion_along
 from tests.support.random_motions import motion_of
@@ -93,6 +94,29 @@ def five_bar():
 
 def sweep_of(problem, motion, blocks) -> _Sweep:
     return _Sweep(problem=problem, trajectory=motion, blocks=blocks, claims=[], until=NO_DEADLINE, order=6)
+
+
+def test_the_next_box_s_branch_is_guessed_along_its_slope(five_bar, monkeypatch):
+    """From the end of one box to the middle of the next the guess is off by the second order of the way only."""
+    guesses = []
+
+    def noting(blocks: Blocks, s: np.ndarray, guess: np.ndarray) -> np.ndarray:
+        guesses.append((guess, newton(blocks, s, guess)))
+        return guesses[-1][1]
+
+    monkeypatch.setattr(prove, "newton", noting)
+    problem, motion, blocks = five_bar
+    sweep = sweep_of(problem, motion, blocks)
+    sweep.slack = [arb(0)] * 2
+    piece = Piece.of(motion, 1)
+    z = motion.start_pose[list(blocks.dependent)]
+    anchor = _Anchor(region=None, end=[], z=z, slope=np.zeros_like(z), tau=0.0)
+    _, anchor = sweep._states(piece, _Box(centre=0.49, radius=0.01, halvings=0, claims=[]), anchor)
+    sweep._states(piece, _Box(centre=0.51, radius=0.01, halvings=0, claims=[]), anchor)
+    guess, found = guesses[-1]
+    way = np.abs(found - anchor.z).max()
+    assert way > 1e-4
+    assert np.abs(guess - found).max() < 0.2 * way
 
 
 def test_a_loop_that_stands_still_is_linked_over_the_last_digits_of_its_coordinates(five_bar):
