@@ -149,6 +149,33 @@ def form(*coefficients: float, remainder: float) -> TaylorForm:
     return TaylorForm(coefficients=[arb(c) for c in coefficients], remainder=arb(remainder), whole=arb(0))
 
 
+@pytest.mark.parametrize(
+    ("coefficients", "remainder", "small"),
+    [
+        ((0.0,), 0.9e-7 * ACCELERATION, True),
+        ((0.0,), 1.1e-7 * ACCELERATION, False),
+        ((1e-3, -1e-3), 0.49e-3, True),
+        ((1e-3, -1e-3), 0.51e-3, False),
+    ],
+)
+def test_a_defect_is_small_by_the_acceleration_or_by_its_polynomial(coefficients, remainder, small):
+    assert near()._is_small([form(*coefficients, remainder=remainder)]) is small
+
+
+@pytest.mark.parametrize(
+    ("stiffness", "damping", "tight"),
+    [
+        (form(0.0, remainder=0.24), form(0.0, remainder=0.49), True),  # 1 / T^2 and 1 / T
+        (form(0.0, remainder=0.26), form(0.0, remainder=0.49), False),
+        (form(0.0, remainder=0.24), form(0.0, remainder=0.51), False),
+        (form(-3.0, remainder=2.9), form(2.0, remainder=1.9), True),
+        (form(-3.0, remainder=3.1), form(2.0, remainder=1.9), False),
+    ],
+)
+def test_slopes_are_tight_by_their_own_size_or_by_the_motion_s_rates(stiffness, damping, tight):
+    assert near()._is_tight([[stiffness, damping]]) is tight
+
+
 def test_the_defect_of_a_turn_without_efforts_is_its_acceleration():
     """Over the whole quarter turn, x from -1 to 1, the defect is exactly -A x; its remainder is zero."""
     ctx.prec = 100

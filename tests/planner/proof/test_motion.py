@@ -1,6 +1,7 @@
 """Enclosures of the planned curve, and of rates, efforts and forces along it."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -96,6 +97,24 @@ def test_the_least_solution_is_that_of_the_pseudoinverse(shape):
     np.testing.assert_allclose(found, np.linalg.pinv(A) @ b, rtol=1e-9)
     square = _squared(entries, shape[0])
     np.testing.assert_allclose([[float(square[i, j].mid()) for j in range(shape[0])] for i in range(shape[0])], A @ A.T)
+
+
+def test_a_piece_knows_its_width_and_when_it_begins_in_the_motion():
+    mechanism = load_mechanism(CRANK.format(actuators=ONE))
+    one = motion(mechanism)
+    two = replace(
+        one,
+        breaks_s=np.array([1.0, 1.8, 2.1]),
+        **{name: np.repeat(getattr(one, name), 2, axis=1) for name in ("position", "velocity", "effort")},
+    )
+    piece = Piece.of(two, 1)
+    assert (piece.begin_s, float(piece.since), float(piece.width)) == pytest.approx((1.8, 0.8, 0.3))
+    for share in (0.0, 0.3, 1.0):
+        exact = two.position_at(np.array([1.8 + share * 0.3 - 1e-12 * share]))[0, 0]
+        assert float(piece.position[0](arb(share)).mid()) == pytest.approx(exact, abs=1e-10)
+    # The second interval is shorter than the first, whose speeds it has.
+    assert Piece.of(two, 0).one_velocity
+    assert not piece.one_velocity
 
 
 KNOTS = np.array([0.0, 0.2, 0.25, 0.6, 1.0])
