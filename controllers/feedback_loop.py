@@ -110,7 +110,7 @@ def _freeze_failures(log: LoopLog, stepper: Stepper, k: int, failed: dict[int, B
     lost = stepper.running & ~(valid_state & np.isfinite(log.commanded[k]).all(axis=1))
     for machine in np.flatnonzero(lost).tolist():
         error = failed.get(machine)
-        reason = _failure_text(error) if error else "the tracker gave an effort that is no number"
+        reason = _failure_text(error) if error else "the tracker gave an effort that is not a number"
         log.failure[machine], log.error[machine] = (reason, error) if valid_state[machine] else (stepper.lost, None)
         log.done[machine] = k
     stepper.freeze(lost)

@@ -15,7 +15,7 @@ from mujoco.batch import Batch
 from linkplan.controllers.imperfections.batch_effects import ClosureWatch, PushState, SiteForces, pushing, spread
 from linkplan.controllers.imperfections.driving import DriveState, act, driving, stretches, take
 from linkplan.controllers.imperfections.imperfections import Imperfections
-from linkplan.controllers.imperfections.plant import ImperfectPlant, as_modelled, held_before, plant
+from linkplan.controllers.imperfections.plant import ImperfectPlant, held_before, is_nominal, plant
 from linkplan.controllers.imperfections.servos import servo_inversion, speed_gains
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
@@ -48,8 +48,8 @@ class MujocoPlant:
         The modelled plant replaces a machine that cannot be built.
         """
         mechanism, loop, substeps = self.mechanism, self.loop, substeps_of(self.mechanism, reference.period_s)
-        neutral = next((one for one in machines if as_modelled(one)), Imperfections())
-        keys = [(reference, neutral if as_modelled(one) else one) for one in machines]
+        neutral = next((one for one in machines if is_nominal(one)), Imperfections())
+        keys = [(reference, neutral if is_nominal(one) else one) for one in machines]
         base = self._build(reference, neutral, substeps)
         if isinstance(base, str):
             raise LinkplanError(base)

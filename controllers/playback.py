@@ -60,7 +60,7 @@ def play(
         LinkplanError: if no window can be opened, or if `make` refuses the first run.
     """
     if not has_screen():
-        raise LinkplanError("view needs a screen, and none is there: neither DISPLAY nor WAYLAND_DISPLAY is set")
+        raise LinkplanError("view needs a screen: neither DISPLAY nor WAYLAND_DISPLAY is set")
     import mujoco.viewer
 
     shown = make(controls)

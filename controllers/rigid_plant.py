@@ -27,7 +27,7 @@ LOST = "the rigid loop was driven to where it cannot be closed"
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class RigidPlant:
-    """A mechanism as modelled, with rigid loops. Only a machine's clock and start are used."""
+    """The nominal mechanism, with rigid loops. Only a machine's clock and start are used."""
 
     mechanism: Mechanism
     delay_periods: float = 0.0  # of computing, for all machines

@@ -21,7 +21,7 @@ class Plant(Protocol):
 
     @property
     def mechanism(self) -> Mechanism:
-        """The mechanism as modelled, which the tracker uses."""
+        """The nominal mechanism, which the tracker uses."""
         ...
 
     def begin(self, reference: SampledReference, machines: Sequence[Imperfections]) -> tuple[Stepper, list[str | None]]:
@@ -74,7 +74,7 @@ def simulate(
         plant: the simulated mechanism.
         law: the tracker, for batches or for single states.
         reference: the sampled motion.
-        machines: the imperfections of each machine; default: one machine as modelled.
+        machines: the imperfections of each machine; default: one nominal machine.
     """
     stepper, failure = plant.begin(reference, machines)
     q, v = states_of(stepper)
@@ -106,7 +106,7 @@ def simulate(
 
 
 def simulate_one(plant: MujocoPlant | PlantAsItStands, law: AnyTracker, reference: SampledReference) -> Rollout:
-    """Return the log of a tracker on one machine in MuJoCo as modelled; the tracker's exception is re-raised."""
+    """Return the log of a tracker on the nominal machine in MuJoCo; the tracker's exception is re-raised."""
     ensemble = simulate(plant, law, reference)
     if ensemble.error[0] is not None:
         raise ensemble.error[0]

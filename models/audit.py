@@ -147,4 +147,4 @@ def _equalities(model: mujoco.MjModel):
         if disabled(model, mujoco.mjtDisableBit.mjDSBL_EQUALITY, mujoco.mjtDisableBit.mjDSBL_CONSTRAINT):
             yield f"equality constraint {equality_name(model, index)} is switched off by a flag of the model's option"
         elif not model.eq_active0[index]:
-            yield f"equality constraint {equality_name(model, index)} is inactive and stays so"
+            yield f"equality constraint {equality_name(model, index)} is inactive"

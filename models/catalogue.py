@@ -15,7 +15,7 @@ MODELS = {
     "parallel-gripper": "two four-bar fingers geared together, closed by one cable and opened by springs",
     "five-bar": "two motors at the base for two degrees of freedom, one loop, a load on the pin",
     "cart-pole": "a pole on a cart, pushed at the cart: no loop, one force for two degrees of freedom",
-    "optimus-knee-source": "the source document's knee, as printed: kept to be checked, not to be used",
+    "optimus-knee-source": "the source document's knee, as printed: for checks only",
 }
 PAYLOADS = ("shank",)
 

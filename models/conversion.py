@@ -30,8 +30,8 @@ def conversion_notes(root: ET.Element, *, driven: bool = False) -> list[str]:
     ]
     if speeds:
         notes.append(
-            f"MuJoCo's converter leaves out the URDF's speed limits (joint {listed(speeds, 6)}, rad/s or m/s):"
-            " limits.speed_deg_s and limits.speed_m_s keep them"
+            f"MuJoCo's converter ignores the URDF's speed limits (joint {listed(speeds, 6)}, rad/s or m/s):"
+            " limits.speed_deg_s and limits.speed_m_s impose them"
         )
     soft = [str(joint.get("name")) for joint in root.iter("joint") if joint.find("safety_controller") is not None]
     added = {joint.name for joint in gazebo_joints(root)}
@@ -40,7 +40,7 @@ def conversion_notes(root: ET.Element, *, driven: bool = False) -> list[str]:
     others += ["safety_controller"] * bool(soft)
     inside = [child.tag for block in root.findall("mujoco") for child in block if child.tag not in _READ_IN_MUJOCO]
     if others:
-        notes.append(f"MuJoCo's converter leaves out the URDF's elements {listed(list(dict.fromkeys(others)), 6)}")
+        notes.append(f"MuJoCo's converter ignores the URDF's elements {listed(list(dict.fromkeys(others)), 6)}")
     if inside:
         notes.append(
             f"MuJoCo ignores {listed(list(dict.fromkeys(inside)), 6)} in the URDF's <mujoco> element, where it only reads"

@@ -54,8 +54,8 @@ def _named(name: str, joints: tuple[Joint, ...], asked: Sequence[str] | None, do
     named = [index_of(name, joints, joint) for joint in asked]
     if len(set(named)) < len(named) or len(named) > dof:
         raise ModelError(
-            f"mechanism.independent names {len(named)} joints ({', '.join(asked)}); mechanism '{name}' has {dof} degrees of"
-            " freedom, each a joint of its own"
+            f"mechanism.independent has at most as many joints as '{name}' has degrees of freedom ({dof}), and no joint"
+            f" twice; got {', '.join(asked)}"
         )
     return named
 

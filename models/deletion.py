@@ -44,10 +44,10 @@ def delete_users(spec: mujoco.MjSpec, joints: set[str], away: set[str], places: 
             moved = {name for name in used & joints if places[name].any()}
             relaxed = tendon.springlength[0] == -1 and np.any(tendon.stiffness)  # at the reference pose of every joint
             if tendon.name in coupling or (moved and relaxed):
+                spring = "its spring has no springlength: give it one, or lock the joint at 0"
+                why = "it couples joints" if tendon.name in coupling else spring
                 raise ModelError(
-                    f"joint '{min(moved or used & joints)}' cannot be locked: tendon '{tendon.name}' uses it; it goes on"
-                    " with the others if it couples nothing, and if it has no spring, or a springlength, or the joint is"
-                    " locked at 0"
+                    f"joint '{min(moved or used & joints)}' cannot be locked: tendon '{tendon.name}' uses it, and {why}"
                 )
             _leave_tendon(spec, tendon, {name: places[name][1] for name in used & joints})
         elif used & joints:

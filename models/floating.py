@@ -5,7 +5,7 @@ from collections.abc import Iterable, Sequence
 import mujoco
 import numpy as np
 
-from linkplan.models.errors import ModelError, listed
+from linkplan.models.errors import ModelError, counted, listed
 from linkplan.models.kinematics import (
     FREE,
     SLIDE,
@@ -98,12 +98,11 @@ def floating_sentence(model: mujoco.MjModel) -> str | None:
             f" begin at {', '.join(chains)}"
         )
     elif freedoms < model.nv:
-        remedy = "mechanism.fix_base = true fixes what is loose where it stands"
+        remedy = "mechanism.fix_base = true fixes the loose bodies in place"
     else:
         remedy = "nothing else moves, and a plan needs an actuator that it can use"
     whose = "its" if len(bases + loose) == 1 else "their"
-    counted = f"{freedoms} degree{'s' if freedoms > 1 else ''} of freedom"
-    return f"{floating_words(model)}: nothing drives {whose} {counted}; {remedy}"
+    return f"{floating_words(model)}: nothing drives {whose} {counted(freedoms, 'degree')} of freedom; {remedy}"
 
 
 def refuse_many_loose(name: str, model: mujoco.MjModel) -> None:
@@ -116,7 +115,7 @@ def refuse_many_loose(name: str, model: mujoco.MjModel) -> None:
     if len(loose) > 20:  # a hand's or a table's objects; two hundred have 1,200 coordinates, which take minutes
         raise ModelError(
             f"model '{name}': {_names(model, loose)} are loose: nothing drives these {len(loose)} bodies, and a mechanism"
-            " has at most 20 of them; mechanism.fix_base = true fixes them where they stand"
+            " has at most 20 of them; mechanism.fix_base = true fixes them in place"
         )
 
 

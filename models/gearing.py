@@ -41,7 +41,7 @@ def set_gearing(spec: mujoco.MjSpec, gear: Mapping[str, float], rotor_inertia: M
         joint = spec.joint(one.target) if one.trntype in _ON_JOINTS else None
         if joint is not None and joint.armature:
             notes.append(
-                f"joint {joint.name} has an armature of {float(joint.armature):g} in the model, which stays beside the rotor"
+                f"joint {joint.name} has an armature of {float(joint.armature):g} in the model, which is added to the rotor"
                 f" of {name}"
             )
     return notes

@@ -112,7 +112,7 @@ def refuse_unusable(name: str, model: mujoco.MjModel) -> None:
         bad = value[:, 0] > value[:, 1]
         if np.any(bad):
             low, high = value[bad][0]
-            raise ModelError(f"model '{name}' has {_where(model, field, bad)} = {low:g} to {high:g}, which is no range")
+            raise ModelError(f"model '{name}' has {_where(model, field, bad)} = {low:g} to {high:g}, which is not a range")
     for what, value in _numbers(model):
         bad = ~np.isfinite(value) | (np.abs(value) > MAX_SI_VALUE)
         if np.any(bad):

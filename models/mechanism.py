@@ -325,7 +325,7 @@ def load_mechanism(
     tree = build_tree(model, home_qpos(model), _varied(model, pi), transition)
     joints, actuators, extent = read_joints(name, model, tree.coordinates), read_actuators(model), extent_m(model)
     closed = close_home(name, model, tree, joints, extent, home=home, tolerance_m=closure_tolerance_m)
-    loop, mobility, pose, about = closed.loop, closed.mobility, closed.pose, closed.about
+    loop, mobility, pose, about = closed.mobility.loop, closed.mobility, closed.pose, closed.about
     jacobians = [loop.jacobian(q) for q in (pose, *about)]
     rows, free, dependent = choose_coordinates(loop, model, actuators, jacobians, independent)
     closed.refuse_singular(free)

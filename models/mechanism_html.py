@@ -6,6 +6,7 @@ from html import escape
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
+from linkplan.models.errors import counted
 from linkplan.models.tree.joints import Joint
 
 
@@ -26,8 +27,7 @@ def mechanism_html(
     rows += [[one.name, "actuator", _between(one.lower, one.upper, one.unit)] for one in actuators]
     rows += [[closure, "closure", ""] for closure in closures]
     body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in rows)
-    freedoms = f"{dof} degree{'s' if dof != 1 else ''} of freedom"
-    caption = f"<caption>Mechanism {escape(name)}: {freedoms}</caption>"
+    caption = f"<caption>Mechanism {escape(name)}: {counted(dof, 'degree')} of freedom</caption>"
     head = "<thead><tr><th>part</th><th>kind</th><th>range or limit</th></tr></thead>"
     return f"<table>{caption}{head}<tbody>{body}</tbody></table>"
 

@@ -38,7 +38,7 @@ class Payload:
         moments = np.sort(self.inertia_kgm2)
         if moments[2] > moments[:2].sum() * (1 + 1e-9):  # 1e-9 is rounding of typed numbers
             raise ModelError(
-                "payload.inertia_kgm2 belongs to no rigid body: the largest moment exceeds the sum of the other two,"
+                "payload.inertia_kgm2 is not that of a rigid body: the largest moment exceeds the sum of the other two,"
                 f" got {self.inertia_kgm2.tolist()}"
             )
 

@@ -19,7 +19,7 @@ _COPIED = ("damping", "armature", "frictionloss", "solref_friction", "solimp_fri
 def spin_refusal(model: mujoco.MjModel, joint: int) -> str | None:
     """Return the reason why a joint's spin cannot be locked, or None if it can."""
     if int(model.jnt_type[joint]) != BALL:
-        return "is no ball joint"
+        return "is not a ball joint"
     if rod_line(model, joint) is None:
         return "carries no rod: a rod's other ball joints and connects lie on one line through it, and nothing else holds it"
     if model.jnt_stiffness[joint] or model.jnt_limited[joint]:

@@ -87,8 +87,10 @@ def _delete_ranges(spec: mujoco.MjSpec) -> list[str]:
     turned = any(joint.range[0] > joint.range[1] for joint in loose)
     for joint in loose:
         joint.range, joint.limited = [0.0, 0.0], mujoco.mjtLimited.mjLIMITED_FALSE
-    slip = "; MuJoCo and Bullet, too, read those that end below their beginning so: is their order a slip?" if turned else ""
-    return [f"ranges of joints that limit nothing are left out: {listed(said, 8)}{slip}"] if said else []
+    slip = (
+        "; MuJoCo and Bullet, too, ignore ranges that end below their beginning: are their ends swapped?" if turned else ""
+    )
+    return [f"ranges of joints that impose no limit are ignored: {listed(said, 8)}{slip}"] if said else []
 
 
 def _free_followers(spec: mujoco.MjSpec) -> list[str]:
@@ -106,7 +108,7 @@ def _free_followers(spec: mujoco.MjSpec) -> list[str]:
         if np.ptp(follower.range) > 0 and np.ptp(leader.range) > 0 and room <= 1e-3 * np.ptp(leader.range):
             freed.append(f"{follower.name} ({follower.range[0]:g} to {follower.range[1]:g}) of {leader.name}")
             follower.range, follower.limited = [0.0, 0.0], mujoco.mjtLimited.mjLIMITED_FALSE
-    said = "ranges of joints that follow others and would hold them still are left out, as ROS does"
+    said = "ranges of joints that follow others and would block them are ignored, as by ROS"
     return [f"{said}: {listed(freed, 8)}"] if freed else []
 
 
@@ -121,7 +123,7 @@ def _weigh(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:
         return []
     spec.compiler.boundmass, spec.compiler.boundinertia = LEAST_MASS_KG, LEAST_INERTIA_KGM2
     return [
-        f"links without mass get {LEAST_MASS_KG:g} kg and {LEAST_INERTIA_KGM2:g} kg.m^2, without which MuJoCo moves none:"
+        f"links without mass get {LEAST_MASS_KG:g} kg and {LEAST_INERTIA_KGM2:g} kg.m^2, as MuJoCo moves no massless body:"
         f" {', '.join(sorted(light))}"
     ]
 
@@ -154,7 +156,7 @@ def _settle_inertias(spec: mujoco.MjSpec) -> list[str]:
     notes = [f"links without inertia get {LEAST_INERTIA_KGM2:g} kg.m^2: {listed(points, 8)}"] if points else []
     if changes:
         notes.append(
-            "links of which one principal moment is not positive, or larger than the sum of the others, get the nearest"
-            f" inertia that a body has (change, of the largest moment): {listed(changes, 8)}"
+            "physically impossible inertias of links are replaced by the nearest possible ones (change, of the largest"
+            f" moment): {listed(changes, 8)}"
         )
     return notes

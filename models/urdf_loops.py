@@ -108,7 +108,7 @@ def _table(place: Path, kind: type[Table], keys: set[str]) -> Table | None:
     try:
         return msgspec.convert(found, kind)
     except msgspec.ValidationError as error:
-        raise ModelError(f"'{place}' is not what closes a URDF's loops: {error}") from error
+        raise ModelError(f"'{place}' does not describe closures of a URDF: {error}") from error
 
 
 def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple[str, ...]:
@@ -344,7 +344,7 @@ def add_motors(spec: mujoco.MjSpec, names: Sequence[str], where: str = "") -> li
     for name in names:
         joint = _joint(spec, name, where)
         if joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
-            raise ModelError(f"joint '{name}' is no hinge and no slide, so that a motor has no axis there")
+            raise ModelError(f"joint '{name}' is neither a hinge nor a slide, so a motor has no axis there")
         on_joint = mujoco.mjtTrn.mjTRN_JOINT
         own = [a for a in spec.actuators if a.trntype == on_joint and a.target == joint.name]
         filters = [a for a in own if not a.plugin.active and a.dyntype in FILTERS]

@@ -45,7 +45,8 @@ def closed_pose(model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism
     if residual > mechanism.closed_m:
         at = where(mechanism.independent_joints, q[mechanism.independent])
         raise AssemblyError(
-            f"the loop does not close at the start, {at}, with this machine's lengths: {1e3 * residual:.3g} mm are left"
+            f"the loop does not close at the start, {at}, with this machine's lengths:"
+            f" a gap of {1e3 * residual:.3g} mm remains"
         )
     return q
 
@@ -82,8 +83,8 @@ class ImperfectPlant:
     rates: np.ndarray
 
 
-def as_modelled(one: Imperfections) -> bool:
-    """Return True if a machine's model, start and clock are as modelled, so that such machines can share one plant."""
+def is_nominal(one: Imperfections) -> bool:
+    """Return True if a machine's model, start and clock are nominal, so that such machines can share one plant."""
     machine, start, clock = one.machine, one.start, one.clock
     numbers = (machine.viscous, machine.coulomb, start.position_error, start.velocity_error, clock.phase_periods)
     factors = (machine.mass_factor, clock.period_factor, one.drives.constant_factor)

@@ -2,7 +2,7 @@
 
     u = (Gamma^T B)^+ tau(s, v, a_ref + 2 zeta w (v_ref - v) + w^2 (s_ref - s)),   tau the reduced inverse dynamics
 
-If the mechanism is as modelled, the errors obey e'' + 2 zeta w e' + w^2 e = 0 at all poses (Featherstone, Rigid Body
+For the nominal mechanism the errors obey e'' + 2 zeta w e' + w^2 e = 0 at all poses (Featherstone, Rigid Body
 Dynamics Algorithms, 2008, 1.5; Siciliano et al., Robotics, 2009, 8.5.2).
 """
 

@@ -123,7 +123,7 @@ def _stationary_cost(span: _Span) -> np.ndarray:
         if np.abs(P - before).max() <= np.finfo(float).eps * np.abs(P).max():
             return P
     raise GainError(
-        "LQR has no stabilising gain at the end or over a cycle of the motion: something moves that no effort stops"
+        "LQR has no stabilising gain at the end or over a cycle of the motion: no effort stabilises a part of it"
     )
 
 

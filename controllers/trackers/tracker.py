@@ -114,7 +114,7 @@ class Design:
     """What a built-in tracker is built from.
 
     Args:
-        mechanism: the machine as modelled.
+        mechanism: the nominal one.
         reference: its sampled motion.
         settings: the keys of [tracking], a `linkplan.planner.problem.settings.Tracking`.
         errors: returns the errors and efforts of unit cost.

@@ -128,11 +128,11 @@ def _unusable_dynamics(model: mujoco.MjModel, index: int) -> str | None:
     if int(model.actuator_plugin[index]) >= 0:
         return "it is a plugin"
     if int(model.actuator_dyntype[index]) == DC_MOTOR and not model.actuator_actnum[index]:
-        return None if _is_line(model, index) else "its cogging, rate limit or temperature makes it no torque-speed line"
+        return None if _is_line(model, index) else "a torque-speed line has no cogging, rate limit or temperature"
     if int(model.actuator_dyntype[index]) != int(mujoco.mjtDyn.mjDYN_NONE) or int(model.actuator_actnum[index]) > 0:
         dynamics = mujoco.mjtDyn(int(model.actuator_dyntype[index])).name.removeprefix("mjDYN_").lower()
         at_joint = dynamics.startswith("filter") and attachment(model, index).dof is not None
-        remedy = ", which mechanism.drive with its joint leaves out" if at_joint else ""
+        remedy = ", which mechanism.drive with its joint omits" if at_joint else ""
         return f"it has a state of its own ({dynamics} dynamics{remedy})"
     return None
 

@@ -32,13 +32,12 @@ from linkplan.models.tree.joints import Joint, unit_steps
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ClosedHome:
-    """A closed pose (n_q,) near the model's reference pose (n_q,), and the closure with the tolerances that hold there.
+    """A closed pose (n_q,) near the model's reference pose (n_q,), and the mobility with the tolerances that hold there.
 
     `held` are the positions [rad or m] asked for, by the joints' indices. `moved` are the anchors that were moved. `about`
     are closed poses near home. A gap below `tolerance_m` is a rounding of the file. `extent_m` is the size of the bodies.
     """
 
-    loop: KinematicLoop
     mobility: Mobility
     pose: np.ndarray
     about: list[np.ndarray]
@@ -55,17 +54,18 @@ class ClosedHome:
             AssemblyError: for such a home. The message says how to choose another one, where there is one.
         """
         try:
-            refuse_singular_assembly(self.loop, self.pose, free, self.about)
+            refuse_singular_assembly(self.mobility.loop, self.pose, free, self.about)
         except LockedError as error:
-            raise locked_or_singular(error, self.loop, self.pose) from None
+            raise locked_or_singular(error, self.mobility.loop, self.pose) from None
         except UnassembledError as error:
-            raise with_closed_pose(error, self.loop, self.pose, self.extent_m) from None
+            raise with_closed_pose(error, self.mobility.loop, self.pose, self.extent_m) from None
 
     def reference_notes(self, rank: int) -> list[str]:
         """Return a note if the reference pose is closed and singular; `rank` is the closure's at home."""
-        there = self.loop.rank(self.reference)
+        loop = self.mobility.loop
+        there = loop.rank(self.reference)
         # [m]: the rank is meaningful only at a closed pose
-        if self.loop.gap(self.loop.residual(self.reference)[0]) > 1e-6 or there == rank:
+        if loop.gap(loop.residual(self.reference)[0]) > 1e-6 or there == rank:
             return []
         return [f"the model's reference pose is singular: the closure has rank {there} there and {rank} at home"]
 
@@ -112,7 +112,6 @@ def close_home(
     mobility = judge_mobility(loop, pose, tolerance)
     refuse_locked(mobility, pose, tolerance)
     return ClosedHome(
-        loop=mobility.loop,
         mobility=mobility,
         pose=pose,
         about=nearby_poses(mobility.loop, pose),

@@ -79,7 +79,7 @@ def read_closures(model: mujoco.MjModel, tree: Tree) -> tuple[Closure, ...]:
             raise ModelError(
                 f"equality constraint '{equality_name(model, index)}' is of kind"
                 f" '{kind.name.removeprefix('mjEQ_').lower()}'; the planner closes loops by 'connect', 'weld', 'joint' and"
-                " 'tendon'; mechanism.keep = [NAMES] reads the mechanism without what else is in its scene"
+                " 'tendon'; mechanism.keep = [NAMES] reads the named chain without the rest of the scene"
             )
         for what, residual, frame, scale, (unit, per_unit) in _READERS[kind](model, tree, index):
             start = closures[-1].rows.stop if closures else 0

@@ -168,7 +168,7 @@ def idle_drives(joints, actuators, dynamics, poses, mobility: Mobility, extent_m
     notes, faults = [], []
     for j, tolerance in zip(idle, _freeing_tolerances(mobility, poses[0], full[0][:, idle], extent_m), strict=True):
         said = f"actuator {actuators[j].name} has no effect: the loops lock {actuators[j].target}"
-        freeing = f"they open by {(tolerance or 0) / 1.01:.2g} m as it moves, which mechanism.closure_tolerance_m ="
+        freeing = f"its motion opens them by {(tolerance or 0) / 1.01:.2g} m, which mechanism.closure_tolerance_m ="
         (notes if tolerance is None else faults).append(
             said if tolerance is None else f"{said}; {freeing} {tolerance:.3g} allows"
         )

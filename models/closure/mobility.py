@@ -28,7 +28,7 @@ from linkplan.models.closure.rank import (
     numerical_rank,
     weak_rank,
 )
-from linkplan.models.errors import LockedError, ModelError
+from linkplan.models.errors import LockedError, ModelError, counted
 from linkplan.models.kinematics import data_at
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.joints import Joint
@@ -285,10 +285,10 @@ def _rounding_notes(joints, mobility: Mobility, tolerance_m: float) -> list[str]
     notes = []
     if mobility.freed_m:
         n, gap = len(mobility.freed_m), max(mobility.freed_m)
-        motions = "1 motion counts" if n == 1 else f"{n} motions count"
+        motions, count, it = ("motion", "counts", "it") if n == 1 else ("motions", "count", "them")
         notes.append(
-            f"{motions} as free that only rounding of the file locks: the loops open by {gap:.2g} m along"
-            f" {'it' if n == 1 else 'them'} (closure_tolerance_m = {tolerance_m:g})"
+            f"{n} {motions} that only rounding in the file locks {count} as free: the loops open by {gap:.2g} m along {it}"
+            f" (closure_tolerance_m = {tolerance_m:g})"
         )
     for direction, gap in mobility.locked:
         lead = joints[int(np.argmax(np.abs(direction)))]
@@ -310,7 +310,7 @@ def refuse_locked(mobility: Mobility, pose: np.ndarray, tolerance_m: float) -> N
     if rank < n_joints:
         return
     error = LockedError(
-        f"mechanism '{loop.name}' is locked: {n_joints} joints less {rank} independent closure rows leave 0 degrees of"
+        f"mechanism '{loop.name}' is locked: {n_joints} joints minus {rank} independent closure rows leave 0 degrees of"
         f" freedom{_hint(weak_rank(loop.jacobian(pose), loop.rank_tolerance), mobility.locked, tolerance_m)}"
     )
     raise locked_by(error, loop, pose)
@@ -366,7 +366,7 @@ def _freed_text(freed: dict[str, int]) -> str:
         return ""
     parts = [f"{part} ({more})" for part, more in freed.items()]
     first = next(iter(freed.values()))
-    parts[0] = parts[0].replace(f"({first})", f"({first} degree{'s' if first > 1 else ''} of freedom)")
+    parts[0] = parts[0].replace(f"({first})", f"({counted(first, 'degree')} of freedom)")
     return f"; it moves without {', '.join(parts)}"
 
 
@@ -374,7 +374,7 @@ def _hint(weak: int, locked, tolerance_m: float) -> str:
     if not weak:
         return ""
     gap = max((gap for _, gap in locked), default=0.0)
-    opens = f" (moved by 0.1 rad the loops open by {gap:.3g} m; closure_tolerance_m = {tolerance_m:g})" if gap else ""
+    opens = f" (after 0.1 rad the loops open by {gap:.3g} m; closure_tolerance_m = {tolerance_m:g})" if gap else ""
     return (
         f"; {weak} of these rows is nearly dependent on the others (1e-4 of the largest singular value): joint axes or"
         f" points meant to be aligned are slightly off{opens}"

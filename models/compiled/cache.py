@@ -76,7 +76,7 @@ def trusted_folder(*, make: bool) -> Path:
     why = whose or open_to or next((why for one in above if (why := _replaceable(one))), None)
     if why is not None:
         raise PermissionError(
-            f"the cache '{folder}' {why}, and what is in it is run: name one of your own in LINKPLAN_CACHE"
+            f"the cache '{folder}' {why}, and its code would be run: name one of your own in LINKPLAN_CACHE"
         )
     return folder
 

@@ -78,14 +78,14 @@ def guided(free: Mechanism, site: int, curve: Curve, pose: np.ndarray) -> Guided
     rank = numerical_rank(jacobian, _RANK_SHARE)
     if rank < free.dof:
         raise ModelError(
-            f"a path of site {name} leaves {free.dof - rank} of the {free.dof} freedoms of '{free.name}' open; it needs a"
-            " mechanism whose freedoms all follow from the site's place (mechanism.lock holds joints; limits.site has tubes)"
+            f"a path of site {name} does not determine {free.dof - rank} of the {free.dof} degrees of freedom of"
+            f" '{free.name}', and it must determine all of them (mechanism.lock holds joints; limits.site has tubes)"
         )
     moved = int(np.linalg.matrix_rank(np.array(free.dynamics.effort_map(pose))))
     if moved < free.dof or free.n_u > free.dof:
         raise ModelError(
-            f"a path needs one drive for each of the {free.dof} freedoms of '{free.name}', got {free.n_u} drives that move"
-            f" {moved} of them"
+            f"a path needs one drive for each of the {free.dof} degrees of freedom of '{free.name}', got {free.n_u} drives"
+            f" that move {moved} of them"
         )
     rows = np.sort(scipy.linalg.qr(jacobian.T, mode="r", pivoting=True)[1][: free.dof])
     tree, x = _with_parameter(build_tree(free.model, home_qpos(free.model), transition=free.friction_transition))

@@ -128,9 +128,8 @@ def stop_sentence(stops: Sequence[tuple[Joint, float]], when: str) -> str:
     """Return the sentence on joints that weight and springs press onto their stops [rad or m], with the remedy."""
     names = ", ".join(f"{joint.name} ({joint.text(x, 4)} {joint.unit})" for joint, x in stops)
     return (
-        f"{when} weight and springs press {names} onto {'its stop' if len(stops) == 1 else 'their stops'}, against which"
-        f" no actuator holds: a stop's force is not planned for; {lock_words(stops)} holds them there,"
-        " as linkplan.new does by itself"
+        f"{when} weight and springs press {names} onto {'its stop' if len(stops) == 1 else 'their stops'}. No actuator"
+        f" holds them off, and plans have no stop forces: {lock_words(stops)} locks them there, as linkplan.new does"
     )
 
 

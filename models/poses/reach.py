@@ -26,7 +26,7 @@ from linkplan.models.tree.joints import Joint
 # Neighbours on either side in a spline of poses. Its error at steps of half a degree is below 1e-8.
 _SPLINE_NEIGHBOURS = 5
 # The reason of an end that nothing makes. A slide, and what moves one, is followed over this many sizes of the model.
-_NOTHING_SO_FAR, _SLIDE_EXTENTS = "nothing so far", 20
+_NO_END, _SLIDE_EXTENTS = "no end found", 20
 # A hinge that nothing stops and that does not come back is followed over this many turns.
 _MAX_TURNS = 100
 
@@ -37,7 +37,7 @@ class End:
 
     position: float
     # "range of A", "range of ball joint B", "end of rod_rx's chart", "singular pose",
-    # "full turn", "20 turns" or "nothing so far"
+    # "full turn", "20 turns" or "no end found"
     reason: str
     joint: int | None  # the coordinate whose range ends the reach
     stops: bool = True  # false if the joint goes on beyond it
@@ -102,7 +102,7 @@ def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
     singular = sorted([*singular_down, *singular_up, *touched], key=lambda pose: pose[index])
     lost = [pose for pose in singular if closure_rank(mechanism, pose) < len(mechanism.dependent)]
     at_home = float(mechanism.home[index])
-    repeated = not (lower.stops or upper.stops or _NOTHING_SO_FAR in (lower.reason, upper.reason))
+    repeated = not (lower.stops or upper.stops or _NO_END in (lower.reason, upper.reason))
     return Reach(
         coordinate=coordinate,
         lower=lower,
@@ -138,7 +138,7 @@ def _turned_back(mechanism: Mechanism, coordinate: int, up: list[np.ndarray], up
 
     None if it has not, or if a range is left on the way.
     """
-    turn = None if upper.stops or upper.reason == _NOTHING_SO_FAR else returned(mechanism, up[-1] - mechanism.home)
+    turn = None if upper.stops or upper.reason == _NO_END else returned(mechanism, up[-1] - mechanism.home)
     if turn is None:
         return None
     below = np.array([*up[-2::-1], mechanism.home]) - turn
@@ -203,7 +203,7 @@ def _walk(mechanism: Mechanism, coordinate: int, sign: int) -> tuple[list[np.nda
             return poses, End(position=last, reason=reason, joint=None, stops=False), []
         if joint.kind == "slide" or _has_slid_far(mechanism, q):
             break
-    return poses, End(position=float(q[index]), reason=_NOTHING_SO_FAR, joint=None, stops=False), []
+    return poses, End(position=float(q[index]), reason=_NO_END, joint=None, stops=False), []
 
 
 def _has_slid_far(mechanism: Mechanism, pose: np.ndarray) -> bool:

@@ -59,7 +59,7 @@ def refuse_singular_inertia(name: str, joints: Sequence[Joint], independent: np.
     raise InertiaError(
         f"mechanism '{name}' has a singular inertia at home ({where(of, pose[independent])}):"
         f" {singular_inertia_text(of, inertia)}, so that no effort fixes their acceleration. Give a joint an armature or its"
-        " bodies mass off its axis; of joints on one axis keep one; or choose another home pose, where axes coincide at this"
-        " one only",
+        " bodies mass off its axis; remove all but one of several joints on one axis; or choose another home pose, if axes"
+        " coincide at this pose only",
         len(inertia),
     )

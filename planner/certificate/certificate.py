@@ -27,7 +27,7 @@ from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, end_sizes
 from linkplan.planner.limits.joints import RANGE_SLACK
 from linkplan.planner.limits.kinds import margins_along
 from linkplan.planner.limits.limit import Margin
-from linkplan.planner.limits.samples import Samples, samples_of, singularity_ratios
+from linkplan.planner.limits.samples import Samples, least_between, samples_of, singularity_ratios
 from linkplan.planner.problem.extra import extras_not_finite, not_finite
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.motion import Waypoint
@@ -181,8 +181,10 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     # Without any effort, as for a crank that turns freely, rounding of the inertia's effort is allowed (measured: 1e-7).
     allowed = max(DYNAMICS_SHARE * float(np.abs(carried).max()), missed_rounding(limits.effort), 1e-6 * float(inertial))
     allowances = np.maximum(INVERSE_DYNAMICS_SHARE * end_sizes(limits.effort), 1e-12)
-    over_ends = np.stack([limits.effort[:, 0] - needed, needed - limits.effort[:, 1]], axis=2)
-    beyond = (np.maximum(over_ends, 0.0) / allowances).max(axis=(1, 2))
+    inside = np.stack([needed - limits.effort[:, 0], limits.effort[:, 1] - needed], axis=2)
+    left = np.divide(inside, allowances, out=np.zeros_like(inside), where=np.isfinite(inside))
+    left = left.reshape(len(growth), len(samples.points), -1).transpose(2, 0, 1)  # (of an end, interval, sample)
+    least = least_between(left, samples.points).reshape(len(left), -1).min(axis=0, initial=0.0)
     gaps = " or ".join(f"{gap:.3g} {unit}" for unit, gap in closure_gaps.items())
     rounded = mechanism.closed_m > CLOSURE_M
     accepts = f"; mechanism.closure_tolerance_m = {1.1 * closure_gap:.2g} accepts that of a rounded file" if rounded else ""
@@ -241,7 +243,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         growth=growth,
         dynamics_allowed=allowed,
         residual_share=residual.reshape(len(growth), -1).max(axis=1) / allowed,
-        effort_overrun=beyond.reshape(len(growth), -1).max(axis=1),
+        effort_overrun=-least,
         worst_time_s=worst | {margin.bound.removeprefix("the "): margin.time_s for margin in of_limits},
         failures=tuple(failures),
         unrepairable=(*unrepairable, *((opened,) if rounded else ())),

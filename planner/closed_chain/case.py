@@ -306,7 +306,7 @@ def _too_fast(problem: Problem, start_pose: np.ndarray, over: Margin) -> Plan:
     progress("looking for the highest feasible rate")
     rate, reference = highest_rate(problem, start_pose, _LOWEST_RATE, 1.0), problem.reference
     at = "at this amplitude" if isinstance(reference, Sine) else "along these positions"
-    remedy = "no slower one keeps the limits"
+    remedy = "no slower one satisfies the limits"
     if rate is not None:
         details["least_duration_s"] = reference.period_s / rate
         remedy = f"in {rounded_up(reference.period_s / rate):g} s or more it satisfies every limit"

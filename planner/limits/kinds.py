@@ -1,4 +1,4 @@
-"""The kinds of limits in two tables, in each of which a new kind is one entry; a problem's limits, and loops over a kind."""
+"""The kinds of limits in a table, in which a new kind is one entry; a problem's limits, and loops over a kind."""
 
 from typing import Any
 
@@ -31,32 +31,11 @@ from linkplan.planner.problem.instant import unit_scales
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
-# In the order of their rows in a program.
+# In the order of their rows in a program. In the same order a diagnosis removes them to find the one that forbids a motion,
+# but the first two last.
 KINDS: tuple[type[Limit], ...] = (
     EffortLimit,
     RangeLimit,
-    EffortRateLimit,
-    SpeedLimit,
-    AccelerationLimit,
-    JerkLimit,
-    MotorLimit,
-    PowerLimit,
-    ClosureForceLimit,
-    SingularMarginLimit,
-    ControlLimit,
-    TendonLimit,
-    BallLimit,
-    RobustLimit,
-    SitePathLimit,
-    BodyAngleLimit,
-    SiteAccelerationLimit,
-    SiteJerkLimit,
-    OnPathLimit,
-    ExtraPathLimit,
-)
-# In the order in which a diagnosis removes them to find the one that forbids a motion. Effort limits follow after these, and
-# RELAXED_LAST last.
-RELAXED: tuple[type[Limit], ...] = (
     RobustLimit,
     JerkLimit,
     SiteJerkLimit,
@@ -76,7 +55,6 @@ RELAXED: tuple[type[Limit], ...] = (
     BodyAngleLimit,
     ExtraPathLimit,
 )
-RELAXED_LAST: tuple[type[Limit], ...] = (RangeLimit,)
 # Between nodes a motion slightly exceeds its values at the nodes. A limit that must admit it is widened by this factor.
 BETWEEN_NODES_FACTOR = 1.001
 # What a proof has to show beyond the limits of the program.
@@ -100,8 +78,8 @@ def structure_of(problem: Problem) -> tuple:
     return tuple((type(limit), limit, *np.isfinite(limit.bounds(problem, ones))) for limit in limits_of(problem))
 
 
-def relaxed_kinds(problem: Problem, kinds: tuple[type[Limit], ...] = RELAXED) -> list[type[Limit]]:
-    """Return those of kinds of limits that a problem has, in their order."""
+def relaxed_kinds(problem: Problem, kinds: tuple[type[Limit], ...] = KINDS[2:]) -> list[type[Limit]]:
+    """Return those of kinds of limits that a problem has, in their order; by default of all but efforts and ranges."""
     return [kind for kind in kinds if kind.of(problem)]
 
 

@@ -48,7 +48,7 @@ class Legs:
         return guess_along(path, float(self.time[-1]), start_pose, swings=int(np.count_nonzero(self.v == 0)) - 1)
 
     def _ends(self) -> np.ndarray:
-        step = max(1, int(np.ceil((len(self.time) - 1) / 800)))  # so many intervals at the most
+        step = max(1, int(np.ceil((len(self.time) - 1) / 800)))  # at most 800 intervals
         return np.unique(np.concatenate([np.arange(0, len(self.time), step), np.flatnonzero(self.v == 0)]))
 
 

@@ -114,7 +114,7 @@ def power_legs(problem: Problem, start_pose: np.ndarray) -> tuple[list[Leg], np.
                 passing = _leg_at(legs[-len(of_part) :], place)
                 boundaries.append(passing.later + passing.time_at(place))
             boundaries.append(legs[-1].later + legs[-1].end)
-    except AssemblyError:  # the way is not open
+    except AssemblyError:  # the loops open on the way
         return None
     at_limits = any(np.any(np.abs(held) >= AT_POWER) for leg in legs for _, held in leg.arcs())
     return (legs, np.array(boundaries)) if at_limits else None

@@ -38,7 +38,7 @@ def claims_of(problem: Problem, trajectory: Trajectory) -> tuple[list[Claim], li
         claimed = list(limit.claims(problem, trajectory))
         if not claimed:
             title = limit.facts.words.format(f"number {limit.item + 1}")
-            open_limits.append(_undecided(f"limit on {limit.key}: {title}", "the limit claims nothing"))
+            open_limits.append(_undecided(f"limit on {limit.key}: {title}", "the limit has no claim"))
         for one in claimed:
             _sort_in(one, problem, claims, open_limits)
     for one in (one for claimed in FURTHER_CLAIMS for one in claimed(problem, trajectory)):

@@ -81,7 +81,7 @@ class Proof(Struct, frozen=True, kw_only=True):
 def finding_of(name: str, value: float, mark: float, unit: str, time_s: float | None = None, where: str = "") -> Finding:
     """Return the finding on a number that a computation without boxes gave: proved if it is at most `mark`, else refuted."""
     kept = value <= mark
-    reason = "" if kept else f"{value:.4g} {unit} in place of at most {mark:.4g}{where}".replace("  ", " ")
+    reason = "" if kept else f"{value:.4g} {unit} instead of at most {mark:.4g}{where}".replace("  ", " ")
     margin = mark - value if math.isfinite(value) else None
     answer = "proved" if kept else "refuted"
     return Finding(name=name, answer=answer, unit=unit, bound=value, mark=mark, margin=margin, time_s=time_s, reason=reason)

@@ -113,7 +113,7 @@ class Loosen:
         marked = np.zeros(best.mesh.n_intervals, dtype=bool) if loose is None else most_overrun(loose)
         mesh, durations = halved(coarse.mesh, marked), np.bincount(coarse.mesh.segment, np.diff(coarse.motion.breaks_s))
         found = attempt(
-            asked, asked.start_from(coarse.motion), mesh, durations, "limits as asked",
+            asked, asked.start_from(coarse.motion), mesh, durations, "the problem's own limits",
             warm=True, fixed=_held_in(best), position_rows=state.position_rows,
         )  # fmt: skip
         new = replace(

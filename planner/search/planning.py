@@ -134,7 +134,7 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
 
 REPAIRS: tuple[Repair, ...] = (
     Repair(
-        name="limits on power and pin force kept at every instant",
+        name="limits on power and pin force satisfied at every instant",
         tried=attempts.may_be_enclosed,
         repair=attempts.enclosed,
     ),
@@ -273,8 +273,8 @@ class Price(Struct, frozen=True, kw_only=True):
         unit = f" {self.unit}" if self.unit else ""
         dearer = f"{100 * self.share:+.3g} %" if self.share < 2.0 else f"{1 + self.share:.3g} times as much"
         return (
-            f"price of robustness: {self.name} {self.objective:.6g}{unit} against {self.nominal:.6g}{unit} of the machine as"
-            f" modelled within its whole limits, {dearer}"
+            f"price of robustness: {self.name} {self.objective:.6g}{unit} against {self.nominal:.6g}{unit} of the nominal"
+            f" machine within its full limits, {dearer}"
         )
 
 
@@ -294,7 +294,7 @@ def price_of(plan: Plan, say: Callable[[str], None] = silent) -> Price | None:
     nominal = nominal_of(plan.problem) if plan.trajectory is not None else None
     if nominal is None:
         return None
-    say("the machine as modelled, for the price")
+    say("plan of the nominal machine, for the price of robustness")
     cheaper = plan_motion(nominal, say)
     if cheaper.trajectory is None or cheaper.objective is None or plan.objective is None:
         return None

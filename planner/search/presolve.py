@@ -247,7 +247,7 @@ def only_way(problem: Problem) -> np.ndarray | None:
     try:
         between = np.linspace(motion.start, motion.goal, 401)
         return follow(mechanism, between, close_at(mechanism, motion.start), problem.solver.deadline)
-    except AssemblyError:  # the way is not open: said elsewhere
+    except AssemblyError:  # the loops open on the way, which another check reports
         return None
 
 

@@ -11,7 +11,8 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import demanded, least_effort, needed_effort
 from linkplan.planner.closed_chain.guess import Guess, even_poses, guess_from
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
-from linkplan.planner.limits.kinds import RELAXED_LAST, factor_of, limits_of, relaxed_kinds, violation, without
+from linkplan.planner.limits.joints import RangeLimit
+from linkplan.planner.limits.kinds import factor_of, limits_of, relaxed_kinds, violation, without
 from linkplan.planner.limits.limit import Limit
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.plan.plan import Plan
@@ -150,7 +151,7 @@ def path_effort(problem: Problem, guess: Guess) -> PathEffort | None:
         f" {effort[at, column]:.4g} {actuator.unit} at t = {time[at]:.3g} s,"
     )
     if bound[at, column] == 0:
-        sentence += " a direction in which it gives nothing"
+        sentence += " a direction in which its limit is 0"
     else:
         sentence += f" {factors[at, column]:.4g} times its limit of {bound[at, column]:.4g} {actuator.unit}"
     k, row = np.unravel_index(int(np.argmax(np.abs(missed))), missed.shape)
@@ -224,7 +225,9 @@ def efforts_contradicted(search: Search) -> Plan | None:
     if _over(search) is None or not enough_time(search) or search.quickest is None:
         return None
     known = search.quickest.duration_s
-    return _failed(search, f"by the phase plane a motion of {known:.5g} s keeps the effort limits, but it was not found")
+    return _failed(
+        search, f"the phase plane has a motion of {known:.5g} s within the effort limits, but the search missed it"
+    )
 
 
 def efforts_without_proof(search: Search) -> Plan | None:
@@ -262,7 +265,7 @@ def efforts_without_other_limits(search: Search) -> Plan | None:
 
 def one_last_limit(search: Search) -> Plan | None:
     """Return the plan that names the joint whose range forbids the motion."""
-    return _first_without(search, relaxed_kinds(search.problem, RELAXED_LAST))
+    return _first_without(search, relaxed_kinds(search.problem, (RangeLimit,)))
 
 
 def efforts_by_the_phase_plane(search: Search) -> Plan | None:

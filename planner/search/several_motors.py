@@ -92,7 +92,7 @@ def _margin_kept(problem: Problem, plan: Plan) -> str:
     met = [margin for margin in (FIRST_MARGIN, LAST_MARGIN) if 0.9 * margin <= ratio <= 1.02 * margin]
     if not met or met[0] <= problem.limits.singular_margin:
         return ""
-    return f"; it keeps {met[0]:g} of the home pose's distance from singular poses; a motion nearer to them may cost less"
+    return f"; it keeps a distance from singular poses, {met[0]:g} of that at home; a motion nearer to them may cost less"
 
 
 def _in_more_time(problem: Problem, first: _First) -> Plan | None:

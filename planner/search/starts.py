@@ -326,7 +326,7 @@ def at_a_distance(search: Search, budget: Budget, methods: Sequence[SearchMethod
     # A margin is met within a hundredth of it.
     if plan.status == "feasible" or plan.certificate.singularity_ratio > 1.01 * margin:
         return found
-    why = f"; it keeps {margin:.3g} of the home pose's distance from singular poses; a motion nearer to them may cost less"
+    why = f"; it keeps a distance from singular poses, {margin:.3g} of that at home; a motion nearer to them may cost less"
     return only_feasible(found, why)
 
 

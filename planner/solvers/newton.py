@@ -226,6 +226,7 @@ def nearest_feasible(transcribed: Transcribed, x: np.ndarray) -> Solution:
     cost = np.full(len(x), _COST_OF_STATES)
     cost[program.layout.effort().ravel()] = cost[program.layout.durations()] = _COST_OF_EFFORTS
     cost = ca.diag(ca.DM(cost))
+    limited = np.flatnonzero(np.isfinite(transcribed.row_lower) | np.isfinite(transcribed.row_upper)).tolist()
     x, step_of, steps, largest = np.clip(x, transcribed.lower, transcribed.upper), None, 0, np.inf
     while True:
         g, jacobian = program.functions["jac_g"](x, p)
@@ -236,11 +237,11 @@ def nearest_feasible(transcribed: Transcribed, x: np.ndarray) -> Solution:
         if converged or steps == _MOST_PROGRAMS or not violation <= largest:
             break
         if step_of is None:
-            shapes = {"h": cost.sparsity(), "a": jacobian.sparsity()}
+            shapes = {"h": cost.sparsity(), "a": jacobian[limited, :].sparsity()}
             step_of = ca.conic("step", "piqp", shapes, {"piqp": _PIQP, "error_on_fail": False})
-        (low, low_rows), (high, high_rows) = (np.split(end - here, [len(x)]) for end in (lower, upper))
+        (low, low_rows), (high, high_rows) = ((of[: len(x)], of[len(x) :][limited]) for of in (lower - here, upper - here))
         # Whether the solver reached its tolerance does not matter: the violation at the next point tells.
-        found = step_of(h=cost, g=0.0, a=jacobian, lbx=low, ubx=high, lba=low_rows, uba=high_rows)
+        found = step_of(h=cost, g=0.0, a=jacobian[limited, :], lbx=low, ubx=high, lba=low_rows, uba=high_rows)
         x, steps = np.clip(x + np.array(found["x"]).ravel(), transcribed.lower, transcribed.upper), steps + 1
     return Solution(
         transcribed=transcribed,

@@ -41,7 +41,7 @@ class RefusedModel(Struct, frozen=True, kw_only=True, eq=False):
     def blocks(self) -> list[Block]:
         """Return the findings as a document."""
         found: list[Block] = [
-            Text(text=f"{self.name}: no mechanism as it stands"),
+            Text(text=f"{self.name}: not a valid mechanism"),
             Text(text=f"PROBLEM: {self.error}", tone="bad"),
         ]
         if isinstance(self.error, LockedError):
@@ -50,7 +50,7 @@ class RefusedModel(Struct, frozen=True, kw_only=True, eq=False):
             )
         elif isinstance(self.error, UnassembledError) and self.error.keyframe:
             home = f"[mechanism]\n{home_text(self.error.home)}".rstrip()
-            found.append(Code(title="into the model, in place of a keyframe home", text=self.error.keyframe))
+            found.append(Code(title="into the model, as its keyframe home", text=self.error.keyframe))
             found.append(Code(title="or into the problem file", text=home))
         return found
 

@@ -93,7 +93,7 @@ def build_parser() -> Parser:
     _parquet(plan, "trajectory.csv")
     _flag(plan, "--jumps", "trajectory.csv has both sides of a jump in effort, at one time")
 
-    _flag(plan, "--prove", "prove the whole motion, whatever it takes; exit code 1 if a limit is exceeded anywhere")
+    _flag(plan, "--prove", "prove the whole motion, however long it takes; exit code 1 if a limit is exceeded anywhere")
 
     text = "prove the limits of a plan at every instant, in ball arithmetic, from its saved polynomials"
     prove = command("prove", text, output=False)
@@ -138,7 +138,7 @@ def build_parser() -> Parser:
     split = command("decompose", text, report=True)
     _plan(split, "PROBLEM-or-PLAN")
     _trackers(split)
-    text = "machines that [imperfections] are drawn for; one where nothing is random (default: %(default)s)"
+    text = "number of random machines; one if nothing is random (default: %(default)s)"
     _add(split, "--samples", "N", text, int, 16)
     _add(split, "--seed", "N", "of all random numbers (default: %(default)s)", int, 0)
 

@@ -41,7 +41,7 @@ class Mismatch:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Comparison:
-    """Runs of the trackers on one plan: as modelled, and with a mismatch.
+    """Runs of the trackers on one plan: on the nominal model, and with a mismatch.
 
     `left_out` has a sentence on each tracker without a run.
     """
@@ -57,7 +57,7 @@ class Comparison:
 
     @property
     def cases(self) -> list[tuple[str, dict[str, Rollout]]]:
-        """The runs as modelled, and those with the mismatch, if there is one, each with its title."""
+        """The nominal runs, and those with the mismatch, if there is one, each with its title."""
         mismatched = [] if self.mismatch is None else [(self.mismatch.name, self.mismatched)]
         return [(self.title, self.nominal), *mismatched]
 
@@ -148,7 +148,7 @@ def track(
 def compare(
     plan: Plan, mismatch: Mismatch | None, say: Callable[[str], None] = silent, asked: Sequence[TrackerLike] = LINEAR
 ) -> Comparison:
-    """Return several trackers' runs on a plan, as modelled and with a mismatch.
+    """Return several trackers' runs on a plan, with the nominal model and with a mismatch.
 
     A tracker that has no gain for the mechanism is left out, if another has one.
 

@@ -10,6 +10,7 @@ from linkplan.studies.output.figure import SERIES
 
 # Beyond the seven colours of lines: bodies are told apart by their shapes, too. The page has the same (`BODY_COLOURS`).
 BODY_SERIES = (*SERIES, "#5b6ee1", "#8a9a00", "#c0392b")
+PAYLOAD = to_rgba("#8d8273")  # the page has the same (`--payload`)
 _GROUND = (0.35, 0.35, 0.35, 1.0)
 
 

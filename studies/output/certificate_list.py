@@ -12,7 +12,6 @@ from linkplan.planner.certificate.certificate import (
 )
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.limits.limit import Margin
-from linkplan.planner.limits.samples import Samples
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.sites import task_words
@@ -25,12 +24,12 @@ from linkplan.studies.output.numbers import significant
 _NOT_ITS_VELOCITY = "the planned velocity is not"
 
 
-def certificate_list(plan: Plan, motion: Samples, group: str) -> Checklist:
-    """Return the checklist of a plan's certificate; its instants move the cursor of `group`."""
+def certificate_list(plan: Plan, group: str = "") -> Checklist:
+    """Return the checklist of the certificate of a plan with a motion; its instants move the cursor of `group`."""
     certificate = plan.certificate
     assert certificate is not None  # of a motion
     items = [
-        *_efforts(plan, motion),
+        *_efforts(plan),
         *_margins(certificate),
         *_numerics(plan, certificate),
         *_contacts(plan, certificate),
@@ -38,16 +37,18 @@ def certificate_list(plan: Plan, motion: Samples, group: str) -> Checklist:
     return Checklist(title="Checks between the nodes", group=group, items=items)
 
 
-def _efforts(plan: Plan, motion: Samples) -> list[Item]:
-    items = []
+def _efforts(plan: Plan) -> list[Item]:
+    items, trajectory = [], plan.trajectory
+    time = trajectory.dense_times(max(12, 300 // (len(trajectory.breaks_s) - 1)))
+    efforts = trajectory.effort_at(time)
     for j, actuator in enumerate(plan.problem.mechanism.actuators):
-        values, (low, high) = motion.u[:, j], plan.problem.limits.effort[j]
+        values, (low, high) = efforts[:, j], plan.problem.limits.effort[j]
         inside = np.minimum(values - low, high - values)
         at = int(np.argmin(inside)) if np.isfinite(inside).any() else int(np.argmax(np.abs(values)))
         limit = high if high - values[at] <= values[at] - low else low
         over = inside.min() < 0 and plan.certificate.effort_excess > 0
         items.append(
-            _item(f"effort of {actuator.name}", not over, _seen(values[at]), limit, actuator.unit, _instant(motion.time[at]))
+            _item(f"effort of {actuator.name}", not over, _seen(values[at]), limit, actuator.unit, _instant(time[at]))
         )
     return items
 
@@ -60,11 +61,11 @@ def _margins(certificate: Certificate) -> list[Item]:
 
 
 def _label(margin: Margin) -> str:
-    return margin.title if margin.of.facts.bound is None else margin.bound.removeprefix("the ")
+    return (margin.title if margin.of.facts.bound is None else margin.bound).removeprefix("the ").rstrip(",")
 
 
 def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
-    """Return the numerical checks of the motion: dynamics, velocity, ends, closure, and the integrated state."""
+    """Return the numerical checks of a motion: dynamics, velocity, ends, closures, integrated state, pin forces."""
     mechanism, motion, when = plan.problem.mechanism, plan.problem.motion, certificate.worst_time_s
     kinds = {joint.kind for joint in mechanism.independent_joints}
     allowed_residual, residual = certificate.dynamics_allowed, certificate.dynamics_residual
@@ -73,9 +74,9 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
     ends = "error at start and goal, relative to the range or the largest speed"
     # label, passed, worst, limit, unit, time of the worst value
     rows: list[tuple] = [
-        ("effort by inverse dynamics less the planned one", residual <= allowed_residual, residual,
+        ("effort by inverse dynamics minus the planned effort", residual <= allowed_residual, residual,
          allowed_residual, efforts, when.get("dynamics_residual")),
-        ("velocity less the position's slope, of the largest speed", velocity_kept, 100 * certificate.velocity_residual,
+        ("velocity minus the derivative of the position", velocity_kept, 100 * certificate.velocity_residual,
          100 * VELOCITY_SHARE, "%", when.get("velocity_residual")),
         (ends, certificate.boundary_error <= BOUNDARY_SHARE, certificate.boundary_error, BOUNDARY_SHARE, "", None),
     ]  # fmt: skip
@@ -94,14 +95,17 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
         ("slide", certificate.integration_error_m, INTEGRATION_M, "m"),
     ):
         if kind in kinds:
-            label = "state integrated under the planned effort, less the planned state"
+            label = "state integrated under the planned effort, minus the planned state"
             rows.append((label, error <= allowed, error, allowed, unit, None))
     items = [_item(*row) for row in rows]
-    items = [replace(item, worst=significant(item.worst, 2), limit=significant(item.limit, 2)) for item in items]
+    items = [replace(item, worst=_digits(item.worst), limit=_digits(item.limit)) for item in items]
     if mechanism.closures:
         what = "least det J_z, relative to home (0 at a singular pose)"
         items.append(_item(what, True, certificate.singularity_ratio, None, "", None))
-    return items
+    limited = [margin.name for margin in certificate.margins if margin.what == "closure_force"]
+    forces = zip(mechanism.closure_names, certificate.peak_closure_force, strict=True)
+    rest = [(name, force) for name, force in forces if name not in limited]
+    return [*items, *(_item(f"closure force of {name}", True, force, None, "N", None) for name, force in rest)]
 
 
 def _contacts(plan: Plan, certificate: Certificate) -> list[Item]:
@@ -116,6 +120,11 @@ def _contacts(plan: Plan, certificate: Certificate) -> list[Item]:
         )
         for meeting in certificate.contacts
     ]
+
+
+def _digits(value: float | None) -> float | None:
+    """Return two digits of an error; zero for rounding errors."""
+    return significant(0.0 if value is not None and abs(value) < 1e-14 else value, 2)
 
 
 def _seen(value: float) -> float:

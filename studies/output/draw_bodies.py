@@ -14,11 +14,10 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.sites import SiteLimit
 from linkplan.studies.output.bodies import named_pins
-from linkplan.studies.output.body_colours import body_colours, hex_of
+from linkplan.studies.output.body_colours import PAYLOAD, body_colours, hex_of
 from linkplan.studies.output.figure import GREY, PIN_NAME, SERIES, outside_legend
 from linkplan.studies.output.numbers import direction_name
 
-_PAYLOAD_COLOUR = "#8D8273"
 # A larger legend would leave no space for the lines.
 _MAX_LEGEND_ENTRIES = 12
 # The names of more pins stand in a column beside the drawing.
@@ -57,7 +56,7 @@ def draw_bodies(axes, mechanism: Mechanism, poses: np.ndarray, alphas: np.ndarra
                 points = places[k, solid.body] + solid.points @ turns[k, solid.body].T
                 near = float(np.mean(points @ towards)) / mechanism.extent_m
                 edges = outline(thickened(points @ np.stack([right, up], axis=1), solid.radius))
-                face = _PAYLOAD_COLOUR if solid.kind == "payload" else colour
+                face = hex_of(PAYLOAD) if solid.kind == "payload" else colour
                 size = float(np.prod(np.ptp(edges, axis=0))) / mechanism.extent_m**2
                 layer = (2.5 if alpha == 1 else 2.0) + 0.2 * np.tanh(near) - 0.05 * np.tanh(size) - 0.001 * depth
                 _fill(axes, edges, face, float(alpha), layer)
@@ -67,7 +66,7 @@ def draw_bodies(axes, mechanism: Mechanism, poses: np.ndarray, alphas: np.ndarra
             axes.plot([], [], color=colour, marker="^" if stick.fixed else "s", linestyle="", label=name)
     axes.autoscale_view()
     if any(solid.kind == "payload" for solid in shapes) and named:
-        axes.plot([], [], color=_PAYLOAD_COLOUR, marker="s", linestyle="", label="payload")
+        axes.plot([], [], color=hex_of(PAYLOAD), marker="s", linestyle="", label="payload")
 
 
 def name_pins(axes, mechanism: Mechanism, pose: np.ndarray) -> None:

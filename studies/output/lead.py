@@ -12,7 +12,7 @@ def verdict_sentence(plan: Plan) -> str:
     """Return the verdict of a plan in one sentence."""
     if plan.certificate is None or not plan.passed:
         return plan.message
-    return f"{plan.message}; every limit is kept at and between the nodes"
+    return f"{plan.message}; every limit is satisfied at and between the nodes"
 
 
 def lead_facts(plan: Plan, motion: Samples) -> Facts:

@@ -22,7 +22,7 @@ def direction_name(direction: np.ndarray) -> str:
 
 def significant(value: float | None, digits: int = 4) -> float | None:
     """Return a number rounded to `digits` significant digits; None for None and for a number that is not finite."""
-    return float(f"{value:.{digits}g}") if value is not None and math.isfinite(value) else None
+    return float(f"{value:.{digits}g}") + 0.0 if value is not None and math.isfinite(value) else None  # 0 for -0
 
 
 def rounded(values: np.ndarray, *, log: bool = False, digits: int = 5) -> list:

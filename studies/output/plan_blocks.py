@@ -9,19 +9,19 @@ import numpy as np
 from msgspec.structs import replace
 
 from linkplan.models.errors import AssemblyError
-from linkplan.planner.certificate.certificate import Certificate, integration_rtol
+from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.plan.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.sites import task_words
 from linkplan.planner.proof.finding import Finding, Proof
 from linkplan.studies.output.actuator_blocks import demand_table
+from linkplan.studies.output.certificate_list import certificate_list
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
-from linkplan.studies.output.text import brief_rows, limits_text, notes_of
+from linkplan.studies.output.text import brief_rows, checks, limits_text, notes_of
 
-# Solvers stop at a relative 1e-8. A certificate passes at a relative error of about 1e-3 at the most.
+# Solvers stop at a relative 1e-8. A certificate passes at a relative error of at most about 1e-3.
 _MAX_DIGITS, _MIN_DIGITS = 8, 3
 _TITLES = {
-    "refuted": "Refuted: the motion certainly breaks these",
+    "refuted": "Refuted: the motion violates these",
     "undecided": "Undecided: these are neither proved nor refuted",
     "proved": "Proved at every instant, for the model and the polynomials of the plan",
 }
@@ -95,8 +95,7 @@ def plan_blocks(plan: Plan) -> list[Block]:
             f" follow it; the integration was restarted {certificate.integration_restarts} time(s)"
         )
         blocks.append(Text(text=text))
-    rows = [*_error_rows(plan), *_margin_rows(plan, certificate)]
-    table = table_of("Certificate", ["between the nodes", "worst", "unit"], rows, brief=[])
+    table = replace(checks(certificate_list(plan)), brief=[])
     proof = [
         replace(block, brief=[]) if isinstance(block, Table) and block.title not in _OPEN_TITLES else block
         for block in proof_blocks(plan.proof, names)
@@ -114,8 +113,11 @@ def _demands(plan: Plan) -> list[Block]:
 
 def _verdict(plan: Plan, certificate: Certificate) -> Text:
     """Return the certificate's verdict, with the excess of efforts and the errors of the integrated motion."""
-    errors = " and ".join(f"{value} {unit}" for _, value, unit in _integration_rows(plan))
-    excess = f"{figure(certificate.effort_excess, 2)} {_effort_units(plan)}"
+    kinds = {joint.kind for joint in plan.problem.mechanism.independent_joints}
+    apart = {"hinge": (certificate.integration_error_deg, "deg"), "slide": (certificate.integration_error_m, "m")}
+    errors = " and ".join(f"{figure(error, 2)} {unit}" for kind, (error, unit) in apart.items() if kind in kinds)
+    units = " or ".join(dict.fromkeys(actuator.unit for actuator in plan.problem.mechanism.actuators))
+    excess = f"{figure(certificate.effort_excess, 2)} {units}"
     verdict = "passed" if certificate.passed else "NOT passed"
     text = f"certificate: {verdict}; efforts {excess} over their limits, end state {errors} off"
     return Text(text=text, tone="plain" if certificate.passed else "bad")
@@ -176,29 +178,6 @@ def solves(plan: Plan) -> Table:
     return table_of("Attempts in their order, each with its mesh", heads, rows, digits=3)
 
 
-def _error_rows(plan: Plan) -> list[list]:
-    """Return the rows of the certificate's excess of effort, residuals, gaps and integration errors."""
-    certificate, units = plan.certificate, _effort_units(plan)
-    return [
-        ["effort beyond its limit, any instant", figure(certificate.effort_excess, 2), units],
-        ["inverse dynamics minus planned effort", figure(certificate.dynamics_residual, 2), units],
-        *(["closure gap", figure(gap, 2), unit] for unit, gap in (certificate.closure_gaps or {"m": 0.0}).items()),
-        *_integration_rows(plan),
-    ]
-
-
-def _effort_units(plan: Plan) -> str:
-    return " or ".join(dict.fromkeys(actuator.unit for actuator in plan.problem.mechanism.actuators))
-
-
-def _integration_rows(plan: Plan) -> list[list]:
-    """Return the rows of the errors of the integrated motion: of hinges, and of slides."""
-    certificate, kinds = plan.certificate, {joint.kind for joint in plan.problem.mechanism.independent_joints}
-    errors = {"hinge": (certificate.integration_error_deg, "deg"), "slide": (certificate.integration_error_m, "m")}
-    what = f"state after integration at {integration_rtol(plan.problem):.0e}"
-    return [[what, figure(error, 2), unit] for kind, (error, unit) in errors.items() if kind in kinds]
-
-
 def least_margin(plan: Plan) -> tuple[str, str]:
     """Return the margin that is least as a share of its limit, efforts apart, with its place and instant."""
     share, words, at = min(_margins(plan), default=(None, "no other limit", ""))
@@ -209,25 +188,6 @@ def _margins(plan: Plan) -> Iterator[tuple[float, str, str]]:
     """Yield every margin as a share of its limit or range, in words, and the words on its instant."""
     for one in plan.certificate.margins:
         yield one.share, f"{one.left:.4g} {one.unit}".rstrip() + f" to {one.bound}", f", at {one.time_s:.4g} s"
-
-
-def _margin_rows(plan: Plan, certificate: Certificate) -> list[list]:
-    """Return the rows of the certificate's margins, largest closure forces and powers."""
-    motion, mechanism = plan.problem.motion, plan.problem.mechanism
-    rows: list[list] = [[f"margin to {one.bound}", one.left, one.unit or "1"] for one in certificate.margins]
-    if motion.tasks:
-        label = f"error of {task_words(motion.tasks)} at start, waypoints and goal"
-        rows.append([label, figure(certificate.site_error_m, 2), "m"])
-    rows.append(["least det J_z, relative to home", certificate.singularity_ratio, "1"])
-    forces = zip(mechanism.closure_names, certificate.peak_closure_force, strict=True)
-    rows += [[f"largest closure force of {name}", force, "N"] for name, force in forces]
-    powers = zip(mechanism.actuators, certificate.peak_motor_power, certificate.peak_brake_power, strict=True)
-    for actuator, given, taken in powers:
-        rows += [
-            [f"largest power of {actuator.name} as {what}", power, "W"]
-            for what, power in (("motor", given), ("brake", taken))
-        ]
-    return rows
 
 
 def proof_blocks(proof: Proof | None, names: Iterable[str] = ()) -> list[Block]:

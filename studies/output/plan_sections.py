@@ -59,7 +59,7 @@ def plan_sections(plan: Plan, *, animated: bool = True, verdict: bool = True) ->
         *([] if phase is None else [Section(title="Phase plane", blocks=[phase], depth=2)]),
         *([] if robust is None else [robust]),
         Section(title="Actuators", blocks=demand_blocks(plan, group), depth=2),
-        Section(title="Certificate", blocks=[_passed(plan), certificate_list(plan, motion, group)], depth=2),
+        Section(title="Certificate", blocks=[_passed(plan), certificate_list(plan, group)], depth=2),
         *([] if plan.proof is None else [Section(title="Proof", blocks=proof_blocks(plan.proof), depth=2)]),
         Section(title="Solves and mesh", blocks=[_solves(plan), _mesh(plan, group, period)], depth=2),
         Section(title="Problem", blocks=[about, *(notes if len(few) < len(notes) else []), *_problem(plan)], depth=2),

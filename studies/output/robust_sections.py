@@ -61,7 +61,7 @@ def _table(plan: Plan) -> Table:
             figures = [round(x, places) + 0.0 for x in (worst.value, worst.limit, worst.left)]
             at = float(f"{worst.time_s:.5g}")
             rows.append([corner.description, worst.kept, actuator.name, *figures, actuator.unit, at])
-    heads = [(head, "") for head in ("machine", "kept", "nearest to its limit", "effort", "limit", "left", "unit")]
+    heads = [(head, "") for head in ("machine", "passed", "nearest to its limit", "effort", "limit", "left", "unit")]
     return Table(title="Corners of the ranges, each certified between the nodes", columns=[*heads, ("at", "s")], rows=rows)
 
 
@@ -73,11 +73,11 @@ def _efforts(plan: Plan, motion: Samples, group: str, period: float | None) -> l
     for j, actuator in enumerate(mechanism.actuators):
         bounds = tuple(problem.limits.effort[j])
         needed, unit = motion.u[:, j], actuator.unit
-        modelled = Line(name="as modelled", values=needed, unit=unit, limits=bounds, colour=None, width=2.4)
+        nominal = Line(name="nominal", values=needed, unit=unit, limits=bounds, colour=None, width=2.4)
         lines = [
             Line(name=corner.description, values=np.asarray(motion.corner_efforts[:, item, j]), unit=unit, limits=bounds)
             for item, corner in enumerate(corners)
         ]
         title = f"What each machine needs of {actuator.name} for the motion"
-        found += plots(title, "effort", TIME, motion.time, [*lines, modelled], group=group, period=period)
+        found += plots(title, "effort", TIME, motion.time, [*lines, nominal], group=group, period=period)
     return found

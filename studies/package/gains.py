@@ -14,7 +14,7 @@ from linkplan.models.errors import ProblemError, choose
 from linkplan.paths import drawn
 from linkplan.planner.problem.settings import number
 from linkplan.reporting import Progress, listener
-from linkplan.results import Result
+from linkplan.results import MechanismResult
 from linkplan.studies.feedback.bode.poses import loop_poses
 from linkplan.studies.feedback.frequency.feedback_loops import operating_point, sampled_law
 from linkplan.studies.feedback.tune import tune as tuning
@@ -94,7 +94,7 @@ def tune(
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class TuneResult(Result):
+class TuneResult(MechanismResult):
     """Gains for requirements. `str(result)` is the report; `to_dict()` has every value, with units in the names."""
 
     record_name = "tune"
@@ -109,11 +109,6 @@ class TuneResult(Result):
     def passed(self) -> bool:
         """Whether the gains were found."""
         return self.found
-
-    @property
-    def message(self) -> str:
-        """The verdict in a sentence."""
-        return self.tuning.message
 
     @property
     def tracking(self) -> dict[str, float | dict[str, float]]:
@@ -136,6 +131,3 @@ class TuneResult(Result):
         """Write tune.png, and tracking.toml, the gains as the table of a problem file."""
         (place / "tracking.toml").write_text(tune_report.tracking_table(self.tuning), encoding="utf-8")
         self.plot(place / "tune.png")
-
-    def __repr__(self) -> str:
-        return f"TuneResult({self.tuning.mechanism.name!r}: {self.message})"

@@ -105,7 +105,7 @@ def read_subject(subject: Subject) -> tuple[Mechanism, Problem | None, dict]:
         return subject.mechanism, subject, subject.to_dict().get("tracking", {})
     if isinstance(subject, Mechanism):
         return subject, None, {}
-    raise ProblemError(f"a study is asked about a mechanism, a Problem, or the name or path of either, got {subject!r}")
+    raise ProblemError(f"the subject is a mechanism, a Problem, or the name or path of either, got {subject!r}")
 
 
 def note_forces(mechanism: Mechanism, say: Listener, where: str) -> None:
@@ -138,7 +138,7 @@ def given_problem(problem: object) -> Problem:
     if isinstance(problem, str | Path):
         return Problem.from_file(problem)
     if not isinstance(problem, Problem):
-        raise ProblemError(f"what is planned is a Problem, a built-in problem's name or a TOML file, got {problem!r}")
+        raise ProblemError(f"the problem is a Problem, a built-in problem's name or a TOML file, got {problem!r}")
     return problem
 
 

@@ -20,7 +20,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import Tracking, number
 from linkplan.plants import PlantResult
 from linkplan.reporting import Progress, listener
-from linkplan.results import Result
+from linkplan.results import MechanismResult
 from linkplan.studies.feedback.bode.along_motion import along_motion
 from linkplan.studies.feedback.bode.bode import bode_study
 from linkplan.studies.feedback.bode.bode_blocks import summary
@@ -165,7 +165,7 @@ def loop_of(
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class BodeResult(Result):
+class BodeResult(MechanismResult):
     """A loop's frequency response; its study has the further ones that were asked for: `map`, `large` and `along`."""
 
     record_name = "bode"
@@ -180,11 +180,6 @@ class BodeResult(Result):
     def stable(self) -> bool:
         """Whether the sampled loop is stable at every analysed pose."""
         return self.study.stable
-
-    @property
-    def message(self) -> str:
-        """The verdict in a sentence."""
-        return self.study.message
 
     @property
     def poses(self) -> tuple[str, ...]:
@@ -284,6 +279,3 @@ class BodeResult(Result):
         channel = self._channel(joint)
         entries = [entry for entry in self.study.points if entry.channel == channel]
         return drawn(path, lambda place: bode_figure(self.study, entries, place))
-
-    def __repr__(self) -> str:
-        return f"BodeResult({self.study.mechanism.name!r}: {self.message})"

@@ -63,7 +63,7 @@ def _document(result: object) -> Report:
         return result.document()
     if isinstance(result, Plan):
         return plan_report(result)
-    raise ProblemError(f"a report is on a result of linkplan's, or on the folder of one, got {result!r}")
+    raise ProblemError(f"a report takes a result of linkplan, or the folder of one, got {result!r}")
 
 
 def render(

@@ -10,7 +10,7 @@ import numpy as np
 
 from linkplan.models.errors import ProblemError, choose
 from linkplan.paths import drawn
-from linkplan.results import Result
+from linkplan.results import MechanismResult
 from linkplan.studies.feedback.bode.plant_blocks import plant_figure, plant_report, plant_summary
 from linkplan.studies.feedback.bode.plant_result import PlantStudy
 from linkplan.studies.feedback.frequency.plant_modes import plant_matrices
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class PlantResult(Result):
+class PlantResult(MechanismResult):
     """A plant's responses from efforts to positions at every pose; `study` has poles, zeros, curves and measurements."""
 
     record_name = "bode"
@@ -32,11 +32,6 @@ class PlantResult(Result):
     def stable(self) -> bool:
         """Whether no pole of any response lies in the right half plane; one at zero counts as stable."""
         return not any(one.unstable_poles for point in self.study.points for one in point.responses.values())
-
-    @property
-    def message(self) -> str:
-        """The result in a sentence."""
-        return self.study.message
 
     @property
     def poses(self) -> tuple[str, ...]:
@@ -80,6 +75,3 @@ class PlantResult(Result):
     def plot(self, path: str | Path | None = None) -> Figure:
         """Return the figure of gain and phase of every response, saved at `path` if it is given."""
         return drawn(path, lambda place: plant_figure(self.study, place))
-
-    def __repr__(self) -> str:
-        return f"PlantResult({self.study.mechanism.name!r}: {self.message})"

@@ -140,7 +140,7 @@ class Result(Reported):
         from linkplan.studies.output.report_file import save_report
 
         if not self.record_name:
-            raise LinkplanError("this result is written while it is made: give its function a folder")
+            raise LinkplanError("this result is only saved while it is computed: pass a folder to its function")
         target, record = path_of(folder, "folder"), f"{self.record_name}.json"
 
         def write(place: Path) -> None:
@@ -151,3 +151,17 @@ class Result(Reported):
 
         write_whole(target, write, record)
         return target
+
+
+class MechanismResult(Result):
+    """The result of a study of a mechanism, whose struct has the `mechanism_name` and the `message`."""
+
+    __slots__ = ()
+
+    @property
+    def message(self) -> str:
+        """The verdict in a sentence."""
+        return cast("Any", self.struct).message
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({cast('Any', self.struct).mechanism_name!r}: {self.message})"

@@ -15,7 +15,7 @@ from linkplan.models.transfer.rest import OutputMotion, rest_effort
 from linkplan.paths import drawn
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.reporting import Progress, listener
-from linkplan.results import Result
+from linkplan.results import MechanismResult
 from linkplan.studies.handover.transfer.columns import arrays_of
 from linkplan.studies.handover.transfer.serial_study import Serial, errors_along, motion_of_samples
 from linkplan.studies.handover.transfer.serial_urdf import urdf_notes, urdf_text
@@ -104,7 +104,7 @@ def transfer(
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class TransferResult(Result):
+class TransferResult(MechanismResult):
     """A transfer table. `str(result)` is the report; `to_dict()` has the linkage at home, the ends of the map and errors."""
 
     record_name = "transfer"
@@ -120,11 +120,6 @@ class TransferResult(Result):
     def passed(self) -> bool:
         """Whether the table keeps the interpolation error."""
         return self.kept
-
-    @property
-    def message(self) -> str:
-        """The verdict in a sentence."""
-        return self.found.message
 
     @property
     def arrays(self) -> dict[str, np.ndarray]:
@@ -226,6 +221,3 @@ class TransferResult(Result):
         from linkplan.studies.handover.transfer.files import transfer_figure
 
         return drawn(path, lambda place: transfer_figure(self.found, place))
-
-    def __repr__(self) -> str:
-        return f"TransferResult({self.found.outputs.mechanism.name!r}: {self.message})"

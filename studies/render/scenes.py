@@ -9,11 +9,11 @@ import numpy as np
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.skeleton import pins_in_space, tendon_lines
 from linkplan.models.poses.solids import body_frames, solids, visible_geoms
-from linkplan.studies.output.body_colours import body_colours, plain_geoms
+from linkplan.studies.output.body_colours import PAYLOAD, body_colours, plain_geoms
 from linkplan.studies.render.efforts import effort_shapes
 from linkplan.studies.render.framing import axes_of, corners
 from linkplan.studies.render.motion import TrackedMotion
-from linkplan.studies.render.shapes import PAYLOAD, RenderedShape, bones, faded, ghostly
+from linkplan.studies.render.shapes import RenderedShape, bones, faded, ghostly
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

@@ -9,7 +9,6 @@ import numpy as np
 # The colours of zero effort and of an effort at its limit; they also differ in lightness.
 _IDLE, _AT_LIMIT = np.array([0.62, 0.62, 0.62]), np.array([0.78, 0.02, 0.09])
 GHOST = (0.50, 0.16, 0.78, 0.32)  # rgba of the reference
-PAYLOAD = (0.55, 0.51, 0.45, 1.0)  # rgba of the payload
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

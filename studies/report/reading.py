@@ -42,7 +42,7 @@ def folder_report(folder: Path, again: Callable[[Path, str, int], str] | None = 
         return experiment_report(saved_outcome(folder), None if again is None else functools.partial(again, folder))
     record = next((name for name in RECORDS if (folder / name).is_file()), None)
     if record is None:
-        raise PlanFileError(f"'{folder}' holds no result of linkplan's: none of {', '.join(RECORDS)} is in it")
+        raise PlanFileError(f"'{folder}' has no result of linkplan, which is one of {', '.join(RECORDS)}")
     return _record_report(folder / record)
 
 
@@ -63,8 +63,8 @@ def _record_report(path: Path) -> Report:
     """Return the report of a record without a document: from an earlier version."""
     said = read_record(path, dict[str, Any])
     lacks = Text(
-        text=f"This folder has no {DOCUMENT}: shown are the figures of {path.name}; animation and curves need the command"
-        " to be run again.",
+        text=f"This folder has no {DOCUMENT}, so the report shows the numbers of {path.name}. Run the command again for"
+        " animation and curves.",
         tone="note",
     )
     name = str(said.get("mechanism") or said.get("model") or path.parent.name)

@@ -126,7 +126,7 @@ def test_trackers_that_run_one_after_another_share_the_machines():
     simulate(plant, feedback(), reference, machines)
     first = dict(plant.built)
     simulate(plant, follower(), reference, machines)
-    assert len(first) == 3, "machines as modelled are one"
+    assert len(first) == 3, "nominal machines share one plant"
     assert all(plant.built[key] is one for key, one in first.items())
     simulate(plant, follower(), reference, machines[:2])
     assert len(plant.built) == 2, "the memory of machines that run no more is given back"
@@ -162,7 +162,7 @@ def both(text, efforts, machines=AS_MODELLED, limit=50.0):
 
 @pytest.mark.parametrize("integrator", ["Euler", "RK4"])
 @pytest.mark.parametrize("text", [GRIPPER, RSSR], ids=["servo", "ball"])
-def test_a_machine_as_modelled_runs_as_alone(text, integrator):
+def test_a_nominal_machine_runs_as_alone(text, integrator):
     text = hard(text, 1e-4, integrator)
     mechanism = load_mechanism(text)
     efforts = wave(mechanism, 0.05)

@@ -249,7 +249,7 @@ def test_a_command_that_is_no_number_does_not_pass_for_a_good_run(effort):
     efforts = np.zeros((20, 1))
     efforts[10] = effort
     rollout = hinge_run(efforts, effort_limit=np.array([[-np.inf, np.inf]]))
-    assert rollout.failure == "the tracker gave an effort that is no number"
+    assert rollout.failure == "the tracker gave an effort that is not a number"
     assert not rollout.stable
 
 

@@ -138,7 +138,7 @@ PAYLOADS = {
     "mass beyond floats": ({"mass_kg": 10**400}, ["payload.mass_kg"]),
     "com nan": ({"com_m": [0.0, np.nan, 0.0]}, ["payload.com_m[1]", "a number", "nan"]),
     "inertia negative": ({"inertia_kgm2": [1.0, 1.0, -0.1]}, ["payload.inertia_kgm2[2]", "at least 0", "-0.1"]),
-    "inertia of no body": ({"inertia_kgm2": [1.0, 1.0, 2.5]}, ["payload.inertia_kgm2", "no rigid body", "2.5"]),
+    "inertia of no body": ({"inertia_kgm2": [1.0, 1.0, 2.5]}, ["payload.inertia_kgm2", "not that of a rigid body", "2.5"]),
     "unknown key": ({"mass": 1.0}, ["'mechanism.payload.mass'", "did you mean 'mass_kg'?", *CUBE]),
     "key of two lines": ({"mass\nkg": 1.0}, ["payload.", *CUBE]),
 }

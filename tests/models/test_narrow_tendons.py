@@ -83,6 +83,6 @@ def test_a_joint_of_a_tendon_that_is_locked_leaves_the_tendon_to_the_others(far_
 
 def test_a_joint_of_a_tendon_whose_spring_rests_at_the_reference_pose_is_locked_at_zero_alone():
     relaxed = FINGER.replace('springlength="0.2"', "")
-    with pytest.raises(ModelError, match=r"'far' cannot be locked: tendon 'cord' uses it.*the joint is locked at 0"):
+    with pytest.raises(ModelError, match=r"'far' cannot be locked: tendon 'cord' uses it.*lock the joint at 0"):
         load_mechanism(relaxed, selection=Selection(lock={"far": 10.0}))
     assert load_mechanism(relaxed, selection=Selection(lock={"far": 0.0})).dof == 1

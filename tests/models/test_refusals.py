@@ -113,8 +113,8 @@ def test_nothing_is_named_on_a_linkage_that_is_honoured_whole(name):
 
 CHOICES = {
     "an unknown joint": (WELDED, ["K"], ["'K'", "O, A, C, B"]),
-    "more than there are": (WELDED, ["O", "A"], ["2 joints", "1 degrees of freedom"]),
-    "the same twice": (FIVE_BAR, ["left", "left"], ["2 joints (left, left)", "2 degrees of freedom"]),
+    "more than there are": (WELDED, ["O", "A"], ["degrees of freedom (1)", "got O, A"]),
+    "the same twice": (FIVE_BAR, ["left", "left"], ["no joint twice", "got left, left"]),
     "a word for a list": (WELDED, "O", ["list of joint names", "'O'"]),
     "two of one loop": (LEG, ["knee", "rod"], ["singular at home", "knee", "rod"]),
     "both of a coupling": (GRIPPER, ["crank_r", "crank_l"], ["singular at home"]),
@@ -152,5 +152,5 @@ def test_a_scene_that_asks_for_gigabytes_is_read():
 
 def test_a_flexible_body_beside_the_mechanism_is_refused_with_its_remedy():
     cloth = '<flexcomp name="cloth" type="grid" count="3 3 1" spacing="1 1 1" dim="2"><edge equality="true"/></flexcomp>'
-    with pytest.raises(ModelError, match=r"of kind 'flex'.* mechanism.keep = .NAMES. reads the mechanism without"):
+    with pytest.raises(ModelError, match=r"of kind 'flex'.* mechanism.keep = .NAMES. reads the named chain without"):
         load_mechanism(two("").replace("<worldbody>", f"<worldbody>{cloth}"))

@@ -325,7 +325,7 @@ def test_a_rod_without_its_spin_is_the_same_linkage():
 @pytest.mark.parametrize(
     ("changed", "words"),
     [
-        (("ball", "drive"), "'drive' is no ball joint"),
+        (("ball", "drive"), "'drive' is not a ball joint"),
         (('damping=".01"', 'damping=".01" stiffness="1"'), "'ball' has a spring or a range"),
         (('<site name="end" pos="0 .05 .2"/>', '<site name="end" pos="0 .05 .2"/><body pos="0 0 .1"><joint name="flap"/>'
           '<geom size=".01" pos=".1 0 0"/></body>'), "'ball' carries no rod"),

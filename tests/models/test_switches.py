@@ -133,7 +133,7 @@ def test_a_motor_asked_for_replaces_a_plugin_and_its_sensor():
 def test_an_actuator_with_a_filter_acts_without_it_where_a_motor_is_asked_for():
     text = arm(actuator='<cylinder name="ram" joint="elbow" timeconst="0.1" area="0.5" ctrlrange="-8 8"/>')
     (left_out,) = [item.text for item in audit(load_mechanism(text).model)]
-    assert "filter dynamics, which mechanism.drive with its joint leaves out" in left_out
+    assert "filter dynamics, which mechanism.drive with its joint omits" in left_out
     mechanism = load_mechanism(text, selection=Selection(drive=["elbow"]))
     assert [(a.name, a.lower, a.upper) for a in mechanism.actuators] == [("ram", -4.0, 4.0)]
     assert "actuators without their filters, in simulation too (mechanism.drive): ram" in mechanism.notes

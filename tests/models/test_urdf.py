@@ -33,7 +33,7 @@ ATTACHED = """<mujoco><asset><model name="leg" file="leg.urdf"/></asset><worldbo
     ("text", "said"),
     [
         (urdf(velocity='velocity="3"'), ["speed limits", "hip 3, knee 3", "limits.speed_deg_s"]),
-        (urdf(beside='<transmission name="t"/><gazebo/>'), ["leaves out", "elements gazebo"]),
+        (urdf(beside='<transmission name="t"/><gazebo/>'), ["ignores", "elements gazebo"]),
         (urdf(inside='<option timestep="1e-3"/><actuator><motor joint="hip"/></actuator>'), ["ignores actuator in"]),
         (urdf(), ["no actuators", "<attach"]),
     ],
@@ -59,7 +59,7 @@ def test_a_model_in_mjcf_is_no_urdf():
 def test_a_range_that_limits_nothing_is_left_out_and_named(limit, said):
     """MuJoCo and Bullet read one that ends below its beginning as no limits; Gazebo's default is 1e16."""
     mechanism = load_mechanism(urdf().replace('lower="-1" upper="1"', limit, 1))
-    (note,) = [note for note in mechanism.notes if "limit nothing" in note]
+    (note,) = [note for note in mechanism.notes if "impose no limit" in note]
     assert "hip (" in note
     assert said in note
     assert "knee" not in note

@@ -285,7 +285,7 @@ def test_what_gazebo_adds_to_a_joint_of_the_tree_closes_no_loop(tmp_path, ends):
     mechanism = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, sensor, LOOP_JOINT, TRANSMISSION)))
     assert_four_bar(mechanism)
     assert not any("in <gazebo>" in note or "without mass" in note for note in mechanism.notes)
-    assert any("leaves out the URDF's elements gazebo" in note for note in mechanism.notes)
+    assert any("ignores the URDF's elements gazebo" in note for note in mechanism.notes)
 
 
 def test_a_joint_of_gazebo_that_closes_no_loop_is_named(tmp_path):

@@ -131,7 +131,7 @@ def test_a_problem_as_a_file_says_what_it_is_without(knee):
 
 def test_plan_text_and_report_and_record_name_extras(saved, tmp_path):
     plan, _ = saved
-    assert "margin to the limit on the extra limit 'wide'" in text_of(plan.blocks())
+    assert "\nextra limit 'wide' " in text_of(plan.blocks())
     assert "effort + 0.0001 bend" in str(plan)
     page = plan.report(tmp_path / "plan.html").read_text(encoding="utf-8")
     assert "the extra limit &#x27;wide&#x27;" in page or "the extra limit 'wide'" in page

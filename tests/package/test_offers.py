@@ -27,7 +27,7 @@ def test_every_result_has_a_report(plan, loop, tmp_path):
     for name, result in results.items():
         place = linkplan.report(result, tmp_path / f"{name}.html")
         assert place.read_text(encoding="utf-8").startswith("<!doctype html>"), name
-    with pytest.raises(linkplan.LinkplanError, match="a report is on a result"):
+    with pytest.raises(linkplan.LinkplanError, match="a report takes a result"):
         linkplan.report(7, tmp_path / "seven.html")
 
 

@@ -226,9 +226,9 @@ def test_a_differential_equation_of_ones_own_is_solved():
 
 @pytest.mark.parametrize("problem", [None, 5, {"motion": {}}])
 def test_what_is_no_problem_is_refused(problem):
-    with pytest.raises(ProblemError, match="what is planned is a Problem"):
+    with pytest.raises(ProblemError, match="the problem is a Problem"):
         linkplan.plan(problem)
-    with pytest.raises(ProblemError, match="what is planned is a Problem"):
+    with pytest.raises(ProblemError, match="the problem is a Problem"):
         linkplan.Planner().plan(problem)
 
 

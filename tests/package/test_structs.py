@@ -9,7 +9,7 @@ import pytest
 import linkplan
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.files.structs import Beside, read_value
-from linkplan.results import Result
+from linkplan.results import MechanismResult, Result
 from linkplan.studies.handover.export import c_files
 from linkplan.studies.output.text import text_of
 from tests.support.ode import double_integrator, duration
@@ -75,6 +75,7 @@ def test_the_json_of_a_result_is_read_back_as_its_struct(plan, name):
     result = make(plan)
     assert isinstance(result, Result)
     assert type(result).__name__ == kind
+    assert repr(result).startswith(f"{kind}(")
     said = json.loads(json.dumps(result.to_dict(), allow_nan=False))
     again = msgspec.convert(said, type(result.struct), dec_hook=read_value)
     assert plain_record(again) == said
@@ -120,7 +121,9 @@ def ode_problem() -> linkplan.OdeProblem:
 
 def test_every_kind_of_result_is_a_struct_and_tried_above():
     assert all(hasattr(linkplan, name) for name in linkplan.__all__)  # imports every file of the package
-    kinds = {kind.__name__: kind for kind in Result.__subclasses__() if kind.__name__ not in OF_THE_PLANNER}
+    direct = [kind for kind in Result.__subclasses__() if kind is not MechanismResult]
+    kinds = {kind.__name__: kind for kind in (*direct, *MechanismResult.__subclasses__())}
+    kinds = {name: kind for name, kind in kinds.items() if name not in OF_THE_PLANNER}
     assert {kind for kind, _ in MADE.values()} == set(kinds)
     assert not [name for name, kind in kinds.items() if "to_dict" in vars(kind)]
 

@@ -100,7 +100,7 @@ def test_what_forbids_a_robust_motion_is_named():
     assert "payload 2" in plan.message
 
 
-def test_the_price_is_what_the_machine_as_modelled_does_better():
+def test_the_price_is_what_the_nominal_machine_does_better():
     plan = planned("knee-sprint", "limits.reserve=0.1")
     price = price_of(plan)
     assert price.nominal == pytest.approx(optimal("knee-sprint").objective, rel=1e-9)
@@ -203,7 +203,7 @@ def test_weaker_motors_of_an_underactuated_mechanism_are_planned_for():
 
 
 def test_a_price_is_never_negative():
-    """The plan itself is a motion of the machine as modelled, also where the search for that one's finds a dearer one."""
+    """The plan itself is a motion of the nominal machine, also where the search for that one's finds a dearer one."""
     plan = planned("cart-pole-swing-up", "limits.reserve=0.35")
     assert plan.objective < optimal("cart-pole-swing-up").objective
     assert price_of(plan).nominal == plan.objective
@@ -294,7 +294,7 @@ def test_at_every_corner_a_robust_plan_s_efforts_keep_their_limits_and_drive_muj
         assert lacking.max() < 1e-6 * needed.max()
 
 
-def test_with_more_motors_than_freedoms_the_machine_as_modelled_has_the_plan_s_own_efforts():
+def test_with_more_motors_than_freedoms_the_nominal_machine_has_the_plan_s_own_efforts():
     mechanism = load_mechanism(TWO_MOTORS, payload=SHANK)
     q = mechanism.home[None]
     v, a, u = np.array([[2.0]]), np.array([[30.0]]), np.array([[5.0, 7.0]])

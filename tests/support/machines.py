@@ -19,7 +19,7 @@ LOOP = ControlLoop(effort_limit=np.array([[-100.0, 100.0]]), delay_periods=1)
 
 
 def run_alone(mechanism: Mechanism, reference: SampledReference, law: AnyTracker, loop: ControlLoop) -> Rollout:
-    """Return the run of a law on the machine as modelled."""
+    """Return the run of a law on the nominal machine."""
     return simulate_one(MujocoPlant(mechanism=mechanism, loop=loop), law, reference)
 
 

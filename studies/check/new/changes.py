@@ -70,9 +70,9 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
     if "solref" not in table and home_gap(mechanism) > SOFT_GAP:
         mechanism = _assembled({**table, "solref": STIFF}, mechanism)
         notes.append(
-            "the model's own loops are too soft to carry its weight in simulation, where they would open by more than"
-            f" 1 % of its size, or 0.01 rad, at rest: they are as stiff as its timestep admits ({STIFF_KEY}), which"
-            f" leaves {home_gap(mechanism):.1g} of its size or rad"
+            "in simulation, the model's loops would open by more than 1 % of its size, or 0.01 rad, under its weight:"
+            f" they are made as stiff as its timestep permits ({STIFF_KEY}) and open by {home_gap(mechanism):.1g} of its"
+            " size or rad"
         )
     if moved := sorted(mechanism.source.keys() & {"home_deg", "home_m"} - table.keys()):
         notes.append(
@@ -87,10 +87,7 @@ def _base_fixed(model: mujoco.MjModel) -> Change | None:
     if not 0 < len(floats) < model.njnt:
         return None
     what, joints = floating_words(model), [joint_label(model, j) for j in floats]
-    return {"fix_base": True}, (
-        f"{what}, and nothing holds what floats or is loose: it is fixed where it stands at home"
-        f" (mechanism.fix_base = true; joints {listed(joints, 4)})"
-    )
+    return {"fix_base": True}, (f"{what}: fixed in place at home (mechanism.fix_base = true; joints {listed(joints, 4)})")
 
 
 def _ball_rods_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
@@ -99,8 +96,8 @@ def _ball_rods_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Chan
         return None
     given = table.get("lock_spin")
     return {"lock_spin": [*(given if isinstance(given, list) else []), *rods]}, (
-        "rods between ball joints spin about their own lines, which nothing drives and which moves nothing else: a"
-        f" universal joint takes the place of a ball joint of each (mechanism.lock_spin: {', '.join(rods)})"
+        "rods between ball joints can spin freely about their own lines: one ball joint of each becomes a universal joint"
+        f" (mechanism.lock_spin: {', '.join(rods)})"
     )
 
 
@@ -113,7 +110,8 @@ def _filters_left_out(mechanism: Mechanism, table: Mapping[str, object]) -> Chan
     if not named:
         return None
     return {"drive": [*driven, *named]}, (
-        f"actuators with filters, whose states no plan has, act without them, in simulation too: {', '.join(named.values())}"
+        "filters of actuators are ignored, in simulation too, since plans do not have their states:"
+        f" {', '.join(named.values())}"
         f" (mechanism.drive: {', '.join(named)})"
     )
 
@@ -131,8 +129,8 @@ def _friction_widened(mechanism: Mechanism, table: Mapping[str, object]) -> Chan
     # error doubles.
     default, wide = float(np.degrees(mechanism.friction_transition)), 10.0
     return {"friction_transition_deg_s": wide}, (
-        f"dry friction sets in over {wide:g} deg/s in place of {default:g}, which large mechanisms"
-        " need fine meshes for: slow joints are planned with too little of it (mechanism.friction_transition_deg_s)"
+        f"dry friction reaches its full value at about {wide:g} deg/s instead of {default:g}, because large mechanisms would"
+        " need fine meshes: plans have too little of it on slow joints (mechanism.friction_transition_deg_s)"
     )
 
 
@@ -197,7 +195,7 @@ def raised_notes(mechanism: Mechanism, tables: Mapping[str, Mapping]) -> list[st
     if not limits:
         return []
     said = ", ".join(
-        f"{actuator.name} {limits[actuator.name]} in place of {[float(f'{x:.4g}') for x in ends]} {actuator.unit}"
+        f"{actuator.name} {limits[actuator.name]} instead of {[float(f'{x:.4g}') for x in ends]} {actuator.unit}"
         for actuator, ends in zip(mechanism.actuators, mechanism.effort_limit, strict=True)
         if actuator.name in limits
     )
@@ -283,30 +281,29 @@ def _home_found(table: Mapping[str, object], before: Mechanism) -> dict[str, obj
 # In this order: what is fixed and locked decides what overlaps and how large the mechanism is.
 _CHANGES: tuple[Callable[[Mechanism, Mapping[str, object]], Change | None], ...] = (
     _filters_left_out,
-    functools.partial(_locked, fixed_by_range, "ranges let these joints move nowhere: they are locked there ({locks})"),
+    functools.partial(_locked, fixed_by_range, "the ranges of these joints have no width: they are locked there ({locks})"),
     functools.partial(
         _locked,
         pressed,
-        "weight and springs press joints onto their stops: they are locked there ({locks}); a motion on which they would"
-        " leave their stops is another mechanism's",
+        "weight and springs press joints onto their stops: they are locked there ({locks}); motions that leave the stops"
+        " need another model",
     ),
     functools.partial(
         _locked,
         dropped,
-        "weight drops joints that nothing drives onto their stops or into a contact, and their forces are not planned for:"
-        " they are locked where they stand at home ({locks}); a motion in which they fall is another mechanism's",
+        "undriven joints would fall onto their stops or into a contact, whose forces plans do not have: they are locked at"
+        " home ({locks}); motions in which they fall need another model",
     ),
     functools.partial(
         _locked,
         held_by_friction,
-        "dry friction holds joints that nothing drives: they are locked where they stand ({locks}); a motion that slides"
-        " them is another mechanism's",
+        "dry friction holds undriven joints: they are locked in place ({locks}); motions that slide them need another model",
     ),
     _ball_rods_locked,
     functools.partial(
         _locked,
         spins,
-        "rods or wheels spin about a line while all else rests, which nothing drives: a hinge of each is locked ({locks})",
+        "rods or wheels can spin freely while all else rests: a hinge of each is locked ({locks})",
     ),
     _overlaps_excluded,
     _friction_widened,

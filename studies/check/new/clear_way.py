@@ -135,7 +135,7 @@ def refuse_undriven(mechanism: Mechanism) -> None:
         line = f'name="{joint.name}" to its first joint, which has no name, and {line}'
     if not drivable(mechanism).any():
         but = " but the spins of rods" if mechanism.dof else ""
-        raise ProblemError(f"mechanism '{mechanism.name}' has no degree of freedom{but}: its loops hold it still")
+        raise ProblemError(f"mechanism '{mechanism.name}' has no degree of freedom{but}: its loops lock it")
     if (shut := shut_balls(mechanism)) is not None:
         raise ProblemError(f"mechanism '{mechanism.name}': {shut}")
     if (floats := floating_sentence(mechanism.model)) is not None:

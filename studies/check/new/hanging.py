@@ -95,7 +95,7 @@ def resting_positions(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> 
         rest[column] = _rounded(mechanism.independent_joints[column], float(pose[mechanism.independent[column]]))
     if pose is None or not is_equilibrium(mechanism, close_at(mechanism, rest, near)):
         lock = lock_at_home(mechanism, hanging)
-        raise AssemblyError(f"what nothing drives does not hang at rest on the way{lock and f'; {lock} holds it'}")
+        raise AssemblyError(f"undriven joints do not hang at rest on the way{lock and f'; {lock} holds them'}")
     return rest
 
 

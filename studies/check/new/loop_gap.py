@@ -13,8 +13,8 @@ from linkplan.studies.check.softness import STIFF_KEY, loaded_closures, weight_l
 # share of the travel in a motion.
 SOFT_GAP = 0.01
 SOFT_IN_MOTION = (
-    "the model's own loops are too soft for the motion's efforts, which would open them by more than 1 % of what the joints"
-    f" travel in simulation: they are as stiff as its timestep admits ({STIFF_KEY})"
+    "in simulation, the motion's efforts would open the model's loops by more than 1 % of the joints' travel: they are made"
+    f" as stiff as its timestep permits ({STIFF_KEY})"
 )
 
 

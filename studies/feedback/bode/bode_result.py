@@ -77,24 +77,19 @@ class WorstMargins(Margins, frozen=True, kw_only=True, eq=False):
     least: dict[str, dict[str, float]]
 
 
-class MapStudy(Struct, frozen=True, kw_only=True, eq=False):
-    """A stability map: gains kp (n,), kd (m,), the largest pole `radius` (n, m), and the longest control period [s].
+class MapStudy(StabilityMap, frozen=True, kw_only=True, eq=False):
+    """A stability map about a study's `gains` kp and kd, which are stable up to the longest control period [s].
 
     `critical_kd`: at each pose the stable kd, `least` to `largest` (null if no kd is too large), at the study's kp, and
-    whether MuJoCo settles just below and above the largest. `tried`: gains simulated in MuJoCo, `as_predicted` of them like
-    the model. `gains` are the study's kp and kd, `critical` (n, 2) the stable kd with NaN if there is none.
+    whether MuJoCo settles just below and above the largest. `as_predicted` of the `tried_count` tried gains are like the
+    model. `critical` (n, 2) are the stable kd with NaN if there is none.
     `longest_period_s` is None if the gains are unstable at any period, and infinite if they are stable at any period.
     """
 
-    kp: np.ndarray
-    kd: np.ndarray
-    radius: np.ndarray
     critical_kd: Sequence[dict[str, float | bool | None]]
     longest_period_s: float | None
-    tried: Sequence[dict[str, float | str | bool]]
     as_predicted: int
     tried_count: int
-    found: Beside[StabilityMap] = NOT_READ
     gains: Beside[tuple[float, float]] = NOT_READ
     critical: Beside[np.ndarray] = NOT_READ
     settles_near_border: Beside[np.ndarray] = NOT_READ  # (n, 2): MuJoCo settles just below and above the largest stable kd

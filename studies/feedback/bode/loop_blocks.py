@@ -24,13 +24,12 @@ Marked = Sequence[tuple[str, float, float]]
 
 def map_blocks(study: MapStudy, marked: Marked = ()) -> list[Block]:
     """Return a stability map; `marked` are gains (name, kp, kd), by default those of the study."""
-    found = study.found
-    joint = found.points[0].mechanism.independent_joints[0]
+    joint = study.points[0].mechanism.independent_joints[0]
     stiffness, damping = joint.gain_units
     own_kp, own_kd = study.gains
-    delay = f", delay {found.timing.delay_s:g} s" if found.timing.delay_steps else ""
+    delay = f", delay {study.timing.delay_s:g} s" if study.timing.delay_steps else ""
     rows = [
-        ("sampled every", f"{found.timing.period_s:g} s{delay}"),
+        ("sampled every", f"{study.timing.period_s:g} s{delay}"),
         ("gains next to the stability boundary tried in MuJoCo", f"{study.tried_count}, as predicted {study.as_predicted}"),
     ]
     gains = f"kp = {own_kp:g} {stiffness}, kd = {own_kd:g} {damping}"
@@ -42,16 +41,16 @@ def map_blocks(study: MapStudy, marked: Marked = ()) -> list[Block]:
         rows.append(("longest control period", f"{period} for {gains}, at {study.longest_at.name}"))
     marked = marked or [("these gains", own_kp, own_kd)]
     low, high = np.nan_to_num(study.critical, nan=0.0).T
-    at = np.array([joint.shown(point.state[0]) for point in found.points])
+    at = np.array([joint.shown(point.state[0]) for point in study.points])
     axis = Axis(label=joint.name, unit=joint.unit)
-    inertia = np.array([float(point.inertia[0, 0]) for point in found.points])
+    inertia = np.array([float(point.inertia[0, 0]) for point in study.points])
     heads = [f"inertia [{joint.inertia_unit}]", f"least kd [{damping}]", f"largest kd [{damping}]"]
     stable = zip(at, inertia, *study.critical.T, strict=True)
     table = table_of(f"Stable kd at kp = {own_kp:g} {stiffness}", [(joint.name, joint.unit), *heads], list(stable))
     lines = [Line(name=f"largest stable kd at kp = {own_kp:g}", values=high, unit=damping, colour=4)]
-    if not found.timing.delay_steps:
+    if not study.timing.delay_steps:
         lines.append(
-            Line(name="2 J / T", values=2 * inertia / found.timing.period_s, unit=damping, look="dots", colour=None)
+            Line(name="2 J / T", values=2 * inertia / study.timing.period_s, unit=damping, look="dots", colour=None)
         )
     if low.max(initial=0.0) > 0:
         lines.append(Line(name="least stable kd", values=low, unit=damping))
@@ -70,31 +69,29 @@ def map_blocks(study: MapStudy, marked: Marked = ()) -> list[Block]:
 
 
 def _gains(study: MapStudy, marked: Marked, stiffness: str, damping: str) -> Plane:
-    found = study.found
-    kp, kd, radius = found.border
+    kp, kd, radius = study.border
     curves = [Series(name="predicted stability boundary", colour=4, width=2.2, **_contour(kd, kp, radius, 1.0))]
     for k, level in enumerate((15.0, 30.0, 45.0, 60.0)):
-        line = _contour(found.kd, found.kp, found.phase_margin_deg, level)
+        line = _contour(study.kd, study.kp, study.phase_margin_deg, level)
         if line["x"]:
             curves.append(Series(name=f"phase margin {level:g} deg", colour=0, width=0.8 + 0.4 * k, look="dash", **line))
-    if found.tried:
-        tried = np.array([(kp, kd) for kp, kd, _ in found.tried])
-        for settles, look, name in ((True, "points", "settles in MuJoCo"), (False, "cross", "does not settle")):
-            which = found.settles == settles
-            x, y = (rounded(tried[which, column], log=True) for column in (1, 0))
+    for settles, look, name in ((True, "points", "settles in MuJoCo"), (False, "cross", "does not settle")):
+        tried = [one for one in study.tried if one.settles_in_mujoco == settles]
+        if tried:
+            x, y = rounded(np.array([(one.kd, one.kp) for one in tried]).T, log=True)
             curves.append(Series(name=name, x=x, y=y, look=look, colour=None))
     curves += [Series(name=name, x=[kd], y=[kp], look="star", colour=1 + k) for k, (name, kp, kd) in enumerate(marked)]
     return Plane(
         title="Stable gains over all positions",
-        x_axis=Axis(label="kd", unit=damping, log=True, ends=(float(found.kd[0]), float(found.kd[-1]))),
-        y_axis=Axis(label="kp", unit=stiffness, log=True, ends=(float(found.kp[0]), float(found.kp[-1]))),
+        x_axis=Axis(label="kd", unit=damping, log=True, ends=(float(study.kd[0]), float(study.kd[-1]))),
+        y_axis=Axis(label="kp", unit=stiffness, log=True, ends=(float(study.kp[0]), float(study.kp[-1]))),
         curves=curves,
         heat=Heat(
             name="least phase margin, blank where it is unstable",
             unit="deg",
-            x=rounded(found.kd, log=True),
-            y=rounded(found.kp, log=True),
-            values=rounded(found.phase_margin_deg, digits=3),
+            x=rounded(study.kd, log=True),
+            y=rounded(study.kp, log=True),
+            values=rounded(study.phase_margin_deg, digits=3),
             ends=(90.0, 0.0),
         ),
     )

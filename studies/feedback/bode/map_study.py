@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import numpy as np
+from msgspec.structs import asdict
 
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.search.planning import silent
@@ -61,12 +62,10 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
     longest, where = longest_period(points, own_kp, own_kd, delay, law.timing.period_s)
     say("gains on both sides of the stability boundary at every pose, in MuJoCo")
     settles = _settles_near_border(points, own_kp, critical[:, 1], law.timing, law.effort_limit)
-    joint, tried = mechanism.independent_joints[0], list(zip(found.tried, found.settles.tolist(), strict=True))
+    joint = mechanism.independent_joints[0]
     ends = zip(points, np.nan_to_num(critical, nan=0.0, posinf=np.inf).tolist(), settles.tolist(), strict=True)
     return MapStudy(
-        kp=found.kp,
-        kd=found.kd,
-        radius=found.radius,
+        **asdict(found),
         critical_kd=[
             {
                 f"position_{joint.unit}": joint.shown(point.state[0]),
@@ -78,10 +77,8 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
             for point, (low, high), (below, above) in ends
         ],
         longest_period_s=longest,
-        tried=[{"kp": kp, "kd": kd, "pose": points[i].name, "settles_in_mujoco": at} for (kp, kd, i), at in tried],
-        as_predicted=sum(pd_loop(points[i], kp, kd, law.timing).stable == at for (kp, kd, i), at in tried),
-        tried_count=len(tried),
-        found=found,
+        as_predicted=sum(one.settles_in_mujoco == one.stable for one in found.tried),
+        tried_count=len(found.tried),
         gains=(own_kp, own_kd),
         critical=critical,
         settles_near_border=settles,

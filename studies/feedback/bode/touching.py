@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from linkplan.models.errors import listed
+from linkplan.models.errors import counted, listed
 from linkplan.models.poses.contacts import ContactPair, exclusion
 
 
@@ -25,7 +25,7 @@ def contact_sentence(pairs: Sequence[ContactPair], n: int) -> str | None:
     exclusions = " ".join(dict.fromkeys(exclusion(pair.bodies) for pair in deepest[:3]))
     count = int(touched(pairs, n).sum())
     return (
-        f"contacts of {named} push in MuJoCo at {count} of {n} pose{'s' if n != 1 else ''}, up to"
+        f"contacts of {named} push in MuJoCo at {count} of {counted(n, 'pose')}, up to"
         f" {1e3 * deepest[0].depth_m:.2g} mm deep; the prediction omits them, they open the kinematic loops, and no response"
         f" is measured there; {exclusions} in the model's <contact> lets links pass side by side"
     )

@@ -120,8 +120,8 @@ def plant_output(mechanism: Mechanism, name: str, what: str) -> PlantOutput:
             name=name, unit="rad", at_poses=lambda q: angles_of(mechanism, body, q), slopes=of_joints(sigma, "rad")
         )
     legal = [*joints, *(f"{site}.{axis}" for site in sites for axis in AXES)]
-    of_sites = f"coordinates of sites ({', '.join(sites)}) as {sites[0]}.x" if sites else "none of sites, as there are none"
+    of_sites = f", coordinates of sites ({', '.join(sites)}) as {sites[0]}.x," if sites else ""
     raise LinkplanError(
-        f"{what} names a position: of joints ({', '.join(joints)}), {of_sites}, or angles of bodies as {_OF_BODY}NAME; got"
+        f"{what} names a position: of joints ({', '.join(joints)}){of_sites} or angles of bodies as {_OF_BODY}NAME; got"
         f" '{name}'{nearest(name, legal)}"
     )

@@ -5,12 +5,13 @@ phase margin.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 
 import numpy as np
+from msgspec import Struct
 
 from linkplan.controllers.sampling import Sampling, closed, sampling, spectral_radius
 from linkplan.controllers.trackers.pd import pd_gain
+from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.search.planning import silent
 from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, OperatingPoint, feedback_loop
 from linkplan.studies.feedback.frequency.quick import quick_loops
@@ -23,24 +24,31 @@ _BORDER_GRID_POINTS = 240
 _BORDER_TOLERANCE = 1e-6
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class StabilityMap:
+class TriedGains(Struct, frozen=True, kw_only=True, eq=False):
+    """PD gains that MuJoCo simulated at a pose, and whether they settle there. `stable` is the prediction."""
+
+    kp: float
+    kd: float
+    pose: str
+    settles_in_mujoco: bool
+    stable: Beside[bool] = NOT_READ
+
+
+class StabilityMap(Struct, frozen=True, kw_only=True, eq=False):
     """The loop over grids of gains kp (n,) and kd (m,): at each pair of gains, the worst over all points.
 
     `radius` (n, m): the largest pole. `phase_margin_deg` (n, m) is NaN where the loop is unstable. `border` (kp, kd,
-    radius): the radius on a finer grid. `tried`: gains (kp, kd, index of the point) simulated in MuJoCo; `settles` (tried,):
-    whether they settle there.
+    radius): the radius on a finer grid.
     """
 
-    points: tuple[OperatingPoint, ...]
-    timing: Sampling
     kp: np.ndarray
     kd: np.ndarray
     radius: np.ndarray
-    phase_margin_deg: np.ndarray
-    border: tuple[np.ndarray, np.ndarray, np.ndarray]
-    tried: tuple[tuple[float, float, int], ...]
-    settles: np.ndarray
+    tried: Sequence[TriedGains]
+    points: Beside[tuple[OperatingPoint, ...]] = NOT_READ
+    timing: Beside[Sampling] = NOT_READ
+    phase_margin_deg: Beside[np.ndarray] = NOT_READ
+    border: Beside[tuple[np.ndarray, np.ndarray, np.ndarray]] = NOT_READ
 
 
 def effort_map(point: OperatingPoint) -> np.ndarray:
@@ -150,19 +158,22 @@ def stability_map(
         radius = np.maximum(radius, radii(point, kp[:, None], kd[None, :], timing))
         quick = [quick_loops(point, pd_gains(point, np.full(len(kd), p), kd), timing, [0])[0] for p in kp]
         margin = np.minimum(margin, [one.phase_margin_deg for one in quick])
-    tried = border_points(points, timing, kp)
-    say(f"{len(tried)} gains on both sides of the stability boundary, in MuJoCo")
-    loops = [pd_loop(points[index], p, d, timing) for p, d, index in tried]
+    gains = border_points(points, timing, kp)
+    say(f"{len(gains)} gains on both sides of the stability boundary, in MuJoCo")
+    loops = [pd_loop(points[index], p, d, timing) for p, d, index in gains]
+    settles = settle_trials(loops, effort_limit).tolist() if loops else []
     return StabilityMap(
-        points=tuple(points),
-        timing=timing,
         kp=np.array(kp),
         kd=np.array(kd),
         radius=radius,
+        tried=[
+            TriedGains(kp=p, kd=d, pose=loop.point.name, settles_in_mujoco=settled, stable=loop.stable)
+            for (p, d, _), loop, settled in zip(gains, loops, settles, strict=True)
+        ],
+        points=tuple(points),
+        timing=timing,
         phase_margin_deg=np.where(radius >= 1.0, np.nan, margin),
         border=(fine_kp, fine_kd, fine),
-        tried=tuple(tried),
-        settles=settle_trials(loops, effort_limit) if loops else np.zeros(0, dtype=bool),
     )
 
 

@@ -161,8 +161,8 @@ def _size(place: Path, source: str, command: Sequence[str]) -> dict[str, int] | 
 def size_blocks(measured: Sequence[ObjectSize], without: Sequence[str] = ()) -> list[Block]:
     """Return the sizes of object code `without` some functions, or a note that there are none, as blocks."""
     if not measured:
-        text = "flash and stack are not measured: neither gcc nor arm-none-eabi-gcc is installed, or the code is too long:"
-        return [Text(text=f"{text} it is measured where sizes are asked for, in up to minutes", tone="note")]
+        text = "flash and stack are not measured: neither gcc nor arm-none-eabi-gcc is installed, or the code is too long"
+        return [Text(text=f"{text} (the option sizes measures it, in up to minutes)", tone="note")]
     rows = [[row.compiler, row.real, row.flash_bytes, row.stack_bytes] for row in measured]
     title = f"Object code, without {', '.join(without)}" if without else "Object code"
     return [table_of(title, ["compiler", "numbers", "flash [byte]", "largest stack frame [byte]"], rows)]

@@ -75,7 +75,7 @@ def model_code(mechanism: Mechanism) -> ModelCode:
         "reduced_inertia": "M (N_S x N_S), and inertia times acceleration = M a",
         "bias": "effort at zero acceleration: gravity, Coriolis, springs, dampers, friction",
         "inverse_dynamics": "effort = M a + bias, that the actuators must put on the coordinates: G^T u = effort",
-        DERIVATIVES: "its derivatives (N_S x N_S) by s, the loops kept closed, and by v; by a it is M",
+        DERIVATIVES: "its derivatives (N_S x N_S) by s, with the loops closed, and by v; that by a is M",
         "acceleration": "a = M^-1 (G^T u - bias)",
     }
     parts = {
@@ -108,7 +108,7 @@ def header_text(code: ModelCode, about: Sequence[str]) -> str:
         f"{mechanism.name}: the reduced dynamics of a closed chain.",
         "",
         "q: positions of all joints, s: of the independent ones, v = ds/dt, a = dv/dt, u: efforts of the actuators.",
-        "Matrices are stored row by row. Arrays must not overlap. SI units. Nothing is allocated, no state is kept.",
+        "Matrices are stored row by row. Arrays must not overlap. SI units. No memory is allocated and there is no state.",
         f"Numbers are double, or float where {upper}_FLOAT is defined (for this header and the source file).",
         f"{code.prefix}_{DERIVATIVES} is left out where {upper}_WITHOUT_DERIVATIVES is defined.",
         "",
@@ -122,7 +122,7 @@ def header_text(code: ModelCode, about: Sequence[str]) -> str:
     lines += [f"#define {upper}_{name} {value}" for name, value in sizes.items()]
     ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])
     actuators = mechanism.actuators
-    lines += ["", f"/* The model's limits: Q of the joints, U of the actuators' efforts; {NO_LIMIT:g} is none. */"]
+    lines += ["", f"/* The model's limits: Q of the joints, U of the actuators' efforts; {NO_LIMIT:g} means none. */"]
     lines += limit_macros(
         code.prefix, "Q", [j.name for j in mechanism.joints], ranges, [j.si_units[0] for j in mechanism.joints]
     )
@@ -132,9 +132,9 @@ def header_text(code: ModelCode, about: Sequence[str]) -> str:
         block_comment(
             [
                 "Close the loops at independent positions s: q is the last closed pose on entry, the new one on return.",
-                "One call is enough, also from home to a start pose far away, in strides on the branch of q. A control",
-                f"period takes three Newton steps, a call at most {MAX_NEWTON_STEPS}. Returns 0, or with q as it was",
-                f"{upper}_NOT_FINITE for an s or q that is not finite, {upper}_NOT_CLOSED where the loops open on the way.",
+                "One call is enough, also for a distant s: it follows the branch of q in steps that it chooses. A control",
+                f"period takes three Newton steps, a call at most {MAX_NEWTON_STEPS}. Returns 0, or leaves q unchanged and",
+                f"returns {upper}_NOT_FINITE if s or q is not finite, {upper}_NOT_CLOSED if the loops open on the way.",
             ]
         ),
         f"{_close_prototype(code)};",

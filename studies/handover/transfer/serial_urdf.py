@@ -68,7 +68,7 @@ def urdf_notes(transfer: Transfer) -> list[str]:
         span = np.ptp(ratio, axis=0).max() / np.abs(ratio).max()
         why = f"G changes by {100 * span:.2g} % of its size" if span > _CONSTANT_SHARE else "G couples the joints"
         found.append(
-            f"no <transmission>, which carries a constant of one joint: {why}; transmission.hpp and the tables carry it"
+            f"no <transmission>, which has one constant ratio: {why}; transmission.hpp and the tables have the ratio"
         )
     if transfer.motor_speed is None or not np.isfinite(_speeds(transfer)).all():
         found.append(f"speed limits are {_UNKNOWN_SPEED} where no speeds of the motors are given")
@@ -78,9 +78,9 @@ def urdf_notes(transfer: Transfer) -> list[str]:
         "closures of other loops": model.neq > 0,
         "shapes other than boxes, spheres, cylinders and capsules": None in [_shape(model, g) for g in range(model.ngeom)],
     }
-    found += [f"{what} are left out" for what, there in lacking.items() if there]
+    found += [f"{what} are omitted" for what, there in lacking.items() if there]
     if np.any(model.body_jntnum > 1):
-        found.append("a link of 1e-6 kg and 1e-9 kg m2 stands between two joints of one body")
+        found.append("a link of 1e-6 kg and 1e-9 kg m2 is added between two joints of one body")
     return found
 
 

@@ -69,7 +69,7 @@ class Transfer:
         text = f"{motors} to {joints}: {size} nodes, interpolation error {self.error:.2g} of each quantity's largest size"
         if self.kept:
             return text
-        return f"{text}, above {self.table.tolerance:g}: larger tables are not made; allow more, or a range off dead centres"
+        return f"{text}, above {self.table.tolerance:g} in the largest table: allow more, or a range without dead centres"
 
 
 def transfer_study(

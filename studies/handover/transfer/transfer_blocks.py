@@ -114,7 +114,7 @@ def _ends_table(transfer: Transfer):
     for joint, both in zip(transfer.outputs.joints, transfer.table.ends, strict=True):
         for word, end in zip(("lower", "upper"), both, strict=True):
             rows.append([joint.name, word, joint.shown(end.position), joint.unit, end.reason, joint.shown(end.margin)])
-    heads = ["joint", "end", "position", "unit", "the map ends there because of", "margin kept"]
+    heads = ["joint", "end", "position", "unit", "the map ends there because of", "margin"]
     return table_of("Where the map ends, other outputs at home", heads, rows, digits=6)
 
 

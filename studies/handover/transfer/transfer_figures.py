@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from msgspec import Struct
+from msgspec import Struct, field
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.transfer.polytope import effort_box
@@ -24,7 +24,7 @@ class TransferFigures(Struct, frozen=True, kw_only=True, eq=False):
     its errors along a motion; it and `serial_urdf` are None without a serial equivalent.
     """
 
-    mechanism: str
+    mechanism_name: str = field(name="mechanism")
     message: str
     convention: str
     joints: list[str]
@@ -53,7 +53,7 @@ def transfer_figures(transfer: Transfer) -> TransferFigures:
     table, outputs, home = transfer.table, transfer.outputs, transfer.home
     inverse, serial, motors = table.inverse, transfer.serial, outputs.actuators
     return TransferFigures(
-        mechanism=outputs.mechanism.name,
+        mechanism_name=outputs.mechanism.name,
         message=transfer.message,
         convention=CONVENTION,
         joints=[joint.name for joint in outputs.joints],

@@ -40,7 +40,7 @@ function showTable(block) {
 
 /** Return a checklist; a line with an instant moves the cursor there. */
 function showChecklist(block) {
-  const heads = ["kept", "what", "worst", "limit", "at"].map((head) => make("th", { scope: "col" }, head));
+  const heads = ["passed", "check", "worst", "limit", "at"].map((head) => make("th", { scope: "col" }, head));
   const rows = block.items.map((item) => {
     const value = (x) => (x === null ? "–" : withUnit(said(x), item.unit));
     const go = () => {

@@ -101,7 +101,7 @@ def _unpack(answer: Planned, folder: Path) -> None:
         PlanFileError: if a file is damaged.
     """
     if others := sorted(answer.files.keys() - set(_FILES)):
-        raise ValueError(f"'{answer.name}/{others[0][:100]}' is no file of its plans")
+        raise ValueError(f"'{answer.name}/{others[0][:100]}' is not a file of its plans")
     for name, content in answer.files.items():
         folder.mkdir(exist_ok=True)
         (folder / name).write_bytes(content)

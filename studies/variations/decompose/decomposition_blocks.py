@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from linkplan.models.errors import counted
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.output.document import (
     LOWERING_COLOUR,
@@ -56,7 +57,7 @@ def decomposition_figure(found: Decomposition, path: Path | None = None) -> "Fig
     """Return the figure of every tracker's parts, saved at `path` if given; each panel has its own scale."""
     from linkplan.studies.output.figure import figure_of, panels_of
 
-    title = f"{found.decomposition}: where the error comes from, {found.machines} machine{'s' if found.machines > 1 else ''}"
+    title = f"{found.decomposition}: where the error comes from, {counted(found.machines, 'machine')}"
     return figure_of(panels_of(decomposition_blocks(found)), path, title=title, columns=2, panel_in=(6.5, 3.0))
 
 

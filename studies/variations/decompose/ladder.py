@@ -1,7 +1,7 @@
 """The steps from the ideal to the real feedback loop: each switches on one more cause of error.
 
-The first steps simulate the rigid kinematic loop with accurately integrated reduced dynamics, the fourth a MuJoCo machine as
-modelled. The last three causes (`SWITCHES`) act on each other: a payload costs little until it meets an effort limit. All
+The first steps simulate the rigid kinematic loop with accurately integrated reduced dynamics, the fourth the nominal machine
+in MuJoCo. The last three causes (`SWITCHES`) interact: a payload costs little until it meets an effort limit. All
 combinations of them are simulated, and the increment of each is its mean over all orders (Shapley, A Value for n-Person
 Games, 1953).
 """

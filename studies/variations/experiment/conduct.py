@@ -168,7 +168,7 @@ def _wrong_value(results: Mapping[str, np.ndarray], experiment: Experiment, samp
         checks.append((name, legal, "a number of at least 0" if is_needed else "0, more, or none"))
     for name, values in experiment.varied_values().items():
         alike = np.isclose(results[name], values[samples], rtol=1e-9, atol=0.0)  # scipy's versions differ by rounding
-        checks.append((name, alike, "what the experiment's seed gives that machine"))
+        checks.append((name, alike, "the value by the experiment's seed"))
     for name, legal, what in checks:
         if not np.all(legal):
             row = int(np.argmin(legal))

@@ -242,7 +242,7 @@ def defaults_note(plan: Plan) -> str | None:
     if table is None:
         names = ", ".join(default_imperfections(plan))
         return f"without [imperfections], those of a carefully built machine are used: {names}"
-    return None if table else "[imperfections] is empty: all machines are alike, and shares and intervals say nothing"
+    return None if table else "[imperfections] is empty: all machines are equal, so shares and intervals have no meaning"
 
 
 def request_of(source: Mapping, digest: str | None, settings: Settings, trackers: Mapping[str, str]) -> AskedRecord:

@@ -62,7 +62,7 @@ def _imperfections(experiment: Experiment) -> Table:
         [factor.label, _spread(factor), factor.quantity.unit if factor.quantity.unit != "1" else None]
         for factor in experiment.section.factors
     ]
-    title = "Distributions of the imperfections; all else is as modelled"
+    title = "Distributions of the imperfections; everything else is nominal"
     return table_of(title, ["imperfection", "distribution", "unit"], rows)
 
 

@@ -95,5 +95,5 @@ def _notes(problem: Problem, index: int, motors: Sequence[CandidateMotor], first
     replaced += [f"motors.{name}"] if name in tables.get("motors", {}) else []
     said = [f"a rotor without rotor_inertia counts as weightless: {listed(weightless, 12)}"] if weightless else []
     said += [f"without rms_effort the rms effort has no limit: {listed(unlimited, 12)}"] if unlimited else []
-    said += [f"the list takes the place of {' and '.join(replaced)}"] if replaced else []
+    said += [f"the list replaces {' and '.join(replaced)}"] if replaced else []
     return said + [note for note in first.mechanism.notes if note not in problem.mechanism.notes]

@@ -51,7 +51,7 @@ def streamed(
                     raise LinkplanError(
                         f"workers were lost {deaths} times; finished parts are kept, and the command continues from them"
                     ) from error
-                say("a worker was lost; what it was at is run again")
+                say("a worker was lost; its task runs again")
 
 
 def _once(pool: Pool, work: Callable[[int, int], Result], tasks: Sequence[int]) -> Iterator[tuple[int, Result]]:

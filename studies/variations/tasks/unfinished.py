@@ -62,7 +62,7 @@ def working(folder: Path, asked: Mapping, what: str) -> Iterator[None]:
             try:
                 fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except OSError as error:
-                raise PlanFileError(f"another process is at work on '{folder}'") from error
+                raise PlanFileError(f"another process is using '{folder}'") from error
         held = True
         _compare(folder, asked, what)
         (folder / PARTS).mkdir(exist_ok=True)
@@ -70,7 +70,7 @@ def working(folder: Path, asked: Mapping, what: str) -> Iterator[None]:
             sweep(place)
         yield
     except OSError as error:
-        raise PlanFileError(f"cannot write '{folder}': {error.strerror or error}; what is done is kept") from error
+        raise PlanFileError(f"cannot write '{folder}': {error.strerror or error}; finished parts are kept") from error
     finally:
         if lock is not None:
             if held and not (folder / PLAN).exists() and not any(folder.glob(f"{PARTS}/part-*")):
@@ -83,10 +83,10 @@ def _compare(folder: Path, asked: Mapping, what: str) -> None:
     if not path.exists():
         strangers = [entry.name for entry in folder.iterdir() if entry.name not in (_LOCK, PLAN) and entry.name[0] != "."]
         if strangers:
-            raise PlanFileError(f"'{folder}' holds '{strangers[0]}', which is none of {what}'s; move it away")
+            raise PlanFileError(f"'{folder}' contains '{strangers[0]}', which is not part of {what}; move it away")
         replace_file(path, lambda place: write_json(place, asked))
         return
-    refuse_other(path, asked, f"'{folder}' holds the parts of {what} that was asked otherwise")
+    refuse_other(path, asked, f"'{folder}' has parts of {what} with other settings")
 
 
 def refuse_other(path: Path, asked: Mapping, what: str) -> None:

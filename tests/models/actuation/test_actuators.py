@@ -193,7 +193,7 @@ def test_a_servos_ctrl_for_an_effort_gives_that_effort_in_mujoco(servo):
 
 @pytest.mark.parametrize(
     ("further", "why"),
-    [('inductance="0.01"', "state of its own"), ('cogging="0.1 6 0"', "no torque-speed line"), ("", None)],
+    [('inductance="0.01"', "state of its own"), ('cogging="0.1 6 0"', "a torque-speed line has no cogging"), ("", None)],
 )
 def test_a_dc_motor_is_a_torque_speed_line_if_nothing_else_acts_in_it(further, why):
     text = f'<dcmotor name="m" joint="crank" motorconst="0.1" resistance="2" {further}/>'

@@ -134,7 +134,7 @@ def test_efforts_with_a_gear_and_a_rotor_are_those_of_the_simulator_s_inverse_dy
 def test_an_armature_of_the_joint_itself_stays_and_is_said():
     model = MODEL.replace('name="bar" axis', 'name="bar" armature="0.5" axis')
     mechanism = linkplan.load_mechanism(model, rotor_inertia={"act": ROTOR})
-    assert "joint bar has an armature of 0.5 in the model, which stays beside the rotor of act" in mechanism.notes
+    assert "joint bar has an armature of 0.5 in the model, which is added to the rotor of act" in mechanism.notes
     inertia = np.array(mechanism.dynamics.reduced_inertia(np.zeros(2)))[0, 0]
     assert inertia == pytest.approx(0.02 + 2 * 0.3**2 + 1 + 3 * 0.5**2 + 0.5 + 2**2 * ROTOR, rel=1e-12)
 

@@ -204,7 +204,7 @@ TILTED = """<mujoco model="two drives"><compiler angle="radian"/><worldbody>
 def test_a_drive_that_rounding_locks_is_a_fault_with_the_tolerance_that_frees_it(tilt):
     locked = load_mechanism(TILTED.format(tilt=tilt))
     (fault,) = locked.faults
-    assert fault.startswith("actuator crank has no effect: the loops lock joint crank; they open by ")
+    assert fault.startswith("actuator crank has no effect: the loops lock joint crank; its motion opens them by ")
     tolerance = float(re.search(r"closure_tolerance_m = (\S+) allows", fault).group(1))
     freed = load_mechanism(TILTED.format(tilt=tilt), closure_tolerance_m=tolerance)
     assert (locked.dof, freed.dof, freed.faults) == (1, 2, ())

@@ -114,7 +114,7 @@ def test_nothing_ends_the_reach_of_a_slide_without_a_range_which_makes_no_turn()
     ball = '<body><joint name="s" type="slide"/><geom size="0.1"/></body>'
     mechanism = load_mechanism(f"<mujoco><worldbody>{ball}</worldbody></mujoco>")
     can = reach(mechanism)
-    assert {can.lower.reason, can.upper.reason} == {"nothing so far"}
+    assert {can.lower.reason, can.upper.reason} == {"no end found"}
     assert can.turns_fully
     assert (can.lower.position, can.upper.position) == pytest.approx((-20 * mechanism.extent_m, 20 * mechanism.extent_m))
 
@@ -304,7 +304,7 @@ def test_an_unbalanced_rotor_behind_an_irrational_gear_never_comes_back():
     can = reach(geared(np.pi, unbalanced_m=0.01))
     assert can.turns_fully
     assert can.period is None
-    assert {can.lower.reason, can.upper.reason} == {"nothing so far"}
+    assert {can.lower.reason, can.upper.reason} == {"no end found"}
 
 
 def test_a_lead_screw_reaches_over_the_whole_travel_of_its_nut():

@@ -87,6 +87,19 @@ def test_efforts_beyond_a_limit_are_told_by_the_share_of_it_that_a_proof_allows(
     assert certificate.effort_overrun == pytest.approx([beyond / (2e-6 * size)], rel=1e-5)
 
 
+def test_the_largest_effort_beyond_a_limit_is_found_between_the_samples():
+    """With accelerations of 2.4 + 9.6 t - 21.6 t^2 turns per s^2, whose largest value is at t = 2 / 9."""
+    begin, peak = np.radians(10.0), (2.4 + 9.6 * 2 / 9 - 21.6 * (2 / 9) ** 2) * TURN * HINGE_INERTIA
+    motion = motion_along(
+        [0.0, 1.0],
+        begin + TURN * np.array([0.0, 0.0, 0.2, 1.0, 1.0]),
+        velocity=TURN * np.array([0.0, 0.8, 3.2, 0.0]),
+        effort=HINGE_INERTIA * TURN * np.array([2.4, 7.2, -9.6]),
+    )
+    certificate = turned(motion, f"limits.effort.motor=[-99, {0.999 * peak}]")
+    assert certificate.effort_overrun == pytest.approx([(1 - 0.999) / (2e-6 * 0.999)], rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("limits", "margins", "overruns"),
     [

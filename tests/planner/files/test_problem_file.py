@@ -287,7 +287,11 @@ def test_the_independent_joint_can_be_named():
 
 @pytest.mark.parametrize(
     ("value", "words"),
-    [('["K"]', ["'K'", "O, A, C"]), ('"O"', ["list of joint names"]), ('["O", "A"]', ["2 joints", "1 degrees of freedom"])],
+    [
+        ('["K"]', ["'K'", "O, A, C"]),
+        ('"O"', ["list of joint names"]),
+        ('["O", "A"]', ["degrees of freedom (1)", "got O, A"]),
+    ],
 )
 def test_a_name_that_is_no_independent_joint_is_refused(value, words):
     with pytest.raises(LinkplanError) as raised:

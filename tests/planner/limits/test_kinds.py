@@ -9,7 +9,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.limits.actuators import ControlLimit, MotorLimit, PowerLimit
 from linkplan.planner.limits.efforts import EffortLimit, RobustLimit
 from linkplan.planner.limits.joints import ClosureForceLimit, RangeLimit, SingularMarginLimit, SpeedLimit, TendonLimit
-from linkplan.planner.limits.kinds import BETWEEN_NODES_FACTOR, KINDS, RELAXED, factor_of, without
+from linkplan.planner.limits.kinds import BETWEEN_NODES_FACTOR, KINDS, factor_of, without
 from linkplan.planner.limits.limit import Limit, limit_margin
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.instant import Robust
@@ -25,11 +25,6 @@ def test_every_kind_of_limit_is_in_the_table():
     assert {kind.__name__ for kind in Limit.__subclasses__() if kind.__module__ != __name__} == {
         kind.__name__ for kind in KINDS
     }
-
-
-def test_the_diagnosis_may_take_every_kind_away_but_ranges_and_efforts_which_it_takes_last():
-    assert set(RELAXED) == set(KINDS) - {RangeLimit, EffortLimit}
-    assert len(RELAXED) == len(KINDS) - 2
 
 
 def test_no_two_kinds_have_one_key():
@@ -59,7 +54,7 @@ def test_a_plan_with_a_limit_that_claims_nothing_is_not_proved(monkeypatch):
     monkeypatch.setattr(EffortLimit, "claims", lambda *_: iter(()))
     proof = prove(plan.problem, plan.trajectory, existence=False)
     assert not proof.complete
-    assert [one.reason for one in proof.of("undecided")] == ["not proved: the limit claims nothing"]
+    assert [one.reason for one in proof.of("undecided")] == ["not proved: the limit has no claim"]
 
 
 def test_only_actuators_with_a_limit_have_one_at_the_corners():

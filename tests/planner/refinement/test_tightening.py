@@ -141,6 +141,17 @@ def test_rows_that_contradict_each_other_lead_to_no_motion(coarse):
     assert not nearest_feasible(apart, solution.x).converged
 
 
+def test_a_row_without_bounds_is_left_out_and_nothing_is_printed(coarse, capfd):
+    solution = coarse.best.found.solution
+    lower, upper = solution.transcribed.row_lower.copy(), solution.transcribed.row_upper.copy()
+    lower[0], upper[0] = -np.inf, np.inf
+    free = replace(solution.transcribed, row_lower=lower, row_upper=upper)
+    found = nearest_feasible(free, solution.x + 1e-5)
+    assert found.converged
+    assert found.iterations
+    assert capfd.readouterr() == ("", "")
+
+
 def test_a_feasible_point_stays(coarse):
     solution = coarse.best.found.solution
     again = nearest_feasible(solution.transcribed, solution.x)

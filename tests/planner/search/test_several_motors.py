@@ -77,7 +77,7 @@ def test_little_effort_near_a_singular_pose_is_not_a_motion_and_a_rest():
     plan = plan_motion(leg(duration_s=0.279953, minimize="effort"))
     assert plan.status == "optimal"
     assert plan.objective <= LEAST_EFFORT * (1 + 1e-3)
-    assert "it keeps 0.01 of the home pose's distance from singular poses" in plan.message
+    assert "it keeps a distance from singular poses, 0.01 of that at home" in plan.message
     assert "ties" not in plan.message
 
 
@@ -269,10 +269,9 @@ def test_a_motion_within_a_limit_on_the_jerk_of_a_site_has_segments_that_end_whe
     assert plan.objective == pytest.approx(859.65, rel=1e-3)
 
 
-def test_one_motor_limits_on_power_and_given_breaks_have_another_search(in_least_time):
+def test_one_motor_and_given_breaks_have_another_search(in_least_time):
     assert of_several(in_least_time)
     assert not of_several(load_problem("knee-reach"))
-    assert not of_several(with_limits(in_least_time, power=np.tile([-500.0, 500.0], (2, 1))))
     breaks = np.linspace(0.0, 1.0, 21)
     assert not of_several(replace(in_least_time, mesh=in_least_time.mesh.replace(breaks=breaks)))
 

@@ -321,7 +321,7 @@ def test_a_mechanism_with_more_freedoms_than_the_path_decides_is_refused():
         ' mass="0.1" diaginertia="1e-4 1e-4 1e-4"/></body><site name="tip"',
     )
     longer = longer.replace("</actuator>", '<motor name="m3" joint="q3" ctrlrange="-1 1" ctrllimited="true"/></actuator>')
-    with pytest.raises(LinkplanError, match="leaves 1 of the 3 freedoms of 'arm' open"):
+    with pytest.raises(LinkplanError, match="does not determine 1 of the 3 degrees of freedom of 'arm'"):
         Problem.follow(longer, path={"site": "tip", "points": LINE})
 
 

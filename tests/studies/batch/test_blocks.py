@@ -57,7 +57,7 @@ def test_what_is_planned_is_not_planned_again_and_another_batch_is_refused(tmp_p
         run_batch(swept(9), tmp_path / "x", silent)
     assert not (tmp_path / "x").exists()
     assert [path.name for path in (unfinished(tmp_path / "x") / PARTS).iterdir()] == ["part-00000.msgpack"]
-    with pytest.raises(PlanFileError, match=r"holds the parts of a batch that was asked otherwise .*; name a new folder"):
+    with pytest.raises(PlanFileError, match=r"has parts of a batch with other settings .*; name a new folder"):
         run_batch(swept(10), tmp_path / "x", silent)
     monkeypatch.setattr(study, "plan_block", lambda *given: (ran.append(given[1]), real(*given))[1])
     run_batch(swept(9), tmp_path / "x", silent)
@@ -99,8 +99,8 @@ DAMAGED = {
     "without a motion": (without("trajectory.npz"), "trajectory.npz"),
     "with a plan cut short": (with_file("plan.json", b"{"), "truncated or not JSON"),
     "with a motion cut short": (with_file("trajectory.npz", b"PK"), "truncated or not a trajectory"),
-    "with a file of somebody's": (with_file("mine.txt", b"mine"), "'0/mine.txt' is no file of its plans"),
-    "with a file above it": (with_file("../../mine.txt", b"mine"), "is no file of its plans"),
+    "with a file of somebody's": (with_file("mine.txt", b"mine"), "'0/mine.txt' is not a file of its plans"),
+    "with a file above it": (with_file("../../mine.txt", b"mine"), "is not a file of its plans"),
 }
 
 

@@ -171,7 +171,7 @@ def test_a_tracker_without_a_gain_is_left_out_and_named():
     found = compare(plan, None)
     assert list(found.nominal) == ["pd", "pd+ff"]
     assert comparison_notes(found)[0].startswith("lqr is left out: LQR has no stabilising gain")
-    with pytest.raises(GainError, match="that no effort stops"):
+    with pytest.raises(GainError, match="no effort stabilises"):
         compare(plan, None, asked=("lqr",))
 
 

@@ -148,14 +148,14 @@ def test_another_experiment_is_refused_where_one_stands_whole_or_not(tmp_path, m
     monkeypatch.setattr(conducting, "run_block", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         done(tmp_path / "y")
-    with pytest.raises(PlanFileError, match=r"the parts of an experiment that was asked otherwise \(seed was 0, now 1\)"):
+    with pytest.raises(PlanFileError, match=r"has parts of an experiment with other settings \(seed was 0, now 1\)"):
         done(tmp_path / "y", other)
 
 
 def test_two_at_once_are_told_apart(tmp_path):
     asked = {"settings": {"seed": 0}}
     folder = tmp_path / "x.unfinished"
-    at_once = pytest.raises(PlanFileError, match="another process is at work")
+    at_once = pytest.raises(PlanFileError, match="another process is using")
     with parts.working(folder, asked, "a thing"), at_once, parts.working(folder, asked, "a thing"):
         pass
 
@@ -173,7 +173,7 @@ def test_a_full_disk_is_one_line_and_what_was_done_is_kept(tmp_path, monkeypatch
             raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(parquet, "write_table", full)
-    with pytest.raises(PlanFileError, match="No space left on device; what is done is kept") as refused:
+    with pytest.raises(PlanFileError, match="No space left on device; finished parts are kept") as refused:
         done(tmp_path / "x")
     assert "\n" not in str(refused.value)
     folder = parts.unfinished(tmp_path / "x")
@@ -208,7 +208,10 @@ def test_a_tracker_that_fails_on_some_machines_is_counted_and_the_others_stand(t
     monkeypatch.setattr(blocks, "law_of", lambda *_: Failing())
     outcome = done(tmp_path / "x", Settings(trackers=("pd",), samples=12))
     one = outcome.trackers["pd"]
-    assert set(one.failures) == {"the tracker failed: RuntimeError: behind", "the tracker gave an effort that is no number"}
+    assert set(one.failures) == {
+        "the tracker failed: RuntimeError: behind",
+        "the tracker gave an effort that is not a number",
+    }
     assert 0 < sum(one.failures.values()) < 12
     assert one.means["rms_error_deg"].n == 12 - sum(one.failures.values())
     assert outcome.results["failure"][one.worst[0]] is not None  # failures are the worst
@@ -295,7 +298,7 @@ def test_an_empty_table_of_imperfections_means_none_and_a_missing_one_the_defaul
     outcome = run_experiment({"name": "knee-reach"}, None, lambda: none, FEW, tmp_path / "none", silent)
     assert outcome.imperfections == {}
     (note,) = outcome.notes
-    assert note.startswith("[imperfections] is empty: all machines are alike")
+    assert note.startswith("[imperfections] is empty: all machines are equal")
     with pytest.raises(ProblemError, match="needs an imperfection"):
         run_experiment({}, None, lambda: none, structs.replace(FEW, design="morris"), tmp_path / "refused", silent)
     assert [path.name for path in tmp_path.iterdir()] == ["none"]  # the refused one has no parts

@@ -74,7 +74,7 @@ DAMAGED = {
     "an unknown tracker": (column("tracker", first("lqr")), "column tracker is pd, pd+ff in turn; row 0 has lqr"),
     "a number that is missing": (column("rms_error_deg", first(None)), "column rms_error_deg lacks 1 values"),
     "a success that failed": (column("failure", first("it fell")), "column success is false where a run failed"),
-    "another machine": (column("imperfection.delay_periods", first(1.1)), "what the experiment's seed gives that machine"),
+    "another machine": (column("imperfection.delay_periods", first(1.1)), "the value by the experiment's seed"),
 }
 
 
@@ -143,7 +143,7 @@ RECORDS = {
     "another format": (asked(lambda said: said.update(format=2)), "at `$.asked.format`"),
     "an unknown tracker": (asked(lambda said: said["settings"].update(trackers=["pid"])), "'pid'"),
     "other samples": (asked(lambda said: said["settings"].update(samples=7)), "has 12 rows; 14 were asked for"),
-    "another seed": (asked(lambda said: said["settings"].update(seed=1)), "what the experiment's seed gives"),
+    "another seed": (asked(lambda said: said["settings"].update(seed=1)), "the value by the experiment's seed"),
     "another design": (asked(lambda said: said["settings"].update(design="random")), "design"),
 }
 

@@ -202,7 +202,7 @@ def test_code_of_a_whole_robot_is_written_and_not_measured(monkeypatch, tmp_path
     monkeypatch.setattr(c_files, "MOST_MEASURED_OPERATIONS", 100)
     record = write_model(code, tmp_path)
     assert record.sizes == []
-    assert "measured where sizes are asked for" in text_of(record.blocks(tmp_path))
+    assert "the option sizes measures it" in text_of(record.blocks(tmp_path))
 
 
 @needs_gcc

@@ -147,9 +147,11 @@ def test_a_map_agrees_with_mujoco_on_both_sides_of_its_border(payload):
     kp = np.geomspace(1e-6, 0.1, 8) * inertia / 1e-8
     kd = np.geomspace(1e-3, 4.0, 9) * inertia / 1e-4
     found = stability_map(points, timing, kp, kd, mechanism.effort_limit)
-    predicted = [pd_loop(points[i], p, d, timing).stable for p, d, i in found.tried]
+    named = {point.name: point for point in points}
+    predicted = [pd_loop(named[one.pose], one.kp, one.kd, timing).stable for one in found.tried]
     assert {True, False} == set(predicted)
-    assert found.settles.tolist() == predicted
+    assert [one.settles_in_mujoco for one in found.tried] == predicted
+    assert [one.stable for one in found.tried] == predicted
     for i, j in ((0, 0), (3, 4), (7, 8), (5, 2)):
         loops = [pd_loop(point, kp[i], kd[j], timing) for point in points]
         assert found.radius[i, j] == pytest.approx(max(loop.radius for loop in loops), rel=RADIUS)

@@ -75,6 +75,10 @@ def test_names_of_a_model_may_have_brackets():
     assert found.columns == [("case", ""), ("joint [left]", "deg"), ("speed", "deg/s")]
 
 
+def test_a_zero_has_no_sign():
+    assert text_of([table_of("", ["power [W]"], [[-0.0]])]).split()[-1] == "0"
+
+
 CARTS = 6
 
 

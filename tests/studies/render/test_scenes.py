@@ -9,7 +9,7 @@ import pytest
 
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.studies.output.body_colours import body_colours
+from linkplan.studies.output.body_colours import PAYLOAD, body_colours
 from linkplan.studies.render.caption import frame_lines, written
 from linkplan.studies.render.efforts import effort_shapes, load_shares
 from linkplan.studies.render.flat_painter import flat_painter
@@ -23,7 +23,7 @@ from linkplan.studies.render.scenes import (
     skeletons,
     stroboscopic_scene,
 )
-from linkplan.studies.render.shapes import GHOST, PAYLOAD, load_colour
+from linkplan.studies.render.shapes import GHOST, load_colour
 from tests.support.linkages import GRIPPER, RSSR
 from tests.support.pictures import N, rods, waved
 from tests.support.tolerances_planner import ROUNDING

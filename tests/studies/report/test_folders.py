@@ -56,7 +56,7 @@ def test_a_folder_of_an_earlier_version_shows_its_figures_and_says_what_lacks(tm
     points = [{"position_deg": 10.0, "stable": True}, {"position_deg": 20.0, "stable": False}]
     (tmp_path / "tune.json").write_text(json.dumps({"found": True, "mechanism": "knee", "message": "m", "points": points}))
     report = folder_report(tmp_path)
-    assert any("need the command to be run again" in text.text for text in blocks(report, Text))
+    assert any("Run the command again for animation" in text.text for text in blocks(report, Text))
     (table,) = blocks(report, Table)
     assert table.rows == [[10.0, True], [20.0, False]]
 
@@ -64,7 +64,7 @@ def test_a_folder_of_an_earlier_version_shows_its_figures_and_says_what_lacks(tm
 @pytest.mark.parametrize(
     ("file", "text", "said"),
     [
-        ("notes.txt", "mine", "holds no result of linkplan's"),
+        ("notes.txt", "mine", "has no result of linkplan"),
         *(
             ("bode.json", f'{{"points": [{{"gain": {value}}}]}}', r"bode\.json' is")
             for value in ("NaN", "1e999", "-Infinity")

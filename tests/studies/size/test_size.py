@@ -118,7 +118,7 @@ def test_a_reserve_and_what_the_list_replaces_are_kept_and_said():
     assert found.motors[0].peak_limit == pytest.approx(0.8 * 4.0, rel=1e-12)
     assert found.motors[0].loads.peak_share == pytest.approx(found.motors[0].loads.peak_effort / 3.2, rel=1e-12)
     assert found.motors[0].loads.line_share is None
-    assert found.notes == ["the list takes the place of limits.effort.motor and motors.motor"]
+    assert found.notes == ["the list replaces limits.effort.motor and motors.motor"]
 
 
 def test_a_cable_that_only_pulls_does_not_push_with_another_motor_either():
@@ -181,7 +181,7 @@ def test_missing_files_servos_and_wrong_subjects_are_refused(tmp_path):
     with pytest.raises(linkplan.LinkplanError, match="unknown actuator 'act_P'"):
         linkplan.size("knee-reach", motors, actuator="act_P")
     with pytest.raises(
-        linkplan.LinkplanError, match="what is planned is a Problem, a built-in problem's name or a TOML file, got"
+        linkplan.LinkplanError, match="the problem is a Problem, a built-in problem's name or a TOML file, got"
     ):
         linkplan.size(7, motors)
     with pytest.raises(linkplan.LinkplanError, match="rest_s is a number of at least 0, got -1"):

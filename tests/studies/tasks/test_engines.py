@@ -91,7 +91,7 @@ def test_workers_that_die_again_and_again_end_it_in_one_line(monkeypatch):
     said = []
     with pytest.raises(LinkplanError, match=r"workers were lost 2 times; finished parts are kept") as error:
         list(streamed(processes(2), killed, [0, 1], said.append))
-    assert said == ["a worker was lost; what it was at is run again"]
+    assert said == ["a worker was lost; its task runs again"]
     assert "\n" not in str(error.value)
 
 

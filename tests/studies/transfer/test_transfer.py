@@ -127,7 +127,7 @@ def test_a_table_that_misses_its_tolerance_says_so_and_ends_with_1(capsys):
     ("words", "said"),
     [
         (["--joints", "Q"], ["'Q' is not in mechanism", "O, A, C"]),
-        (["--joints", "O,C"], ["2 joints", "1 degrees of freedom"]),
+        (["--joints", "O,C"], ["degrees of freedom (1)", "got O, C"]),
         (["--joints", "C,C"], ["different joints"]),
         (["--joints", "C", "--tolerance", "0"], ["tolerance", "positive"]),
         (["--joints", "C", "--joint-kp", "1,2"], ["--joint-kp has one value for all or 1, got 2"]),
