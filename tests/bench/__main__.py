@@ -12,16 +12,13 @@ from pathlib import Path
 from tests.bench.c_code import bench_c
 from tests.bench.ensemble import bench_ensemble
 from tests.bench.explore import bench_explore
-from tests.bench.loop import bench_loop
 from tests.bench.many import bench_many
-from tests.bench.measurement import bench_measurement
 from tests.bench.mpc import bench_mpc
 from tests.bench.packages import between_nodes
 from tests.bench.peer import bench_peer, bench_plans
 from tests.bench.precision import bench_precision
 from tests.bench.proofs import bench_proofs
 from tests.bench.rounding import bench_rounding
-from tests.bench.scaling import bench_scaling
 from tests.bench.shares import bench_shares
 from tests.bench.sizes import bench_sizes
 
@@ -33,14 +30,11 @@ PARTS: Mapping[str, Callable[[], str]] = {
     "shares": bench_shares,
     "plans": bench_plans,
     "sizes": lambda: bench_sizes(RESULTS),
-    "loop": bench_loop,
     "ensemble": bench_ensemble,
     "explore": bench_explore,
-    "measurement": bench_measurement,
     "c": bench_c,
     "mpc": bench_mpc,
     "proofs": bench_proofs,
-    "scaling": lambda: bench_scaling(RESULTS),
     "precision": lambda: bench_precision(RESULTS),
 }
 # Parts that run only where they are named.

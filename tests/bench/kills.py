@@ -3,7 +3,7 @@
 The ways are kill -9, SIGTERM and Ctrl-C at a random one of the things that the command does to its folders, a disk that is
 full from there on, and one on which no file may grow beyond a random size. What must hold: the earlier result or the new one
 is there whole, nothing of the user's is lost, after the next run there is no litter, the exit code is that of the way, and
-what is said of the result is true. An experiment and a batch go on where they ended: the same command again makes what a run
+what is said of the result is true. A batch goes on where it ended: the same command again makes what a run
 that was left alone makes, byte by byte where nothing is timed.
 """
 
@@ -64,19 +64,16 @@ class Command:
     """A command line that writes into `out`, the name of its record, and a folder of the user's inside of the result.
 
     One that `resumes` leaves its parts beside the result, and goes on from them; `same` are files that are then the same
-    to the last byte as without any ending. One that `keeps` its result does nothing where it stands already.
+    to the last byte as without any ending.
     """
 
     words: tuple[str, ...]
     record: str
     inside: str = ""
     resumes: bool = False
-    keeps: bool = False
     same: tuple[str, ...] = ()
 
 
-# Three blocks of samples and a beginning, each of them short.
-STUDY = "experiment planned --set tracking.duration_s=0.005 --samples 392 --trackers pd --threads 1 -o out"
 COMMANDS = {
     "plan": Command(words=("plan", "knee-reach", "-o", "out"), record="plan.json"),
     "batch": Command(
@@ -86,14 +83,6 @@ COMMANDS = {
         resumes=True,
         same=("near/trajectory.npz", "far/trajectory.npz"),
     ),
-    "experiment": Command(
-        words=tuple(STUDY.split()),
-        record="experiment.json",
-        resumes=True,
-        keeps=True,
-        same=("experiment.json", "results.parquet"),
-    ),
-    "compare": Command(words=("compare", "planned", "-o", "out"), record="compare.json"),
 }
 
 
@@ -232,7 +221,7 @@ def judged(
     wrong += faults(out, before, command.record)
     # Killed between the result and the removal of its parts, the next run removes them.
     parts = {"out.unfinished"} if command.resumes and (way == "kill" or not new) else set()
-    litter = {p.name for p in root.iterdir()} - parts - {"out", "cache", "batch.toml", "planned", "other.txt"}
+    litter = {p.name for p in root.iterdir()} - parts - {"out", "cache", "batch.toml", "other.txt"}
     wrong += [f"{name} is litter" for name in litter]
     if (root / "other.txt").read_text(encoding="utf-8") != "beside it":
         wrong.append("the file beside it is lost")
@@ -241,12 +230,10 @@ def judged(
 
 def prepared(root: Path, name: str, earlier: Path | None) -> dict[str, bytes]:
     """Fill a new folder for a command, with an earlier result or without, and return what is in that."""
-    command, planned = COMMANDS[name], root.parent / "planned"
+    command = COMMANDS[name]
     root.mkdir()
     (root / "other.txt").write_text("beside it", encoding="utf-8")
     (root / "batch.toml").write_text(BATCH, encoding="utf-8")
-    if command.words[1] == "planned":
-        shutil.copytree(planned, root / "planned")
     if earlier is None:
         return {}
     shutil.copytree(earlier, root / "out")
@@ -263,9 +250,6 @@ def ended(name: str, ways: tuple[str, ...], count: int, seed: int) -> list[Outco
     rng, command, found = random.Random(f"{seed}/{name}"), COMMANDS[name], []
     with tempfile.TemporaryDirectory() as place:
         base = Path(place).resolve()
-        (base / "first").mkdir()
-        if command.words[1] == "planned" and forked(base / "first", ("plan", "knee-reach", "-o", "../planned"), int)[0]:
-            raise RuntimeError("the plan to compare cannot be made")
         prepared(base / "run", name, None)
         last = moments(base / "run", command.words)
         earlier = base / "earlier"
@@ -273,7 +257,7 @@ def ended(name: str, ways: tuple[str, ...], count: int, seed: int) -> list[Outco
         shutil.rmtree(base / "run")
         for number in range(count * len(ways)):
             way, root = ways[number % len(ways)], base / "run"
-            before = prepared(root, name, earlier if rng.random() < 0.8 and not command.keeps else None)
+            before = prepared(root, name, earlier if rng.random() < 0.8 else None)
             # With an earlier result there is more to do than without.
             moment = rng.randint(0, _LARGEST_FILE) if way == "size" else rng.randint(1, last + 10)
             code, said = forked(root, command.words, ending(root, way, moment))

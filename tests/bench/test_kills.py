@@ -1,12 +1,10 @@
 """Commands that are ended at random moments: a sample of `python -m tests.bench.kills`, and that it can find something."""
 
-import json
 import os
 
 import pytest
 
 from linkplan.planner.files.folders import write_json, write_whole
-from linkplan.planner.files.manifest import MANIFEST
 from tests.bench import kills
 
 pytestmark = [
@@ -30,13 +28,6 @@ def earlier(tmp_path):
     return tmp_path / "out", kills.content(tmp_path / "out")
 
 
-def test_what_is_whole_is_not_faulted(earlier):
-    out, before = earlier
-    assert kills.faults(out, before, "plan.json") == []
-    write_whole(out, lambda new: write_json(new / "plan.json", {"problem": "new"}))
-    assert kills.faults(out, before, "plan.json") == []
-
-
 @pytest.mark.parametrize(
     ("damage", "fault"),
     [
@@ -50,13 +41,3 @@ def test_what_is_lost_is_found(damage, fault, earlier):
     out, before = earlier
     damage(out)
     assert fault in kills.faults(out, before, "plan.json")
-
-
-def test_litter_in_a_new_result_is_found(earlier):
-    out, before = earlier
-    write_whole(out, lambda new: write_json(new / "plan.json", {"problem": "new"}))
-    (out / "half.tmp").write_text("left behind")
-    assert kills.faults(out, before, "plan.json") == ["half.tmp is litter"]
-    said = json.loads((out / MANIFEST).read_text())
-    (out / MANIFEST).write_text(json.dumps(said | {"files": dict.fromkeys(["plan.json", "half.tmp", "plan.png"], "")}))
-    assert kills.faults(out, before, "plan.json") == ["plan.png is missing"]

@@ -1,19 +1,25 @@
-"""Many machines at once: each is the run of its own loop, whatever runs beside it, and whatever fails beside it."""
+"""Many machines at once: each as if it ran alone, on trees and on linkages with servos and ball joints."""
 
 import copy
 import dataclasses
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
 import pytest
 
 from linkplan.controllers.feedback_loop import states_of
-from linkplan.controllers.imperfections.imperfections import Imperfections, Push, Start
+from linkplan.controllers.imperfections.imperfections import Drives, Imperfections, Machine, Push, Start
 from linkplan.controllers.mujoco_plant import DIVERGED, MujocoPlant
+from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.simulate import Ensemble, simulate
+from linkplan.models.mechanism import load_mechanism
+from linkplan.models.poses.assembly import close_at
+from tests.support.linkages import GRIPPER, RSSR
 from tests.support.machines import LOOP, everything, feedback, follower, reach, run_alone, run_machines
-from tests.support.tolerances_loops import SAME_RUN
+from tests.support.mechanisms import replaced
+from tests.support.scripted import PERIOD_S, Scripted, hard, standing, wave
+from tests.support.tolerances_planner import ROUNDING, SERVO_AS_MOTOR
 
 
 def logs(ensemble: Ensemble, i: int) -> list[np.ndarray]:
@@ -23,34 +29,6 @@ def logs(ensemble: Ensemble, i: int) -> list[np.ndarray]:
 
 def same_bits(first: list[np.ndarray], second: list[np.ndarray]) -> bool:
     return all(np.array_equal(a, b, equal_nan=True) for a, b in zip(first, second, strict=True))
-
-
-@pytest.mark.parametrize("law", [feedback, follower])
-@pytest.mark.parametrize("delay", [0, 2])
-def test_a_machine_without_imperfections_is_the_single_run(law, delay):
-    mechanism, reference = reach()
-    loop = replace(LOOP, delay_periods=delay)
-    single = run_alone(mechanism, reference, law(), loop)
-    many = run_machines(mechanism, reference, law(), loop, [Imperfections()] * 3, threads=2)
-    for i in range(3):
-        assert np.abs(many.pose[:, i] - single.pose_rad).max() < SAME_RUN
-        assert np.abs(many.commanded[:, i] - single.commanded).max() < SAME_RUN * 1e3
-        assert np.abs(many.applied[:, i] - single.applied).max() < SAME_RUN * 1e3
-        assert many.gap_m[i] == pytest.approx(single.gap_m.max(), rel=1e-6)
-    assert np.ptp(single.position_rad) > 1e-3  # it moves
-
-
-def test_a_machine_is_the_same_to_the_last_bit_at_any_batch_size_and_number_of_threads():
-    mechanism, reference = reach()
-    machines = [everything(seed) for seed in range(7)]
-    whole = run_machines(mechanism, reference, follower(), LOOP, machines, threads=1)
-    assert whole.failure == (None,) * 7
-    for size, threads in ((1, 1), (3, 2), (7, 2)):
-        for first in range(0, 7, size):
-            part = run_machines(mechanism, reference, follower(), LOOP, machines[first : first + size], threads)
-            for i in range(len(part.failure)):
-                assert same_bits(logs(part, i), logs(whole, first + i)), (size, threads, first + i)
-    assert not same_bits(logs(whole, 0), logs(whole, 1))
 
 
 def test_a_machine_that_diverges_is_frozen_and_harms_no_other(tmp_path, monkeypatch):
@@ -168,3 +146,95 @@ def test_a_machine_of_many_closes_its_loop_by_a_sparse_jacobian_as_by_a_dense_on
     assert np.abs(found[0][0] - mechanism.home).max() > 1e-3
     for dense, sparse in zip(*found, strict=True):
         assert sparse == pytest.approx(dense, abs=1e-12)
+
+
+CUT = replaced(GRIPPER, 'ctrlrange="-0.6 0.6"', 'ctrlrange="-0.01 0.01"')
+AS_MODELLED = (Imperfections(),) * 3
+
+
+def both(text, efforts, machines=AS_MODELLED, limit=50.0):
+    """Return the single run and an ensemble's of scripted efforts from home."""
+    mechanism = load_mechanism(text)
+    loop = ControlLoop(effort_limit=np.tile([-limit, limit], (mechanism.n_u, 1)))
+    reference, law = standing(mechanism, len(efforts)), Scripted(efforts=efforts)
+    return run_alone(mechanism, reference, law, loop), run_machines(mechanism, reference, law, loop, machines)
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "RK4"])
+@pytest.mark.parametrize("text", [GRIPPER, RSSR], ids=["servo", "ball"])
+def test_a_nominal_machine_runs_as_alone(text, integrator):
+    text = hard(text, 1e-4, integrator)
+    mechanism = load_mechanism(text)
+    efforts = wave(mechanism, 0.05)
+    alone, together = both(text, efforts)
+    assert np.ptp(alone.position_rad[:, 0]) > 1e-3
+    for i in range(3):
+        assert np.abs(together.pose[:, i] - alone.pose_rad).max() < SERVO_AS_MOTOR
+        assert np.abs(together.velocity[:, i] - alone.velocity_rad_s).max() < 100 * SERVO_AS_MOTOR
+        assert np.abs(together.applied[:, i] - alone.applied).max() < ROUNDING
+    assert together.failure == (None,) * 3
+
+
+def test_what_acts_is_what_the_end_of_a_servos_range_leaves():
+    text = hard(CUT, 1e-4)
+    alone, together = both(text, np.tile([5.0, 0.9], (40, 1)))
+    assert alone.commanded[0, 1] == 0.9
+    assert alone.applied[0, 1] < 0.1
+    assert np.ptp(alone.applied[:, 1]) > 1e-4, "the range moves with the servo"
+    assert together.commanded[0, 0, 1] == 0.9
+    # Ten simulator steps a period: a single run logs what acts in the first one, an ensemble the mean of all.
+    assert together.applied[:, 0, 1].max() < 0.1
+    assert np.abs(together.pose[:, 1] - alone.pose_rad).max() < SERVO_AS_MOTOR
+
+
+@pytest.mark.parametrize("text", [GRIPPER, RSSR], ids=["servo", "ball"])
+def test_a_machine_is_the_same_to_the_last_bit_whatever_runs_beside_it(text):
+    machines = [
+        Imperfections(
+            start=Start(position_error=1e-3 * i),
+            machine=Machine(mass_factor=1 + 0.1 * i, viscous=1e-3),
+            drives=Drives(constant_factor=1.0 + 0.01 * i),
+        )
+        for i in range(5)
+    ]
+    mechanism = load_mechanism(text)
+    efforts = wave(mechanism, 0.05)
+    _, many = both(text, efforts, machines)
+    assert len(set(many.pose[-1, :, 0])) == 5
+    for i in (1, 4):
+        _, one = both(text, efforts, machines[i : i + 1])
+        assert np.array_equal(one.pose[:, 0], many.pose[:, i])
+        assert np.array_equal(one.applied[:, 0], many.applied[:, i])
+
+
+def test_a_start_beside_the_path_closes_the_loop_of_a_ball_joint():
+    _, ensemble = both(RSSR, np.zeros((3, 1)), [Imperfections(start=Start(position_error=np.array([0.02, 0.0])))])
+    mechanism = load_mechanism(RSSR)
+    assert mechanism.gap_m(ensemble.pose[0, 0]) < 1e-9
+    assert ensemble.pose[0, 0, mechanism.independent[0]] == pytest.approx(mechanism.home[mechanism.independent[0]] + 0.02)
+
+
+@pytest.mark.parametrize("off", [1.6, -2.5])
+def test_a_start_far_beside_the_path_is_on_the_path_s_branch(off):
+    """A crank that nothing stops: Newton's method from the plan's own start would not close the loop there."""
+    mechanism = load_mechanism("slider-crank")
+    _, ensemble = both("slider-crank", np.zeros((2, 1)), [Imperfections(start=Start(position_error=off))])
+    assert ensemble.failure == (None,)
+    there = close_at(mechanism, mechanism.home[mechanism.independent] + off)
+    assert ensemble.pose[0, 0] == pytest.approx(there, abs=1e-9)
+
+
+@pytest.mark.parametrize("integrator", ["Euler", "implicitfast"])
+def test_a_servo_whose_gain_changes_gives_what_the_end_of_its_range_leaves(integrator):
+    servo = '<general name="grip" tendon="split" gaintype="affine" gainprm="5 1 0" biastype="affine" biasprm="0 -5 0"'
+    old = '<position name="grip" tendon="split" kp="5" kv="0.05" forcerange="-1 1" ctrlrange="-0.6 0.6"/>'
+    text = replaced(GRIPPER, old, f'{servo} forcerange="-1 1" ctrlrange="-0.01 0.01"/>')
+    mechanism = load_mechanism(hard(text, PERIOD_S, integrator))
+    alone, _ = both(hard(text, PERIOD_S, integrator), np.tile([5.0, 0.9], (40, 1)))
+    data = mujoco.MjData(mechanism.model)
+    for pose, applied in zip(alone.pose_rad, alone.applied[:, 1], strict=True):
+        data.qpos[:] = pose
+        mujoco.mj_forward(mechanism.model, data)
+        length = data.actuator_length[mechanism.actuators[1].output]
+        assert applied == pytest.approx((5 + length) * 0.01 - 5 * length, abs=ROUNDING)
+    assert np.ptp(alone.applied[:, 1]) > 1e-3, "the range moves with the servo"

@@ -1,7 +1,6 @@
 """Imperfections: each does to a machine what its unit says, and nothing else."""
 
 import copy
-from dataclasses import replace
 
 import mujoco
 import numpy as np
@@ -19,13 +18,10 @@ from linkplan.controllers.imperfections.imperfections import (
 )
 from linkplan.controllers.imperfections.plant import plant
 from linkplan.controllers.imperfections.sensing import measure, sensing
-from linkplan.controllers.reference import state_at
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.payload import BODY_NAME
-from tests.support.machines import LOOP, everything, follower, reach, run_alone, run_machines
-from tests.support.plans import optimal
+from tests.support.machines import LOOP, everything, reach
 from tests.support.references import hinge_reference
 
 LIMIT = np.array([[-10.0, 10.0]])
@@ -55,17 +51,6 @@ def test_a_delay_of_any_fraction_moves_an_impulse_by_its_time(delay, substeps):
     assert (middles * efforts).sum() / efforts.sum() == pytest.approx(2.5 + delay)
 
 
-def test_a_command_is_rounded_and_cut_and_then_the_torque_constant_acts():
-    efforts = acted(Drives(resolution=0.5, constant_factor=1.1), [0.0, 3.3, 30.0])
-    assert efforts == pytest.approx([0.0, 3.5 * 1.1, 10.0 * 1.1])
-
-
-@pytest.mark.parametrize("factor", [0.5, 1.0, 1.3])
-def test_the_limit_of_efforts_grows_with_a_larger_torque_constant_and_never_shrinks(factor):
-    drives = driving([Drives(constant_factor=factor)], [0.0], [H], 1, np.array([[-10.0, 6.0]]))
-    assert drives.clamp[0, 0] == pytest.approx(max(1.0, factor) * np.array([-10.0, 6.0]))
-
-
 # Sensors.
 
 
@@ -76,23 +61,6 @@ def read(sensors: Sensors, positions: np.ndarray, rate: float) -> tuple[np.ndarr
         s, v = measure(now, k, np.array([[position]]), np.array([[rate]]))
         found.append((s[0, 0], v[0, 0]))
     return tuple(np.array(found).T)
-
-
-def test_a_filtered_difference_of_a_steady_motion_is_its_speed_from_the_start():
-    positions = 0.3 + 2.0 * H * np.arange(50)
-    _, rates = read(Sensors(velocity_filter_hz=30.0), positions, 2.0)
-    assert rates == pytest.approx(2.0)
-
-
-def test_an_encoder_s_offset_does_not_reach_the_filtered_speed():
-    _, rates = read(Sensors(velocity_filter_hz=30.0, offset=0.2), 0.3 + 2.0 * H * np.arange(50), 2.0)
-    assert rates == pytest.approx(2.0)
-
-
-def test_a_filter_s_step_response_is_of_the_first_order():
-    _, rates = read(Sensors(velocity_filter_hz=30.0), 3.0 * H * np.arange(100), 0.0)
-    # the first difference sees half of the way from standing to moving: the sensors were read one period before the start
-    assert 1 - rates[1:] / 3.0 == pytest.approx(np.exp(-2 * np.pi * 30.0 * H * np.arange(1, 100)))
 
 
 def test_noise_has_its_standard_deviation_and_comes_from_its_own_seed():
@@ -121,28 +89,6 @@ def test_only_listed_fields_of_a_model_are_changed_and_the_mechanism_s_own_model
     assert changed <= set(FIELDS)
     assert np.array_equal(before.body_mass, mechanism.model.body_mass)
     assert np.array_equal(before.dof_damping, mechanism.model.dof_damping)
-
-
-def test_a_mass_factor_is_the_single_run_s():
-    mechanism, reference = reach()
-    single = run_alone(mechanism, reference, follower(), replace(LOOP, mass_factor=1.2))
-    many = run_machines(mechanism, reference, follower(), LOOP, [Imperfections(machine=Machine(mass_factor=1.2))])
-    assert np.abs(many.pose[:, 0] - single.pose_rad).max() < 1e-12
-
-
-def test_a_shifted_payload_is_the_mechanism_with_that_payload():
-    mechanism, reference = reach()
-    shift = np.array([0.02, 0.0, -0.03])
-    other = load_mechanism("optimus-knee", payload=replace(mechanism.payload, com_m=mechanism.payload.com_m + shift))
-    shifted = plant(mechanism, reference, LOOP, Imperfections(machine=Machine(com_shift_m=shift)), 1).model
-    accelerations = []
-    for model in (other.model, shifted, mechanism.model):
-        data = mujoco.MjData(model)
-        data.qpos[:], data.qvel[:], data.ctrl[:] = reference.pose_rad[-1], mechanism.home * 0, 20.0
-        mujoco.mj_forward(model, data)
-        accelerations.append(data.qacc_smooth.copy())
-    assert accelerations[1] == pytest.approx(accelerations[0], rel=1e-9)
-    assert abs(accelerations[2] / accelerations[0] - 1).max() > 1e-3
 
 
 def test_a_longer_link_is_longer_and_the_loop_is_closed_with_it():
@@ -205,23 +151,4 @@ def test_a_link_grows_about_its_joint():
     assert np.array(distances[1]) == pytest.approx(1.25 * np.array(distances[0]))
 
 
-@pytest.mark.parametrize(("ctrl", "effort"), [(-100.0, -3.0), (100.0, 3.0), (0.0, 0.5)])
-def test_the_loop_s_limit_is_one_of_the_effort_of_an_actuator_with_a_constant_force(ctrl, effort):
-    model = off_origin()
-    data = mujoco.MjData(model)
-    data.ctrl[:] = ctrl
-    mujoco.mj_forward(model, data)
-    assert data.qfrc_actuator == pytest.approx([effort])
-
-
 # The whole loop.
-
-
-def test_states_between_samples_are_the_plan_s():
-    _, reference = reach()
-    times = np.array([0.00123, 0.0101234, 0.0002])
-    position, velocity = state_at(reference, times)
-    trajectory = optimal("knee-reach").trajectory
-    assert position == pytest.approx(trajectory.position_at(times), abs=1e-9)
-    assert velocity == pytest.approx(trajectory.velocity_at(times), abs=1e-4)
-    assert BODY_NAME  # the payload is there

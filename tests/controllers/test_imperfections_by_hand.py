@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from linkplan.controllers.imperfections.imperfections import Clock, Drives, Imperfections, Machine, Push, Start
+from linkplan.controllers.imperfections.imperfections import Clock, Imperfections, Machine, Push, Start
 from linkplan.controllers.imperfections.plant import closed_pose, plant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop
@@ -16,19 +16,12 @@ from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.tracker import steps_of
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.payload import BODY_NAME, SHANK
 from linkplan.studies.compare.compare import build_tracker
 from tests.support.bodies import HINGE, HINGE_INERTIA
 from tests.support.machines import LOOP, everything, reach, run_machines
 from tests.support.motions import motion_along
 from tests.support.plans import optimal
-from tests.support.references import hinge_reference
 
-# A weight at the end of an arm of no mass.
-ARM_M, ARM_KG = 0.5, 2.0
-ARM = f"""<mujoco><option gravity="0 0 0"/><worldbody><body name="arm"><joint name="J" axis="0 1 0"/>
-<inertial pos="{ARM_M} 0 0" mass="{ARM_KG}" diaginertia="1e-9 1e-9 1e-9"/></body></worldbody>
-<actuator><motor name="motor" joint="J" ctrlrange="-4 4"/></actuator></mujoco>"""
 PERIOD = 1e-3
 
 
@@ -64,12 +57,6 @@ def turned(effort: float = 0.0, mjcf: str = HINGE, **imperfect) -> Ensemble:
 # Of a pure inertia I: what an effort's impulse makes of its speed.
 
 
-def test_a_torque_constant_multiplies_what_acts_beyond_the_limit_of_the_command_too():
-    """The limit is one of the current: 1.1 times 4 N.m act where 10 are asked for."""
-    found = turned(10.0, drives=Drives(constant_factor=1.1))
-    assert found.velocity[-1, 0, 0] == pytest.approx(1.1 * 4.0 * 0.1 / HINGE_INERTIA, rel=1e-9)
-
-
 def test_a_push_is_at_its_time_whatever_the_phase_of_the_clock():
     """Instant k of a clock half a period late is at (k + 0.5) T: only the time until the push's end is shorter."""
     push = Push(start_s=0.0203, duration_s=0.0134, joint="J", effort=3.0)
@@ -79,34 +66,11 @@ def test_a_push_is_at_its_time_whatever_the_phase_of_the_clock():
     assert found.velocity[:, 0, 0] == pytest.approx(3.0 * acting / HINGE_INERTIA, abs=1e-9)
 
 
-def test_a_push_is_at_its_time_where_a_period_has_several_steps():
-    mechanism = load_mechanism(HINGE)
-    reference = hinge_reference(mechanism, 8)  # periods of 10 ms in steps of 2 ms
-    push = Push(start_s=0.0213, duration_s=0.0254, joint="J", effort=3.0)
-    loop = ControlLoop(effort_limit=mechanism.effort_limit)
-    found = run_machines(mechanism, reference, Asks(), loop, [Imperfections(pushes=(push,))])
-    acting = np.clip(reference.time_s - 0.0213, 0.0, 0.0254)
-    assert found.velocity[:, 0, 0] == pytest.approx(3.0 * acting / HINGE_INERTIA, abs=1e-9)
-
-
 def test_an_effort_acts_through_an_actuator_with_a_gain_and_a_constant_force():
     """The model's effort at a ctrl is 2 ctrl + 0.5: an effort of 1.5 is one of 1.5."""
     servo = '<general name="m" joint="J" gainprm="2" biastype="affine" biasprm="0.5" ctrlrange="-9 9" ctrllimited="true"/>'
     found = turned(1.5, HINGE[: HINGE.index("<actuator>")] + f"<actuator>{servo}</actuator></mujoco>")
     assert found.velocity[-1, 0, 0] == pytest.approx(1.5 * 0.1 / HINGE_INERTIA, rel=1e-9)
-
-
-def test_a_push_on_a_body_acts_at_its_centre_of_mass_in_the_world_s_axes():
-    """About +y a force along -z on what lies along +x turns forwards: r x F / (m r^2), the arm turned by a thousandth."""
-    push = Push(start_s=0.01, duration_s=0.004, body="arm", force=np.array([7.0, 0.0, -5.0]))
-    found = turned(mjcf=ARM, pushes=(push,))
-    assert found.velocity[-1, 0, 0] == pytest.approx(5.0 * 0.004 / (ARM_KG * ARM_M), rel=2e-3)
-
-
-def test_coulomb_friction_slows_at_a_constant_rate_whatever_the_speed():
-    found = turned(machine=Machine(coulomb=0.9), start=Start(velocity_error=2.0))
-    assert found.velocity[-1, 0, 0] == pytest.approx(2.0 - 0.9 * 0.1 / HINGE_INERTIA, rel=0.01)
-    assert found.velocity[50, 0, 0] == pytest.approx(2.0 - 0.9 * 0.05 / HINGE_INERTIA, rel=0.01)
 
 
 def test_coulomb_friction_stops_what_moves_and_holds_what_pushes_less():
@@ -144,39 +108,6 @@ def test_friction_at_a_passive_joint_of_the_loop_acts_by_its_share_of_the_motion
     assert abs(share) > 0.1
     assert viscous == pytest.approx(-share * d * share * speed / inertia, rel=0.01)
     assert dry == pytest.approx(-share * c * np.sign(share * speed) / inertia, rel=0.01)
-
-
-def test_a_payload_s_factor_is_on_its_mass_and_inertia_and_on_nothing_else():
-    mechanism, reference = reach()
-    heavy = plant(mechanism, reference, LOOP, Imperfections(machine=Machine(mass_factor=1.3)), 1).model
-    extra = heavy.body_mass - mechanism.model.body_mass
-    body = mujoco.mj_name2id(heavy, mujoco.mjtObj.mjOBJ_BODY, BODY_NAME)
-    assert extra[body] == pytest.approx(0.3 * SHANK.mass_kg)
-    assert np.all(np.delete(extra, body) == 0)
-    assert heavy.body_inertia[body] == pytest.approx(1.3 * mechanism.model.body_inertia[body])
-
-
-def test_a_heavier_payload_s_weight_is_felt_at_the_motor():
-    """At rest the reduced dynamics of O are M_r a = -g dV/ds: V by a finite difference of the payload's height."""
-    mechanism, _ = reach()
-    s, h, heights = mechanism.home, 1e-6, []
-    data = mujoco.MjData(mechanism.model)
-    gamma = np.array(mechanism.dynamics.velocity_map(s)).ravel()
-    body = mujoco.mj_name2id(mechanism.model, mujoco.mjtObj.mjOBJ_BODY, BODY_NAME)
-    for step in (-h, h):
-        data.qpos[:] = s + step * gamma
-        mujoco.mj_kinematics(mechanism.model, data)
-        heights.append(float(-mechanism.model.opt.gravity @ data.xipos[body]))
-    wanted = 0.3 * SHANK.mass_kg * (heights[1] - heights[0]) / (2 * h)
-    needed = []
-    for factor in (1.0, 1.3):
-        model = plant(*reach(), LOOP, Imperfections(machine=Machine(mass_factor=factor)), 1).model
-        data = mujoco.MjData(model)
-        data.qpos[:] = s
-        mujoco.mj_forward(model, data)
-        needed.append(float(gamma @ data.qfrc_bias))
-    assert abs(wanted) > 0.1
-    assert needed[1] - needed[0] == pytest.approx(wanted, rel=1e-6)
 
 
 def test_a_loop_s_stiffness_is_that_of_its_time_constant_and_damping_ratio():
@@ -233,12 +164,3 @@ def test_a_gap_along_the_hinges_of_a_planar_loop_stays_and_takes_no_part_in_its_
     model.site_pos[model.eq_obj1id[0], 0] += 0.2
     with pytest.raises(AssemblyError, match=r"does not close at the start, O = 0 deg, .* a gap of 4[67]\.\d mm remains"):
         closed_pose(model, data, mechanism, mechanism.home)
-
-
-def test_positions_of_a_turning_motion_go_on_from_turn_to_turn():
-    """A turn in 4 periods, sampled for 10: the third turn begins two turns further on."""
-    mechanism = load_mechanism(HINGE)
-    turn = motion_along([0.0, 4 * PERIOD], [0.0, 2 * np.pi], periodic=True)
-    reference = sample(mechanism, turn, PERIOD, 10 * PERIOD)
-    assert reference.position_rad[:, 0] == pytest.approx(0.5 * np.pi * np.arange(10), abs=1e-12)
-    assert reference.pose_rad[:, 0] == pytest.approx(0.5 * np.pi * np.arange(10), abs=1e-12)

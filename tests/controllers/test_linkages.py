@@ -1,21 +1,25 @@
-"""The closed loop in MuJoCo on linkages with servos, tendons, welds and ball joints."""
+"""Simulations of linkages with servos and ball joints, poses that laws close, and efforts within a servo's range."""
 
 from concurrent.futures import ThreadPoolExecutor
 
+import casadi as ca
 import mujoco
 import numpy as np
 import pytest
 import scipy.integrate
 
+from linkplan.controllers.imperfections.servos import ServoInversion
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop, Rollout
+from linkplan.controllers.trackers.computed_torque import ComputedTorque
 from linkplan.controllers.trackers.lqr import lqr
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
+from linkplan.models.reduction.closing import closed_near
 from tests.support.designs import designed
 from tests.support.linkages import GRIPPER, RSSR
-from tests.support.machines import run_alone
+from tests.support.machines import reach, run_alone
 from tests.support.mechanisms import replaced
 from tests.support.scripted import PERIOD_S, STEPS, Scripted, hard, standing, wave
 from tests.support.tolerances import UNIT_VECTOR
@@ -66,16 +70,6 @@ def test_a_servo_gives_the_effort_that_a_motor_would(integrator):
     assert np.abs(np.ptp(first.position_rad, axis=0)).min() > 1e-3, "both coordinates move"
     assert np.abs(first.pose_rad - second.pose_rad).max() < SERVO_AS_MOTOR
     assert np.abs(first.applied - efforts).max() < ROUNDING
-
-
-def test_what_acts_is_what_the_end_of_a_servos_range_leaves():
-    mechanism = load_mechanism(hard(GRIPPER, PERIOD_S))
-    efforts = np.tile([5.0, 0.9], (2, 1))
-    held = replaced(GRIPPER, 'ctrlrange="-0.6 0.6"', 'ctrlrange="-0.01 0.01"')
-    free, cut = scripted(mechanism, efforts, 50.0), scripted(load_mechanism(hard(held, PERIOD_S)), efforts, 50.0)
-    assert np.abs(free.applied[:, 1] - 0.9).max() < ROUNDING
-    assert abs(cut.applied[0, 1] - 5 * 0.01) < ROUNDING, "kp times the end of its range, at rest at home"
-    assert cut.commanded[0, 1] == 0.9
 
 
 def test_servos_that_run_in_threads_of_their_own_do_not_meddle_with_each_other():
@@ -162,3 +156,72 @@ def test_a_playback_pose_is_mujocos():
     assert np.abs(np.linalg.norm(qpos[1:5]) - 1) < UNIT_VECTOR
     ends = [data.site("ball").xpos, data.site("socket").xpos]
     assert np.abs(np.linalg.norm(ends[0] - ends[1]) - rollout.gap_m[-1]) < ROUNDING
+
+
+@pytest.mark.parametrize("by", [-0.6, 0.4, 0.8])
+def test_a_pose_is_closed_on_the_branch_of_one_far_away(by):
+    mechanism = load_mechanism("optimus-knee")
+    near, s = ca.MX.sym("near", mechanism.n_q), ca.MX.sym("s", 1)
+    close = ca.Function("close", [near, s], list(closed_near(mechanism.dynamics, near, s)))
+    position = mechanism.home[mechanism.independent] + by
+    q, gap = (np.array(value).ravel() for value in close(mechanism.home, position))
+    way = mechanism.home[mechanism.independent] + by * np.linspace(0.0, 1.0, 50)[:, None]
+    assert q == pytest.approx(follow(mechanism, way, mechanism.home)[-1], abs=1e-7)
+    assert gap[0] < 1e-7
+
+
+@pytest.mark.parametrize(("gap_m", "measured"), [(3e-7, True), (3e-6, False)])
+def test_computed_torque_answers_for_the_reference_s_pose_where_the_loop_leaves_a_gap(gap_m, measured):
+    mechanism, reference = reach()
+    near, s, v, a = (ca.MX.sym(name, n) for name, n in (("near", mechanism.n_q), ("s", 1), ("v", 1), ("a", 1)))
+    tracker = ComputedTorque(
+        reference=reference, acceleration=np.zeros((reference.n, 1)), stiffness=0.0, damping=0.0,
+        law=ca.Function("law", [near, s, v, a], [s, ca.MX(gap_m)]),
+    )  # fmt: skip
+    there = reference.position_rad[3] + 0.2
+    assert tracker.effort(3, there, reference.velocity_rad_s[3]) == pytest.approx(
+        there if measured else reference.position_rad[3]
+    )
+
+
+GAINS, BIASES = np.array([3.0, 0.5, -0.4]), np.array([0.2, -2.0, -0.7])
+LENGTH, RATE = 0.6, 1.5
+
+
+def of_state(coefficients: np.ndarray) -> float:
+    return float(coefficients @ [1.0, LENGTH, RATE])
+
+
+def controls(effort: float, *, motor: bool = False) -> tuple[float, float]:
+    servo = ServoInversion(
+        gains=GAINS[None], biases=BIASES[None], low=np.array([-1.0]), high=np.array([1.5]), motor=np.array([motor])
+    )
+    ctrl, given = servo.controls(np.array([[effort]]), np.array([[LENGTH]]), np.array([[RATE]]))
+    return float(ctrl[0, 0]), float(given[0, 0])
+
+
+@pytest.mark.parametrize("ctrl", [-0.9, 0.0, 1.4])
+def test_within_its_range_the_ctrl_gives_the_effort(ctrl):
+    effort = of_state(GAINS) * ctrl + of_state(BIASES)
+    assert controls(effort) == (pytest.approx(ctrl, abs=1e-12), effort)
+
+
+@pytest.mark.parametrize(("excess", "end"), [(10.0, 1.5), (-10.0, -1.0)])
+def test_beyond_its_range_the_effort_is_that_of_the_range_s_end(excess, end):
+    given = of_state(GAINS) * end + of_state(BIASES)
+    assert controls(given + excess) == (end, pytest.approx(given))
+    assert controls(given + excess, motor=True) == (pytest.approx(given), pytest.approx(given))
+
+
+@pytest.mark.parametrize(("share", "steers"), [(5e-9, True), (5e-10, False)])
+def test_a_gain_below_a_billionth_of_its_own_at_home_counts_as_none(share, steers):
+    """The gain g0 (1 - l) vanishes at a length of one, where no ctrl changes the effort."""
+    servo = ServoInversion(
+        gains=np.array([[3.0, -3.0, 0.0]]), biases=np.array([[0.2, -2.0, 0.0]]),
+        low=np.array([-np.inf]), high=np.array([np.inf]), motor=np.array([False]),
+    )  # fmt: skip
+    length = 1.0 - share
+    bias = 0.2 - 2.0 * length
+    ctrl, given = servo.controls(np.array([[bias + 3.0 * share]]), np.array([[length]]), np.zeros((1, 1)))
+    assert ctrl[0, 0] == pytest.approx(1.0 if steers else 0.0, rel=1e-5)
+    assert given[0, 0] == (bias + 3.0 * share if steers else pytest.approx(bias, abs=1e-12))

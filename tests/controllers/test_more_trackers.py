@@ -10,7 +10,7 @@ import pytest
 
 from linkplan.controllers.imperfections.imperfections import Imperfections, Sensors
 from linkplan.controllers.linearisation import discretise, linearise
-from linkplan.controllers.reference import SampledReference, sample
+from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.trackers.integral_lqr import integrable
 from linkplan.controllers.trackers.mpc import HORIZON_BLOCKS
@@ -23,19 +23,12 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.studies.compare.compare import build_tracker
 from tests.support.machines import run_alone, run_machines
 from tests.support.plans import optimal
+from tests.support.references import PERIOD, reference_of
 from tests.support.tolerances_planner import ROUNDING, SAME_FIGURE
 
 needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")
 
 MORE = ("lqi", "gs-pd+ff", "ct", "mpc")
-PERIOD = 1e-3
-
-
-@cache
-def reference_of(name: str, period_s: float = PERIOD, duration_s: float | None = None) -> SampledReference:
-    plan = optimal(name)
-    duration = plan.trajectory.duration_s if duration_s is None else duration_s
-    return sample(plan.problem.mechanism, plan.trajectory, period_s, duration)
 
 
 @cache
@@ -239,14 +232,6 @@ def test_mpc_without_an_active_limit_is_lqr():
         np.testing.assert_allclose(
             asked("mpc", k, position, velocity), asked("lqr", k, position, velocity), rtol=1e-9, atol=ROUNDING
         )
-
-
-def test_a_run_of_mpc_that_meets_no_limit_is_lqr_s():
-    lqr, mpc = run_of("lqr", "knee-reach", mass_factor=1.2, delay=1), run_of("mpc", "knee-reach", mass_factor=1.2, delay=1)
-    assert lqr.saturated_fraction == 0
-    assert np.abs(lqr.error_rad).max() > 1e-3
-    np.testing.assert_allclose(mpc.position_rad, lqr.position_rad, rtol=0, atol=1e-6 * np.abs(lqr.error_rad).max())
-    np.testing.assert_allclose(mpc.applied, lqr.applied, rtol=1e-6)
 
 
 def test_mpc_keeps_the_limits_that_lqr_goes_beyond():

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from linkplan.controllers import rigid_plant
 from linkplan.controllers.imperfections.imperfections import Clock, Imperfections, Start
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
@@ -90,15 +89,6 @@ def test_held_and_delayed_efforts_on_a_hinge_are_the_closed_form(delay, late):
         assert runs.velocity[k, 0, 0] == pytest.approx(speed, rel=SAME_FIGURE, abs=ROUNDING)
 
 
-@pytest.mark.parametrize(("delay", "share"), [(0.0, 0.0), (0.25, 0.25), (1.5, 0.5)])
-def test_what_acts_in_a_period_is_the_mean_of_both_commands(delay, share):
-    mechanism = load_mechanism(HINGE)
-    runs = simulate(RigidPlant(mechanism=mechanism, delay_periods=delay), Ramp(), hinge_reference(mechanism, 8))
-    arrived = np.maximum(np.arange(8.0) - np.floor(delay), 0.0) + 1.0
-    before = np.maximum(arrived - 1.0, 1.0)
-    np.testing.assert_allclose(runs.applied[:, 0, 0], share * before + (1 - share) * arrived, rtol=1e-12)
-
-
 def test_a_long_period_is_integrated_in_steps_of_the_simulator():
     """A rod falls for half a second under a held effort: scipy's answer, for a slow clock beside a fast one too."""
     mechanism = load_mechanism(PENDULUM.format(limit=9))
@@ -146,23 +136,6 @@ def test_a_run_that_is_lost_ends_there_and_harms_no_other():
     assert both.failure == (None, LOST)
     assert np.isnan(both.pose[-1, 1]).all()
     np.testing.assert_array_equal(both.pose[:, 0], alone.pose[:, 0])
-
-
-@pytest.mark.parametrize(("gaps", "failure"), [((0.0, 0.0), None), ((0.1, 0.0), LOST), ((0.0, 0.1), LOST)])
-def test_a_loop_that_opens_in_either_part_of_a_period_is_lost(monkeypatch, gaps, failure):
-    """A command that arrives within a period divides it in two; the gaps [m] at the ends of its parts are given."""
-    parts, onward = [], rigid_plant.evaluated
-
-    def evaluated(function, state, *given):
-        after, opened = onward(function, state, *given)
-        parts.append(state)
-        return after, np.full_like(opened, gaps[(len(parts) - 1) % 2])
-
-    monkeypatch.setattr(rigid_plant, "evaluated", evaluated)
-    mechanism = load_mechanism(HINGE)
-    plant = RigidPlant(mechanism=mechanism, delay_periods=0.25)
-    assert simulate(plant, Ramp(), hinge_reference(mechanism, 4)).failure == (failure,)
-    assert len(parts) >= 2
 
 
 # Computed torque: e'' + 2 zeta w e' + w^2 e = 0, whose answer for zeta = 1 is e_0 (1 + w t) exp(-w t).

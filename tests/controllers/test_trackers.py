@@ -1,4 +1,4 @@
-"""Trackers: pure laws, gains against scipy's, linearisation against differences, hold against its closed form."""
+"""Trackers: laws against their formulas, held dynamics, Riccati's recursions, predictions along the motion ahead."""
 
 from functools import cache
 
@@ -9,29 +9,25 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from linkplan.controllers.linearisation import discretise, linearise
-from linkplan.controllers.reference import SampledReference, sample
-from linkplan.controllers.trackers.lqr import lqr
+from linkplan.controllers.reference import SampledReference, pose_advance, sample, state_at
+from linkplan.controllers.trackers.lqr import lqr, regulate
 from linkplan.controllers.trackers.pd import pd
+from linkplan.controllers.trackers.prediction import condensing, predictor
 from linkplan.controllers.trackers.tracker import StateFeedback, with_feedforward
+from linkplan.models.errors import GainError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, HINGE_INERTIA
 from tests.support.designs import designed
 from tests.support.fourbar import SHANK, knee
+from tests.support.motions import motion_along
 from tests.support.plans import optimal
-from tests.support.references import hinge_reference
-from tests.support.tolerances_planner import EXPONENTIAL, GAINS, LINEARISATION, ROUNDING, SAME_FIGURE
+from tests.support.references import PERIOD, hinge_reference, reference_of
+from tests.support.tolerances_planner import EXPONENTIAL, GAINS, ROUNDING, SAME_FIGURE
 
-PERIOD = 1e-3
 TRACKERS = ("pd", "pd+ff", "lqr")
-
-
-@cache
-def reference_of(name: str, period_s: float = PERIOD, duration_s: float | None = None) -> SampledReference:
-    plan = optimal(name)
-    duration = plan.trajectory.duration_s if duration_s is None else duration_s
-    return sample(plan.problem.mechanism, plan.trajectory, period_s, duration)
 
 
 def lqr_of(plan: Plan, reference: SampledReference) -> StateFeedback:
@@ -89,11 +85,6 @@ def test_a_reference_repeats_after_whole_periods_only(name, period, cycle):
     assert reference_of(name, period, 0.1).cycle == cycle
 
 
-def test_a_reference_s_arrays_cannot_be_written_to():
-    with pytest.raises(ValueError, match="read-only"):
-        reference_of("knee-reach").position_rad[0] = 0
-
-
 # The laws.
 
 
@@ -116,24 +107,11 @@ def test_feedforward_adds_the_reference_s_own_effort():
     np.testing.assert_array_equal(tracker_of("pd+ff").effort(7, *state), expected)
 
 
-@pytest.mark.parametrize("kind", ["pd+ff", "lqr"])
-def test_on_the_reference_itself_only_the_feedforward_acts(kind):
-    reference = reference_of("knee-reach")
-    for k in (0, 80, 159):
-        effort = tracker_of(kind).effort(k, reference.position_rad[k], reference.velocity_rad_s[k])
-        np.testing.assert_array_equal(effort, reference.effort[k])
-
-
 def test_lqr_is_the_gains_times_the_state_s_error():
     tracker, reference = tracker_of("lqr"), reference_of("knee-reach")
     effort = tracker.effort(30, reference.position_rad[30] - 0.01, reference.velocity_rad_s[30] + 0.2)
     gains = tracker.gains[30, 0]
     assert effort - reference.effort[30] == pytest.approx(gains[0] * 0.01 - gains[1] * 0.2)
-
-
-@pytest.mark.parametrize("kind", TRACKERS)
-def test_a_tracker_s_name_is_the_one_in_tables(kind):
-    assert tracker_of(kind).name == kind
 
 
 @pytest.mark.parametrize("kind", TRACKERS)
@@ -149,48 +127,7 @@ def test_a_tracker_is_a_pure_law(kind, instants, position, velocity):
     assert (s[0], v[0]) == (position, velocity)
 
 
-@pytest.mark.parametrize("kind", TRACKERS)
-def test_a_tracker_does_not_saturate(kind):
-    far = tracker_of(kind).effort(10, np.array([-50.0]), np.array([0.0]))
-    farther = tracker_of(kind).effort(10, np.array([-500.0]), np.array([0.0]))
-    assert far[0] > 1000
-    assert farther[0] > 5 * far[0]
-
-
-@pytest.mark.parametrize("kind", [StateFeedback, SampledReference])
-def test_a_tracker_has_no_state_to_change(kind):
-    assert kind.__dataclass_params__.frozen
-
-
 # Linearisation and hold.
-
-
-def test_the_linearisation_is_the_difference_quotient_along_the_closed_chain():
-    mechanism, reference = optimal("knee-reach").problem.mechanism, reference_of("knee-reach")
-    instants = np.array([3, 40, 90, 155])
-    A, B = linearise(mechanism, reference.pose_rad[instants], reference.velocity_rad_s[instants], reference.effort[instants])
-    step = 1e-5
-
-    def acceleration(k: int, x: np.ndarray) -> np.ndarray:
-        pose = close_at(mechanism, x[:1], reference.pose_rad[k])
-        return np.array(mechanism.dynamics.acceleration(pose, x[1:2], x[2:])).ravel()
-
-    for index, k in enumerate(instants):
-        at = np.concatenate([reference.position_rad[k], reference.velocity_rad_s[k], reference.effort[k]])
-        scale = np.maximum(1.0, np.abs(at))
-        shifted = [step * scale[j] * np.eye(3)[j] for j in range(3)]
-        expected = [(acceleration(k, at + d) - acceleration(k, at - d)) / (2 * d.sum()) for d in shifted]
-        exact = np.concatenate([A[index, 1], B[index, 1]])
-        np.testing.assert_allclose(exact, np.concatenate(expected), atol=LINEARISATION * np.abs(exact).max())
-        np.testing.assert_array_equal(A[index, 0], [0, 1])
-        np.testing.assert_array_equal(B[index, 0], [0])
-
-
-def test_the_linearisation_s_input_column_is_the_inverse_of_the_reduced_inertia():
-    mechanism, reference = optimal("knee-reach").problem.mechanism, reference_of("knee-reach")
-    _, B = linearise(mechanism, reference.pose_rad, reference.velocity_rad_s, reference.effort)
-    inertia = knee().carrying("crank", SHANK).inertia(reference.position_rad[:, 0])
-    np.testing.assert_allclose(B[:, 1, 0], 1 / inertia, rtol=SAME_FIGURE)
 
 
 @pytest.mark.parametrize("period", [1e-4, 0.1, 2.0])
@@ -269,20 +206,157 @@ def test_the_gains_of_a_periodic_motion_are_those_of_a_long_recursion():
     np.testing.assert_allclose(tracker_of("lqr", "knee-sine-shank").gains, gains, rtol=GAINS)
 
 
-def test_the_loop_over_a_cycle_is_stable():
-    A, B, _, _ = knee_matrices("knee-sine-shank")
-    gains = tracker_of("lqr", "knee-sine-shank").gains
-    over_a_cycle = np.eye(2)
-    for k in range(len(A)):
-        over_a_cycle = (A[k] - B[k] @ gains[k]) @ over_a_cycle
-    assert np.abs(np.linalg.eigvals(over_a_cycle)).max() < 0.01
+# x+ = a x + b u over a cycle of three instants, with costs q x^2 + r u^2; feedback is weak, so that a cycle forgets slowly.
+a, b, q, r = np.array([1.02, 0.97, 1.01]), np.array([0.2, 0.1, 0.15]), 0.05, 1.0
 
 
-def test_a_dearer_effort_gives_softer_gains():
-    plan, reference = optimal("knee-reach"), reference_of("knee-reach")
+def scalar(repeats: bool, along=a, steered=b):
+    return regulate(
+        along[:, None, None], steered[:, None, None], np.array([[q]]), np.array([[r]]), repeats=repeats
+    )  # fmt: skip
 
-    def stiffness(limit: float) -> float:
-        tracker = lqr(designed(plan.problem.mechanism, reference, (0.02, 2.0, np.array([limit]))))
-        return float(tracker.gains[:, 0, 0].mean())
 
-    assert stiffness(1.0) < 0.5 * stiffness(10.0) < 0.25 * stiffness(100.0)
+def endless(along: np.ndarray, steered: np.ndarray) -> float:
+    """Return the cost at the beginning of endless cycles."""
+    p = 1.0
+    for _ in range(2000):
+        for k in (2, 1, 0):
+            p = q + along[k] ** 2 * p * r / (r + steered[k] ** 2 * p)
+    return p
+
+
+@pytest.mark.parametrize("steered", [b, 0.2 * b, b * [1, 1, 0]], ids=["strong", "weak", "not at its end"])
+def test_costs_of_a_cycle_are_those_of_endless_cycles(steered):
+    found, p = scalar(repeats=True, steered=steered), endless(a, steered)
+    assert found.cost[0, 0, 0] == pytest.approx(p, rel=1e-12)
+    assert found.gains[2, 0, 0] == pytest.approx(a[2] * steered[2] * p / (r + steered[2] ** 2 * p), rel=1e-12)
+
+
+@pytest.mark.parametrize("repeats", [True, False])
+def test_what_grows_without_an_effort_that_acts_has_no_gain(repeats):
+    with pytest.raises(GainError, match="no stabilising gain"):
+        scalar(repeats, steered=0 * b, along=1.1 * np.ones(3))
+
+
+def stacked_program(A, B, e, w, Q, R, P) -> tuple[np.ndarray, np.ndarray]:
+    """Return the Hessian and gradient of half of sum (e + dx)' Q (e + dx) + (w + d)' R (w + d) by one matrix for all dx."""
+    blocks, m, n_u = len(A), A[0].shape[0], B[0].shape[1]
+    way = np.zeros((blocks * m, blocks * n_u))
+    for b in range(blocks):
+        effect = B[b]
+        for later in range(b, blocks):
+            way[later * m : (later + 1) * m, b * n_u : (b + 1) * n_u] = effect
+            effect = A[later + 1] @ effect if later + 1 < blocks else effect
+    weight = scipy.linalg.block_diag(*[Q] * (blocks - 1), P)
+    costs = np.kron(np.eye(blocks), R)
+    return way.T @ weight @ way + costs, way.T @ weight @ e.T.ravel() + costs @ w.T.ravel()
+
+
+@pytest.mark.parametrize(("blocks", "m", "n_u"), [(1, 2, 1), (3, 2, 1), (4, 3, 2)])
+def test_the_condensed_program_is_that_of_stacked_matrices(blocks, m, n_u):
+    draw = np.random.default_rng(blocks)
+    A, B = draw.normal(size=(blocks, m, m)), draw.normal(size=(blocks, m, n_u))
+    e, w = draw.normal(size=(m, blocks)), draw.normal(size=(n_u, blocks))
+    Q, R, P = (x @ x.T for x in (draw.normal(size=(m, m)), draw.normal(size=(n_u, n_u)), draw.normal(size=(m, m))))
+    hessian, gradient = condensing(blocks, m, n_u)(np.hstack(list(A)), np.hstack(list(B)), e, w, Q, R, P)
+    expected = stacked_program(A, B, e, w, Q, R, P)
+    assert np.array(hessian) == pytest.approx(expected[0], rel=1e-10, abs=1e-10)
+    assert np.array(gradient).ravel() == pytest.approx(expected[1], rel=1e-10, abs=1e-10)
+
+
+def test_a_prediction_is_along_the_corrected_motion_from_the_measured_state():
+    """Two blocks: the error after each is the corrected step less the reference's, the slopes are half-way along it."""
+    mechanism, block_s, kept = load_mechanism("optimus-knee"), 2e-3, np.array([0, 1])
+    near = mechanism.home
+    model = predictor(mechanism, kept, 2, block_s, "never")
+    s, v = near[mechanism.independent] + 0.02, np.array([1.5])
+    means, corrections = np.array([[3.0, -4.0]]), np.array([[30.0, -60.0]])
+    begins = [np.append(near, 0.5)]
+    begins.append(np.array(model.step(begins[0], means[:, 0])).ravel())
+    owns = [begins[1], np.array(model.step(begins[1], means[:, 1])).ravel()]
+    Q, R, P = np.diag([2.0, 0.5]), np.array([[0.3]]), np.diag([5.0, 1.0])
+    hessian, gradient, gap = model.program(near, s, v, np.array(begins).T, means, np.array(owns).T, corrections, Q, R, P)
+    assert float(gap) < 1e-9
+    x, errors, A, B = np.append(close_at(mechanism, s, near), v), [], [], []
+    for b in range(2):
+        effort = means[:, b] + corrections[:, b]
+        after = np.array(model.step(x, effort)).ravel()
+        half = 0.5 * (x + after)
+        block = np.zeros((3, 3))
+        of_state, of_effort = linearise(mechanism, half[None, :-1], half[None, -1:], effort[None])
+        block[:2, :2], block[:2, 2:] = of_state[0], of_effort[0]
+        exponential = scipy.linalg.expm(block_s * block)
+        A.append(exponential[:2, :2])
+        B.append(exponential[:2, 2:])
+        error = after - owns[b]
+        errors.append([error[mechanism.independent[0]], error[-1]])
+        x = begins[b + 1] + error if b == 0 else after
+    expected = stacked_program(A, B, np.array(errors).T, corrections, Q, R, P)
+    assert np.array(hessian) == pytest.approx(expected[0], rel=1e-7)
+    assert np.array(gradient).ravel() == pytest.approx(expected[1], rel=1e-7)
+
+
+SAMPLING_S = 0.01
+
+
+def cubic_samples(n: int = 6) -> tuple[SampledReference, np.polynomial.Polynomial]:
+    """Return n samples of a cubic in time, and the cubic."""
+    path = np.polynomial.Polynomial([0.3, -2.0, 40.0, 700.0])
+    time = SAMPLING_S * np.arange(n)
+    reference = SampledReference(
+        period_s=SAMPLING_S, time_s=time, pose_rad=path(time)[:, None], position_rad=path(time)[:, None],
+        velocity_rad_s=path.deriv()(time)[:, None], effort=np.zeros((n, 1)), cycle=None,
+    )  # fmt: skip
+    return reference, path
+
+
+def turning(start: float, periods: float) -> Trajectory:
+    """Return a hinge's turn at constant speed from a start [rad], over a number of control periods."""
+    return motion_along([0.0, periods * SAMPLING_S], start + np.array([0.0, 2 * np.pi]), periodic=True)
+
+
+@pytest.mark.parametrize("at", [0.0, 0.4, 1.0, 2.75, 4.0, 4.99])
+def test_between_samples_a_cubic_motion_is_itself(at):
+    reference, path = cubic_samples()
+    position, velocity = state_at(reference, at * SAMPLING_S)
+    assert position == pytest.approx([path(at * SAMPLING_S)], abs=ROUNDING)
+    assert velocity == pytest.approx([path.deriv()(at * SAMPLING_S)], abs=1e3 * ROUNDING)
+
+
+@pytest.mark.parametrize("beyond", [0.5, 1.0, 3.25])
+def test_after_the_last_sample_the_motion_goes_on_at_its_last_velocity(beyond):
+    reference, _ = cubic_samples()
+    last, speed = reference.position_rad[-1], reference.velocity_rad_s[-1]
+    position, velocity = state_at(reference, reference.time_s[-1] + beyond * SAMPLING_S)
+    assert position == pytest.approx(last + beyond * SAMPLING_S * speed, abs=ROUNDING)
+    assert velocity == pytest.approx(speed, abs=1e3 * ROUNDING)
+
+
+def test_a_turn_from_anywhere_advances_by_one_turn():
+    mechanism = load_mechanism(HINGE)
+    assert pose_advance(mechanism, turning(2.0, 4)) == pytest.approx([2 * np.pi])
+    reference = sample(mechanism, turning(2.0, 4), SAMPLING_S, 10 * SAMPLING_S)
+    assert reference.pose_rad[:, 0] == pytest.approx(2.0 + 0.5 * np.pi * np.arange(10), abs=1e-12)
+
+
+def test_later_cycles_repeat_the_first_to_the_last_bit():
+    """Trackers take their gains of a cycle once."""
+    reference = sample(load_mechanism(HINGE), swinging(7), SAMPLING_S, 30 * SAMPLING_S)
+    assert reference.cycle == 7
+    for name in ("position_rad", "velocity_rad_s", "effort"):
+        values = getattr(reference, name)
+        assert np.ptp(values) > 0  # it moves
+        assert np.array_equal(values[7:14], values[:7])
+        assert np.array_equal(values[21:28], values[:7])
+
+
+def swinging(periods: int) -> Trajectory:
+    """Return a hinge's swing that begins and ends in one place at one speed."""
+    duration = periods * SAMPLING_S
+    position = np.array([0.0, 0.1, -0.1, 0.0]).reshape(4, 1, 1)
+    return motion_along([0.0, duration], position, periodic=True)
+
+
+@pytest.mark.parametrize(("ratio", "cycle"), [(7.0, 7), (7.0 + 1e-8, 7), (7.0 + 1e-4, None), (7.5, None)])
+def test_a_cycle_is_a_whole_number_of_periods_but_for_rounding(ratio, cycle):
+    assert sample(load_mechanism(HINGE), turning(0.0, ratio), SAMPLING_S, 20 * SAMPLING_S).cycle == cycle

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.poses.along import needed_effort
-from linkplan.models.poses.assembly import close_at, follow
+from linkplan.models.poses.assembly import follow
 from tests.support.fourbar import G
 from tests.support.mechanism_checks import (
     acceleration,
@@ -19,7 +19,7 @@ from tests.support.mechanism_checks import (
     tracked,
 )
 from tests.support.mechanisms import derivative
-from tests.support.tolerances import ANGLE_RAD, DIFFERENCES, HELD_NM, KNEE, relative_error
+from tests.support.tolerances import ANGLE_RAD, DIFFERENCES, HELD_NM, relative_error
 from tests.support.tolerances_planner import BOUNDARY, CLOSURE_M, ROLLOUT_GAP_M, WORK
 
 NAME = "five-bar"
@@ -86,13 +86,6 @@ def slope(th: np.ndarray) -> np.ndarray:
 def pose(th: np.ndarray) -> np.ndarray:
     """Return the closed pose, reached by turning both motors together first, which keeps the linkage's shape."""
     return follow(mechanism_of(NAME), np.array([[th.mean(), th.mean()], th]))[1]
-
-
-def test_two_motors_are_the_two_freedoms():
-    mechanism = mechanism_of(NAME)
-    assert (mechanism.n_q, len(mechanism.closure_rows), mechanism.n_u) == (4, 2, 2)
-    assert [joint.name for joint in mechanism.independent_joints] == ["O1", "O2"]
-    assert mechanism.effort_limit.tolist() == [[-TORQUE, TORQUE]] * 2
 
 
 @at_every_pose
@@ -202,10 +195,3 @@ def test_lqr_tracks_a_plan_in_mujoco(problem):
     assert rollout.stable
     assert np.degrees(np.abs(rollout.error_rad).max()) < 1.0
     assert rollout.gap_m.max() < ROLLOUT_GAP_M
-
-
-def test_the_home_pose_is_the_one_drawn():
-    mechanism = mechanism_of(NAME)
-    assert mechanism.home_gap_m < CLOSURE_M
-    drawn = close_at(mechanism, np.radians([-90.0, -90.0]))
-    assert np.abs(mechanism.home - drawn).max() < KNEE

@@ -14,7 +14,6 @@ from tests.support.mechanism_checks import (
     lagrangian_acceleration,
     mechanism_of,
     plan_of,
-    rigid_acceleration,
     tracked,
 )
 from tests.support.slider_crank import inertia, potential, rod, slider
@@ -57,14 +56,6 @@ def test_acceleration_is_lagrange_s(th):
     v, u = np.array([23.0]), np.array([1.3])
     expected = lagrangian_acceleration(inertia, potential, np.array([th]), v, u)
     assert relative_error(acceleration(mechanism_of(NAME), pose(th), v, u), expected) < DIFFERENCES
-
-
-@at_every_angle
-def test_acceleration_is_that_of_mujocos_masses_forces_and_rows(th):
-    mechanism, v, u = mechanism_of(NAME), np.array([23.0]), np.array([1.3])
-    assert (
-        relative_error(acceleration(mechanism, pose(th), v, u), rigid_acceleration(mechanism, pose(th), v, u)) < DIFFERENCES
-    )
 
 
 def test_the_slider_turns_back_at_both_dead_centres_and_the_crank_turns_fully():

@@ -10,7 +10,7 @@ import linkplan
 from linkplan.models.audit import audit
 from linkplan.models.catalogue import MODELS
 from linkplan.models.closure.newton import CLOSED_M
-from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError, choose
+from linkplan.models.errors import AssemblyError, LinkplanError, ProblemError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.payload import SHANK
 from linkplan.models.poses.assembly import close_at
@@ -53,16 +53,9 @@ def test_an_odd_string_for_a_model_is_refused_in_one_line(asked):
     assert_names(refusal(lambda: load_mechanism(asked)), "model")
 
 
-def test_a_folder_is_refused_as_a_model(tmp_path):
-    assert_names(refusal(lambda: load_mechanism(tmp_path)), str(tmp_path), "folder", "MJCF file")
-
-
 FILES = {
     "empty": (b"", "is empty"),
-    "white space": (b" \n\t\n", "is empty"),
     "binary": (bytes(range(256)), "does not parse"),
-    "utf-16": (FOUR_BAR.encode("utf-16"), "does not parse"),
-    "prose": (b"not a model", "does not parse"),
     "cut short": (FOUR_BAR.encode()[:400], "does not parse"),
     "another root": (b"<html></html>", "html"),
     "a missing mesh": (
@@ -89,19 +82,9 @@ def test_a_good_file_is_a_model_of_its_own_name(tmp_path):
 
 
 TEXTS = {
-    "bracket only": ("<", "does not parse"),
-    "unclosed": (FOUR_BAR.replace("</worldbody>", ""), "does not parse"),
     "unknown element": (TWO_BODIES % "<gearbox/>", "gearbox"),
-    "unknown attribute": (replaced(TWO_BODIES % "", 'name="ja"', 'name="ja" colour="1"'), "colour"),
-    "too few numbers": (replaced(TWO_BODIES % "", 'pos="0.1 0 0"', 'pos="0.1 0"'), "pos"),
-    "no number": (replaced(TWO_BODIES % "", 'size="0.1"', 'size="big"'), "size"),
-    "missing site": (TWO_BODIES % '<equality><connect site1="sa" site2="sb"/></equality>', "sb"),
-    "missing joint": (TWO_BODIES % '<actuator><motor joint="jc"/></actuator>', "jc"),
     "no mass": (replaced(TWO_BODIES % "", '<geom size="0.1" pos="0.3 0 0"/><site', "<site"), "left"),
     "negative mass": (replaced(PENDULUM, 'mass="2"', 'mass="-2"'), "rod"),
-    "mass is no number": (replaced(PENDULUM, 'mass="2"', 'mass="nan"'), "rod"),
-    "impossible inertia": (replaced(PENDULUM, "0.01 0.02 0.01", "0.01 0.05 0.01"), "inertia"),
-    "repeated name": (replaced(TWO_BODIES % "", '"jb" axis', '"ja" axis'), "ja"),
     "range upside down": (replaced(PENDULUM, 'range="-1 2"', 'limited="true" range="2 -1"'), "range"),
     "no joint": ("<mujoco><worldbody><geom size='1'/></worldbody></mujoco>", "no joint"),
     "nothing": ("<mujoco/>", "no joint"),
@@ -149,26 +132,13 @@ CUBE = {"body": "crank", "mass_kg": 1.0, "com_m": [0.0, 0.0, 0.0], "inertia_kgm2
 
 PAYLOADS = {
     "unknown body": ({"body": "cranc"}, ["'cranc'", "did you mean 'crank'?", "coupler", "rocker"]),
-    "the world": ({"body": "world"}, ["'world'", "crank"]),
-    "no name": ({"body": ""}, ["body", "crank"]),
-    "body is a number": ({"body": 3}, ["payload.body", "3"]),
     "body of two lines": ({"body": "a\nb"}, ["payload.body", "crank"]),
     "negative mass": ({"mass_kg": -1.0}, ["payload.mass_kg", "positive", "-1"]),
     "no mass": ({"mass_kg": 0}, ["payload.mass_kg", "positive", "0"]),
-    "mass nan": ({"mass_kg": np.nan}, ["payload.mass_kg", "positive", "nan"]),
-    "mass infinite": ({"mass_kg": np.inf}, ["payload.mass_kg", "positive", "inf"]),
-    "mass true": ({"mass_kg": True}, ["payload.mass_kg", "True"]),
-    "mass text": ({"mass_kg": "1"}, ["payload.mass_kg", "'1'"]),
     "mass beyond floats": ({"mass_kg": 10**400}, ["payload.mass_kg"]),
     "com nan": ({"com_m": [0.0, np.nan, 0.0]}, ["payload.com_m[1]", "a number", "nan"]),
-    "com of two": ({"com_m": [0.0, 0.0]}, ["payload.com_m", "three"]),
-    "com nested": ({"com_m": [[0.0, 0.0, 0.0]]}, ["payload.com_m", "a number", "[0.0, 0.0, 0.0]"]),
-    "com text": ({"com_m": "abc"}, ["payload.com_m", "three", "abc"]),
-    "com beyond floats": ({"com_m": [10**400, 0, 0]}, ["payload.com_m"]),
     "inertia negative": ({"inertia_kgm2": [1.0, 1.0, -0.1]}, ["payload.inertia_kgm2[2]", "at least 0", "-0.1"]),
     "inertia of no body": ({"inertia_kgm2": [1.0, 1.0, 2.5]}, ["payload.inertia_kgm2", "not that of a rigid body", "2.5"]),
-    "inertia nan": ({"inertia_kgm2": [1.0, np.nan, 1.0]}, ["payload.inertia_kgm2[1]", "a number", "nan"]),
-    "inertia a table": ({"inertia_kgm2": {}}, ["payload.inertia_kgm2", "three"]),
     "unknown key": ({"mass": 1.0}, ["'mechanism.payload.mass'", "did you mean 'mass_kg'?", *CUBE]),
     "key of two lines": ({"mass\nkg": 1.0}, ["payload.", *CUBE]),
 }
@@ -177,22 +147,6 @@ PAYLOADS = {
 @pytest.mark.parametrize(("change", "words"), PAYLOADS.values(), ids=PAYLOADS)
 def test_a_bad_payload_is_refused_by_key_and_value(change, words):
     assert_names(refusal(lambda: linkplan.load_mechanism("optimus-knee", payload=CUBE | change)), *words)
-
-
-@pytest.mark.parametrize("key", ["body", "mass_kg", "com_m"])
-def test_a_payload_without_a_key_that_it_needs_is_refused(key):
-    table = {name: value for name, value in CUBE.items() if name != key}
-    assert_names(refusal(lambda: linkplan.load_mechanism("optimus-knee", payload=table)), f"payload.{key} is missing")
-
-
-def test_a_misspelt_payload_is_refused_with_the_nearest_name():
-    message = refusal(lambda: load_mechanism("optimus-knee", payload="shunk"))
-    assert_names(message, "'shunk'", "did you mean 'shank'?", "none")
-
-
-@pytest.mark.parametrize("value", [3, [1, 2], 1.5])
-def test_a_payload_that_is_neither_name_nor_table_is_refused(value):
-    assert_names(refusal(lambda: linkplan.load_mechanism("optimus-knee", payload=value)), "payload", "shank", repr(value))
 
 
 def test_a_payload_on_a_model_without_its_body_is_refused():
@@ -212,18 +166,8 @@ def test_a_misspelt_joint_is_refused_with_the_joints():
     assert_names(refusal(lambda: mechanism.joint_index("o")), "'o'", "'four-bar'", "O, A, C")
 
 
-def test_a_name_is_refused_with_the_error_that_was_asked_for():
-    mechanism = load_mechanism(FOUR_BAR)
-    assert_names(refusal(lambda: mechanism.joint_index("K", ProblemError), ProblemError), "'K'", "O, A, C")
-
-
 def test_a_home_with_an_unknown_joint_is_refused_with_the_joints():
     assert_names(refusal(lambda: load_mechanism(FOUR_BAR, home={"K": 0.0})), "'K'", "'four-bar'", "O, A, C")
-
-
-@pytest.mark.parametrize("value", [1001.0, -1001.0, np.nan])
-def test_a_home_of_more_than_a_thousand_radians_is_refused(value):
-    assert_names(refusal(lambda: load_mechanism(FOUR_BAR, home={"O": value})), "'O'", "within 1000 rad or m", str(value))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 1e15, "upright", None], ids=str)
@@ -238,22 +182,12 @@ def test_a_position_out_of_reach_is_refused_by_joint(position):
     assert_names(message, "'optimus-knee'", f"O = {np.degrees(position):.6g} deg", "does not close")
 
 
-def test_a_choice_among_nothing_says_that_nothing_is_legal():
-    assert_names(refusal(lambda: choose("gain", "x", [])), "unknown gain 'x'", "legal: none")
-
-
-@pytest.mark.parametrize("kind", [AssemblyError, ModelError, ProblemError])
-def test_every_error_is_a_linkplan_error(kind):
-    assert issubclass(kind, LinkplanError)
-
-
 # What the reduced dynamics leave out is named
 
 LEFT_OUT = {
     "springyield": ('name="ja"', 'name="ja" stiffness="1" springyield="1"', ["springyield", "ja"], True),
     "tendon armature": ('name="cable"', 'name="cable" armature="3"', ["armature", "cable"], True),
     "fluid": ("<worldbody>", '<option density="1.2"/><worldbody>', ["fluid"], True),
-    "viscosity": ("<worldbody>", '<option viscosity="1.2"/><worldbody>', ["fluid"], True),
     "servo": ("</tendon>", '</tendon><actuator><position name="servo" joint="ja"/></actuator>', ["servo"], False),
     "inactive weld": (
         "</tendon>",

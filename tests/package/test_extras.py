@@ -45,11 +45,9 @@ def saved(knee, tmp_path_factory):
         (lambda at: at.site("foot")[2], "unknown site 'foot' in at.site"),
         (lambda at: at.site("C"), "must return a CasADi scalar, got shape (3, 1)"),
         (lambda _: 3.0, "got a value of type float"),
-        (lambda _: None, "got a value of type NoneType"),
         (lambda _: ca.SX(3.0), "depends on position, velocity, acceleration, jerk or effort, got a constant"),
         (lambda at: at.site("C")[5], "its expression fails with RuntimeError"),
         (lambda at: 1 if angle(at) > 0 else 0, "its expression fails with RuntimeError"),
-        (lambda at: at.nothing, "its expression fails with AttributeError"),
         (lambda: 1, "its expression fails with TypeError"),
     ],
 )
@@ -69,15 +67,12 @@ def test_an_expression_that_is_no_scalar_of_the_motion_is_refused_in_one_line(kn
     ("given", "said"),
     [
         ({"name": ""}, "name is a word that can be shown, got ''"),
-        ({"name": None}, "name is a word that can be shown, got None"),
-        ({"name": "two\nlines"}, "name is a word that can be shown"),
         ({"name": "x" * 101}, "at most 100 characters, got 101"),
         ({"expression": 3}, "expression is a function of an instant, got 3"),
         ({"unit": 3}, "unit is a word, got 3"),
         ({"upper": np.inf}, "needs lower < upper, one of them finite"),
         ({"lower": 2.0}, "needs lower < upper, one of them finite, got lower = 2 and upper = 1"),
         ({"upper": "1"}, "upper is a number, got '1'"),
-        ({"upper": np.nan}, "upper is a number, got nan"),
     ],
 )
 def test_a_limit_that_cannot_be_is_refused_when_it_is_made(given, said):
@@ -96,10 +91,8 @@ def test_a_cost_s_weight_is_a_positive_number(weight):
     ("given", "said"),
     [
         ({"extra_limits": LIMIT}, "extra_limits is a list of linkplan.ExtraLimit"),
-        ({"extra_limits": np.zeros((30, 30))}, "extra_limits is a list of linkplan.ExtraLimit"),
         ({"extra_limits": [COST]}, "extra_limits is a list of linkplan.ExtraLimit"),
         ({"extra_costs": [LIMIT]}, "extra_costs is a list of linkplan.ExtraCost"),
-        ({"extra_costs": 3}, "extra_costs is a list of linkplan.ExtraCost, got 3"),
         ({"extra_limits": [LIMIT, LIMIT]}, "names that differ, got 'wide' more than once"),
         ({"extra_costs": [ExtraCost(name="effort", expression=angle)]}, "the name of a term of objective.minimize"),
         ({"extra_costs": [], "minimize": {}}, "objective.minimize names at least one of"),

@@ -3,6 +3,7 @@
 import ast
 import importlib
 import inspect
+import os
 import re
 import subprocess
 import sys
@@ -153,3 +154,19 @@ def test_positions_and_velocities_state_their_unit_in_their_names():
     shares = {"Certificate.velocity_residual"}
     assert len(quantities) > 30
     assert {name for name in quantities if not re.search(r"_(rad|deg|m)(_s2?)?$", name)} == shares
+
+
+ASK = """
+import os, sys
+from linkplan.__main__ import main
+sys.argv = ["linkplan", "list"]
+main()
+os.write(2, os.environ["OPENBLAS_NUM_THREADS"].encode())
+"""
+
+
+def test_a_command_uses_one_thread_unless_told_otherwise():
+    given = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
+    for more, threads in (({}, "1"), ({"OPENBLAS_NUM_THREADS": "2"}, "2")):
+        done = subprocess.run([sys.executable, "-c", ASK], env=given | more, capture_output=True, text=True, check=True)
+        assert done.stderr == threads

@@ -1,4 +1,4 @@
-"""Mechanisms, problems and plans go to other processes and come back: what they say is the same there."""
+"""Values that go to other processes, and values that are refused in one line."""
 
 import copy
 import pickle
@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 import linkplan
-from linkplan.models.errors import InertiaError, InfeasibleError, LockedError
+from linkplan.models.errors import InertiaError, InfeasibleError, LinkplanError, LockedError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.planner.search.replan import NextMotion
 from tests.support.plans import optimal
+from tests.support.refusals import refusal
 
 
 @pytest.fixture(scope="module")
@@ -34,14 +36,6 @@ def test_a_plan_is_the_same_motion_with_the_same_certificate(plan):
 
 def test_a_problem_is_planned_elsewhere_as_here(plan):
     assert linkplan.plan(sent(plan.problem)).objective == plan.objective
-
-
-def test_a_mechanisms_loops_close_elsewhere_too(plan):
-    knee = plan.problem.mechanism
-    again = sent(knee)
-    pose = knee.home + np.array([0.1, 0.0, 0.0])
-    np.testing.assert_array_equal(np.array(again.dynamics.closure(pose)), np.array(knee.dynamics.closure(pose)))
-    np.testing.assert_array_equal(again.qpos_of(pose), knee.qpos_of(pose))
 
 
 @pytest.mark.parametrize("another", [copy.copy, copy.deepcopy, sent], ids=["copy", "deep copy", "pickle"])
@@ -72,3 +66,47 @@ def test_at_no_times_sites_have_no_places():
     assert places_of(mechanism, 0, np.zeros((0, mechanism.n_q))).shape == (0, 3)
     for values in (trajectory.position_at, trajectory.velocity_at, trajectory.acceleration_at, trajectory.effort_at):
         assert values(np.zeros(0)).shape == (0, 2)
+
+
+NO_PATHS = (None, b"plan", 5, ["reach_plan"], "", "a\0b", "\ud800", "x" * 300)
+
+
+@pytest.fixture(scope="module")
+def reach_plan() -> linkplan.Plan:
+    return linkplan.Plan.of(optimal("knee-reach"))
+
+
+@pytest.mark.parametrize("value", NO_PATHS)
+def test_what_is_no_path_is_refused(value, reach_plan):
+    for action in (linkplan.read_plan, reach_plan.save, reach_plan.report):
+        assert "a path" in refusal(lambda action=action: action(value), LinkplanError)
+
+
+@pytest.mark.usefixtures("drawn_figures")
+@pytest.mark.parametrize("value", [b"plan", 5, "a\0b", "\ud800", "no/such/folder.png", "plan.tiff.xyz"])
+def test_a_figure_that_cannot_be_saved_is_refused(value, reach_plan, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    refusal(lambda: reach_plan.plot(value), LinkplanError)
+
+
+@pytest.mark.parametrize("value", ["now", 10**400, float("nan"), [[0.0]], object()])
+def test_what_is_no_time_is_refused_of_a_plan_and_of_a_next_motion(value, reach_plan):
+    none = dict.fromkeys(("position_bound_rad", "velocity_bound_rad_s", "effort_bound"), np.zeros(1))
+    step = NextMotion(
+        problem=reach_plan.problem,
+        trajectory=reach_plan.trajectory,
+        **none,
+        duration_error_s=0.0,
+        violation=0.0,
+        newton_s=0.0,
+        settled=True,
+    )
+    for motion in (reach_plan, step):
+        assert "times are finite" in refusal(lambda motion=motion: motion.sample(value), LinkplanError)
+
+
+@pytest.mark.parametrize("value", ["\ud800", range(2), {"O": "\ud800"}])
+def test_half_a_character_and_what_only_looks_like_a_table_are_refused(value):
+    reach = linkplan.Problem.reach
+    refusal(lambda: reach("optimus-knee", start_deg=value, goal_deg={"O": 1.0}, duration_s=0.1), LinkplanError)
+    refusal(lambda: reach("optimus-knee", start_deg={"O": 0.0}, goal_deg={"O": 1.0}, waypoints=[value]), LinkplanError)

@@ -1,10 +1,24 @@
-"""References for trackers that stand apart from any plan."""
+"""References for trackers: of built-in plans, and apart from any plan."""
+
+from functools import cache
 
 import numpy as np
 
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.models.mechanism import Mechanism
 from tests.support.motions import motion_along
+from tests.support.plans import optimal
+
+# A control period [s].
+PERIOD = 1e-3
+
+
+@cache
+def reference_of(name: str, period_s: float = PERIOD, duration_s: float | None = None) -> SampledReference:
+    """Return the reference that a built-in problem's plan gives its trackers."""
+    plan = optimal(name)
+    duration = plan.trajectory.duration_s if duration_s is None else duration_s
+    return sample(plan.problem.mechanism, plan.trajectory, period_s, duration)
 
 
 def hinge_reference(mechanism: Mechanism, n: int = 50) -> SampledReference:

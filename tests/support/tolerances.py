@@ -49,15 +49,9 @@ MOMENT = 1e-10
 # MuJoCo's soft constraint extrapolated on random mechanisms, whose masses differ ten thousandfold, from softnesses a hundred
 # thousandth and a millionth of its hardest: what is left is of second order. Measured on 200: 8e-7.
 RANDOM_LIMIT = 5e-6
-# The order with which MuJoCo's acceleration approaches ours there, 1. Measured within 0.1 on 200 mechanisms.
-RANDOM_ORDER = 0.1
-# The rate of energy against power, relative to the larger of the powers and the kinetic energy per second: rounding.
-POWER_RATE = 1e-9
 
 # Gap [m] of an assembled loop: what assembly promises.
 GAP_M = 1e-11
-# Gap [m] of a model that is drawn closed to its last digit.
-DRAWN_GAP_M = 1e-15
 # Gap [m] along a sweep: its own promise is 1e-11.
 SWEPT_GAP_M = 1e-10
 # Coordinates [rad] of one pose, assembled in two ways: both loops' gaps over links of a decimetre.
@@ -85,8 +79,6 @@ CONSERVED = 1e-9
 MOTION_FROM_EFFORT = 1e-8
 # Acceleration under an effort through a transmission, relative: as TREE_ACCELERATION, through the transmission's moment.
 ACTION = 1e-9
-# A servo's effort in MuJoCo at the ctrl that is to give it, relative to the ctrl: rounding.
-SERVO_EFFORT = 1e-12
 # What a motor cannot give of a motion of one freedom [N.m]: nothing but rounding.
 MISSED_NM = 1e-9
 # Figures as documents print them: to their last digit.

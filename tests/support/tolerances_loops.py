@@ -35,8 +35,6 @@ STEPPED = 1e-6
 # A frequency as a whole number of periods in whole samples, relative; the nearest of them to one that was asked.
 WHOLE_PERIODS = 0.01
 NEAREST_WHOLE = 5e-3
-# Decibels to four printed digits.
-PRINTED_DB = 1e-4
 # Loops of the five-bar, measured with the other loop closed: soft loops, as the knee's.
 COUPLED_DB, COUPLED_DEG = 0.1, 1.0
 # Response below saturation against the linear one, relative: soft loops at 25 and 40 Hz.
@@ -57,8 +55,7 @@ RADIUS = 1e-9
 QUICK, QUICK_DEG = 5e-3, 0.3
 # Liouville's determinant, relative: slopes by differences of samples.
 LIOUVILLE = 0.02
-# Speeds [rad/s] at which a simulated model counts as settled; the stiffest constraint's gap, relative.
+# Speeds [rad/s] at which a simulated model counts as settled.
 SETTLED_SPEED = 1e-4
-STIFFEST = 1e-6
 # A batch of simulations against single runs [rad]: the same operations in the same order. Measured 0; times 1e3 for efforts.
 SAME_RUN = 1e-13

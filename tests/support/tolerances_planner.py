@@ -46,8 +46,6 @@ EFFORT_JUMP = 1e-6
 NEEDED_EFFORT = 1e-5
 # The largest effort of a coarse grid against a fine one, relative: a parabola's height between samples.
 PEAK_ON_A_GRID = 1e-3
-# Extremes of twenty thousand samples against the exact ones, relative: the same, squared.
-PEAK_OF_SAMPLES = 1e-6
 # A loop's gap in a plan [m]: what DESIGN promises. Measured 2e-16.
 CLOSURE_M = 1e-9
 # Independent joints after integrating a plan, against the plan [deg]: what DESIGN promises of every plan.
@@ -68,8 +66,6 @@ FOLLOWED_DEG = 1e-3
 SINUSOID = 1e-10
 # Share of home's distance to a singular pose, against the transmission angle's sine, to which it is near but not equal.
 SINGULARITY = 0.3
-# The integration error of a motion from disk against the same before, relative: the same arithmetic, a loaded pose.
-CERTIFIED_AGAIN = 1e-6
 # The certificate's slack on ranges and speeds [rad, rad/s]: rounding of degrees.
 RANGE_SLACK = 1e-9
 # Energy balance of a plan, relative to the work done: trapezia across a switch and the collocation's own error.
@@ -84,8 +80,6 @@ CSV = 1e-10
 EXPONENTIAL = 1e-13
 # Riccati gains against scipy's own solution, relative: condition of the Riccati equation. Measured 1e-11.
 GAINS = 1e-8
-# Linearisation against central differences of the acceleration, relative to the largest entry. Measured 1e-9.
-LINEARISATION = 1e-6
 # A loop's gap while MuJoCo tracks [m]: the constraint is soft by design; micrometres are what the model file promises.
 ROLLOUT_GAP_M = 1e-5
 # The knee's sinusoid under PD 200/1 [deg rms]: measured 0.0236; twice the gains' lag would show 0.05.

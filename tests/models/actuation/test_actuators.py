@@ -226,7 +226,6 @@ def test_a_servo_is_named_with_what_its_ctrl_is_for():
 
 UNUSABLE = {
     "filtered servo": ('<position name="x" joint="crank" kp="5" timeconst="0.1"/>', "state", True),
-    "integrated velocity": ('<intvelocity name="x" joint="crank" kp="5" actrange="-1 1"/>', "integrator", True),
     "filtered motor": ('<general name="x" joint="crank" dyntype="filter" dynprm="0.1"/>', "filter", False),
     "damper": ('<damper name="x" joint="crank" kv="2" ctrlrange="0 1"/>', "vanishes at rest", False),
     "muscle": ('<muscle name="x" tendon="rope" lengthrange="0.1 2"/>', "muscle", True),
@@ -235,7 +234,6 @@ UNUSABLE = {
     "tendon through a geom": ('<motor name="x" tendon="wrapped"/>', "inside", False),
     "servo on a rotation": ('<position name="x" site="end" refsite="ground" gear="0 0 0 0 1 0"/>', "one turn", True),
     "pid": ('<pid name="x" joint="crank" kp="3"/>', "2 controls", True),
-    "dc motor": ('<dcmotor name="x" joint="crank" motorconst="0.1" resistance="1" inductance="0.01"/>', "state", True),
     "delayed": ('<motor name="x" joint="crank" delay="0.01" nsample="4"/>', "delayed", False),
     "no gear": ('<motor name="x" joint="crank" gear="0"/>', "gear is zero", False),
     "gear on an axis that a hinge has not": ('<motor name="x" joint="crank" gear="0 1 0 0 0 0"/>', "first number", False),

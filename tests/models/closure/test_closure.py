@@ -21,11 +21,9 @@ from tests.support.mechanisms import (
 from tests.support.tolerances import (
     CLOSURE,
     DIFFERENCES,
-    ENERGY,
     MOTION_FROM_EFFORT,
     REDUCED,
     SOFT_LIMIT,
-    TREE,
     relative_error,
 )
 
@@ -96,21 +94,6 @@ def test_the_pin_force_of_an_upright_four_bar_is_mujocos_efc_force(seed, anchor_
     assert relative_error(force, expected) < SOFT_LIMIT
 
 
-@pytest.mark.slow
-@on_every_mechanism
-def test_closure_forces_balance_the_tree_exactly(name):
-    c = case(name)
-    h = 1e-3
-    for k, (q, v, a, u) in enumerate(c.samples()):
-        s = c.simulated(k)
-        path = path_derivatives(c.mechanism, q, v, a, h)[1]
-        force = np.array(c.mechanism.dynamics.closure_force(q, v, a, u)).ravel()
-        # Along the motion the motors may miss (u is not what a needs), across it the loop must make up the difference.
-        missing = s.mass_matrix @ path + s.bias - s.passive - s.moment.T @ u - s.rows.T @ force
-        scale = np.abs(s.rows.T @ force).max()
-        assert np.abs(missing[c.mechanism.dependent]).max() < DIFFERENCES * scale
-
-
 def path_derivatives(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray, h: float):
     """Return q' and q'' at q of the motion s = s0 + v t + a t^2 / 2, by differences of assembled poses."""
     s = q[mechanism.independent]
@@ -129,19 +112,6 @@ def test_joint_rates_are_the_derivative_of_the_assembled_pose(name):
         assert relative_error(rates[k], path_derivatives(c.mechanism, q, v, a, 1e-3)[0]) < DIFFERENCES
 
 
-@pytest.mark.slow
-@on_every_mechanism
-def test_inverse_dynamics_is_the_trees_along_the_assembled_motion(name):
-    c = case(name)
-    for k, (q, v, a, _) in enumerate(c.samples()):
-        s = c.simulated(k)
-        acceleration = path_derivatives(c.mechanism, q, v, a, 1e-3)[1]
-        basis = null_space_map(c.mechanism, s.rows)
-        expected = basis.T @ (s.mass_matrix @ acceleration + s.bias - s.passive)
-        actual = np.array(c.mechanism.dynamics.inverse_dynamics(q, v, a)).ravel()
-        assert relative_error(actual, expected) < DIFFERENCES
-
-
 @on_every_mechanism
 def test_acceleration_undoes_inverse_dynamics(name):
     c = case(name)
@@ -149,24 +119,6 @@ def test_acceleration_undoes_inverse_dynamics(name):
     for q, v, _, u in c.samples():
         needed = np.array(dynamics.inverse_dynamics(q, v, dynamics.acceleration(q, v, u))).ravel()
         assert relative_error(needed, np.array(dynamics.effort_map(q) @ u).ravel()) < REDUCED
-
-
-@on_every_mechanism
-def test_the_residual_is_what_the_motors_miss(name):
-    c = case(name)
-    dynamics = c.mechanism.dynamics
-    for q, v, a, u in c.samples():
-        expected = np.array(dynamics.inverse_dynamics(q, v, a) - dynamics.effort_map(q) @ u)
-        assert relative_error(np.array(dynamics.residual(q, v, a, u)), expected) < REDUCED
-
-
-@on_every_mechanism
-def test_flow_is_joint_rates_and_acceleration(name):
-    c = case(name)
-    for k, (q, v, _, u) in enumerate(c.samples()):
-        rates, acceleration = (np.array(x).ravel() for x in c.mechanism.dynamics.flow(q, v, u))
-        assert relative_error(rates, joint_rates(c.mechanism, c.q, c.v)[k]) < TREE
-        assert relative_error(acceleration, np.array(c.mechanism.dynamics.acceleration(q, v, u)).ravel()) < TREE
 
 
 @on_every_mechanism
@@ -207,14 +159,6 @@ def test_linearised_at_a_pose_is_the_linearisation_there(name):
         both = zip(linearised(c.mechanism.dynamics, q, v, u), c.mechanism.dynamics.linearisation(q, v, u), strict=True)
         for actual, expected in both:
             assert relative_error(actual, np.array(expected)) < REDUCED
-
-
-@on_every_mechanism
-def test_kinetic_energy_is_half_the_reduced_inertia_times_speed_squared(name):
-    c = case(name)
-    for q, v, _, _ in c.samples():
-        inertia = np.array(c.mechanism.dynamics.reduced_inertia(q))
-        assert relative_error(float(c.mechanism.dynamics.energy(q, v)[0]), v @ inertia @ v / 2) < ENERGY
 
 
 @on_every_mechanism

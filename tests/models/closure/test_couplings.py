@@ -156,11 +156,6 @@ def test_a_coupling_said_twice_takes_one_freedom():
     assert load_mechanism(replaced(GRIPPER, "</equality>", again)).dof == loaded("gripper").dof
 
 
-def test_an_inactive_coupling_takes_none():
-    text = replaced(GRIPPER, '<joint name="mirror"', '<joint active="false" name="mirror"')
-    assert load_mechanism(text).dof == loaded("gripper").dof + 1
-
-
 def test_the_fingers_of_the_gripper_stay_mirrored_and_upright():
     mechanism = loaded("gripper")
     for s in ([0.0, 0.3], [0.1, -0.25]):

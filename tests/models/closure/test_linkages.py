@@ -17,7 +17,6 @@ from tests.support.mechanisms import Simulated, replaced, simulated
 from tests.support.tolerances import (
     GAP_M,
     INTEGRATED_GAP,
-    MOMENT,
     POWER,
     RANDOM_LIMIT,
     REACH_END,
@@ -83,14 +82,6 @@ def test_the_velocity_map_is_within_the_null_space_of_mujocos_rows(name):
         assert np.abs(rows).max() > 0.01, "the loop is closed in MuJoCo"
         assert np.abs(rows @ mechanism.qvel_of(q, rates)).max() < REDUCED * np.abs(v).max()
         assert np.linalg.matrix_rank(rows, tol=1e-9) == mechanism.n_q - mechanism.dof
-
-
-@on_every_linkage
-def test_actuator_moments_are_mujocos(name):
-    mechanism = loaded(name)
-    for q, _, rates, _ in samples(name):
-        expected = velocity_matrix(mechanism, q).T @ in_mujoco(mechanism, q, rates).moment.T
-        assert relative_error(np.array(mechanism.dynamics.effort_matrix(q)), expected) < MOMENT
 
 
 @on_every_linkage

@@ -1,11 +1,18 @@
-"""Loops that coordinates outside of them leave alone."""
+"""Quantities along poses: rates, efforts within limits, and the inertia that a drive feels."""
 
+import copy
+
+import mujoco
 import numpy as np
 import pytest
+import scipy
 
-from linkplan.models.mechanism import load_mechanism
+from linkplan.models.mechanism import Mechanism, load_mechanism
+from linkplan.models.poses.along import effort_within, least_effort
 from linkplan.models.poses.assembly import advance, follow, in_loops
+from linkplan.models.poses.felt_inertia import felt_inertia
 from linkplan.models.poses.reach import reach, toggles
+from tests.support.parallel_ankle import ankle_text, soft_ankle
 
 # A parallelogram whose rocker carries an arm: no loop turns with the arm.
 ARM_ON_A_LOOP = """<mujoco><default><geom type="capsule" size=".01"/><joint axis="0 1 0"/></default><worldbody>
@@ -48,3 +55,83 @@ def test_the_reach_of_a_joint_outside_the_loops_is_its_range(arm):
     can = reach(arm, 1)
     assert np.degrees([can.lower.position, can.upper.position]) == pytest.approx([-60, 60])
     assert (can.singular, toggles(arm, 1)) == ((), ())
+
+
+def test_of_two_cables_one_pulls_and_the_other_rests():
+    """u_1 - u_2 = tau with 0 <= u <= 3; of 5 the most that there is."""
+    maps, limit = np.tile([[[1.0, -1.0]]], (4, 1, 1)), np.array([[0.0, 3.0], [0.0, 3.0]])
+    found = effort_within(np.array([[2.0], [-1.5], [0.0], [5.0]]), maps, limit)
+    np.testing.assert_allclose(found, [[2.0, 0.0], [0.0, 1.5], [0.0, 0.0], [3.0, 0.0]], atol=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_efforts_within_limits_miss_by_no_more_than_a_search_does(seed):
+    rng = np.random.default_rng(seed)
+    tau, maps = rng.normal(size=(10, 2)), rng.normal(size=(10, 2, 4))
+    assert np.array_equal(effort_within(tau, maps, np.array([[-np.inf, np.inf]] * 4)), least_effort(tau, maps))
+    tight = np.array([[-0.3, 0.5]] * 4)
+    found = effort_within(tau, maps, tight)
+    assert -0.3 - 1e-9 <= found.min() <= found.max() <= 0.5 + 1e-9
+    for u, wanted, B in zip(found, tau, maps, strict=True):
+        searched = scipy.optimize.minimize(lambda x, B=B, w=wanted: np.sum((B @ x - w) ** 2), np.zeros(4), bounds=tight)
+        assert np.sum((B @ u - wanted) ** 2) <= searched.fun + 1e-9
+
+
+def test_of_many_weak_drives_each_is_at_its_limit_or_helps_no_more():
+    """The gradient g of |B u - tau|^2 is 0 inside the limits, at most 0 at the upper one and at least 0 at the lower."""
+    rng = np.random.default_rng(0)
+    size = 10 ** rng.uniform(-3, 3, size=(20, 1))  # of the coordinates
+    maps, most = size * rng.normal(size=(5, 20, 25)), 10 ** rng.uniform(-3, 1, size=25)
+    tau = 10 * rng.normal(size=(5, 20))
+    found = effort_within(tau, maps, np.stack([-most, most], axis=1))
+    slope = np.einsum("ksu,ks->ku", maps, np.einsum("ksu,ku->ks", maps, found) - tau) / (size.max() * np.abs(tau).max())
+    share = found / most
+    assert np.sum(np.abs(share) > 1 - 1e-9) > 50  # most drives are too weak
+    assert np.abs(share).max() <= 1 + 1e-9
+    np.testing.assert_allclose(np.where(np.abs(share) < 1 - 1e-9, slope, np.maximum(0, slope * share)), 0, atol=1e-6)
+
+
+def rigid(mechanism: Mechanism) -> np.ndarray:
+    """Return the inertia of each coordinate with closed loops, the others free."""
+    return 1.0 / np.linalg.inv(np.array(mechanism.dynamics.reduced_inertia(mechanism.home))).diagonal()
+
+
+def simulated(mechanism: Mechanism) -> np.ndarray:
+    """Return one over MuJoCo's own accelerations by a unit force on each coordinate, less those without."""
+    model, found = copy.copy(mechanism.model), []
+    data = mujoco.MjData(model)
+    model.opt.tolerance, model.opt.iterations, model.opt.disableflags = 0.0, 200, mujoco.mjtDisableBit.mjDSBL_WARMSTART
+    model.dof_frictionloss[:] = 0.0  # sliding friction does not depend on the acceleration
+    data.qpos[:] = mechanism.qpos_of(mechanism.home)
+    mujoco.mj_forward(model, data)
+    still = data.qacc.copy()
+    for joint in mechanism.independent_joints:
+        dof = model.joint(joint.name).dofadr[0]
+        data.qfrc_applied[:] = 0.0
+        data.qfrc_applied[dof] = 1.0
+        mujoco.mj_forward(model, data)
+        found.append(1.0 / (data.qacc - still)[dof])
+    return np.array(found)
+
+
+def test_behind_stiff_loops_a_drive_feels_the_whole_mechanism():
+    mechanism = load_mechanism(ankle_text())
+    assert felt_inertia(mechanism, mechanism.home) == pytest.approx(rigid(mechanism), rel=0.02)
+
+
+def test_behind_soft_loops_a_drive_feels_little_more_than_its_own_link():
+    mechanism = load_mechanism(soft_ankle(1e-6))
+    felt = felt_inertia(mechanism, mechanism.home)
+    assert felt.min() < 0.9 * rigid(mechanism)[felt.argmin()]
+    assert felt == pytest.approx(simulated(mechanism), rel=1e-3)
+
+
+def test_contacts_asked_for_between_parts_that_stand_still_do_not_count():
+    """MuJoCo makes room for their rows in its Jacobian, and leaves them out."""
+    mechanism = load_mechanism(
+        """<mujoco><worldbody><geom name="a" size="0.1"/><body pos="0.1 0 0"><geom name="b" size="0.1"/></body>
+          <body pos="0 3 0"><joint name="arm" axis="0 1 0"/><geom size="0.1" pos="0.2 0 0" mass="2"/></body></worldbody>
+          <contact><pair geom1="a" geom2="b"/></contact>
+          <actuator><motor joint="arm" ctrlrange="-9 9"/></actuator></mujoco>"""
+    )
+    assert felt_inertia(mechanism, mechanism.home) == pytest.approx([2 * (0.2**2 + 0.4 * 0.1**2)])

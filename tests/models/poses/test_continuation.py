@@ -6,7 +6,6 @@ import pytest
 from linkplan.models.compiled.functions import evaluated
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.poses import assembly
 from linkplan.models.poses.assembly import advance, advance_all, close_at, closing_of, continue_to, follow, stride_along
 from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
@@ -116,24 +115,6 @@ def test_a_stride_is_regular_only_where_newton_converges():
     assert are_regular(closing_of(mechanism), before, after, phi, corrections)
     corrections[:, len(mechanism.dependent) :] += 0.01 * 0.02  # the last step
     assert not are_regular(closing_of(mechanism), before, after, phi, corrections)
-
-
-def test_the_walk_is_asked_where_strides_are_not_regular(monkeypatch):
-    mechanism = load_mechanism("optimus-knee")
-    end = reach(mechanism).upper.position
-    path = np.linspace([end - 0.02], [end - 1e-4], 5)
-    asked = []
-    monkeypatch.setattr(assembly, "advance", lambda *of: asked.append(of) or advance(*of))
-    poses = follow(mechanism, path)
-    assert asked
-    assert np.all(mechanism.gaps_m(poses) < 1e-11)
-
-
-def test_functions_evaluated_in_place_are_the_functions():
-    mechanism = load_mechanism("five-bar")
-    found = evaluated(mechanism.dynamics.closure_step, mechanism.home)
-    for a, b in zip(found, mechanism.dynamics.closure_step(mechanism.home), strict=True):
-        np.testing.assert_array_equal(a, np.array(b))
 
 
 def test_a_way_is_open_as_far_as_the_reach_goes():

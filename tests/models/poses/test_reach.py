@@ -1,14 +1,22 @@
-"""The reach: where a coordinate's way ends and why, against the closed forms of planar linkages."""
+"""The reach: where a coordinate's way ends and why, ranges of ball joints, and after how many turns all is back."""
 
+import mujoco
 import numpy as np
 import pytest
 import scipy.optimize
 
+import linkplan
 from linkplan.models.closure.newton import CLOSED_M
-from linkplan.models.mechanism import load_mechanism
+from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses import reach as reach_file
+from linkplan.models.poses.assembly import close_at
+from linkplan.models.poses.period import travel_scales, turn_of
 from linkplan.models.poses.reach import reach, toggles
+from linkplan.planner.problem.start import is_open
+from linkplan.studies.check.new.clear_way import obstacle_on_way
 from tests.support.four_bars import PLAIN, RANGED, load, random_bars
+from tests.support.hexapod import hexapod
+from tests.support.linkages import RSSR
 from tests.support.mechanisms import (
     CHAINS,
     CRANK_ROCKER,
@@ -35,17 +43,6 @@ def test_the_reach_of_a_four_bar_ends_at_its_singular_poses(bar):
     assert (r.lower.reason, r.upper.reason) == ("singular pose", "singular pose")
     assert np.abs(np.array([r.lower.position, r.upper.position]) - around[k - 1 : k + 1]).max() < SINGULAR_RAD
     assert r.singular == (r.lower.position, r.upper.position)
-
-
-def test_where_newton_crosses_the_fold_at_once_the_last_pose_ends_the_reach(monkeypatch):
-    """Loops that a file's rounding leaves open may be solved on the fold's other side: no root is bracketed then."""
-    mechanism = load_mechanism("optimus-knee")
-    near = reach(mechanism).poses[1]
-    folds = [float(mechanism.dynamics.block_singularity(near + np.array([0.0, turn, 0.0]))) for turn in (0.0, np.pi)]
-    assert folds[0] * folds[1] < 0
-    monkeypatch.setattr(reach_file.newton, "root_by_newton", lambda *_: (near + np.array([0.0, np.pi, 0.0]), np.zeros(1)))
-    monkeypatch.setattr(reach_file, "sign_change", lambda *_, **__: pytest.fail("no root is bracketed"))
-    np.testing.assert_array_equal(reach_file._singular_pose(mechanism, near, 0), near)
 
 
 def test_some_of_the_random_four_bars_have_singular_poses_and_some_turn_fully():
@@ -159,11 +156,6 @@ def test_a_turn_that_leads_back_home_is_walked_once(text, once, monkeypatch):
     assert len(r.poses_once) == (len(r.poses) + 1) // 2 if once else len(r.poses)
 
 
-def test_turning_points_between_regular_poses_are_found_together(monkeypatch):
-    monkeypatch.setattr("linkplan.models.poses.reach._pose_where", lambda *of: pytest.fail(f"alone: {of}"))
-    assert len(toggles.__wrapped__(load_mechanism(SLIDER_CRANK))) == 4
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("coordinate", [0, 1])
 def test_the_other_motor_of_a_five_bar_stays_at_home_over_the_reach(coordinate):
@@ -194,3 +186,157 @@ def test_the_reach_of_a_joint_that_stands_outside_its_range_is_its_range(range_d
     can = reach(arm)
     assert np.degrees([can.lower.position, can.upper.position]) == pytest.approx(ends_deg)
     assert can.lower.reason == can.upper.reason == "range of arm"
+
+
+LARGEST_DEG = 25.0
+
+
+def ranged(text: str, largest_deg: float) -> linkplan.Mechanism:
+    """Return a model's mechanism with a range on every ball joint."""
+    largest = np.radians(largest_deg) if 'angle="radian"' in text else largest_deg
+    return linkplan.load_mechanism(text.replace('type="ball"', f'type="ball" limited="true" range="0 {largest}"'))
+
+
+def limits_in_mujoco(mechanism: linkplan.Mechanism, pose: np.ndarray) -> list[float]:
+    """Return the distances [rad or m] of MuJoCo's active limits of joints at a pose."""
+    data = mujoco.MjData(mechanism.model)
+    data.qpos[:] = mechanism.qpos_of(pose)
+    mujoco.mj_forward(mechanism.model, data)
+    limit = mujoco.mjtConstraint.mjCNSTR_LIMIT_JOINT
+    return [float(data.efc_pos[k]) for k in range(data.nefc) if data.efc_type[k] == limit]
+
+
+def test_a_reach_ends_where_mujoco_s_limit_of_a_ball_joint_acts():
+    mechanism, free = ranged(RSSR, LARGEST_DEG), linkplan.load_mechanism(RSSR)
+    ball, wide = reach(mechanism), reach(free)
+    assert ball.upper.reason == "range of ball joint rod"
+    assert ball.upper.position < wide.upper.position - 0.1
+    end = ball.poses[-1][mechanism.independent]
+    last, beyond = (close_at(mechanism, end + np.array([d, 0.0]), ball.poses[-1]) for d in (-1e-7, 1e-7))
+    assert limits_in_mujoco(mechanism, last) == []
+    (distance,) = limits_in_mujoco(mechanism, beyond)
+    assert -1e-6 < distance < 0
+    assert is_open(mechanism, 0.9 * end)
+    assert not is_open(mechanism, 1.1 * end)
+    assert is_open(free, 1.1 * end)
+
+
+def test_a_ball_joint_beyond_its_range_at_home_is_a_problem():
+    mechanism = ranged(RSSR, LARGEST_DEG)
+    beyond = np.degrees(1.2 * reach(mechanism).upper.position)
+    text = RSSR.replace('type="ball"', f'type="ball" limited="true" range="0 {np.radians(LARGEST_DEG)}"')
+    found = linkplan.check(linkplan.load_mechanism(text, home_deg={"crank": beyond}))
+    (problem,) = [line for line in found.problems if "ball joint rod is turned by" in line]
+    assert "at home, beyond its range of 25 deg" in problem
+    assert not [line for line in linkplan.check(mechanism).problems if "ball joint" in line]
+
+
+def test_a_first_motion_of_a_stewart_platform_keeps_its_ball_joints_ranges():
+    mechanism = ranged(hexapod(), 3.0)
+    slides = [f"s{k}" for k in range(6)]
+
+    def lift(names: list[str]) -> linkplan.Problem:
+        return linkplan.Problem.reach(
+            mechanism, start_m=dict.fromkeys(slides, 0.0), goal_m=dict.fromkeys(slides, 0.0) | dict.fromkeys(names, 0.02)
+        )
+
+    assert obstacle_on_way(lift(["s0"])) == "ball joint b0 is outside its range"
+    assert obstacle_on_way(lift(slides)) is None
+
+
+CRANK_M, ROD_M = 0.1, 0.3
+
+
+def geared(ratio: float, *, crank_range: str = "", unbalanced_m: float = 0.0) -> Mechanism:
+    """Return a slider-crank whose motor turns `ratio` times as fast as the crank; its rotor may be out of balance."""
+    return load_mechanism(f"""<mujoco><compiler angle="degree"/><default><joint axis="0 -1 0"/>
+      <geom type="capsule" size="0.01" contype="0" conaffinity="0"/></default><worldbody>
+      <body pos="0 0.1 0"><joint name="motor"/>
+        <inertial mass="0.1" pos="{unbalanced_m} 0 0" diaginertia="2e-5 2e-5 2e-5"/></body>
+      <body><joint name="crank" {crank_range}/><geom fromto="0 0 0 {CRANK_M} 0 0"/>
+        <body name="rod" pos="{CRANK_M} 0 0"><joint name="rod"/><geom fromto="0 0 0 {ROD_M} 0 0"/></body></body>
+      <body name="ram" pos="{CRANK_M + ROD_M} 0 0"><joint name="ram" type="slide" axis="1 0 0"/>
+        <geom fromto="0 0 0 0 0 0.1"/>
+      </body></worldbody><equality><connect body1="rod" body2="ram" anchor="{ROD_M} 0 0"/>
+      <joint joint1="motor" joint2="crank" polycoef="0 {ratio} 0 0 0"/></equality>
+      <actuator><motor name="m" joint="motor" ctrlrange="-2 2"/></actuator></mujoco>""")
+
+
+def ram_m(crank: np.ndarray) -> np.ndarray:
+    """Return the ram's travel from the drawn pose, in closed form."""
+    return CRANK_M * np.cos(crank) + np.sqrt(ROD_M**2 - (CRANK_M * np.sin(crank)) ** 2) - CRANK_M - ROD_M
+
+
+@pytest.mark.parametrize(
+    ("ratio", "unbalanced_m", "turns"),
+    [
+        (1.0, 0.0, 1.0),
+        (20.0, 0.0, 20.0),
+        (-3.0, 0.0, 3.0),
+        (20.0, 0.01, 20.0),
+        (2.5, 0.0, 2.5),
+        (2.5, 0.01, 5.0),
+        (0.5, 0.01, 1.0),
+    ],
+)
+def test_a_motor_is_back_when_all_joints_that_matter_are(ratio, unbalanced_m, turns):
+    mechanism = geared(ratio, unbalanced_m=unbalanced_m)
+    can = reach(mechanism)
+    assert can.turns_fully
+    assert can.period == pytest.approx(2 * np.pi * turns, rel=1e-12)
+    assert [can.lower.position, can.upper.position] == pytest.approx([-can.period, can.period])
+    # The poses cover the whole turn of the crank, as densely as those of a crank without a gear.
+    crank = can.poses[:, mechanism.joint_index("crank")]
+    assert np.ptp(crank) == pytest.approx(2 * 2 * np.pi * turns / abs(ratio))
+    assert np.abs(np.diff(crank)).max() < np.radians(2.01)
+    assert can.poses[:, mechanism.joint_index("ram")] == pytest.approx(ram_m(crank), abs=1e-9)
+
+
+def test_the_range_of_what_a_gear_drives_ends_the_motors_reach():
+    can = reach(geared(20.0, crank_range='range="-170 170"'))
+    assert not can.turns_fully
+    assert can.period is None
+    assert np.degrees([can.lower.position, can.upper.position]) == pytest.approx([-3400.0, 3400.0])
+    assert {can.lower.reason, can.upper.reason} == {"range of crank"}
+
+
+def test_an_unbalanced_rotor_behind_an_irrational_gear_never_comes_back():
+    can = reach(geared(np.pi, unbalanced_m=0.01))
+    assert can.turns_fully
+    assert can.period is None
+    assert {can.lower.reason, can.upper.reason} == {"no end found"}
+
+
+def test_a_lead_screw_reaches_over_the_whole_travel_of_its_nut():
+    mechanism = load_mechanism("""<mujoco><worldbody>
+      <body><joint name="motor" axis="0 0 1"/><inertial mass="1" pos="0 0 0" diaginertia="2e-5 2e-5 3e-5"/></body>
+      <body><joint name="nut" type="slide" axis="0 0 1" range="-0.05 0.25"/><geom size="0.05"/></body></worldbody>
+      <equality><joint joint1="nut" joint2="motor" polycoef="0 0.0016 0 0 0"/></equality>
+      <actuator><motor joint="motor" ctrlrange="-1 1"/></actuator></mujoco>""")
+    can = reach(mechanism)
+    assert [can.lower.position, can.upper.position] == pytest.approx([-0.05 / 0.0016, 0.25 / 0.0016])
+    assert turn_of(mechanism, 0) > 2 * np.pi
+    assert len(can.poses) < 400
+
+
+def test_studies_examine_a_geared_crank_over_its_whole_turn():
+    from linkplan.studies.check.kinematic_loop_report import swept
+    from linkplan.studies.feedback.bode.poses import loop_poses
+
+    mechanism = geared(20.0)
+    crank = mechanism.joint_index("crank")
+    assert np.ptp(swept(mechanism, reach(mechanism))[:, crank]) == pytest.approx(2 * np.pi)
+    looked = loop_poses(mechanism, None, mechanism.effort_limit)
+    assert np.ptp(looked.positions) == pytest.approx(20 * 2 * np.pi * 6 / 7)  # seven poses evenly over the period
+    assert looked.line is not None
+    assert looked.line.high - looked.line.low == pytest.approx(20 * 2 * np.pi)
+
+
+def test_a_rod_s_spin_about_its_axis_goes_no_further_than_other_hinges():
+    """Its rates of the other joints are zero but for rounding."""
+    mechanism = load_mechanism(RSSR)
+    spin = [joint.name for joint in mechanism.independent_joints].index("rod_rx")
+    rates = np.array(mechanism.dynamics.velocity_map(mechanism.home))[mechanism.dependent, spin]
+    assert np.abs(rates).max() < 1e-12
+    assert travel_scales(mechanism)[spin] == 1.0
+    assert reach(mechanism, spin).upper.reason == "full turn"

@@ -58,3 +58,16 @@ def test_a_start_that_does_not_name_it_is_refused_with_the_remedy():
         linkplan.Problem.reach(leg(0.0), start_deg={"A": 0.0}, goal_deg={"A": 20.0}, duration_s=0.5)
     problem = linkplan.Problem.reach(leg(-40.0), start_deg={"A": 0.0}, goal_deg={"A": 20.0}, duration_s=0.5)
     assert np.degrees(problem.motion.start[1]) == pytest.approx(-29.0, abs=0.5)
+
+
+def test_the_joint_that_is_pressed_farther_is_held_first_and_may_free_the_other():
+    """Springs pull a to -0.952 m and b, half as far, to -0.476 m; with a on its stop at -0.1 m, b rests at -0.05 m."""
+    tied = linkplan.load_mechanism(
+        """<mujoco><option gravity="0 0 0"/><compiler autolimits="true"/><default><joint type="slide" axis="1 0 0"/>
+        <geom size=".01" mass="1" contype="0" conaffinity="0"/></default><worldbody>
+        <body><joint name="a" range="-.1 1" stiffness="100" springref="-1"/><geom/></body>
+        <body><joint name="b" range="-.4 1" stiffness="10"/><geom/></body></worldbody>
+        <tendon><fixed stiffness="10" springlength="0"><joint joint="a" coef="1"/><joint joint="b" coef="-1"/></fixed>
+        </tendon></mujoco>"""
+    )
+    assert rests_on_stops(tied, {}, (0, 1)) == pytest.approx({0: -0.1})

@@ -1,4 +1,7 @@
-"""Singular poses by kind: dead centres of a coordinate, branching poses, and those that a determinant only touches."""
+"""Singular poses and where a function changes its sign, against closed forms."""
+
+import math
+import warnings
 
 import numpy as np
 import pytest
@@ -6,6 +9,7 @@ import pytest
 from linkplan.models.errors import UnassembledError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.reach import reach
+from linkplan.models.poses.sign_change import sign_change
 from linkplan.models.poses.singular_poses import common_zeros
 from linkplan.studies.check.inspection import inspect
 from tests.support.mechanisms import replaced, slider_crank
@@ -179,3 +183,38 @@ def test_a_joint_that_does_not_move_with_a_coordinate_does_not_stop_it(at):
     mechanism = load_mechanism(STILL.format(at=at))
     assert abs(mechanism.home[1] - at) < 1e-12
     assert reach(mechanism).turns_fully
+
+
+SHAPES = {
+    "a line": (lambda x: x - 0.3, 0.3),
+    "steep": (lambda x: math.expm1(20 * (x - 0.7)), 0.7),
+    "flat": (lambda x: (x - 0.4) ** 5, 0.4),
+    "falling": (lambda x: math.cos(3 * x), math.pi / 6),
+    "a jump": (lambda x: 1.0 if x > 0.123 else -1.0, 0.123),
+}
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+@pytest.mark.parametrize("backwards", [False, True])
+def test_the_place_is_found_to_the_tolerance(shape, backwards):
+    function, root = SHAPES[shape]
+    ends = (1.0, 0.0) if backwards else (0.0, 1.0)
+    assert sign_change(function, *ends, xtol=1e-14) == pytest.approx(root, abs=1e-3 if shape == "flat" else 2e-14)
+
+
+def test_many_places_are_found_together_and_none_where_the_function_has_no_value():
+    roots, asked = np.array([0.1, 0.5, np.nan, 0.9]), []
+    found = sign_change(lambda x: asked.append(x) or np.exp(3 * x) - np.exp(3 * roots), np.zeros(4), np.ones(4), xtol=1e-14)
+    np.testing.assert_allclose(found, roots, atol=2e-14)
+    assert len(asked) < 20
+
+
+def test_a_function_that_has_been_without_a_value_says_nothing_more():
+    def pair(x: np.ndarray) -> np.ndarray:
+        gap = np.where(np.abs(x - 0.5) < 0.05, np.nan, np.where(x > 0.5, 1.0, -0.01 - (x - 0.2) ** 2))
+        return np.array([gap[0], np.expm1(20 * (x[1] - 0.7))])
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = sign_change(pair, np.zeros(2), np.ones(2), xtol=1e-14)
+    np.testing.assert_allclose(found, [np.nan, 0.7], atol=2e-14)

@@ -1,4 +1,4 @@
-"""The symbolic tree against MuJoCo's own numbers, at a thousand random states a model."""
+"""The open tree against MuJoCo: mass matrix, bias, passive forces, effort limits, margins of ranges, carried weight."""
 
 from functools import cache
 
@@ -6,9 +6,14 @@ import mujoco
 import numpy as np
 import pytest
 
+import linkplan
+from linkplan.models.audit import audit
 from linkplan.models.catalogue import built_in_text
+from linkplan.models.digest import part_hashes
+from linkplan.models.errors import ModelError, ProblemError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import sampled
+from tests.support.linkages import LEG, RSSR
 from tests.support.mechanisms import PENDULUM, SLIDER_CRANK, Simulated, random_tree, replaced, simulated
 from tests.support.tolerances import ENERGY, TREE, TREE_ACCELERATION, relative_error, worst_relative_error
 
@@ -68,12 +73,6 @@ def test_passive_force_is_mujocos(name):
     forces = np.array([s.passive for s in expected])
     assert np.abs(forces).max(axis=1).min() > 1e-3, "springs and dampers act at every state"
     assert worst_relative_error(sampled(mechanism(name).dynamics.passive, q, v)[:, :, 0], forces) < TREE
-
-
-@pytest.mark.parametrize("name", ["optimus-knee", "optimus-knee-source"])
-def test_a_model_without_springs_and_dampers_has_no_passive_force(name):
-    q, v, _ = states(name)
-    assert not np.any(sampled(mechanism(name).dynamics.passive, q, v))
 
 
 @over(TREES)
@@ -206,7 +205,88 @@ def test_unclamped_controls_leave_a_motor_unlimited():
     assert chain.effort_limit.tolist() == [[-np.inf, np.inf]]
 
 
-@pytest.mark.parametrize(("joint", "unit"), [("crank", "N.m"), ("slide", "N")])
-def test_an_effort_has_its_joints_unit(joint, unit):
-    chain = load_mechanism(replaced(SLIDER_CRANK, '<motor joint="crank"', f'<motor joint="{joint}"'))
-    assert chain.actuators[0].unit == unit
+ARM = """<mujoco><option gravity="0 0 0"/><worldbody><body name="arm">
+<joint name="J" axis="0 1 0" range="-90 60" limited="true" {margin}/><geom size="0.05" pos="0.3 0 0"/></body></worldbody>
+<actuator><motor name="m" joint="J" ctrlrange="-4 4"/></actuator></mujoco>"""
+
+
+def arm(margin: str) -> str:
+    return ARM.format(margin=margin)
+
+
+def test_a_margin_is_no_part_of_a_joints_free_range():
+    mechanism = linkplan.load_mechanism(arm('margin="0.1"'))
+    (joint,) = mechanism.joints
+    assert (joint.lower, joint.upper) == pytest.approx((np.radians(-90) + 0.1, np.radians(60) - 0.1))
+
+
+@pytest.mark.parametrize(("inside_rad", "pushed"), [(0.001, False), (-0.001, True)])
+def test_mujoco_pushes_back_where_the_free_range_ends(inside_rad, pushed):
+    mechanism = linkplan.load_mechanism(arm('margin="0.1"'))
+    model = mujoco.MjModel.from_xml_string(arm('margin="0.1"'))
+    data = mujoco.MjData(model)
+    data.qpos[0] = mechanism.joints[0].upper - inside_rad
+    mujoco.mj_forward(model, data)
+    assert bool(np.any(data.qacc)) == pushed
+
+
+def test_a_goal_within_the_margin_is_refused():
+    mechanism = linkplan.load_mechanism(arm('margin="0.1"'))
+    with pytest.raises(ProblemError, match=r"J = 58 deg is beyond reach.*54.27"):
+        linkplan.Problem.reach(mechanism, start_deg={"J": 0}, goal_deg={"J": 58}, duration_s=1.0)
+
+
+def test_a_margin_that_leaves_nothing_is_refused_in_one_line():
+    with pytest.raises(ModelError, match="leaves joint J no position"):
+        linkplan.load_mechanism(arm('margin="1.5"'))
+
+
+def test_a_margin_changes_the_fingerprint_and_none_does_not():
+    without, zero, some = (part_hashes(mujoco.MjModel.from_xml_string(arm(m))) for m in ("", 'margin="0"', 'margin="0.1"'))
+    assert without == zero
+    assert {part for part in some if some[part] != zero[part]} == {"joints"}
+
+
+TEXTS = {
+    "leg": replaced(LEG, '<body name="thigh">', '<body name="thigh" gravcomp="0.7">'),
+    "rod on a ball": replaced(RSSR, '<body name="rod" ', '<body name="rod" gravcomp="1" '),
+    "carried by an actuator": replaced(
+        replaced(LEG, '<body name="thigh">', '<body name="thigh" gravcomp="1">'),
+        '<joint name="pitch"/>',
+        '<joint name="pitch" actuatorgravcomp="true"/>',
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TEXTS)
+def test_passive_forces_are_mujocos_with_gravity_compensation(name):
+    mechanism = load_mechanism(TEXTS[name])
+    model, data = mechanism.model, mujoco.MjData(mechanism.model)
+    rng = np.random.default_rng(2)
+    for _ in range(3):
+        q = mechanism.home + rng.uniform(-0.5, 0.5, mechanism.n_q)
+        rates = rng.normal(size=mechanism.n_q)
+        data.qpos[:], data.qvel[:] = mechanism.qpos_of(q), mechanism.qvel_of(q, rates)
+        mujoco.mj_forward(model, data)
+        assert np.abs(data.qfrc_gravcomp).max() > 1e-3, "it acts"
+        T = np.array([mechanism.qvel_of(q, e) for e in np.eye(mechanism.n_q)]).T
+        forces = data.qfrc_passive + np.where(model.jnt_actgravcomp[model.dof_jntid], data.qfrc_gravcomp, 0.0)
+        assert relative_error(np.array(mechanism.dynamics.passive(q, rates)).ravel(), T.T @ forces) < TREE
+
+
+def test_what_compensation_carries_is_no_weight_and_the_model_is_planned_as_it_is():
+    text = LEG.replace("<body ", '<body gravcomp="1" ')
+    mechanism = load_mechanism(text)
+    assert np.abs(np.array(mechanism.dynamics.gravity_effort(mechanism.home))).max() < 1e-12
+    assert not [one for one in audit(mechanism.model) if one.falsifies]
+
+
+def test_compensation_that_joints_clamp_is_named_once_with_what_to_change():
+    text = LEG.replace("<body ", '<body gravcomp="1" ')
+    for joint in ("yaw", "pitch"):
+        clamped = f'<joint name="{joint}" actuatorgravcomp="true" actuatorfrcrange="-9 9"'
+        text = text.replace(f'<joint name="{joint}"', clamped)
+    (found,) = [one.text for one in audit(load_mechanism(text).model) if one.falsifies]
+    assert found.startswith("gravcomp of body hip and 4 more, clamped by the actuatorfrcrange of joint yaw and 1 more")
+    free = text.replace(' actuatorgravcomp="true"', "")
+    assert not [one for one in audit(load_mechanism(free).model) if one.falsifies]

@@ -12,12 +12,14 @@ from linkplan.models.tree.tendons import lacks_length
 ARM = """<mujoco><compiler angle="radian" autolimits="true"/><worldbody><site name="base" pos="-.3 .02 1.05"/>
 <body name="arm" pos="0 0 1"><joint name="A" axis="0 -1 0" range="-1.2 1.2" damping=".1"/>{swing}
 <geom name="drum" {drum} mass=".1"/><geom size=".02" fromto="0 0 0 .3 0 0" type="capsule" mass="1"/>
-<site name="tip" pos=".2 -.03 .03"/><site name="side" pos="{side}"/><body name="fore" pos=".3 0 0">
-<joint name="C" axis="0 1 0" range="-1 1" damping=".1"/><geom name="ball" type="sphere" size=".03" mass=".1"/>
+<site name="tip" pos=".2 -.03 .03"/><site name="eye" pos=".25 -.02 .04"/><site name="side" pos="{side}"/>
+<body name="fore" pos=".3 0 0"><joint name="C" axis="0 1 0" range="-1 1" damping=".1"/>
+<geom name="ball" type="sphere" size=".03" mass=".1"/>
 <geom size=".02" fromto="0 0 0 .2 0 0" type="capsule" mass=".5"/><site name="hand" pos=".15 0 .04"/></body></body>
 </worldbody><tendon><spatial name="rope" stiffness="40" springlength=".2"><site site="base"/><geom geom="drum" {sided}/>
-<site site="tip"/><geom geom="ball"/><site site="hand"/><pulley divisor="2"/><site site="hand"/><site site="base"/></spatial>
-</tendon><actuator><motor name="pull" tendon="rope" ctrlrange="-200 0"/><motor name="elbow" joint="C" ctrlrange="-20 20"/>
+<site site="tip"/><site site="eye"/><geom geom="ball"/><site site="hand"/><pulley divisor="2"/><site site="hand"/>
+<site site="base"/></spatial></tendon>
+<actuator><motor name="pull" tendon="rope" ctrlrange="-200 0"/><motor name="elbow" joint="C" ctrlrange="-20 20"/>
 </actuator></mujoco>"""
 CYLINDER, SPHERE = 'type="cylinder" size=".05 .1" euler="1.57 .1 0"', 'type="sphere" size=".05"'
 # An arm whose rope runs over a pulley on its joint: the rope only pulls, and lifts the arm.
@@ -50,7 +52,7 @@ def both_lengths(model: mujoco.MjModel, n: int = 200) -> tuple[np.ndarray, np.nd
         mujoco.mju_sparse2dense(rows, data.ten_J, model.ten_J_rownnz, model.ten_J_rowadr, model.ten_J_colind)
         ours.append(np.array(function(data.qpos)).ravel())
         theirs.append([data.ten_length[0], *rows[0]])
-        touched.append((int(data.ten_wrapnum[0]) - 6) // 2)  # five sites and the pulley
+        touched.append((int(data.ten_wrapnum[0]) - 7) // 2)  # six sites and the pulley
     return np.array(ours), np.array(theirs), np.array(touched)
 
 

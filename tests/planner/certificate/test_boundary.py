@@ -1,13 +1,16 @@
-"""Errors at ends and waypoints: distances from bounds, and sites on an arm of 1 m that misses its places by known angles."""
+"""Errors of boundary conditions: bounds, places of sites, turns, periods and waypoints."""
 
 import numpy as np
 import pytest
 
-from linkplan.planner.certificate.certificate import _waypoint_error
+from linkplan.planner.certificate.certificate import _turn_error, _waypoint_error, end_state_error
 from linkplan.planner.certificate.integration import ends_off_m, exact_bounds, relative_violation, waypoint_off_m
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
+from tests.support.arms import LOWER, UPPER, angles_at, foot_of
+from tests.support.bodies import HINGE, body_problem
 from tests.support.motions import motion_along
+from tests.support.sites import ABOVE, BELOW, arm_of, site_problem
 
 ARM = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="J" axis="0 -1 0"/>
 <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><site name="tip" pos="1 0 0"/><site name="mid" pos="0.5 0 0"/></body>
@@ -92,3 +95,85 @@ def test_of_the_sites_of_a_waypoint_the_one_that_is_furthest_off_counts():
     asked = problem(1e-3)
     error = _waypoint_error(asked, motion(), asked.motion.waypoints[0], 10.0, 1.0)  # so wide that only sites count
     assert error == pytest.approx(3e-3 / asked.mechanism.extent_m, rel=1e-5)
+
+
+FROM, TO = angles_at(0.3, 0.35, -1.0), angles_at(0.3, -0.35, -1.0)
+HALFWAY = foot_of(0.5 * (FROM + TO))[0].tolist()
+WANTED = {"start": ABOVE, "waypoint": HALFWAY, "goal": BELOW}
+MISS_M = 1e-3
+
+
+def distance_m(wanted: dict, **time: float) -> tuple[float, tuple[str, ...]]:
+    """Return the errors of the straight line from FROM to TO in joint space, in two intervals of half a second."""
+    waypoint = {"at": {"foot": wanted["waypoint"]}, **time}
+    motion = {"start_at": {"foot": wanted["start"]}, "goal_at": {"foot": wanted["goal"]}, "waypoints": [waypoint]}
+    problem = site_problem(arm_of(UPPER, LOWER), motion | {"duration_s": 1.0})
+    line = np.array([[FROM, 0.5 * (FROM + TO)], [0.5 * (FROM + TO), TO]])
+    trajectory = motion_along([0.0, 0.5, 1.0], line)
+    time = np.linspace(0.0, 1.0, 11)
+    return ends_off_m(problem, trajectory, time, trajectory.position_at(time))
+
+
+@pytest.mark.parametrize("time", [{"time_s": 0.5}, {}], ids=["at its time", "at some break"])
+def test_a_motion_that_meets_every_place_has_no_error(time):
+    worst, failures = distance_m(WANTED, **time)
+    assert worst < 1e-9
+    assert failures == ()
+
+
+@pytest.mark.parametrize(
+    ("which", "key"), [("start", "motion.start_at"), ("waypoint", "motion.waypoints[0].at"), ("goal", "motion.goal_at")]
+)
+def test_a_place_that_the_motion_misses_is_named_with_the_distance(which, key):
+    worst, failures = distance_m(WANTED | {which: np.subtract(WANTED[which], [MISS_M, 0.0, 0.0]).tolist()})
+    assert worst == pytest.approx(MISS_M, rel=1e-6)
+    assert len(failures) == 1
+    assert key in failures[0]
+    assert "0.001 m away" in failures[0]
+
+
+def test_a_waypoint_that_is_met_at_another_time_is_missed():
+    assert distance_m(WANTED, time_s=0.3)[0] > MISS_M
+
+
+TURN = 'kind = "periodic"\nturns = {{ J = {turns} }}\nduration_s = 0.5\n'
+
+
+@pytest.mark.parametrize("turns", [1, -2])
+@pytest.mark.parametrize("missed", [0.0, 0.1])
+def test_a_turn_ends_where_it_began_and_whole_turns_further(turns, missed):
+    problem = body_problem(HINGE, TURN.format(turns=turns))
+    travelled = 2 * np.pi * turns + missed
+    motion = motion_along([0.0, 0.5], [0.3, 0.3 + travelled], periodic=True)
+    assert end_state_error(problem, motion, 2 * abs(travelled)) == pytest.approx(missed / abs(travelled), abs=1e-12)
+
+
+@pytest.mark.parametrize(("faster", "error"), [(1.0, 0.0), (1.25, 0.25)])
+def test_a_periodic_motion_returns_with_the_speed_that_it_began_with(faster, error):
+    problem = body_problem(HINGE, TURN.format(turns=1))
+    speed = 2 * np.pi / 0.5
+    motion = motion_along([0.0, 0.5], [0.0, 2 * np.pi], velocity=speed * np.array([1.0, faster]), periodic=True)
+    assert end_state_error(problem, motion, speed) == pytest.approx(error, abs=1e-12)
+
+
+def test_errors_of_a_motion_that_stands_still_are_shares_of_a_nanometre():
+    problem = body_problem(HINGE, 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 0.0 }\nduration_s = 0.5\n')
+    still = np.full((2, 1, 1), 2e-10)
+    motion = motion_along([0.0, 0.5], still, start_pose=np.zeros(1))
+    assert end_state_error(problem, motion, 1.0) == pytest.approx(0.2)
+    problem = body_problem(HINGE, TURN.format(turns=1))
+    assert _turn_error(problem, np.array([[0.0], [3e-10]])) == pytest.approx(0.3)
+
+
+@pytest.mark.parametrize(
+    ("place", "speed", "error"), [(1.0, None, 0.0), (1.2, None, 0.1), (1.0, 2.2, 0.1), (0.4, None, 0.2)]
+)
+def test_a_waypoint_of_any_time_is_missed_by_the_error_at_the_nearest_break(place, speed, error):
+    """At an even 2 rad/s through breaks at 0, 1 and 2 rad, waypoints at a place, and at a speed."""
+    asked = f"at_deg = {{ J = {np.degrees(place):.15g} }}"
+    asked += "" if speed is None else f", speed_deg_s = {{ J = {np.degrees(speed):.15g} }}"
+    ends = f"start_deg = {{ J = 0.0 }}\ngoal_deg = {{ J = {np.degrees(2.0):.15g} }}\n"
+    ends += "".join(f"{end}_speed_deg_s = {{ J = {np.degrees(2.0):.15g} }}\n" for end in ("start", "goal"))
+    problem = body_problem(HINGE, f'kind = "reach"\n{ends}duration_s = 1.0\nwaypoints = [{{ {asked} }}]\n')
+    motion = motion_along([0.0, 0.5, 1.0], [[0.0, 1.0], [1.0, 2.0]])
+    assert end_state_error(problem, motion, 2.0) == pytest.approx(error, abs=1e-12)

@@ -5,10 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import linkplan
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.certificate import certificate as module
 from linkplan.planner.certificate.certificate import Certificate, certify, integration_rtol
+from linkplan.planner.closed_chain.case import slow_share
 from linkplan.planner.limits.samples import sample_points, samples_of
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, LIFT, body_problem
@@ -267,3 +269,60 @@ def test_a_limit_is_checked_at_instants_closer_than_a_seventh_of_an_interval():
     assert points[0] == 0.0
     assert points[-1] == pytest.approx(1.0)
     assert np.diff(points).max() < 1 / 7
+
+
+RUBBING = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="J" axis="0 1 0"{friction}/>
+<inertial pos="0 0 0" mass="1" diaginertia="0.3 0.3 0.3"/></body></worldbody>
+<actuator><motor name="motor" joint="J" ctrlrange="-4 4"/></actuator></mujoco>"""
+# Of 400 samples.
+SHARE = 0.005
+
+
+def speeding_up(fastest: float) -> Trajectory:
+    """Return a motion in 2 s from rest to a speed [rad/s] at a constant acceleration."""
+    return motion_along([0.0, 2.0], [0.0, 0.0, fastest])
+
+
+@pytest.mark.parametrize("share", [0.1, 0.6])
+@pytest.mark.parametrize("way", [1, -1])
+def test_a_joint_is_too_slow_where_the_smooth_friction_is_below_nine_tenths(share, way):
+    mechanism = linkplan.load_mechanism(RUBBING.format(friction=' frictionloss="0.1"'))
+    slow = np.arctanh(0.9) * mechanism.friction_transition
+    found = slow_share(mechanism, speeding_up(way * slow / share))
+    assert found == (pytest.approx(share, abs=SHARE), "joint J")
+
+
+def test_a_joint_that_stands_still_and_one_without_friction_are_not_too_slow():
+    rubbing, smooth = (linkplan.load_mechanism(RUBBING.format(friction=one)) for one in (' frictionloss="0.1"', ""))
+    assert slow_share(rubbing, speeding_up(0.0)) == (0.0, "joint J")
+    assert slow_share(smooth, speeding_up(1.0)) is None
+
+
+# A flywheel of 1 kg m2; its actuator gives (1 + q) N.m per unit of ctrl at the angle q, more and more on the way.
+FLYWHEEL = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody><body><joint name="J" axis="0 1 0"/>
+<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
+<actuator><general name="m" joint="J" gaintype="affine" gainprm="1 1 0" ctrlrange="-3 {most}"/></actuator></mujoco>"""
+TORQUE = 2.0
+
+
+def failures(most: float, model: str = FLYWHEEL, efforts: tuple[float, ...] = (TORQUE,), limits: str = "") -> list[str]:
+    """Return what the certificate says of ctrl along q = t^2, for which the ctrl 2 / (1 + q) is needed."""
+    motion = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 57.29577951308232 }\nduration_s = 1.0\n'
+    problem = body_problem(model.format(most=most), motion + limits)
+    trajectory = motion_along([0.0, 1.0], [0.0, 0.0, 1.0], effort=np.reshape(efforts, (1, 1, -1)))
+    return [said for said in certify(problem, trajectory).failures if "ctrl" in said]
+
+
+def test_a_ctrl_beyond_its_range_at_the_start_alone_is_said_with_its_excess():
+    (said,) = failures(1.5)
+    assert said.startswith("m would need a ctrl 0.5 beyond its range at t = 0 s")
+
+
+@pytest.mark.parametrize("most", [2.0, 2.5])
+def test_a_ctrl_within_its_range_is_not_named(most):
+    assert failures(most) == []
+
+
+def test_a_motor_beside_a_servo_gives_what_limits_effort_allows():
+    beside = FLYWHEEL.replace("</actuator>", '<motor name="p" joint="J" ctrlrange="-1 1"/></actuator>')
+    assert failures(2.5, beside, (0.0, TORQUE), "[limits]\neffort = { p = [-3.0, 3.0] }\n") == []

@@ -1,4 +1,4 @@
-"""Differences between a motion and its problem, on both sides of what is allowed; objectives as integrals in closed form."""
+"""What a certificate asks of a saved plan: its duration, its ends, its reference and its objective."""
 
 from dataclasses import replace
 
@@ -6,12 +6,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from linkplan.models.errors import CertificateError
 from linkplan.models.poses.along import sampled
 from linkplan.planner.certificate import further_checks
 from linkplan.planner.certificate.further_checks import disagreements, negligible_objective, objective_value
+from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.trajectory import Trajectory
-from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_problem
+from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_plan, body_problem
 from tests.support.motions import motion_along
 
 # The hinge's quarter turn along t^2 (3 - 2 t) in T seconds needs the effort 6 I b (1 - 2 t / T) / T^2.
@@ -128,3 +131,72 @@ def test_an_objective_is_exact_for_efforts_of_degree_nine_at_few_poses(monkeypat
     value, _ = objective_value(reach("duration_s = 1.0", "objective.minimize=effort"), motion)
     assert value == pytest.approx(4.0 / 19, rel=1e-9)
     assert sum(counted) <= 2 * 12
+
+
+SINE = ("reference.amplitude_deg.J=10", "reference.frequency_hz=1")
+
+
+def test_a_reference_that_is_missed_in_one_interval_is_named():
+    plan = body_plan(HINGE, 'kind = "track"\n', *SINE)
+    assert plan.passed, plan.message
+    assert disagreements(plan.problem, plan.trajectory, plan.objective) == ()
+    position = np.array(plan.trajectory.position)
+    position[:, 5] += 1e-3
+    off = replace(plan.trajectory, position=position)
+    assert any("reference is missed" in words for words in disagreements(plan.problem, off, plan.objective))
+
+
+def test_a_motion_whose_clock_begins_later_follows_its_reference_as_well():
+    plan = body_plan(HINGE, 'kind = "track"\n', *SINE)
+    later = replace(plan.trajectory, breaks_s=plan.trajectory.breaks_s + 0.3)
+    assert disagreements(plan.problem, later, plan.objective) == ()
+
+
+ARM = """
+<mujoco model="arm">
+  <option gravity="0 0 {gravity}"/>
+  <worldbody>
+    <body><joint name="A" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.3" size="0.02"/></body>
+  </worldbody>
+  <actuator><motor name="m" joint="A" {range}/></actuator>
+</mujoco>
+"""
+LIMITED, UNLIMITED = 'ctrlrange="-5 5" ctrllimited="true"', ""
+# gravity [m/s2], start and goal [deg], duration [s]
+MOTIONS = {
+    "without weight": (0.0, 0, 0, 0.5),
+    "in balance": (-9.81, 0, 0, 20.0),
+    "that its weight makes": (-9.81, -10, 10, 0.4485),
+}
+
+
+def planned(tmp_path, motion: str, range_: str, minimize):
+    gravity, start, goal, duration = MOTIONS[motion]
+    (tmp_path / "arm.xml").write_text(ARM.format(gravity=gravity, range=range_))
+    ends = {"start_deg": {"A": start}, "goal_deg": {"A": goal}}
+    tables = {
+        "mechanism": {"model": str(tmp_path / "arm.xml")},
+        "motion": {"kind": "reach", "duration_s": duration} | ends,
+        "objective": {"minimize": minimize},
+    }
+    return plan_motion(Problem.from_tables("arm", tables))
+
+
+@pytest.mark.parametrize("minimize", ["work", "effort", {"work": 1e-3, "effort_rate": 1e-6}], ids=str)
+@pytest.mark.parametrize("range_", [LIMITED, UNLIMITED], ids=["limited", "unlimited"])
+@pytest.mark.parametrize("motion", MOTIONS)
+def test_a_plan_that_needs_next_to_nothing_is_read_as_it_was_saved(motion, range_, minimize, tmp_path):
+    plan = planned(tmp_path, motion, range_, minimize)
+    assert plan.passed, plan.message
+    (tmp_path / "plan").mkdir()
+    write_plan(plan, tmp_path / "plan")
+    again = read_plan(tmp_path / "plan")
+    assert (again.status, again.objective) == (plan.status, plan.objective)
+
+
+def test_an_objective_beyond_what_counts_as_none_is_refused_of_a_motion_that_needs_none(tmp_path):
+    plan = planned(tmp_path, "without weight", LIMITED, "work")
+    floor = negligible_objective(plan.problem, plan.trajectory)
+    assert floor == pytest.approx(1e-6 * 5)  # a millionth of 5 N.m through a radian [J]
+    with pytest.raises(CertificateError, match="saved objective is"):
+        write_plan(replace(plan, objective=3 * floor), tmp_path)

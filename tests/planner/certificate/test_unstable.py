@@ -8,14 +8,14 @@ import pytest
 
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.integration import RESTART_GROWTH, integrate
-from linkplan.planner.closed_chain.guess import first_guess, guess_from
+from linkplan.planner.closed_chain.guess import guess_from
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import continuations
 from linkplan.planner.search.continuations import MIN_SAVING, continued, from_continuation
-from linkplan.planner.search.ladder import FULL_BUDGET, KnownMotions, Path, Search
+from linkplan.planner.search.ladder import FULL_BUDGET, KnownMotions, Search
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.starts import least_time_motion
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, body_plan, body_problem
@@ -189,43 +189,3 @@ def test_where_longer_motions_are_lost_the_last_one_on_the_way_is_returned_and_s
     assert plan.status == "feasible"
     assert "longer motions were lost" in plan.message
     assert 1.3 * quick.duration_s < plan.trajectory.duration_s < 1.5 * quick.duration_s
-
-
-@pytest.mark.parametrize(("reached", "least", "kept"), [(3.0, 4.0, False), (3.0, 3.0, True), (3.0, 2.0, True)])
-def test_a_lost_way_is_kept_where_its_last_motion_is_as_long_as_it_must_be(monkeypatch, reached, least, kept):
-    """A way that is lost ends with a motion, which solves the problem only from the least duration on."""
-    ends = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\nduration_s = "free"\n'
-    problem = body_problem(HINGE, ends + f"min_duration_s = {least}\n")
-
-    def lost(begin, *_given, **_how):
-        return Path(stages=(begin, replace(begin, longest_s=reached)), arrived=False)
-
-    monkeypatch.setattr(continuations, "followed", lost)
-    found = continued(problem, first_guess(problem, problem.start_pose()), 10, KnownMotions())
-    assert (found is not None) == kept
-    assert found is None or (found.lost and found.longest_s == reached)
-
-
-@pytest.mark.parametrize(
-    ("objectives", "held", "solved"),
-    [
-        ((10.0, 8.0, 7.0), (True, False, False), 2),
-        ((10.0, 8.0, 7.9995, 7.0), (True,) * 4, 3),
-        ((10.0, 9.0), (False, False), 1),
-    ],
-    ids=["until they are free", "until little is saved", "not at all"],
-)
-def test_switch_times_that_their_windows_hold_are_solved_for_again(monkeypatch, objectives, held, solved):
-    ends, answers = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\n', []
-    free = body_problem(HINGE, ends + 'duration_s = "free"\n')
-    guess = first_guess(free, free.start_pose())
-    problem = body_problem(HINGE, ends + f'duration_s = "free"\nmax_duration_s = {1.1 * guess.duration_s}\n')
-
-    def step(_problem, at, allowed):
-        answers.append(replace(at, longest_s=allowed, objective=objectives[len(answers)], held=held[len(answers)]))
-        return answers[-1]
-
-    monkeypatch.setattr(continuations, "_step", step)
-    found = continued(problem, guess, 10, KnownMotions())
-    assert len(answers) == solved
-    assert found.objective == objectives[solved - 1]

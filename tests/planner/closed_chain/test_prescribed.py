@@ -1,9 +1,9 @@
-"""References that are followed exactly: the motion is the sinusoid everywhere, and its largest excess has its instant."""
+"""Motions that follow a reference exactly: overruns of limits, and the highest frequency that limits allow."""
 
 import numpy as np
 import pytest
 
-from linkplan.planner.closed_chain.prescribed import prescribe, reference_overrun
+from linkplan.planner.closed_chain.prescribed import highest_rate, prescribe, reference_overrun
 from linkplan.planner.problem.problem import Problem
 from tests.support.bodies import HINGE, HINGE_INERTIA, body_problem
 
@@ -74,3 +74,30 @@ def test_the_overrun_is_that_of_the_reference_where_the_nearest_motion_has_other
     rest = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 0.0 }\nduration_s = 2.0\n'
     problem = followed("limits.range_deg.J=[-90, 10]", motion=rest)
     assert reference_overrun(problem, problem.start_pose()).value == pytest.approx(25.0)
+
+
+SINE_AMPLITUDE, EFFORT = np.radians(20.0), 4.0
+OF_EFFORT_HZ = np.sqrt(EFFORT / (HINGE_INERTIA * SINE_AMPLITUDE)) / (2 * np.pi)
+
+
+def highest(*limits: str) -> float | None:
+    problem = body_problem(HINGE, 'kind = "track"\n', "reference.amplitude_deg.J=20", "reference.frequency_hz=5", *limits)
+    rate = highest_rate(problem, problem.start_pose(), 1e-3, 1.0)
+    return rate and 5 * rate
+
+
+def test_an_inertia_s_highest_frequency_is_that_of_its_effort_limit():
+    assert highest() == pytest.approx(OF_EFFORT_HZ, rel=1e-6)
+
+
+def test_a_speed_limit_allows_a_frequency_in_proportion():
+    assert highest("limits.speed_deg_s.J=60") == pytest.approx(60 / 20 / (2 * np.pi), rel=1e-6)
+
+
+def test_a_limit_on_acceleration_is_one_of_those_that_are_kept():
+    asked = highest("limits.acceleration_deg_s2.J=200")
+    assert asked == pytest.approx(np.sqrt(200 / 20) / (2 * np.pi), rel=1e-6)
+
+
+def test_beyond_its_range_no_frequency_helps():
+    assert highest("limits.range_deg.J=[-10, 10]") is None

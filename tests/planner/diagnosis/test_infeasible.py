@@ -6,8 +6,14 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from linkplan.models import deadline
 from linkplan.models.errors import InfeasibleError, LinkplanError, ProblemError
+from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.reasons import share_sentence
+from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 from tests.support.data import KNEE_TABLE
 from tests.support.fourbar import SHANK, knee
 from tests.support.plans import GOAL, LIMIT, START, planned
@@ -196,3 +202,53 @@ def test_a_range_that_the_amplitude_itself_leaves_has_no_highest_frequency():
     plan = planned("knee-sine", "limits.range_deg.A=[20, 150]")
     assert plan.status == "infeasible"
     assert "highest_frequency_hz" not in plan.details
+
+
+DURATION_S, SLOWEST_S = 2.0, 1.3
+
+
+def motion(speed, position) -> Guess:
+    """Return a motion of the hinge with a speed, a position and an effort that grows evenly with time."""
+    return Guess(
+        position=lambda t: position(t)[:, None],
+        velocity=lambda t: speed(t)[:, None],
+        acceleration=lambda t: np.zeros((len(t), 1)),
+        effort=lambda t: 2.0 + t[:, None],
+        duration_s=DURATION_S,
+        start_pose=np.zeros(1),
+    )
+
+
+def barely(t: np.ndarray) -> np.ndarray:
+    """Return a speed that vanishes at both ends, and is least between them at SLOWEST_S."""
+    return np.sin(np.pi * t / DURATION_S) * (0.005 + (t - SLOWEST_S) ** 2) * 3.0
+
+
+@pytest.mark.parametrize("at_all", [True, False])
+def test_the_pose_that_is_barely_passed_is_named(at_all):
+    problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n")
+    said = share_sentence(problem, 1.1, motion(barely, lambda t: t), at_all=at_all)
+    time = np.linspace(0.1, 1.9, 100001)
+    slowest = float(time[np.argmin(barely(time))])
+    assert f"motor on joint J would have to give {2.0 + slowest:.3g}"[:-1] in said
+    if at_all:
+        named = re.search(r"to pass J = ([\d.]+) deg at t = ([\d.]+) s", said)
+        assert float(named[1]) == pytest.approx(np.degrees(slowest), rel=2e-3)
+        assert float(named[2]) == pytest.approx(slowest, rel=5e-3)
+    else:
+        assert said.endswith("throughout")
+
+
+def test_a_search_that_runs_out_of_time_names_the_effort_that_the_smooth_path_lacks():
+    """A reach of a five-bar with two actuators, too short but not by far."""
+
+    def late(_search):
+        deadline._CHILD_TIME.seconds += 1000.0
+        raise deadline.OutOfTimeError("late")
+
+    problem = load_problem("five-bar-reach", ["motion.duration_s=0.1", "solver.max_time_s=20"])
+    plan = plan_motion(problem, methods=(), diagnoses=(late,))
+    assert plan.status == "failed"
+    assert "ran out of its 20 s" in plan.message
+    assert "along the smooth path from start to goal act_O" in plan.message
+    assert "times its limit of" in plan.message

@@ -1,19 +1,31 @@
-"""What a motion needs of its actuators, in closed form: of a trajectory's efforts, and of a path's inverse dynamics."""
+"""Why a motion is impossible: efforts that it needs, the way of a single degree of freedom, durations far too short."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
-from linkplan.planner.closed_chain.guess import Guess, guess_from
-from linkplan.planner.problem.problem import Problem
+from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.assembly import follow
+from linkplan.planner.closed_chain.guess import Guess, first_guess, guess_from
+from linkplan.planner.phase_plane.bang_bang_motions import least_share
+from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.search import reasons
 from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.least_limit import LeastLimit
+from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.reasons import effort_sentence, far_too_short, path_effort, share_sentence
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import uniform
-from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, QUARTER_TURN, TURN, body_problem
+from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, PENDULUM, QUARTER_TURN, TURN, body_problem
+from tests.support.data import KNEE_TABLE
+from tests.support.fourbar import G
+from tests.support.fourbar_problems import random_case
 from tests.support.motions import motion_along
+from tests.support.plans import GOAL, LIMIT, START, planned, problem_of
+from tests.support.slider_crank import CRANK, ROD
 
 # The quarter turn in a second along t^2 (3 - 2 t): 6 I b (1 - 2 t) N.m.
 PEAK_EFFORT = 6 * HINGE_INERTIA * TURN
@@ -172,3 +184,163 @@ def test_the_slowest_passage_is_looked_for_between_both_ends_and_not_where_it_tu
     said = share_sentence(problem(), 1.25, guess, at_all=True)
     assert f"t = {slowest:.3g} s" in said
     assert f"give {2 + slowest:.4g} N.m, 1.25 times its limit of {(2 + slowest) / 1.25:.4g}" in said
+
+
+# The cage of 2 kg and its motor, too weak to lift it, which it does not know from below.
+MASS, WEAK, WAY = 2.0, 12.0, 0.4
+TOO_WEAK = LIFT.replace("-30 50", f"-{WEAK} {WEAK}")
+LIFTED = f'kind = "reach"\nstart_deg = {{ J = 0.0 }}\ngoal_deg = {{ J = {WAY} }}\n'.replace("_deg", "_m")
+# A servo of 1 N.m/rad on 1 kg m2, whose ctrl, the angle and the effort, leaves no full effort of 1 N.m above 0.05 rad.
+MOTOR, POSITION = (
+    '<motor name="motor" joint="J" ctrlrange="-4 4"/>',
+    '<position name="s" joint="J" kp="1" ctrlrange="-4 1.05"/>',
+)
+SERVO = HINGE.replace("0.3 0.3 0.3", "1 1 1").replace(MOTOR, POSITION)
+# The least factor is found to 2^(1 / 256) of itself.
+FACTOR = 5e-3
+# Over the outer dead centre, where the slider is furthest out.
+ACROSS = ("motion.start_deg.O=-60", "motion.goal_deg.O=70")
+
+
+def searching(problem) -> Search:
+    return Search(problem=problem, start_pose=problem.start_pose())
+
+
+@pytest.mark.parametrize(("short", "status"), [(1e-3, "infeasible"), (-1e-6, "optimal")])
+def test_a_range_that_is_left_on_the_only_way_is_named_without_solving(short, status):
+    most = CRANK + ROD - short
+    plan = plan_motion(load_problem("slider-crank-turn", [*ACROSS, f"limits.range_m.B=[0.0, {most!r}]"]))
+    assert plan.status == status, plan.message
+    if status == "infeasible":
+        assert not plan.history
+        said = re.search(r"joint B stands at ([\d.]+) m where O = (-?[\d.]+) deg.*, ([\d.e-]+) m beyond", plan.message)
+        assert float(said[1]) == pytest.approx(CRANK + ROD, rel=1e-4)
+        assert abs(float(said[2])) < 0.5
+        assert float(said[3]) == pytest.approx(short, rel=1e-2)
+
+
+def test_the_least_factor_in_any_time_is_the_weight_over_the_limit():
+    problem = body_problem(TOO_WEAK, LIFTED + 'duration_s = "free"\n', "objective.minimize=time")
+    plan = reasons.efforts_by_the_phase_plane(searching(problem))
+    assert plan.status == "infeasible"
+    assert plan.details["needed_limit_factor"] == pytest.approx(MASS * G / WEAK, rel=FACTOR)
+    assert "in any time: motor on joint J would have to give 19.6" in plan.message
+
+
+@pytest.mark.parametrize("duration", [0.3, 0.6])
+def test_the_least_factor_in_a_duration_is_that_of_the_bang_bang_motion(duration):
+    problem = body_problem(TOO_WEAK, LIFTED + f"duration_s = {duration}\n")
+
+    def over(force: float) -> float:
+        up, down = force / MASS - G, force / MASS + G
+        return np.sqrt(2 * WAY * (1 / up + 1 / down)) - duration
+
+    exact = brentq(over, MASS * G * (1 + 1e-9), 1e4) / WEAK
+    factor, motion = least_share(problem, problem.start_pose(), duration)
+    assert factor == pytest.approx(exact, rel=FACTOR)
+    assert motion.duration_s <= duration
+
+
+def test_a_thousandth_too_little_time_is_infeasible_though_a_motion_with_errors_was_found():
+    """The least time by quadrature of a crank that turns around; a solve converges on a coarse mesh in less."""
+    case = random_case(4244, 99)
+    plan = plan_motion(Problem.from_tables("too short", case.tables))
+    assert plan.status == "infeasible", plan.message
+    assert plan.details["shortest_duration_s"] == pytest.approx(case.shortest, rel=1e-7)
+    assert case.tables["motion"]["duration_s"] == pytest.approx(0.999 * case.shortest)
+
+
+def test_efforts_that_suffice_are_not_blamed():
+    problem = body_problem(LIFT, LIFTED + 'duration_s = "free"\n', "objective.minimize=time")
+    assert reasons.efforts_by_the_phase_plane(searching(problem)) is None
+
+
+def test_a_phase_plane_that_leaves_out_a_servo_s_ctrl_does_not_contradict_the_efforts_that_are_missing():
+    """Over a radian in 2.015 s: full effort alone takes 2 s, and within the range of the ctrl 2.033 s."""
+    turn = f'kind = "reach"\nstart_deg = {{ J = 0.0 }}\ngoal_deg = {{ J = {np.degrees(1.0)} }}\nduration_s = 2.015\n'
+    problem = body_problem(SERVO, turn, "limits.effort.s=[-1, 1]")
+    assert searching(problem).quickest.duration_s == pytest.approx(2.0, rel=1e-3)
+    diagnoses = (reasons.efforts_contradicted, reasons.efforts, reasons.nothing_found)
+    plan = plan_motion(problem, methods=(), diagnoses=diagnoses)
+    assert plan.status == "infeasible", plan.message
+    assert plan.details["shortest_duration_s"] == pytest.approx(2.0328, abs=1e-4)
+
+
+SHORTEST = KNEE_TABLE["min_time_rest_to_rest"]["shank_s"]
+# What the phase plane's grid costs of the least time, relative.
+PHASE_PLANE = 2e-3
+TOO_SHORT = "motion.duration_s=0.001"
+
+
+def test_a_reach_in_a_millisecond_is_answered_without_a_solve():
+    plan = planned("knee-reach", TOO_SHORT)
+    assert plan.status == "infeasible"
+    assert plan.history == ()
+    assert plan.details["shortest_duration_s"] == pytest.approx(SHORTEST, rel=PHASE_PLANE)
+    assert "122 times too short" in plan.message
+    assert "the shortest feasible duration is about 0.1219 s" in plan.message
+    assert f"times its limit of {LIMIT:g}" in plan.message
+
+
+def test_the_factor_is_that_of_inverse_dynamics_along_the_smoothest_path():
+    mechanism = problem_of("knee-reach").mechanism
+    x, T = np.linspace(0.0, 1.0, 400), 1e-3
+    s = START + (GOAL - START) * (10 * x**3 - 15 * x**4 + 6 * x**5)
+    v = (GOAL - START) * (30 * x**2 - 60 * x**3 + 30 * x**4) / T
+    a = (GOAL - START) * (60 * x - 180 * x**2 + 120 * x**3) / T**2
+    q = follow(mechanism, s[:, None], planned("knee-reach").trajectory.start_pose)
+    effort, _ = needed_effort(mechanism, q, v[:, None], a[:, None])
+    found = planned("knee-reach", TOO_SHORT).details["smooth_path_limit_factor"]
+    assert found == pytest.approx(np.abs(effort).max() / LIMIT, rel=0.01)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("duration", ["0.1", "0.03"])
+def test_a_duration_that_is_only_a_little_too_short_is_looked_into_as_before(duration):
+    plan = planned("knee-reach", f"motion.duration_s={duration}")
+    assert plan.status == "infeasible"
+    assert plan.history
+    assert "times too short" not in plan.message
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("problem", "words"),
+    [
+        ("five-bar-reach", ["act_O", "times its limit of 1.4", "0.2293 s"]),
+        ("cart-pole-swing-up", ["act_cart", "no actuator gives", "on pole"]),
+        ("gripper-close", ["pull on tendon cable", "times its limit of 20", "0.0885"]),
+        ("squeezer-turn", ["drive on joint beta", "0.01408 s"]),
+    ],
+)
+def test_other_mechanisms_are_answered_so_too(problem, words):
+    free = ["limits.speed_deg_s={}"] if problem == "five-bar-reach" else []
+    plan = planned(problem, TOO_SHORT, *free)
+    assert plan.status == "infeasible"
+    assert plan.history == ()
+    for word in ["times too short", "shortest feasible duration", *words]:
+        assert word in plan.message
+
+
+@pytest.mark.slow
+def test_a_weak_motor_that_swings_up_is_not_taken_for_hurried():
+    weak = planned("knee-reach", "motion.duration_s=0.2", "limits.effort.act_O=[-0.1, 0.1]")
+    assert "times too short" not in weak.message
+
+
+def test_inertia_alone_asks_for_the_whole_effort_of_a_body_without_weight():
+    motion = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\nduration_s = 0.01\n'
+    problem = body_problem(HINGE, motion)
+    path = path_effort(problem, first_guess(problem, problem.start_pose()))
+    assert path.factor > 1
+    assert path.inertial_factor == pytest.approx(path.factor, rel=1e-9)
+
+
+def test_weight_is_no_part_of_what_inertia_asks_for():
+    motion = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\nduration_s = 0.01\n'
+    light, heavy = (body_problem(PENDULUM.format(limit=limit), motion) for limit in (1.0, 2.0))
+    factors = [path_effort(one, first_guess(one, one.start_pose())).inertial_factor for one in (light, heavy)]
+    inertia = 0.01 + 0.25  # about the hinge
+    largest = np.radians(90.0) * 10 / np.sqrt(3) / 0.01**2  # of the fifth-order polynomial
+    assert factors[0] == pytest.approx(inertia * largest / 1.0, rel=0.01)
+    assert factors[1] == pytest.approx(factors[0] / 2, rel=1e-9)

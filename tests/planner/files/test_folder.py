@@ -2,7 +2,6 @@
 
 import csv
 import json
-import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -21,7 +20,7 @@ from linkplan.planner.plan.record import PLAN_FORMAT
 from linkplan.planner.problem.problem import Problem
 from tests.support.fourbar import KNEE_PROBLEMS
 from tests.support.plans import optimal, planned, saved_plan
-from tests.support.tolerances_planner import CERTIFIED_AGAIN, CSV, PRINTED_NM, ROUNDING
+from tests.support.tolerances_planner import CSV, PRINTED_NM
 
 ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")
 every_plan = pytest.mark.parametrize("name", KNEE_PROBLEMS)
@@ -45,16 +44,6 @@ def test_a_plan_that_is_read_back_has_the_same_motion_and_says_the_same(name, tm
     assert (again.status, again.message, again.objective) == (plan.status, plan.message, plan.objective)
     assert again.details == plan.details
     assert again.problem.source == plan.problem.source
-
-
-@pytest.mark.slow
-@every_plan
-def test_a_plan_that_is_read_back_is_certified_anew(name, tmp_path):
-    certificate, before = read_plan(saved_plan(name, tmp_path)).certificate, optimal(name).certificate
-    assert certificate.passed
-    assert certificate.integration_error_deg == pytest.approx(
-        before.integration_error_deg, rel=CERTIFIED_AGAIN, abs=ROUNDING
-    )
 
 
 def test_overrides_outlive_the_folder(tmp_path):
@@ -199,33 +188,18 @@ def flipped(folder: Path) -> None:
     (folder / "trajectory.npz").write_bytes(bytes(data))
 
 
-def as_npy(folder: Path) -> None:
-    np.save(folder / "one.npy", np.eye(3))
-    (folder / "one.npy").rename(folder / "trajectory.npz")
-
-
 def as_folder(folder: Path) -> None:
     (folder / "trajectory.npz").unlink()
     (folder / "trajectory.npz").mkdir()
-
-
-def foreign(folder: Path) -> None:
-    with zipfile.ZipFile(folder / "trajectory.npz", "w") as archive:
-        archive.writestr("readme.txt", "hello")
 
 
 ONES = np.ones((4, 40, 1))
 BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "no plan.json": (lambda folder: (folder / "plan.json").unlink(), "plan.json"),
     "plan.json cut short": (cut("plan.json", 0.5), "truncated or not JSON"),
-    "plan.json empty": (content("plan.json", b""), "truncated or not JSON"),
-    "plan.json not text": (content("plan.json", b"\xff\xfe\x00\x01"), "truncated or not JSON"),
-    "plan.json a list": (content("plan.json", b"[1, 2]"), "Expected `object`, got `array`"),
     "plan.json nested without end": (content("plan.json", b"[" * 100_000), "plan.json"),
-    "plan.json with a number too long": (content("plan.json", b'{"format": ' + b"1" * 5000 + b"}"), "plan.json"),
     "plan.json of something else": (content("plan.json", b'{"name": "x"}'), "missing required field `format`"),
     "another format": (with_record(lambda said: said.update(format=99)), "has format 99"),
-    "no format": (with_record(lambda said: said.pop("format") and None), "missing required field `format`"),
     "no problem": (with_record(lambda said: said.update(problem="x")), "Expected `object`, got `str` - at `$.problem`"),
     "a problem that is malformed": (
         with_record(lambda said: said["problem"]["motion"].update(kind="reech")),
@@ -235,36 +209,23 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
         with_record(lambda said: said["problem"]["mechanism"].update(model="gone.xml")),
         "cannot be built again: unknown model 'gone.xml'",
     ),
-    "details that are a list": (with_record(lambda said: said.update(details=[1])), "at `$.details`"),
     "a status that is none": (with_record(lambda said: said.update(status="perfect")), "perfect"),
     "no trajectory": (lambda folder: (folder / "trajectory.npz").unlink(), "trajectory.npz"),
     "a trajectory that is a folder": (as_folder, "trajectory.npz"),
     "a trajectory cut short": (cut("trajectory.npz", 0.7), "truncated or not a trajectory"),
     "a trajectory with a byte flipped": (flipped, "truncated or not a trajectory"),
-    "an empty trajectory": (content("trajectory.npz", b""), "truncated or not a trajectory"),
-    "a trajectory that is text": (content("trajectory.npz", b"time, angle\n"), "truncated or not a trajectory"),
-    "a single array": (as_npy, "trajectory.npz"),
-    "a foreign archive": (foreign, "lacks an array"),
     "an unknown compression": (patched(10, 97), "trajectory.npz"),
-    "an encrypted archive": (patched(8, 1), "trajectory.npz"),
     "an array missing": (with_arrays(effort=None), "lacks an array: effort"),
-    "no word on its period": (with_arrays(periodic=None), "lacks an array: periodic"),
     "an array of objects": (with_arrays(effort=np.array([{}], dtype=object)), "truncated or not a trajectory"),
-    "an array of words": (with_arrays(effort=np.array(["a"])), "truncated or not a trajectory"),
     "a value that is not a number": (with_arrays(effort=np.full((3, 40, 1), np.nan)), "not finite"),
     "breaks that run back": (with_arrays(breaks_s=np.linspace(1, 0, 41)), "breaks must increase"),
     "a single break": (with_arrays(breaks_s=np.array(0.16)), "trajectory.npz"),
     "an interval missing": (with_arrays(effort=ONES[:3, 1:]), "intervals"),
     "two joints": (with_arrays(position=np.ones((5, 40, 2)), velocity=np.ones((4, 40, 2))), "does not fit mechanism"),
-    "two joints' velocities": (with_arrays(velocity=np.ones((4, 40, 2))), "trajectory.npz"),
     "two actuators": (with_arrays(effort=np.ones((3, 40, 2))), "does not fit mechanism"),
     "a flat position": (with_arrays(position=ONES[:, :, 0]), "trajectory.npz"),
-    "a flat velocity": (with_arrays(velocity=ONES[:, :, 0]), "trajectory.npz"),
-    "a flat effort": (with_arrays(effort=ONES[:3, :, 0]), "trajectory.npz"),
     "no coefficients": (with_arrays(effort=ONES[:0]), "trajectory.npz"),
-    "a start pose that is a column": (with_arrays(start_pose=np.zeros((3, 1))), "trajectory.npz"),
     "a start pose of another mechanism": (with_arrays(start_pose=np.zeros(5)), "does not fit mechanism"),
-    "an empty start pose": (with_arrays(start_pose=np.zeros(0)), "it has 0 joints in its start pose, the mechanism 3"),
     "a motion out of reach": (with_arrays(position=5 + np.ones((5, 40, 1))), "trajectory.npz"),
 }
 
@@ -325,24 +286,11 @@ def test_a_solve_without_an_objective_has_one_that_is_not_a_number(saved):
     assert np.isnan(read_plan(saved).history[0].objective)
 
 
-def test_a_solve_of_the_history_without_its_time_is_refused(saved):
-    with_record(lambda said: said["history"][0].pop("solve_s") and None)(saved)
-    with pytest.raises(PlanFileError, match=r"missing required field `solve_s` - at `\$\.history"):
-        read_plan(saved)
-
-
 def test_a_plan_that_could_not_be_used_once_it_is_saved_is_not_saved(tmp_path):
     plan = replace(optimal("knee-reach"), objective=2 * optimal("knee-reach").objective)
     with pytest.raises(CertificateError, match=r"not saved.*saved objective is"):
         write_whole(tmp_path / "plan", lambda new: write_plan(plan, new))
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_plan_that_reads_back_the_same_is_not_certified_again(tmp_path, monkeypatch):
-    """Its certificate is the same: of a leg's plan it took a quarter of the time."""
-    plan = optimal("knee-reach")
-    monkeypatch.setattr("linkplan.planner.plan.folder.certify", lambda *_: pytest.fail("certified again"))
-    write_whole(tmp_path / "plan", lambda new: write_plan(plan, new))
 
 
 def test_a_motion_that_was_changed_on_disk_no_longer_counts_as_optimal(saved):

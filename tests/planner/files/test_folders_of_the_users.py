@@ -11,7 +11,7 @@ import pytest
 
 from linkplan.models import work_folders
 from linkplan.models.errors import PlanFileError
-from linkplan.planner.files.folders import check_target, complete, write_json, write_whole
+from linkplan.planner.files.folders import check_target, write_json, write_whole
 from linkplan.planner.files.manifest import MANIFEST, RECORDS, files_in
 
 
@@ -288,15 +288,6 @@ def test_a_file_that_changed_after_a_kill_is_not_replaced(tmp_path):
     assert (place / "plan.json").read_text() == "my own words"
 
 
-def test_a_read_completes_a_replacement_that_was_killed(tmp_path):
-    place = tmp_path / "run"
-    write_whole(place, result("old"))
-    subprocess.run([sys.executable, "-c", KILLED, "after the rename", str(place)], check=False)
-    complete(place)
-    assert json.loads((place / "plan.json").read_text())["problem"] == "new"
-    assert names(place) == [MANIFEST, "far", "plan.json"]
-
-
 def test_a_work_folder_that_is_in_use_is_left_alone(tmp_path):
     def write(new: Path) -> None:
         result("new")(new)
@@ -340,15 +331,6 @@ def test_a_folder_inside_a_result_is_no_place_for_another_result(tmp_path):
     with pytest.raises(PlanFileError, match=r"without the \.linkplan\.json"):
         write_whole(place / "case", result("alone"))
     assert (place / "case" / "plan.json").read_text() == "old"
-
-
-def test_a_result_of_its_own_below_another_stays(tmp_path):
-    place = tmp_path / "run"
-    write_whole(place, result("old"))
-    write_whole(place / "compared", result("mine"))
-    write_whole(place, result("new"))
-    assert (place / "compared" / "case" / "plan.json").read_text() == "mine"
-    assert names(place / "compared") == [MANIFEST, "case", "plan.json"]
 
 
 @pytest.mark.parametrize("target", ["~/run", "~"])

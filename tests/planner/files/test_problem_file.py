@@ -25,23 +25,15 @@ MALFORMED: list[tuple[str | tuple[str, ...], list[str]]] = [
     ("motion", ["section.key=value", "'motion'"]),
     ("kind=reach", ["section.key=value"]),
     ("=3", ["section.key=value"]),
-    ("motion.=3", ["section.key=value"]),
     ("motion.kind.x=3", ["'motion.kind' is a value, not a table"]),
-    ("motion.start_deg.O.x=3", ["'motion.start_deg.O' is a value"]),
     ("motion.duration_s=", ["motion.duration_s", "neither TOML nor a bare word"]),
-    ("motion.duration_s=1 2", ["neither TOML nor a bare word"]),
-    ("motion.duration_s=[1,", ["neither TOML nor a bare word"]),
-    ("motion.goal_deg={O=}", ["neither TOML nor a bare word"]),
-    ("motion.kind=\n", ["motion.kind"]),
     # unknown names, with the nearest legal one
     ("motin.kind=reach", ["'motin'", "did you mean 'motion'", "objective"]),
     ("motion.goal=3", ["motion.goal", "did you mean 'goal_"]),
     ("objective.minimise=time", ["objective.minimise", "did you mean 'minimize'"]),
-    ("tracking.kq=1", ["tracking.kq", "kp, kd"]),
     ("limits.efort.act_O=[-1, 1]", ["limits.efort", "did you mean 'effort'"]),
     ("motion.kind=reech", ["motion.kind", "'reech'", "did you mean 'reach'", "periodic"]),
     ("objective.minimize=tim", ["objective.minimize", "did you mean 'time'"]),
-    ("mesh.scheme=radu-3", ["mesh.scheme", "'radu-3'", "did you mean 'radau-3'"]),
     ("mesh.scheme=radau-10", ["mesh.scheme", "radau-1 to radau-9"]),
     ("limits.effort.act_K=[-1, 1]", ["limits.effort", "'act_K'", "did you mean 'act_O'"]),
     ("motion.goal_deg.K=3", ["'K'", "optimus-knee", "O, A, C"]),
@@ -55,15 +47,12 @@ MALFORMED: list[tuple[str | tuple[str, ...], list[str]]] = [
     ("motion.kind=3", ["motion.kind", "got 3"]),
     ("motion.goal_deg=3", ["motion.goal_deg", "table of joint = value"]),
     ("motion.goal_deg.O=true", ["motion.goal", "joint O", "a number", "True"]),
-    ('motion.goal_deg.O="3"', ["motion.goal", "joint O", "'3'"]),
     ("motion.duration_s=fre", ['"free"', "'fre'"]),
     ("motion.duration_s=1979-05-27", ["motion.duration_s", "a positive number"]),
     ("limits.effort=[-1, 1]", ["limits.effort", "table of actuator"]),
     ("limits.effort.act_O=5", ["limits.effort.act_O", "[low, high]", "got 5"]),
     ("limits.effort.act_O=[1, 2, 3]", ["limits.effort.act_O", "[low, high]"]),
     ("mesh.intervals=40.0", ["mesh.intervals", "whole number", "40.0"]),
-    ("mesh.intervals=true", ["mesh.intervals", "True"]),
-    ("mesh.scheme=3", ["mesh.scheme", "'3'"]),
     ("mesh.scheme=[1, 2]", ["mesh.scheme", "radau-1 to radau-9"]),
     ("mesh.scheme={a=1}", ["mesh.scheme", "radau-1 to radau-9"]),
     ("tracking.delay_periods=1.5", ["tracking.delay_periods", "whole number", "1.5"]),
@@ -77,35 +66,23 @@ MALFORMED: list[tuple[str | tuple[str, ...], list[str]]] = [
     ("limits.range_m.O=[-1, 1]", ["joint 'O' is a hinge", "limits.range_deg"]),
     # not a number, infinite, negative, too large, empty
     ("motion.goal_deg.O=nan", ["motion.goal", "joint O", "nan"]),
-    ("motion.goal_deg.O=inf", ["motion.goal", "joint O", "inf"]),
     ("motion.duration_s=0", ["motion.duration_s", "positive", "got 0"]),
-    ("motion.duration_s=-1", ["motion.duration_s", "positive", "got -1"]),
-    ("motion.duration_s=nan", ["motion.duration_s", "nan"]),
-    ("motion.duration_s=inf", ["motion.duration_s", "inf"]),
     ("motion.duration_s=1" + "0" * 400, ["motion.duration_s"]),
     ("motion.max_duration_s=-3", ["motion.max_duration_s", "positive", "-3"]),
-    ("limits.effort.act_O=[1, -1]", ["limits.effort.act_O", "low < high"]),
     ("limits.effort.act_O=[5, 5]", ["limits.effort.act_O", "low < high"]),
     ("limits.effort.act_O=[nan, 5]", ["limits.effort.act_O", "nan"]),
     ("limits.range_deg.O=[-95, 95]", ["limits.range_deg.O", "wider", "[-90, 90]"]),
     ("limits.speed_deg_s.O=0", ["limits.speed_deg_s.O", "positive"]),
-    ("limits.speed_deg_s.O=nan", ["limits.speed_deg_s.O", "nan"]),
     ("limits.speed_deg_s.O=[5, 10]", ["limits.speed_deg_s.O", "rest"]),
     ("mesh.intervals=1", ["mesh.intervals", "from 2 to"]),
     ("mesh.intervals=100000", ["mesh.intervals", str(MAX_INTERVALS)]),
     ("tracking.kp=-1", ["tracking.kp", "at least 0", "-1"]),
-    ("tracking.kd=nan", ["tracking.kd", "nan"]),
-    ("tracking.period_s=0", ["tracking.period_s", "positive"]),
-    ("tracking.delay_periods=-1", ["tracking.delay_periods", "-1"]),
-    ("tracking.lqr_position_deg=0", ["tracking.lqr_position_deg", "positive"]),
     ("mechanism.payload.mass_kg=-1", ["payload.mass_kg", "positive", "-1"]),
-    ("mechanism.payload.mass_kg=nan", ["payload.mass_kg", "nan"]),
     ("mechanism.payload.com_m=[1, 2]", ["payload.com_m", "three"]),
     ("mechanism.payload.inertia_kgm2=[1, 0, 0]", ["payload.inertia_kgm2", "no rigid body"]),
     # words with a line's end in them
     ('motion.kind="reach\\nx"', ["motion.kind"]),
     ('mechanism.model="a\\nb"', ["a model's name", "cannot be shown"]),
-    ("mechanism.model=" + "a" * 300, ["unknown model"]),
     # values that contradict each other
     ("objective.minimize=time", ["minimize 'time'", '"free"', "0.16"]),
     ("objective.minimize=tracking", ["'tracking'", "[reference]"]),
@@ -117,7 +94,6 @@ MALFORMED: list[tuple[str | tuple[str, ...], list[str]]] = [
     ("reference.frequency_hz=4", ["reference.amplitude_deg", "joint O"]),
     ("reference.amplitude_deg.O=4", ["reference.frequency_hz", "positive"]),
     (("reference.frequency_hz=4", "reference.amplitude_deg.A=4"), ["reference.amplitude", "independent", "A"]),
-    (("reference.frequency_hz=0", "reference.amplitude_deg.O=4"), ["reference.frequency_hz", "positive"]),
     (("mechanism.payload=none", "mechanism.payload.mass_kg=1"), ["'mechanism.payload' is a value"]),
 ]
 
@@ -186,9 +162,7 @@ FILES: dict[str, tuple[Callable[[Path], str | Path], list[str]]] = {
     "malformed TOML": (write(b"[motion\nkind = 1"), ["is not TOML"]),
     "a key twice": (write(b"[motion]\nkind = 'reach'\nkind = 'track'"), ["is not TOML", "a key is given twice"]),
     "a key without its table": (write(b"model = 'optimus-knee'"), ["'model': it is a key of [mechanism]"]),
-    "a key of several tables": (write(b"duration_s = 1"), ["a key of [motion] or [guess] or [tracking]"]),
     "not UTF-8": (write(b"description = '\xff\xfe'"), ["not UTF-8"]),
-    "bytes": (write(bytes(range(256))), ["problem.toml"]),
     "an empty file": (write(b""), ["mechanism.model"]),
     "no kind": (write(b"[mechanism]\nmodel = 'optimus-knee'"), ["motion.kind is missing", "reach, hold, periodic, track"]),
     "a table that is a number": (write(b"motion = 3"), ["'motion' is a table", "got 3"]),
@@ -227,39 +201,23 @@ def test_no_text_whatever_gets_past_the_reader_as_another_error(key, text):
     assert isinstance(answer, Problem) or len(answer.splitlines()) == 1
 
 
-# What overrides do.
+# What overrides do: what is set, what is read then, its value.
+SETTINGS = [
+    ("mesh.scheme=radau-2", lambda problem: problem.mesh.scheme, "radau-2"),
+    ('mesh.scheme = "radau-2"', lambda problem: problem.mesh.scheme, "radau-2"),
+    ("tracking.kp=1e3", lambda problem: problem.tracking.kp, 1000.0),
+    ("limits.effort.act_O=[-50, inf]", lambda problem: problem.limits.effort.tolist(), [[-50.0, np.inf]]),
+    ("motion.goal_deg={O = 10}", lambda problem: problem.motion.goal, pytest.approx(np.radians(10))),
+    ("motion.duration_s=free", lambda problem: problem.motion.duration_s, None),
+    ("mechanism.payload=none", lambda problem: problem.mechanism.payload, None),
+    ('mechanism.payload={body="rocker", mass_kg=2, com_m=[0, 0, 1]}', lambda p: p.mechanism.payload.body, "rocker"),
+]
 
 
-def test_a_bare_word_is_a_string():
-    assert load_problem(REACH, ["mesh.scheme=radau-2"]).mesh.scheme == "radau-2"
-
-
-def test_a_quoted_word_is_the_same_string():
-    assert load_problem(REACH, ['mesh.scheme = "radau-2"']).mesh.scheme == "radau-2"
-
-
-def test_a_number_keeps_its_kind():
-    problem = load_problem(REACH, ["mesh.intervals=20", "tracking.kp=1e3"])
-    assert problem.mesh.intervals == 20
-    assert problem.tracking.kp == 1000.0
-
-
-def test_an_array_is_an_interval():
-    problem = load_problem(REACH, ["limits.effort.act_O=[-50, inf]"])
-    np.testing.assert_array_equal(problem.limits.effort, [[-50, np.inf]])
-
-
-def test_a_table_replaces_a_table():
-    assert np.degrees(load_problem(REACH, ["motion.goal_deg={O = 10}"]).motion.goal) == pytest.approx(10)
-
-
-def test_a_nested_key_changes_one_value_only():
-    problem = load_problem(REACH, ["motion.goal_deg.O=10"])
-    np.testing.assert_allclose(np.degrees([problem.motion.goal[0], problem.motion.start[0]]), [10, -49.07])
-
-
-def test_the_last_of_two_settings_holds():
-    assert load_problem(REACH, ["motion.duration_s=1", "motion.duration_s=2"]).motion.duration_s == 2.0
+@pytest.mark.parametrize(("override", "read", "value"), SETTINGS)
+def test_a_setting_is_what_the_problem_has(override, read, value):
+    assert read(load_problem(REACH, [override])) == value
+    assert read(load_problem(REACH)) != value
 
 
 def test_a_key_of_a_built_in_payload_keeps_its_other_values():
@@ -270,26 +228,11 @@ def test_a_key_of_a_built_in_payload_keeps_its_other_values():
     np.testing.assert_array_equal(payload.inertia_kgm2, SHANK.inertia_kgm2)
 
 
-def test_a_payload_can_be_taken_away():
-    assert load_problem(REACH).mechanism.payload is not None
-    assert load_problem(REACH, ["mechanism.payload=none"]).mechanism.payload is None
-
-
-def test_a_payload_can_be_a_table():
-    text = 'mechanism.payload={body="rocker", mass_kg=2, com_m=[0, 0, 0.1]}'
-    payload = load_problem(REACH, [text]).mechanism.payload
-    assert (payload.body, payload.mass_kg) == ("rocker", 2.0)
-
-
 def test_an_override_does_not_outlive_its_problem():
     load_problem(REACH, ["motion.goal_deg.O=10", "mechanism.payload.mass_kg=9"])
     problem = load_problem(REACH)
     assert np.degrees(problem.motion.goal[0]) == pytest.approx(56.27)
     assert problem.mechanism.payload.mass_kg == SHANK.mass_kg
-
-
-def test_free_is_a_duration():
-    assert load_problem(REACH, ["motion.duration_s=free"]).motion.duration_s is None
 
 
 @pytest.mark.slow
@@ -330,19 +273,6 @@ def test_degrees_become_radians_and_the_model_s_ranges_become_limits():
     assert np.all(np.isinf(problem.limits.speed[[0, 2]]))
 
 
-def test_a_model_s_path_is_taken_from_its_problem_s_folder(tmp_path):
-    (tmp_path / "model.xml").write_text(FRICTION.replace(' frictionloss="0.5"', "").replace("<equality/>", ""))
-    (tmp_path / "problem.toml").write_text(PROBLEM + "duration_s = 1.0\n", encoding="utf-8")
-    problem = load_problem(tmp_path / "problem.toml")
-    assert problem.mechanism.name == "model"
-    assert Path(problem.source["mechanism"]["model"]).is_absolute()
-
-
-def test_a_periodic_motion_with_a_reference_is_for_tracking_by_default():
-    for name in ("knee-sine-shank", "knee-sine"):
-        assert load_problem(name).objective.name == "tracking"
-
-
 def test_a_start_that_names_a_dependent_joint_where_it_is_may_do_so():
     problem = load_problem(REACH, ["motion.start_deg.A=106.817"])
     assert problem.motion.start.shape == (1,)
@@ -357,7 +287,11 @@ def test_the_independent_joint_can_be_named():
 
 @pytest.mark.parametrize(
     ("value", "words"),
-    [('["K"]', ["'K'", "O, A, C"]), ('"O"', ["list of joint names"]), ('["O", "A"]', ["2 joints", "1 degrees of freedom"])],
+    [
+        ('["K"]', ["'K'", "O, A, C"]),
+        ('"O"', ["list of joint names"]),
+        ('["O", "A"]', ["degrees of freedom (1)", "got O, A"]),
+    ],
 )
 def test_a_name_that_is_no_independent_joint_is_refused(value, words):
     with pytest.raises(LinkplanError) as raised:

@@ -1,13 +1,16 @@
-"""Single values in TOML's syntax, and arrays of trajectories beyond what is read."""
+"""Values in TOML's syntax, trajectories and tables of columns: read back as they were written, or refused."""
 
 import math
+import tomllib
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from linkplan.models.errors import PlanFileError, ProblemError
-from linkplan.planner.files.columns import read_trajectory
-from linkplan.planner.files.tables import inline, parse_value
+from linkplan.planner.files.columns import read_table, read_trajectory, schema_of
+from linkplan.planner.files.tables import inline, parse_value, toml_text
 
 
 @pytest.mark.parametrize("value", [1.5, -2, True, math.inf, -math.inf, [1.0, -math.inf], "two words"])
@@ -39,3 +42,59 @@ def test_polynomials_of_up_to_24_coefficients_are_read(tmp_path, name, coefficie
     else:
         with pytest.raises(PlanFileError, match="1 intervals of 25 coefficients; at most 20000 of 24 are read"):
             read_trajectory(path)
+
+
+pa = pytest.importorskip("pyarrow")
+parquet = pytest.importorskip("pyarrow.parquet")
+
+KINDS = {"x": "number", "k": "count", "passed": "flag", "why": "word"}
+VALUES = {"x": [1.5, -2.25, 1e-300], "k": [3, 0, -7], "passed": [True, False, True], "why": ["late", None, "late"]}
+
+
+def written(path, *, compression: str = "snappy", rows: int = 3):
+    table = pa.table({name: values[:rows] for name, values in VALUES.items()}, schema=schema_of(KINDS))
+    parquet.write_table(table, path, compression=compression)
+    return path
+
+
+def test_columns_are_read_back_and_missing_words_are_none(tmp_path):
+    found = read_table(written(tmp_path / "table.parquet"), KINDS, 3)
+    assert {name: values.tolist() for name, values in found.items()} == VALUES
+
+
+def test_a_table_of_other_rows_or_encodings_is_refused(tmp_path):
+    with pytest.raises(PlanFileError, match="2 rows; 3 were asked for"):
+        read_table(written(tmp_path / "short.parquet", rows=2), KINDS, 3)
+    with pytest.raises(PlanFileError, match="encoded by GZIP, which linkplan does not write"):
+        read_table(written(tmp_path / "other.parquet", compression="gzip"), KINDS, 3)
+    assert np.isfinite(read_table(written(tmp_path / "plain.parquet", compression="none"), KINDS, 3)["x"]).all()
+
+
+WORDS = st.text(st.characters(exclude_categories=("Cs",)), max_size=12)
+NUMBERS = st.one_of(st.booleans(), st.integers(-(2**62), 2**62), st.floats(allow_nan=False))
+TOML_VALUES = st.recursive(
+    st.one_of(NUMBERS, WORDS),
+    lambda inner: st.one_of(st.lists(inner, max_size=3), st.dictionaries(WORDS, inner, max_size=3)),
+    max_leaves=8,
+)
+
+
+@given(st.dictionaries(WORDS, st.one_of(NUMBERS, WORDS, st.dictionaries(WORDS, TOML_VALUES, max_size=4)), max_size=4))
+def test_any_tables_are_read_back_as_they_were(tables):
+    assert tomllib.loads(toml_text(tables)) == tables
+
+
+def test_not_a_number_is_written_too():
+    assert math.isnan(tomllib.loads(f"x = {inline(math.nan)}")["x"])
+
+
+def test_a_text_of_several_lines_keeps_its_lines():
+    model = "<mujoco>\n  <worldbody/>\n</mujoco>\n"
+    text = toml_text({"mechanism": {"model": model}})
+    assert "\n  <worldbody/>\n" in text
+    assert tomllib.loads(text)["mechanism"]["model"] == model
+
+
+def test_what_toml_has_no_form_for_is_refused_by_its_key():
+    with pytest.raises(ProblemError, match=r"motion\.start_deg\.O is numbers, words, lists or tables, got None"):
+        toml_text({"motion": {"start_deg": {"O": None}}})

@@ -1,6 +1,6 @@
-"""Results on disk are written whole or not at all, and never over what is somebody else's."""
+"""Results and single files are written whole or not at all, and never over what is somebody else's."""
 
-import shutil
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +9,7 @@ import pytest
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import check_target, write_json, write_whole
 from linkplan.planner.files.manifest import MANIFEST, RECORDS
+from linkplan.planner.files.single_file import MADE_BY, check_file_target, write_file_whole
 from linkplan.planner.plan.folder import read_plan, write_plan
 from tests.support.plans import optimal, planned
 
@@ -39,11 +40,6 @@ def test_a_write_that_fails_keeps_the_earlier_result(write, error, saved):
     assert [path.name for path in saved.parent.iterdir()] == [saved.name]
 
 
-def test_a_disk_that_refuses_is_named_with_its_reason(tmp_path):
-    with pytest.raises(PlanFileError, match="No space left on device"):
-        write_whole(tmp_path / "plan", out_of_disk)
-
-
 def test_a_newer_result_replaces_an_older_one_whole(tmp_path):
     saved = tmp_path / "saved"
     write_whole(saved, lambda new: [(new / name).write_text("old") for name in ("plan.json", "figure.png")])
@@ -61,13 +57,6 @@ def test_an_empty_folder_may_be_filled(tmp_path):
     (tmp_path / "plan").mkdir()
     write_whole(tmp_path / "plan", lambda new: write_json(new / "plan.json", {}))
     assert (tmp_path / "plan" / "plan.json").is_file()
-
-
-def test_a_folder_of_other_things_is_not_overwritten(tmp_path):
-    (tmp_path / "thesis.tex").write_text("all my work")
-    with pytest.raises(PlanFileError, match="not linkplan's"):
-        write_whole(tmp_path, lambda new: write_json(new / "plan.json", {}))
-    assert (tmp_path / "thesis.tex").read_text() == "all my work"
 
 
 @pytest.mark.parametrize("name", RECORDS)
@@ -88,13 +77,80 @@ def test_a_file_in_the_way_is_not_overwritten(tmp_path):
     assert (tmp_path / "plan").read_text() == "mine"
 
 
-def test_a_copied_folder_is_as_good_as_the_first(saved, tmp_path):
-    shutil.copytree(saved, tmp_path / "copy")
-    assert read_plan(tmp_path / "copy").certificate.passed
-
-
 def test_a_plan_whose_certificate_fails_can_still_be_saved_and_says_so(tmp_path):
     plan = planned("knee-reach")
     broken = replace(plan, status="failed", message="failed: on purpose")
     write_whole(tmp_path / "plan", lambda new: write_plan(broken, new))
     assert read_plan(tmp_path / "plan", anyway=True).status == "failed"
+
+
+KINDS = (".mp4", ".png")
+OURS = b"\x89 " + MADE_BY.encode() + b" rest"
+
+
+def test_a_failure_leaves_the_earlier_file_and_nothing_else(tmp_path):
+    target = tmp_path / "film.mp4"
+    target.write_bytes(OURS)
+
+    def fails(path) -> None:
+        path.write_bytes(b"half")
+        raise RuntimeError("the encoder fails")
+
+    with pytest.raises(RuntimeError):
+        write_file_whole(target, fails, KINDS)
+    assert target.read_bytes() == OURS
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_an_interrupt_while_writing_leaves_nothing(tmp_path):
+    def interrupted(path) -> None:
+        path.write_bytes(b"half")
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        write_file_whole(tmp_path / "film.mp4", interrupted, KINDS)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_of_linkplans_own_is_written_over_and_anothers_is_not(tmp_path):
+    target = tmp_path / "film.mp4"
+    target.write_bytes(OURS)
+    write_file_whole(target, lambda path: path.write_bytes(OURS + b"2"), KINDS)
+    assert target.read_bytes() == OURS + b"2"
+    target.write_bytes(b"holidays")
+    with pytest.raises(PlanFileError, match="not linkplan's"):
+        check_file_target(target, KINDS)
+    assert target.read_bytes() == b"holidays"
+
+
+def test_the_mark_is_found_wherever_it_stands_in_a_large_file(tmp_path):
+    target = tmp_path / "film.mp4"
+    edge = (1 << 20) - len(MADE_BY) // 2
+    target.write_bytes(b"\0" * edge + MADE_BY.encode() + b"\0" * 9)
+    check_file_target(target, KINDS)
+    target.write_bytes(b"\0" * (edge + 99))
+    with pytest.raises(PlanFileError):
+        check_file_target(target, KINDS)
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("film.avi", "'.avi'"),
+        ("film", "ends in .mp4 or .png"),
+        ("there/film.mp4", "no folder"),
+        ("folder.mp4", "is a folder"),
+    ],
+)
+def test_a_place_where_no_such_file_can_be_is_refused_in_a_line(name, words, tmp_path):
+    (tmp_path / "folder.mp4").mkdir()
+    with pytest.raises(PlanFileError, match=words):
+        check_file_target(tmp_path / name, KINDS)
+
+
+@pytest.mark.skipif(os.name != "posix" or os.geteuid() == 0, reason="to root every folder is open")
+def test_a_folder_that_may_not_be_written_is_refused(tmp_path):
+    closed = tmp_path / "closed"
+    closed.mkdir(mode=0o500)
+    with pytest.raises(PlanFileError, match="no permission"):
+        check_file_target(closed / "film.mp4", KINDS)

@@ -1,10 +1,9 @@
 """Values that files may hold, on both sides of their bounds, and the sentences that refuse others."""
 
-from typing import Annotated, Literal
+from typing import Literal
 
 import msgspec
 import pytest
-from msgspec import Meta
 
 from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.keys import kinds
@@ -52,8 +51,6 @@ def test_the_last_legal_value_is_taken_and_the_next_is_refused(kind, legal, beyo
         ("limits.reserve", 1.5, "limits.reserve is from 0 to below 1, got 1.5"),
         ("limits.reserve", -0.5, "limits.reserve is a number of at least 0, got -0.5"),
         ("limits.reserve", "much", "limits.reserve is a number of at least 0, got 'much'"),
-        ("limits.reserve", True, "limits.reserve is a number of at least 0, got True"),
-        ("limits.reserve", float("nan"), "limits.reserve is a number of at least 0, got nan"),
         (
             "tracking.delay_periods",
             10**20,
@@ -84,22 +81,12 @@ def test_a_value_that_is_not_legal_is_refused_by_its_key_what_is_legal_and_itsel
         (Literal["one"], '"one"'),
         (Literal["one", "two"], "one of one, two"),
         (kinds.Positive, "a positive number"),
-        (kinds.AtLeastZero, "a number of at least 0"),
-        (kinds.Number, "a number"),
-        (kinds.Duration, "a positive number"),
         (kinds.Turns, "a whole number from -100 to 100"),
         (kinds.Positive | Literal["free"], 'a positive number or "free"'),
     ],
 )
 def test_a_type_in_words(kind, said):
     assert words(kind) == said
-
-
-def test_a_list_that_is_too_long_is_refused_by_its_length():
-    short = Annotated[list[float], Meta(max_length=2, extra={"said": "a pair"})]
-    assert fault(short, [1.0, 2.0], "here") is None
-    assert fault(short, [1.0, 2.0, 3.0], "here") == "here is a pair, got 3 of them"
-    assert fault(short, [1.0, "x"], "here") == "here is a number, got 'x'"
 
 
 def test_a_motion_has_at_most_a_thousand_waypoints():

@@ -1,17 +1,22 @@
-"""The rates of efforts, against those of polynomials that jump from one interval to the next; rows and units of limits."""
+"""Limits of actuators: rates, powers, torque-speed lines and ctrl, against closed forms and MuJoCo."""
 
 from dataclasses import replace
 
 import casadi as ca
+import mujoco
 import numpy as np
 import pytest
 
+import linkplan
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.limits.actuators import ControlLimit, MotorLimit, PowerLimit, _unit, clamped_allowance
+from linkplan.planner.limits.actuators import ControlLimit, MotorLimit, PowerLimit, _ctrl, _ranged, _unit, clamped_allowance
 from linkplan.planner.limits.efforts import effort_rates
+from linkplan.planner.limits.kinds import margins_along
+from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
+from tests.support.bodies import HINGE, body_problem
 from tests.support.motions import motion_along
 
 BREAKS_S = np.array([0.0, 1.0, 3.0, 3.5])
@@ -113,3 +118,62 @@ def test_where_a_force_is_clamped_an_overrun_of_ctrl_by_a_ten_thousandth_of_the_
     trajectory = motion_along([0.0, 1.0], still, effort=effort, start_pose=asked.mechanism.home)
     assert clamped_allowance(asked, trajectory, 0) == pytest.approx(allowed)
     assert clamped_allowance(crank(MOTORS), replace(trajectory, effort=np.zeros((1, 1, 2))), 0) == 0.0
+
+
+REACH = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 90.0 }\nduration_s = 1.0\n'
+
+
+def margin(*limit: str):
+    """Return the margin of a limit along q = t^2, w = 2 t, u = 3 - t for a second."""
+    problem = body_problem(HINGE, REACH, *limit)
+    motion = motion_along([0.0, 1.0], [0.0, 0.0, 1.0], effort=[3.0, 2.0])
+    samples = samples_of(problem, motion)
+    (found,) = margins_along(samples)
+    return found
+
+
+@pytest.mark.parametrize(("stall", "no_load", "most"), [(4.0, 4.0, 1.0), (4.0, 5.0, 0.9), (2.0, 10.0, 1.5), (5.0, 2.0, 1.4)])
+def test_a_motors_line_is_the_sum_of_the_shares_of_its_stall_effort_and_no_load_speed(stall, no_load, most):
+    line = margin(f"motors.motor={{stall_effort={stall},no_load_speed_deg_s={float(np.degrees(no_load))}}}")
+    assert line.value == pytest.approx(most, rel=1e-9)
+    assert line.kept is (most <= 1.0)
+
+
+@pytest.mark.parametrize(("most", "left"), [(5.0, 1.0), (3.5, -0.5)])
+def test_power_is_effort_times_speed(most, left):
+    """u w = 2 t (3 - t) is 4 W at the end."""
+    power = margin(f"limits.power_w.motor={most}")
+    assert power.value == pytest.approx(4.0, rel=1e-9)
+    assert power.left == pytest.approx(left, rel=1e-9)
+
+
+# A position servo of 50 N.m/rad and 1 N.m: beyond 0.32 rad every ctrl of its range gives the clamp.
+ARM = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody><body><joint name="O" axis="0 1 0"/>
+<inertial pos="0 0 0" mass="1" diaginertia="0.02 0.02 0.02"/></body></worldbody>
+<actuator><position name="servo" joint="O" kp="50" ctrlrange="-0.3 0.3" forcerange="-1 1"/></actuator></mujoco>"""
+GAIN, CTRL_HIGH, ANGLE = 50.0, 0.3, 0.5
+
+
+@pytest.mark.parametrize(("share", "is_clamped"), [(5e-5, True), (5e-4, False)])
+def test_beside_a_clamped_instant_an_effort_within_a_ten_thousandth_of_the_clamp_counts_as_clamped(share, is_clamped):
+    (actuator,) = linkplan.load_mechanism(ARM).actuators
+    effort = np.array([-1.0, -1.0 + share, -1.0])
+    ranged, bent = _ranged(actuator, ANGLE + effort / GAIN, effort, 3)
+    assert bent.all()
+    assert ranged[0] == pytest.approx(CTRL_HIGH, rel=1e-12)
+    assert ranged[1] - CTRL_HIGH == pytest.approx(0.0 if is_clamped else share / GAIN, abs=1e-12)
+
+
+def test_a_servo_s_ctrl_is_the_one_with_which_mujoco_gives_the_effort():
+    """Of a lever arm's servo with every bias: effort = gain ctrl + b_0 + b_1 length + b_2 speed."""
+    text = ARM.replace(
+        '<position name="servo" joint="O" kp="50" ctrlrange="-0.3 0.3" forcerange="-1 1"/>',
+        '<general name="servo" joint="O" gear="2" gainprm="7" biastype="affine" biasprm="0.4 -30 -3" ctrlrange="-5 5"/>',
+    )
+    mechanism = linkplan.load_mechanism(text)
+    (actuator,) = mechanism.actuators
+    data = mujoco.MjData(mechanism.model)
+    data.qpos[:], data.qvel[:], data.ctrl[:] = 0.3, -0.7, 1.1
+    mujoco.mj_forward(mechanism.model, data)
+    (effort,), (length,), (speed,) = data.actuator_force, data.actuator_length, data.actuator_velocity
+    assert _ctrl(actuator, effort, length, speed) == pytest.approx(1.1, rel=1e-12)

@@ -7,6 +7,7 @@ import pytest
 import linkplan
 from linkplan import ExtraCost, ExtraLimit, Problem
 from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.limits.extra import ExtraPathLimit
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, TURN
 from tests.support.margins import other_margins
 from tests.support.tolerances_planner import EXTRA_LIMIT, PEAK_ON_A_GRID, TIGHTENED_ANEW, TIGHTENED_TWICE
@@ -185,3 +186,11 @@ def test_expressions_of_other_symbols_are_refused(knee):
     other = ExtraLimit(name="other", expression=lambda at: at.position_rad["O"] + ca.SX.sym("other"), upper=1.0)
     with pytest.raises(linkplan.LinkplanError, match="may use only the instant's symbols"):
         Problem.reach(knee, **REACH, extra_limits=[other])
+
+
+def test_a_relaxed_limit_is_wider_by_its_size_times_what_the_factor_is_above_one(knee):
+    limit = ExtraLimit(name="narrow", expression=hip_speed, lower=-3.0, upper=2.0, unit="rad/s")
+    problem = Problem.reach(knee, **REACH, extra_limits=[limit])
+    (wider,) = ExtraPathLimit.relaxed(problem, 1.5).extra_limits
+    assert (wider.lower, wider.upper) == pytest.approx((-4.5, 3.5))
+    assert ExtraPathLimit.relaxed(problem, np.inf).extra_limits == ()

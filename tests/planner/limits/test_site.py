@@ -6,11 +6,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.planner.limits import site as site_limits
 from linkplan.planner.limits.kinds import factor_of
 from linkplan.planner.limits.limit import Margin, limit_margin
 from linkplan.planner.limits.samples import samples_of
-from linkplan.planner.limits.site import SitePathLimit
+from linkplan.planner.limits.site import SitePathLimit, _tube
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -123,25 +122,36 @@ def test_a_relaxed_limit_is_further_out_by_a_share_of_the_extent_and_the_factor_
     assert factor_of(SitePathLimit, replace(asked, limits=replace(asked.limits, site=())), motion()) is None
 
 
-@pytest.mark.parametrize(("highest", "intervals"), [(1.2, 1), (0.97, 2)])
-def test_only_intervals_beyond_a_limit_or_nearest_to_it_are_sampled_finely(monkeypatch, highest, intervals):
-    """Of three intervals the last one has the highest instant, and the second one ends at 0.998 m."""
-    asked, sizes = problem(z=[-9.0, highest]), []
-
-    def follow(mechanism, path, *given):
-        sizes.append(len(path))
-        return kinds_follow(mechanism, path, *given)
-
-    kinds_follow = site_limits.follow
-    samples = samples_of(asked, motion())
-    monkeypatch.setattr(site_limits, "follow", follow)
-    (limit,) = SitePathLimit.of(asked)
-    found = limit_margin(limit, samples)
-    assert found.left == pytest.approx(highest - 1.0, abs=FINE_GRID)
-    assert sizes == [33 * intervals]
-
-
 def test_what_a_wall_through_the_origin_leaves_is_a_share_of_the_mechanism_s_extent():
     asked = problem(z=[0.0, 9.0])
     left = np.sin(BEGIN)  # at the start: a share of the limit, which is zero, would say nothing
     assert margin_of(asked).share == pytest.approx(left / asked.mechanism.extent_m, rel=1e-9)
+
+
+ALONG, RADIUS = np.array([[0.1, 0.0, 0.2], [0.5, 0.0, 0.2], [0.5, 0.3, 0.2]]), 0.05
+
+
+def squared_radii(place: np.ndarray) -> float:
+    p = ca.SX.sym("p", 3)
+    return float(ca.Function("tube", [p], [_tube(p, ALONG, RADIUS)])(place))
+
+
+@pytest.mark.parametrize(
+    ("place", "distance"),
+    [
+        ([0.2, 0.0, 0.23], 0.03),
+        ([0.52, 0.2, 0.2], 0.02),
+        ([0.07, 0.0, 0.16], 0.05),  # before the first place
+        ([0.5, 0.34, 0.17], 0.05),  # beyond the last
+        ([0.3, 0.0, 0.2], 0.0),
+    ],
+)
+def test_away_from_the_bend_the_distance_is_that_from_the_nearest_segment(place, distance):
+    assert squared_radii(np.array(place)) == pytest.approx((distance / RADIUS) ** 2, abs=1e-9)
+
+
+def test_near_the_bend_the_distance_is_never_underestimated():
+    for x, y in np.random.default_rng(0).uniform(-0.05, 0.05, (20, 2)):
+        place = ALONG[1] + [x, y, 0.0]
+        nearest = min(np.hypot(max(0.0, x), y), np.hypot(x, min(0.0, y)))
+        assert squared_radii(place) >= (nearest / RADIUS) ** 2 - 1e-9

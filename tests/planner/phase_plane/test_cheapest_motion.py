@@ -4,14 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
 
 from linkplan.planner.closed_chain.guess import Guess
-from linkplan.planner.phase_plane import cheapest_motion
 from linkplan.planner.phase_plane.bang_bang_motions import Part, least_time_guess
+from linkplan.planner.phase_plane.cheapest_legs import cheapest_legs
 from linkplan.planner.phase_plane.cheapest_motion import _followed, _guess, _least_costs, _States, _Steps, cheapest_guess
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion
 from tests.bench.contradictions import weak_case
+from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_problem
 from tests.support.even_plane import even_plane
 
 # A rod of 0.25 kg m2 on a hinge, without gravity; and a pendulum of m g l = 4.905 N.m.
@@ -173,20 +175,53 @@ def test_a_guess_meets_its_ends_and_counts_its_swings(last, swings):
     assert guess.swings == swings
 
 
-def test_states_are_a_quarter_of_the_way_around_the_quickest_motion_and_a_little_above_its_speed(monkeypatch):
-    """With 2.5 N.m on 0.25 kg m2, the speed at the middle of a quarter turn is sqrt(10 pi / 2); x = sqrt(0.25) s."""
-    made = []
+# The legs' cost against a closed form: cells, and a reserve of a hundredth of the limits.
+CELLS = 1e-3
+# A leg with a wheel that a gear beside it folds away: it flies past a dead centre.
+OVER_CENTRE = """
+<mujoco><option timestep="2e-4"/>
+  <default><joint axis="0 -1 0" damping="2"/><geom type="capsule" size="0.02" contype="0" conaffinity="0"/></default>
+  <worldbody>
+    <body name="leg"><joint name="leg" range="-100 100"/><geom fromto="0 0 0 0 0 -0.9" mass="12"/>
+      <geom type="cylinder" pos="0 0 -0.95" size="0.18 0.06" euler="90 0 0" mass="15"/></body>
+    <body name="upper" pos="0.55 0 0.05"><joint name="upper"/>
+      <geom fromto="0 0 0 -0.276988483312 0 -0.288578204500" mass="2"/>
+      <body name="lower" pos="-0.276988483312 0 -0.288578204500"><joint name="elbow"/>
+        <geom fromto="0 0 0 -0.273011516688 0 -0.211421795500" mass="2"/></body></body></worldbody>
+  <equality><connect name="brace" body1="lower" body2="leg" anchor="-0.273011516688 0 -0.211421795500"/></equality>
+  <actuator><motor name="act" joint="upper" ctrlrange="-900 900"/></actuator></mujoco>
+"""
 
-    class Made(Exception):  # noqa: N818 - it ends the search
-        pass
 
-    def least_costs(_steps: _Steps, states: _States, *_):
-        made.append(states)
-        raise Made
+@pytest.mark.parametrize("damping", [0.0, 0.6])
+def test_legs_of_a_damped_inertia_cost_what_its_gramian_says(damping):
+    """The least integral of u^2 to a state x is x W^-1 x, W the Gramian of I v' = u - c v; without damping, a cubic's."""
+    problem = body_problem(HINGE.replace("<joint ", f'<joint damping="{damping}" '), QUARTER_TURN + "duration_s = 1.5\n")
+    legs = next(cheapest_legs(problem, problem.start_pose(), None))
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    A = np.array([[0.0, 1.0], [0.0, -damping / HINGE_INERTIA]])
+    pushed = [expm(A * 0.75 * (1 + x)) @ [0.0, 1.0 / HINGE_INERTIA] for x in nodes]
+    gramian = 0.75 * sum(w * np.outer(x, x) for w, x in zip(weights, pushed, strict=True))
+    assert legs.time[-1] == pytest.approx(1.5, rel=CELLS)
+    assert legs.cost == pytest.approx(TURN**2 * np.linalg.inv(gramian)[0, 0], rel=CELLS)
 
-    monkeypatch.setattr(cheapest_motion, "_least_costs", least_costs)
-    with pytest.raises(Made):
-        programmed(1.0, 90.0, 0.0, 2.5)
-    (states,) = made
-    assert states.y[[0, -1]] == pytest.approx(0.5 * 1.15 * np.sqrt(5 * np.pi) * np.array([-1, 1]), rel=1e-3)
-    assert np.ptp(states.x) == pytest.approx(0.5 * 1.5 * np.pi / 2, rel=1e-2)
+
+def test_a_rest_takes_what_is_left_of_the_time_where_it_costs_less_than_moving():
+    """A rest that pays for itself, 1 N2 m2 less than nothing, is as long as the efforts' limits leave it."""
+    problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 3.0\n")
+    slow = next(cheapest_legs(problem, problem.start_pose(), 0.0))
+    assert slow.time[-1] == pytest.approx(3.0, rel=1e-2)
+    dear = next(cheapest_legs(problem, problem.start_pose(), -1.0))
+    # d/dT of 12 (I turn)^2 / T^3 is -1 there.
+    assert dear.time[-1] == pytest.approx((36 * (HINGE_INERTIA * TURN) ** 2) ** 0.25, rel=1e-2)
+
+
+@pytest.mark.long
+def test_a_leg_that_flies_past_a_dead_centre_is_folded_in_three_seconds():
+    """The least effort of one second, 15,478, and two seconds of rest at 5.4345 N.m cost 15,537; a swing costs less."""
+    problem = Problem.reach(OVER_CENTRE, start_deg={"upper": 0.0}, goal_deg={"upper": -85.0}, duration_s=3.0)
+    plan = plan_motion(problem)
+    assert plan.passed, plan.message
+    assert plan.trajectory.duration_s == pytest.approx(3.0, rel=1e-9)
+    assert plan.objective < 15537
+    assert np.abs(plan.trajectory.effort).max() <= 900

@@ -1,20 +1,27 @@
-"""Legs along limits on speeds: as quick as an answer that knows nothing of linkplan, each instant at some limit."""
+"""Least times along limits on speed, power and a torque-speed line, and the motions of such legs."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
+from scipy.optimize import brentq
 
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.phase_plane.leg_field import AT_FORCE, VelocityCurve
-from linkplan.planner.phase_plane.legs_motion import legs_motion
+from linkplan.planner.phase_plane.legs_motion import _inside, legs_motion
 from linkplan.planner.phase_plane.power_legs import power_legs
-from linkplan.planner.problem.problem import Problem
-from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.motion import Waypoint
+from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.search import starts
+from linkplan.planner.search.ladder import Search
+from linkplan.planner.search.planning import SEARCH_METHODS, plan_motion
 from tests.support.bodies import HINGE, HINGE_INERTIA, body_problem
 from tests.support.fourbar_problems import random_case
+from tests.support.least_time import least_time
 
 # Random four-bars with a limit on the speed of a joint. The velocity curve of 21 falls faster than full effort brakes and
 # rises faster than it accelerates; 152 has a limit on the crank; the least time of 10, near singular poses, was 1.4e-4 late.
@@ -128,3 +135,161 @@ def test_a_least_time_along_a_velocity_curve_is_that_of_the_legs():
     assert plan.status == "optimal", plan.message
     assert plan.solved is None
     assert plan.objective == pytest.approx(least, rel=LEAST_TIME)
+
+
+# A panel that a slow motor tilts: inertia about its axis, weight out of the axis, a damper.
+PANEL = """
+<mujoco><worldbody><body name="panel"><joint name="tilt" axis="0 1 0" range="-60 60" damping="20"/>
+  <inertial mass="40" pos="0.05 0 0.02" diaginertia="8 6 12"/></body></worldbody>
+<actuator><motor name="m" joint="tilt" ctrlrange="-80 80"/></actuator></mujoco>
+"""
+INERTIA, DAMPING, LIMIT, STALL = 6 + 40 * (0.05**2 + 0.02**2), 20.0, 80.0, 100.0
+WEIGHT = 40 * 9.81
+ENDS = np.radians([-45.0, 45.0])
+# The share of every limit that is left for polynomials, and the oracle's own error.
+LATE = 2e-8
+
+
+def falls(s: float) -> float:
+    """Return the torque of the weight [N.m]."""
+    return WEIGHT * (0.05 * np.cos(s) + 0.02 * np.sin(s))
+
+
+def exact(no_load: float) -> float:
+    """Return the least time [s]: all the torque of the line, then all that brakes, joined where they are as fast."""
+
+    def forth(_, y):
+        return [y[1], (min(LIMIT, STALL * (1 - y[1] / no_load)) - DAMPING * y[1] + falls(y[0])) / INERTIA]
+
+    def back(_, y):
+        return [-y[1], -(max(-LIMIT, -STALL * (1 + y[1] / no_load)) - DAMPING * y[1] + falls(y[0])) / INERTIA]
+
+    def arrived(_, y):
+        return y[0] - ENDS[1]
+
+    def fast(_, y):
+        return y[1] - 1.5 * no_load
+
+    def returned(_, y):
+        return y[0] - ENDS[0]
+
+    arrived.terminal = fast.terminal = returned.terminal = True
+    span, settings = (0.0, 10.0 + 40.0 / no_load), {"method": "Radau", "rtol": 1e-11, "atol": 1e-14, "dense_output": True}
+    first = solve_ivp(forth, span, [ENDS[0], 0.0], events=arrived, **settings)
+    last = solve_ivp(back, span, [ENDS[1], 0.0], events=[fast, returned], **settings)
+
+    def passed(s):
+        if s <= ENDS[0] or s >= first.y[0, -1]:
+            return 0.0 if s <= ENDS[0] else first.t[-1]
+        return brentq(lambda t: first.sol(t)[0] - s, 0.0, first.t[-1], xtol=1e-15)
+
+    def ahead(t):
+        s, v = last.sol(t)
+        return v - first.sol(passed(s))[1]
+
+    t = brentq(ahead, 1e-9 * last.t[-1], last.t[-1], xtol=1e-15)
+    return t + passed(last.sol(t)[0])
+
+
+def tilted(no_load_deg_s: float, **changes: object) -> Plan:
+    """Return the plan of the least time."""
+    start, goal = np.degrees(ENDS)
+    given = {"start_deg": {"tilt": start}, "goal_deg": {"tilt": goal}, "duration_s": "free", "minimize": "time"}
+    motors = {"m": {"stall_effort": STALL, "no_load_speed_deg_s": no_load_deg_s}}
+    return plan_motion(Problem.reach(PANEL, **given | {"motors": motors} | changes))
+
+
+@pytest.mark.parametrize("no_load_deg_s", [1000.0, 30.0, 15.0, 8.0, 0.1])
+def test_the_least_time_of_a_motor_is_that_of_its_exact_motion(no_load_deg_s):
+    plan = tilted(no_load_deg_s)
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(exact(np.radians(no_load_deg_s)), rel=LATE)
+
+
+def test_along_a_line_the_motor_gives_no_more_than_its_line_and_no_less_where_it_drives():
+    plan = tilted(10.0)
+    time = plan.trajectory.dense_times(20)
+    used = plan.trajectory.effort_at(time)[:, 0] / STALL + plan.trajectory.velocity_at(time)[:, 0] / np.radians(10.0)
+    assert used.max() <= 1 + 1e-12
+    driven = (time > 0.5) & (time < 0.99 * plan.objective)
+    np.testing.assert_allclose(used[driven], 1.0, rtol=LATE)
+
+
+def test_a_slow_speed_limit_costs_the_way_over_it_and_the_gathering_of_speed():
+    """900 s at 0.1 deg/s; to gather and lose that speed takes thousandths of a second."""
+    plan = tilted(1e6, limits={"speed_deg_s": {"tilt": 0.1}})
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(900.0, rel=1e-6)
+    assert plan.objective > 900.0
+
+
+# What is left of limits for what polynomials do between their nodes, of the least time; and of the power along its limit.
+ROOM = 1e-7
+# What the legs' curves over the way differ from the mechanism by, of the largest effort.
+SAME_LAW = 1e-7
+
+
+def within(watts: float):
+    return load_problem("knee-sprint", [f"limits.power_w.act_O={watts}"])
+
+
+def test_its_certificate_passes_and_it_takes_the_least_time():
+    problem = within(100.0)
+    motion = legs_motion(problem, problem.start_pose())
+    certificate = certify(problem, motion)
+    assert certificate.passed, certificate.failures
+    assert certificate.dynamics_residual < SAME_LAW * np.abs(motion.effort).max()
+    assert motion.duration_s == pytest.approx(least_time(problem), rel=ROOM)
+
+
+def test_power_is_at_its_limit_all_along_but_for_bangs():
+    problem = within(10.0)
+    motion = legs_motion(problem, problem.start_pose())
+    time = motion.dense_times(20)
+    effort, power = motion.effort_at(time), motion.effort_at(time) * motion.velocity_at(time)
+    spent = np.isclose(np.abs(power), 10.0, rtol=ROOM)
+    assert np.all(spent | np.isclose(np.abs(effort), 100.0, rtol=ROOM))
+    assert np.mean(spent) > 0.9
+
+
+def test_a_waypoint_on_the_way_is_passed_at_a_break():
+    problem = within(100.0)
+    passing = replace(problem, motion=replace(problem.motion, waypoints=(Waypoint(position=[0.0]),)))
+    certificate = certify(passing, legs_motion(passing, passing.start_pose()))
+    assert certificate.passed, certificate.failures
+
+
+@pytest.mark.parametrize("place", [-0.8, 0.9])
+def test_of_either_leg_a_waypoint_s_instant_is_a_break(place):
+    """From -0.86 to 0.98 rad, the legs' switch lies between."""
+    problem = within(100.0)
+    passing = replace(problem, motion=replace(problem.motion, waypoints=(Waypoint(position=[place]),)))
+    motion, straight = (legs_motion(one, one.start_pose()) for one in (passing, problem))
+    breaks = motion.position_at(motion.breaks_s)[:, 0]
+    assert np.abs(breaks - place).min() < 1e-9
+    assert np.abs(straight.position_at(straight.breaks_s)[:, 0] - place).min() > 1e-6
+    assert motion.duration_s == pytest.approx(straight.duration_s, rel=ROOM)
+
+
+def test_limits_inside_are_nearer_to_zero_by_a_share_of_their_own_size():
+    np.testing.assert_allclose(_inside(np.array([[-3.0, 5.0]])) - [[-3.0, 5.0]], [[3e-8, -5e-8]], rtol=1e-6)
+    np.testing.assert_allclose(_inside(np.array([[1.0, np.inf]])), [[1.0 + 1e-8, np.inf]], rtol=1e-15)
+    np.testing.assert_allclose(_inside(np.array([[-np.inf, 2.0]])), [[-np.inf, 2.0 - 2e-8]], rtol=1e-15)
+
+
+@pytest.mark.slow
+def test_a_least_time_is_that_of_the_legs():
+    problem = within(10.0)
+    plan = plan_motion(problem, methods=SEARCH_METHODS[:1])
+    assert plan.status == "optimal", plan.message
+    assert plan.solved is None
+    assert plan.scheme == f"radau-{len(plan.trajectory.effort)}"  # that of its polynomials, not the problem's
+    assert plan.objective == pytest.approx(least_time(problem), rel=ROOM)
+
+
+@pytest.mark.slow
+def test_a_limit_that_the_legs_do_not_know_forbids_them():
+    for further, passes in (([], True), (["limits.effort_rate.act_O=1e6"], False)):
+        problem = load_problem("knee-sprint", ["limits.power_w.act_O=100", *further])
+        search = Search(problem=problem, start_pose=problem.start_pose())
+        assert (starts.along_limits(search, SEARCH_METHODS[0].budget) is not None) == passes

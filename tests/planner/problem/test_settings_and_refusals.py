@@ -9,11 +9,13 @@ import pytest
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.reach import End, reach
+from linkplan.planner.problem import start
 from linkplan.planner.problem.extra import ExtraCost, checked_extras
-from linkplan.planner.problem.instant import Corner, Robust, corner_efforts_along, free_instant
-from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.settings import MeshSettings, SolverSettings
-from linkplan.planner.problem.sites import SitePoint, _squared, shown
+from linkplan.planner.problem.imperfections import spread_of
+from linkplan.planner.problem.instant import Corner, Robust, Scales, corner_efforts_along, free_instant
+from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.problem.reference import Sine, is_whole
+from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.problem.start import _way_through
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, body_problem
 
@@ -24,12 +26,6 @@ SINE = ("reference.amplitude_deg.J=20", "reference.frequency_hz=2.0")
 
 def quarter(*overrides: str, model: str = HINGE) -> Problem:
     return body_problem(model, SECOND, *overrides)
-
-
-def test_breaks_of_the_first_mesh_say_how_many_intervals_there_are():
-    mesh = quarter("mesh.breaks=[0, 0.2, 0.5, 1]").mesh
-    assert mesh.intervals == 3
-    assert mesh.breaks.tolist() == [0.0, 0.2, 0.5, 1.0]
 
 
 @pytest.mark.parametrize(
@@ -172,18 +168,6 @@ def test_the_remedy_at_the_end_of_a_reach_is_that_of_the_end_that_is_in_the_way(
 # Places of sites.
 
 
-def test_the_distance_of_points_from_a_segment_is_to_its_nearest_point():
-    a, b = np.array([1.0, 1.0, 0.0]), np.array([3.0, 1.0, 0.0])
-    points = np.array([[2.0, 1.5, 0.0], [0.0, 1.0, 2.0], [5.0, 2.0, 0.0], [1.5, 1.0, 0.0]])
-    assert _squared(points, a, b) == pytest.approx([0.25, 5.0, 5.0, 0.0])
-
-
-def test_a_place_is_off_a_point_by_its_prescribed_coordinates():
-    point = SitePoint(site="foot", index=0, point=np.array([1.0, np.nan, -2.0]))
-    assert point.distance_m(np.array([4.0, 100.0, 2.0])) == pytest.approx(5.0)
-    assert shown(point.point) == "{ x = 1, z = -2 }"
-
-
 # Terms, names and times.
 
 
@@ -200,10 +184,139 @@ def test_the_certificate_has_a_tenth_of_the_time_and_solves_the_rest():
     assert begun.certificate_deadline.left_s == pytest.approx(1000.0, abs=1.0)
 
 
-@pytest.mark.parametrize(("apart", "legal"), [(1.1e-9, True), (0.9e-9, False)])
-def test_breaks_are_a_billionth_of_the_duration_apart(apart, legal):
-    if legal:
-        assert MeshSettings(breaks=[0.0, apart, 1.0]).breaks.tolist() == [0.0, apart, 1.0]
-        return
-    with pytest.raises(ProblemError, match="at least 1e-09 apart"):
-        MeshSettings(breaks=[0.0, apart, 1.0])
+def test_the_units_of_power_and_force_are_the_largest_of_their_parts():
+    scales = Scales(
+        time_s=0.5, position=np.array([2.0, 0.1]), effort=np.array([7.0]), residual=np.array([3.0, 8.0]), length_m=0.25
+    )
+    assert scales.power == pytest.approx(2.0 * 3.0 / 0.5)
+    assert scales.force == pytest.approx(8.0 / 0.25)
+    assert scales.vector() == pytest.approx([0.5, 2.0, 0.1, 7.0, 3.0, 8.0, 0.25, 12.0, 32.0])
+
+
+@pytest.mark.parametrize(
+    ("number", "whole"),
+    [(1.0, True), (3.0 + 1e-10, True), (1e6 * (1 + 1e-10), True), (2.5, False), (3.0 + 1e-7, False), (0.0, False)],
+)
+def test_a_ratio_is_whole_but_for_the_rounding_of_decimals(number, whole):
+    assert is_whole(number) is whole
+
+
+@pytest.mark.parametrize("order", [0, 1])
+def test_each_derivative_of_a_sine_is_the_slope_of_the_one_before(order):
+    sine = Sine(amplitude=np.array([0.3, 0.1]), bias=np.array([0.2, -1.0]), phase=np.array([0.4, 0.0]), frequency_hz=1.5)
+    time, step = np.linspace(0.0, 1.0, 7), 1e-6
+    slope = (sine.derivative(time + step, order) - sine.derivative(time - step, order)) / (2 * step)
+    np.testing.assert_allclose(sine.derivative(time, order + 1), slope, atol=1e-6)
+    np.testing.assert_allclose(sine.derivative(np.zeros(1)), [[0.2 + 0.3 * np.sin(0.4), -1.0]])
+    assert sine.period_s == pytest.approx(1 / 1.5)
+
+
+@pytest.mark.parametrize(
+    ("value", "is_random"),
+    [
+        (1.1, False),
+        ([0.9, 1.1], True),
+        ([1.1, 1.1], False),
+        ({"uniform": [0.9, 1.1]}, True),
+        ({"normal": [1.0, 0.05]}, True),
+        ({"normal": [1.0, 0.0]}, False),
+    ],
+)
+def test_machines_differ_if_a_distribution_has_a_width(value, is_random):
+    assert spread_of(value, "payload_mass_factor", "payload_mass_factor").random is is_random
+
+
+@pytest.mark.parametrize("value", [[1.1, 0.9], {"normal": [1.0, -0.1]}, [1.0], {"uniform": 1.0}, {"mean": [1.0, 2.0]}])
+def test_what_is_no_distribution_is_refused(value):
+    with pytest.raises(ProblemError, match=r"imperfections\.payload_mass_factor"):
+        spread_of(value, "payload_mass_factor", "payload_mass_factor")
+
+
+@pytest.mark.parametrize(("beyond", "reason"), [(-0.1, "what lies below"), (0.1, "what lies above")])
+def test_the_reason_is_that_of_the_end_beyond_which_a_position_lies(monkeypatch, beyond, reason):
+    mechanism = load_problem("knee-reach").mechanism
+    found = reach(mechanism)
+    ends = {
+        name: replace(getattr(found, name), reason=f"what lies {word}")
+        for name, word in (("lower", "below"), ("upper", "above"))
+    }
+    monkeypatch.setattr(start, "reach", lambda _mechanism: replace(found, **ends))
+    at = found.upper.position if beyond > 0 else found.lower.position
+    with pytest.raises(ProblemError, match=reason):
+        start._check_reach(mechanism, None, "goal", np.array([at + beyond]))
+
+
+def test_a_joint_of_several_is_named_alone():
+    five_bar = load_mechanism("five-bar")
+    only = five_bar.independent_joints[0].name
+    with pytest.raises(ProblemError, match="which is independent") as refused:
+        Problem.reach(five_bar, start_deg={only: 0.0}, goal_deg={only: 10.0})
+    assert "plans in what is named" not in str(refused.value)
+
+
+# Settings that cannot be used, what sets the same in a problem file (None where no file can say it), words of the answer.
+REFUSED = [
+    (SolverSettings, {"compile": "allways"}, "solver.compile=allways", ["'allways'", "did you mean 'always'", "auto"]),
+    (SolverSettings, {"max_time_s": 0}, "solver.max_time_s=0", ["solver.max_time_s is a positive number", "got 0"]),
+    (SolverSettings, {"starts": 0}, "solver.starts=0", ["solver.starts is a whole number from 1 to 1000", "got 0"]),
+    (SolverSettings, {"max_iterations": True}, None, ["solver.max_iterations is a whole number", "got True"]),
+    (Tracking, {"delay_periods": 1001}, "tracking.delay_periods=1001", ["tracking.delay_periods", "from 0 to 1000", "1001"]),
+    (
+        Tracking,
+        {"lqr_position_deg": -5.0},
+        "tracking.lqr_position_deg=-5.0",
+        ["tracking.lqr_position_deg is a positive number"],
+    ),
+    (
+        Tracking,
+        {"lqr_velocity_deg_s": 1e10},
+        "tracking.lqr_velocity_deg_s=1e10",
+        ["tracking.lqr_velocity_deg_s", "to 1e+09"],
+    ),
+    (MeshSettings, {"effort": "linar"}, "mesh.effort=linar", ["mesh.effort", "did you mean 'linear'"]),
+    (MeshSettings, {"intervals": 1}, "mesh.intervals=1", ["mesh.intervals is a whole number from 2 to 20000", "got 1"]),
+    (
+        MeshSettings,
+        {"tolerance_deg": 0.1},
+        "mesh.tolerance_deg=0.1",
+        ["mesh.tolerance_deg is from 1e-09", "0.01", "got 0.1"],
+    ),
+    (MeshSettings, {"breaks": [0, 0.6, 0.4, 1]}, "mesh.breaks=[0, 0.6, 0.4, 1]", ["mesh.breaks", "[0, 0.6, 0.4, 1]"]),
+    (MeshSettings, {"breaks": 3}, "mesh.breaks=3", ["mesh.breaks is three or more increasing numbers", "got 3"]),
+]
+
+
+@pytest.mark.parametrize(("settings", "values", "override", "words"), REFUSED, ids=lambda value: str(value)[:40])
+def test_settings_that_cannot_be_used_are_refused_where_they_are_made(settings, values, override, words):
+    with pytest.raises(ProblemError) as raised:
+        settings(**values)
+    for word in words:
+        assert word in str(raised.value)
+    if override is not None:
+        with pytest.raises(ProblemError) as in_file:
+            load_problem("knee-reach", [override])
+        for word in words:
+            assert word in str(in_file.value)
+
+
+def test_numpys_numbers_are_numbers_and_kept_as_pythons():
+    settings = Tracking(kp=np.float64(3.0), delay_periods=np.int64(2))
+    solver = SolverSettings(starts=np.int64(4), max_time_s=np.float32(2.0))
+    assert type(settings.kp) is float
+    assert settings.tracked().delay_periods == 2
+    assert type(solver.starts) is int
+    assert solver.max_time_s == 2.0
+
+
+def test_angles_at_the_ends_of_what_is_legal_survive_their_way_through_radians():
+    for end in (1e-9, 1e9):
+        problem = load_problem("knee-reach", [f"tracking.lqr_position_deg={end}"])
+        assert np.degrees(problem.tracking.lqr_errors(problem.mechanism.independent_joints)[0][0]) == pytest.approx(end)
+
+
+def test_a_broken_delay_is_for_loops_and_not_for_motions_that_are_tracked():
+    problem = load_problem("knee-reach")
+    broken = Tracking(delay_periods=0.5)
+    values = {name: getattr(problem, name) for name in Problem.__slots__} | {"tracking": broken}
+    with pytest.raises(ProblemError, match=r"tracking\.delay_periods is a whole number from 0 to 1000, got 0\.5"):
+        Problem(**values)

@@ -1,19 +1,16 @@
 """Starts and goals by places of sites: the plan ends there, by MuJoCo; open poses end in the best one."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.replan import Replanner
 from tests.support.arms import LOWER, UPPER, angles_at, foot_of
 from tests.support.refusals import assert_names, refusal
 from tests.support.sites import ABOVE, BELOW, arm_of, places_along, plan_of, site_problem
-from tests.support.tolerances_planner import IK_RAD, MINIMUM_TIME, SITE_M
+from tests.support.tolerances_planner import IK_RAD, MINIMUM_TIME
 
 THREE = (0.25, 0.2, 0.15)
 BENT = {"J1": 60.0, "J2": 40.0, "J3": 20.0}
@@ -105,35 +102,17 @@ def test_a_periodic_motion_is_at_its_goal_in_its_middle():
     assert plan.certificate.site_error_m < 1e-7
 
 
-def test_a_certificate_sees_a_place_that_is_missed():
-    """The same motion against a goal a tenth of a millimetre away, whose pose is open, so that no joint misses anything."""
-    plan = plan_of(arm_of(*THREE), OPEN)
-    motion = plan.problem.motion
-    moved = replace(motion.goal_at[0], point=motion.goal_at[0].point + np.array([1e-4, 0.0, 0.0]))
-    found = certify(replace(plan.problem, motion=replace(motion, goal_at=(moved,))), plan.trajectory)
-    assert not found.passed
-    assert found.site_error_m == pytest.approx(1e-4, rel=1e-6)
-    assert any("site foot is 0.0001 m away from where motion.goal_at asks it" in said for said in found.failures)
-    assert plan.certificate.site_error_m < SITE_M * 1e3
-
-
 UP = {"start_at": {"foot": ABOVE}}
 REFUSED = [
     ({**UP, "goal_at": {"foot": [0.6, 0.0, 0.3]}}, ["goal_at.foot", "out of reach", "0.491935", "0.245967", "0.1208 m"]),
     ({**UP, "goal_at": {"foot": [0.3, 0.1, -0.35]}}, ["out of reach", "[0.3, 0, -0.35]", "0.1 m away"]),
-    ({"start_at": {"foot": [0, 0, 2]}, "goal_at": {"foot": BELOW}}, ["motion.start_at.foot", "out of reach"]),
     ({**UP, "goal_at": {"fot": BELOW}}, ["'fot'", "did you mean 'foot'", "base, foot"]),
     ({**UP, "goal_at": {"base": [0, 0, 0]}}, ["goal_at", "base", "do not move"]),
-    ({**UP, "goal_at": {"base": [0, 0, 1]}}, ["goal_at.base", "out of reach", "1 m away"]),
     ({**UP, "goal_at": {"foot": {"y": 0.0}}}, ["goal_at", "do not move"]),
     ({**UP, "goal_at": {"foot": [0.3, 0.2]}}, ["goal_at.foot", "[x, y, z]", "[0.3, 0.2]"]),
     ({**UP, "goal_at": {"foot": [0.3, 0.0, np.nan]}}, ["goal_at.foot[2]", "a number", "nan"]),
-    ({**UP, "goal_at": {"foot": [0.3, 0.0, np.inf]}}, ["goal_at.foot[2]", "a number", "inf"]),
     ({**UP, "goal_at": {"foot": {"x": "far"}}}, ["goal_at.foot.x", "a number", "'far'"]),
-    ({**UP, "goal_at": {"foot": {"w": 0.1}}}, ["goal_at.foot.w", "x, y, z"]),
-    ({**UP, "goal_at": {"foot": {}}}, ["goal_at.foot", "[x, y, z]"]),
     ({**UP, "goal_at": {"J1": 30.0}}, ["goal_at.J1 is a site's place", "joint J1's position is motion.goal_deg"]),
-    ({**UP, "goal_at": {"foot": 0.3}}, ["goal_at.foot", "[x, y, z]", "0.3"]),
     ({**UP, "goal_at": [0.3, 0, 0]}, ["motion.goal_at", "table of site"]),
     ({**UP, "goal_at": {"foot": BELOW}, "goal_deg": {"J1": 3, "J2": 4}}, ["goal_at", "goal_deg", "keep one"]),
     ({"start_at": {"foot": {"x": 0.3}}, "goal_at": {"foot": BELOW}}, ["start_at", "open", "start_deg"]),

@@ -39,14 +39,6 @@ def test_a_table_that_returns_is_a_periodic_spline_through_its_rows():
         assert abs(first) > 0.1, "neither is zero by accident"
 
 
-def test_each_derivative_of_a_spline_is_the_slope_of_the_one_before():
-    reference, step = tracked(ROWS, ANGLES).reference, 1e-6
-    time = np.array([0.05, 0.33, 0.61, 0.97, 1.4])
-    for order in (0, 1, 2):
-        slope = (reference.derivative(time + step, order) - reference.derivative(time - step, order)) / (2 * step)
-        np.testing.assert_allclose(reference.derivative(time, order + 1), slope, rtol=1e-6)
-
-
 def test_a_stretched_spline_is_slower_by_its_factor():
     one = tracked(ROWS, ANGLES).reference
     time = np.linspace(0.0, 0.99, 12)

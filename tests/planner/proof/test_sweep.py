@@ -1,6 +1,7 @@
-"""The sweep of a proof: boxes of an interval and their halves, links from box to box, and the record of the closure."""
+"""A claim's marks and verdict, and the sweep over boxes that decides it."""
 
 import itertools
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,11 +10,13 @@ from flint import arb, ctx
 
 from linkplan.models.deadline import NO_DEADLINE
 from linkplan.models.mechanism import load_mechanism
+from linkplan.planner.limits.efforts import share_of
 from linkplan.planner.proof import prove
 from linkplan.planner.proof.branch import newton
-from linkplan.planner.proof.claims import Record
+from linkplan.planner.proof.claims import Claim, Record, finding_of_claim, undecided_reason
 from linkplan.planner.proof.motion import Piece
 from linkplan.planner.proof.prove import _Anchor, _Box, _boxes, _closure_findings, _linked, _Sweep
+from linkplan.planner.proof.taylor import Verdict
 from linkplan.planner.proof.walk import Blocks, blocks_of
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 from tests.support.motions import motion_along
@@ -81,6 +84,18 @@ def test_what_is_left_open_on_a_box_is_told_with_the_box_s_instants():
     assert sweep.closure.undecided == [(1.5, 2.5)]
 
 
+@pytest.fixture
+def five_bar():
+    """Return a problem, a random motion and the blocks of a five-bar; balls have 100 bits in the test."""
+    ctx.prec = 100
+    problem, motion = motion_of(load_mechanism("five-bar"), np.random.default_rng(3))
+    return problem, motion, blocks_of(problem.mechanism)
+
+
+def sweep_of(problem, motion, blocks) -> _Sweep:
+    return _Sweep(problem=problem, trajectory=motion, blocks=blocks, claims=[], until=NO_DEADLINE, order=6)
+
+
 def test_the_next_box_s_branch_is_guessed_along_its_slope(five_bar, monkeypatch):
     """From the end of one box to the middle of the next the guess is off by the second order of the way only."""
     guesses = []
@@ -104,30 +119,6 @@ def test_the_next_box_s_branch_is_guessed_along_its_slope(five_bar, monkeypatch)
     assert np.abs(guess - found).max() < 0.2 * way
 
 
-@pytest.fixture
-def five_bar():
-    """Return a problem, a random motion and the blocks of a five-bar; balls have 100 bits in the test."""
-    ctx.prec = 100
-    problem, motion = motion_of(load_mechanism("five-bar"), np.random.default_rng(3))
-    return problem, motion, blocks_of(problem.mechanism)
-
-
-def sweep_of(problem, motion, blocks) -> _Sweep:
-    return _Sweep(problem=problem, trajectory=motion, blocks=blocks, claims=[], until=NO_DEADLINE, order=6)
-
-
-def test_the_start_gap_is_the_largest_distance_of_a_dependent_joint_from_the_closed_pose(five_bar):
-    problem, motion, blocks = five_bar
-    pose = np.array(motion.start_pose)
-    closed = newton(blocks, pose[list(blocks.independent)], pose[list(blocks.dependent)])
-    pose[list(blocks.dependent)] = closed + np.array([1e-3, -2e-4])
-    off = replace(motion, start_pose=pose)
-    sweep = sweep_of(problem, off, blocks)
-    anchor = sweep._start(Piece.of(off, 0))
-    assert sweep.start_gap == pytest.approx(1e-3, rel=1e-6)
-    assert anchor.z == pytest.approx(closed, abs=1e-9)
-
-
 def test_a_loop_that_stands_still_is_linked_over_the_last_digits_of_its_coordinates(five_bar):
     problem, motion, blocks = five_bar
     pose = np.array(motion.start_pose)
@@ -139,3 +130,53 @@ def test_a_loop_that_stands_still_is_linked_over_the_last_digits_of_its_coordina
     sweep.run()
     assert sweep.closure.undecided == []
     assert sweep.boxes == n
+
+
+def claim(low: float = -2.0, high: float = 5.0, slack: tuple[float, float] = (0.25, 0.5), per_unit: float = 1.0) -> Claim:
+    return Claim(name="q", unit="N", bounds=(low, high), slack=slack, values=lambda _: [], per_unit=per_unit)
+
+
+def bound(least: float, greatest: float, answer: bool | None = True) -> Verdict:
+    return Verdict(answer=answer, least=least, greatest=greatest)
+
+
+def test_a_claim_s_marks_are_its_limits_moved_outwards_by_its_allowances():
+    assert claim().marks == (-2.25, 5.5)
+    assert share_of((-2.0, 5.0), 0.1) == pytest.approx((0.2, 0.5))
+    assert share_of((0.0, 5.0), 0.1) == pytest.approx((0.5, 0.5))
+
+
+def test_a_record_has_the_widest_range_and_its_instants():
+    record = Record()
+    for k, (least, greatest) in enumerate([(0.0, 1.0), (0.5, 3.0), (-1.0, 2.0), (0.1, 0.2)]):
+        record.add(bound(least, greatest), float(k))
+    assert (record.least, record.least_at, record.greatest, record.greatest_at) == (-1.0, 2.0, 3.0, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("least", "greatest", "end", "mark", "margin", "when"),
+    [(-1.0, 5.2, 5.2, 5.5, 0.3, 7.0), (-2.0, 5.2, -2.0, -2.25, 0.25, 3.0), (-2.25, 0.0, -2.25, -2.25, 0.0, 3.0)],
+)
+def test_a_proved_claim_is_told_at_the_end_that_is_nearer_to_its_mark(least, greatest, end, mark, margin, when):
+    record = Record(least=least, least_at=3.0, greatest=greatest, greatest_at=7.0, boxes=4)
+    found = finding_of_claim(claim(per_unit=10.0), record)
+    assert (found.answer, found.boxes, found.time_s, found.reason) == ("proved", 4, when, "")
+    assert (found.bound, found.mark, found.margin) == pytest.approx((10 * end, 10 * mark, 10 * margin))
+
+
+@pytest.mark.parametrize(
+    ("least", "greatest", "value", "mark"), [(5.75, 6.0, 5.75, 5.5), (-3.0, -2.5, -2.5, -2.25), (-9.0, -8.0, -8.0, -2.25)]
+)
+def test_a_refuted_claim_is_told_by_the_value_that_is_surely_beyond(least, greatest, value, mark):
+    record = Record(refuted=bound(least, greatest, False), refuted_at=0.125)
+    found = finding_of_claim(claim(per_unit=2.0), record)
+    assert (found.answer, found.time_s) == ("refuted", 0.125)
+    assert (found.bound, found.mark, found.margin) == pytest.approx((2 * value, 2 * mark, -2 * abs(value - mark)))
+    assert found.reason == f"{2 * value:g} N at t = 0.125 s, beyond {2 * mark:g}"
+
+
+def test_undecided_boxes_are_counted():
+    assert undecided_reason([(0.25, 0.5)]) == "not decided between t = 0.25 s and 0.5 s"
+    assert undecided_reason([(0.25, 0.5), (1, 2), (3, 4)]).endswith("and in 2 more boxes")
+    assert undecided_reason([(0.25, 0.5), (1, 2)]).endswith("and in 1 more boxes")
+    assert finding_of_claim(claim(), Record(undecided=[(0.25, 0.5)], least=0.0, greatest=math.pi)).answer == "undecided"

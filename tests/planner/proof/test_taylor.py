@@ -1,4 +1,4 @@
-"""Taylor forms on a box: what is known beside kinks, values at both ends, and verdicts on either side of a mark."""
+"""Taylor forms with remainders, and linear systems of series."""
 
 import math
 
@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 from flint import arb, arb_series, ctx
 
-from linkplan.planner.proof.taylor import TaylorForm, above, below
+from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm, product, solve_enclosed, transposed
 
 UNKNOWN = arb(0, math.inf)
-
-BITS = 100
 
 
 @pytest.fixture(autouse=True)
@@ -20,12 +18,6 @@ def short_series():
 
 def form(*coefficients: float, remainder: float = 0.0, whole: float = math.inf) -> TaylorForm:
     return TaylorForm(coefficients=[arb(c) for c in coefficients], remainder=arb(remainder), whole=arb(0, whole))
-
-
-def test_values_at_the_ends_of_a_box_are_those_of_its_polynomial_and_remainder():
-    found = form(1.0, 2.0, 4.0, 8.0, remainder=0.25)
-    for value, exact in ((found.at_start(), 1 - 2 + 4 - 8), (found.at_end(), 15)):
-        assert (below(value), above(value)) == pytest.approx((exact - 0.25, exact + 0.25))
 
 
 @pytest.mark.parametrize(
@@ -44,14 +36,6 @@ def test_beside_a_kink_a_form_has_as_many_coefficients_as_are_known(box, coeffic
     assert [float(c.mid()) for c in found.coefficients] == coefficients
     assert float(found.remainder) == remainder
     assert float(found.whole.mid()) == 1.0
-
-
-def test_a_series_with_fewer_coefficients_than_the_form_has_its_last_one_as_remainder():
-    """Beyond its known coefficients a series reads as zero, which would be no remainder at all."""
-    over = arb_series([1.0, 2.0, 3.0, 4.0], prec=4).derivative()
-    found = TaylorForm.of(arb_series([10, 20, 30], prec=4).derivative(), over, 3)
-    assert [float(c.mid()) for c in found.coefficients] == [20.0, 60.0]
-    assert float(found.remainder) == 12.0
 
 
 @pytest.mark.parametrize(("low", "high", "answer"), [(-1.0, 4.0, True), (0.0, 4.0, None), (-1.0, 3.0, None)])
@@ -110,3 +94,38 @@ def test_bounds_of_verdicts_contain_the_range_tightly():
         assert found.answer is True
         assert values.min() - 1e-3 <= found.least <= values.min() + 1e-9
         assert values.max() - 1e-9 <= found.greatest <= values.max() + 1e-3
+
+
+def entries(A: np.ndarray) -> dict:
+    return {(i, j): arb(float(A[i, j])) for i, j in np.argwhere(A)}
+
+
+def numbers(x) -> np.ndarray:
+    return np.array([float(one.mid()) for one in x])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_sparse_systems_have_the_solutions_of_dense_ones(seed):
+    """With zeros on the diagonal, so that rows change places, and right sides with zeros, which None stands for."""
+    rng = np.random.default_rng(seed)
+    A = rng.normal(size=(5, 5)) * (rng.uniform(size=(5, 5)) < 0.6)
+    np.fill_diagonal(A[:, ::-1], rng.choice([-1, 1], 5) * rng.uniform(1.0, 2.0, 5))
+    b = rng.normal(size=(5, 2)) * (rng.uniform(size=(5, 2)) < 0.6)
+    found = solve_enclosed(entries(A), [[arb(float(x)) if x else None for x in column] for column in b.T])
+    np.testing.assert_allclose(np.array([numbers(x) for x in found]).T, np.linalg.solve(A, b), atol=1e-12)
+    (flat,) = solve_enclosed(transposed(entries(A)), [[arb(float(x)) for x in b[:, 0]]])
+    np.testing.assert_allclose(numbers(flat), np.linalg.solve(A.T, b[:, 0]), atol=1e-12)
+    np.testing.assert_allclose(numbers(product(entries(A), [arb(float(x)) for x in b[:, 1]], 5)), A @ b[:, 1], atol=1e-12)
+
+
+def test_a_system_of_series_is_solved_coefficient_by_coefficient():
+    """(2 + t) x = 1 + 3 t."""
+    ((x,),) = solve_enclosed({(0, 0): arb_series([2, 1], prec=3)}, [[arb_series([1, 3], prec=3)]])
+    assert [float(x[k].mid()) for k in range(3)] == pytest.approx([0.5, 1.25, -0.625])
+
+
+@pytest.mark.parametrize("matrix", [{(0, 0): arb(0, 1)}, {(0, 0): arb(1, 1)}, {(0, 0): arb(-1, 1.5)}, {}])
+def test_a_pivot_that_may_vanish_is_refused(matrix):
+    with pytest.raises(NotSeparatedError):
+        solve_enclosed(matrix, [[arb(1)]])
+    assert solve_enclosed({(0, 0): arb(-1, 0.5)}, [[arb(1)]])

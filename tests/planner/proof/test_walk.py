@@ -164,14 +164,6 @@ def test_a_whole_power_of_a_negative_number_is_that_of_numbers_and_finite_around
     assert around.is_finite() == (exponent >= 0)
 
 
-def test_of_two_series_beside_a_kink_the_shorter_one_s_coefficients_are_known():
-    x, y = ca.SX.sym("x"), ca.SX.sym("y")
-    walk = walk_of(ca.Function("f", [x, y], [ca.fmax(x, y)]))
-    (found,) = walk([arb_series([arb(0, 0.5), 1], prec=5)], [arb_series([arb(0, 0.5), 2], prec=3)])[0].values()
-    assert found.prec == 3
-    assert all(found[1].contains(arb(slope)) for slope in (1, 2))
-
-
 def test_an_operation_without_an_enclosure_is_refused():
     x = ca.SX.sym("x")
     with pytest.raises(UnknownOperationError):

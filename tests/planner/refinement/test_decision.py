@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.refinement import actions, decision
+from linkplan.planner.refinement import decision
 from linkplan.planner.refinement.actions import (
     Halve,
     ImposeRanges,
@@ -16,7 +16,7 @@ from linkplan.planner.refinement.actions import (
     ReleaseArcs,
     Tighten,
 )
-from linkplan.planner.refinement.case import CertifiedIterate
+from linkplan.planner.refinement.case import CertifiedIterate, RefinementTarget
 from linkplan.planner.refinement.decision import (
     CHANGE_WORTH_INTERVALS,
     CHEAP_GROWTH,
@@ -34,7 +34,7 @@ from linkplan.planner.refinement.decision import (
     next_action,
 )
 from linkplan.planner.refinement.marking import TIGHTENED_OVERRUN
-from linkplan.planner.refinement.state import REPORTED_CHANGE, RefinementState, observed
+from linkplan.planner.refinement.state import REPORTED_CHANGE, RefinementState, better_of, observed
 from tests.support.refinement_states import AIMS, iterate, state
 
 ONE_OF_TEN = np.eye(10)[3]
@@ -64,19 +64,6 @@ def test_where_it_needs_more_effort_everywhere_the_degree_is_raised_and_on_a_lar
 def test_what_no_mesh_mends_and_an_action_that_led_nowhere_are_the_end():
     assert next_action(state(iterate(passed=False, exact=False, repairable=False))) is None
     assert next_action(state(iterate(passed=False, exact=False, growth=ONE_OF_TEN), ended=True)) is None
-
-
-def test_a_motion_whose_higher_degree_is_not_solved_is_halved(monkeypatch):
-    coarse = state(iterate(passed=False, exact=False, growth=1.0))
-    action = next_action(coarse)
-    assert action == RaiseDegree("radau-5")
-    monkeypatch.setattr(actions, "_solved_on", lambda *_: None)
-    after = action.apply(coarse)
-    assert not after.ended
-    assert after.rounds == coarse.rounds + 1
-    assert isinstance(next_action(after), Halve)
-    passing = replace(coarse, iterate=iterate(passed=True, exact=False, growth=1.0))
-    assert action.apply(passing).ended  # a motion that passes is kept as it is
 
 
 def test_an_error_on_one_interval_halves_it():
@@ -268,3 +255,90 @@ def test_a_changed_motion_is_halved_where_it_still_needs_half_of_what_a_proof_al
 def test_where_efforts_jump_limits_are_tightened_once_the_mesh_is_crowded(n, expected):
     at = iterate(passed=False, exact=False, growth=9.0 * np.eye(n)[3], overrun=1e-3 * np.eye(n)[3], n=n)
     assert isinstance(next_action(state(at, target=replace(AIMS, enclosed=True))), expected)
+
+
+def moved(best: float, loose: float | None, change: float = np.inf) -> float:
+    """Return what the objective moved by, with tightened limits (`best`) and with loosened ones (`loosened`)."""
+    loosened = None if loose is None else iterate(objective=loose)
+    return state(iterate(), best=iterate(objective=best), loosened=loosened, change=change).moved
+
+
+@pytest.mark.parametrize(("best", "share"), [(2.0, 0.5), (-2.0, 0.0), (0.8, 0.0)])
+def test_tightened_limits_cost_what_loosened_ones_save(best, share):
+    assert moved(best, 1.0) == pytest.approx(share)
+
+
+def test_of_negative_objectives_the_cost_is_a_share_of_their_size():
+    assert moved(-1.0, -1.5) == pytest.approx(0.5)
+
+
+def test_without_loosened_limits_the_objective_moves_by_its_last_change():
+    assert moved(1.0, None, change=0.25) == 0.25
+    assert moved(1.0, None) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("rounds", "error", "falls"), [(3, 0.4e-3, True), (3, 0.6e-3, False), (3, 2e-3, False), (1, 2e-3, True)]
+)
+def test_an_error_falls_if_a_finer_mesh_leaves_at_most_half_of_it(rounds, error, falls):
+    """The first mesh, whose error is 1e-3, is too coarse to compare with."""
+    before, at = state(iterate(), rounds=rounds), iterate()
+    at = replace(at, report=replace(at.report, integration_error_deg=error))
+    assert observed(before, at).error_falls == falls
+
+
+@pytest.mark.parametrize(("objective", "better"), [(0.9, True), (1.1, False)])
+def test_of_motions_within_the_limits_as_asked_the_best_is_kept(objective, better):
+    before = state(iterate(), loosenings_without_gain=1)
+    before, at = replace(before, loosened=before.iterate), iterate(objective=objective)
+    after = observed(before, at)
+    assert (after.best is at) == better
+    assert after.loosenings_without_gain == (0 if better else 1)
+
+
+# What two meshes may differ by though neither is wrong: a tenth of what counts as lost.
+MESH = 1e-6
+INTERVALS = 40
+
+
+def passing(objective: float, *, exact: bool = True, errs: float = 1e-4) -> CertifiedIterate:
+    at = iterate(objective=objective, exact=exact, n=INTERVALS)
+    return replace(at, report=replace(at.report, integration_error_deg=errs))
+
+
+def target(*, tolerance_given: bool = False) -> RefinementTarget:
+    return replace(AIMS, tolerance_given=tolerance_given)
+
+
+@pytest.mark.parametrize(
+    ("coarse", "finer", "is_kept"),
+    [(1.0956, 1.1156, True), (-1.2, -1.18, True), *((1.0, finer, False) for finer in (1.0 - MESH, 1.0 + MESH, 0.9))],
+)
+def test_a_finer_mesh_is_the_answer_unless_it_lost_the_better_motion(coarse, finer, is_kept):
+    before, now = passing(coarse), passing(finer)
+    assert better_of(before, now, target()) is (before if is_kept else now)
+
+
+@pytest.mark.parametrize(("gained", "kept"), [(3e-5, False), (3e-4, True)])
+def test_of_an_inexact_motion_more_is_asked(gained, kept):
+    before, now = passing(1.0 - gained, exact=False), passing(1.0)
+    assert better_of(before, now, target()) is (before if kept else now)
+    same = passing(1.0 - gained)
+    assert better_of(same, now, target()) is same
+
+
+@pytest.mark.parametrize(("errs", "kept"), [(1e-5, False), (1e-3, True)])
+def test_of_two_inexact_motions_more_is_asked_of_the_one_that_errs_by_more(errs, kept):
+    before, now = passing(1.0 - 3e-5, exact=False), passing(1.0, exact=False, errs=errs)
+    assert better_of(before, now, target()) is (before if kept else now)
+
+
+def test_a_better_motion_that_misses_the_tolerance_asked_for_is_no_answer():
+    before, now = passing(1.0, exact=False), passing(1.1)
+    assert better_of(before, now, target(tolerance_given=True)) is now
+    assert better_of(before, now, target()) is before
+
+
+def test_the_first_that_passes_is_the_best_so_far():
+    now = passing(1.0)
+    assert better_of(None, now, target()) is now

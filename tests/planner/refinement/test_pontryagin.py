@@ -1,4 +1,4 @@
-"""Arcs that are held are asked whether they should be: the multipliers of right ones have the signs of their limits."""
+"""Multipliers at limits: bang arcs of the wrong sign are found and released."""
 
 import numpy as np
 import pytest
@@ -6,12 +6,13 @@ import pytest
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.refinement.case import attempt
-from linkplan.planner.refinement.constrained_arcs import arcs_against_their_limits, limits_bind
+from linkplan.planner.refinement.constrained_arcs import arcs_against_their_limits, limits_bind, released
+from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.state import Refined
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.transcription.mesh import uniform
-from tests.support.bodies import HINGE, QUARTER_TURN, body_plan, body_problem
-from tests.support.held_arcs import held
+from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_plan, body_problem
+from tests.support.held_arcs import held, held_case
 
 
 def test_the_bangs_of_a_least_time_are_at_the_right_limits():
@@ -66,3 +67,30 @@ def test_a_speed_limit_that_does_not_bind_costs_no_further_solve():
     assert len(loose.history) == len(free.history)
     assert loose.objective == pytest.approx(free.objective, rel=1e-9)
     assert len(turned("limits.speed_deg_s.J=120").history) > len(free.history)
+
+
+WRONG = ([4.0, -4.0, 4.0, -4.0], [0.41, 0.46, 0.56])
+
+
+def test_only_what_is_held_wrongly_is_let_go():
+    solution = held(*WRONG).solution
+    ends, fixed = released(solution)
+    assert np.all(np.diff(ends) > 0)
+    assert np.isnan(fixed.efforts).any()
+    assert np.all(np.isnan(fixed.efforts) | np.isin(fixed.efforts, (4.0, -4.0)))
+    assert (fixed.efforts[0, 0], fixed.efforts[-1, 0]) == (4.0, -4.0)
+
+
+def test_right_arcs_are_left_as_they_are():
+    assert released(held([4.0, -4.0], [0.5]).solution) is None
+
+
+def test_an_answer_with_wrong_arcs_becomes_the_right_one():
+    case, found = held_case(), held(*WRONG)
+    least = 2 * np.sqrt(HINGE_INERTIA * TURN / 4.0)
+    assert case.certify(found.motion).passed
+    assert found.motion.duration_s > 1.005 * least
+    right = refine(case, found)
+    assert len(right.arcs_with_wrong_sign) == 0
+    assert len(arcs_against_their_limits(found.solution)) > 0
+    assert right.motion.duration_s == pytest.approx(least, rel=1e-8)

@@ -5,19 +5,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.models.deadline import Deadline, processor_time_s
+from linkplan.models.deadline import Deadline, OutOfTimeError, processor_time_s
+from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.case import case_of
+from linkplan.planner.closed_chain.guess import first_guess
+from linkplan.planner.ode.plan import plan_ode
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recording
-from linkplan.planner.search import attempts
-from linkplan.planner.search.ladder import Budget, Search, SearchMethod, Steps, followed, run_search
+from linkplan.planner.search import attempts, least_limit
+from linkplan.planner.search.ladder import FULL_BUDGET, Budget, Search, SearchMethod, Steps, followed, run_search
 from linkplan.planner.search.planning import DIAGNOSES, SEARCH_METHODS, plan_motion
+from linkplan.planner.search.replan import Replanner
 from linkplan.planner.search.solving import first_mesh
-from linkplan.planner.search.starts import from_first_starts, no_time
-from linkplan.planner.solvers.solve import OUT_OF_TIME
+from linkplan.planner.search.starts import from_first_starts
+from linkplan.planner.solvers.solve import OF_TIME, OUT_OF_TIME
+from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_problem
+from tests.support.ode import robbins
 
 # Less torque than any reach of the knee with the shank in this time needs.
 TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
@@ -145,10 +151,6 @@ def test_diagnoses_never_return_a_motion():
     assert all(plan.trajectory is None and plan.status != "optimal" for plan in plans)
 
 
-def test_rungs_are_few_and_their_names_are_their_own():
-    assert len({method.name for method in SEARCH_METHODS}) == len(SEARCH_METHODS) <= 11
-
-
 @pytest.mark.parametrize(
     ("end", "factor", "most", "stages"),
     [(10.0, 2.0, 10.0, (1, 2, 4, 8, 10)), (0.1, 0.5, 1.0, (1, 0.5, 0.25, 0.125, 0.1)), (8.0, 2.0, 3.0, (1, 2))],
@@ -186,19 +188,6 @@ def test_a_continuation_ends_where_it_has_gone_far_enough():
     assert all(whole for *_, whole in enough)
 
 
-@pytest.mark.parametrize(
-    ("switch_times", "duration", "too_short"),
-    [(None, 0.995, False), (None, 0.98, True), ([0.5], 0.9995, False), ([0.5], 0.998, True)],
-)
-def test_the_phase_plane_rules_out_a_duration_by_a_thousandth_and_along_speed_limits_by_a_hundredth(
-    switch_times, duration, too_short
-):
-    search = search_for(load_problem("knee-reach", [f"motion.duration_s={duration}"]))
-    known = replace(search.smooth, duration_s=1.0, switch_times_s=switch_times, boundaries_s=None)
-    search.__dict__["quickest"] = known
-    assert no_time(search) is too_short
-
-
 @pytest.mark.parametrize(("change", "status"), [(5e-5, "optimal"), (5e-4, "optimal"), (0.04, "optimal"), (0.06, "feasible")])
 def test_an_objective_that_moves_by_a_ten_thousandth_is_said_and_by_a_twentieth_not_optimal(monkeypatch, change, status):
     found = refine
@@ -208,24 +197,106 @@ def test_an_objective_that_moves_by_a_ten_thousandth_is_said_and_by_a_twentieth_
     assert (f"its objective still changed by {100 * change:.1g} %" in plan.message) is (change > 1e-4)
 
 
-def test_a_lost_step_is_tried_again_with_roots_of_the_factor_as_often_as_is_allowed():
-    tried = []
-
-    def lost(_stage: float, value: float) -> None:
-        tried.append(value)
-
-    path = followed(1.0, Steps(begin=1.0, end=99.0, factor=16.0, halvings=2), lost)
-    assert not path.arrived
-    assert tried == pytest.approx([16.0, 4.0, 2.0])
+MANY = ["solver.starts=1000"]
+LEGS = ["limits.power_w={ act_O = [-300.0, 300.0] }"]
+# Looks at the clock after which there is no time: in the first loops, in starts, in solves, in diagnosis.
+LOOKS = (1, 10, 100, 1600)
 
 
-def test_a_method_that_shares_its_time_gets_half_of_what_is_left():
-    shares = []
+class Clock:
+    """A clock that goes on by a second each time that it is read."""
+
+    reads = 0
+
+    def __call__(self) -> float:
+        self.reads += 1
+        return float(self.reads)
+
+
+def timed(problem, looks: float):
+    """Return a problem that has time for so many looks at its clock, and the clock."""
+    clock = Clock()
+    return replace(problem, solver=problem.solver.replace(max_time_s=looks, deadline=Deadline(clock=clock))), clock
+
+
+def test_a_path_is_not_followed_beyond_its_deadline():
+    mechanism = load_problem("knee-reach").mechanism
+    path = np.radians(np.linspace(-49.0, 56.0, 50))[:, None]
+    assert len(follow(mechanism, path)) == 50
+    with pytest.raises(OutOfTimeError):
+        follow(mechanism, path, deadline=Deadline().within(-1.0))
+
+
+@pytest.mark.parametrize("looks", LOOKS)
+@pytest.mark.parametrize(
+    ("name", "overrides"),
+    [("knee-sprint", []), ("knee-reach", TOO_WEAK), ("knee-sprint", LEGS), ("knee-reach", MANY), ("knee-sine", [])],
+    ids=["least time", "too weak", "along a power limit", "many starts", "prescribed"],
+)
+def test_wherever_the_time_ends_there_is_a_plan_that_says_so(name, overrides, looks):
+    problem, clock = timed(load_problem(name, overrides), looks)
+    plan = plan_motion(problem)
+    assert plan.status in ("optimal", "feasible", "infeasible", "failed")
+    assert plan.problem is problem
+    if plan.status == "failed":
+        assert OF_TIME in plan.message
+    # What is left of the plan then is no loop: some looks on the way out.
+    assert clock.reads < 3 * looks + 300
+
+
+def test_a_certified_motion_is_kept_when_a_later_rung_runs_out_of_time():
+    found = plan_motion(load_problem("knee-reach"))
+
+    def late(*_):
+        raise OutOfTimeError("late")
+
     methods = [
-        SearchMethod(
-            name=str(half), run=lambda _, budget: shares.append(budget.share_of_time), budget=Budget(), shares_time=of
-        )
-        for half, of in ((True, lambda _: True), (False, lambda _: False))
+        SearchMethod(name="finds", run=lambda *_: found, budget=FULL_BUDGET),
+        SearchMethod(name="late", run=late, budget=FULL_BUDGET),
     ]
-    run_search(search_for(load_problem("knee-reach")), methods)
-    assert shares == [0.5, 1.0]
+    plan = plan_motion(load_problem("knee-reach"), methods=methods)
+    assert plan.status == "optimal"
+    assert plan.trajectory is found.trajectory
+
+
+def test_starts_that_were_solved_are_judged_when_the_time_for_further_ones_is_over():
+    problem, _ = timed(load_problem("knee-reach", MANY), 1000)
+    plan = plan_motion(problem)
+    assert plan.passed
+    assert 1 <= plan.details["starts_solved"] < 100
+    assert OF_TIME in plan.message
+
+
+@pytest.mark.parametrize("looks", [1, 30, 300])
+def test_a_differential_equations_plan_has_an_answer_wherever_its_time_ends(looks):
+    """Of Robbins' problem, whose refinement for so many digits takes minutes."""
+    problem, clock = timed(robbins(1e-12), looks)
+    plan = plan_ode(problem)
+    assert plan.status in ("optimal", "feasible", "failed")
+    if plan.status == "failed":
+        assert OF_TIME in plan.message
+    assert clock.reads < 3 * looks + 300
+
+
+def test_a_planner_gives_a_warm_solve_and_a_plan_from_the_beginning_one_budget():
+    planner, problem = Replanner(), load_problem("knee-reach")
+    planner.plan(problem).require()
+    late, clock = timed(problem, 1)
+    late = replace(late, motion=replace(late.motion, goal=np.radians([40.0])))
+    assert not planner.plan(late).passed
+    assert clock.reads < 30
+    assert planner.plan(problem).passed
+
+
+def test_the_least_factor_of_a_pure_inertia_is_exact_once_its_switch_is_known():
+    """A quarter turn in T seconds needs 4 I b / T^2 N.m, of the 4 that it has; known from another start it is no other."""
+    problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 0.5\n")
+    guess = first_guess(problem, problem.start_pose())
+    mesh, durations = first_mesh(problem, guess)
+    found = least_limit.least_limit(problem, guess, mesh, durations)
+    assert found.factor == pytest.approx(4 * HINGE_INERTIA * TURN / 0.5**2 / 4.0, rel=1e-7)
+    assert found.first == pytest.approx(found.factor, rel=1e-2)
+    assert found.durations.sum() == pytest.approx(0.5)
+    for factor, same in ((1 + 0.9e-7, True), (1 - 0.9e-7, True), (1 + 1.2e-7, False), (1 - 1.2e-7, False)):
+        again = least_limit.least_limit(problem, guess, mesh, durations, known=factor * found.first)
+        assert (again is None) is same, factor

@@ -1,17 +1,28 @@
-"""A linkage that swings up to a dead centre has no best motion: within a margin to singular poses it has one."""
+"""The distance from singular poses in searches, and what forbids the only way."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from linkplan.planner.closed_chain.guess import Guess, first_guess
+from linkplan.planner.limits.joints import RangeLimit, SingularMarginLimit
+from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.samples import singularity_ratios
+from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.plan.plan import Plan
-from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.search.attempts import plan_from
+from linkplan.planner.search.continuations import nears_singular
 from linkplan.planner.search.ladder import FULL_BUDGET, Search, SearchMethod
 from linkplan.planner.search.least_limit import least_limit_of_starts
 from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.presolve import ONLY_WAY_SLACK, only_way, sentence_beyond
 from linkplan.planner.search.starts import at_a_distance, may_near_singular
 from tests.bench.contradictions import weak_case
+from tests.support.fourbar_problems import random_case
+from tests.support.plans import problem_of
+from tests.support.tolerances_planner import PHASE_PLANE_TIME
 
 
 def weak_reach(number: int, duration_s: float | str = 1.0, minimize: str = "effort", margin: float = 0.0) -> Problem:
@@ -99,3 +110,93 @@ def test_a_first_motion_that_leaves_the_reach_between_its_nodes_is_no_second_sta
     search = search_of(problem)
     least = least_limit_of_starts(problem, search.smooth)
     assert least is None or least.factor > 0.0
+
+
+SEED = 1
+# Least effort in five times the shortest duration: the longer, the nearer to the dead centre the motion gathers way.
+TO_A_DEAD_CENTRE = 360
+# Least time with a range, from next to a singular pose.
+THROUGH_THE_MESH = 474
+
+
+def clear_problem(number: int) -> Problem:
+    return Problem.from_tables("next to a singular pose", random_case(SEED, number).tables)
+
+
+def search_for(problem: Problem) -> Search:
+    begun = replace(problem, solver=problem.solver.begun())
+    return Search(problem=begun, start_pose=problem.start_pose())
+
+
+def test_a_straight_motion_in_the_open_nears_no_singular_pose():
+    problem = clear_problem(TO_A_DEAD_CENTRE)
+    assert not nears_singular(problem, first_guess(problem, problem.start_pose()))
+
+
+@pytest.mark.slow
+def test_known_switches_are_planned_next_to_a_singular_pose():
+    """From a smooth path, solvers fly through the mesh: 24 % faster than the least time, and no motion."""
+    case, problem = random_case(SEED, THROUGH_THE_MESH), clear_problem(THROUGH_THE_MESH)
+    quickest = least_time_guess(problem, problem.start_pose())
+    assert quickest is not None
+    plan = plan_from(search_for(problem), FULL_BUDGET, "the phase plane", quickest)
+    assert plan is not None
+    assert plan.status == "optimal"
+    assert abs(plan.objective / case.duration - 1) < PHASE_PLANE_TIME
+
+
+# Shares of the allowance, a millionth, on both sides of it.
+WITHIN, BEYOND = 0.5e-6, 2e-6
+
+
+def limited(**changes) -> Problem:
+    problem = problem_of("knee-reach")
+    return replace(problem, limits=replace(problem.limits, **changes))
+
+
+def beyond(problem: Problem) -> str | None:
+    limits = [limit for limit in limits_of(problem) if isinstance(limit, RangeLimit | SingularMarginLimit)]
+    return sentence_beyond(problem, limits, only_way(problem), None, ONLY_WAY_SLACK)
+
+
+@pytest.mark.parametrize(("short", "refused"), [(WITHIN, False), (BEYOND, True)])
+def test_a_dependent_joint_beyond_its_range_is_refused(short, refused):
+    mechanism = limited().mechanism
+    joint = int(mechanism.dependent[0])
+    most = only_way(limited())[:, joint].max()
+    ranges = np.array(limited().limits.position)
+    ranges[joint] = [-np.inf, most - short]
+    said = beyond(limited(position=ranges))
+    assert (said is not None) == refused
+    if said is not None:
+        assert f"joint {mechanism.joints[joint].name} stands at" in said
+
+
+@pytest.mark.parametrize(("more", "refused"), [(-WITHIN, False), (WITHIN, False), (BEYOND, True)])
+def test_a_pose_short_of_the_singular_margin_is_refused(more, refused):
+    least = singularity_ratios(limited(), only_way(limited())).min()
+    assert 0.0 < least < 1.0
+    said = beyond(limited(singular_margin=least * (1 + more)))
+    assert (said is not None) == refused
+    if said is not None:
+        assert "short of its limit" in said
+
+
+@pytest.mark.parametrize(("furthest", "nears"), [(0.5, False), (1.36, True)])
+def test_a_motion_nears_a_singular_pose_where_it_comes_within_half_the_distance_of_its_ends(furthest, nears):
+    """The knee's crank from 0.4 rad to `furthest` and back; at 1.37 rad its loop is next to a singular pose."""
+    problem = load_problem("knee-sprint")
+    begin = 0.4
+
+    def position(t: np.ndarray) -> np.ndarray:
+        return (begin + (furthest - begin) * np.sin(np.pi * t))[:, None]
+
+    guess = Guess(
+        position=position,
+        velocity=position,
+        acceleration=position,
+        effort=None,
+        duration_s=1.0,
+        start_pose=problem.start_pose(),
+    )
+    assert nears_singular(problem, guess) is nears

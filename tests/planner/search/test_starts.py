@@ -7,17 +7,19 @@ import pytest
 from scipy.integrate import quad
 from scipy.optimize import brentq, minimize_scalar
 
+import linkplan
 from linkplan.models.errors import ProblemError
-from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.plan.folder import write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
-from linkplan.planner.search import least_limit
-from linkplan.planner.search.planning import plan_motion
-from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, QUARTER_TURN, TURN, body_plan
+from linkplan.planner.search import starts
+from linkplan.planner.search.planning import SEARCH_METHODS, plan_motion
+from linkplan.planner.search.starts import with_switch_times
+from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, PENDULUM, QUARTER_TURN, TURN, body_plan, body_problem
 from tests.support.plans import optimal, planned
 from tests.support.tolerances_planner import (
     BEST_START,
+    BOUNDARY_DEG,
     COARSE_MESH,
     EXACT_EFFORT,
     LEAST_EFFORT,
@@ -48,15 +50,9 @@ def test_several_starts_are_the_same_in_every_run():
     assert [step.objective for step in again.history] == [step.objective for step in optimal(*STARTS).history]
 
 
-def test_one_start_is_not_reported_as_several():
-    plan = optimal("knee-reach")
-    assert "starts" not in plan.details
-    assert plan.history[0].what == "first solve"
-
-
 # A weak pendulum has two ways up: straight, where the torque is short, or by a swing.
 
-PENDULUM = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="arm"><joint name="J" type="hinge" axis="0 1 0"/>
+LIGHT_PENDULUM = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="arm"><joint name="J" axis="0 1 0"/>
 <inertial pos="0 0 -0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
 <actuator><motor name="motor" joint="J" ctrlrange="-3 3"/></actuator></mujoco>"""
 UP = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 180.0 }\nduration_s = "free"\n'
@@ -87,7 +83,7 @@ def time_of_one_swing(switch: float) -> float:
 
 @pytest.mark.slow
 def test_a_motor_short_of_gravity_swings_back_once_and_takes_the_least_time_of_that():
-    plan = body_plan(PENDULUM, UP, "objective.minimize=time")
+    plan = body_plan(LIGHT_PENDULUM, UP, "objective.minimize=time")
     assert 1 * 9.81 * 0.5 > 3  # the motor cannot hold the arm level
     assert plan.status == "optimal", plan.message
     motion = plan.trajectory
@@ -97,18 +93,11 @@ def test_a_motor_short_of_gravity_swings_back_once_and_takes_the_least_time_of_t
 
 
 def test_the_history_ends_with_what_was_planned_and_no_step_of_it_is_faster():
-    plan = body_plan(PENDULUM, UP, "objective.minimize=time")
+    plan = body_plan(LIGHT_PENDULUM, UP, "objective.minimize=time")
     assert plan.history[-1].objective == plan.objective
     assert plan.history[-1].integration_error_deg == plan.certificate.integration_error_deg
     first = next(step for step in plan.history if step.converged)
     assert first.objective > plan.objective  # its switches were smeared
-
-
-@pytest.mark.slow
-def test_more_starts_are_never_slower():
-    one, many = (body_plan(PENDULUM, UP, "objective.minimize=time", f"solver.starts={k}") for k in (1, 5))
-    assert many.status == "optimal", many.message
-    assert many.objective <= one.objective * (1 + MINIMUM_TIME)
 
 
 # The user's guess.
@@ -144,7 +133,8 @@ def test_a_guess_decides_which_of_two_local_optima_is_found():
     """In 4 s the weak pendulum goes up by swings that begin to one side or to the other; the first is the better."""
     fixed = UP.replace('"free"', "4.0")
     plans = [
-        body_plan(PENDULUM, fixed, f"guess.path_deg.J={path}") for path in ([0, -60, -20, 90, 180], [0, -30, 60, -90, 180])
+        body_plan(LIGHT_PENDULUM, fixed, f"guess.path_deg.J={path}")
+        for path in ([0, -60, -20, 90, 180], [0, -30, 60, -90, 180])
     ]
     for plan in plans:
         assert plan.status == "optimal", plan.message
@@ -223,11 +213,6 @@ def test_refining_by_degree_raises_it_before_it_cuts():
 
 
 @pytest.mark.slow
-def test_raising_the_degree_takes_fewer_intervals_than_halving():
-    assert refined("both").intervals < refined("intervals").intervals
-
-
-@pytest.mark.slow
 def test_a_transcription_that_is_named_is_kept():
     plan = optimal(*COARSE, "mesh.scheme=radau-2", "mesh.tolerance_deg=1e-4")
     assert {step.scheme for step in plan.history} == {"radau-2"}
@@ -263,16 +248,76 @@ def test_least_time_finds_its_switch_from_a_mesh_that_has_none_there():
     assert plan.history[0].objective > plan.objective  # without the cut the switch is smeared
 
 
-@pytest.mark.parametrize(("factors", "best"), [((3.0, 2.0, 4.0), 2.0), ((3.0, None, 2.5), 2.5), ((0.9, 0.5, 0.4), 0.9)])
-def test_the_least_factor_on_the_limits_is_kept_and_a_motion_within_them_ends_the_search(monkeypatch, factors, best):
-    problem, left = load_problem("knee-reach"), iter(factors)
+def test_a_least_time_plan_is_a_guess_that_knows_its_switch():
+    plan = body_plan(HINGE, QUARTER_TURN + 'duration_s = "free"\n', "objective.minimize=time")
+    guess = with_switch_times(plan)
+    assert guess.switch_times_s == pytest.approx([plan.trajectory.duration_s / 2], rel=1e-6)
+    assert not starts.other_limits(body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n"))
 
-    def found(*_, **__):
-        factor = next(left)
-        none = {"trajectory": None, "mesh": None, "durations": np.empty(0)}
-        return None if factor is None else least_limit.LeastLimit(factor=factor, first=factor, **none)
 
-    monkeypatch.setattr(least_limit, "least_limit", found)
-    answer = least_limit.least_limit_of_starts(problem, first_guess(problem, problem.start_pose()))
-    assert answer is not None
-    assert answer.factor == best
+@pytest.mark.parametrize(
+    ("setting", "others"),
+    [("limits.speed_deg_s.O=900", False), ("limits.range_deg.A=[0, 100]", False), ("limits.power_w.act_O=500", True)],
+)
+def test_the_phase_plane_leaves_out_all_limits_but_those_on_effort_range_and_speed(setting, others):
+    assert starts.other_limits(load_problem("knee-reach", [setting])) == others
+
+
+PROBLEM = """[mechanism]
+model = "pendulum.xml"
+[motion]
+kind = "reach"
+start_deg = {{ J = 0.0 }}
+goal_deg = {{ J = {goal} }}
+duration_s = "free"
+[objective]
+minimize = "time"
+"""
+WEIGHT = 0.5 * 9.81  # [N.m] of the rod held level
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("limit", [0.7 * WEIGHT, 0.6 * WEIGHT])
+def test_a_pendulum_too_heavy_for_its_motor_swings_back_first(tmp_path, limit):
+    (tmp_path / "pendulum.xml").write_text(PENDULUM.format(limit=limit))
+    (tmp_path / "problem.toml").write_text(PROBLEM.format(goal=120.0))
+    plan = plan_motion(load_problem(tmp_path / "problem.toml"))
+    turn = np.radians(120.0)
+    assert limit * turn < WEIGHT * (1 - np.cos(turn)), "straight there, the motor's work falls short of the weight's"
+    assert plan.status == "optimal", plan.message
+    assert plan.certificate.passed
+    angles = np.degrees(plan.trajectory.position_at(plan.trajectory.dense_times(20))[:, 0])
+    assert angles[0] == pytest.approx(0.0, abs=BOUNDARY_DEG)
+    assert angles[-1] == pytest.approx(120.0, abs=BOUNDARY_DEG)
+    assert angles.min() < -5.0, "it swings back before it goes up"
+
+
+# A two-link arm that swings its hand through a post.
+ARM = """<mujoco><option gravity="0 0 0"/><default><geom type="capsule" size="0.02"/></default><worldbody>
+<geom name="post" type="cylinder" size="0.15 0.2" pos="0 {reach} 0"/>
+<body name="upper"><joint name="a" axis="0 0 1" range="-170 170"/>
+<geom fromto="0 0 0 0.4 0 0" mass="1" contype="0" conaffinity="0"/>
+<body name="lower" pos="0.4 0 0"><joint name="b" axis="0 0 1" range="-20 40"/>
+<geom name="hand" fromto="0.1 0 0 0.3 0 0" mass="1"/></body></body>
+</worldbody><actuator><motor joint="a" ctrlrange="-50 50"/><motor joint="b" ctrlrange="-50 50"/></actuator></mujoco>"""
+
+
+def planned_past_a_post(reach):
+    problem = linkplan.Problem.reach(
+        linkplan.load_mechanism(ARM.format(reach=reach)),
+        start_deg={"a": 30.0, "b": 0.0},
+        goal_deg={"a": 150.0, "b": 30.0},
+        duration_s=1.0,
+        mesh={"intervals": 20},
+    )
+    return plan_motion(problem, methods=SEARCH_METHODS[1:2])
+
+
+def test_a_motion_through_a_post_is_not_refined():
+    apart = planned_past_a_post(reach=5.0)
+    assert apart.passed
+    assert any(step.scheme != "radau-3" for step in apart.history)  # its mesh is refined
+    through = planned_past_a_post(reach=0.6)
+    assert not through.passed
+    assert "collide" in through.message
+    assert all(step.what.startswith("start from") for step in through.history)

@@ -1,13 +1,14 @@
-"""IPOPT behind one call: a word where there is no answer, and no key that asks for another solver."""
-
+"""IPOPT: its options, when a solve is given up, and warm solves."""
 # ruff: noqa: ARG005 - the signature of a problem's functions is what the problem says it is
 
+import time
 from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 
+from linkplan.models.compiled.functions import compiler
 from linkplan.models.errors import ProblemError
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.closed_chain.transcribe import Transcribed, transcribe
@@ -15,7 +16,9 @@ from linkplan.planner.ode.plan import plan_ode
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.settings import SolverSettings
-from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME, solve
+from linkplan.planner.solvers import solve as module
+from linkplan.planner.solvers import solve as solvers
+from linkplan.planner.solvers.solve import INVALID, OUT_OF_ITERATIONS, OUT_OF_TIME, SUCCEEDED, Solution, solve
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.plans import problem_of
 
@@ -68,3 +71,78 @@ def test_bounds_that_contradict_each_other_end_in_a_status():
 def test_a_problem_that_names_its_solver_is_told_that_the_key_is_gone(name):
     with pytest.raises(ProblemError, match=r"unknown key 'solver\.name': linkplan solves with IPOPT, and this key is gone"):
         load_problem("knee-reach", [f"solver.name={name}"])
+
+
+needs_compiler = pytest.mark.skipif(compiler() is None, reason="this machine has no C compiler")
+
+
+def programmed(*settings: str):
+    """Return the settings and the program of a reach on few intervals."""
+    problem = load_problem("knee-reach", [*settings, "mesh.intervals=8"])
+    guess = first_guess(problem, problem.start_pose())
+    return problem.solver, transcribe(problem, guess, uniform(8), np.array([guess.duration_s]))
+
+
+@pytest.fixture(autouse=True)
+def cold(tmp_path, monkeypatch):
+    monkeypatch.setenv("LINKPLAN_CACHE", str(tmp_path))
+
+
+@pytest.mark.slow
+@needs_compiler
+def test_a_solve_that_takes_long_ends_compiled_and_to_the_last_bit_where_the_interpreter_ends(monkeypatch):
+    monkeypatch.setattr(module, "_COMPILING_COST", 1)
+    monkeypatch.setattr(module, "_MIN_PATIENCE_ITERATIONS", 3)
+    slow = solve(*reversed(programmed("solver.compile=never")))
+    settings, program = programmed()
+    assert slow.iterations > 3
+    assert not program.program.interval.compiled
+    quick = solve(program, settings)
+    assert quick.transcribed.program.interval.compiled
+    assert (quick.status, quick.iterations) == (slow.status, slow.iterations)
+    np.testing.assert_array_equal(quick.x, slow.x)
+
+
+def test_a_short_one_stays_interpreted():
+    settings, program = programmed()
+    found = solve(program, settings)
+    assert found.converged
+    assert not found.transcribed.program.interval.compiled
+
+
+def test_building_and_solving_are_parts_of_the_time_that_the_call_takes():
+    settings, program = programmed()
+    begin = time.perf_counter()
+    found = solve(program, settings)
+    assert found.build_s > 0.0
+    assert found.solve_s > 0.0
+    assert found.build_s + found.solve_s <= time.perf_counter() - begin
+
+
+NOTHING = Solution(
+    transcribed=None,
+    x=np.zeros(1),
+    objective=1.0,
+    converged=False,
+    status=OUT_OF_ITERATIONS,
+    iterations=500,
+    build_s=0,
+    solve_s=0,
+)
+
+
+@pytest.mark.parametrize("again", [SUCCEEDED, OUT_OF_ITERATIONS])
+def test_rounding_does_not_end_a_search_where_another_barrier_finds_the_motion(again, monkeypatch):
+    asked = []
+
+    def solved(_, settings, *, adaptive=False, **__):
+        asked.append((adaptive, settings.max_iterations))
+        found = replace(NOTHING, objective=2.0, converged=again == SUCCEEDED, status=again)
+        return found if adaptive else NOTHING
+
+    monkeypatch.setattr(solvers, "_patience", lambda *_: None)
+    monkeypatch.setattr(solvers, "_solved", solved)
+    solution = solve(None, SolverSettings(max_iterations=200))
+    assert [adaptive for adaptive, _ in asked] == [False, True]
+    assert asked[1][1] <= asked[0][1]
+    assert solution.objective == (2.0 if again == SUCCEEDED else 1.0)

@@ -1,11 +1,22 @@
-"""Bounds of states and durations, linear rows on efforts, and bounds of rows, each for a mesh of a few intervals."""
+"""Bounds of unknowns: boundaries, durations, held arcs and their junctions."""
+
+import itertools
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.planner.transcription.bounds import _given_nodes, _hold_paths, bounds, linear_rows, row_bounds
-from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary
+from linkplan.planner.transcription.bounds import (
+    _boundary_groups,
+    _given_nodes,
+    _hold_paths,
+    _with_junctions,
+    bounds,
+    find_junctions,
+    linear_rows,
+    row_bounds,
+)
+from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, Start
 from linkplan.planner.transcription.interval import IntervalRows, build_chain, interval_of
 from linkplan.planner.transcription.mesh import Layout, Mesh, segmented, uniform
 from linkplan.planner.transcription.schemes import scheme
@@ -204,3 +215,117 @@ def test_limits_on_positions_are_out_of_the_way_at_given_nodes_only():
     assert found[0, 0, 0] <= -10.0
     assert found[0, 0, 1] >= 10.0
     assert found.reshape(-1, 2)[1:] == pytest.approx(np.tile([-2.0, 3.0], (5, 1)))
+
+
+# Times of two fixed waypoints, of one within a window, of one that is free, and of the goal [s].
+WINDOWS = ((0.2, 0.2), (0.4, 0.6), (0.7, 0.7), (0.0, np.inf), (1.0, 1.1))
+PHASE = np.array([0, 0, 1, 1, 2, 3, 4, 4])
+
+
+def keeps_rows(durations: np.ndarray, windows, shares) -> bool:
+    """Return True if segment durations (n_segments,) keep every row."""
+    boundaries = [PhaseBoundary(state=np.zeros((2, 2)), time=t, share=s) for t, s in zip(windows, shares, strict=True)]
+    rows = _boundary_groups(formulation(None, *boundaries), segmented(durations, 30, phase=PHASE))
+    return all(low - 1e-9 <= float(weight @ durations[group]) <= high + 1e-9 for group, low, high, weight in rows)
+
+
+def phase_durations(times: np.ndarray) -> np.ndarray:
+    """Return durations of segments whose phases end at times (5,) [s], in unequal parts."""
+    parts = np.array([0.3, 0.7, 0.6, 0.4, 1.0, 1.0, 0.5, 0.5])
+    return parts * np.diff(times, prepend=0.0)[PHASE]
+
+
+def test_durations_keep_the_rows_exactly_if_every_boundary_is_at_a_time_that_it_may_have():
+    grid = [(0.1, 0.2), (0.3, 0.4, 0.6, 0.65), (0.68, 0.7), (0.75, 0.9), (0.95, 1.0, 1.1, 1.2)]
+    for times in itertools.product(*grid):
+        legal = all(low <= time <= high for time, (low, high) in zip(times, WINDOWS, strict=True))
+        assert keeps_rows(phase_durations(np.array(times)), WINDOWS, [None] * 5) is legal, times
+
+
+@pytest.mark.parametrize("continuous", [False, True])
+@pytest.mark.parametrize("way", [1, -1, 0])
+def test_a_held_quantity_is_at_its_limit_at_every_node_of_its_arc_and_where_it_meets_a_bang(continuous, way):
+    """Intervals 2 and 3 of six are an arc along the upper limit. The limit is smallest on interval 3."""
+    n, m, free = 6, 3, np.array([-5.0, 5.0])
+    path = np.tile(free, (n, 1, 1))
+    path[3, 0, 1] = 4.5
+    at_nodes, at_open_ends = np.repeat(path[:, None], m, axis=1), np.array(path)
+    held = np.zeros((n, 1))
+    held[2:4] = 1
+    last = {1: 1, -1: 3, 0: None}[way]
+    meetings = () if last is None else ((last, 0, 0, way),)
+    _hold_paths(path, at_nodes, at_open_ends, held, meetings, {0} if continuous else set())
+    expected, open_ends = np.tile(free, (n, m, 1)), np.tile(free, (n, 1))
+    open_ends[2:4] = -np.inf, np.inf
+    expected[2:4] = 4.5
+    if continuous or way == 1:
+        expected[1, -1] = 4.5
+    if way == -1:
+        open_ends[4] = -np.inf, np.inf
+    np.testing.assert_array_equal(at_nodes[:, :, 0], expected)
+    np.testing.assert_array_equal(at_open_ends[:, 0], open_ends)
+
+
+@pytest.mark.parametrize(("before", "after"), [(5.0, -5.0), (-5.0, 5.0), (5.0, 5.0)])
+def test_an_arc_meets_a_bang_without_a_jump_where_its_effort_beside_the_switch_has_the_bangs_sign(before, after):
+    """The effort along the arc from 1 s to 3 s is positive in its first half and negative in its second."""
+    durations = np.array([1.0, 2.0, 1.0])
+
+    def nodes(time: np.ndarray) -> tuple:
+        effort = np.where((time > 1.0) & (time < 3.0), np.sign(2.0 - time), 0.0)
+        return None, None, None, effort[:, None]
+
+    junctions = find_junctions(
+        formulation(rows=IntervalRows(open_end_path=(0,))),
+        segmented(durations, 12),
+        durations,
+        Start(states=nodes, nodes=nodes),
+        np.array([[before], [np.nan], [after]]),
+        np.array([[0], [1], [0]]),
+    )
+    expected = [[int(before > 0)], [-int(after < 0)]]
+    assert (np.zeros((2, 1)) if junctions is None else junctions).tolist() == expected
+
+
+NAN, DURATIONS = np.nan, np.array([1.0, 2.0, 1.0])
+FORMULATION = formulation(rows=IntervalRows(open_end_path=(0,)), effort=np.array([[-4.0, 4.0]]))
+# Between two bangs the power is held. The arc goes on from the first without a jump, or into the last.
+ONTO = np.array([[4.0], [NAN], [-4.0]]), np.array([[0], [1], [0]])
+OFF = np.array([[-4.0], [NAN], [4.0]]), np.array([[0], [1], [0]])
+
+
+def found(held: tuple[np.ndarray, np.ndarray], along: float) -> np.ndarray | None:
+    """Return the junctions of a motion whose effort is `along` on the arc from 1 s to 3 s."""
+
+    def nodes(times: np.ndarray):
+        return None, None, None, np.full((len(times), 1), along)
+
+    return find_junctions(FORMULATION, segmented(DURATIONS, 12), DURATIONS, Start(states=nodes, nodes=nodes), *held)
+
+
+@pytest.mark.parametrize(
+    ("held", "along", "ways"), [(ONTO, 4.0, [1, 0]), (ONTO, -4.0, [0, -1]), (OFF, 4.0, [0, -1]), (OFF, -4.0, [1, 0])]
+)
+def test_an_effort_that_does_not_change_its_sign_goes_on_without_a_jump(held, along, ways):
+    assert found(held, along).ravel().tolist() == ways
+
+
+def test_between_two_bangs_there_is_no_junction():
+    assert found((np.array([[4.0], [-4.0], [4.0]]), np.zeros((3, 1), dtype=int)), 5.0) is None
+
+
+@pytest.mark.parametrize(("held", "way"), [(ONTO, 1), (OFF, -1)])
+def test_beside_a_junction_the_effort_of_the_arc_may_exceed_its_limit(held, way):
+    mesh = segmented(DURATIONS, 12)
+    of_arc = np.flatnonzero(mesh.segment == 1)
+    layout = Layout(n_s=1, n_z=0, n_u=1, n_nodes=2, n_intervals=mesh.n_intervals, n_segments=3)
+    lower, upper, expected = np.full(layout.size, -1.0), np.ones(layout.size), np.ones(layout.size)
+    _with_junctions(lower, upper, FORMULATION, layout, mesh, held[0], np.array([[1], [0]] if way > 0 else [[0], [-1]]))
+    widened = layout.effort()[of_arc[0] if way > 0 else of_arc[-1], :, 0]
+    expected[widened] = 3.0  # by the distance of the two limits
+    if way < 0:
+        expected[widened[-1]] = 1.0  # where the arc ends, the effort is at the bang's limit
+        assert lower[widened[-1]] == 1.0
+    np.testing.assert_array_equal(upper, expected)
+    others = np.setdiff1d(np.arange(layout.size), widened[-1:] if way < 0 else [])
+    np.testing.assert_array_equal(lower[others], -expected[others])

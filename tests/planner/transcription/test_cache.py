@@ -1,6 +1,5 @@
 """The cache of compiled functions is code that is run: nobody else's, never half of one, and it costs no more than speed."""
 
-import json
 import os
 import sys
 import tempfile
@@ -11,7 +10,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from linkplan.models.compiled import cache
 from linkplan.models.compiled import functions as module
 from linkplan.models.compiled.cache import (
     cache_folder,
@@ -118,12 +116,6 @@ def built():
 def test_the_cache_is_made_for_its_user_alone(folder):
     assert folder.stat().st_mode & 0o777 == 0o700
     assert {path.stat().st_mode & 0o777 for path in (kept(folder), folder / "k1.json")} == {0o600}
-
-
-def test_what_is_kept_is_found(folder):
-    library = kept(folder)
-    assert find_entry(folder, "k1") == (library, {"n": 3})
-    assert sorted(path.name for path in folder.iterdir()) == ["k1.json", "k1.so"]
 
 
 @pytest.mark.parametrize("at", [0, 100, len(LIBRARY) - 1])
@@ -305,10 +297,3 @@ def test_an_earlier_versions_own_folder_is_closed_to_others_and_loses_what_they_
     (tmp_path / "linkplan").chmod(0o775)
     assert trusted_folder(make=False).stat().st_mode & 0o777 == 0o700
     assert [path.name for path in (tmp_path / "linkplan").iterdir()] == ["note.txt"]
-
-
-def test_a_record_says_the_library_s_hash(folder):
-    library = kept(folder)
-    check, _, text = (folder / "k1.json").read_bytes().partition(b"\n")
-    assert json.loads(text)["library"] == cache.hash_of(library.read_bytes())
-    assert check.decode() == cache.hash_of(text)

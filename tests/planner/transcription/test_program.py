@@ -10,7 +10,7 @@ import pytest
 from linkplan.planner.closed_chain.guess import first_guess, guess_from
 from linkplan.planner.closed_chain.transcribe import Transcribed, choose_scales, trajectory_of, transcribe
 from linkplan.planner.solvers.solve import solve
-from linkplan.planner.transcription.mesh import Mesh, halved, segmented, uniform
+from linkplan.planner.transcription.mesh import Mesh, segmented, uniform
 from tests.support.plans import planned, problem_of
 from tests.support.sites import arm_of, site_problem
 from tests.support.tolerances_planner import DERIVATIVE, DIFFERENCE, ROWS, SAME_MOTION, STILL
@@ -89,30 +89,6 @@ every_case = pytest.mark.parametrize(
 
 
 @every_case
-def test_the_assembled_jacobian_is_the_derivative_of_the_rows(case):
-    transcribed = built(case)
-    x, p, _, g = symbols(transcribed)
-    jacobian = ca.Function("J", [x, p], [ca.jacobian(g, x)])
-    for seed in (1, 2):
-        at = point(transcribed, seed), transcribed.parameters
-        rows, assembled = transcribed.program.functions["jac_g"](*at)
-        assert_same(assembled, jacobian(*at))
-        assert_same(rows, transcribed.program.functions["nlp"](*at)[1])
-
-
-@every_case
-def test_the_assembled_gradient_is_the_derivative_of_the_objective(case):
-    transcribed = built(case)
-    x, p, f, _ = symbols(transcribed)
-    gradient = ca.Function("df", [x, p], [ca.gradient(f, x)])
-    for seed in (3, 4):
-        at = point(transcribed, seed), transcribed.parameters
-        value, assembled = transcribed.program.functions["grad_f"](*at)
-        assert_same(assembled, gradient(*at))
-        assert_same(value, transcribed.program.functions["nlp"](*at)[0])
-
-
-@every_case
 def test_the_assembled_hessian_is_the_upper_triangle_of_the_lagrangian_s(case):
     transcribed = built(case)
     x, p, f, g = symbols(transcribed)
@@ -160,24 +136,6 @@ def test_so_do_those_of_a_program_whose_goal_is_a_place_of_a_site(durations):
     transcribed = transcribe(problem, guess, mesh, np.array(durations))
     assert transcribed.formulation.endpoint is not None
     assert_derivatives(transcribed)
-
-
-@every_case
-def test_the_last_rows_are_the_linear_ones(case):
-    transcribed = built(case)
-    program, x = transcribed.program, point(transcribed, 9)
-    rows = np.array(program.functions["nlp"](x, transcribed.parameters)[1]).ravel()
-    n_linear = program.linear.shape[0]
-    assert len(rows) == program.n_rows == program.mesh.n_intervals * program.interval.n_rows + n_linear
-    np.testing.assert_allclose(rows[len(rows) - n_linear :], np.array(program.linear.dm() @ x).ravel(), atol=DERIVATIVE)
-
-
-@every_case
-def test_every_unknown_has_one_place(case):
-    layout = built(case).program.layout
-    places = [layout.states()[:, :], layout.acceleration(), layout.dependent(), layout.effort()]
-    places += [layout.durations(), layout.extra(), layout.open_end_dependent()]
-    np.testing.assert_array_equal(np.sort(np.concatenate([p.ravel() for p in places])), np.arange(layout.size))
 
 
 @pytest.mark.parametrize("name", ["knee-reach", "knee-sprint", "knee-sine-shank"])
@@ -235,13 +193,6 @@ def row_kinds(interval) -> tuple[str, ...]:
     return interval.own_kinds + interval.n_nodes * interval.node_kinds + interval.n_open_ends * at_open_ends
 
 
-def test_a_closed_loop_is_a_row_at_every_node():
-    kinds = row_kinds(built(CASES[0]).program.interval)
-    n_nodes = built(CASES[0]).program.layout.n_nodes
-    assert kinds.count("closure") == 2 * n_nodes
-    assert kinds.count("dynamics") == n_nodes
-
-
 def test_an_open_loop_breaks_the_closure_rows_by_its_gap():
     transcribed = built(CASES[0])
     layout, local = transcribed.program.layout, transcribed.program.interval
@@ -275,23 +226,3 @@ def test_a_plan_does_not_depend_on_the_units_of_its_program(what):
         motions.append(trajectory_of(transcribed, solution.x, problem.limits.effort))
     assert objectives[1] == pytest.approx(objectives[0], rel=SAME_MOTION)
     np.testing.assert_allclose(motions[1].position, motions[0].position, atol=SAME_MOTION)
-
-
-def test_halving_keeps_each_segment_s_share():
-    mesh = halved(segmented(np.array([1.0, 3.0]), 12), np.arange(12) % 2 == 0)
-    assert mesh.n_intervals == 18
-    np.testing.assert_allclose(np.bincount(mesh.segment, weights=mesh.fraction), 1.0)
-
-
-def test_the_breaks_of_a_mesh_end_at_its_durations():
-    mesh = segmented(np.array([1.0, 3.0]), 12)
-    breaks = mesh.breaks(np.array([0.5, 2.0]))
-    assert breaks[0] == 0
-    assert breaks[-1] == pytest.approx(2.5)
-    assert np.any(np.isclose(breaks, 0.5))
-
-
-@pytest.mark.parametrize("fraction", [[0.5, 0.6], [1.5, -0.5], [0.5, 0.4]])
-def test_a_mesh_whose_shares_do_not_add_up_is_refused(fraction):
-    with pytest.raises(ValueError, match="sum to 1"):
-        Mesh(fraction=np.array(fraction), segment=np.zeros(2, dtype=int))

@@ -1,6 +1,5 @@
 """Figures of feedback loops: every pose is seen and told from the others, and no legend lies on a curve."""
 
-import itertools
 import tempfile
 from functools import cache
 from pathlib import Path
@@ -14,7 +13,7 @@ from matplotlib.figure import Figure
 import linkplan
 from linkplan.studies.cli.main import main
 from linkplan.studies.demo.draw_margins import PICTURE, margins_figure
-from linkplan.studies.feedback.bode import bode_blocks
+from linkplan.studies.feedback.bode.curves import phase_along
 from tests.support.figure_texts import text_faults
 from tests.support.figures import curves, saved_figures
 
@@ -98,18 +97,6 @@ def test_gains_far_from_the_border_are_on_the_map_too():
     assert low < y < high
 
 
-def test_phases_of_nearly_equal_poses_are_drawn_beside_each_other(monkeypatch):
-    """A phase near 0 deg at the crossover was shifted by a turn at one pose and not at the next."""
-    study = linkplan.bode("optimus-knee", measure=False, at_deg=[{"O": 0.0}, {"O": 1.0}]).study
-    turns = itertools.count()
-    monkeypatch.setattr(bode_blocks, "shifted_phase", lambda phase, _gain, _quantity: phase + 360.0 * next(turns))
-    for plots in bode_blocks.responses(study, study.points, "").values():
-        (phase,) = [plot for plot in plots if plot.title.endswith("phase")]
-        assert len(phase.series) == 4
-        first = [series.y[0] for series in phase.series]
-        assert np.ptp(first) < 30.0, phase.title
-
-
 def test_the_picture_of_margins_shows_those_of_python_control_and_loops_that_nearly_use_them_up(tmp_path, monkeypatch):
     saved = saved_figures(monkeypatch)
     shown = margins_figure(tmp_path / "margins.png")
@@ -128,3 +115,11 @@ def test_the_picture_of_margins_shows_those_of_python_control_and_loops_that_nea
         assert angle[-60:].mean() == pytest.approx(1.0, abs=0.05), name
         assert (swing > 0.1) == ("delay" in name), name
     assert PICTURE.is_file()
+
+
+def test_a_phase_that_passes_a_resonance_the_other_way_round_stays_beside_the_first():
+    frequency = np.array([0.1, 0.5, 0.9, 1.1, 2.0, 10.0])
+    predicted = np.array([-180.0, -180.0, 0.0, -180.0, -180.0, -180.0])
+    delay = np.array([-0.1, -0.5, -0.9, -100.0, -170.0, -300.0])
+    passed = predicted + delay + np.array([360.0, 360.0, 360.0, 720.0, 720.0, 720.0])
+    np.testing.assert_allclose(phase_along(frequency, passed, frequency, predicted), predicted + delay)

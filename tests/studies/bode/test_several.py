@@ -1,9 +1,13 @@
-"""Loops of several coordinates: broken at each coordinate's own effort, gains by joint, poses over the motion."""
+"""Loops of several coordinates: broken one by one, with push rods, and with joints that coast."""
+
+import re
+from functools import cache
 
 import control
 import numpy as np
 import pytest
 
+import linkplan
 import linkplan.studies.feedback.bode.bode as bode_module
 from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.sampling import sampling
@@ -11,14 +15,25 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.feedback.bode.bode import bode_study
+from linkplan.studies.feedback.bode.bode import BodeStudy, bode_study
 from linkplan.studies.feedback.bode.bode_blocks import summary
+from linkplan.studies.feedback.bode.bode_report import bode_sections
 from linkplan.studies.feedback.bode.poses import loop_poses
 from linkplan.studies.feedback.frequency.excitation import Setup
-from linkplan.studies.feedback.frequency.feedback_loops import CONTINUOUS, feedback_loop, law_gain, operating_point
+from linkplan.studies.feedback.frequency.feedback_loops import (
+    CONTINUOUS,
+    feedback_loop,
+    law_gain,
+    operating_point,
+    sampled_law,
+)
 from linkplan.studies.feedback.frequency.margins import margins
 from linkplan.studies.feedback.frequency.sinestream import measure
 from linkplan.studies.output.text import text_of
+from tests.support.boom import boom
+from tests.support.drawn_by_others import HOEKEN, MOTOR
+from tests.support.linkages import RSSR
+from tests.support.parallel_ankle import ankle
 from tests.support.tolerances_loops import CROSSOVER, MARGIN, MEASURED_DB, MEASURED_DEG
 
 # The five-bar in the coordinates of its left leg: each of its motors, on the legs' first joints, moves both.
@@ -142,3 +157,113 @@ def test_dry_friction_is_said_to_damp_the_measured_motion(tmp_path):
         deviations.append(study.measurement["closed_loop_deviation_db"])
     free, held, moved = deviations
     assert free < 1e-3 < moved < 1.0 < held
+
+
+SETTINGS = {"kp": 100.0, "kd": 3.0, "period_s": 5e-4}
+
+
+@pytest.mark.slow
+def test_an_ankle_on_ball_joints_has_the_loops_of_one_on_universal_joints():
+    with_spins = ankle(balls=True)
+    assert (with_spins.dof, with_spins.n_u) == (4, 2)
+    spun = linkplan.bode(with_spins, tracking=SETTINGS, frequency_hz=[120.0])
+    plain = linkplan.bode(ankle(balls=False), tracking=SETTINGS, measure=False)
+    assert spun.stable
+    assert spun.poses == plain.poses == ("motor_left = 0 deg, motor_right = 0 deg",)
+    assert spun.lti().nstates == plain.lti().nstates == 4
+    assert all(abs(pole) < 1.0 for pole in spun.lti(closed=True).poles())
+    for ours, theirs in zip(spun.study.points, plain.study.points, strict=True):
+        assert ours.phase_margin_deg == pytest.approx(theirs.phase_margin_deg, abs=0.1)
+        assert ours.disk_margin == pytest.approx(theirs.disk_margin, rel=2e-3)
+        assert ours.settles_in_mujoco
+    assert spun.study.measurement["closed_loop_deviation_db"] < 0.01  # [dB], measured in MuJoCo
+
+
+@pytest.mark.slow
+def test_a_spatial_four_bar_on_balls_has_a_single_loop(tmp_path):
+    loop = linkplan.bode(linkplan.load_mechanism(RSSR), tracker="lqr", measure=False)
+    assert loop.stable
+    assert loop.poses == ("crank = 0 deg",)
+    loop.plot(tmp_path / "bode.png")
+    assert (tmp_path / "bode.png").is_file()
+
+
+BOOM_GAINS = Tracking(kp={"turn": 0.0, "hip": 60.0, "knee": 20.0}, kd={"turn": 0.0, "hip": 2.0, "knee": 0.5}, period_s=1e-3)
+
+
+@pytest.fixture(scope="module")
+def leg():
+    return load_mechanism(boom())
+
+
+def test_responses_of_the_leg_are_measured_as_predicted_while_the_boom_coasts(leg):
+    study = bode_study(
+        leg,
+        np.array([[0.0, 0.3, -0.4]]),
+        BOOM_GAINS,
+        leg.effort_limit,
+        setup=Setup(),
+        frequency_hz=np.array([3.0, 20.0]),
+        scanned=0,
+    )
+    assert [entry.channel for entry in study.points] == [1, 2]
+    for entry in study.points:
+        assert entry.settles_in_mujoco
+        for quantity, response in entry.responses.items():
+            assert response.gain == pytest.approx(entry.predicted[quantity].gain, rel=1e-5)
+    assert study.softness is None
+    titles = [section.title for section in bode_sections(study, "the leg")]
+    assert titles == ["Feedback loop: the leg", "Frequency response of hip", "Frequency response of knee"]
+
+
+def test_lqr_regulates_the_leg_and_leaves_the_boom_alone(leg):
+    law = sampled_law(leg, "lqr", BOOM_GAINS, leg.effort_limit)
+    loop = law.loop(operating_point(leg, np.array([0.0, 0.3, -0.4])))
+    assert loop.stable
+    assert np.all(loop.gain[:, [0, 3]] == 0)
+    assert np.all(np.diag(loop.gain[:, 1:3]) > 0)
+
+
+# Hoeken's linkage as somebody writes it, its coupler and rocker drawn through each other.
+THROUGH = re.sub(r"<contact>.*?</contact>", "", HOEKEN.format(actuator=MOTOR), flags=re.S)
+TOUCHING_GAINS = Tracking(kp=2.0, kd=0.02, period_s=2e-3)
+
+
+@cache
+def study() -> BodeStudy:
+    mechanism = load_mechanism(THROUGH, solref="stiff")
+    positions, limit = np.radians([[10.0], [25.0]]), mechanism.effort_limit
+    return bode_study(
+        mechanism, positions, TOUCHING_GAINS, limit, setup=Setup(), frequency_hz=np.array([1.0, 5.0]), scanned=0
+    )
+
+
+def test_contacts_at_a_pose_are_named_with_the_line_that_lets_links_pass():
+    text = text_of(summary(study()))
+    assert "contacts of geom 1 of coupler and geom 2 of rocker push in MuJoCo at 2 of 2 poses" in text
+    assert '<exclude body1="coupler" body2="rocker"/>' in text
+    assert "contacts of" in study().contacts
+
+
+def test_no_response_is_measured_where_contacts_push():
+    assert all(point.stable for point in study().points)  # or nothing would be measured anyway
+    assert study().measurement is None
+    assert not any(point.responses for point in study().points)
+    assert "not measured: contacts push" in text_of(summary(study()))
+
+
+def test_no_plant_is_measured_where_contacts_push_and_all_of_it_is_predicted():
+    ports = {"from_effort": [study().mechanism.actuators[0].name], "to_position": [study().mechanism.joints[-1].name]}
+    found = linkplan.bode(study().mechanism, at_deg=[10.0, 25.0], kp=2.0, kd=0.02, period_s=2e-3, **ports).study
+    assert found.measurement is None
+    assert len(found.caveats) == 2
+    assert all(caveat.endswith("contacts push there") for caveat in found.caveats)
+    assert "contacts of" in found.contacts
+    assert all(one.moves and not one.measured for point in found.points for one in point.responses.values())
+
+
+def test_without_contacts_nothing_is_said_of_them():
+    mechanism = load_mechanism(HOEKEN.format(actuator=MOTOR), solref="stiff")
+    found = bode_study(mechanism, np.radians([[10.0]]), TOUCHING_GAINS, mechanism.effort_limit, scanned=0)
+    assert found.contacts is None
+    assert "contacts" not in text_of(summary(found))

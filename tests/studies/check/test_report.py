@@ -10,7 +10,7 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
-from linkplan.models.poses.reach import reach
+from linkplan.models.poses.reach import reach, toggles
 from linkplan.planner.files.folders import to_json_types
 from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.check.check_report import path_blocks, quantities
@@ -23,13 +23,15 @@ from linkplan.studies.check.kinematic_loop_report import (
     reach_sweeps,
     swept,
 )
+from linkplan.studies.check.path_plots import inspection_figure, path_plots
 from linkplan.studies.cli.main import main
 from linkplan.studies.output.text import text_of
 from tests.support.data import KNEE_TABLE
 from tests.support.drive import line_rates
+from tests.support.figures import curves, labels, saved_figures
 from tests.support.fourbar import G, knee
 from tests.support.gripper import INERTIA, PULLEY, REST, STIFFNESS, WEIGHT
-from tests.support.linkages import WELDED
+from tests.support.linkages import RSSR, WELDED
 from tests.support.mechanism_checks import mechanism_of
 from tests.support.slider_crank import CRANK, CRANK_CENTRE, CRANK_MASS, ROD, ROD_CENTRE, ROD_MASS
 from tests.support.tolerances import BRACKET_RAD, KNEE, SWEPT_GAP_M, relative_error
@@ -61,24 +63,11 @@ def linear_by_knee_angle() -> KinematicLoopPath:
     return measure(mechanism, follow(mechanism, angles), "knee angles", coordinate=0)
 
 
-def test_the_knee_s_motor_turns_o_one_to_one_and_its_limit_is_what_o_has():
-    (path,) = swept_paths("optimus-knee")
-    assert len(path.poses) > 150
-    assert np.all(path.ratio == 1.0)
-    assert np.all(path.available_effort == [-100.0, 100.0])
-    assert relative_error(path.reflected_inertia[:, 0], path.reduced_inertia[:, 0, 0]) < KNEE
-
-
 def test_the_knee_s_distance_from_singular_is_the_transmission_angle_s_sine():
     angles = np.radians([row["q_O_deg"] for row in CONFIGURATIONS])
     expected = knee().transmission(angles) / knee().transmission(np.zeros(1))
     assert expected.min() < 0.5 < expected.max()
     assert relative_error(knee_path().singularity, expected) < KNEE
-
-
-def test_the_knee_s_sweep_ends_next_to_the_singular_pose():
-    (path,) = swept_paths("optimus-knee")
-    assert path.singularity[-1] < 1e-3 < 0.9 < path.singularity.max()
 
 
 def test_the_linear_knee_s_ratio_inertia_and_torque_at_the_knee_are_virtual_work_s():
@@ -264,13 +253,6 @@ def test_the_table_tells_weight_alone_from_what_holds_weight_and_springs():
     assert "'weight alone' omits the springs; hold and force include weight, springs and constant forces" in text
 
 
-def test_an_angle_that_is_rounding_of_zero_is_said_as_zero():
-    joint = load_mechanism("optimus-knee").independent_joints[0]
-    assert joint.text(-1.2e-10) == "0"
-    assert joint.text(np.radians(-12.3456)) == "-12.35"
-    assert joint.text(np.radians(1e-6)) == "1e-06"
-
-
 KEYED = """<mujoco model="keyed"><worldbody><body><joint name="O" axis="0 1 0"/><geom size="0.1"/></body></worldbody>
 <actuator><motor joint="O" ctrlrange="-1 1"/></actuator><keyframe><key name="{name}" qpos="0.3"/></keyframe></mujoco>"""
 
@@ -284,3 +266,54 @@ def test_keyframes_of_which_none_is_home_are_said_since_home_is_then_the_referen
     assert note.startswith("home is the reference pose, because none of the model's keyframes (stand) is named home")
     assert said("home") == []
     assert said("stand", home={"O": 0.3}) == []
+
+
+# Rounding of a page's numbers, of the largest of their kind.
+SHOWN = 1e-4
+
+
+def test_what_holds_the_gripper_still_has_its_springs_in_it():
+    mechanism = mechanism_of("parallel-gripper")
+    path = measure(mechanism, reach(mechanism).poses, "the reach", coordinate=0)
+    plot = next(plot for plot in path_plots(path) if plot.title.startswith("Effort that holds it still"))
+    drawn = {series.name: np.array(series.y, dtype=float) for series in plot.series}
+    q = np.radians(np.array(plot.x, dtype=float))
+    weight = WEIGHT * np.sin(q)
+    # The left crank: mirrored, its springs at rest at -REST.
+    both = weight + 2 * STIFFNESS * (q + REST)
+    assert drawn["left_crank"] == pytest.approx(both, abs=SHOWN * np.abs(both).max())
+    assert drawn["left_crank, weight alone"] == pytest.approx(weight, abs=SHOWN * np.abs(weight).max())
+
+
+@pytest.mark.slow
+def test_the_drawing_of_two_freedoms_sweeps_both(tmp_path, monkeypatch):
+    saved = saved_figures(monkeypatch)
+    mechanism = mechanism_of("five-bar")
+    inspection_figure(inspect(mechanism, []), tmp_path / "five-bar.png")
+    assert (tmp_path / "five-bar.png").exists()
+    figure = saved["five-bar.png"]
+    sketch, shown = ("x [m]", "z [m]"), ("position [deg]", "inertia [kg m2]", "effort [N.m]")
+    of_both = [[sketch, *((f"{joint.name} [deg]", what) for what in shown)] for joint in mechanism.independent_joints]
+    assert labels(figure) == [*of_both[0], *of_both[1]]
+    for column, axes in enumerate((figure.axes[2], figure.axes[6])):
+        can, name = reach(mechanism, column), mechanism.independent_joints[column].name
+        position, drawn = curves(axes)[name]
+        swept = np.degrees(can.poses[:, mechanism.independent[column]])
+        M = [np.array(mechanism.dynamics.reduced_inertia(q))[column, column] for q in can.poses]
+        assert drawn == pytest.approx(np.interp(position, swept, M), rel=1e-2)
+
+
+def test_a_rod_s_spin_is_not_drawn_over_its_reach():
+    """A delta's figure had the spins of two rods in place of its other motors."""
+    found = inspect(load_mechanism(RSSR), [])
+    assert len(found.reaches) == 2
+    assert {axes.get_xlabel() for axes in inspection_figure(found).axes[1:]} == {"crank [deg]"}
+
+
+def test_the_dotted_lines_over_a_reach_are_named_in_the_legend():
+    mechanism = mechanism_of("optimus-knee")
+    found = inspect(mechanism, [])
+    assert len(found.reaches[0].singular)
+    assert toggles(mechanism)
+    axes = inspection_figure(found).axes[1]
+    assert [text.get_text() for text in axes.get_legend().get_texts()][-2:] == ["singular pose", "a joint turns back"]

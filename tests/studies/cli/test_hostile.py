@@ -12,14 +12,13 @@ from linkplan.models.catalogue import built_in_text
 from linkplan.models.compiled import functions
 from linkplan.models.errors import CertificateError, LinkplanError, ModelError, PlanFileError, ProblemError, one_line
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.files import tables
 from linkplan.planner.plan.folder import read_plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.studies.cli import main as program
 from linkplan.studies.output.figure import page
 from tests.bench.fuzz import fuzz
-from tests.support.plans import optimal, saved_plan
+from tests.support.plans import saved_plan
 
 CRANK = built_in_text("slider-crank")
 BAR = """<mujoco><option timestep="1e-3"/><worldbody><body name="bar"><joint name="h" axis="0 1 0" {joint}/>
@@ -36,19 +35,14 @@ def test_a_bar_that_is_as_it_should_be_is_read():
 
 NONSENSE = {
     "negative armature": (bar(joint='armature="-1"'), "armature"),
-    "infinite armature": (bar(joint='armature="inf"'), "not finite"),
     "infinite gear": (bar(motor='gear="inf"'), "not finite"),
-    "absurd gear": (bar(motor='gear="1e300"'), "beyond"),
     "negative timestep": (bar(more='<option timestep="-1"/>'), "timestep"),
-    "no timestep": (bar(more='<option timestep="0"/>'), "timestep"),
     "negative damping": (bar(joint='damping="-1"'), "damping"),
-    "infinite mass": (bar().replace('mass="1"', 'mass="inf"'), ""),
     "infinite gravity": (bar(more='<option gravity="0 0 inf"/>'), "not finite"),
     "escape in a name": (bar().replace('"bar"', '"&#27;[31m"'), ""),
     "an endless name": (bar().replace('"bar"', '"' + 600 * "a" + '"'), "600 characters"),
     "a million copies": (bar(more='<worldbody><replicate count="1000000"><site/></replicate></worldbody>'), "count"),
     "a huge field": (bar(more='<asset><hfield name="f" nrow="100000" ncol="9" size="1 1 1 1"/></asset>'), "nrow"),
-    "a sensor of a billion numbers": (bar(more='<sensor><user name="u" dim="1000000000"/></sensor>'), "dim"),
     "huge stack": (bar(more='<size nstack="900000000"/>'), "nstack"),
 }
 
@@ -97,10 +91,7 @@ def test_toml_that_breaks_its_reader_is_refused(content, tmp_path):
     "setting",
     [
         "mechanism.independent=3",
-        "mechanism.independent=true",
-        "mechanism.independent=1979-05-27",
         "motion.duration_s=1e6",
-        "tracking.period_s=1e9",
         "tracking.duration_s=1e9",
         "tracking.kp=1e300",
     ],
@@ -223,12 +214,6 @@ def test_a_plan_of_a_duration_whose_square_is_no_float_is_refused(factor, tmp_pa
     folder = scaled(saved_plan("knee-reach", tmp_path), "breaks_s", factor)
     with pytest.raises(PlanFileError):
         read_plan(folder)
-
-
-def test_a_plan_that_passes_is_read_and_its_objective_is_its_integral(tmp_path):
-    plan = read_plan(saved_plan("knee-reach", tmp_path))
-    assert plan.status == "optimal"
-    assert objective_value(plan.problem, plan.trajectory)[0] == pytest.approx(optimal("knee-reach").objective, rel=1e-9)
 
 
 def test_an_array_that_declares_more_than_it_may_is_refused_before_it_is_read(tmp_path):

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM on the command line: the exit code is the signal's, and what is said of the result is true."""
+"""Signals, and what a process finds around it: limits, settings of matplotlib, little memory."""
 
 import os
 import signal
@@ -7,14 +7,19 @@ import sys
 import tomllib
 from pathlib import Path
 
+import matplotlib
 import pytest
 
 from linkplan.models.deadline import ended_by
+from linkplan.models.errors import LinkplanError
 from linkplan.planner.plan.folder import read_plan
 from linkplan.planner.plan.plan import Plan
-from linkplan.planner.problem.problem import Problem
-from linkplan.studies.cli import commands
+from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.studies.cli import commands, exit_codes
+from linkplan.studies.cli import main as program
+from linkplan.studies.output.figure import page
 from tests.support.plans import optimal
+from tests.support.refusals import refusal
 
 pytestmark = [
     pytest.mark.skipif(os.name != "posix", reason="signals are sent as POSIX has them"),
@@ -102,3 +107,80 @@ def test_handlers_are_as_they_were_after_a_command(ask):
     assert ask("list")[0] == 0
     assert {number: signal.getsignal(number) for number in before} == before
     assert ended_by() is None
+
+
+def test_figures_do_not_take_over_settings_of_the_readers(tmp_path):
+    with matplotlib.rc_context({"savefig.dpi": 3000, "text.usetex": True, "figure.dpi": 3000}):
+        with page(tmp_path / "figure.png") as axes:
+            axes[0, 0].set_title("speed")
+        assert matplotlib.rcParams["savefig.dpi"] == 3000  # and leave them as they were
+    assert (tmp_path / "figure.png").stat().st_size < 200_000
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_letter_that_the_font_has_not_is_no_warning(tmp_path):
+    with page(tmp_path / "figure.png") as axes:
+        axes[0, 0].set_title("\U0001f9bf")
+    assert (tmp_path / "figure.png").is_file()
+
+
+@pytest.mark.slow
+def test_a_check_is_drawn_whatever_matplotlib_is_set_to(tmp_path):
+    (tmp_path / "matplotlibrc").write_text("text.usetex: True\nsavefig.dpi: 30000\n")
+    words = [sys.executable, "-m", "linkplan", "check", "optimus-knee", "-o", "out"]
+    done = subprocess.run(words, cwd=tmp_path, env=os.environ | {"MPLBACKEND": "nonsense"}, capture_output=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / "mechanism.png").is_file()
+
+
+@pytest.mark.parametrize(
+    "error",
+    [MemoryError(), OSError(12, "Cannot allocate memory"), ImportError("x.so: failed to map segment from shared object")],
+)
+def test_memory_that_there_is_not_is_named_whatever_kind_of_error_says_so(error):
+    assert "not enough memory" in exit_codes.saved_fault_report(error)
+
+
+def test_an_error_that_cannot_even_be_told_is_a_line(monkeypatch, capsys):
+    def fails(_: BaseException) -> str:
+        raise MemoryError
+
+    monkeypatch.setattr(program, "saved_fault_report", fails)
+    assert program.unforeseen("plan", RuntimeError("x")) == 2
+    assert capsys.readouterr().err == "linkplan plan: there is not enough memory for it\n"
+
+
+def test_what_cannot_be_read_is_not_said_to_be_unwritable(monkeypatch, capsys):
+    def fails(_: object) -> int:
+        raise PermissionError(13, "Permission denied", "planned/plan.json")
+
+    monkeypatch.setattr("linkplan.studies.cli.commands.run_list", fails)
+    assert program.main(["list"]) == 2
+    assert capsys.readouterr().err == "linkplan list: 'planned/plan.json' cannot be read or written: Permission denied\n"
+
+
+def test_a_setting_of_further_lines_is_refused():
+    for text in ("motion.duration_s=0.2\nmotion.kind=1", "motion.duration_s=0.2 # x\n[solver]"):
+        refusal(lambda text=text: load_problem("knee-reach", [text]), LinkplanError)
+
+
+def test_more_waypoints_than_a_mesh_has_room_for_are_counted_and_refused():
+    point = "{ at_deg = { O = 1.0 } }"
+    message = refusal(lambda: load_problem("knee-reach", [f"motion.waypoints=[{', '.join([point] * 1001)}]"]), LinkplanError)
+    assert "at most 1000" in message
+    assert "1001" in message
+
+
+@pytest.mark.parametrize("text", ["abc", "", "1e5", "9" * 20])
+def test_a_date_of_the_surroundings_that_is_none_is_refused_in_one_line(text, monkeypatch, capsys):
+    """NumPy, SciPy and matplotlib read it when they are loaded, and fail."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", text)
+    assert program.main(["list"]) == 2
+    said = capsys.readouterr().err
+    assert "SOURCE_DATE_EPOCH is a time in whole seconds since 1970" in said
+    assert len(said.splitlines()) == 1
+
+
+def test_a_date_of_the_surroundings_is_no_hindrance(monkeypatch):
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "315532800")
+    assert program.main(["list"]) == 0

@@ -62,14 +62,6 @@ def test_a_spoilt_folder_is_refuted_with_exit_code_1(folder, capsys, name, at, b
     assert all(one["reason"] for one in said["refuted"])
 
 
-def test_a_record_that_claims_a_proof_is_not_believed(folder, capsys):
-    spoil(folder, "effort", (0, 0, 0), 20.0)
-    record = json.loads((folder / "plan.json").read_text(encoding="utf-8"))
-    record["proof"] = {"complete": True, "refuted": []}
-    (folder / "plan.json").write_text(json.dumps(record), encoding="utf-8")
-    assert proved(capsys, str(folder), "--no-existence")[0] == 1
-
-
 def test_the_text_names_what_is_proved_and_what_is_sampled(folder, capsys):
     assert main(["prove", str(folder)]) == 0
     text = capsys.readouterr().out

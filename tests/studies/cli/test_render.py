@@ -10,7 +10,7 @@ from PIL import Image
 
 from linkplan.controllers.controls import KEYS, Controls, pressed
 from linkplan.studies.render import render as render_module
-from linkplan.studies.render.live import run_maker, with_gains
+from linkplan.studies.render.live import run_maker
 from tests.support.plans import optimal, saved_plan
 
 SMALL = ("--size-px", "160x120", "--fps", "10", "--slow", "5")
@@ -122,15 +122,6 @@ def test_a_screen_that_cannot_be_opened_is_said_at_once_with_what_to_do_instead(
 def test_the_viewers_keys_stand_in_its_help(ask):
     _, out, _ = ask("view", "--help")
     assert all(f"{name} {does}" in " ".join(out.split()) for name, does, _ in KEYS.values())
-
-
-def test_gains_of_every_joint_are_multiplied_and_lqrs_errors_divided():
-    problem = optimal("knee-reach").problem
-    tracking = problem.tracking.with_lqr_errors(problem.mechanism.independent_joints, [0.0], 0.0)
-    changed = with_gains(tracking, 2.0, 0.5)
-    assert (changed.kp, changed.kd) == (400.0, 10.0)
-    assert changed.lqr_position_deg == pytest.approx(tracking.lqr_position_deg / 2)
-    assert changed.lqr_velocity_m_s == pytest.approx(tracking.lqr_velocity_m_s * 2)
 
 
 def test_a_run_with_more_gain_follows_more_closely():

@@ -1,7 +1,11 @@
 """What somebody types who has not read the manual: one line that says what was meant, exit code 2, and nothing lost."""
 
+import sys
+
 import pytest
 
+from linkplan.models.errors import closest
+from linkplan.models.extras import EXTRAS
 from linkplan.studies.cli.main import main
 from tests.support.mechanisms import FLAT_PARALLELOGRAM
 
@@ -18,15 +22,12 @@ SAVED = ("plan.json", "trajectory.npz", "trajectory.csv", "plan.png")
 TYPED = [
     # in the wrong order, misspelled, without quotes
     (["--json", "plan", "leg.toml"], ["unrecognized arguments: --json"]),
-    (["leg.toml", "plan"], ["invalid choice: 'leg.toml'", "'plan'"]),
     (["plna", "leg.toml"], ["invalid choice: 'plna' (did you mean 'plan'?)"]),
     (["plan", "leg.toml", "--ouput", "my"], ["unrecognized arguments: --ouput my (did you mean '--output'?)"]),
     (
         ["track", "knee-reach", "--kp", "5"],
         ["unrecognized arguments: --kp 5 (keys of the problem are set by --set KEY=VALUE)"],
     ),
-    (["check", "knee-reach", "--payload", "shank"], ["--payload shank (keys of the problem are set by --set KEY=VALUE)"]),
-    (["-v"], ["unrecognized arguments: -v"]),
     (["plan", "leg.toml", "--verbose"], ["unrecognized arguments: --verbose", "linkplan plan --help says more"]),
     (["plan", "leg.toml", "--set", "motion.duration_s", "=", "0.2"], ["unrecognized arguments: = 0.2"]),
     (["plan", "my", "leg.toml"], ["unrecognized arguments: leg.toml"]),
@@ -34,11 +35,9 @@ TYPED = [
     # a plan's folder where a problem or a model belongs, and the reverse
     (["plan", "planned"], ["problem 'planned' is a saved plan; a problem is a TOML file"]),
     (["plan", "planned/plan.json"], ["a file of the saved plan 'planned'", "TOML"]),
-    (["plan", "planned/trajectory.csv"], ["a file of the saved plan 'planned'"]),
     (["check", "planned"], ["model 'planned' is a saved plan", "MJCF"]),
     (["bode", "planned"], ["model 'planned' is a saved plan; give the file of its problem"]),
     (["batch", "planned"], ["batch 'planned' is a saved plan", "[sweep]"]),
-    (["batch", "."], ["batch '.' is a folder; a batch is a TOML file"]),
     (["track", "planned/plan.json"], ["a file of the saved plan 'planned'", "name its folder"]),
     (["batch", "leg.toml"], ["batch 'leg.toml' is a problem file, which plan takes"]),
     (["plan", "sweep.toml"], ["'sweep.toml' is a batch file, which batch takes"]),
@@ -46,11 +45,8 @@ TYPED = [
     (["plan", "leg.toml", "--set", "motion.kind=track"], ["motion.kind 'track' needs a [reference]"]),
     # units
     (["plan", "leg.toml", "--set", "motion.goal_rad.O=1"], ["did you mean 'goal_deg'?"]),
-    (["plan", "leg.toml", "--set", "motion.duration_ms=160"], ["did you mean 'duration_s'?"]),
-    (["plan", "leg.toml", "--set", "limits.speed_rad_s.O=3"], ["did you mean 'speed_deg_s'?"]),
     (["plan", "leg.toml", "--set", "motion.duration_s=160ms"], ["motion.duration_s is a positive number", "'160ms'"]),
     (["plan", "leg.toml", "--set", "motion.goal_deg.O=1e6"], ["motion.goal_deg of joint O", "100 turns", "36000", "1e+06"]),
-    (["plan", "leg.toml", "--set", "motion.start_deg.O=-40000"], ["motion.start_deg of joint O", "got -40000"]),
     (["plan", "leg.toml", "--set", "limits.effort.O=5"], ["actuator in limits.effort 'O'", "act_O"]),  # the name before 5
 ]
 
@@ -121,3 +117,104 @@ def test_new_takes_keys_of_the_mechanism(ask):
     code, _, err = ask("new", "five-bar", "--set", "motion.duration_s=2")
     assert code == 2
     assert "new takes settings of mechanism and writes the other sections, got motion" in err
+
+
+# command line, the word that is meant
+MISSPELLED = [
+    (["plan", "knee-reach", "--set", "motion.goal_deg.o=10"], "O"),
+    (["plan", "{folder}/leg.tmol"], "{folder}/leg.toml"),
+    (["check", "{folder}/leg.xlm"], "{folder}/leg.xml"),
+    (["track", "{folder}/plannd"], "{folder}/planned"),
+    (["batch", "{folder}/lge.toml"], "{folder}/leg.toml"),
+]
+
+
+@pytest.fixture
+def folder(tmp_path):
+    (tmp_path / "leg.xml").write_text("", encoding="utf-8")
+    (tmp_path / "leg.toml").write_text("", encoding="utf-8")
+    (tmp_path / "planned").mkdir()
+    return tmp_path
+
+
+@pytest.mark.parametrize(("argv", "meant"), MISSPELLED, ids=[" ".join(argv) for argv, _ in MISSPELLED])
+def test_the_nearest_word_is_suggested(argv, meant, folder, capsys):
+    code = main([word.format(folder=folder) for word in argv])
+    out, err = capsys.readouterr()
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert f"did you mean '{meant.format(folder=folder)}'?" in err
+
+
+def test_what_is_close_to_nothing_is_refused_with_what_there_is(ask):
+    code, _, err = ask("plan", "/no/such/folder/anywhere.toml")
+    assert code == 2
+    assert "did you mean" not in err
+
+
+def test_a_folder_in_common_makes_no_name_close(tmp_path, ask):
+    (tmp_path / "leg.toml").write_text("", encoding="utf-8")
+    assert "did you mean" not in ask("plan", str(tmp_path / "spider.xyz"))[2]
+
+
+def test_beginnings_of_options_and_negative_values_are_taken_as_before(ask):
+    code, out, _ = ask("check", "optimus-knee", "--at-d", "-3")
+    assert code == 0
+    assert "-3" in out
+    assert "'o' is not in mechanism" in ask("check", "optimus-knee", "--at-deg", "o=3")[2]  # a value, and not -o
+    assert "--kd is a number of at least 0, got -1" in ask("bode", "optimus-knee", "--kd", "-1")[2]
+
+
+def test_capitals_do_not_make_a_name_far():
+    assert closest("o", ["A", "O", "C"]) == "O"
+    assert closest("ACT_O", ["act_O", "act_B_to_D"]) == "act_O"
+    assert closest("zz", ["A", "O", "C"]) is None
+
+
+ARM = """<mujoco><worldbody><body><joint name="a" axis="0 1 0"/><geom size=".1" pos=".3 0 0"/><body pos=".3 0 0">
+<joint name="b" axis="0 1 0"/><geom size=".1" pos=".3 0 0"/><body pos=".3 0 0"><joint name="c" axis="0 1 0"/>
+<geom size=".1" pos=".3 0 0"/></body></body></body></worldbody><actuator><motor joint="a"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("argv", "option"),
+    [
+        (["check", "{}", "--lock", "b=3", "--lock", "b=4"], "--lock"),
+        (["check", "{}", "--lock", "b=3", "--lock", " b =3"], "--lock"),
+        (["transfer", "{}", "--joints", "a", "--range-deg", "a=0:5", "--range-deg", "a=0:10"], "--range-deg"),
+    ],
+)
+def test_a_joint_that_is_named_twice_is_refused(argv, option, tmp_path, capsys):
+    (tmp_path / "arm.xml").write_text(ARM, encoding="utf-8")
+    assert main([part.format(tmp_path / "arm.xml") for part in argv]) == 2
+    said = capsys.readouterr().err
+    assert f"{option}: names joint {argv[-1][:2].strip().partition('=')[0]} twice" in said
+    assert len(said.splitlines()) == 1
+
+
+def test_locks_of_the_command_line_add_to_those_of_the_file(tmp_path, capsys):
+    (tmp_path / "arm.xml").write_text(ARM, encoding="utf-8")
+    problem = tmp_path / "problem.toml"
+    problem.write_text('[mechanism]\nmodel = "arm.xml"\nlock = {b = 3}\n', encoding="utf-8")
+    main(["check", str(problem), "--lock", "c=4"])
+    assert "1 degree of freedom" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("module", "arguments", "feature"),
+    [
+        ("pyarrow", ["experiment", "knee-reach", "--samples", "2"], "experiment"),
+        ("pyarrow", ["plan", "knee-reach", "--parquet", "-o", "OUT"], "--parquet"),
+        ("av", ["render", "knee-reach", "-o", "OUT.mp4"], "an .mp4"),
+        ("distributed", ["experiment", "knee-reach", "--cluster", "tcp://nowhere:1"], "a cluster"),
+    ],
+)
+def test_a_command_without_its_package_ends_in_one_line_before_it_plans(
+    monkeypatch, ask, tmp_path, module, arguments, feature
+):
+    monkeypatch.setitem(sys.modules, module, None)
+    code, out, err = ask(*(word.replace("OUT", str(tmp_path / "out")) for word in arguments))
+    assert (code, out) == (2, "")
+    assert err.count("\n") == 1, err
+    assert err.strip().endswith(f"pip install 'linkplan[{EXTRAS[module][1]}]'")
+    assert f"{feature} needs" in err
+    assert not list(tmp_path.iterdir())

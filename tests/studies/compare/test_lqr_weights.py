@@ -1,9 +1,12 @@
-"""LQR's default weights go by each joint's own inertia, and its gains by what a servo's effort does in MuJoCo's steps."""
+"""Weights of LQR, and the gains that `tune` is recommended for."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import scipy.linalg
 
+import linkplan
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import sampling, simulated, spectral_radius
 from linkplan.controllers.trackers.lqr import lqr
@@ -14,7 +17,7 @@ from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.compare.compare import compare
-from linkplan.studies.compare.comparison_notes import servo_note
+from linkplan.studies.compare.comparison_notes import default_gains, servo_note
 from linkplan.studies.compare.lqr_weights import scaled
 from tests.support.designs import designed
 from tests.support.parallel_ankle import soft_ankle
@@ -117,3 +120,44 @@ def test_planned_efforts_of_servos_move_every_joint_as_planned(integrator):
     assert error[0] < 0.002 * 0.2
     assert error[1] < np.radians(0.02)
     assert np.abs(runs["lqr"].error_rad).max() < 1e-3
+
+
+ARM = """<mujoco><worldbody><body><joint name="J" axis="0 1 0"/><geom size=".05" pos="0 0 -.3" mass="1"/>{}</body>
+</worldbody><actuator>{}</actuator></mujoco>"""
+LOAD = """<body pos="0 0 -.3"><joint name="K" axis="0 1 0" damping=".1"/>
+<geom size=".05" pos="0 0 -.3" mass=".2" contype="0" conaffinity="0"/></body>"""
+MOTOR = '<motor name="{}" joint="J" ctrlrange="-10 10"/>'
+CASES = {
+    "one motor of one freedom": ARM.format("", MOTOR.format("M")),
+    "two motors of one freedom": ARM.format("", MOTOR.format("M") + MOTOR.format("N")),
+    "one motor of two freedoms": ARM.format(LOAD, MOTOR.format("M")),
+}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("text", CASES.values(), ids=CASES)
+def test_tune_is_recommended_and_answers(text):
+    mechanism = linkplan.load_mechanism(text)
+    names = [joint.name for joint in mechanism.independent_joints]
+    ends = {"start_deg": dict.fromkeys(names, 0.0), "goal_deg": dict.fromkeys(names, 0.0) | {"J": 10.0}}
+    problem = linkplan.Problem.reach(mechanism, **ends, duration_s=2.0)
+    comparison = compare(linkplan.plan(problem).require(), None, asked=["pd"])
+    (note,) = default_gains(comparison)
+    assert "linkplan tune" in note
+    assert linkplan.tune(problem, bandwidth_hz=2.0).tracking["kp"]
+
+
+@pytest.mark.slow
+def test_tune_is_not_recommended_where_no_pose_is_held():
+    """The least effort of the motor is more than the weight needs anywhere."""
+    problem = linkplan.Problem.reach(
+        linkplan.load_mechanism(CASES["one motor of one freedom"]),
+        start_deg={"J": 0.0},
+        goal_deg={"J": 10.0},
+        duration_s=2.0,
+    )
+    comparison = compare(linkplan.plan(problem).require(), None, asked=["pd"])
+    weak = problem.replace(limits={"effort": {"M": [0.9, 1.0]}})
+    (note,) = default_gains(replace(comparison, plan=replace(comparison.plan, problem=weak)))
+    assert "linkplan tune" not in note
+    assert "needs effort to both sides" in note

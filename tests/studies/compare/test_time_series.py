@@ -8,9 +8,12 @@ from functools import cache
 import numpy as np
 import pytest
 
-from linkplan.controllers.rollout import Rollout
+from linkplan.controllers.imperfections.imperfections import Clock, Imperfections
+from linkplan.controllers.mujoco_plant import MujocoPlant
+from linkplan.controllers.rollout import ControlLoop, Rollout
+from linkplan.controllers.simulate import simulate
 from linkplan.models.catalogue import built_in_text
-from linkplan.models.errors import ModelError
+from linkplan.models.errors import ModelError, ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.contacts import contact_pairs
 from linkplan.models.poses.reach import reach
@@ -18,12 +21,21 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.softness import soft_closures, softness_error
-from linkplan.studies.compare.compare import Comparison, run_figures, track
+from linkplan.studies.compare.compare import (
+    Comparison,
+    build_tracker,
+    delay_of,
+    mismatch_of,
+    run_figures,
+    track,
+    tracking_reference,
+)
 from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure
 from linkplan.studies.compare.comparison_notes import comparison_notes
 from linkplan.studies.compare.time_series import run_columns, save_time_series
 from linkplan.studies.output.plan_blocks import plan_blocks
 from linkplan.studies.output.text import text_of
+from tests.support.plans import optimal
 
 SOFT = re.sub(r' solref="[^"]*" solimp="[^"]*"', "", built_in_text("optimus-knee"))
 
@@ -219,3 +231,24 @@ def test_one_key_makes_closures_as_stiff_as_check_recommends():
     assert closed < 0.1 * gaped
     with pytest.raises(ModelError, match=r'mechanism.solref is "stiff".*got \'soft\''):
         load_mechanism(SOFT, solref="soft")
+
+
+def test_a_fraction_of_a_period_of_delay_acts_as_in_an_ensemble():
+    plan = optimal("knee-reach")
+    mismatch = mismatch_of(plan, 1.0, 0.4)
+    assert mismatch.name.endswith("0.4 control periods of delay")
+    found = track(plan, "pd", mismatch)
+    reference, mechanism = tracking_reference(plan), plan.problem.mechanism
+    plant = MujocoPlant(mechanism=mechanism, loop=ControlLoop(effort_limit=np.array(plan.problem.limits.actuators_effort)))
+    delayed = simulate(
+        plant, build_tracker("pd", plan, reference), reference, [Imperfections(clock=Clock(delay_periods=0.4))]
+    )
+    np.testing.assert_allclose(found.position_rad[:, 0], delayed.pose[:, 0, mechanism.independent[0]], rtol=0, atol=1e-12)
+    whole = track(plan, "pd", None)
+    assert np.abs(found.position_rad - whole.position_rad).max() > 1e-6
+
+
+@pytest.mark.parametrize("delay", [-0.5, float("nan"), 1e9])
+def test_a_delay_that_is_none_is_refused(delay):
+    with pytest.raises(ProblemError, match="delay_periods"):
+        delay_of(delay, "delay_periods")

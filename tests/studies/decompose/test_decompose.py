@@ -1,12 +1,17 @@
 """Where errors come from: each cause in its own part, the whole the error that a run of its own has."""
 
 import itertools
+import json
 from dataclasses import replace
 
 import msgspec
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
 
+import linkplan
 from linkplan.controllers.imperfections.imperfections import Clock, Imperfections, Machine
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.rollout import ControlLoop
@@ -17,8 +22,8 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.studies.compare.compare import build_tracker, mismatch_of, track, tracking_reference
 from linkplan.studies.output.document import Table
 from linkplan.studies.output.text import text_of
-from linkplan.studies.variations.decompose.decompose import decompose
-from linkplan.studies.variations.decompose.decomposition import Decomposition
+from linkplan.studies.variations.decompose.decompose import decompose, error_parts
+from linkplan.studies.variations.decompose.decomposition import Decomposition, Shares
 from linkplan.studies.variations.decompose.decomposition_blocks import (
     decomposition_blocks,
     decomposition_figure,
@@ -28,7 +33,7 @@ from linkplan.studies.variations.decompose.ladder import CAUSES
 from linkplan.studies.variations.experiment.block import run_block
 from linkplan.studies.variations.experiment.experiment import Settings, experiment_of
 from tests.support.plans import optimal, problem_of
-from tests.support.tolerances_planner import SAME_FIGURE
+from tests.support.tolerances_planner import ROUNDING, SAME_FIGURE
 
 # The beginning of the reach: a hundred periods.
 SHORT = "tracking.duration_s=0.01"
@@ -188,19 +193,6 @@ def test_a_report_has_the_parts_and_the_plan():
     assert len(report.sections) > 1
 
 
-@pytest.mark.parametrize(
-    ("asked", "said"),
-    [
-        ([], "one or more trackers, got none"),
-        (["pdf"], "unknown tracker 'pdf'"),
-        (["pd", "pd"], "different names, got 'pd' twice"),
-    ],
-)
-def test_trackers_that_cannot_be_are_refused(asked, said):
-    with pytest.raises(ProblemError, match=said):
-        decompose(reach(SHORT, AS_MODELLED), asked)
-
-
 def test_a_law_of_one_reference_is_refused_and_a_function_is_not():
     plan = reach(SHORT, AS_MODELLED)
 
@@ -249,3 +241,123 @@ def experiment_plan(plan: Plan) -> Plan:
     """Return a plan with the longer run of experiments."""
     tracking = plan.problem.tracking.replace(duration_s=1.25 * plan.trajectory.duration_s)
     return replace(plan, problem=replace(plan.problem, tracking=tracking))
+
+
+SIZES = st.tuples(st.integers(1, 7), st.integers(1, 9), st.integers(1, 4), st.integers(1, 3))
+NUMBERS = st.floats(-1e3, 1e3, allow_subnormal=False)
+
+
+@settings(derandomize=True, deadline=None, max_examples=100)
+@given(SIZES.flatmap(lambda shape: arrays(float, shape, elements=NUMBERS)))
+def test_the_parts_of_any_errors_add_up_to_their_rms(errors):
+    found = in_order(errors)
+    instants = errors.shape[1] * errors.shape[2]
+    assert found.rms_error == pytest.approx(np.sqrt(np.sum(errors[-1] ** 2) / instants), rel=ROUNDING)
+    size = max(values(found.rms_of_increment).sum(), found.rms_error)
+    assert values(found.parts).sum() == pytest.approx(found.rms_error, abs=ROUNDING * size)
+    of_joints = np.sum([values(one) for one in found.parts_of_joints.values()], axis=0)
+    np.testing.assert_allclose(of_joints, values(found.parts), atol=ROUNDING * size)
+
+
+def in_order(errors: np.ndarray) -> Shares:
+    """Return the parts of errors whose causes are switched on in one order; further causes add nothing."""
+    errors = np.concatenate([errors, np.repeat(errors[-1:], len(CAUSES) - len(errors), axis=0)])
+    names = [str(k) for k in range(errors.shape[-1])]
+    return error_parts(errors, np.diff(errors, axis=0, prepend=0.0), names)
+
+
+def values(by_cause: dict[str, float], n: int = len(CAUSES)) -> np.ndarray:
+    """Return the values of the first n causes."""
+    return np.array(list(by_cause.values()))[:n]
+
+
+def test_increments_that_are_at_right_angles_share_a_square_as_pythagoras_has_it():
+    """Errors of 3 at one instant and of 4 at the next: 9/25 and 16/25 of a rms of 5 over the root of two."""
+    first, second = np.array([3.0, 0.0]), np.array([3.0, 4.0])
+    found = in_order(np.array([first, second])[:, :, None, None])
+    np.testing.assert_allclose(values(found.parts, 2), np.array([9, 16]) / 25 * 5 / np.sqrt(2), rtol=ROUNDING)
+    np.testing.assert_allclose(values(found.rms_of_increment, 2), np.array([3, 4]) / np.sqrt(2), rtol=ROUNDING)
+
+
+def test_a_cause_that_opposes_another_has_a_negative_part():
+    found = in_order(np.array([5.0, 2.0])[:, None, None, None])
+    np.testing.assert_allclose(values(found.parts, 2), [5.0, -3.0], rtol=ROUNDING)
+    assert found.rms_error == 2.0
+
+
+def test_no_error_has_no_parts():
+    found = in_order(np.zeros((3, 4, 1, 2)))
+    assert found.rms_error == 0
+    np.testing.assert_array_equal(values(found.parts), 0)
+
+
+BRIEF = ("--set", "tracking.duration_s=0.005", "--trackers", "pd+ff")
+HEAVY = ("--set", "imperfections.payload_mass_factor=1.2")
+
+
+@pytest.mark.usefixtures("drawn_figures")
+def test_the_command_says_writes_and_reports_the_same_parts(ask_json, ask, tmp_path):
+    folder = tmp_path / "parts"
+    code, said = ask_json("decompose", "knee-reach", *BRIEF, *HEAVY, "-o", str(folder))
+    assert code == 0
+    assert json.loads((folder / "decompose.json").read_text()) == said
+    assert (folder / "decompose.png").stat().st_size > 10_000
+    found = said["trackers"]["pd+ff"]["deg"]
+    assert list(found["parts"]) == list(CAUSES) == list(said["parts"])
+    assert sum(found["parts"].values()) == pytest.approx(found["rms_error"], rel=SAME_FIGURE)
+    code, _, _ = ask("report", str(folder), "-o", str(tmp_path / "page.html"))
+    assert code == 0
+    assert "discretisation of the plan" in (tmp_path / "page.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (["--trackers", "pdd"], 2, "unknown tracker 'pdd'"),
+        (["--samples", "0"], 2, "samples is a whole number from 1 to 1000, got 0"),
+        (["--set", "imperfections.payload_mass=1"], 2, "unknown key 'imperfections.payload_mass'"),
+        (["--set", "motion.duration_s=0.01"], 1, "knee-reach"),
+    ],
+)
+def test_what_cannot_be_is_one_line(ask, words, code, said):
+    got, out, err = ask("decompose", "knee-reach", *words)
+    assert got == code
+    line = out if code == 1 else err
+    assert said in line
+    assert "Traceback" not in out + err
+
+
+def test_a_loop_that_is_lost_is_exit_code_one(ask):
+    code, out, _ = ask("decompose", "knee-reach", *BRIEF, *HEAVY, "--set", "tracking.kd=1e6")
+    assert code == 1
+    assert "left out" in out
+
+
+@pytest.fixture(scope="module")
+def plan():
+    problem = linkplan.Problem.from_file("knee-reach", {"tracking.duration_s": 0.005})
+    return linkplan.plan(problem).require()
+
+
+def test_python_has_the_same_study(plan, tmp_path):
+    found = linkplan.decompose(plan, ["pd", "lqr"], imperfections={"delay_periods": 3})
+    parts = found.to_dict()["trackers"]["pd"]["deg"]
+    assert sum(parts["parts"].values()) == pytest.approx(parts["rms_error"], rel=SAME_FIGURE)
+    assert found.to_dict()["imperfections"] == {"delay_periods": 3}
+    assert "sampling and delay" in str(found)
+    found.plot(tmp_path / "parts.png")
+    assert (tmp_path / "parts.png").is_file()
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"trackers": "pd"}, "a list of names"),
+        ({"imperfections": {"dealy_periods": 1}}, "did you mean 'delay_periods'"),
+        ({"samples": 1.5}, "samples is a whole number"),
+        ({"seed": -1}, "seed is a whole number"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(plan, asked, said):
+    with pytest.raises(linkplan.LinkplanError, match=said):
+        linkplan.decompose(plan, **asked)

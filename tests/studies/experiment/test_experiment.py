@@ -19,7 +19,7 @@ from linkplan.studies.cli.main import main
 from linkplan.studies.variations.experiment import block as blocks
 from linkplan.studies.variations.experiment import conduct as conducting
 from linkplan.studies.variations.experiment.block import replay
-from linkplan.studies.variations.experiment.experiment import Settings, experiment_of, fall_note
+from linkplan.studies.variations.experiment.experiment import Settings, default_imperfections, experiment_of, fall_note
 from linkplan.studies.variations.experiment.study import RECORD, RESULTS, run_experiment, saved_experiment
 from linkplan.studies.variations.tasks import unfinished as parts
 from tests.support.data import ROOT
@@ -34,10 +34,6 @@ FEW = Settings(trackers=("pd", "pd+ff"), samples=6)
 def done(target, settings=FEW, problem="knee-reach", overrides=(SHORT,), **how):
     plan = optimal(problem, *overrides)
     return run_experiment({"name": problem}, None, lambda: plan, settings, target, silent, **how)
-
-
-def content(folder):
-    return {str(path.relative_to(folder)): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
 @pytest.fixture
@@ -313,15 +309,6 @@ def test_an_empty_table_of_imperfections_means_none_and_a_missing_one_the_defaul
     assert "torque_bandwidth_hz" in note
 
 
-def test_a_block_of_long_runs_has_few_samples_so_that_little_is_lost():
-    many = Settings(trackers=("pd", "pd+ff"), samples=1000)
-    short, long = (experiment_of(optimal("knee-reach", f"tracking.duration_s={t}"), many) for t in (0.01, 10.0))
-    assert blocks.block_samples(short) == blocks.BLOCK_SAMPLES
-    assert blocks.block_samples(long) * 2 * long.reference.n <= blocks.BLOCK_STEPS
-    covered = [sample for samples in blocks.sample_blocks(long) for sample in samples]
-    assert covered == list(range(1000))
-
-
 def test_a_tracker_whose_gains_are_too_high_for_its_encoder_is_said_to_chatter(tmp_path):
     fine = ("imperfections.encoder_resolution_deg=1e-4", SHORT)
     coarse = ("imperfections.encoder_resolution_deg=0.05", SHORT)
@@ -359,3 +346,10 @@ def test_lqr_with_its_own_weights_does_not_chatter_on_a_light_ankle():
         varied[name] = runs.results["chatter"].mean()
     assert varied["own"] < 50.0  # [N.m]; the plan's own effort varies by 2 N.m
     assert varied["of a heavy machine"] > 1000.0
+
+
+def test_a_plan_s_reserve_does_not_make_the_machine_s_imperfections_smaller():
+    whole, kept = optimal("knee-sprint"), optimal("knee-sprint", "limits.reserve=0.1")
+    assert kept.certificate.peak_effort[0] < 0.95 * whole.certificate.peak_effort[0]
+    assert default_imperfections(kept) == default_imperfections(whole)
+    assert default_imperfections(kept)["coulomb_friction"] == {"O": [0.0, 2.0]}

@@ -5,9 +5,11 @@ import pytest
 import scipy.stats
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.problem.imperfections import Factor, Spread, spread_of
+from linkplan.planner.problem.imperfections import Factor, Spread
 from linkplan.studies.variations.experiment.design import N_HYPERCUBES, machines_by_design, replicate_of
+from linkplan.studies.variations.experiment.distributions import distributions
 from linkplan.studies.variations.experiment.experiment_blocks import estimated
+from linkplan.studies.variations.experiment.metrics import Metric
 from linkplan.studies.variations.experiment.statistics import Estimate, mean_of, pair_of, share_of
 
 REPEATS = 500
@@ -68,19 +70,6 @@ def test_very_one_sided_differences_are_covered_as_often_only_by_thousands():
     assert abs(coverage(lognormal, 4000) - COVERAGE) <= OFF
 
 
-def test_shares_are_covered_as_often_as_is_said():
-    generator = np.random.default_rng(5)
-    found = [share_of(int(generator.binomial(300, 0.3)), 300) for _ in range(REPEATS)]
-    assert abs(np.mean([one.low <= 0.3 <= one.high for one in found]) - COVERAGE) <= OFF
-
-
-def test_a_share_of_none_or_all_has_an_interval_still():
-    assert share_of(0, 200).low == 0
-    assert 0 < share_of(0, 200).high < 0.03
-    assert share_of(200, 200).high == 1
-    assert share_of(0, 0).n == 0
-
-
 def test_who_fails_a_sample_loses_it_and_what_neither_finishes_counts_for_none():
     a, b = np.array([1.0, np.nan, np.nan, 2.0, 3.0]), np.array([2.0, 9.0, np.nan, 2.0, 1.0])
     pair = pair_of("a", "b", "rms", a, b)
@@ -115,11 +104,6 @@ def test_each_latin_hypercube_meets_every_part_of_every_range_once():
     assert not np.array_equal(values, machines_by_design(factors, "latin-hypercube", n, 3, seed=5)[0])
 
 
-def test_a_grid_is_every_combination():
-    values = machines_by_design([factor("uniform", 0.0, 3.0), factor("uniform", 0.0, 30.0)], "grid", 99, 3, seed=0)[0]
-    assert sorted(map(tuple, values)) == [(x, 10 * y) for x in (0.0, 1.5, 3.0) for y in (0.0, 1.5, 3.0)]
-
-
 def test_a_grid_of_too_many_samples_is_refused():
     with pytest.raises(ProblemError, match=r"a grid of 10 levels in 7 factors has 1e\+07 samples"):
         machines_by_design([factor("uniform", 0.0, 1.0)] * 7, "grid", 1, 10, seed=0)[0]
@@ -128,26 +112,6 @@ def test_a_grid_of_too_many_samples_is_refused():
 def test_a_normal_value_is_cut_at_what_is_legal():
     values = machines_by_design([factor("normal", 0.1, 1.0)], "latin-hypercube", 100, 3, seed=0)[0]
     assert values.min() == 0.0
-
-
-@pytest.mark.parametrize(
-    ("value", "said"),
-    [
-        ("two", "is a number, a range"),
-        (True, "is a number, a range"),
-        ([1, 2, 3], "is a number, a range"),
-        ([2, 1], "from its low end to its high end"),
-        ({"normal": [0, 1], "uniform": [0, 1]}, "is a number, a range"),
-        ({"gauss": [0, 1]}, "is a number, a range"),
-        ({"normal": [0, -1]}, "standard deviation is a number of at least 0"),
-        (-1, "is from 0 to 1000"),
-        (float("nan"), "is a number"),
-    ],
-)
-def test_a_value_that_is_none_is_refused_by_its_key(value, said):
-    with pytest.raises(ProblemError, match=said) as refused:
-        spread_of(value, "delay_periods", "delay_periods")
-    assert "imperfections.delay_periods" in str(refused.value)
 
 
 @pytest.mark.parametrize(("hits", "n"), [(3, 10), (1, 7), (90, 100)])
@@ -182,3 +146,21 @@ def test_the_interval_of_a_latin_hypercube_s_mean_is_as_wide_as_the_mean_varies(
 def test_hypercubes_are_of_equal_size_and_few_samples_are_independent():
     assert np.bincount(replicate_of(23)).tolist() == [3, 2, 2, 3, 2, 2, 3, 2, 2, 2]
     assert replicate_of(4).tolist() == [0, 1, 2, 3]
+
+
+def drawn(values: list[float], unit: str):
+    results = {"figure": np.array(values), "tracker": np.array(["lqr"] * len(values))}
+    return distributions(results, ["lqr"], ["figure"], {"figure": Metric(text="a figure", unit=unit)})
+
+
+def test_a_curve_begins_at_no_machine_and_failures_never_arrive():
+    (plot,) = drawn([3.0, 1.0, np.nan, 2.0], "deg")
+    (line,) = plot.series
+    assert line.look == "steps"  # of one machine after the other
+    assert (line.x[0], line.y[0]) == (1, 0)
+    assert list(zip(line.x, line.y, strict=True))[1:4] == [(1, 25), (2, 50), (3, 75)]
+    assert max(line.y) == 75
+
+
+def test_a_metric_with_one_value_on_all_machines_has_no_plot():
+    assert drawn([0.0, 0.0], "1") == drawn([np.nan], "deg") == []

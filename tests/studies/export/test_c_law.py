@@ -251,16 +251,6 @@ def test_the_header_has_the_limits_and_the_hashes_of_model_and_plan():
         assert f'#define {upper}_{key} "{value}"' in text
 
 
-def test_constant_gains_are_one_row_and_others_one_for_each_instant():
-    assert [len(written("knee-reach", name)[0].gains) for name in ("pd+ff", "lqr")] == [1, 1603]
-
-
-def test_the_record_counts_what_is_stored():
-    tables, _, record = written("knee-reach", "lqr")
-    assert record.table_numbers == 1603 * (1 + 1 + 1 + 2) + 1601
-    assert record.instants == len(tables.time_s) == 1601
-
-
 def test_a_tracker_that_is_no_table_is_refused(tmp_path):
     with pytest.raises(ProblemError, match="tracker for C 'ct'"):
         linkplan.export(optimal("knee-reach"), tmp_path / "law", to="c", tracker="ct")

@@ -206,16 +206,6 @@ def test_code_of_a_whole_robot_is_written_and_not_measured(monkeypatch, tmp_path
 
 
 @needs_gcc
-def test_code_of_a_whole_robot_is_measured_when_asked(monkeypatch, tmp_path):
-    monkeypatch.setattr(c_files, "MOST_MEASURED_OPERATIONS", 100)
-    monkeypatch.setattr(c_files, "COMPILERS", {"gcc": ["-O2"]})
-    assert main(["export", "slider-crank", "--to", "c", "--sizes", "-o", str(tmp_path / "c")]) == 0
-    record = json.loads((tmp_path / "c" / "export.json").read_text())
-    assert [row["real"] for row in record["sizes"]] == ["double", "float"]
-    assert record["sizes_without"] == []
-
-
-@needs_gcc
 def test_long_derivatives_may_be_left_out_and_are_then_not_measured(monkeypatch, tmp_path):
     code, _, whole = exported("optimus-knee")
     others = [row for row in whole.functions if not row.function.endswith("derivatives")]

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-import control
 import mujoco
 import numpy as np
 import pytest
@@ -114,15 +113,6 @@ def test_a_broken_delay_turns_the_loop_by_its_own_phase_where_the_hold_is_short(
     assert turned == pytest.approx(-2 * np.pi * slow * 2.5 * T, rel=SHORT_HOLD)
 
 
-def test_responses_agree_with_python_controls_own():
-    oscillator = pendulum()
-    loop, _ = loop_of(oscillator, SIMULATED, sampling(load_mechanism(oscillator.mjcf), T, 1.5))
-    z = np.exp(2j * np.pi * FREQUENCIES * T)
-    closed = control.feedback(loop.system(), 1)
-    assert np.abs(np.asarray(closed(z)).ravel() / loop.gains("complementary", FREQUENCIES) - 1).max() < CLOSED_FORM
-    assert np.abs(closed.poles()).max() == pytest.approx(loop.radius, rel=CLOSED_FORM)
-
-
 @pytest.mark.parametrize("integrator", ["Euler", "implicit", "implicitfast", "discrete", "RK4"])
 @pytest.mark.parametrize("model", MODELS)
 def test_one_step_of_every_integrator_is_reproduced(model, integrator):
@@ -142,16 +132,6 @@ def test_one_step_of_every_integrator_is_reproduced(model, integrator):
     assert np.abs(A[0] - np.stack(columns, axis=1)).max() < DIFFERENCED
     by_effort = (step(x, u + e) - step(x, u - e)) / (2 * e)
     assert np.abs(B[0, :, 0] - by_effort).max() < DIFFERENCED * np.abs(by_effort).max()
-
-
-def test_integrators_differ_so_that_the_one_configured_matters():
-    steps = []
-    for integrator in ("Euler", "discrete", "RK4"):
-        mechanism = load_mechanism(mass_on_a_spring(integrator).mjcf)
-        point = operating_point(mechanism, np.array([0.05]))
-        steps.append(simulator_step(mechanism, point.pose[None], point.velocity[None], point.hold[None], T)[0][0])
-    for one, other in ((0, 1), (0, 2), (1, 2)):
-        assert np.abs(steps[one] - steps[other]).max() > 1e-5
 
 
 def test_a_period_of_several_steps_with_a_late_command_is_what_mujoco_does():
@@ -197,20 +177,6 @@ def test_measured_responses_are_the_sampled_prediction(model, delay):
     measured = taken.responses[0]["loop"]
     assert measured.frequency_hz[-1] == pytest.approx(0.1 / T, rel=WHOLE_PERIODS)
     assert np.abs(measured.against(other.response("loop", measured.frequency_hz))[1]).max() > 5
-
-
-@pytest.mark.slow
-def test_a_sinestream_finds_the_predicted_loop():
-    oscillator = pendulum()
-    mechanism = load_mechanism(oscillator.mjcf)
-    loop, _ = loop_of(oscillator, SIMULATED)
-    taken = measure([loop], np.geomspace(2.0, 90.0, 8), mechanism.effort_limit)
-    for name in ("loop", "complementary", "reference", "reference+ff"):
-        response = taken.responses[0][name]
-        db, deg = response.against(loop.response(name, response.frequency_hz))
-        assert np.abs(db).max() < MEASURED_DB, name
-        assert np.abs(deg).max() < MEASURED_DEG, name
-        assert "sinestream" in response.origin
 
 
 @pytest.mark.slow

@@ -5,7 +5,6 @@ import tomllib
 import numpy as np
 import pytest
 
-from linkplan.models.closure import initial_assembly
 from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import needed_effort
@@ -13,7 +12,6 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.new.changes import changed_mechanism, raised_limits
 from linkplan.studies.check.new.hanging import hanging_columns
 from tests.support.data import DATA
-from tests.support.linkages import ROD
 from tests.support.parallel_ankle import ankle_text, soft_ankle
 
 # A chassis that slides and pitches in a plane, with a wheel-leg of five bars whose motors are on the chassis.
@@ -273,13 +271,6 @@ def test_other_dry_friction_stays_as_it_is(table):
     assert np.degrees(mechanism.friction_transition) == pytest.approx(table.get("friction_transition_deg_s", 2.0))
 
 
-def test_a_rod_between_ball_joints_loses_its_spin():
-    mechanism, notes = changed_mechanism({"model": ROD})
-    assert mechanism.dof == 1
-    assert mechanism.source["lock_spin"] == ["ball"]
-    assert any("mechanism.lock_spin: ball" in note for note in notes)
-
-
 FLAT = """<mujoco><option gravity="0 0 0"/><default><joint axis="0 1 0"/><geom type="capsule" size="0.01" contype="0"
   conaffinity="0"/></default><worldbody>{before}<body><joint name="O"/><geom fromto="0 0 0 0.1 0 0"/>
   <body name="coupler" pos="0.1 0 0">
@@ -294,19 +285,6 @@ def test_another_home_than_a_singular_pose_is_named():
     assert "home_deg" in mechanism.source
     assert "open or singular at the model's own pose" in notes[0]
     assert "mechanism.home_deg" in notes[0]
-
-
-def test_the_closed_pose_of_a_robot_is_searched_for_once_whatever_is_changed(monkeypatch):
-    searched = []
-    search = initial_assembly.nearest_closed_pose
-    monkeypatch.setattr(initial_assembly, "nearest_closed_pose", lambda *given: searched.append(1) or search(*given))
-    base = '<body name="base"><freejoint name="root"/><geom type="sphere" size="0.1" mass="5"/>'
-    robot = FLAT.format(before=base, after="</body>").replace('<joint name="O"/>', '<joint name="O" frictionloss="0.1"/>')
-    mechanism, notes = changed_mechanism({"model": robot})
-    assert "the base base floats" in notes[0]
-    assert "open or singular at the model's own pose" in notes[-1]
-    assert [joint.name for joint in mechanism.joints] == ["O", "A", "C"]
-    assert len(searched) == 1
 
 
 def test_a_ball_joint_that_a_default_limits_to_0_deg_is_named(tmp_path, ask):

@@ -2,7 +2,6 @@
 
 import re
 import tomllib
-from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -16,7 +15,6 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.check.new.candidates import moves_of
 from linkplan.studies.check.new.clear_way import obstacle_on_way
 from linkplan.studies.check.new.first_motion import FirstMotion, first_motion
@@ -115,36 +113,11 @@ def test_freedoms_on_springs_are_no_pendulums_whose_swings_a_motion_waits_for():
     assert cart > 1.0
 
 
-@pytest.mark.slow
-def test_a_closed_chain_of_eight_links_has_a_first_motion(tmp_path):
-    (tmp_path / "ring.xml").write_text(ring(7, 5), encoding="utf-8")
-    found = begun(str(tmp_path / "ring.xml"))
-    assert found.planned, found.why
-    assert found.plan.certificate.passed
-
-
 def test_a_sprung_leg_begins_with_a_small_smooth_motion_of_one_drive():
     first, *others = tried_of(str(DATA / "sprung_leg.xml"))
     assert np.sum(np.abs(first.goal - first.start) > 0.01) == 1, "the springs move less"
     assert max(np.sum(np.abs(motion.goal - motion.start) > 0.01) for motion in others) > 1
     assert np.abs(first.goal - first.start).max() < max(np.abs(motion.goal - motion.start).max() for motion in others)
-
-
-@pytest.mark.slow
-def test_a_sprung_leg_has_a_first_motion_at_once(monkeypatch):
-    """Its springs do not ring, since its efforts do not jump."""
-    tried = []
-
-    def noted(problem: Problem, *rest) -> Plan:
-        tried.append(problem)
-        return plan_motion(replace(problem, solver=problem.solver.replace(max_time_s=60.0)), *rest)
-
-    monkeypatch.setattr("linkplan.studies.check.new.first_motion.plan_motion", noted)
-    found = first_motion({"model": str(DATA / "sprung_leg.xml")}, print)
-    assert found.planned, found.why
-    assert len(tried) == 1
-    assert list(found.plan.problem.objective.weights) == ["effort_rate"]
-    assert found.plan.problem.mesh.tolerance_deg == 5e-3
 
 
 def test_a_first_problem_is_simulated_with_the_model_s_own_timestep_and_softness(tmp_path, ask):
@@ -299,13 +272,30 @@ def test_a_joint_outside_its_range_at_home_begins_inside():
         assert 40 < np.degrees(place[0]) < 100
 
 
-def test_where_the_smooth_path_is_the_plan_of_a_small_mechanism_planning_searches_no_longer_either(monkeypatch):
-    smooth = replace(begun("five-bar").plan, solved=None)
-    monkeypatch.setattr("linkplan.studies.check.new.first_motion.plan_motion", lambda *_: smooth)
-    found = first_motion({"model": "five-bar"}, print)
-    assert found.tables["solver"]["max_time_s"] > 0
-    assert any("planning searches for a better motion" in change for change in found.changes)
+# An arm of one joint, without a name, and without a motor.
+NAMELESS_ARM = """<mujoco><worldbody><body><joint axis="0 1 0"/>
+  <inertial pos="0.5 0 0" mass="2" diaginertia="0.1 0.1 0.1"/></body></worldbody></mujoco>"""
 
 
-def test_a_start_at_rest_at_zero_is_said_as_zero():
-    assert moves_of({"start_deg": {"elbow": -1.6e-15}, "goal_deg": {"elbow": 15.0}}) == ["elbow from 0 to 15 deg"]
+def test_an_actuator_is_offered_with_a_name_for_a_joint_that_has_none(tmp_path, ask):
+    (tmp_path / "arm.xml").write_text(NAMELESS_ARM, encoding="utf-8")
+    code, _, err = ask("new", str(tmp_path / "arm.xml"), "-o", str(tmp_path / "first.toml"))
+    assert code == 2
+    assert (
+        'add for example name="joint0" to its first joint, which has no name, and <actuator><motor name="act_joint0"' in err
+    )
+    assert 'mechanism.drive = ["joint0"] puts motors' in err
+    code, found, _ = ask("new", str(tmp_path / "arm.xml"), "--drive", "joint0", "-o", str(tmp_path / "first.toml"))
+    assert (code, found.splitlines()[-1]) == (0, "Planned")
+
+
+def test_actuators_that_no_plan_can_use_are_counted_and_not_listed(tmp_path, ask):
+    links = "".join(f'<body><joint name="j{k}" axis="0 1 0"/><geom size=".1" pos=".3 0 0"/></body>' for k in range(6))
+    muscles = "".join(f'<muscle name="m{k}" joint="j{k}" lengthrange="0 1"/>' for k in range(6))
+    model = f"<mujoco><worldbody>{links}</worldbody><actuator>{muscles}</actuator></mujoco>"
+    (tmp_path / "pulled.xml").write_text(model, encoding="utf-8")
+    code, _, err = ask("new", str(tmp_path / "pulled.xml"))
+    assert code == 2
+    assert "actuator m0 on joint j0" in err
+    assert "(and 5 more of this kind)" in err
+    assert "m1" not in err

@@ -1,11 +1,18 @@
-"""No more digits than are known."""
+"""Digits, directions and names of pins in texts and figures."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.text import Text
 from msgspec import structs
 
+import linkplan
+from linkplan.studies.output.draw_bodies import draw_poses
+from linkplan.studies.output.numbers import direction_name
 from linkplan.studies.output.plan_blocks import figure, objective_digits, objective_unit, plan_blocks, radius_figure
 from linkplan.studies.output.text import text_of
 from tests.support.plans import optimal, problem_of
@@ -54,3 +61,35 @@ def test_a_pole_next_to_the_unit_circle_is_said_by_its_distance_from_it(radius, 
 )
 def test_an_objective_has_the_unit_of_what_its_actuators_give(name, overrides, unit):
     assert objective_unit(problem_of(name, *overrides)) == unit
+
+
+@pytest.mark.parametrize(
+    ("direction", "name"),
+    [
+        ((1.0, 0.0, 0.0), "x"),
+        ((0.0, 0.0, -1.0), "-z"),
+        ((0.6, 0.8, 0.0), "along (0.6, 0.8, 0)"),
+        ((0.6, 0.8, -4.3e-19), "along (0.6, 0.8, 0)"),
+    ],
+)
+def test_a_direction_is_an_axis_of_the_world_or_its_components_without_rounding(direction, name):
+    assert direction_name(np.array(direction)) == name
+
+
+pytestmark = pytest.mark.usefixtures("drawn_figures")
+
+
+@pytest.mark.parametrize("size_in", [(5.0, 3.0), (8.0, 6.0)])
+def test_names_of_many_pins_stand_apart_and_in_the_order_of_the_pins_heights(size_in):
+    mechanism = linkplan.load_mechanism("andrews-squeezer")
+    figure = Figure(figsize=size_in, layout="constrained")
+    axes = figure.subplots()
+    draw_poses(axes, mechanism, mechanism.home[None])
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    boxes = [Text.get_window_extent(name, canvas.get_renderer()) for name in axes.texts]  # without the leading lines
+    assert len(boxes) == 7
+    assert not [pair for pair in itertools.combinations(boxes, 2) if pair[0].overlaps(pair[1])]
+    pins = sorted((name.xy[1], box.y0) for name, box in zip(axes.texts, boxes, strict=True))
+    assert [y for _, y in pins] == sorted(y for _, y in pins)
+    assert all(box.x1 <= figure.bbox.x1 for box in boxes)

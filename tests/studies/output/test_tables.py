@@ -1,4 +1,4 @@
-"""Tables: nothing of them is lost in a pipe or on a terminal of any width, and no line is wider than the terminal."""
+"""Tables: as wide as a terminal has room for, and brief where many rows say the same."""
 
 import io
 import re
@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from linkplan.studies.cli.main import main
 from linkplan.studies.output.document import Facts, Table, Text, table_of
 from linkplan.studies.output.terminal import drawn
-from linkplan.studies.output.text import table, text_of
+from linkplan.studies.output.text import brief_rows, in_brief, notes_of, table, text_of
 
 SEQUENCE = re.compile(r"\x1b\[[0-9;]*[A-Za-z]")
 WORD = st.text(st.characters(whitelist_categories=("Lu", "Ll", "Nd"), whitelist_characters="_.-"), min_size=1, max_size=50)
@@ -47,20 +48,6 @@ def test_a_table_in_a_pipe_is_as_wide_as_it_is():
     assert wide.splitlines()[2].split() == ["first", *map(str, range(9))]
 
 
-def test_heads_are_folded_before_columns_are_laid_out_in_parts(monkeypatch):
-    heads = ["O [deg]", *(f"weight alone joint_{k} [N.m]" for k in range(5))]
-    shown = on_a_terminal([table_of("", heads, [[1.5] * 6])], 80, monkeypatch)
-    assert [line.split() for line in shown.splitlines() if "1.5" in line] == [["1.5"] * 6]
-
-
-def test_every_part_of_a_wide_table_begins_with_the_first_column(monkeypatch):
-    heads = ["case", *(f"a_rather_long_quantity_{k} [kg m2]" for k in range(9))]
-    shown = on_a_terminal([table_of("", heads, [["first", *map(float, range(9))]])], 80, monkeypatch)
-    rows = [line.split() for line in shown.splitlines() if line.startswith("first ")]
-    assert len(rows) > 1
-    assert [x for row in rows for x in row[1:]] == [str(k) for k in range(9)]
-
-
 def test_a_document_is_read_from_top_to_bottom():
     blocks = [
         Text(text="a verdict"),
@@ -90,3 +77,82 @@ def test_names_of_a_model_may_have_brackets():
 
 def test_a_zero_has_no_sign():
     assert text_of([table_of("", ["power [W]"], [[-0.0]])]).split()[-1] == "0"
+
+
+CARTS = 6
+
+
+@pytest.mark.parametrize("units", [["deg"] * 4 + ["m"], ["deg", "m", "deg", "m", "deg"]])
+def test_rows_of_several_units_are_several_kinds(units):
+    rows = [[f"room of j{k}", float(k)] for k in range(5)]
+    assert brief_rows(rows, range(5), units, [f"j{k}" for k in range(5)]) is None
+
+
+def test_names_count_as_whole_words():
+    rows = [[f"room of {what}", 0.0] for what in ("arm", "forearm", "arm-2", "arms", "army")]
+    assert brief_rows(rows, range(5), ["deg"] * 5, ["arm"]) is None
+
+
+def test_the_first_note_stands_for_more_than_four_that_differ_in_names_and_numbers():
+    many = [f"servo m{k} acts within {k}.5 N" for k in range(5)]
+    few = [f"rod r{k} spins" for k in range(4)]
+    notes = notes_of([*many, *few], [f"m{k}" for k in range(5)] + [f"r{k}" for k in range(4)])
+    assert [note.text for note in notes] == [*many, *few]
+    assert [note.text for note in in_brief(notes)] == [f"{many[0]} (and 4 more of this kind)", *few]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Return the folder of a plan for six carts on rails. Cart 2 uses the largest share of its effort limit."""
+    place = tmp_path_factory.mktemp("carts")
+    bodies = "".join(
+        f'<body pos="0 {k} 0"><joint name="x{k}" type="slide" axis="1 0 0" range="-1 1"/><geom size=".1" mass="1"/></body>'
+        for k in range(CARTS)
+    )
+    limits = enumerate([30, 20, 10, 20, 30, 40])
+    motors = "".join(
+        f'<motor name="m{k}" joint="x{k}" ctrllimited="true" ctrlrange="-{limit} {limit}"/>' for k, limit in limits
+    )
+    option = '<option gravity="0 0 0" timestep="0.002"/>'
+    carts = f"<mujoco>{option}<worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>"
+    (place / "carts.xml").write_text(carts)
+    start, goal = (", ".join(f"x{k} = {value}" for k in range(CARTS)) for value in (0.0, 0.1))
+    (place / "carts.toml").write_text(
+        '[mechanism]\nmodel = "carts.xml"\n[motion]\nkind = "reach"\nduration_s = 0.5\n'
+        f"start_m = {{ {start} }}\ngoal_m = {{ {goal} }}\n[objective]\nminimize = 'effort'\n"
+    )
+    assert main(["plan", str(place / "carts.toml"), "-o", str(place / "plan")]) == 0
+    return place / "plan"
+
+
+@pytest.mark.parametrize(
+    ("command", "label", "of_m2"),
+    [
+        (["plan"], "effort m{}", "effort m2, the worst of 6: "),
+        (["prove"], "planned effort of m{}", "planned effort of m2, the worst of 6 "),
+        (["track", "--tracker", "pd+ff"], "m{} ", "m2, the worst of 6 "),
+        (["compare", "--trackers", "pd"], "m{} ", "m2, the worst of 6 "),
+    ],
+)
+def test_a_command_prints_the_worst_of_many_and_every_one_with_all(command, label, of_m2, folder, capsys):
+    subject = str(folder.parent / "carts.toml") if command == ["plan"] else str(folder)
+    call = [command[0], subject, *command[1:]]
+    capsys.readouterr()
+    main(call)
+    brief = capsys.readouterr().out
+    main([*call, "--all"])
+    whole = capsys.readouterr().out
+    assert of_m2 in brief
+    assert "--all prints every row" in brief
+    assert "--all" not in whole
+    assert all(f"\n{label.format(k)}" in whole for k in range(CARTS))
+    assert not any(f"\n{label.format(k)}" in brief.replace(of_m2, "") for k in range(CARTS))
+
+
+def test_a_plan_is_said_in_ten_lines_of_eighty_letters(capsys):
+    assert main(["plan", "knee-reach"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) < 10  # where it is saved is one more line
+    assert max(map(len, lines)) <= 80
+    said = ["knee-reach: optimal", "duration", "objective", "effort act_O", "least margin", "certificate: passed", "proof"]
+    assert all(any(line.startswith(words) for line in lines) for words in said)

@@ -97,14 +97,6 @@ def test_pointing_at_one_plot_moves_all_and_the_mechanism(browser, path):
     assert times(opened) == pytest.approx([0.04] * len(before), abs=INSTANT)  # it stays there
 
 
-def test_the_bar_moves_the_plots(browser, path):
-    opened = Opened(browser, path)
-    opened.build()
-    opened.page.locator("input[type=range]").first.fill("500")
-    opened.settle()
-    assert times(opened) == pytest.approx([0.08] * len(times(opened)), abs=INSTANT)
-
-
 def test_it_plays_and_pauses_by_button_and_by_key(browser, path):
     opened = Opened(browser, path)
     opened.build()
@@ -133,24 +125,6 @@ def test_a_line_of_the_checklist_moves_the_cursor_to_its_instant(browser, path):
     opened.settle()
     assert cursor(opened) == pytest.approx(item.instant_s)
     assert times(opened) == pytest.approx([item.instant_s] * len(times(opened)), abs=INSTANT)
-
-
-def test_the_ghost_is_drawn_and_can_be_left_out(browser, path):
-    opened = Opened(browser, path)
-    opened.build()
-    opened.ask("Cursor.active.move(0.08)")
-    opened.settle()
-    drawn = picture(opened)
-    opened.page.locator("select[aria-label=ghost]").select_option("")
-    assert picture(opened) != drawn
-
-
-def test_names_can_be_left_out(browser, path):
-    opened = Opened(browser, path)
-    opened.build()
-    drawn = picture(opened)
-    opened.page.locator(".controls input[type=checkbox]").first.uncheck()
-    assert picture(opened) != drawn
 
 
 def painted(opened, colour: str) -> int:

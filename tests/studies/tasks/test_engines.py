@@ -3,21 +3,30 @@
 import concurrent.futures
 import contextlib
 import gc
+import itertools
 import os
 import signal
 import sys
+from pathlib import Path
 
 import pytest
 
 from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.planner.files.folders import write_json, write_whole
 from linkplan.planner.plan.folder import versions
 from linkplan.planner.search.planning import silent
+from linkplan.studies.variations.batch.study import run_batch
+from linkplan.studies.variations.experiment.experiment import Settings
+from linkplan.studies.variations.experiment.study import RECORD, RESULTS, run_experiment
 from linkplan.studies.variations.tasks import cluster as dask_cluster
 from linkplan.studies.variations.tasks import streaming
 from linkplan.studies.variations.tasks.cluster import cluster
 from linkplan.studies.variations.tasks.engine import Pool, processes, serial
 from linkplan.studies.variations.tasks.site import Refused, at_site
 from linkplan.studies.variations.tasks.streaming import StreamProgress, complete, streamed
+from linkplan.studies.variations.tasks.unfinished import PLAN, part, remove, remove_left, working
+from tests.support.batches import same_plans, swept
+from tests.support.plans import optimal
 
 
 def squared(task, threads):
@@ -159,3 +168,103 @@ def test_an_interrupt_while_workers_are_waited_for_reaches_the_command(tmp_path,
         complete(tmp_path, [range(1), range(1, 2)], "cases", waiting, lambda *_: [], interrupted, silent)
     gc.collect()
     assert not lost
+
+
+REQUEST = {"format": 1}
+
+
+class KilledError(BaseException):
+    """What no handler of the program catches, as a kill."""
+
+
+def folder_of_parts(place: Path) -> Path:
+    folder = place / "out.unfinished"
+    with working(folder, REQUEST, "a test"):
+        write_whole(folder / PLAN, lambda new: write_json(new / "plan.json", {}))
+        part(folder, 0, "json").write_text("{}", encoding="utf-8")
+    return folder
+
+
+@pytest.mark.parametrize("kind", ["unlink", "rmdir"])
+def test_parts_whose_removal_was_killed_anywhere_are_removed_by_the_next_run(kind, tmp_path, monkeypatch):
+    kills = 0
+    for step in itertools.count():
+        folder = folder_of_parts(tmp_path)
+        counter, real = itertools.count(), getattr(Path, kind)
+
+        def stopped(path, *given, counter=counter, real=real, step=step, **more):
+            if next(counter) == step:
+                raise KilledError
+            return real(path, *given, **more)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(Path, kind, stopped)
+            try:
+                remove(folder)
+            except KilledError:
+                kills += 1
+            else:
+                break
+        remove_left(folder, REQUEST)
+        assert not folder.exists(), f"killed at {kind} {step}"
+    assert kills >= 3
+
+
+distributed = pytest.importorskip("distributed")
+pytestmark = pytest.mark.slow
+
+SHORT = "tracking.duration_s=0.005"
+# Three whole blocks and a beginning.
+SETTINGS = Settings(trackers=("pd",), samples=3 * 128 + 8)
+
+
+@pytest.fixture(scope="module")
+def two_workers():
+    with distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as workers:
+        yield workers
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory):
+    """The files of an experiment that one process has made."""
+    return studied(tmp_path_factory.mktemp("alone") / "x", serial)
+
+
+def studied(target, engine, say=silent):
+    plan = optimal("knee-reach", SHORT)
+    run_experiment({"name": "knee-reach"}, None, lambda: plan, SETTINGS, target, say, engine=engine)
+    return {name: (target / name).read_bytes() for name in (RESULTS, RECORD)}
+
+
+def test_a_cluster_makes_the_file_of_one_process(tmp_path, two_workers, alone):
+    assert studied(tmp_path / "x", cluster(two_workers.scheduler_address)) == alone
+
+
+def test_a_worker_that_is_killed_in_the_middle_loses_nothing(tmp_path, two_workers, alone):
+    killed, said = [], []
+
+    def say(text):
+        said.append(text)
+        if not killed and " samples" in text:
+            killed.append(next(iter(two_workers.workers.values())).pid)
+            os.kill(killed[0], signal.SIGKILL)
+
+    assert studied(tmp_path / "x", cluster(two_workers.scheduler_address), say) == alone
+    assert killed
+    assert len([text for text in said if " samples" in text]) == 4  # no block twice
+
+
+def test_a_batch_on_a_cluster_has_the_plans_of_one_process(tmp_path, two_workers):
+    batch = swept(9)
+    run_batch(batch, tmp_path / "x", silent)
+    run_batch(batch, tmp_path / "y", silent, engine=cluster(two_workers.scheduler_address))
+    same_plans(tmp_path / "x", tmp_path / "y", 9)
+
+
+def refusing(task, threads):
+    raise LinkplanError(f"no sample of task {task} can be run on {threads} threads")
+
+
+def test_what_a_worker_refuses_is_refused_here_in_its_words(two_workers):
+    with pytest.raises(LinkplanError, match="no sample of task 5 can be run on 1 threads"):
+        list(streamed(cluster(two_workers.scheduler_address), refusing, [5], silent))
