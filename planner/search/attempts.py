@@ -5,7 +5,6 @@ chatters at the ends of its bang arcs (Fuller's phenomenon), and solvers lose it
 to a thousandth of it, on finer meshes.
 """
 
-import functools
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -140,8 +139,7 @@ def certified(
     if problem.objective.is_smoothed and problem.objective.has("tracking"):
         better, change = _unsmoothed(case, found, warm)
     else:
-        by = refine_several if of_several(problem) else functools.partial(refine, warm=warm)
-        better, change = by(case, found), None
+        better, change = _refined(case, found, warm=warm), None
     if better is None:
         message = "failed: the motion that the solver returned leaves the branch on which the mechanism was assembled"
         if problem.solver.judging_deadline.passed:
@@ -232,6 +230,11 @@ def _smoothed(
     return None if found is None else (now, found)
 
 
+def _refined(case: MechanismCase, found: Iterate, *, warm: bool) -> Refined | None:
+    """Return the refined motion of a solution, by the refinement for its number of motors; None without one."""
+    return refine_several(case, found) if of_several(case.asked) else refine(case, found, warm=warm)
+
+
 def _unsmoothed(case: MechanismCase, first: Iterate, warm: bool) -> tuple[Refined | None, float | None]:
     """Return a refined tracking motion whose smoothing was taken out, and by what share a finer mesh changed its objective.
 
@@ -245,10 +248,10 @@ def _unsmoothed(case: MechanismCase, first: Iterate, warm: bool) -> tuple[Refine
         solves = followed(solves[0], steps, lambda stage, weight: _smoothed(*stage, weight)).stages
     at, change = None, None
     for case, found in reversed(solves):
-        at = refine(case, found, warm=warm or found is not first)
+        at = _refined(case, found, warm=warm or found is not first)
         if at is not None and at.certificate.passed:
             break
-    if at is None or not at.certificate.passed:
+    if at is None or not at.certificate.passed or of_several(case.asked):  # its meshes are fine enough
         return at, None
     while 2 * at.solution.transcribed.program.mesh.n_intervals <= _MAX_INTERVALS and objective_of(at) > nothing:
         solved = _smoothed(case, at, case.smoothing, finer=True)

@@ -280,6 +280,22 @@ def test_a_segment_whose_switch_times_meet_on_finer_meshes_is_removed_and_the_mo
     assert plan.objective == pytest.approx(0.187648, rel=1e-4)
 
 
+def test_a_reference_that_asks_for_a_little_too_much_is_tracked_by_two_motors_and_proved():
+    """Refined as motions of one motor are, it was "feasible": the smoothing of efforts is most of its objective."""
+    reference = {
+        "frequency_hz": 3.3488,
+        "amplitude_deg": {"hip_pitch": 14.0, "knee_motor": 6.6},
+        "bias_deg": {"hip_pitch": -15.0, "knee_motor": 21.5},
+        "phase_deg": {"hip_pitch": 180.0},
+    }
+    mechanism, asked = linkplan.load_mechanism(DATA / "leg_with_four_bar_knee.xml"), {"limits": {"contacts": "note"}}
+    plan = linkplan.plan(linkplan.Problem.periodic(mechanism, reference=reference, mesh={"intervals": 40}, **asked))
+    assert plan.status == "optimal"
+    assert plan.proof.passed
+    assert plan.details["reference_needs"] < -130.0
+    assert plan.details["tracking_rms_deg"] < 1e-3
+
+
 def test_one_motor_and_given_breaks_have_another_search(in_least_time):
     assert of_several(in_least_time)
     assert not of_several(load_problem("knee-reach"))
