@@ -55,7 +55,19 @@ class OdeProblem:
     `tolerance` is on the state after integration, relative to each state's size; `objective_tolerance` on the objective's
     change from one mesh to the next, relative: None asks for 1e-6 where that is cheap. Mesh and solver settings mean what
     they do for mechanisms, tolerance_deg apart; `solver.starts` must be 1, because there is no search beyond the guesses.
-    `linkplan.solve_ocp` has an example.
+
+    Example::
+
+        cart = linkplan.OdeProblem(
+            name="cart",
+            rate=lambda x, u, p, t: [x[1], u[0]],
+            start=[0, 0],
+            goal=[1, 0],
+            effort_limit=[[-1, 1]],
+            duration_s=(0.1, 9.0),
+            final_cost=lambda x_0, x_T, T, p: T,
+        )
+        print(linkplan.solve_ocp(cart).duration_s)  # 2 s
     """
 
     name: str

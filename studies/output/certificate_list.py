@@ -19,6 +19,8 @@ from linkplan.studies.output.document import Checklist, Item
 from linkplan.studies.output.draw_plan import LEAST_SHOWN
 from linkplan.studies.output.numbers import significant
 
+# Efforts that differ by less than this share of the largest are the same.
+_SAME_SHARE = 1e-6
 # The first words of the certificate's sentence on the velocity. The verdict also uses the integrated velocity, so the
 # residual alone does not decide it.
 _NOT_ITS_VELOCITY = "the planned velocity is not"
@@ -44,7 +46,9 @@ def _efforts(plan: Plan) -> list[Item]:
     for j, actuator in enumerate(plan.problem.mechanism.actuators):
         values, (low, high) = efforts[:, j], plan.problem.limits.effort[j]
         inside = np.minimum(values - low, high - values)
-        at = int(np.argmin(inside)) if np.isfinite(inside).any() else int(np.argmax(np.abs(values)))
+        at = int(np.argmax(np.abs(values)))
+        if np.isfinite(inside).any():  # of an effort that stays at its limit the first instant
+            at = int(np.argmax(inside <= inside.min() + _SAME_SHARE * np.abs(values).max()))
         limit = high if high - values[at] <= values[at] - low else low
         over = inside.min() < 0 and plan.certificate.effort_excess > 0
         items.append(

@@ -79,7 +79,7 @@ MALFORMED: list[tuple[str | tuple[str, ...], list[str]]] = [
     ("tracking.kp=-1", ["tracking.kp", "at least 0", "-1"]),
     ("mechanism.payload.mass_kg=-1", ["payload.mass_kg", "positive", "-1"]),
     ("mechanism.payload.com_m=[1, 2]", ["payload.com_m", "three"]),
-    ("mechanism.payload.inertia_kgm2=[1, 0, 0]", ["payload.inertia_kgm2", "no rigid body"]),
+    ("mechanism.payload.inertia_kgm2=[1, 0, 0]", ["payload.inertia_kgm2", "not that of a rigid body"]),
     # words with a line's end in them
     ('motion.kind="reach\\nx"', ["motion.kind"]),
     ('mechanism.model="a\\nb"', ["a model's name", "cannot be shown"]),
