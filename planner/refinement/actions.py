@@ -252,7 +252,7 @@ def nearest_on(
         )
     except (AssemblyError, OutOfTimeError):
         return None
-    solution = nearest_feasible(transcribed, _with_efforts(transcribed, coarse))
+    solution = nearest_feasible(transcribed, _with_efforts(transcribed, coarse), case.problem.solver.deadline)
     add_step(step_of(what, transcribed, solution))
     motion = case.motion(solution) if solution.converged else None
     return None if motion is None else Iterate(motion=motion, solution=solution, fixed=coarse.fixed)

@@ -35,7 +35,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.compiled.functions import on_arrays
-from linkplan.models.deadline import one_thread_at_a_time
+from linkplan.models.deadline import NO_DEADLINE, Deadline, one_thread_at_a_time
 from linkplan.planner.solvers.solve import SOLVER_TOLERANCE, Solution
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.program import Program
@@ -218,8 +218,8 @@ def _violation(value: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float
     return float(np.maximum(lower - value, value - upper).max(initial=0.0))
 
 
-def nearest_feasible(transcribed: Transcribed, x: np.ndarray) -> Solution:
-    """Return the feasible point near unknowns x (n,), or a solution that has not converged."""
+def nearest_feasible(transcribed: Transcribed, x: np.ndarray, deadline: Deadline = NO_DEADLINE) -> Solution:
+    """Return the feasible point near unknowns x (n,), or a solution that has not converged, as by a deadline."""
     begin, program, p = time.perf_counter(), transcribed.program, transcribed.parameters
     lower = np.concatenate([transcribed.lower, transcribed.row_lower])
     upper = np.concatenate([transcribed.upper, transcribed.row_upper])
@@ -234,7 +234,7 @@ def nearest_feasible(transcribed: Transcribed, x: np.ndarray) -> Solution:
         violation = _violation(here, lower, upper)
         largest = _DIVERGED_FACTOR * max(violation, _SMALL_VIOLATION) if step_of is None else largest
         converged = violation <= SOLVER_TOLERANCE
-        if converged or steps == _MOST_PROGRAMS or not violation <= largest:
+        if converged or steps == _MOST_PROGRAMS or not violation <= largest or deadline.passed:
             break
         if step_of is None:
             shapes = {"h": cost.sparsity(), "a": jacobian[limited, :].sparsity()}

@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from linkplan.models.deadline import Deadline
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess, guess_from
 from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
@@ -150,6 +151,12 @@ def test_a_row_without_bounds_is_left_out_and_nothing_is_printed(coarse, capfd):
     assert found.converged
     assert found.iterations
     assert capfd.readouterr() == ("", "")
+
+
+def test_no_program_is_solved_after_the_deadline(coarse):
+    solution = coarse.best.found.solution
+    found = nearest_feasible(solution.transcribed, solution.x + 1e-5, Deadline().within(-1.0))
+    assert (found.converged, found.iterations) == (False, 0)
 
 
 def test_a_feasible_point_stays(coarse):
