@@ -111,8 +111,9 @@ def _in_more_time(problem: Problem, first: _First) -> Plan | None:
         plan = None if found is None else certified(asked, found)
         if plan is not None and plan.passed:
             found = plan.require_motion("bound the duration with")
-            bound = without_solving(problem, found, objective_value(problem, found)[0], f"motion of {duration:.6g} s")
-            return bound if bound.passed else None
+            late = replace(problem, solver=problem.solver.replace(deadline=problem.solver.judging_deadline))
+            bound = without_solving(late, found, objective_value(problem, found)[0], f"motion of {duration:.6g} s")
+            return bound if is_sound(bound.certificate) else slower(problem, [found])
     return None
 
 
