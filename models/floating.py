@@ -18,7 +18,7 @@ from linkplan.models.kinematics import (
     tied_bodies,
 )
 
-# A hand's or a table's objects; two hundred have 1,200 coordinates, which take minutes.
+# Enough for the objects in a hand or on a table. Two hundred bodies have 1,200 coordinates and take minutes.
 MAX_LOOSE_BODIES = 20
 
 

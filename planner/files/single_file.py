@@ -88,7 +88,7 @@ def _check_unchanged(path: Path, earlier: bytes) -> None:
 def check_file_target(target: Path, suffixes: tuple[str, ...] = (), mark: str = MADE_BY) -> None:
     """Refuse a file that could not be written later, before long work begins.
 
-    An existing file may be replaced if its content has the mark. Without `suffixes` any suffix is legal.
+    An existing file may be replaced if it contains `mark`. If `suffixes` is empty, any suffix is legal.
 
     Raises:
         PlanFileError: for another suffix, a folder, a file that linkplan did not write, or a place that cannot be written.

@@ -153,7 +153,7 @@ class SiteAccelerationLimit(Limit):
 
 @dataclass(frozen=True, slots=True)
 class SiteJerkLimit(Limit):
-    """The jerk of one site, by its size; `site` is its index in the model, `moved_by` as of `JerkLimit`."""
+    """The jerk of one site, by its size; `site` is its index in the model, `moved_by` is described in `JerkLimit`."""
 
     key: ClassVar[str] = "site_jerk"
     facts: ClassVar[LimitFacts] = LimitFacts(

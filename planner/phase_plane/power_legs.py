@@ -95,7 +95,8 @@ class Leg:
 def power_legs(problem: Problem, start_pose: np.ndarray) -> tuple[list[Leg], np.ndarray] | None:
     """Return the legs of the quickest reach along its limits that turns back only at required waypoints.
 
-    Also return the times [s] of start, waypoints and goal. None without such a reach, or if only effort limits are active.
+    The times [s] of start, waypoints and goal are returned too. The result is None without such a reach, or if only effort
+    limits are active.
 
     Args:
         problem: one with limits on all efforts. Limits on power, line, pin force and speed are considered, others are not.
@@ -299,7 +300,7 @@ class _Way:
                 yield self._leg(begin, way * float(self._fastest_at(begin)), end, towards=True, held=held)
 
     def _ahead(self, back: list[Leg]) -> list[Leg] | None:
-        """Return the legs at full acceleration, and from their crossing on the legs into the goal; None if they never cross.
+        """Return the legs at full acceleration up to the legs into the goal, then these; None if they never cross.
 
         The motion leaves the velocity curve where the curve rises faster than full effort accelerates.
         """

@@ -2,8 +2,8 @@
 
 One joint decides the time of a fast motion, and only its jumps of effort matter. They become ends of segments with unknown
 durations, between which efforts are free. Elsewhere the mesh is made finer by as much as the certificate asks for at once.
-What is overrun by less than a finer mesh is worth is removed by tightening. Once the motion keeps still, it is only changed
-where it needs more effort than a proof allows, by Newton's steps to the nearest motion on a finer mesh.
+What is overrun by less than a finer mesh is worth is removed by tightening. Once the objective has settled, the motion is
+only changed where it needs more effort than a proof allows: to the nearest motion on a finer mesh (`nearest_feasible`).
 
 The first solves keep a distance from singular poses that nobody asked for, so that no iterate leaves its assembly branch
 (`FIRST_MARGIN`). Finer meshes come nearer, from a motion that is on its branch.

@@ -214,7 +214,7 @@ def test_a_range_of_payloads_needs_a_payload():
         load_problem("knee-sprint-bare", HEAVY)
 
 
-# A knee with a second motor, at the rocker's pin: one more than its degree of freedom.
+# A knee with a second motor, at the rocker's pin: two motors drive its one degree of freedom.
 TWO_MOTORS = (resources.files("linkplan.models") / "mjcf" / "optimus-knee.xml").read_text(encoding="utf-8")
 TWO_MOTORS = TWO_MOTORS.replace("</actuator>", '<motor name="act_C" joint="C" ctrlrange="-30 30"/></actuator>')
 RANGES = (

@@ -201,7 +201,7 @@ def test_no_text_whatever_gets_past_the_reader_as_another_error(key, text):
     assert isinstance(answer, Problem) or len(answer.splitlines()) == 1
 
 
-# What overrides do: what is set, what is read then, its value.
+# Settings, the quantity of the problem that each one changes, and the new value of this quantity.
 SETTINGS = [
     ("mesh.scheme=radau-2", lambda problem: problem.mesh.scheme, "radau-2"),
     ('mesh.scheme = "radau-2"', lambda problem: problem.mesh.scheme, "radau-2"),

@@ -156,7 +156,7 @@ def falls(s: float) -> float:
 
 
 def exact(no_load: float) -> float:
-    """Return the least time [s]: all the torque of the line, then all that brakes, joined where they are as fast."""
+    """Return the least time [s]: of full driving torque, then of full braking torque from where their speeds meet."""
 
     def forth(_, y):
         return [y[1], (min(LIMIT, STALL * (1 - y[1] / no_load)) - DAMPING * y[1] + falls(y[0])) / INERTIA]

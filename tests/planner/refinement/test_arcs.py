@@ -269,7 +269,7 @@ def test_the_positive_power_of_least_work_is_on_no_arc_where_it_is_the_power():
 
 
 def test_arcs_along_a_limit_on_the_size_of_a_jerk_end_where_it_reverses_and_are_not_held():
-    """The limit on power stands in for that on a jerk; the slopes of the acceleration are too small to change it."""
+    """A limit on power is treated as one on a jerk. The accelerations' slopes are too small to change the power."""
     transcribed = program_of(POWER)
     rows = replace(transcribed.formulation.rows, jerk_path=(0,))
     transcribed = replace(transcribed, formulation=replace(transcribed.formulation, rows=rows))

@@ -153,7 +153,7 @@ def test_a_motion_that_costs_less_the_longer_it_is_has_no_best_duration_and_says
 @pytest.mark.slow
 @pytest.mark.parametrize("longest", [3.0, 30.0])
 def test_a_longest_duration_is_used_to_the_full_however_long(longest, tmp_path):
-    """Without gravity, effort is 12 (J angle)^2 / T^3: the last of them far beyond what a guess allows at once."""
+    """Without gravity the objective is 12 (J angle)^2 / T^3. The longest duration is far beyond that of a first guess."""
     plan = planned(tmp_path, f"motion.max_duration_s={longest}")
     assert plan.status == "optimal", plan.message
     assert plan.trajectory.duration_s == pytest.approx(longest, rel=LONGEST_DURATION)
