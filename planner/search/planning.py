@@ -23,7 +23,7 @@ from linkplan.planner.refinement.state import REPORTED_CHANGE
 from linkplan.planner.search import attempts, continuations, reasons, starts, waiting, without_solver
 from linkplan.planner.search.attempts import of_several
 from linkplan.planner.search.ladder import FULL_BUDGET, SHORT_BUDGET, Budget, Repair, Search, SearchMethod, run_search
-from linkplan.planner.search.several_motors import from_several_starts
+from linkplan.planner.search.multistart import from_several_starts
 from linkplan.planner.search.site_path import plan_along_path
 from linkplan.planner.search.solving import longest
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
@@ -49,12 +49,6 @@ def _legs_may_help(search: Search) -> bool:
 
 
 _FIRST: tuple[SearchMethod, ...] = (
-    SearchMethod(
-        name="the best of several starts (multistart)",
-        tried=lambda search: search.problem.solver.starts > 1,
-        run=starts.best_of_several,
-        budget=FULL_BUDGET,
-    ),
     SearchMethod(
         name="the guess given, then a smooth path",
         tried=_is_worth_a_start,
@@ -98,8 +92,8 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
         budget=SHORT_BUDGET,
     ),
     SearchMethod(
-        name="several motors: cheap first solves, the best refined",
-        tried=lambda search: of_several(search.problem) and search.problem.solver.starts == 1,
+        name="several starts: cheap first solves, the best refined",
+        tried=lambda search: of_several(search.problem) or search.problem.solver.starts > 1,
         run=from_several_starts,
         budget=Budget(share_of_time=0.7),
     ),

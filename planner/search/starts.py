@@ -1,4 +1,4 @@
-"""Methods that begin anew: the user's guess, the smooth path, the phase plane, swings, perturbed paths, several at once.
+"""Methods that begin anew: the user's guess, the smooth path, the phase plane, and swings.
 
 The motion of least time is looked for once, and shared by methods and diagnoses.
 
@@ -8,13 +8,12 @@ may pass a pose that is nearly singular: a coarse mesh steps over it onto the ot
 and within a margin they find the best motion.
 """
 
-import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, perturbed_guesses, stretched, swinging_guesses
+from linkplan.planner.closed_chain.guess import Guess, guess_from, stretched, swinging_guesses
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess
@@ -24,16 +23,13 @@ from linkplan.planner.phase_plane.legs_motion import LEGS_SCHEME, legs_motion
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recording
-from linkplan.planner.search.attempts import certified, only_feasible, plan_from, without_solving
+from linkplan.planner.search.attempts import only_feasible, plan_from, without_solving
 from linkplan.planner.search.ladder import FULL_BUDGET, SHORT_BUDGET, Budget, Search, SearchMethod, run_search
 from linkplan.planner.search.presolve import only_way
 from linkplan.planner.search.solving import (
     GRID_ERROR_FACTOR,
     GRID_ERROR_FACTOR_AT_SPEED_LIMIT,
-    first_mesh,
     longest,
-    solve_from,
-    with_longer_durations,
 )
 from linkplan.planner.search.without_solver import legs_plan
 
@@ -41,8 +37,6 @@ from linkplan.planner.search.without_solver import legs_plan
 PHASE_PLANE_LEAST_TIME = "least time from the phase plane"
 # A solution that costs less than the cheapest legs by more than this share is no motion between the nodes of its mesh.
 _FALSE_SHARE = 0.1
-# Perturbed guesses among the first starts of a multistart.
-_FIRST_PERTURBED_GUESSES = 3
 
 
 def one_start_is_worth_it(search: Search) -> bool:
@@ -113,10 +107,11 @@ def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
     if legs is not None and legs.passed:
         assert legs.objective is not None
         least = legs.objective - _FALSE_SHARE * abs(legs.objective)
-    return _first_of(search, budget, _of_the_phase_plane(search, budget), least=least)
+    return _first_of(search, budget, of_the_phase_plane(search, budget), least=least)
 
 
-def _of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
+def of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
+    """Yield the starts that the phase plane's motion leads to, with the words on each."""
     problem, quickest = search.problem, search.quickest
     assert quickest is not None  # where the phase plane applies
     cheap = _cheapest(search)
@@ -252,47 +247,6 @@ def least_time_plan(search: Search, budget: Budget) -> Plan | None:
             return along or plan_from(free, SHORT_BUDGET, "the phase plane", search.quickest, repaired=False)
 
     return search.known.once(PHASE_PLANE_LEAST_TIME, look)
-
-
-def best_of_several(search: Search, budget: Budget) -> Plan | None:
-    """Return the best plan of as many starts as the problem asks for (multistart)."""
-    problem, wanted = search.within(budget), search.problem.solver.starts
-    perturbed = perturbed_guesses(problem, search.start_pose)
-    few = itertools.islice(_every_start(search, budget), wanted)
-    # Perturbed guesses tried for each one that closes the loops.
-    more = itertools.islice(perturbed, _FIRST_PERTURBED_GUESSES, 20 * wanted)
-    closed = (start for start in itertools.chain(few, more) if closes(problem, start[1]))
-    found = []
-    for number, (what, guess) in enumerate(search.deadline.take(itertools.islice(closed, wanted)), start=1):
-        mesh, durations = first_mesh(problem, guess)
-        word = f"start {number} of {wanted}, {what}"
-        solved = solve_from(problem, guess, mesh, durations, word)
-        if solved is not None:
-            found.append((solved.solution.objective, number, solved))
-    missed = None
-    for _, number, solved in problem.solver.certificate_deadline.take(sorted(found, key=lambda item: item[:2])):
-        progress(f"refining start {number}")
-        solved, unbounded = with_longer_durations(problem, solved)
-        if unbounded is not None:
-            search.verdicts.append(Plan(problem=search.problem, status="failed", message=unbounded))
-            return None
-        plan = certified(problem, solved)
-        if plan.passed:
-            told = {"starts": wanted, "starts_solved": len(found), "best_start": number}
-            return replace(plan, details={**plan.details, **told})
-        missed = missed or plan
-    return missed
-
-
-def _every_start(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
-    """Yield starts in the order in which they are worth trying."""
-    yield from search.first_starts()
-    if no_time(search):
-        return
-    if search.quickest is not None:
-        yield from _of_the_phase_plane(search, budget)
-    yield from (("a swing", swing) for swing in swinging_guesses(search.problem, search.start_pose))
-    yield from itertools.islice(perturbed_guesses(search.problem, search.start_pose), _FIRST_PERTURBED_GUESSES)
 
 
 def may_near_singular(search: Search) -> bool:

@@ -1,11 +1,13 @@
-"""The search for fast motions of several motors: cheap first solves, the best few refined, every certified motion a bound.
+"""Multistart: cheap first solves from several starts, the best few refined, every certified motion a bound.
 
-A first solve takes tens of iterations once three things hold: its iterates keep a distance from singular poses, a small
-weight on efforts breaks the ties of joints with time to spare, and the barrier of every other one of a free duration follows
-the iterates. Several local optima exist, and no start leads to the best of them for certain. Starts are therefore tried
-until the best objective was found twice; Boender & Rinnooy Kan, Mathematical Programming 37, 1987, have such stopping rules.
+Several local optima exist, and no start leads to the best of them for certain. A problem may ask for a number of starts.
+Motions of several motors always have several: until the best objective was found twice (Boender & Rinnooy Kan, Mathematical
+Programming 37, 1987, have such stopping rules). Their first solves take tens of iterations once three things hold: iterates
+keep a distance from singular poses, a small weight on efforts breaks the ties of joints with time to spare, and the barrier
+of every other one of a free duration follows the iterates.
 """
 
+import contextlib
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -16,16 +18,18 @@ from linkplan.models.deadline import Deadline, OutOfTimeError
 from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
 from linkplan.planner.closed_chain.formulate import FIRST_TIE_WEIGHT, TIE_WEIGHT, tie_weights
-from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, perturbed_guesses, stretched
+from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, perturbed_guesses, stretched, swinging_guesses
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt, share_gained
 from linkplan.planner.refinement.history import progress
-from linkplan.planner.search.attempts import certified, objective_of, only_feasible, without_solving
+from linkplan.planner.search.attempts import certified, objective_of, of_several, only_feasible, without_solving
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, LAST_MARGIN, at_a_distance, is_sound
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.solving import first_mesh, with_longer_durations
+from linkplan.planner.search.starts import no_time, of_the_phase_plane
 from linkplan.planner.search.without_solver import slower
+from linkplan.planner.solvers.solve import OF_TIME
 
 # A first solve takes at most so many iterations.
 FIRST_ITERATIONS = 200
@@ -46,8 +50,9 @@ _STRETCH_FACTORS = (0.7, 1.5, 1.0)
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _First:
-    """A first solution, the words on its start, and its objective without the weight that breaks ties."""
+    """A first solution, its start's number and words, and its objective without the weight that breaks ties."""
 
+    number: int
     what: str
     found: Iterate
     objective: float
@@ -55,33 +60,40 @@ class _First:
 
 def from_several_starts(search: Search, budget: Budget) -> Plan | None:
     """Return the best plan that passes of several starts, else the first that was found; None without a motion."""
-    problem = search.within(budget)
-    firsts = _first_solutions(search, problem)
+    problem, wanted = search.within(budget), search.problem.solver.starts
+    tried, solved = _first_solutions(search, budget)
+    firsts = _different(solved)
     plans: list[Plan] = []
-    for first in search.deadline.take(firsts[:_MOST_REFINED]):
-        best = _best(plans)
-        if best is not None and not _cheaper(first.objective, best):
-            break
+    for first in problem.solver.certificate_deadline.take(firsts if wanted > 1 else firsts[:_MOST_REFINED]):
         progress(f"refining the motion from {first.what}")
         found, unbounded = with_longer_durations(problem, first.found)
         if unbounded is not None:
             search.verdicts.append(Plan(problem=search.problem, status="failed", message=unbounded))
             return None
-        plans.append(certified(problem, found))
-        if plans[-1].passed:
+        plan = certified(problem, found)
+        if wanted > 1:
+            told = {"starts": wanted, "starts_solved": len(solved), "best_start": first.number}
+            plan = replace(plan, details={**plan.details, **told})
+        plans.append(plan)
+        if plan.passed:
             break
-    best = _best([plan for plan in plans if is_sound(plan.certificate)])
-    if best is None and problem.motion.duration_s is None:
+    best = plans[-1] if plans and plans[-1].passed else None
+    if problem.motion.duration_s is None and (best is None or not is_sound(best.certificate)):
         known = [plan.trajectory for plan in plans if plan.trajectory is not None]
         a_little = slower(problem, [*known, *(first.found.motion for first in firsts[:1])])
         if a_little is not None:
             return a_little
-    best = best or _best(plans) or (_in_more_time(search.problem, firsts[0]) if firsts else None)
+    best = best or (_in_more_time(search.problem, firsts[0]) if firsts else None)
     if best is None:
         return plans[0] if plans else None
-    better = min(first.objective for first in firsts)
+    better = firsts[0].objective
     if not (plans and best is plans[0]) and _cheaper(better, best):
         return only_feasible(best, f"; a motion with {better:.6g} was found that does not pass its certificate")
+    if tried < wanted:
+        said = f"; {tried} of the {wanted} starts were tried in their share of the {problem.solver.max_time_s:g} s {OF_TIME}"
+        best = replace(best, message=best.message + said)
+    if not of_several(problem):
+        return best
     said = _TIES if np.any(tie_weights(problem, TIE_WEIGHT)) else ""
     return replace(best, message=best.message + said + _margin_kept(problem, best))
 
@@ -117,35 +129,42 @@ def _in_more_time(problem: Problem, first: _First) -> Plan | None:
     return None
 
 
-def _best(plans: list[Plan]) -> Plan | None:
-    """Return the plan that passes with the least objective."""
-    passed = [(plan.objective, k) for k, plan in enumerate(plans) if plan.passed and plan.objective is not None]
-    return plans[min(passed)[1]] if passed else None
+def _first_solutions(search: Search, budget: Budget) -> tuple[int, list[_First]]:
+    """Return the number of starts that were tried, and their solutions.
 
-
-def _first_solutions(search: Search, problem: Problem) -> list[_First]:
-    """Return the first solutions of different motions, the best first, until the best one was found twice."""
-    case = _first_case(problem, search.start_pose)
-    found: list[_First] = []
+    As many are tried as the problem asks for. Where it asks for none, they end once the best motion was found twice.
+    """
+    problem, wanted = search.within(budget), search.problem.solver.starts
+    case, several, most = _first_case(problem, search.start_pose), of_several(problem), max(wanted, _MOST_STARTS)
     after_first = search.deadline.within_share(_SHARE_OF_FIRST)
-    for number, (what, guess) in enumerate(search.deadline.take(itertools.islice(_starts(search, problem), _MOST_STARTS))):
-        mesh, durations = first_mesh(case.problem, guess)
-        if found and after_first.passed:
-            break
-        try:
-            if not closes(problem, guess):
-                continue
-            adaptive = number % 2 == 0 and problem.motion.duration_s is None
-            timed = _in_time(case, found, after_first)
-            one = attempt(timed, guess, mesh, durations, f"start from {what}", adaptive=adaptive)
-        except OutOfTimeError:
-            break
-        if one is not None:
-            found.append(_First(what, one, objective_of(one)))
-        best = min((first.objective for first in found), default=np.inf)
-        twice = sum(_alike(first.objective, best) for first in found) > 1
-        if len(found) >= _MOST_FOUND or (len(found) >= _FEWEST_FOUND and twice):
-            break
+    starts = itertools.islice(_starts(search, budget), 20 * most)  # along some of them the loops open
+    closed = (start for start in starts if closes(problem, start[1]))
+    number, found = 0, list[_First]()
+    with contextlib.suppress(OutOfTimeError):
+        for number, (what, guess) in enumerate(search.deadline.take(itertools.islice(closed, most)), start=1):
+            word, timed = f"start {number} of {wanted}, {what}", case
+            if wanted == 1:
+                if found and after_first.passed:
+                    break
+                word, timed = f"start from {what}", _in_time(case, found, after_first)
+            adaptive = several and number % 2 == 1 and problem.motion.duration_s is None
+            one = attempt(timed, guess, *first_mesh(timed.problem, guess), word, adaptive=adaptive)
+            if one is not None:
+                found.append(_First(number, what, one, objective_of(one)))
+            if number >= wanted > 1 or (wanted == 1 and _enough(found)):
+                break
+    return number, found
+
+
+def _enough(found: list[_First]) -> bool:
+    """True if the best of the first solutions was found twice, or if there are as many as are worth it."""
+    best = min((first.objective for first in found), default=np.inf)
+    twice = sum(_alike(first.objective, best) for first in found) > 1
+    return len(found) >= _MOST_FOUND or (len(found) >= _FEWEST_FOUND and twice)
+
+
+def _different(found: list[_First]) -> list[_First]:
+    """Return the first solutions of different motions, the best first."""
     different: list[_First] = []
     for first in sorted(found, key=lambda first: first.objective):
         if not different or not _alike(first.objective, different[-1].objective):
@@ -176,12 +195,17 @@ def _alike(one: float, other: float) -> bool:
     return abs(share_gained(one, other)) <= _ALIKE_SHARE
 
 
-def _starts(search: Search, problem: Problem) -> Iterator[tuple[str, Guess]]:
-    """Yield starts with the words on each: the user's guess, the smooth path in several durations, perturbed paths."""
-    first = list(search.first_starts())
-    yield from first[:-1]
-    words, smooth = first[-1]
-    perturbed = perturbed_guesses(problem, search.start_pose)
+def _starts(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
+    """Yield starts with the words on each, in the order in which they are worth trying."""
+    problem, perturbed = search.problem, perturbed_guesses(search.problem, search.start_pose)
+    if not of_several(problem):
+        yield from search.first_starts()
+        if not no_time(search):
+            yield from of_the_phase_plane(search, budget) if search.quickest is not None else ()
+            yield from (("a swing", swing) for swing in swinging_guesses(problem, search.start_pose))
+        yield from perturbed
+    *own, (words, smooth) = search.first_starts()
+    yield from own
     if problem.motion.duration_s is not None:
         yield words, smooth
         yield from perturbed
@@ -193,7 +217,9 @@ def _starts(search: Search, problem: Problem) -> Iterator[tuple[str, Guess]]:
 
 
 def _first_case(problem: Problem, start_pose: np.ndarray) -> MechanismCase:
-    """Return the case of first solves: at a distance from singular poses, with ties broken, on a coarse mesh."""
+    """Return the case of first solves. Of several motors they keep their distance, break ties, and have a coarse mesh."""
+    if not of_several(problem):
+        return case_of(problem)
     solver = problem.solver
     mesh = problem.mesh.replace(intervals=max(12, round(0.6 * problem.mesh.intervals)))
     compiled = "always" if solver.compile == "auto" else solver.compile

@@ -21,7 +21,7 @@ from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import recording
-from linkplan.planner.search import finer_meshes, several_motors
+from linkplan.planner.search import finer_meshes, multistart
 from linkplan.planner.search.attempts import of_several
 from linkplan.planner.search.finer_meshes import (
     FIRST_MARGIN,
@@ -32,7 +32,7 @@ from linkplan.planner.search.finer_meshes import (
 )
 from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.search.planning import plan_motion
-from linkplan.planner.search.several_motors import from_several_starts
+from linkplan.planner.search.multistart import from_several_starts
 from linkplan.planner.search.without_solver import slower
 from linkplan.planner.transcription.mesh import uniform
 from tests.bench.many_robots import write_robots
@@ -138,12 +138,12 @@ def test_a_margin_that_is_asked_for_is_kept():
 
 
 def test_a_slower_motion_bounds_a_least_time_that_does_not_pass(in_least_time, monkeypatch):
-    own = several_motors.certified
+    own = multistart.certified
 
     def failing(problem, found):
         return own(problem, found) if problem.motion.duration_s else Plan(problem=problem, status="failed", message="")
 
-    monkeypatch.setattr(several_motors, "certified", failing)
+    monkeypatch.setattr(multistart, "certified", failing)
     with recording():
         plan = from_several_starts(search_of(in_least_time), FULL_BUDGET)
     assert plan.status == "feasible"
@@ -207,7 +207,7 @@ def test_solves_that_the_time_does_not_allow_are_left_and_repairs_are_certified(
     clock = Hand()
     solver = in_least_time.solver.replace(max_time_s=60.0, deadline=Deadline(clock=clock).within(25.0))
     case = case_of(replace(in_least_time, solver=solver))
-    first = several_motors._first_case(case.problem, in_least_time.start_pose())
+    first = multistart._first_case(case.problem, in_least_time.start_pose())
     found = attempt(first, first_guess(in_least_time, in_least_time.start_pose()), uniform(24), np.array([0.2]), "first")
     taking(monkeypatch, finer_meshes, "attempt", clock, solve_s)
     taking(monkeypatch, finer_meshes, "nearest_on", clock, repair_s)
