@@ -152,13 +152,14 @@ class KnownMotions:
 class Search:
     """A search for a motion, as every method sees it.
 
-    `problem` is as it was asked, with the deadline of the search; `start_pose` (n_q,) is closed. `plans` are the
-    plans of the methods so far, in order. The phase plane's motion, the smooth path and the least factor on the effort
-    limits are computed at their first use.
+    `methods` are tried in order, `repairs` on a motion whose certificate does not pass. `problem` is as it was asked, with
+    the deadline of the search; `start_pose` (n_q,) is closed. `plans` are the plans of the methods so far, in order. The
+    phase plane's motion, the smooth path and the least factor on the effort limits are computed at their first use.
     """
 
     problem: Problem
     start_pose: np.ndarray
+    methods: Sequence[SearchMethod] = ()
     repairs: Sequence["Repair"] = ()
     plans: list[Plan] = field(default_factory=list)
     verdicts: list[Plan] = field(default_factory=list)  # answers that no further method can change
@@ -190,7 +191,7 @@ class Search:
 
     def of_another(self, problem: Problem) -> "Search":
         """Return a search for another problem's motion from the same start; it runs inside its own `recording`."""
-        return Search(problem=problem, start_pose=self.start_pose, repairs=self.repairs)
+        return Search(problem=problem, start_pose=self.start_pose, methods=self.methods, repairs=self.repairs)
 
     def within(self, budget: Budget) -> Problem:
         """Return the problem with the settings that a budget allows its solves."""
@@ -254,9 +255,9 @@ class Repair:
     always: bool = True  # or only if every repair is to be tried
 
 
-def run_search(search: Search, methods: Sequence[SearchMethod]) -> Plan | None:
-    """Return the best plan of the methods, tried in order until the search has ended; None if none found a motion."""
-    for method in methods:
+def run_search(search: Search) -> Plan | None:
+    """Return the best plan of its methods, tried in order until the search has ended; None if none found a motion."""
+    for method in search.methods:
         check()
         if search.ended:
             break

@@ -48,42 +48,6 @@ def _legs_may_help(search: Search) -> bool:
     return not search.solved and search.quickest is not None and search.quickest.duration_s <= longest(search.problem)
 
 
-_FIRST: tuple[SearchMethod, ...] = (
-    SearchMethod(
-        name="the guess given, then a smooth path",
-        tried=_is_worth_a_start,
-        run=starts.from_first_starts,
-        budget=FULL_BUDGET,
-        shares_time=_leaves_time_to_wait,
-    ),
-    SearchMethod(
-        name="the phase plane: dynamic programming, then bang efforts",
-        tried=starts.phase_plane_may_help,
-        run=starts.from_the_phase_plane,
-        budget=SHORT_BUDGET,
-    ),
-)
-_SWINGS = SearchMethod(
-    name="swings",
-    tried=lambda search: starts.one_start_is_worth_it(search) and not starts.no_time(search),
-    run=starts.from_swings,
-    budget=SHORT_BUDGET,
-    shares_time=_leaves_time_to_wait,
-)
-_LONGER = SearchMethod(
-    name="continuation in the duration",
-    tried=lambda search: (
-        not search.solved
-        and all(attempts.unsound(plan) for plan in search.plans[:1])
-        and not search.only_time_counts
-        and not of_several(search.problem)
-        and continuations.may_be_lengthened(search)
-        and not waiting.far_beyond(search)
-    ),
-    run=continuations.from_continuation,
-    budget=FULL_BUDGET,
-)
-
 SEARCH_METHODS: tuple[SearchMethod, ...] = (
     SearchMethod(
         name="the phase plane along its limits",
@@ -97,7 +61,19 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
         run=from_several_starts,
         budget=Budget(share_of_time=0.7),
     ),
-    *_FIRST,
+    SearchMethod(
+        name="the guess given, then a smooth path",
+        tried=_is_worth_a_start,
+        run=starts.from_first_starts,
+        budget=FULL_BUDGET,
+        shares_time=_leaves_time_to_wait,
+    ),
+    SearchMethod(
+        name="the phase plane: dynamic programming, then bang efforts",
+        tried=starts.phase_plane_may_help,
+        run=starts.from_the_phase_plane,
+        budget=SHORT_BUDGET,
+    ),
     SearchMethod(
         name="the cheapest legs of the phase plane, where meshes over time led to false motions",
         tried=lambda search: bool(search.plans) and _legs_may_help(search),
@@ -107,11 +83,29 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
     SearchMethod(
         name="at a distance from singular poses",
         tried=starts.may_near_singular,
-        run=lambda search, budget: starts.at_a_distance(search, budget, (*_FIRST, _SWINGS, _LONGER)),
+        run=starts.at_a_distance,
         budget=FULL_BUDGET,
     ),
-    _SWINGS,
-    _LONGER,
+    SearchMethod(
+        name="swings",
+        tried=lambda search: starts.one_start_is_worth_it(search) and not starts.no_time(search),
+        run=starts.from_swings,
+        budget=SHORT_BUDGET,
+        shares_time=_leaves_time_to_wait,
+    ),
+    SearchMethod(
+        name="continuation in the duration",
+        tried=lambda search: (
+            not search.solved
+            and all(attempts.unsound(plan) for plan in search.plans[:1])
+            and not search.only_time_counts
+            and not of_several(search.problem)
+            and continuations.may_be_lengthened(search)
+            and not waiting.far_beyond(search)
+        ),
+        run=continuations.from_continuation,
+        budget=FULL_BUDGET,
+    ),
     SearchMethod(
         name="the least time, and waiting",
         tried=lambda search: not search.solved and waiting.may_wait(search),
@@ -184,25 +178,36 @@ def plan_motion(
     return replace(plan, problem=problem)
 
 
+def search_for(
+    problem: Problem, methods: Sequence[SearchMethod] = SEARCH_METHODS, plans: list[Plan] | None = None
+) -> Search:
+    """Return the search for a problem's motion, whose plans are appended to `plans`.
+
+    Raises:
+        ProblemError: when its start contradicts the mechanism.
+    """
+    plans = [] if plans is None else plans
+    return Search(problem=problem, start_pose=problem.start_pose(), methods=methods, repairs=REPAIRS, plans=plans)
+
+
 def _planned(problem: Problem, methods: Sequence[SearchMethod], diagnoses: Sequence[Diagnosis], plans: list[Plan]) -> Plan:
     """Return the plan of a problem with a deadline; plans of the methods are appended to `plans`.
 
     Raises:
         OutOfTimeError: when the deadline passes before anything is known.
     """
-    start_pose = problem.start_pose()
     if problem.motion.kind == "track":
-        return plan_prescribed(problem, start_pose)
+        return plan_prescribed(problem, problem.start_pose())
     if problem.path is not None:
-        return plan_along_path(problem, start_pose, lambda guided: _planned(guided, methods, diagnoses, plans))
-    search = Search(problem=problem, start_pose=start_pose, repairs=REPAIRS, plans=plans)
+        return plan_along_path(problem, problem.start_pose(), lambda guided: _planned(guided, methods, diagnoses, plans))
+    search = search_for(problem, methods, plans)
     plan = reasons.contradicted(search) or reasons.too_short(search)
     if plan is None and problem.motion.kind == "hold":
         plan = plan_hold(problem)
     elif plan is None:
         plan = rest = without_solver.at_rest(search) if problem.motion.stays else None
         if rest is None or rest.status != "optimal":
-            plan = _or_simpler(search, run_search(search, methods), rest)
+            plan = _or_simpler(search, run_search(search), rest)
     if plan is not None and plan.status == "failed" and reasons.less_than_least_time in diagnoses:
         with contextlib.suppress(OutOfTimeError):
             return reasons.less_than_least_time(search) or plan

@@ -8,7 +8,7 @@ may pass a pose that is nearly singular: a coarse mesh steps over it onto the ot
 and within a margin they find the best motion.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -24,7 +24,7 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.search.attempts import only_feasible, plan_from, without_solving
-from linkplan.planner.search.ladder import FULL_BUDGET, SHORT_BUDGET, Budget, Search, SearchMethod, run_search
+from linkplan.planner.search.ladder import FULL_BUDGET, SHORT_BUDGET, Budget, Search, run_search
 from linkplan.planner.search.presolve import only_way
 from linkplan.planner.search.solving import (
     GRID_ERROR_FACTOR,
@@ -260,8 +260,8 @@ def may_near_singular(search: Search) -> bool:
     return len(problem.mechanism.dependent) > 0
 
 
-def at_a_distance(search: Search, budget: Budget, methods: Sequence[SearchMethod]) -> Plan | None:
-    """Return the best plan that keeps a margin to singular poses; None if the methods find none.
+def at_a_distance(search: Search, budget: Budget) -> Plan | None:
+    """Return the best plan that keeps a margin to singular poses; None if no method finds one.
 
     One that is optimal within the margin is "feasible" where it is next to it.
     """
@@ -273,7 +273,7 @@ def at_a_distance(search: Search, budget: Budget, methods: Sequence[SearchMethod
     # start and goal keep half of what they have.
     margin = min(0.02, 0.5 * float(singularity_ratios(problem, way).min()))
     limits = replace(problem.limits, singular_margin=margin)
-    plan = run_search(search.of_another(replace(problem, limits=limits)), methods)
+    plan = run_search(search.of_another(replace(problem, limits=limits)))
     if plan is None or not plan.passed:
         return None
     found = replace(plan, problem=search.problem)
@@ -284,22 +284,6 @@ def at_a_distance(search: Search, budget: Budget, methods: Sequence[SearchMethod
     return only_feasible(found, why)
 
 
-_FIRST = (
-    SearchMethod(name="the phase plane along its limits", tried=may_be_along_limits, run=along_limits, budget=SHORT_BUDGET),
-    SearchMethod(name="a smooth path", tried=lambda search: not search.solved, run=from_first_starts, budget=FULL_BUDGET),
-    SearchMethod(name="the phase plane", tried=phase_plane_may_help, run=from_the_phase_plane, budget=SHORT_BUDGET),
-)
-_METHODS = (
-    *_FIRST,
-    SearchMethod(
-        name="at a distance from singular poses",
-        tried=may_near_singular,
-        run=lambda search, budget: at_a_distance(search, budget, _FIRST),
-        budget=FULL_BUDGET,
-    ),
-)
-
-
 def shortest_motion(search: Search) -> Plan | None:
     """Return the certified plan of least time within a reach's limits; None where it was not found."""
     if not np.all(np.isfinite(search.problem.limits.effort)):  # no time is the least then, and none may be asked for
@@ -308,7 +292,7 @@ def shortest_motion(search: Search) -> Plan | None:
         return None
     plan = search.known.sought.get(PHASE_PLANE_LEAST_TIME)
     if plan is None or not plan.passed:
-        plan = search.known.once("least time by the ladder", lambda: _by_the_ladder(search))
+        plan = search.known.once("least time by every method", lambda: _by_every_method(search))
     return plan if plan is not None and plan.passed else None
 
 
@@ -319,9 +303,9 @@ def _in_least_time(problem: Problem) -> Problem:
     return replace(problem, objective="time", motion=motion, mesh=mesh, guess=None)
 
 
-def _by_the_ladder(search: Search) -> Plan | None:
+def _by_every_method(search: Search) -> Plan | None:
     # The share of the remaining time for the motion of least time; the search that uses it needs the rest.
     free = _in_least_time(search.within(replace(FULL_BUDGET, share_of_time=0.5)))
     progress("looking for the shortest feasible duration")
     with recording():
-        return run_search(search.of_another(free), _METHODS)
+        return run_search(search.of_another(free))

@@ -15,8 +15,8 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import continuations
 from linkplan.planner.search.continuations import MIN_SAVING, continued, from_continuation
-from linkplan.planner.search.ladder import FULL_BUDGET, KnownMotions, Search
-from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.ladder import FULL_BUDGET, KnownMotions
+from linkplan.planner.search.planning import plan_motion, search_for
 from linkplan.planner.search.starts import least_time_motion
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM, body_plan, body_problem
 from tests.support.fourbar_problems import random_case
@@ -151,7 +151,7 @@ def test_switch_times_that_move_far_are_followed_on_the_way(monkeypatch):
     given = PENDULUM.format(limit=2.0)
     motion = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 120.0 }\nduration_s = "free"\n'
     free = body_problem(given, motion)
-    quick = least_time_motion(Search(problem=free, start_pose=free.start_pose()), FULL_BUDGET)
+    quick = least_time_motion(search_for(free), FULL_BUDGET)
     step, held = continuations._step, []
 
     def noted(problem, at, allowed):
@@ -183,7 +183,7 @@ def test_where_longer_motions_are_lost_the_last_one_on_the_way_is_returned_and_s
         return step(problem, at, allowed) if allowed < 1.5 * quick.duration_s else None
 
     monkeypatch.setattr(continuations, "_step", losing)
-    search = Search(problem=problem, start_pose=problem.start_pose())
+    search = search_for(problem)
     plan = from_continuation(search, FULL_BUDGET)
     assert plan.certificate.passed
     assert plan.status == "feasible"

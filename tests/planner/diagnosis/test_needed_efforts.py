@@ -13,9 +13,8 @@ from linkplan.planner.closed_chain.guess import Guess, first_guess, guess_from
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import reasons
-from linkplan.planner.search.ladder import Search
 from linkplan.planner.search.least_limit import LeastLimit
-from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.planning import plan_motion, search_for
 from linkplan.planner.search.reasons import effort_sentence, far_too_short, path_effort, share_sentence
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import uniform
@@ -97,7 +96,7 @@ def test_rounding_is_no_effort_that_no_actuator_gives():
 def test_a_tenth_of_the_least_time_is_far_too_short(share, refused):
     least = 2 * np.sqrt(HINGE_INERTIA * TURN / 4.0)
     asked = body_problem(HINGE, QUARTER_TURN + f"duration_s = {share * least}\n")
-    found = far_too_short(Search(problem=asked, start_pose=asked.start_pose()))
+    found = far_too_short(search_for(asked))
     assert (found is not None) is refused
     if refused:
         said, numbers = found
@@ -202,10 +201,6 @@ FACTOR = 5e-3
 ACROSS = ("motion.start_deg.O=-60", "motion.goal_deg.O=70")
 
 
-def searching(problem) -> Search:
-    return Search(problem=problem, start_pose=problem.start_pose())
-
-
 @pytest.mark.parametrize(("short", "status"), [(1e-3, "infeasible"), (-1e-6, "optimal")])
 def test_a_range_that_is_left_on_the_only_way_is_named_without_solving(short, status):
     most = CRANK + ROD - short
@@ -221,7 +216,7 @@ def test_a_range_that_is_left_on_the_only_way_is_named_without_solving(short, st
 
 def test_the_least_factor_in_any_time_is_the_weight_over_the_limit():
     problem = body_problem(TOO_WEAK, LIFTED + 'duration_s = "free"\n', "objective.minimize=time")
-    plan = reasons.efforts_by_the_phase_plane(searching(problem))
+    plan = reasons.efforts_by_the_phase_plane(search_for(problem))
     assert plan.status == "infeasible"
     assert plan.details["needed_limit_factor"] == pytest.approx(MASS * G / WEAK, rel=FACTOR)
     assert "in any time: motor on joint J would have to give 19.6" in plan.message
@@ -252,16 +247,16 @@ def test_a_thousandth_too_little_time_is_infeasible_though_a_motion_with_errors_
 
 def test_efforts_that_suffice_are_not_blamed():
     problem = body_problem(LIFT, LIFTED + 'duration_s = "free"\n', "objective.minimize=time")
-    assert reasons.efforts_by_the_phase_plane(searching(problem)) is None
+    assert reasons.efforts_by_the_phase_plane(search_for(problem)) is None
 
 
 def test_a_phase_plane_that_leaves_out_a_servo_s_ctrl_does_not_contradict_the_efforts_that_are_missing():
     """Over a radian in 2.015 s: full effort alone takes 2 s, and within the range of the ctrl 2.033 s."""
     turn = f'kind = "reach"\nstart_deg = {{ J = 0.0 }}\ngoal_deg = {{ J = {np.degrees(1.0)} }}\nduration_s = 2.015\n'
     problem = body_problem(SERVO, turn, "limits.effort.s=[-1, 1]")
-    assert searching(problem).quickest.duration_s == pytest.approx(2.0, rel=1e-3)
+    assert search_for(problem).quickest.duration_s == pytest.approx(2.0, rel=1e-3)
     diagnoses = (reasons.efforts_contradicted, reasons.efforts, reasons.nothing_found)
-    plan = plan_motion(problem, methods=(), diagnoses=diagnoses)
+    plan = plan_motion(problem, diagnoses=diagnoses)
     assert plan.status == "infeasible", plan.message
     assert plan.details["shortest_duration_s"] == pytest.approx(2.0328, abs=1e-4)
 

@@ -17,8 +17,7 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import starts
-from linkplan.planner.search.ladder import Search
-from linkplan.planner.search.planning import SEARCH_METHODS, plan_motion
+from linkplan.planner.search.planning import SEARCH_METHODS, plan_motion, search_for
 from tests.support.bodies import HINGE, HINGE_INERTIA, body_problem
 from tests.support.fourbar_problems import random_case
 from tests.support.least_time import least_time
@@ -291,5 +290,5 @@ def test_a_least_time_is_that_of_the_legs():
 def test_a_limit_that_the_legs_do_not_know_forbids_them():
     for further, passes in (([], True), (["limits.effort_rate.act_O=1e6"], False)):
         problem = load_problem("knee-sprint", ["limits.power_w.act_O=100", *further])
-        search = Search(problem=problem, start_pose=problem.start_pose())
+        search = search_for(problem)
         assert (starts.along_limits(search, SEARCH_METHODS[0].budget) is not None) == passes

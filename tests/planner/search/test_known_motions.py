@@ -10,8 +10,7 @@ from scipy.optimize import brentq
 
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import reasons
-from linkplan.planner.search.ladder import Search
-from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.planning import plan_motion, search_for
 from linkplan.planner.search.starts import shortest_motion
 from tests.bench.contradictions import rotary_answer, weak_answer, weak_case
 from tests.support import fourbar_problems
@@ -175,7 +174,7 @@ def test_weight_gives_a_motion_a_best_duration(tmp_path):
 def test_without_effort_limits_there_is_no_shortest_motion():
     """It was asked for, and a least effort of servos without a forcerange was refused for its objective 'time'."""
     problem = problem_of("knee-reach", "limits.effort.act_O=[-inf, inf]")
-    search = Search(problem=problem, start_pose=problem.start_pose())
+    search = search_for(problem)
     assert shortest_motion(search) is None
 
 
@@ -234,7 +233,7 @@ def test_a_certified_least_time_refutes_a_later_one_of_the_phase_plane():
 def test_a_known_motion_within_the_time_asked_forbids_the_word_infeasible(monkeypatch, known, status):
     problem = load_problem("knee-reach")
     asked = problem.motion.duration_s
-    search = Search(problem=problem, start_pose=problem.start_pose())
+    search = search_for(problem)
 
     def named(search, _details):
         search.known.add(optimal("knee-reach", f"motion.duration_s={known * asked}").trajectory)

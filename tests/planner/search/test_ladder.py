@@ -17,7 +17,7 @@ from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import attempts, least_limit
 from linkplan.planner.search.ladder import FULL_BUDGET, Budget, Search, SearchMethod, Steps, followed, run_search
-from linkplan.planner.search.planning import DIAGNOSES, SEARCH_METHODS, plan_motion
+from linkplan.planner.search.planning import DIAGNOSES, SEARCH_METHODS, plan_motion, search_for
 from linkplan.planner.search.replan import Replanner
 from linkplan.planner.search.solving import first_mesh
 from linkplan.planner.search.starts import from_first_starts
@@ -29,10 +29,10 @@ from tests.support.ode import robbins
 TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
 
 
-def search_for(problem, seconds: float = 600.0, clock=processor_time_s) -> Search:
+def timed_search(problem, methods=SEARCH_METHODS, seconds: float = 600.0, clock=processor_time_s) -> Search:
     deadline = Deadline(clock=clock).within(seconds)
     timed = replace(problem, solver=problem.solver.replace(deadline=deadline))
-    return Search(problem=timed, start_pose=problem.start_pose())
+    return search_for(timed, methods)
 
 
 def noting(name: str, called: list[str], plan=None, **conditions) -> SearchMethod:
@@ -62,7 +62,7 @@ def test_progress_after_a_plan_that_passes_ends_in_its_objective():
 def test_rungs_are_tried_in_order_and_only_where_their_conditions_hold():
     called = []
     methods = [noting("first", called), noting("never", called, tried=lambda search: search.solved), noting("last", called)]
-    assert run_search(search_for(load_problem("knee-reach")), methods) is None
+    assert run_search(timed_search(load_problem("knee-reach"), methods)) is None
     assert called == ["first", "last"]
 
 
@@ -75,20 +75,21 @@ def test_a_verdict_ends_the_search():
         del budget
         search.verdicts.append(verdict)
 
-    plan = run_search(search_for(problem), [noting("judge", called, judge), noting("after it", called)])
+    plan = run_search(timed_search(problem, [noting("judge", called, judge), noting("after it", called)]))
     assert called == ["judge"]
     assert plan.message == verdict.message
 
 
 def test_the_time_is_that_of_the_whole_plan():
     called, now = [], [100.0]
-    search = search_for(load_problem("knee-reach"), seconds=10.0, clock=lambda: now[0])
 
     def slow(search, budget):
         del search, budget
         now[0] += 11.0
 
-    assert run_search(search, [noting("slow", called, slow), noting("after it", called)]) is None
+    methods = [noting("slow", called, slow), noting("after it", called)]
+    search = timed_search(load_problem("knee-reach"), methods, seconds=10.0, clock=lambda: now[0])
+    assert run_search(search) is None
     assert called == ["slow"]
     assert search.stopped == OUT_OF_TIME
 
@@ -109,15 +110,14 @@ def test_a_best_plan_that_the_time_cut_short_is_returned_and_says_so():
         now[0] += 11.0
         return found
 
-    plan = run_search(
-        search_for(problem, seconds=10.0, clock=lambda: now[0]), [noting("slow", [], slow), noting("after it", [])]
-    )
+    methods = [noting("slow", [], slow), noting("after it", [])]
+    plan = run_search(timed_search(problem, methods, seconds=10.0, clock=lambda: now[0]))
     assert plan.status == "optimal"
     assert plan.message.endswith("; the best found within its 600 s (solver.max_time_s)")
 
 
 def test_no_program_is_built_after_the_deadline():
-    search = search_for(load_problem("knee-reach"), seconds=-1.0)
+    search = timed_search(load_problem("knee-reach"), seconds=-1.0)
     mesh, durations = first_mesh(search.problem, search.smooth)
     late = search.within(Budget())
     with recording() as steps:
@@ -136,7 +136,7 @@ def test_a_certificate_ends_with_the_plans_time_and_says_so():
 
 @pytest.mark.parametrize(("share", "left"), [(1.0, 8.0), (0.25, 2.0)])
 def test_a_budget_shortens_the_time_and_the_iterations_of_its_solves(share, left):
-    search = search_for(load_problem("knee-reach"), seconds=8.0, clock=lambda: 50.0)
+    search = timed_search(load_problem("knee-reach"), seconds=8.0, clock=lambda: 50.0)
     within = search.within(Budget(iterations=7, share_of_time=share)).solver
     assert within.deadline.at_s == pytest.approx(50.0 + left)
     assert within.max_iterations == 7

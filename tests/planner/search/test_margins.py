@@ -16,7 +16,7 @@ from linkplan.planner.search.attempts import plan_from
 from linkplan.planner.search.continuations import nears_singular
 from linkplan.planner.search.ladder import FULL_BUDGET, Search, SearchMethod
 from linkplan.planner.search.least_limit import least_limit_of_starts
-from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.planning import plan_motion, search_for
 from linkplan.planner.search.presolve import ONLY_WAY_SLACK, only_way, sentence_beyond
 from linkplan.planner.search.starts import at_a_distance, may_near_singular
 from tests.bench.contradictions import weak_case
@@ -54,10 +54,6 @@ SERIAL_REACH = {
 }
 
 
-def search_of(problem: Problem) -> Search:
-    return Search(problem=problem, start_pose=problem.start_pose())
-
-
 @pytest.mark.long
 def test_a_swing_up_to_a_dead_centre_costs_no_more_with_more_time():
     """At 1.01 times the least time of 0.794659 s a motion of 4.2878 was known, and none cheaper at 1.03 times."""
@@ -69,19 +65,19 @@ def test_a_swing_up_to_a_dead_centre_costs_no_more_with_more_time():
 
 
 def test_a_distance_is_kept_where_loops_may_come_near_a_singular_pose_and_no_margin_is_asked_for():
-    assert may_near_singular(search_of(weak_reach(18)))
-    assert not may_near_singular(search_of(weak_reach(18, margin=1e-3)))
+    assert may_near_singular(search_for(weak_reach(18)))
+    assert not may_near_singular(search_for(weak_reach(18, margin=1e-3)))
     # A crank that turns fully, and may pass a nearly singular pose; a motion in 0.1 s is too short for it.
-    assert may_near_singular(search_of(weak_reach(0, duration_s=2.0)))
-    assert not may_near_singular(search_of(weak_reach(0, duration_s=0.1)))
+    assert may_near_singular(search_for(weak_reach(0, duration_s=2.0)))
+    assert not may_near_singular(search_for(weak_reach(0, duration_s=0.1)))
     without_loops = Problem.from_tables("serial", SERIAL_REACH)
-    assert search_of(without_loops).quickest is not None
-    assert not may_near_singular(search_of(without_loops))
+    assert search_for(without_loops).quickest is not None
+    assert not may_near_singular(search_for(without_loops))
 
 
 def test_motions_that_miss_do_not_keep_a_search_from_a_distance():
     """Both motions from the phase plane had left the branch. The method was not tried; the plan cost 21.6, not 5.43."""
-    search = search_of(weak_reach(18))
+    search = search_for(weak_reach(18))
     missed = Plan(problem=search.problem, status="failed", message="left its branch")
     search.plans.extend([missed, missed])
     assert not search.starts_are_worth_it
@@ -95,11 +91,11 @@ def test_the_margin_is_kept_by_every_pose_between_start_and_goal():
         seen.append(search.problem.limits.singular_margin)
 
     methods = (SearchMethod(name="noted", run=noted, budget=FULL_BUDGET),)
-    far = search_of(weak_reach(18))
-    assert at_a_distance(far, FULL_BUDGET, methods) is None
+    far = search_for(weak_reach(18), methods)
+    assert at_a_distance(far, FULL_BUDGET) is None
     # The dead centre is at 2.99806 rad.
     motion = replace(far.problem.motion, goal=np.array([2.998]))
-    assert at_a_distance(search_of(replace(far.problem, motion=motion)), FULL_BUDGET, methods) is None
+    assert at_a_distance(search_for(replace(far.problem, motion=motion), methods), FULL_BUDGET) is None
     assert seen[0] == 0.02
     assert 0.0 < seen[1] < 0.02
 
@@ -107,7 +103,7 @@ def test_the_margin_is_kept_by_every_pose_between_start_and_goal():
 @pytest.mark.slow
 def test_a_first_motion_that_leaves_the_reach_between_its_nodes_is_no_second_start():
     problem = weak_reach(40, "free", "time", margin=0.02)
-    search = search_of(problem)
+    search = search_for(problem)
     least = least_limit_of_starts(problem, search.smooth)
     assert least is None or least.factor > 0.0
 
@@ -121,11 +117,6 @@ THROUGH_THE_MESH = 474
 
 def clear_problem(number: int) -> Problem:
     return Problem.from_tables("next to a singular pose", random_case(SEED, number).tables)
-
-
-def search_for(problem: Problem) -> Search:
-    begun = replace(problem, solver=problem.solver.begun())
-    return Search(problem=begun, start_pose=problem.start_pose())
 
 
 def test_a_straight_motion_in_the_open_nears_no_singular_pose():

@@ -30,9 +30,9 @@ from linkplan.planner.search.finer_meshes import (
     effort_jumps,
     gain_at_margin,
 )
-from linkplan.planner.search.ladder import FULL_BUDGET, Search
-from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.ladder import FULL_BUDGET
 from linkplan.planner.search.multistart import from_several_starts
+from linkplan.planner.search.planning import plan_motion, search_for
 from linkplan.planner.search.without_solver import slower
 from linkplan.planner.transcription.mesh import uniform
 from tests.bench.many_robots import write_robots
@@ -58,11 +58,6 @@ def in_least_time():
 @pytest.fixture(scope="module")
 def quickest(in_least_time):
     return plan_motion(in_least_time)
-
-
-def search_of(problem):
-    begun = replace(problem, solver=problem.solver.begun())
-    return Search(problem=begun, start_pose=problem.start_pose())
 
 
 def test_the_least_time_is_the_best_known_one_and_a_proof_accepts_its_efforts(quickest):
@@ -145,7 +140,7 @@ def test_a_slower_motion_bounds_a_least_time_that_does_not_pass(in_least_time, m
 
     monkeypatch.setattr(multistart, "certified", failing)
     with recording():
-        plan = from_several_starts(search_of(in_least_time), FULL_BUDGET)
+        plan = from_several_starts(search_for(in_least_time), FULL_BUDGET)
     assert plan.status == "feasible"
     assert plan.passed
     assert plan.objective == pytest.approx(1.05 * LEAST_TIME_S, rel=2e-3)

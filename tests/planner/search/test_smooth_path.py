@@ -9,8 +9,8 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem, load_problem
-from linkplan.planner.search.ladder import SHORT_BUDGET, Search, SearchMethod
-from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.ladder import SHORT_BUDGET, SearchMethod
+from linkplan.planner.search.planning import plan_motion, search_for
 from linkplan.planner.search.reasons import nothing_found
 from linkplan.planner.search.solving import INTERVALS_PER_SWING, first_mesh, graded_mesh
 from linkplan.planner.search.without_solver import _is_carried
@@ -78,7 +78,7 @@ def test_with_a_free_duration_it_takes_as_long_as_limits_on_power_ask_for(power_
     plan = unsolved(problem)
     assert plan.status == ("failed" if factor is None else "feasible")
     if factor is not None:
-        least_s = Search(problem=problem, start_pose=problem.start_pose()).smooth.duration_s
+        least_s = search_for(problem).smooth.duration_s
         assert plan.trajectory.duration_s == pytest.approx(factor * least_s)
 
 
@@ -96,7 +96,7 @@ def test_it_is_no_answer_if_a_joint_has_no_drive():
 def test_a_path_is_carried_where_the_actuators_give_every_effort_that_it_needs(name, carried):
     """A pole without a motor does not follow the smooth path, though the cart does."""
     problem = load_problem(name, [STRONG] if name == "five-bar-reach" else [])
-    search = Search(problem=problem, start_pose=problem.start_pose())
+    search = search_for(problem)
     assert _is_carried(problem, search.smooth) is carried
 
 

@@ -13,7 +13,7 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import waiting, without_solver
 from linkplan.planner.search.ladder import FULL_BUDGET, Search
-from linkplan.planner.search.planning import REPAIRS, plan_motion
+from linkplan.planner.search.planning import plan_motion, search_for
 from tests.support.bodies import PENDULUM, body_problem
 from tests.support.motions import motion_along
 
@@ -27,7 +27,7 @@ QUADRATURE = 1e-7
 @pytest.fixture(scope="module")
 def search() -> Search:
     problem = load_problem("five-bar-reach", [f"motion.duration_s={DURATION_S}", "objective.minimize=effort"])
-    return Search(problem=problem, start_pose=problem.start_pose(), repairs=REPAIRS)
+    return search_for(problem)
 
 
 @pytest.fixture(scope="module")
@@ -81,7 +81,7 @@ def test_a_pose_is_held_only_by_an_effort_within_its_limit(share, can_wait):
     limit = share * 9.81 * 0.5 * np.sin(np.radians(30.0))
     motion = 'kind = "reach"\nstart_deg = { J = 30.0 }\ngoal_deg = { J = 60.0 }\nduration_s = 4.0\n'
     problem = body_problem(PENDULUM.format(limit=repr(float(limit))), motion)
-    assert waiting.may_wait(Search(problem=problem, start_pose=problem.start_pose())) is can_wait
+    assert waiting.may_wait(search_for(problem)) is can_wait
 
 
 CART = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0"/>
@@ -98,7 +98,7 @@ def cart(minimize: str, duration: float | str) -> Problem:
 def test_of_the_known_motions_the_one_that_costs_least_with_its_rest_is_taken():
     quick, slow = plan_motion(cart("time", "free")), plan_motion(cart("effort", 1.5))
     asked = cart("effort", 2.5)
-    search = Search(problem=asked, start_pose=asked.start_pose())
+    search = search_for(asked)
     for plan in (quick, slow):
         search.known.add(plan.trajectory)
     joined = waiting.from_waiting(search, FULL_BUDGET)
@@ -114,7 +114,7 @@ def test_the_way_to_a_rest_beside_the_quickest_motion_is_gone_only_if_there_is_t
     least = 2.0 * np.sqrt(1.0 / 3.0)
     quick = plan_motion(cart("time", "free"))
     asked = cart("effort", factor * quick.trajectory.duration_s)
-    plan = waiting.from_waiting(Search(problem=asked, start_pose=asked.start_pose()), FULL_BUDGET)
+    plan = waiting.from_waiting(search_for(asked), FULL_BUDGET)
     assert quick.trajectory.duration_s == pytest.approx(least, rel=1e-6)
     if factor == 1.0:
         assert plan is None
