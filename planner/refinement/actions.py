@@ -11,7 +11,7 @@ from linkplan.planner.limits.limit import WhichJoints
 from linkplan.planner.refinement.case import Case, Iterate, attempt, certify_iterate, with_scheme
 from linkplan.planner.refinement.constrained_arcs import FixedArcs, interval_breaks, released
 from linkplan.planner.refinement.history import add_step, progress, step_of
-from linkplan.planner.refinement.marking import most_overrun, widths_of
+from linkplan.planner.refinement.marking import most_overrun
 from linkplan.planner.refinement.state import RefinementState, observed
 from linkplan.planner.refinement.switches import mesh_with_switches, settle_switch_times
 from linkplan.planner.solvers.newton import nearest_feasible
@@ -182,7 +182,6 @@ def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate
     """
     coarse, case, target = state.iterate.found, state.case, state.target
     mesh, start = halved(coarse.mesh, marked), case.start_from(coarse.motion)
-    durations = np.bincount(mesh.segment, weights=widths_of(coarse.motion, marked))
 
     def alike(finer: Iterate) -> bool:
         # Objectives on two meshes that are no further apart than a millionth belong to the same motion.
@@ -195,7 +194,7 @@ def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate
     found: list[Iterate] = []
     for word, warm, close in reversed(ways) if target.bang_bang or target.enclosed else ways:
         finer = attempt(
-            case, start, mesh, durations, what + word,
+            case, start, mesh, coarse.durations, what + word,
             position_rows=state.position_rows, fixed=coarse.fixed, warm=warm, close=close,
         )  # fmt: skip
         if finer is not None:

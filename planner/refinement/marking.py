@@ -201,10 +201,3 @@ def raised(mesh: MeshSettings) -> str | None:
 def degree_of(scheme_name: str) -> int:
     """Return the degree in the name of a scheme."""
     return int(scheme_name.rpartition("-")[2])
-
-
-def widths_of(motion: PiecewiseMotion, marked: np.ndarray) -> np.ndarray:
-    """Return the intervals' widths [s] once those marked (n,) are halved."""
-    widths = np.diff(motion.breaks_s)
-    pieces = np.where(marked, 2, 1)
-    return np.repeat(widths / pieces, pieces)

@@ -8,12 +8,13 @@ import numpy as np
 from linkplan.planner.refinement.case import (
     Case,
     CertifiedIterate,
+    Iterate,
     RefinementTarget,
     error_of,
 )
 from linkplan.planner.refinement.constrained_arcs import arcs_against_their_limits, limits_bind, off_limit_intervals
 from linkplan.planner.refinement.switches import at_bounds
-from linkplan.planner.solvers.solve import SOLVER_TOLERANCE, SUCCEEDED, Solution
+from linkplan.planner.solvers.solve import SOLVER_TOLERANCE, SUCCEEDED
 
 # The motion of a coarser mesh is kept if it is better than that of a finer one by more than this share, which is above the
 # error of the mesh. The second share holds if the coarser motion is less exact.
@@ -26,17 +27,15 @@ REPORTED_CHANGE = 1e-4
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Refined:
-    """A motion with its solution and certificate, which may not pass.
+class Refined(Iterate):
+    """An iterate with its certificate, which may not pass.
 
     `settled` is True if the objective keeps still from mesh to mesh, where that is required. `moved` is its relative change
     between the last two meshes on which the motion passed, 0 if there is only one. `objective_error` is the objective's
     relative error as those meshes show it, infinite if there is only one.
     """
 
-    motion: Any  # of the case's own type, as the certificate
-    solution: Solution
-    certificate: Any
+    certificate: Any  # of the case's own type
     settled: bool
     moved: float = 0.0
     objective_error: float = np.inf

@@ -210,23 +210,19 @@ def enclosed(problem: Problem, found: Iterate) -> Plan | None:
     return plan if plan.passed else None
 
 
-def objective_of(at: Iterate | Refined) -> float:
+def objective_of(at: Iterate) -> float:
     """Return the objective of a motion without the weights on its effort rate and on ties."""
     return own_objective(at.solution.transcribed, at.solution.objective, at.motion)
 
 
 def _smoothed(
-    case: MechanismCase, at: Iterate | Refined, smoothing: float, *, finer: bool = False
+    case: MechanismCase, at: Iterate, smoothing: float, *, finer: bool = False
 ) -> tuple[MechanismCase, Iterate] | None:
     """Solve with a weight on the effort rate, on intervals that are all halved if `finer`; None if no motion is found."""
-    transcribed = at.solution.transcribed
-    mesh = transcribed.program.mesh
-    durations = np.bincount(mesh.segment, np.diff(at.motion.breaks_s))
-    if finer:
-        mesh = halved(mesh, np.ones(mesh.n_intervals, dtype=bool))
-    now = replace(with_scheme(case, transcribed.scheme.name), smoothing=smoothing)
+    mesh = halved(at.mesh, np.full(at.mesh.n_intervals, finer))
+    now = replace(with_scheme(case, at.solution.transcribed.scheme.name), smoothing=smoothing)
     what = f"smoothing of efforts {smoothing / SMOOTHING_WEIGHT:.3g} of the first" + (", finer mesh" if finer else "")
-    found = attempt(now, now.start_from(at.motion), mesh, durations, what, warm=True)
+    found = attempt(now, now.start_from(at.motion), mesh, at.durations, what, warm=True)
     return None if found is None else (now, found)
 
 
@@ -253,7 +249,7 @@ def _unsmoothed(case: MechanismCase, first: Iterate, warm: bool) -> tuple[Refine
             break
     if at is None or not at.certificate.passed or of_several(case.asked):  # its meshes are fine enough
         return at, None
-    while 2 * at.solution.transcribed.program.mesh.n_intervals <= _MAX_INTERVALS and objective_of(at) > nothing:
+    while 2 * at.mesh.n_intervals <= _MAX_INTERVALS and objective_of(at) > nothing:
         solved = _smoothed(case, at, case.smoothing, finer=True)
         finer = None if solved is None else refine(*solved, warm=True)
         if finer is None or not finer.certificate.passed or objective_of(finer) > objective_of(at):

@@ -179,16 +179,13 @@ def _step(problem: Problem, at: Continued, allowed: float) -> Continued | None:
     better = None if found is None else refine(case, found, warm=True)
     if better is None or not better.certificate.passed:
         return None
-    transcribed = better.solution.transcribed
-    mesh = transcribed.program.mesh
-    durations = np.bincount(mesh.segment, weights=np.diff(better.motion.breaks_s))
     return Continued(
         start=guess_from(better.motion),
-        mesh=mesh,
-        shares=durations / durations.sum(),
-        scheme=transcribed.scheme.name,
+        mesh=better.mesh,
+        shares=better.durations / better.durations.sum(),
+        scheme=better.solution.transcribed.scheme.name,
         longest_s=allowed,
         objective=better.solution.objective,
         motion=better.motion,
-        held=not fixed and mesh.n_segments > 1 and at_bounds(better.solution),
+        held=not fixed and better.mesh.n_segments > 1 and at_bounds(better.solution),
     )

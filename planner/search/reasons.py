@@ -323,8 +323,7 @@ def _without(search: Search, kind: type[Limit]) -> Plan | None:
     motion = found.motion
     if kind in relaxed_kinds(problem) and violation(kind, problem, motion) is not None:
         progress(f"looking for the least limit on {kind.key} that admits a motion")
-        durations = np.bincount(mesh.segment, np.diff(motion.breaks_s))
-        motion = least_of(problem, kind, motion, mesh, durations)
+        motion = least_of(problem, kind, motion, mesh, found.durations)
     sentence = violation(kind, problem, motion)
     return None if sentence is None else _infeasible(search, f"infeasible: {sentence}", {})
 
