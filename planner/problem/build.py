@@ -110,8 +110,6 @@ def problem_arguments(
         "motors": motors_of(asked.motors, mechanism),
         "reference": reference,
         "guess": guess_of(asked.guess, mechanism, place),
-        "contacts": asked.limits.contacts,
-        "unhonoured": asked.limits.unhonoured,
         "mesh": MeshSettings(**_mesh(tables.get("mesh", {}), objective, rated="effort_rate" in tables.get("limits", {}))),
         "solver": SolverSettings(**tables.get("solver", {})),
         "tracking": _tracking(tables.get("tracking", {}), mechanism),

@@ -8,7 +8,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.external_forces import ForcesOverTime
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.dynamics import site_index
-from linkplan.planner.problem.keys.motion_and_limits import ForceSection
+from linkplan.planner.problem.keys.motion import ForceSection
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.reference import is_whole
 from linkplan.planner.problem.sites import AXES

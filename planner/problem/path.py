@@ -13,7 +13,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.tree.dynamics import site_index
-from linkplan.planner.problem.keys.motion_and_limits import PathSection
+from linkplan.planner.problem.keys.motion import PathSection
 from linkplan.planner.problem.sites import AXES, BodyLimit, SiteLimit, SitePoint, pose_at, shown
 
 # A motion follows its path if its site is never further from it than this share of the mechanism's extent.

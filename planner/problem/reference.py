@@ -13,7 +13,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.columns import read_trajectory
 from linkplan.planner.files.tables import resolve_path
-from linkplan.planner.problem.keys.motion_and_limits import ReferenceSection
+from linkplan.planner.problem.keys.motion import ReferenceSection
 from linkplan.planner.problem.keys.sections import GuessSection
 from linkplan.planner.problem.settings import frozen, joint_values
 from linkplan.planner.problem.table_reference import Spline, spline_of

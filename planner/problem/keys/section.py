@@ -6,6 +6,7 @@ A key of hinges in degrees (`by_joint`) declares its twin of slides in metres, r
 """
 
 import functools
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Self
 
@@ -89,3 +90,11 @@ class Section(Struct, metaclass=_Declared, frozen=True, forbid_unknown_fields=Tr
     def replace(self, **changes: object) -> Self:
         """Return the section with new values, checked as its first ones."""
         return structs.replace(self, **changes)
+
+
+def section_of(name: str, doc: str, module: str, keys: Mapping[str, tuple[Any, _Key]]) -> type[Section]:
+    """Return a section of keys that are declared elsewhere, each with the kind of its values and its description."""
+    namespace: dict[str, Any] = {"__doc__": doc, "__module__": module}
+    namespace["__annotations__"] = {one: kind for one, (kind, _) in keys.items()}
+    made: Any = _Declared  # the type checker expects a metaclass to return an instance of its caller's
+    return made(name, (Section,), namespace | {one: said for one, (_, said) in keys.items()}, frozen=True)
