@@ -47,12 +47,17 @@ FURTHER_CLAIMS = (further_control_claims,)
 
 def limits_of(problem: Problem, *, enclosed: bool = False, position_rows: WhichJoints = False) -> tuple[Limit, ...]:
     """Return a problem's limits; the arguments are those of `Limit.of`."""
-    asked = [kind for kind in KINDS if _limits_something(getattr(problem.limits, kind.key, True))]
+    asked = [kind for kind in KINDS if _limits_something(_part_of(problem, kind.key))]
     return tuple(limit for kind in asked for limit in kind.of(problem, enclosed=enclosed, position_rows=position_rows))
 
 
+def _part_of(problem: Problem, key: str) -> Any:
+    """Return the field of this name of a problem's limits, or of the problem; True if its kind has to look for it."""
+    return getattr(problem.limits, key, getattr(problem, key, True))
+
+
 def _limits_something(field: Any) -> bool:
-    """True if a field of `Limits` has an entry that is not infinite; a kind without a field of its key asks the problem."""
+    """True if a field has an entry that is not infinite."""
     return bool(np.isfinite(field).any()) if isinstance(field, np.ndarray) else bool(field)
 
 

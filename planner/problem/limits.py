@@ -127,8 +127,8 @@ def _of_sites(section: Any, key: str, mechanism: Mechanism) -> dict[str, float]:
 _MADE: dict[str, Callable[[Any, str, Mechanism], Any]] = {
     "effort": _efforts,
     "position": _ranges,
-    "site": lambda section, key, mechanism: site_limits_of(getattr(section, key), mechanism),
-    "body": lambda section, key, mechanism: body_limits_of(getattr(section, key), mechanism),
+    "site": lambda section, _, mechanism: site_limits_of(section.site, mechanism) if section.site else (),
+    "body": lambda section, _, mechanism: body_limits_of(section.body_deg, mechanism) if section.body_deg else (),
 }
 _MADE_BY: dict[str, Callable[[Any, str, Mechanism], Any]] = {
     "actuator": _of_actuators,

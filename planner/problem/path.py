@@ -78,14 +78,12 @@ def _guided(path: SitePath, mechanism: Mechanism, pose: tuple[float, ...]) -> Gu
         raise ProblemError(str(error)) from error
 
 
-def site_path_of(section: PathSection | None, mechanism: Mechanism) -> SitePath | None:
+def site_path_of(section: PathSection, mechanism: Mechanism) -> SitePath:
     """Return the path of a [path] table.
 
     Raises:
         ProblemError: for points that have no such curve.
     """
-    if section is None:
-        return None
     if not section.points:
         raise ProblemError("[path] needs path.points, [x, y, z] in metres each, or path.file")
     if section.blend_m is not None and section.shape != "polyline":

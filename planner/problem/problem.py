@@ -19,13 +19,12 @@ from linkplan.planner.problem.extra import Extra, ExtraCost, ExtraLimit, checked
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.keys.limits import Motor
 from linkplan.planner.problem.limits import Limits
-from linkplan.planner.problem.motion import Motion
+from linkplan.planner.problem.motion import Motion, start_pose
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.path import SitePath, check_path
 from linkplan.planner.problem.reference import GuessedPath, Reference
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.problem.sites import BodyAngle, SitePoint
-from linkplan.planner.problem.start import start_pose
 from linkplan.planner.trajectory import Trajectory
 
 
@@ -317,7 +316,8 @@ class Problem:
         others |= {"minimize 'jerk'": self.objective.has("jerk")}
         bent = self.path is not None and len(self.path.curve.corners) > 0
         others |= {"limit or cost on jerk along rounded corners or a spline, but along a line or an arc": bent and any(jerk)}
-        check_path(self.path, self.motion.kind, others)
+        if self.path is not None or self.motion.kind == "follow":
+            check_path(self.path, self.motion.kind, others)
         consistency.check_objective(self.objective, self.motion, self.mechanism, self.limits, lacking)
         if len(self.limits.closure_force) == 0:
             limits = replace(self.limits, closure_force=np.full(len(self.mechanism.closure_names), np.inf))

@@ -1,6 +1,6 @@
 """The limits of a problem, each declared once with its key; the sections [limits], [motors] and [robust] of a file.
 
-    speed: Annotated[Rows, LimitKey("speed_deg_s", "joint", kinds.Speeds, "hinges' speeds", "deg/s")]
+    speed: Annotated[Rows, KeyOf("speed_deg_s", "joint", kinds.Speeds, "hinges' speeds", "deg/s")]
 
 declares the field `speed` of `Limits`, rows [low, high] of all joints in SI, and the keys speed_deg_s and speed_m_s.
 """
@@ -8,14 +8,14 @@ declares the field `speed` of `Limits`, rows [low, high] of all joints in SI, an
 import functools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Annotated, Any, Self
 
 import msgspec
 from msgspec import Meta
 
 from linkplan.planner.problem.keys import kinds
-from linkplan.planner.problem.keys.section import Section, by_name, key, required, section_of
+from linkplan.planner.problem.keys.section import KeyOf, Section, by_name, key, keys_of, required, section_of
 
 if TYPE_CHECKING:
     import numpy as np
@@ -60,27 +60,6 @@ SiteLimitTable = Annotated[dict[str, Any], _SITE_LIMIT]
 _SITES = Meta(extra={"of": "site = limits", "noun": "site"})
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class LimitKey:
-    """The key in [limits] of a field of `Limits`.
-
-    Args:
-        name: of the key; of a limit on joints that of hinges, which declares that of slides, too.
-        by: what the key's table has values for: actuator, joint, closure, site, body; "" for a key with one value.
-        kind: of its value in a file.
-        meaning: a phrase.
-        unit: of its values.
-        otherwise: a phrase for an empty table.
-    """
-
-    name: str
-    by: str
-    kind: Any
-    meaning: str
-    unit: str = ""
-    otherwise: str = "none"
-
-
 _Shapes = Annotated[dict[str, SiteLimitTable | list[SiteLimitTable]], _SITES]
 _OWN, _ALL, _ENDS = "the model's own", "dependent joints too", "a number for both ways, or [low, high]"
 _NO_JUMPS = "accelerations then have no jumps, not even from rest"
@@ -90,29 +69,29 @@ _NO_JUMPS = "accelerations then have no jumps, not even from rest"
 class LimitValues:
     """The fields of `Limits`, in the order of their keys in [limits]; rows that are None become rows without limits."""
 
-    effort: Annotated[Rows, LimitKey("effort", "actuator", kinds.Efforts, "[low, high] by actuator", "N.m, N", _OWN)]
+    effort: Annotated[Rows, KeyOf("effort", "actuator", kinds.Efforts, "[low, high] by actuator", "N.m, N", _OWN)]
     position: Annotated[
-        Rows, LimitKey("range_deg", "joint", kinds.Ranges, f"hinges' ranges, {_ALL}, within the model's own", "deg", _OWN)
+        Rows, KeyOf("range_deg", "joint", kinds.Ranges, f"hinges' ranges, {_ALL}, within the model's own", "deg", _OWN)
     ]
-    speed: Annotated[Rows, LimitKey("speed_deg_s", "joint", kinds.Speeds, f"hinges' speeds, {_ALL}: {_ENDS}", "deg/s")] = (
+    speed: Annotated[Rows, KeyOf("speed_deg_s", "joint", kinds.Speeds, f"hinges' speeds, {_ALL}: {_ENDS}", "deg/s")] = (
         UNLIMITED
     )
     acceleration: Annotated[
-        Rows, LimitKey("acceleration_deg_s2", "joint", kinds.Speeds, f"hinges' accelerations, {_ALL}: {_ENDS}", "deg/s2")
+        Rows, KeyOf("acceleration_deg_s2", "joint", kinds.Speeds, f"hinges' accelerations, {_ALL}: {_ENDS}", "deg/s2")
     ] = UNLIMITED
-    jerk: Annotated[Rows, LimitKey("jerk_deg_s3", "joint", kinds.Speeds, f"hinges' jerk, {_ALL}; {_NO_JUMPS}", "deg/s3")] = (
+    jerk: Annotated[Rows, KeyOf("jerk_deg_s3", "joint", kinds.Speeds, f"hinges' jerk, {_ALL}; {_NO_JUMPS}", "deg/s3")] = (
         UNLIMITED
     )
     site_acceleration: Annotated[
         ByName,
-        LimitKey("site_acceleration_m_s2", "site", kinds.SiteAccelerations, "the largest acceleration of a site", "m/s2"),
+        KeyOf("site_acceleration_m_s2", "site", kinds.SiteAccelerations, "the largest acceleration of a site", "m/s2"),
     ] = UNLIMITED
     site_jerk: Annotated[
-        ByName, LimitKey("site_jerk_m_s3", "site", kinds.SiteJerks, f"the largest jerk of a site; {_NO_JUMPS}", "m/s3")
+        ByName, KeyOf("site_jerk_m_s3", "site", kinds.SiteJerks, f"the largest jerk of a site; {_NO_JUMPS}", "m/s3")
     ] = UNLIMITED
     effort_rate: Annotated[
         Rows,
-        LimitKey(
+        KeyOf(
             "effort_rate",
             "actuator",
             kinds.ActuatorLimits,
@@ -122,25 +101,25 @@ class LimitValues:
     ] = UNLIMITED
     power: Annotated[
         Rows,
-        LimitKey("power_w", "actuator", kinds.ActuatorLimits, "mechanical power by actuator: a number, or [low, high]", "W"),
+        KeyOf("power_w", "actuator", kinds.ActuatorLimits, "mechanical power by actuator: a number, or [low, high]", "W"),
     ] = UNLIMITED
     closure_force: Annotated[
-        Rows, LimitKey("closure_force", "closure", kinds.ClosureLimits, "the largest force on a closure's pin", "N")
+        Rows, KeyOf("closure_force", "closure", kinds.ClosureLimits, "the largest force on a closure's pin", "N")
     ] = UNLIMITED
     reserve: Annotated[
-        float, LimitKey("reserve", "", kinds.Margin, "the share of every effort limit that a plan leaves to feedback")
+        float, KeyOf("reserve", "", kinds.Margin, "the share of every effort limit that a plan leaves to feedback")
     ] = 0.0
     singular_margin: Annotated[
         float,
-        LimitKey("singular_margin", "", kinds.Margin, "the least |det J_z| along the motion, relative to its value at home"),
+        KeyOf("singular_margin", "", kinds.Margin, "the least |det J_z| along the motion, relative to its value at home"),
     ] = 0.0
     site: Annotated[
         tuple[Any, ...],
-        LimitKey("site", "site", _Shapes, "boxes, walls and tubes that sites stay within, one or a list of them", "m"),
+        KeyOf("site", "site", _Shapes, "boxes, walls and tubes that sites stay within, one or a list of them", "m"),
     ] = ()
     body: Annotated[
         tuple[Any, ...],
-        LimitKey(
+        KeyOf(
             "body_deg",
             "body",
             kinds.BodyRanges,
@@ -150,7 +129,7 @@ class LimitValues:
     ] = ()
     contacts: Annotated[
         str,
-        LimitKey(
+        KeyOf(
             "contacts",
             "",
             kinds.Contacts,
@@ -159,7 +138,7 @@ class LimitValues:
     ] = "refuse"
     unhonoured: Annotated[
         str,
-        LimitKey(
+        KeyOf(
             "unhonoured",
             "",
             kinds.Contacts,
@@ -169,22 +148,11 @@ class LimitValues:
 
 
 # The keys in [limits] by the names of the fields.
-LIMIT_KEYS: Mapping[str, LimitKey] = {one.name: one.type.__metadata__[0] for one in fields(LimitValues)}
-
-
-def _section() -> type[Section]:
-    keys = {}
-    for one, said in zip(fields(LimitValues), LIMIT_KEYS.values(), strict=True):
-        otherwise, default = (said.otherwise, {}) if said.by else ("", one.default)
-        twin = () if said.by == "joint" else None
-        keys[said.name] = said.kind, key(said.meaning, said.unit, otherwise, default, twin)
-    return section_of("LimitsSection", "Limits at every instant.", __name__, keys)
-
-
+LIMIT_KEYS: Mapping[str, KeyOf] = keys_of(LimitValues)
 if TYPE_CHECKING:
     LimitsSection = Section
 else:
-    LimitsSection = _section()
+    LimitsSection = section_of(LimitValues, "LimitsSection", "Limits at every instant.")
 
 
 class Motor(Section, frozen=True):

@@ -9,8 +9,8 @@ import pytest
 from msgspec import structs
 from scipy.optimize import brentq
 
-from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import CertificateError, ProblemError
+from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import Contact, meetings

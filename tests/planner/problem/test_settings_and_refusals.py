@@ -13,10 +13,10 @@ from linkplan.planner.problem import start
 from linkplan.planner.problem.extra import ExtraCost, checked_extras
 from linkplan.planner.problem.imperfections import spread_of
 from linkplan.planner.problem.instant import Corner, Robust, Scales, corner_efforts_along, free_instant
+from linkplan.planner.problem.motion import _way_through
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.reference import Sine, is_whole
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
-from linkplan.planner.problem.start import _way_through
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, body_problem
 
 SECOND = QUARTER_TURN + "duration_s = 1.0\n"
