@@ -14,6 +14,9 @@ from linkplan.planner.problem.keys.section import Section
 from linkplan.planner.problem.settings import frozen, interval, joint_values
 from linkplan.planner.problem.sites import BodyLimit, SiteLimit, body_limits_of, site_limits_of
 
+# The fields of `Limits` with one row for each joint.
+OF_JOINTS = tuple(name for name, key in LIMIT_KEYS.items() if key.by == "joint")
+
 
 def free_bounds(n: int) -> np.ndarray:
     """Return infinite [low, high] rows (n, 2)."""

@@ -19,8 +19,7 @@ from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.closed_chain.prescribed import motion_along
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.plan.plan import Plan
-from linkplan.planner.problem.keys.limits import LIMIT_KEYS
-from linkplan.planner.problem.limits import free_bounds
+from linkplan.planner.problem.limits import OF_JOINTS, free_bounds
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -51,7 +50,7 @@ def plan_along_path(problem: Problem, start_pose: np.ndarray, plan_of: Callable[
 def _guided_problem(problem: Problem, mechanism: GuidedMechanism) -> Problem:
     """Return the problem of the guided mechanism: from rest at the path's begin to rest at its end."""
     limits, ends = problem.limits, np.array([[0.0, mechanism.curve.length]])
-    rows = {name: free_bounds(1) for name, key in LIMIT_KEYS.items() if key.by == "joint"} | {"position": ends}
+    rows = dict.fromkeys(OF_JOINTS, free_bounds(1)) | {"position": ends}
     longer = {name: np.vstack([getattr(limits, name), row]) for name, row in rows.items()}
     forces = np.append(limits.closure_force, np.inf)
     motion = replace(
