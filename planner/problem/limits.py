@@ -102,8 +102,12 @@ def _of_actuators(section: Any, key: str, mechanism: Mechanism) -> np.ndarray:
 
 
 def _of_joints(section: Any, key: str, mechanism: Mechanism) -> np.ndarray:
-    """Return [low, high] (n_q, 2), in SI, of a limit on joints' rates, accelerations or jerk."""
+    """Return [low, high] (n_q, 2), in SI, of a limit by joint, whose key is in SI or in degrees on hinges."""
     rows = free_bounds(mechanism.n_q)
+    if "_deg" not in key:
+        for name, value in getattr(section, key).items():
+            rows[mechanism.joint_index(name, ProblemError)] = _including_rest(value, f"limits.{key}.{name}")
+        return rows
     for index, value in joint_values(section, key.replace("_deg", ""), "limits", mechanism).items():
         joint = mechanism.joints[index]
         ends = _including_rest(value, f"limits.{key.replace('deg', joint.unit)}.{joint.name}")

@@ -96,7 +96,7 @@ class KeyOf:
     """The key of a field of a dataclass, in SI and by index, from whose fields a section follows (`section_of`).
 
     Args:
-        name: of the key; of values by joint that of hinges, which declares that of slides, too.
+        name: of the key; of values by joint in degrees that of hinges, which declares that of slides, too.
         by: what the key's table has values for: actuator, joint, closure, site, body; "" for a key with one value.
         kind: of its value in a file.
         meaning: a phrase.
