@@ -2,7 +2,6 @@
 
 import itertools
 from collections.abc import Iterable
-from importlib import resources
 from pathlib import Path
 
 from linkplan.models.errors import closest, shown
@@ -18,11 +17,6 @@ MODELS = {
     "optimus-knee-source": "the source document's knee, as printed: for checks only",
 }
 PAYLOADS = ("shank",)
-
-
-def built_in_text(name: str) -> str:
-    """Return the MJCF text of a built-in model."""
-    return resources.files("linkplan.models").joinpath("mjcf").joinpath(f"{name}.xml").read_text(encoding="utf-8")
 
 
 def is_text(source: str) -> bool:

@@ -14,12 +14,13 @@ import re
 import threading
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from importlib import resources
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from linkplan.models.catalogue import MODELS, built_in_text, is_text, unknown_source
+from linkplan.models.catalogue import MODELS, is_text, unknown_source
 from linkplan.models.conversion import compile_hint, conversion_notes
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.deletion import couple_narrow_tendons, leave_out_large_textures, leave_out_missing_files
@@ -278,6 +279,11 @@ def _name_all(elements: Sequence, kind: str) -> None:
         if not element.name:
             element.name = next(name for n in itertools.count(place) if (name := f"{kind}{n}") not in taken)
             taken.add(element.name)
+
+
+def built_in_text(name: str) -> str:
+    """Return the MJCF text of a built-in model."""
+    return resources.files("linkplan.models").joinpath("mjcf").joinpath(f"{name}.xml").read_text(encoding="utf-8")
 
 
 def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]:

@@ -164,7 +164,7 @@ def with_contacts(problem: Problem, trajectory: Trajectory, certificate: Certifi
     except OutOfTimeError:
         late = f"its check for contacts ran out of the plan's {solver.max_time_s:g} s (solver.max_time_s)"
         return replace(certificate, failures=(*certificate.failures, late))
-    if problem.contacts == "refuse" and new_meetings(found):
+    if problem.limits.contacts == "refuse" and new_meetings(found):
         collision = (_failure(new_meetings(found)),)
         failures, unrepairable = certificate.failures + collision, certificate.unrepairable + collision
         return replace(certificate, contacts=found, failures=failures, unrepairable=unrepairable)
@@ -177,7 +177,7 @@ def surely_collides(problem: Problem, trajectory: Trajectory) -> Certificate | N
     At its nodes the geoms are deeper in each other than the motion is exact by far: by ten times the largest travel that its
     integration error stands for. Nodes are few, and a motion without such a collision costs little here.
     """
-    if problem.contacts != "refuse" or not may_collide(problem.mechanism.model):
+    if problem.limits.contacts != "refuse" or not may_collide(problem.mechanism.model):
         return None
     mechanism, deadline = problem.mechanism, problem.solver.judging_deadline
     nodes = trajectory.breaks_s
@@ -198,7 +198,7 @@ def surely_collides(problem: Problem, trajectory: Trajectory) -> Certificate | N
 def unavoidable(problem: Problem, trajectory: Trajectory, certificate: Certificate) -> bool:
     """Check whether geoms collide at poses between start and goal of a mechanism with one degree of freedom."""
     start, goal = problem.motion.start, problem.motion.goal
-    if problem.contacts != "refuse" or problem.mechanism.dof != 1 or start is None or goal is None:
+    if problem.limits.contacts != "refuse" or problem.mechanism.dof != 1 or start is None or goal is None:
         return False
     met = np.array([meeting.since_s for meeting in new_meetings(certificate.contacts)])
     at = trajectory.position_at(met)[:, 0] if len(met) else np.empty(0)

@@ -1,60 +1,44 @@
-"""The kinds of limits in a table, in which a new kind is one entry; a problem's limits, and loops over a kind."""
+"""The kinds of limits, which are the classes of this folder's files; a problem's limits, and loops over a kind."""
 
+import importlib
+import pkgutil
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
-from linkplan.planner.limits.actuators import (
-    ControlLimit,
-    MotorLimit,
-    PowerLimit,
-    further_control_claims,
-)
-from linkplan.planner.limits.body import BodyAngleLimit
-from linkplan.planner.limits.efforts import EffortLimit, EffortRateLimit, RobustLimit
-from linkplan.planner.limits.extra import ExtraPathLimit
-from linkplan.planner.limits.joints import (
-    BallLimit,
-    ClosureForceLimit,
-    RangeLimit,
-    SingularMarginLimit,
-    SpeedLimit,
-    TendonLimit,
-)
+from linkplan.planner import limits
+from linkplan.planner.limits.actuators import further_control_claims
+from linkplan.planner.limits.efforts import EffortLimit
 from linkplan.planner.limits.limit import Limit, Margin, WhichJoints, limit_margin, with_limits
-from linkplan.planner.limits.rates import AccelerationLimit, JerkLimit, SiteAccelerationLimit, SiteJerkLimit
 from linkplan.planner.limits.samples import Samples, samples_of
-from linkplan.planner.limits.site import SitePathLimit
-from linkplan.planner.limits.site_path import OnPathLimit
 from linkplan.planner.problem.instant import unit_scales
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
-# In the order of their rows in a program. In the same order a diagnosis removes them to find the one that forbids a motion,
-# but the first two last.
-KINDS: tuple[type[Limit], ...] = (
-    EffortLimit,
-    RangeLimit,
-    RobustLimit,
-    JerkLimit,
-    SiteJerkLimit,
-    SiteAccelerationLimit,
-    AccelerationLimit,
-    SpeedLimit,
-    PowerLimit,
-    ClosureForceLimit,
-    MotorLimit,
-    ControlLimit,
-    EffortRateLimit,
-    SingularMarginLimit,
-    TendonLimit,
-    BallLimit,
-    SitePathLimit,
-    OnPathLimit,
-    BodyAngleLimit,
-    ExtraPathLimit,
+# The order of their rows in a program, by their keys. In the same order, but the first two last, a diagnosis removes them to
+# find the one that forbids a motion. Kinds that are not named here follow.
+_ORDER = (
+    *("effort", "position", "robust", "jerk", "site_jerk", "site_acceleration", "acceleration", "speed", "power"),
+    *("closure_force", "motor", "control", "effort_rate", "singular_margin", "tendon", "ball", "site", "path", "body"),
 )
+
+
+def _kinds() -> Iterator[type[Limit]]:
+    """Yield the classes of limits in this folder's files."""
+    for file in pkgutil.iter_modules(limits.__path__, f"{limits.__name__}."):
+        if file.name != __name__:
+            for value in vars(importlib.import_module(file.name)).values():
+                if isinstance(value, type) and issubclass(value, Limit) and value.__module__ == file.name and value != Limit:
+                    yield value
+
+
+def _place(kind: type[Limit]) -> int:
+    return _ORDER.index(kind.key) if kind.key in _ORDER else len(_ORDER)
+
+
+KINDS: tuple[type[Limit], ...] = tuple(sorted(_kinds(), key=_place))
 # Between nodes a motion slightly exceeds its values at the nodes. A limit that must admit it is widened by this factor.
 BETWEEN_NODES_FACTOR = 1.001
 # What a proof has to show beyond the limits of the program.
@@ -63,12 +47,17 @@ FURTHER_CLAIMS = (further_control_claims,)
 
 def limits_of(problem: Problem, *, enclosed: bool = False, position_rows: WhichJoints = False) -> tuple[Limit, ...]:
     """Return a problem's limits; the arguments are those of `Limit.of`."""
-    asked = [kind for kind in KINDS if _limits_something(getattr(problem.limits, kind.key, True))]
+    asked = [kind for kind in KINDS if _limits_something(_part_of(problem, kind.key))]
     return tuple(limit for kind in asked for limit in kind.of(problem, enclosed=enclosed, position_rows=position_rows))
 
 
+def _part_of(problem: Problem, key: str) -> Any:
+    """Return the field of this name of a problem's limits, or of the problem; True if its kind has to look for it."""
+    return getattr(problem.limits, key, getattr(problem, key, True))
+
+
 def _limits_something(field: Any) -> bool:
-    """True if a field of `Limits` has an entry that is not infinite; a kind without a field of its key asks the problem."""
+    """True if a field has an entry that is not infinite."""
     return bool(np.isfinite(field).any()) if isinstance(field, np.ndarray) else bool(field)
 
 

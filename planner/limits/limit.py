@@ -3,7 +3,7 @@
 A limit at nodes is a row of each node. A limit at every instant is a row of each interval, on Bernstein coefficients. A
 limit object holds the structure of a program, and objects of equal structure are equal; numbers come from the problem.
 
-A new kind is one file with a final class that has the members of `Limit`, and one entry in each table of `kinds.py`.
+A new kind is a final class in a file of this folder that has the members of `Limit`; `kinds.py` finds it there.
 """
 
 from __future__ import annotations

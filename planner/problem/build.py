@@ -39,7 +39,7 @@ from linkplan.planner.problem.limits import actuator_index, closure_index, limit
 from linkplan.planner.problem.motion_table import motion_of
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.path import path_rows, site_path_of
-from linkplan.planner.problem.reference import Reference, guess_of, guess_place, reference_of
+from linkplan.planner.problem.reference import Reference, guess_of, reference_of
 from linkplan.planner.problem.settings import (
     DEFAULT_PERIOD_S,
     MeshSettings,
@@ -88,18 +88,24 @@ def problem_arguments(
         notes.append(coordinates_note(mechanism, others))
         mechanism = _in_coordinates(tables, mechanism, others, folder)
     limits = limits_from(asked.limits, mechanism)
-    reference, reference_notes = reference_of(asked.reference, mechanism, limits.position)
-    path = site_path_of(asked.path, mechanism)
+    reference, path, guess = None, None, None
+    if asked.reference is not None:
+        reference, reference_notes = reference_of(asked.reference, mechanism, limits.position)
+        notes += reference_notes
+    if asked.path is not None:
+        path = site_path_of(asked.path, mechanism)
     motion = motion_of(asked.motion, mechanism, reference, limits, path)
-    forces = forces_of(asked.force_over_time, mechanism, motion)
-    if forces is not None or mechanism.forces is not None:
-        mechanism = replace(mechanism, forces=forces)
+    if asked.force_over_time is not None:
+        mechanism = replace(mechanism, forces=forces_of(asked.force_over_time, mechanism, motion))
+        notes += force_notes(asked.force_over_time)
+    elif mechanism.forces is not None:
+        mechanism = replace(mechanism, forces=None)
     follows = asked.motion.kind == "track" or reference is not None
     minimize = tables.get("objective", {}).get("minimize", "tracking" if follows else "effort")
     objective = objective_from(minimize, extra_costs)
-    place = guess_place(asked.guess, folder)
-    if place is not None:
-        tables["guess"]["plan"] = str(place.resolve())
+    if tables.get("guess"):
+        guess, place = guess_of(asked.guess, mechanism, folder)
+        tables["guess"] |= {} if place is None else {"plan": str(place)}
     return {
         "mechanism": mechanism,
         "motion": motion,
@@ -109,19 +115,12 @@ def problem_arguments(
         "robust": Robust(**structs.asdict(asked.robust)),
         "motors": motors_of(asked.motors, mechanism),
         "reference": reference,
-        "guess": guess_of(asked.guess, mechanism, place),
-        "contacts": asked.limits.contacts,
-        "unhonoured": asked.limits.unhonoured,
+        "guess": guess,
         "mesh": MeshSettings(**_mesh(tables.get("mesh", {}), objective, rated="effort_rate" in tables.get("limits", {}))),
         "solver": SolverSettings(**tables.get("solver", {})),
         "tracking": _tracking(tables.get("tracking", {}), mechanism),
         "source": tables,
-        "notes": (
-            *notes,
-            *reference_notes,
-            *force_notes(asked.force_over_time),
-            *_duration_notes(asked.motion, objective, reference),
-        ),
+        "notes": (*notes, *_duration_notes(asked.motion, objective, reference)),
     }
 
 
@@ -156,7 +155,8 @@ def tracking_from_tables(tables: Mapping[str, dict], mechanism: Mechanism | None
 
 def _sections(tables: Tables, mechanism: Mechanism) -> ProblemFile:
     """Return all sections of a file, without [imperfections], which has its own reader and which planning does not use."""
-    imperfections_of(tables.get("imperfections", {}), mechanism)
+    if "imperfections" in tables:
+        imperfections_of(tables["imperfections"], mechanism)
     # An empty reference is none. An empty objective is legal with extra costs only, and `Objective` checks it.
     left_out = {"reference": {}, "objective": {"minimize": {}}, "imperfections": tables.get("imperfections")}
     given = {name: table for name, table in tables.items() if name not in left_out or table != left_out[name]}

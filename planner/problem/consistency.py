@@ -9,7 +9,7 @@ from linkplan.models.audit import audit
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.instant import Robust, corner_out_of_reach
-from linkplan.planner.problem.keys.motion_and_limits import Motor
+from linkplan.planner.problem.keys.limits import Motor
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.objective import Objective

@@ -8,7 +8,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.external_forces import ForcesOverTime
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.dynamics import site_index
-from linkplan.planner.problem.keys.motion_and_limits import ForceSection
+from linkplan.planner.problem.keys.motion import ForceSection
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.reference import is_whole
 from linkplan.planner.problem.sites import AXES
@@ -33,8 +33,8 @@ def force_rows(columns: dict[str, np.ndarray], what: str, _mechanism: Mechanism)
     return {"time_s": columns["time_s"].tolist(), "on": on}
 
 
-def forces_of(section: ForceSection | None, mechanism: Mechanism, motion: Motion) -> ForcesOverTime | None:
-    """Return the forces of a [force_over_time] table; None without one.
+def forces_of(section: ForceSection, mechanism: Mechanism, motion: Motion) -> ForcesOverTime:
+    """Return the forces of a [force_over_time] table.
 
     Args:
         section: whose first row is at the motion's start.
@@ -44,8 +44,6 @@ def forces_of(section: ForceSection | None, mechanism: Mechanism, motion: Motion
     Raises:
         ProblemError: for a table that cannot be read, or whose times do not fit the motion's.
     """
-    if section is None:
-        return None
     _check_motion(motion)
     if section.time_s is None or not section.on:
         raise ProblemError(f"[{_KEY}] needs {_KEY}.file, or {_KEY}.time_s and {_KEY}.on.SITE")
@@ -83,10 +81,8 @@ def forces_of(section: ForceSection | None, mechanism: Mechanism, motion: Motion
     return ForcesOverTime(tuple(section.on), curve)
 
 
-def force_notes(section: ForceSection | None) -> list[str]:
+def force_notes(section: ForceSection) -> list[str]:
     """Return the note on where the forces of a [force_over_time] table act."""
-    if section is None:
-        return []
     rows, kind = len(section.time_s), section.interpolation
     return [f"{_KEY}: {kind} between {rows} rows, on {', '.join(section.on)}, over the motion; poses at rest are without it"]
 

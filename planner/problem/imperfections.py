@@ -9,8 +9,9 @@ from typing import Any
 
 from linkplan.models.errors import ProblemError, nearest
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.problem.keys.imperfections import FORMS, QUANTITIES, WORDS, Quantity
+from linkplan.planner.problem.keys.imperfections import QUANTITIES, WORDS
 from linkplan.planner.problem.keys.reading import refuse_unknown_keys
+from linkplan.planner.problem.keys.section import FORMS, Quantity
 from linkplan.planner.problem.settings import number
 
 

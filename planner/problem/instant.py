@@ -25,7 +25,7 @@ from linkplan.models.poses.along import joint_acceleration, joint_jerk, sampled,
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.reduction.reduced import ReducedDynamics
 from linkplan.models.tree.joints import unit_steps
-from linkplan.planner.problem.keys.motion_and_limits import RobustSection
+from linkplan.planner.problem.keys.limits import RobustSection
 
 # More corners would give too many rows at every node.
 MAX_CORNERS = 64

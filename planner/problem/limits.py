@@ -1,19 +1,21 @@
 """Limits at every instant of a motion, and the motors that some limits come from."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.dynamics import site_index
-from linkplan.planner.problem.keys.motion_and_limits import LimitsSection, Motor
-from linkplan.planner.problem.settings import DERIVED, frozen, interval, joint_values
+from linkplan.planner.problem.keys.limits import LIMIT_KEYS, LimitValues, Motor
+from linkplan.planner.problem.keys.section import Section
+from linkplan.planner.problem.settings import frozen, interval, joint_values
 from linkplan.planner.problem.sites import BodyLimit, SiteLimit, body_limits_of, site_limits_of
 
-# The fields of `Limits` with one row for each actuator, and for each joint.
-OF_ACTUATORS, OF_JOINTS = ("effort", "effort_rate", "power"), ("position", "speed", "acceleration", "jerk")
+# The fields of `Limits` with one row for each joint.
+OF_JOINTS = tuple(name for name, key in LIMIT_KEYS.items() if key.by == "joint")
 
 
 def free_bounds(n: int) -> np.ndarray:
@@ -22,40 +24,27 @@ def free_bounds(n: int) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Limits:
+class Limits(LimitValues):
     """Limits at every instant as rows [low, high], infinite without a limit.
 
     `effort` (n_u, 2) [N.m or N]; `position`, `speed`, `acceleration` and `jerk` (n_q, 2) [rad or m, and per second, its
     square and cube] of all joints; `effort_rate` (n_u, 2) [N.m/s or N/s]; `power` (n_u, 2) [W], mechanical, of each
     actuator; `closure_force` (n_closures,) [N], the largest force of each closure; `singular_margin`, the least |det J_z|
-    relative to home; `site`, limits on sites [m]; `body`, on bodies' angles [rad]; `site_acceleration` and `site_jerk`, the
+    relative to home; `site`, the `SiteLimit`s [m]; `body`, the `BodyLimit`s [rad]; `site_acceleration` and `site_jerk`, the
     largest by site [m/s2, m/s3].
     `effort` is the limit for plans: `reserve` is the share of the actuators' own limits that is left to feedback.
     """
 
-    effort: np.ndarray
-    position: np.ndarray
-    speed: np.ndarray = DERIVED
-    acceleration: np.ndarray = DERIVED
-    jerk: np.ndarray = DERIVED
-    effort_rate: np.ndarray = DERIVED
-    power: np.ndarray = DERIVED
-    closure_force: np.ndarray = DERIVED
-    singular_margin: float = 0.0
-    reserve: float = 0.0
-    site: tuple[SiteLimit, ...] = ()
-    body: tuple[BodyLimit, ...] = ()
-    site_acceleration: Mapping[str, float] = field(default_factory=dict)
-    site_jerk: Mapping[str, float] = field(default_factory=dict)
-
     def __post_init__(self) -> None:
-        object.__setattr__(self, "site", tuple(self.site))
-        object.__setattr__(self, "body", tuple(self.body))
-        object.__setattr__(self, "closure_force", frozen(() if self.closure_force is None else self.closure_force))
-        for names, like in ((OF_ACTUATORS, self.effort), (OF_JOINTS, self.position)):
-            for name in names:
-                given = getattr(self, name)
-                object.__setattr__(self, name, frozen(free_bounds(len(like)) if given is None else given))
+        like = {"actuator": len(self.effort), "joint": len(self.position)}
+        for name, key in LIMIT_KEYS.items():
+            given = getattr(self, name)
+            if key.by in like:
+                object.__setattr__(self, name, frozen(free_bounds(like[key.by]) if given is None else given))
+            elif key.by == "closure":
+                object.__setattr__(self, name, frozen(() if given is None else given))
+            elif given is None:
+                object.__setattr__(self, name, {})
 
     @property
     def actuators_effort(self) -> np.ndarray:
@@ -73,11 +62,22 @@ class Limits:
         return tuple(int(i) for i in np.flatnonzero(np.isfinite(self.closure_force)))
 
 
-def limits_from(section: LimitsSection, mechanism: Mechanism) -> Limits:
+def limits_from(section: Section, mechanism: Mechanism) -> Limits:
     """Return the limits of a [limits] table; the model's own limits are the default."""
+    made = {name: _MADE.get(name) or _MADE_BY[key.by] for name, key in LIMIT_KEYS.items()}
+    return Limits(**{name: make(section, LIMIT_KEYS[name].name, mechanism) for name, make in made.items()})
+
+
+def _efforts(section: Any, _: str, mechanism: Mechanism) -> np.ndarray:
+    """Return the efforts' [low, high] (n_u, 2), less what is left to feedback."""
     effort = np.array(mechanism.effort_limit)
     for name, value in section.effort.items():
         effort[actuator_index(mechanism, name, "limits.effort")] = interval(value, f"limits.effort.{name}")
+    return (1.0 - section.reserve) * effort
+
+
+def _ranges(section: Any, _: str, mechanism: Mechanism) -> np.ndarray:
+    """Return the joints' ranges (n_q, 2) [rad or m], within the model's own."""
     position = np.array([[joint.lower, joint.upper] for joint in mechanism.joints])
     for index, value in joint_values(section, "range", "limits", mechanism).items():
         joint = mechanism.joints[index]
@@ -89,25 +89,61 @@ def limits_from(section: LimitsSection, mechanism: Mechanism) -> Limits:
                 f" [{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}], where its stops act"
             )
         position[index] = low, high
-    forces = np.full(len(mechanism.closure_names), np.inf)
-    for name, value in section.closure_force.items():
-        forces[closure_index(mechanism, name)] = value
-    return Limits(
-        effort=(1.0 - section.reserve) * effort,
-        reserve=section.reserve,
-        position=position,
-        speed=_rate_rows(section, "speed", "_s", mechanism),
-        acceleration=_rate_rows(section, "acceleration", "_s2", mechanism),
-        jerk=_rate_rows(section, "jerk", "_s3", mechanism),
-        effort_rate=_actuator_rows(section.effort_rate, "limits.effort_rate", mechanism),
-        power=_actuator_rows(section.power_w, "limits.power_w", mechanism),
-        closure_force=forces,
-        singular_margin=section.singular_margin,
-        site=site_limits_of(section.site, mechanism),
-        body=body_limits_of(section.body_deg, mechanism),
-        site_acceleration=_of_sites(section.site_acceleration_m_s2, "site_acceleration_m_s2", mechanism),
-        site_jerk=_of_sites(section.site_jerk_m_s3, "site_jerk_m_s3", mechanism),
-    )
+    return position
+
+
+def _of_actuators(section: Any, key: str, mechanism: Mechanism) -> np.ndarray:
+    """Return [low, high] (n_u, 2) of a limit by actuator."""
+    rows = free_bounds(mechanism.n_u)
+    for name, value in getattr(section, key).items():
+        where = f"limits.{key}"
+        rows[actuator_index(mechanism, name, where)] = _including_rest(value, f"{where}.{name}")
+    return rows
+
+
+def _of_joints(section: Any, key: str, mechanism: Mechanism) -> np.ndarray:
+    """Return [low, high] (n_q, 2), in SI, of a limit by joint, whose key is in SI or in degrees on hinges."""
+    rows = free_bounds(mechanism.n_q)
+    if "_deg" not in key:
+        for name, value in getattr(section, key).items():
+            rows[mechanism.joint_index(name, ProblemError)] = _including_rest(value, f"limits.{key}.{name}")
+        return rows
+    for index, value in joint_values(section, key.replace("_deg", ""), "limits", mechanism).items():
+        joint = mechanism.joints[index]
+        ends = _including_rest(value, f"limits.{key.replace('deg', joint.unit)}.{joint.name}")
+        rows[index] = [joint.read(end) for end in ends]
+    return rows
+
+
+def _of_closures(section: Any, key: str, mechanism: Mechanism) -> np.ndarray:
+    """Return the largest values (n_closures,) of a limit by closure."""
+    largest = np.full(len(mechanism.closure_names), np.inf)
+    for name, value in getattr(section, key).items():
+        largest[closure_index(mechanism, name)] = value
+    return largest
+
+
+def _of_sites(section: Any, key: str, mechanism: Mechanism) -> dict[str, float]:
+    """Return the largest values by site, refused for unknown names."""
+    for name in getattr(section, key):
+        site_index(mechanism.model, name, f"limits.{key}", ProblemError)
+    return dict(getattr(section, key))
+
+
+# The values of limits, in SI, of a section's key: of these limits alone, and by what their values belong to.
+_MADE: dict[str, Callable[[Any, str, Mechanism], Any]] = {
+    "effort": _efforts,
+    "position": _ranges,
+    "site": lambda section, _, mechanism: site_limits_of(section.site, mechanism) if section.site else (),
+    "body": lambda section, _, mechanism: body_limits_of(section.body_deg, mechanism) if section.body_deg else (),
+}
+_MADE_BY: dict[str, Callable[[Any, str, Mechanism], Any]] = {
+    "actuator": _of_actuators,
+    "joint": _of_joints,
+    "closure": _of_closures,
+    "site": _of_sites,
+    "": lambda section, key, _: getattr(section, key),
+}
 
 
 def actuator_index(mechanism: Mechanism, name: str, where: str) -> int:
@@ -140,31 +176,6 @@ def _including_rest(value: float | list[float], where: str) -> tuple[float, floa
     if not low <= 0 <= high:
         raise ProblemError(f"{where} must admit rest, low <= 0 <= high, got [{low:g}, {high:g}]")
     return low, high
-
-
-def _rate_rows(section: LimitsSection, name: str, per: str, mechanism: Mechanism) -> np.ndarray:
-    """Return [low, high] (n_q, 2) of a limit on joints' rates, accelerations or jerk, in SI."""
-    rows = free_bounds(mechanism.n_q)
-    for index, value in joint_values(section, name + per, "limits", mechanism).items():
-        joint = mechanism.joints[index]
-        ends = _including_rest(value, f"limits.{name}_{joint.unit}{per}.{joint.name}")
-        rows[index] = [joint.read(end) for end in ends]
-    return rows
-
-
-def _of_sites(table: dict[str, float], key: str, mechanism: Mechanism) -> dict[str, float]:
-    """Return the largest values by site, refused for unknown names."""
-    for name in table:
-        site_index(mechanism.model, name, f"limits.{key}", ProblemError)
-    return dict(table)
-
-
-def _actuator_rows(table: dict[str, float | list[float]], where: str, mechanism: Mechanism) -> np.ndarray:
-    """Return [low, high] (n_u, 2) of a limit per actuator."""
-    rows = free_bounds(mechanism.n_u)
-    for name, value in table.items():
-        rows[actuator_index(mechanism, name, where)] = _including_rest(value, f"{where}.{name}")
-    return rows
 
 
 def motors_of(section: dict[str, Motor], mechanism: Mechanism) -> tuple[Motor | None, ...]:

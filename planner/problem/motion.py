@@ -1,10 +1,23 @@
-"""Motions: prescribed states at both ends and at waypoints, and bounds on the duration."""
+"""Motions: prescribed states at both ends and at waypoints, and bounds on the duration; the pose at the start.
 
+Ends beyond reach are refused, and turns that the mechanism does not make.
+"""
+
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.models.errors import ProblemError
+from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.models.deadline import Deadline
+from linkplan.models.errors import AssemblyError, ProblemError
+from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls, whole_turns
+from linkplan.models.poses.assembly import close_at, continue_to, follow, step_sizes
+from linkplan.models.poses.controls import needed_controls
+from linkplan.models.poses.reach import Reach, reach
+from linkplan.planner.problem.limits import Limits
+from linkplan.planner.problem.reference import Reference
 from linkplan.planner.problem.settings import DERIVED, frozen
 from linkplan.planner.problem.sites import Coordinate, Task, coordinates_of
 
@@ -152,3 +165,145 @@ class Motion:
         longest = self.duration_s or self.max_duration_s
         if longest is not None and last >= longest:
             raise ProblemError(f"motion.waypoints end at {last:g} s, beyond the motion's {longest:g} s")
+
+
+def start_pose(
+    mechanism: Mechanism, motion: Motion, limits: Limits, reference: Reference | None, deadline: Deadline
+) -> np.ndarray:
+    """Return the closed pose (n_q,) at the start of a motion.
+
+    Raises:
+        ProblemError: when start, goal, waypoints or reference lie outside what the mechanism reaches, with the interval; and
+            for turns that the mechanism does not make, or after which it is not what it was.
+    """
+    ranges = limits.position
+    for name in ("start", "goal"):
+        value = getattr(motion, name)
+        if value is not None:
+            _check_reach(mechanism, ranges, f"motion.{name}_deg", value)
+    for k, waypoint in enumerate(motion.waypoints):
+        if not np.all(np.isnan(waypoint.position)):
+            _check_reach(mechanism, ranges, f"motion.waypoints[{k}].at_deg", waypoint.position)
+    if motion.start is not None or reference is None:
+        pose = np.array(mechanism.home) if motion.start is None else close_at(mechanism, motion.start)
+        if motion.turns is not None:
+            _check_turns(mechanism, motion, pose, deadline)
+        return pose
+    first = reference.derivative(np.zeros(1))[0]
+    period = np.sort(np.append(np.linspace(0.0, reference.period_s, 181), reference.inner_times(reference.period_s)))
+    values = reference.derivative(period)
+    for extreme in (np.argmin, np.argmax):
+        for column in range(mechanism.dof):
+            _check_reach(mechanism, None, "reference", values[int(extreme(values[:, column]))])
+    return close_at(mechanism, first)
+
+
+def check_asked_pose(mechanism: Mechanism, asked: Mapping[str, float]) -> None:
+    """Refuse a pose, positions [rad or m] of independent joints by name, beyond a joint's range or the mechanism's reach."""
+    s = np.array([asked.get(joint.name, np.nan) for joint in mechanism.independent_joints])
+    rounding = np.array([-RANGE_ROUNDING, RANGE_ROUNDING])
+    _check_reach(mechanism, np.array([(joint.lower, joint.upper) for joint in mechanism.joints]) + rounding, "the pose", s)
+
+
+def _check_reach(mechanism: Mechanism, ranges: np.ndarray | None, what: str, s: np.ndarray) -> None:
+    """Refuse positions (n_s,) outside the ranges (n_q, 2) of joints or outside the reach of a single degree of freedom."""
+    can = reach(mechanism) if mechanism.dof == 1 and not np.isnan(s[0]) and not is_open(mechanism, s) else None
+    for column, joint in enumerate(mechanism.independent_joints):
+        if np.isnan(s[column]):  # a waypoint leaves it free
+            continue
+        index = int(mechanism.independent[column])
+        interval, reason = (-np.inf, np.inf) if ranges is None else tuple(ranges[index]), f"range of {joint.name}"
+        inside = interval[0] <= s[column] <= interval[1]
+        if inside:
+            if can is None or can.turns_fully:
+                continue
+            interval = (can.lower.position, can.upper.position)
+            inside = interval[0] <= s[column] <= interval[1]
+            reason = can.lower.reason if s[column] < interval[0] else can.upper.reason
+        if not inside:
+            raise ProblemError(
+                f"{what} {joint.name} = {joint.text(s[column], 6)} {joint.unit} is beyond reach:"
+                f" {joint.name} reaches from {joint.text(interval[0], 6)} to {joint.text(interval[1], 6)} {joint.unit}"
+                f" ({reason}"
+                f"{_way_through(can, reason, s[column])})"
+            )
+
+
+def is_open(mechanism: Mechanism, s: np.ndarray) -> bool:
+    """Return True if the straight path from home to s (n_s,) surely meets no singular pose and no end of a range.
+
+    The steps are those of `reach`, but the check is much faster.
+    """
+    first = mechanism.home[mechanism.independent]
+    n = int(np.ceil(2 * np.max(np.abs(s - first) / step_sizes(mechanism)[mechanism.independent], initial=0.0)))
+    if not n < 361:  # about a full turn
+        return False
+    poses, arrived = continue_to(mechanism, mechanism.home, np.linspace(first, s, n + 1))
+    ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])
+    kept = (poses >= ranges[:, 0] - RANGE_ROUNDING) & (poses <= ranges[:, 1] + RANGE_ROUNDING)
+    return bool(arrived == n + 1 and np.all(kept) and np.all(beyond_balls(mechanism, poses) <= RANGE_ROUNDING))
+
+
+def _way_through(can: Reach | None, reason: str, asked: float) -> str:
+    """Return the remedy at the end of a reach at a dead centre of its coordinate; an empty text at a branching pose."""
+    if can is None or reason != "singular pose":
+        return ""
+    end = can.lower.position if asked < can.lower.position else can.upper.position
+    if end in can.single:
+        return "; the loops lose rank there, and no other coordinate passes it"
+    if end in dict(can.branching):
+        return "; the mechanism may branch there"
+    return "; another joint as mechanism.independent may pass it"
+
+
+def _check_turns(mechanism: Mechanism, motion: Motion, start_pose: np.ndarray, deadline: Deadline) -> None:
+    """Refuse turns that the mechanism does not make, or after which it is not what it was."""
+    assert motion.turns is not None
+    can = reach(mechanism) if mechanism.dof == 1 else None
+    turning = [j for j, n in zip(mechanism.independent_joints, motion.turns, strict=True) if n]
+    names = " and ".join(joint.name for joint in turning)
+    if can is not None and not can.turns_fully:
+        (joint,) = turning
+        low, high = joint.text(can.lower.position, 6), joint.text(can.upper.position, 6)
+        raise ProblemError(
+            f"motion.turns of joint {names}: it does not turn fully, it reaches from {low} deg ({can.lower.reason}) to"
+            f" {high} deg ({can.upper.reason})"
+        )
+    first = start_pose[mechanism.independent]
+    # Poses examined in each turn.
+    n = int(181 * np.abs(motion.turns).max())
+    try:
+        path = first + np.linspace(0.0, 1.0, n)[:, None] * motion.advance
+        poses = follow(mechanism, path, start_pose, deadline)
+    except AssemblyError as error:
+        if mechanism.dof > 1:  # another way may be open
+            return
+        raise ProblemError(f"motion.turns of joint {names}: it does not turn fully: {error}") from error
+    travelled = poses[-1] - poses[0]
+    gone = whole_turns(mechanism, travelled)
+    worst = int(np.argmax(np.abs(travelled - gone)))
+    # A joint has returned after whole turns if it is this near [rad or m]: a multiple of the tolerance of assembly.
+    if abs(travelled[worst] - gone[worst]) > 1e-5:
+        joint = mechanism.joints[worst]
+        raise ProblemError(
+            f"motion.turns of joint {names}: joint {joint.name} does not return, it has moved by"
+            f" {joint.text(travelled[worst], 6)} {joint.unit}; give as many turns as bring all joints back"
+        )
+    _check_efforts(mechanism, names, poses[0], gone)
+
+
+def _check_efforts(mechanism: Mechanism, names: str, pose: np.ndarray, gone: np.ndarray) -> None:
+    """Refuse springs and servos' ranges for which the next turn is another than the last."""
+    still = np.zeros(mechanism.n_q)
+    before, after = (np.array(mechanism.dynamics.passive(q, still)).ravel() for q in (pose, pose + gone))
+    if np.abs(after - before).max() > ROUNDING_SHARE * np.abs(before).max(initial=1.0):
+        joint = mechanism.joints[int(np.argmax(np.abs(after - before)))]
+        raise ProblemError(f"motion.turns of joint {names}: a spring on joint {joint.name} winds up with every turn")
+    rest, nothing = np.zeros((1, mechanism.dof)), np.zeros((1, mechanism.n_u))
+    ctrl, later = (needed_controls(mechanism, q[None], rest, nothing)[0] for q in (pose, pose + gone))
+    for actuator, x, y in zip(mechanism.actuators, ctrl, later, strict=True):
+        if actuator.limits_control and abs(y - x) > ROUNDING_SHARE * max(1.0, abs(x)):
+            raise ProblemError(
+                f"motion.turns of joint {names}: the ctrl of servo {actuator.name} goes on by {y - x:.4g} with them and"
+                f" has a ctrlrange of {actuator.control_lower:g} to {actuator.control_upper:g}"
+            )

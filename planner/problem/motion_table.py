@@ -8,7 +8,7 @@ from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import lock_words, rests_on_stops, spring_equilibrium, sprung_freedoms, stop_sentence
-from linkplan.planner.problem.keys.motion_and_limits import MotionSection, WaypointSection
+from linkplan.planner.problem.keys.motion import MotionSection, WaypointSection
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion, Waypoint
 from linkplan.planner.problem.path import SitePath, check_path
@@ -163,9 +163,10 @@ def _end(
     """Return a start or goal (n_s,) given by joints or by sites and bodies, their tasks, and `Motion.goal_rows`."""
     named = [key for key in (f"{name}_deg", f"{name}_m") if getattr(section, key)]
     where = f"motion.{name}_{{}}"
-    tasks = tasks_of(getattr(section, f"{name}_at"), getattr(section, f"{name}_body_deg"), where, mechanism)
-    if not tasks:
+    sites, bodies = getattr(section, f"{name}_at"), getattr(section, f"{name}_body_deg")
+    if not sites and not bodies:
         return _state(section, name, mechanism, None), (), ()
+    tasks = tasks_of(sites, bodies, where, mechanism)
     key = key_of(tasks, where)
     if named:
         raise ProblemError(f"{key} and motion.{named[0]} both say where the {name} is; keep one")
@@ -207,6 +208,8 @@ def _closed(mechanism: Mechanism, s: np.ndarray) -> np.ndarray:
 
 def _with_rests(values: dict[int, float], where: str, mechanism: Mechanism) -> dict[int, float]:
     """Return a state's values, with undriven freedoms that it does not name at their equilibrium on springs."""
+    if all(index in values for index in mechanism.independent.tolist()):
+        return values
     unnamed = tuple(c for c in sprung_freedoms(mechanism) if int(mechanism.independent[c]) not in values)
     if not unnamed:
         return values

@@ -14,7 +14,7 @@ from linkplan.models.errors import ProblemError, nearest
 from linkplan.planner.problem.extra import ExtraCost, checked_extras, expressed
 from linkplan.planner.problem.instant import Instant, Scales
 from linkplan.planner.problem.keys.kinds import Term as TermName
-from linkplan.planner.problem.keys.motion_and_limits import Motor
+from linkplan.planner.problem.keys.limits import Motor
 
 Motors = Sequence[Motor | None]
 

@@ -13,7 +13,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.tree.dynamics import site_index
-from linkplan.planner.problem.keys.motion_and_limits import PathSection
+from linkplan.planner.problem.keys.motion import PathSection
 from linkplan.planner.problem.sites import AXES, BodyLimit, SiteLimit, SitePoint, pose_at, shown
 
 # A motion follows its path if its site is never further from it than this share of the mechanism's extent.
@@ -78,14 +78,12 @@ def _guided(path: SitePath, mechanism: Mechanism, pose: tuple[float, ...]) -> Gu
         raise ProblemError(str(error)) from error
 
 
-def site_path_of(section: PathSection | None, mechanism: Mechanism) -> SitePath | None:
+def site_path_of(section: PathSection, mechanism: Mechanism) -> SitePath:
     """Return the path of a [path] table.
 
     Raises:
         ProblemError: for points that have no such curve.
     """
-    if section is None:
-        return None
     if not section.points:
         raise ProblemError("[path] needs path.points, [x, y, z] in metres each, or path.file")
     if section.blend_m is not None and section.shape != "polyline":

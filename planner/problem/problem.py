@@ -17,15 +17,14 @@ from linkplan.planner.files.tables import Tables, apply_override, read_tables
 from linkplan.planner.problem import build, consistency
 from linkplan.planner.problem.extra import Extra, ExtraCost, ExtraLimit, checked_extras, take_jerk
 from linkplan.planner.problem.instant import Robust
-from linkplan.planner.problem.keys.motion_and_limits import Motor
+from linkplan.planner.problem.keys.limits import Motor
 from linkplan.planner.problem.limits import Limits
-from linkplan.planner.problem.motion import Motion
+from linkplan.planner.problem.motion import Motion, start_pose
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.path import SitePath, check_path
 from linkplan.planner.problem.reference import GuessedPath, Reference
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
 from linkplan.planner.problem.sites import BodyAngle, SitePoint
-from linkplan.planner.problem.start import start_pose
 from linkplan.planner.trajectory import Trajectory
 
 
@@ -58,10 +57,9 @@ class Problem:
         force_over_time: forces on sites, `time_s` with `on`, {"foot": {"z": [...]}} [N], or the `file` of a table; with
             `period_s` and `interpolation`.
         path: `site` with `points` [m] or a `file`, and `shape`, "polyline", "spline" or "arc", and `blend_m`, of `follow`.
-        limits: `effort`, `range_deg`, `speed_deg_s`, `acceleration_deg_s2`, `jerk_deg_s3`, `effort_rate`, `power_w`,
-            `closure_force`, `site_acceleration_m_s2`, `site_jerk_m_s3`, each by name, and `singular_margin`, `contacts`;
-            `site`, boxes {"foot": {"z": [0.0, inf]}}, walls {"normal": n, "at": p} and tubes {"along": points, "radius_m":
-            r}, one or a list by site; `body_deg`, [low, high] by body. By default the model's own.
+        limits: the keys of [limits], such as `effort`, `range_deg`, `speed_deg_s` and `closure_force`, each by name, and
+            `contacts`; `site`, boxes {"foot": {"z": [0.0, inf]}}, walls {"normal": n, "at": p} and tubes {"along": points,
+            "radius_m": r}, one or a list by site; `body_deg`, [low, high] by body. By default the model's own.
         reserve: the share of every effort limit that is left to feedback, such as 0.2; also a key of `limits`.
         motors: by actuator: `torque_constant`, `resistance_ohm`, `stall_effort`, `no_load_speed_deg_s`.
         guess: `path_deg`, positions at equal times by joint, or `plan`, a saved plan's folder.
@@ -96,8 +94,6 @@ class Problem:
     reference: Reference | None = None
     path: SitePath | None = None
     guess: GuessedPath | Trajectory | None = None
-    unhonoured: str = "refuse"  # a model with forces that plans neglect, or "note" these forces
-    contacts: str = "refuse"  # a plan along which geoms collide, or "note" the contacts and neglect their forces
     mesh: MeshSettings = field(default_factory=MeshSettings)
     solver: SolverSettings = field(default_factory=SolverSettings)
     tracking: Tracking = field(default_factory=Tracking)
@@ -309,7 +305,7 @@ class Problem:
         object.__setattr__(self, "objective", objective_from(self.objective))
         object.__setattr__(self, "motors", tuple(self.motors) or (None,) * self.mechanism.n_u)
         object.__setattr__(self, "tracking", self.tracking.tracked())
-        consistency.check_honoured(self.mechanism, self.unhonoured)
+        consistency.check_honoured(self.mechanism, self.limits.unhonoured)
         object.__setattr__(self, "extra_limits", checked_extras(self.extra_limits, ExtraLimit, "extra_limits"))
         lacking = consistency.lacking_parts(self.motion, self.mechanism, self.motors, self.reference, self.mesh, self.limits)
         jerk = [take_jerk(extra, self.mechanism, lacking["changing accelerations"]) for extra in self.extras]
@@ -320,7 +316,8 @@ class Problem:
         others |= {"minimize 'jerk'": self.objective.has("jerk")}
         bent = self.path is not None and len(self.path.curve.corners) > 0
         others |= {"limit or cost on jerk along rounded corners or a spline, but along a line or an arc": bent and any(jerk)}
-        check_path(self.path, self.motion.kind, others)
+        if self.path is not None or self.motion.kind == "follow":
+            check_path(self.path, self.motion.kind, others)
         consistency.check_objective(self.objective, self.motion, self.mechanism, self.limits, lacking)
         if len(self.limits.closure_force) == 0:
             limits = replace(self.limits, closure_force=np.full(len(self.mechanism.closure_names), np.inf))

@@ -13,7 +13,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.columns import read_trajectory
 from linkplan.planner.files.tables import resolve_path
-from linkplan.planner.problem.keys.motion_and_limits import ReferenceSection
+from linkplan.planner.problem.keys.motion import ReferenceSection
 from linkplan.planner.problem.keys.sections import GuessSection
 from linkplan.planner.problem.settings import frozen, joint_values
 from linkplan.planner.problem.table_reference import Spline, spline_of
@@ -70,16 +70,12 @@ def is_whole(number: float) -> bool:
     return round(number) >= 1 and abs(number - round(number)) < 1e-9 * max(1.0, number)
 
 
-def reference_of(
-    section: ReferenceSection | None, mechanism: Mechanism, ranges: np.ndarray
-) -> tuple[Reference | None, list[str]]:
+def reference_of(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarray) -> tuple[Reference, list[str]]:
     """Return the reference of a [reference] table, and the note on a spline that the table leaves open.
 
     Raises:
         ProblemError: for a table that is neither a sinusoid nor rows, or both.
     """
-    if section is None:
-        return None, []
     wave_keys = ("frequency_hz", "amplitude_deg", "amplitude_m", "bias_deg", "bias_m", "phase_deg")
     waves = [key for key in wave_keys if getattr(section, key)]
     if section.time_s is None:
@@ -141,23 +137,23 @@ class GuessedPath:
         object.__setattr__(self, "path", frozen(self.path))
 
 
-def guess_place(section: GuessSection, folder: Path | None) -> Path | None:
-    """Return the folder of the saved plan whose motion is the guess; None if no plan is named."""
+def guess_of(
+    section: GuessSection, mechanism: Mechanism, folder: Path | None
+) -> tuple[GuessedPath | Trajectory | None, Path | None]:
+    """Return the guess of a [guess] table, and the folder of the saved plan whose motion it is, if the table names one."""
     if section.plan is None:
-        return None
+        return _guessed_path(section, mechanism), None
     if section.path_deg or section.path_m:
         raise ProblemError("guess.plan and guess.path_deg are two guesses; keep one")
     place = resolve_path(section.plan, folder)
     if not os.path.isdir(place):
         where = "the working folder" if folder is None else f"'{folder}', the problem file's, or the working folder"
         raise ProblemError(f"guess.plan '{section.plan}' is not a folder in {where}; it is where a plan was saved")
-    return place
+    return read_trajectory(place / "trajectory.npz"), place.resolve()
 
 
-def guess_of(section: GuessSection, mechanism: Mechanism, place: Path | None) -> GuessedPath | Trajectory | None:
-    """Return the guess of a [guess] table; None without a guess. `place` is the folder of the plan that it names."""
-    if place is not None:
-        return read_trajectory(place / "trajectory.npz")
+def _guessed_path(section: GuessSection, mechanism: Mechanism) -> GuessedPath | None:
+    """Return the positions in a [guess] table; None without any."""
     paths = joint_values(section, "path", "guess", mechanism)
     if not paths:
         return None

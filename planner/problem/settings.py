@@ -126,12 +126,14 @@ def other_coordinates(tables: Mapping[str, dict], mechanism: Mechanism) -> list[
     if "independent" in mechanism.source:
         return None
     named = [joint.name for joint in mechanism.joints if joint.name in set(_named(tables))]
+    others = set(named) - {joint.name for joint in mechanism.independent_joints}
+    if not others:
+        return None
     unnamed = [*sprung_freedoms(mechanism), *np.flatnonzero(~mechanism.actuated)]
     resting = set(mechanism.independent[unnamed].tolist())
     missing = [mechanism.joints[i].name for i in mechanism.independent.tolist() if i not in resting]
     missing = [name for name in missing if name not in named]
-    others = set(named) - {joint.name for joint in mechanism.independent_joints}
-    return named if missing and others and len(named) <= mechanism.dof else None
+    return named if missing and len(named) <= mechanism.dof else None
 
 
 def coordinates_note(mechanism: Mechanism, named: list[str]) -> str:

@@ -16,7 +16,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.body_angles import body_index, turning
 from linkplan.models.poses.inverse_kinematics import SiteTargets, independent_rows_of, places_of, site_pose
 from linkplan.models.tree.dynamics import site_index
-from linkplan.planner.problem.keys.motion_and_limits import SITE_LIMITS, Box, Tube, Wall
+from linkplan.planner.problem.keys.limits import SITE_LIMITS, Box, Tube, Wall
 from linkplan.planner.problem.keys.reading import read
 from linkplan.planner.problem.settings import frozen, interval
 

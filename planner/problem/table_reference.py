@@ -14,7 +14,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.problem.keys.kinds import MAX_INTERVALS
-from linkplan.planner.problem.keys.motion_and_limits import ReferenceSection
+from linkplan.planner.problem.keys.motion import ReferenceSection
 from linkplan.planner.problem.settings import frozen, joint_values
 from linkplan.planner.problem.sites import AXES, key_of, pose_at, tasks_of
 

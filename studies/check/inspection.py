@@ -21,7 +21,7 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import Reach, reach, toggles
 from linkplan.models.tree.dynamics import site_names
 from linkplan.planner.files.structs import NOT_READ, Beside, Number
-from linkplan.planner.problem.start import check_asked_pose
+from linkplan.planner.problem.motion import check_asked_pose
 from linkplan.studies.check.contact_findings import contact_findings
 from linkplan.studies.check.drives import (
     feeble_drives,

@@ -113,7 +113,7 @@ def check_whole(
         ProblemError: if a pose is out of reach or names a dependent joint.
     """
     motion, off_path = _motion(problem)
-    found = inspect(mechanism, list(poses), motion=motion, contacts="refuse" if problem is None else problem.contacts)
+    found = inspect(mechanism, list(poses), motion=motion, contacts="refuse" if problem is None else problem.limits.contacts)
     along = reach_sweeps(mechanism, found.reaches) if motion is None else (motion,)
     chosen = () if problem is None else problem.notes
     singular = [note for path in along for note in inertia_notes(path)]

@@ -116,9 +116,9 @@ def _contacts(plan: Plan, certificate: Certificate) -> list[Item]:
     return [
         _item(
             f"contact of {geom_names(meeting)}, depth",
-            plan.problem.contacts != "refuse" or meeting.since_s is None,
+            plan.problem.limits.contacts != "refuse" or meeting.since_s is None,
             1e3 * meeting.depth_m,
-            0.0 if plan.problem.contacts == "refuse" and meeting.since_s is not None else None,
+            0.0 if plan.problem.limits.contacts == "refuse" and meeting.since_s is not None else None,
             "mm",
             meeting.deepest_at_s,
         )

@@ -14,7 +14,7 @@ from linkplan.planner.plan.folder import read_plan, unchecked
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.imperfections import imperfections_of
-from linkplan.planner.problem.keys.motion_and_limits import WaypointSection
+from linkplan.planner.problem.keys.motion import WaypointSection
 from linkplan.planner.problem.keys.reading import read
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import joint_values, number, to_toml_types

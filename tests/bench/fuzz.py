@@ -107,7 +107,7 @@ def mutated_toml(rng: random.Random) -> bytes:
 
 def mutated_mjcf(rng: random.Random) -> bytes:
     """Return a model with attributes replaced and, often, an element added."""
-    from linkplan.models.catalogue import built_in_text
+    from linkplan.models.library import built_in_text
 
     text = built_in_text(rng.choice(MODELS))
     if rng.random() < 0.4:

@@ -5,7 +5,8 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex, to_rgb
 
-from linkplan.models.catalogue import MODELS, built_in_text
+from linkplan.models.catalogue import MODELS
+from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import reach

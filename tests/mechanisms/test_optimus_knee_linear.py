@@ -7,7 +7,7 @@ rod, rigid bodies on the line from D to B, are written out here.
 import numpy as np
 import pytest
 
-from linkplan.models.catalogue import built_in_text
+from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at, follow

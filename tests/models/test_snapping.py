@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 import linkplan
-from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import UnassembledError
+from linkplan.models.library import built_in_text
 from linkplan.models.selected_model import whole_model_text
 
 KNEE = built_in_text("optimus-knee")

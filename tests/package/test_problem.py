@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import linkplan
-from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError
+from linkplan.models.library import built_in_text
 from linkplan.planner.files.tables import BUILT_IN
 from linkplan.planner.problem.keys.section import Section
 from linkplan.planner.problem.problem import Problem

@@ -15,7 +15,7 @@ from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, effort_rates
 from linkplan.planner.limits.samples import Samples
 from linkplan.planner.problem.instant import Robust
-from linkplan.planner.problem.keys.motion_and_limits import Motor
+from linkplan.planner.problem.keys.limits import Motor
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import BodyLimit, SiteLimit, angles_of
 from linkplan.planner.trajectory import Trajectory

@@ -11,9 +11,9 @@ from typing import Any, Union, get_args, get_origin
 import msgspec
 
 from linkplan.planner.problem.keys.kinds import MAX_NUMBER
-from linkplan.planner.problem.keys.motion_and_limits import SITE_LIMITS
+from linkplan.planner.problem.keys.limits import SITE_LIMITS
 from linkplan.planner.problem.keys.motor_list import MotorsFile
-from linkplan.planner.problem.keys.refusals import range_words, without_metadata, words
+from linkplan.planner.problem.keys.reading import range_words, without_metadata, words
 from linkplan.planner.problem.keys.section import Section
 from linkplan.planner.problem.keys.sections import BatchFile, ProblemFile
 

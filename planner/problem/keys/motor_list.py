@@ -5,7 +5,7 @@ from typing import Annotated
 from msgspec import Meta
 
 from linkplan.planner.problem.keys import kinds
-from linkplan.planner.problem.keys.motion_and_limits import Motor
+from linkplan.planner.problem.keys.limits import Motor
 from linkplan.planner.problem.keys.section import Section, key, required
 
 _NAME = Meta(min_length=1, max_length=99, extra={"said": "a name of 1 to 99 letters"})

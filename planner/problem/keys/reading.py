@@ -1,13 +1,21 @@
-"""Conversion of a file's tables to typed sections, or a refusal in one line."""
+"""Conversion of a file's tables to typed sections, or a refusal in one line: the key, the legal values, and the value.
 
-from collections.abc import Mapping
-from typing import Any, TypeVar, get_args
+msgspec's messages name no keys. It gives a path but not the part that is wrong ("Expected `float | array`, got `str` - at
+`$.a[...]`"). So the module walks through a refused value by its type, down to the part that msgspec refuses.
+
+Names from other programs and plain speech are answered with the keys that they stand for.
+"""
+
+import math
+import types
+from collections.abc import Iterable, Mapping
+from typing import Annotated, Any, Literal, TypeVar, Union, get_args, get_origin
 
 import msgspec
 
 from linkplan.models.deadline import one_thread_at_a_time
-from linkplan.models.errors import LinkplanError, ProblemError
-from linkplan.planner.problem.keys.kinds import Known
+from linkplan.models.errors import LinkplanError, ProblemError, closest
+from linkplan.planner.problem.keys.kinds import MAX_NUMBER, Known, Place
 from linkplan.planner.problem.keys.sections import ProblemFile
 
 # The tables of a problem file and their keys; the keys of [motors] are names of actuators.
@@ -16,6 +24,34 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     name: getattr(kind, "__struct_fields__", ()) for name, kind in _FIELDS.items() if name != "description"
 }
 Read = TypeVar("Read")
+# If a synonym stands for several keys, the one that the table has is suggested.
+SYNONYMS: Mapping[str, tuple[str, ...]] = {
+    "torque": ("effort",),
+    "force": ("effort", "closure_force"),
+    "torque_rate": ("effort_rate",),
+    "position_deg": ("range_deg", "start_deg"),
+    "velocity_deg_s": ("speed_deg_s",),
+    "time": ("duration_s", "time_s"),
+    "duration": ("duration_s",),
+    "cost": ("minimize", "objective"),
+    "type": ("kind",),
+    "from_deg": ("start_deg",),
+    "to_deg": ("goal_deg",),
+    "end_deg": ("goal_deg",),
+    "via": ("waypoints",),
+    "file": ("model",),
+    "robot": ("mechanism",),
+    "mass": ("mass_kg",),
+    "method": ("scheme",),
+    "nodes": ("intervals",),
+    "timeout_s": ("max_time_s",),
+    "dt": ("period_s",),
+    "delay": ("delay_periods",),
+}
+# Keys of earlier versions, and instructions.
+REMOVED_KEYS = {"solver.name": "linkplan solves with IPOPT, and this key is gone: delete it"}
+# Attributes of msgspec's `Meta` that bound a number or the length of a list.
+_BOUNDS = ("ge", "gt", "le", "lt", "max_length")
 
 
 @one_thread_at_a_time
@@ -44,8 +80,6 @@ def read(
     except UnicodeEncodeError as refused:
         raise error(f"{where} holds what is no text") from refused
     except (msgspec.ValidationError, AttributeError) as refused:  # AttributeError: an object that only resembles a table
-        from linkplan.planner.problem.keys.refusals import fault  # imported only when it is needed
-
         raise error(fault(kind, value, where, known) or f"{where}: {refused}") from refused
 
 
@@ -70,9 +104,206 @@ def refuse_unknown_keys(tables: Mapping[str, object]) -> None:
     Raises:
         ProblemError: naming the first of them and the nearest known name.
     """
-    from linkplan.planner.problem.keys.refusals import unknown_key
-
     found = [unknown_key(ProblemFile, tables, "")]
     found += [unknown_key(kind_of(name), table, name) for name, table in tables.items() if name in _FIELDS]
     if any(found):
         raise ProblemError(next(filter(None, found)))
+
+
+def suggestion(asked: str, legal: Iterable[str]) -> str:
+    """Return " (did you mean 'x'?)" for the legal name that a synonym stands for or that is closest; "" if none is close."""
+    legal = list(legal)
+    synonyms = (name for name in SYNONYMS.get(str(asked).casefold(), ()) if name in legal)
+    match = next(synonyms, None) or closest(asked, legal)
+    return "" if match is None else f" (did you mean '{match}'?)"
+
+
+def fault(kind: Any, value: object, where: str, known: Known | None = None) -> str | None:
+    """Return a message on a value that is not of a type; None if it is."""
+    if _is_valid(kind, value):
+        return None
+    bare, about = without_metadata(kind)
+    if get_origin(bare) in (Union, types.UnionType):
+        return _union_fault(kind, bare, value, where, known)
+    if _is_section(bare):
+        return _section_fault(bare, value, where, known)
+    container = get_origin(bare) or bare
+    if container is dict and isinstance(value, dict) and value:
+        return _table_fault(bare, about, value, where, known)
+    if container is list and isinstance(value, list):
+        return _list_fault(kind, bare, about, value, where, known)
+    choices = get_args(bare) if container is Literal else ()
+    if len(choices) > 1 and (isinstance(value, str) or "choices" in about):
+        return _choice_fault(about, choices, str(value), where)
+    if bare is float:
+        return _number_fault(kind, about, value, where)
+    return f"{where} is {words(kind)}, got {got(value)}"
+
+
+def unknown_key(kind: Any, value: object, where: str) -> str | None:
+    """Return a message on a section that is no table or has an unknown key; None if there is no fault."""
+    bare = without_metadata(kind)[0]
+    if bare is str:
+        return fault(kind, value, where)
+    # None for a table by name, whose keys are arbitrary.
+    legal: tuple[str, ...] | None = getattr(bare, "__struct_fields__", None)
+    if not isinstance(value, dict):
+        inner = legal is not None and "." in where
+        what = f"{where} is a table with keys {', '.join(legal or ())}" if inner else f"'{where}' is a table ([{where}])"
+        return f"{what}, got {got(value)}"
+    if legal is None:
+        return None
+    for key in value:
+        if key not in legal and where:
+            path = f"{where}.{key}"
+            why = f": {REMOVED_KEYS[path]}" if path in REMOVED_KEYS else suggestion(key, legal)
+            return f"unknown key '{path}'{why}; keys are {', '.join(legal)}"
+        if key not in legal:
+            homes = [f"[{field.name}]" for field in msgspec.structs.fields(bare) if key in _keys(field.type)]
+            why = f": it is a key of {' or '.join(homes)}" if homes else suggestion(key, legal)
+            return f"unknown table or key '{key}'{why}; legal are {', '.join(legal)}"
+    return None
+
+
+def _keys(kind: Any) -> tuple[str, ...]:
+    """Return the keys of a section's type; () for other types."""
+    return getattr(without_metadata(kind)[0], "__struct_fields__", ())
+
+
+def words(kind: Any) -> str:
+    """Return a phrase that describes a type: "a positive number", "[low, high]", "one of reach, hold, periodic, track"."""
+    bare, about = without_metadata(kind)
+    if "said" in about:
+        return about["said"]
+    if get_origin(bare) in (Union, types.UnionType):
+        return " or ".join(words(one) for one in get_args(bare))
+    container: Any = get_origin(bare) or bare
+    if container is Literal:
+        named = get_args(bare)
+        return f"one of {', '.join(named)}" if len(named) > 1 else f'"{"".join(named)}"'
+    if container is dict:
+        return f"a table of {about['of']}"
+    if container is list:
+        return "a list"
+    if bare is int:
+        return f"a whole number from {about['ge']} to {about['le']}"
+    if bare is float:
+        least, above = about.get("ge", -math.inf), about.get("gt", -math.inf)
+        return "a positive number" if least > 0 or above >= 0 else "a number of at least 0" if least == 0 else "a number"
+    return "a text" if bare is str else "a table"
+
+
+def range_words(about: dict[str, Any]) -> str:
+    """Return a phrase that describes the range of a number."""
+    low, high = about.get("ge", about.get("gt", -MAX_NUMBER)), about.get("le", about.get("lt", MAX_NUMBER))
+    return about.get("range", f"from {low:g} to {'below ' if 'lt' in about else ''}{high:g}")
+
+
+def without_metadata(kind: Any) -> tuple[Any, dict[str, Any]]:
+    """Return a type without its metadata, and the metadata as one table: its bounds, and its words for messages."""
+    if get_origin(kind) is not Annotated:
+        return kind, {}
+    about: dict[str, Any] = {}
+    for meta in kind.__metadata__:
+        about |= {name: end for name in _BOUNDS if (end := getattr(meta, name)) is not None}
+        about |= meta.extra or {}
+    return kind.__origin__, about
+
+
+def got(value: object) -> str:
+    """Return a value as messages quote it."""
+    try:
+        return repr(value)
+    except ValueError:  # Python does not print integers of thousands of digits
+        return "a number of thousands of digits"
+
+
+def _is_section(kind: Any) -> bool:
+    return isinstance(kind, type) and issubclass(kind, msgspec.Struct)
+
+
+def _is_valid(kind: Any, value: object) -> bool:
+    try:
+        msgspec.convert(value, kind)
+    except (msgspec.ValidationError, AttributeError):
+        return False
+    return True
+
+
+def _union_fault(kind: Any, bare: Any, value: object, where: str, known: Known | None) -> str | None:
+    """Return a message on a value that fits none of several types: with the type that it resembles, or with all."""
+    for one in get_args(bare):
+        inner = without_metadata(one)[0]
+        container = get_origin(inner) or inner
+        is_section = _is_section(container)
+        alike = (
+            (container is dict or is_section) and isinstance(value, dict) and value,
+            container is list and isinstance(value, list),
+            container is float and isinstance(value, int | float) and not isinstance(value, bool),
+            container is Literal and isinstance(value, str) and len(get_args(inner)) > 1,
+        )
+        if any(alike):
+            return fault(one, value, where, known)
+    if kind == Place and isinstance(value, int | float):  # a number probably means a joint's position
+        stem, _, name = where.rpartition(".")
+        joint = f"joint {name}'s position is {stem.removesuffix('_at')}_deg.{name}"
+        return f"{where} is a site's place, {words(kind)}, got {got(value)}; {joint}"
+    return f"{where} is {words(kind)}, got {got(value)}"
+
+
+def _section_fault(kind: type[msgspec.Struct], value: object, where: str, known: Known | None) -> str | None:
+    found = unknown_key(kind, value, where)
+    if found is not None or not isinstance(value, dict):
+        return found
+    fields = msgspec.structs.fields(kind)
+    path = {field.name: f"{where}.{field.name}" if where else field.name for field in fields}
+    for field in fields:
+        found = fault(field.type, value[field.name], path[field.name], known) if field.name in value else None
+        if found:
+            return found
+    for field in fields:
+        if field.required and field.name not in value:
+            inner = without_metadata(field.type)[0]
+            is_section = _is_section(inner)
+            missing = f"{path[field.name]} is missing; it is {words(field.type)}"
+            return fault(inner, {}, path[field.name], known) if is_section else missing
+    return None
+
+
+def _list_fault(kind: Any, bare: Any, about: dict, value: list, where: str, known: Known | None) -> str:
+    if len(value) > about.get("max_length", len(value)):
+        return f"{where} is {words(kind)}, got {len(value)} of them"
+    inner = get_args(bare)[0]
+    found = (fault(inner, item, f"{where}[{k}]" if "numbered" in about else where, known) for k, item in enumerate(value))
+    return next(filter(None, found), f"{where} is {words(kind)}, got {got(value)}")
+
+
+def _table_fault(bare: Any, about: dict, value: dict, where: str, known: Known | None) -> str | None:
+    names, inner = get_args(bare)
+    legal = get_args(names) if get_origin(names) is Literal else None
+    for name, one in value.items():
+        if legal is not None and name not in legal:
+            return f"unknown key '{where}.{name}'{suggestion(name, legal)}; it is one of {', '.join(legal)}"
+        if known is not None and "noun" in about:
+            known(about["noun"], name, where)
+        found = fault(inner, one, where + about["item"].format(name) if "item" in about else f"{where}.{name}", known)
+        if found:
+            return found
+    return None
+
+
+def _choice_fault(about: dict[str, Any], choices: tuple[str, ...], value: str, where: str) -> str:
+    legal = about.get("choices") or f"legal: {', '.join(choices)}"
+    return f"unknown {where} '{value}'{suggestion(value, choices)}; {legal}"
+
+
+def _number_fault(kind: Any, about: dict[str, Any], value: object, where: str) -> str:
+    wanted = f"{where} is {words(kind)}"
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return f"{wanted}, got {got(value)}"
+    if isinstance(value, int) and abs(value) > MAX_NUMBER:
+        return f"{wanted} below {MAX_NUMBER:g}, got one of {int(math.log10(abs(value))) + 1} digits"
+    if not math.isfinite(value) or (value <= 0 and about.get("ge", about.get("gt", -1)) >= 0):
+        return f"{wanted}, got {got(value)}"
+    short = f"{value:g}"
+    return f"{where} is {range_words(about)}, got {short if float(short) == value else got(value)}"

@@ -6,7 +6,7 @@ A key of hinges in degrees (`by_joint`) declares its twin of slides in metres, r
 """
 
 import functools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, Self
 
 from msgspec import NODEFAULT, Meta, Struct, structs
@@ -89,3 +89,98 @@ class Section(Struct, metaclass=_Declared, frozen=True, forbid_unknown_fields=Tr
     def replace(self, **changes: object) -> Self:
         """Return the section with new values, checked as its first ones."""
         return structs.replace(self, **changes)
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class KeyOf:
+    """The key of a field of a dataclass, in SI and by index, from whose fields a section follows (`section_of`).
+
+    Args:
+        name: of the key; of values by joint in degrees that of hinges, which declares that of slides, too.
+        by: what the key's table has values for: actuator, joint, closure, site, body; "" for a key with one value.
+        kind: of its value in a file.
+        meaning: a phrase.
+        unit: of its values.
+        otherwise: a phrase for an empty table.
+    """
+
+    name: str
+    by: str
+    kind: Any
+    meaning: str
+    unit: str = ""
+    otherwise: str = "none"
+
+
+def keys_of(declared: type) -> dict[str, KeyOf]:
+    """Return the keys that the fields of a dataclass declare, by the fields' names."""
+    return {one.name: one.type.__metadata__[0] for one in fields(declared)}
+
+
+def section_of(declared: type, name: str, doc: str) -> type[Section]:
+    """Return the section of the keys that a dataclass declares."""
+    namespace: dict[str, Any] = {"__doc__": doc, "__module__": declared.__module__, "__annotations__": {}}
+    for field, said in zip(fields(declared), keys_of(declared).values(), strict=True):
+        otherwise, default = (said.otherwise, {}) if said.by else ("", field.default)
+        namespace["__annotations__"][said.name] = said.kind
+        namespace[said.name] = key(said.meaning, said.unit, otherwise, default, () if said.by == "joint" else None)
+    made: Any = _Declared  # the type checker expects a metaclass to return an instance of its caller's
+    return made(name, (Section,), namespace, frozen=True)
+
+
+# The bound of quantities without a natural one, in their own units.
+_MAX_QUANTITY = 1e9
+# The legal forms of a value.
+FORMS = "a number, a range [low, high], { uniform = [low, high] } or { normal = [mean, std] }"
+
+
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A quantity that can be wrong: its unit, its range, and what has it.
+
+    `of` is "" for the whole machine, "hinge" or "slide" (independent joints of that kind), "joint" (any), "actuator" or
+    "body".
+    """
+
+    unit: str
+    low: float
+    high: float
+    of: str
+
+    @property
+    def kind(self) -> Any:
+        """The type of its value: `FORMS`, or a table of these by name."""
+        value = {"type": "number", "minimum": self.low, "maximum": self.high}
+        deviation = {"type": "number", "minimum": 0, "maximum": 1e15}
+        uniform = {"type": "array", "items": value, "minItems": 2, "maxItems": 2}
+        normal = {"type": "array", "prefixItems": [value, deviation], "minItems": 2, "maxItems": 2}
+        laws = {"uniform": uniform, "normal": normal}
+        law = {"type": "object", "properties": laws, "additionalProperties": False, "minProperties": 1, "maxProperties": 1}
+        forms = [value, uniform, law]
+        if self.of:
+            names = {"not": {"enum": list(laws)}}
+            forms.append({"type": "object", "additionalProperties": {"anyOf": [*forms]}, "propertyNames": names})
+        said = f"{FORMS}, or a table of these by name" if self.of else FORMS
+        return Annotated[Any, Meta(extra={"said": said, "quantity": self}, extra_json_schema={"anyOf": forms})]
+
+
+def quantity(
+    meaning: str,
+    unit: str,
+    low: float = -_MAX_QUANTITY,
+    high: float = _MAX_QUANTITY,
+    of: str = "",
+    otherwise: str = "nominal",
+    twin: bool = False,
+) -> Any:
+    """Return the description of a quantity's key; with `twin` that of hinges, which declares the key of slides too."""
+    kind = Quantity(unit or "1", low, high, of).kind
+    if not twin:
+        return key(meaning, unit, otherwise, kind=kind)
+    of_slides = Quantity(unit.replace("deg", "m"), -_MAX_QUANTITY if low < 0 else 0.0, _MAX_QUANTITY, "slide").kind
+    return key(meaning, unit, otherwise, twin=(), kind=kind, twin_kind=of_slides)
+
+
+def name_of(meaning: str) -> Any:
+    """Return the description of a key whose value is a name."""
+    return key(meaning, "", "none", kind=Annotated[str, Meta(min_length=1, extra={"said": "a name"})])

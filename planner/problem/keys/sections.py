@@ -11,15 +11,8 @@ from msgspec import Meta
 from linkplan.models.catalogue import MODELS
 from linkplan.planner.problem.keys import kinds
 from linkplan.planner.problem.keys.imperfections import ImperfectionsSection
-from linkplan.planner.problem.keys.motion_and_limits import (
-    ForceTable,
-    LimitsSection,
-    MotionSection,
-    MotorTable,
-    PathTable,
-    ReferenceTable,
-    RobustSection,
-)
+from linkplan.planner.problem.keys.limits import LimitsSection, MotorTable, RobustSection
+from linkplan.planner.problem.keys.motion import ForceTable, MotionSection, PathTable, ReferenceTable
 from linkplan.planner.problem.keys.section import Section, by_joint, by_name, key, required
 
 # Each case has a folder with its name, next to the JSON records of results: so names have no separators, wildcards or

@@ -10,8 +10,8 @@ from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.reach import reach
 from linkplan.planner.closed_chain.guess import first_guess
+from linkplan.planner.problem.motion import check_asked_pose
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.start import check_asked_pose
 from linkplan.studies.check.holding import require_actuated
 from linkplan.studies.feedback.bode.bode import REACH_SHARES, inner_reach
 from linkplan.studies.feedback.bode.scan import PoseLine, coordinate_line, motion_line, reduced_limits

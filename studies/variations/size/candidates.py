@@ -11,7 +11,7 @@ import numpy as np
 from linkplan.models.catalogue import nearest_source
 from linkplan.models.errors import ModelError, ProblemError, choose, shown
 from linkplan.models.reading import MOST_TOML_BYTES, read_file, read_toml
-from linkplan.planner.problem.keys.motion_and_limits import Motor
+from linkplan.planner.problem.keys.limits import Motor
 from linkplan.planner.problem.keys.motor_list import CandidateMotor, MotorsFile
 from linkplan.planner.problem.keys.reading import read
 from linkplan.planner.problem.problem import Problem

@@ -10,7 +10,7 @@ from linkplan.models.poses.assembly import advance, advance_all, close_at, closi
 from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
 from linkplan.models.reduction.closing import are_regular, states_at, stretch
-from linkplan.planner.problem.start import is_open
+from linkplan.planner.problem.motion import is_open
 
 # Rounding of poses [rad or m].
 ASSEMBLY = 1e-12

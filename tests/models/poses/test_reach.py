@@ -12,7 +12,7 @@ from linkplan.models.poses import reach as reach_file
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.period import travel_scales, turn_of
 from linkplan.models.poses.reach import reach, toggles
-from linkplan.planner.problem.start import is_open
+from linkplan.planner.problem.motion import is_open
 from linkplan.studies.check.new.clear_way import obstacle_on_way
 from tests.support.four_bars import PLAIN, RANGED, load, random_bars
 from tests.support.hexapod import hexapod

@@ -116,7 +116,7 @@ def test_a_motor_s_dead_centre_is_named_and_has_no_way_back():
 
 def parallel_slide_text() -> str:
     """Return the slider-crank with its motor on the slide."""
-    from linkplan.models.catalogue import built_in_text
+    from linkplan.models.library import built_in_text
     from tests.support.mechanisms import replaced
 
     return replaced(built_in_text("slider-crank"), '<motor name="act_O" joint="O"', '<motor name="act_O" joint="B"')

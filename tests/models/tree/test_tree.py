@@ -8,9 +8,9 @@ import pytest
 
 import linkplan
 from linkplan.models.audit import audit
-from linkplan.models.catalogue import built_in_text
 from linkplan.models.digest import part_hashes
 from linkplan.models.errors import ModelError, ProblemError
+from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import sampled
 from tests.support.linkages import LEG, RSSR

@@ -9,8 +9,8 @@ import pytest
 from msgspec import structs
 from scipy.optimize import brentq
 
-from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import CertificateError, ProblemError
+from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import Contact, meetings
@@ -19,6 +19,7 @@ from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.further_checks import contact_notes, unavoidable, with_contacts
 from linkplan.planner.closed_chain.case import finished
 from linkplan.planner.files.folders import plain_record
+from linkplan.planner.limits.limit import with_limits
 from linkplan.planner.plan.folder import read_plan, record_of, write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem, load_problem
@@ -303,11 +304,11 @@ def test_a_collision_is_unavoidable_at_a_pose_between_start_and_goal(swing, star
     """The swing from -30 to 20 deg stands for a motion between -10 and 10 deg that goes beyond both ends."""
     plan = swing[0.05]
     motion = replace(plan.problem.motion, start=np.radians([start]), goal=np.radians([goal]))
-    problem, trajectory = replace(plan.problem, contacts="refuse", motion=motion), plan.trajectory
+    problem, trajectory = replace(with_limits(plan.problem, contacts="refuse"), motion=motion), plan.trajectory
     since = brentq(lambda t: float(trajectory.position_at(np.array([t]))[0, 0]) - np.radians(pose), 0, trajectory.duration_s)
     certificate = structs.replace(plan.certificate, contacts=(meeting(since),))
     assert unavoidable(problem, trajectory, certificate) is expected
-    assert not unavoidable(replace(problem, contacts="note"), trajectory, certificate)
+    assert not unavoidable(with_limits(problem, contacts="note"), trajectory, certificate)
     assert not unavoidable(problem, trajectory, structs.replace(certificate, contacts=(meeting(None),)))
 
 
@@ -316,7 +317,7 @@ def test_a_collision_is_found_where_the_ball_reaches_the_wall_and_refused_unless
     plan = swing[beyond]
     certificate = structs.replace(plan.certificate, contacts=())
     noted = with_contacts(plan.problem, plan.trajectory, certificate)
-    refused = with_contacts(replace(plan.problem, contacts="refuse"), plan.trajectory, certificate)
+    refused = with_contacts(with_limits(plan.problem, contacts="refuse"), plan.trajectory, certificate)
     assert noted.failures == certificate.failures
     assert bool(noted.contacts) is bool(refused.failures) is (beyond < 0)
     if beyond < 0:

@@ -9,9 +9,8 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.keys import kinds
 from linkplan.planner.problem.keys.imperfections import QUANTITIES
 from linkplan.planner.problem.keys.key_table import _range, key_table
-from linkplan.planner.problem.keys.motion_and_limits import MotionSection
-from linkplan.planner.problem.keys.reading import checked, read
-from linkplan.planner.problem.keys.refusals import fault, words
+from linkplan.planner.problem.keys.motion import MotionSection
+from linkplan.planner.problem.keys.reading import checked, fault, read, words
 from linkplan.planner.problem.keys.section import Section, by_joint, key, required
 
 BOUNDS = [

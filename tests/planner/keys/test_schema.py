@@ -16,7 +16,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.planner.files.tables import BUILT_IN, apply_override, built_in_text
 from linkplan.planner.problem.keys.key_table import FILES, json_schema, key_table
 from linkplan.planner.problem.keys.kinds import Term
-from linkplan.planner.problem.keys.motion_and_limits import MotionSection
+from linkplan.planner.problem.keys.motion import MotionSection
 from linkplan.planner.problem.keys.reading import KEYS, kind_of
 from linkplan.planner.problem.keys.sections import ProblemFile
 from linkplan.planner.problem.objective import TERMS

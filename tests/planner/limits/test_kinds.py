@@ -9,10 +9,12 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.limits.actuators import ControlLimit, MotorLimit, PowerLimit
 from linkplan.planner.limits.efforts import EffortLimit, RobustLimit
 from linkplan.planner.limits.joints import ClosureForceLimit, RangeLimit, SingularMarginLimit, SpeedLimit, TendonLimit
-from linkplan.planner.limits.kinds import BETWEEN_NODES_FACTOR, KINDS, factor_of, without
+from linkplan.planner.limits.kinds import _ORDER, BETWEEN_NODES_FACTOR, KINDS, factor_of, without
 from linkplan.planner.limits.limit import Limit, limit_margin
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.instant import Robust
+from linkplan.planner.problem.keys import kinds
+from linkplan.planner.problem.keys.limits import LIMIT_KEYS
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.prove import prove
 from linkplan.planner.trajectory import Trajectory
@@ -21,14 +23,17 @@ from tests.support.plans import planned, problem_of
 from tests.support.random_motions import motion_of
 
 
-def test_every_kind_of_limit_is_in_the_table():
-    assert {kind.__name__ for kind in Limit.__subclasses__() if kind.__module__ != __name__} == {
-        kind.__name__ for kind in KINDS
+def test_every_key_of_a_limit_has_one_kind_of_limit_that_imposes_it():
+    assert {kind.__name__ for kind in KINDS} == {
+        kind.__name__ for kind in Limit.__subclasses__() if kind.__module__ != __name__
     }
-
-
-def test_no_two_kinds_have_one_key():
     assert len({kind.key for kind in KINDS}) == len(KINDS)
+    limited = {name for name, key in LIMIT_KEYS.items() if key.kind != kinds.Contacts} - {"reserve"}
+    assert limited <= {kind.key for kind in KINDS}
+
+
+def test_rows_are_in_the_stated_order_and_rows_of_other_kinds_follow():
+    assert [kind.key for kind in KINDS[: len(_ORDER)]] == [*_ORDER]
 
 
 def test_a_limit_has_eight_members_at_most():

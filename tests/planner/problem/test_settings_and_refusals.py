@@ -9,14 +9,14 @@ import pytest
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.reach import End, reach
-from linkplan.planner.problem import start
+from linkplan.planner.problem import motion
 from linkplan.planner.problem.extra import ExtraCost, checked_extras
 from linkplan.planner.problem.imperfections import spread_of
 from linkplan.planner.problem.instant import Corner, Robust, Scales, corner_efforts_along, free_instant
+from linkplan.planner.problem.motion import _way_through
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.reference import Sine, is_whole
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings, Tracking
-from linkplan.planner.problem.start import _way_through
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, body_problem
 
 SECOND = QUARTER_TURN + "duration_s = 1.0\n"
@@ -240,10 +240,10 @@ def test_the_reason_is_that_of_the_end_beyond_which_a_position_lies(monkeypatch,
         name: replace(getattr(found, name), reason=f"what lies {word}")
         for name, word in (("lower", "below"), ("upper", "above"))
     }
-    monkeypatch.setattr(start, "reach", lambda _mechanism: replace(found, **ends))
+    monkeypatch.setattr(motion, "reach", lambda _mechanism: replace(found, **ends))
     at = found.upper.position if beyond > 0 else found.lower.position
     with pytest.raises(ProblemError, match=reason):
-        start._check_reach(mechanism, None, "goal", np.array([at + beyond]))
+        motion._check_reach(mechanism, None, "goal", np.array([at + beyond]))
 
 
 def test_a_joint_of_several_is_named_alone():

@@ -8,8 +8,8 @@ import scipy.interpolate
 import scipy.optimize
 
 import linkplan
-from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import CertificateError, ProblemError
+from linkplan.models.library import built_in_text
 from tests.support.linkages import GRIPPER, UNCUT
 from tests.support.mechanisms import replaced
 from tests.support.slider_crank import inertia, potential

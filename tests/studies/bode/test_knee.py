@@ -6,7 +6,7 @@ import pytest
 from scipy.optimize import brentq
 
 from linkplan.controllers.sampling import sampling
-from linkplan.models.catalogue import built_in_text
+from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.files.folders import plain_record

@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from linkplan.models.catalogue import built_in_text
+from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.selected_model import whole_model_text

@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from linkplan.models.catalogue import built_in_text
 from linkplan.models.compiled import functions
 from linkplan.models.errors import CertificateError, LinkplanError, ModelError, PlanFileError, ProblemError, one_line
+from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.files import tables
 from linkplan.planner.plan.folder import read_plan

@@ -12,8 +12,8 @@ from linkplan.controllers.imperfections.imperfections import Clock, Imperfection
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.simulate import simulate
-from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import ModelError, ProblemError
+from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.contacts import contact_pairs
 from linkplan.models.poses.reach import reach

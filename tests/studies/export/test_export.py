@@ -11,9 +11,8 @@ import pytest
 import scipy.io
 import yaml
 
-from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import ProblemError
-from linkplan.models.library import compile_model
+from linkplan.models.library import built_in_text, compile_model
 from linkplan.models.payload import BUILT_IN as PAYLOADS
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.handover.export.export import exported

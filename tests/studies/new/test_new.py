@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import linkplan
-from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.motion import Motion

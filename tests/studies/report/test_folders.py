@@ -6,8 +6,8 @@ import re
 import pytest
 
 import linkplan
-from linkplan.models.catalogue import built_in_text
 from linkplan.models.errors import PlanFileError
+from linkplan.models.library import built_in_text
 from linkplan.studies.cli.main import main
 from linkplan.studies.output.document import Checklist, Code, Report, Table, Text
 from linkplan.studies.output.plan_sections import plan_report
