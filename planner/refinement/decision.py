@@ -44,15 +44,15 @@ from linkplan.planner.refinement.marking import (
     rough_of,
     uneven_of,
 )
-from linkplan.planner.refinement.state import Refined, RefinementState, observed
+from linkplan.planner.refinement.state import OPTIMAL_CHANGE, Refined, RefinementState, observed
 from linkplan.planner.refinement.switches import is_bang_bang, settle_switch_times
 
 # A boundary layer a ten-thousandth of the motion long takes eight halvings; no refinement of the record took more rounds.
 MAX_ROUNDS = 24
 # A mesh that has grown by this factor without passing will not pass by growing on.
 MAX_GROWTH = 120
-# If the user gave no tolerance, a mesh of so many intervals is fine enough. If efforts jump inside intervals, the larger
-# number holds while the objective changes by more than this share.
+# If the user gave no tolerance, a mesh of so many intervals is fine enough. The larger number holds while the objective
+# changes too much for an optimal plan or, if efforts jump inside intervals, by more than this share.
 ENOUGH_INTERVALS, ENOUGH_ROUGH_INTERVALS, CHANGE_WORTH_INTERVALS = 100, 200, 1e-4
 # A mesh grows by this factor at most for digits of the objective that the user did not ask for: a solve on such a mesh takes
 # about as many times as long as the first. A second mesh, which tells the error, is always solved.
@@ -227,7 +227,7 @@ def _comfortable(state: RefinementState) -> int:
         exact = report is not None and report.exact and np.isfinite(state.change)
         growth = CHEAP_GROWTH if exact and not target.objective_tolerance_given else MAX_GROWTH
         return growth * state.asked.problem.mesh.intervals
-    rough = state.target.enclosed and state.change > CHANGE_WORTH_INTERVALS
+    rough = state.change > CHANGE_WORTH_INTERVALS if state.target.enclosed else state.moved > OPTIMAL_CHANGE
     return ENOUGH_ROUGH_INTERVALS if rough else ENOUGH_INTERVALS
 
 

@@ -24,6 +24,8 @@ CHANGE_AT_TOUCHED_LIMIT = 1e-7
 # A relative change of the objective on a finer mesh above this share is reported. With less the mesh is fine enough to stop
 # halving it for the smoothing.
 REPORTED_CHANGE = 1e-4
+# A plan whose objective changes by more than this share on a finer mesh is "feasible" and not "optimal".
+OPTIMAL_CHANGE = 5e-2
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

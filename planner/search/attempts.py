@@ -21,7 +21,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt, with_scheme
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recorded
-from linkplan.planner.refinement.state import REPORTED_CHANGE, Refined
+from linkplan.planner.refinement.state import OPTIMAL_CHANGE, REPORTED_CHANGE, Refined
 from linkplan.planner.search.finer_meshes import refine_several
 from linkplan.planner.search.ladder import Budget, Search, Steps, followed
 from linkplan.planner.search.solving import (
@@ -149,8 +149,7 @@ def certified(
     objective = own_objective(solution.transcribed, solution.objective, better.motion)
     moved = better.moved if change is None else change
     against = better.arcs_with_wrong_sign
-    # A plan whose objective changes by more than this share on a finer mesh is "feasible" and not "optimal".
-    optimal = not len(against) and moved <= 5e-2
+    optimal = not len(against) and moved <= OPTIMAL_CHANGE
     plan = finished(problem, better.motion, better.certificate, objective, None, optimal=optimal)
     said = f"; on a finer mesh its objective still changed by {100 * moved:.1g} %" if moved > REPORTED_CHANGE else ""
     if len(against):
