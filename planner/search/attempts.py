@@ -23,7 +23,7 @@ from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.state import OPTIMAL_CHANGE, REPORTED_CHANGE, Refined
 from linkplan.planner.search.finer_meshes import refine_several
-from linkplan.planner.search.ladder import Budget, Search, Steps, followed
+from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.solving import (
     GRID_ERROR_FACTOR,
     INTERVALS_PER_SWING,
@@ -35,6 +35,8 @@ from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import halved
 
+# The weights with which the smoothing of efforts is taken out (continuation).
+_SMOOTHING_WEIGHTS = tuple(share * SMOOTHING_WEIGHT for share in (1e-1, 1e-2, 1e-3))
 # The mesh of a tracking motion is halved up to so many intervals.
 _MAX_INTERVALS = 160
 # An objective below this share of its unit counts as exact tracking: an rms error of 1e-5 of the motion's range.
@@ -237,10 +239,12 @@ def _unsmoothed(case: MechanismCase, first: Iterate, warm: bool) -> tuple[Refine
     returned, and the first one if none passes.
     """
     nothing = _EXACT_TRACKING_SHARE * first.solution.transcribed.units.objective
-    steps = Steps(begin=case.smoothing, end=1e-3 * SMOOTHING_WEIGHT, factor=0.1, halvings=0)
-    solves = ((case, first),)
-    if objective_of(first) > nothing:
-        solves = followed(solves[0], steps, lambda stage, weight: _smoothed(*stage, weight)).stages
+    solves = [(case, first)]
+    for weight in _SMOOTHING_WEIGHTS if objective_of(first) > nothing else ():
+        lighter = _smoothed(*solves[-1], weight)
+        if lighter is None:
+            break
+        solves.append(lighter)
     at, change = None, None
     for case, found in reversed(solves):
         at = _refined(case, found, warm=warm or found is not first)

@@ -1,19 +1,14 @@
-"""The search for a motion: methods, the continuation along a parameter, and the state that a mechanism's methods share.
+"""The search for a motion: its methods, and the state that they share.
 
-A method is one way to search for a motion: a start, or a continuation. Each has a condition, a budget and one function. It
-returns a plan, whether its certificate passes or not, or None if it found no motion. `planner.search.planning` lists the
-methods and the repairs.
-
-Continuation follows motions along a parameter, each the start of the next: motions of ever longer duration, of ever smaller
-margins to singular poses, and under ever lower limits. A step that is lost is tried again with the root of its factor
-(step-length control: Allgower & Georg, Introduction to Numerical Continuation Methods, SIAM 2003, chapter 6).
+A method is one way to search for a motion: from a start of its own, or without a solver. Each has a condition, a budget and
+one function. It returns a plan, whether its certificate passes or not, or None if it found no motion.
+`planner.search.planning` lists the methods and the repairs.
 """
 
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -28,8 +23,6 @@ from linkplan.planner.refinement.history import recorded
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts, settled_limit
 from linkplan.planner.solvers.solve import INVALID, OF_TIME, OUT_OF_TIME
 from linkplan.planner.trajectory import Trajectory
-
-Stage = TypeVar("Stage")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -61,65 +54,6 @@ class SearchMethod:
     budget: Budget
     tried: "Callable[[Search], bool]" = lambda _: True
     shares_time: "Callable[[Search], bool]" = lambda _: False  # whether half of the time left is kept for later methods
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Path(Generic[Stage]):
-    """The stages that were passed, in order; `arrived`: whether the parameter's end was reached, or far enough."""
-
-    stages: tuple[Stage, ...]
-    arrived: bool
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Steps:
-    """How a parameter is changed: from `begin` towards `end`, by a `factor` at a time.
-
-    A lost step is tried again with the root of the factor, `halvings` times at most.
-    """
-
-    begin: float
-    end: float
-    factor: float
-    halvings: int
-
-
-def followed(
-    stage: Stage,
-    steps: Steps,
-    solve: Callable[[Stage, float], Stage | None],
-    *,
-    enough: Callable[[Stage, Stage, bool], bool] = lambda _before, _after, _whole: False,
-    after_loss: Callable[[Stage], Stage] = lambda stage: stage,
-) -> Path[Stage]:
-    """Return the stages along a parameter.
-
-    Args:
-        stage: at the beginning.
-        steps: of the parameter.
-        solve: returns the next stage from one and the parameter's next value; None where it is lost.
-        enough: whether to end, from a stage, the next, and whether the step between them was a whole one.
-        after_loss: returns the stage from which a lost step is tried again.
-    """
-    stages, value, factor, halvings = [stage], steps.begin, steps.factor, steps.halvings
-    way = np.sign(np.log(steps.factor))
-    for _ in range(40):  # the end may be infinite or far away
-        # The relative distance at which a parameter counts as at its end: rounding.
-        if way * (steps.end * (1 - way * 1e-12) - value) <= 0:
-            return Path(stages=tuple(stages), arrived=True)
-        following = float(way * min(way * value * factor, way * steps.end))
-        found = solve(stages[-1], following)
-        if found is None:
-            if not halvings:
-                return Path(stages=tuple(stages), arrived=False)
-            factor, halvings = float(np.sqrt(factor)), halvings - 1
-            stages[-1] = after_loss(stages[-1])
-            continue
-        stages.append(found)
-        if enough(stages[-2], found, factor == steps.factor):
-            return Path(stages=tuple(stages), arrived=True)
-        value = following
-    return Path(stages=tuple(stages), arrived=False)
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -20,7 +20,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import share_gained
 from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
 from linkplan.planner.refinement.state import REPORTED_CHANGE
-from linkplan.planner.search import attempts, continuations, reasons, starts, waiting, without_solver
+from linkplan.planner.search import attempts, reasons, starts, waiting, without_solver
 from linkplan.planner.search.attempts import of_several
 from linkplan.planner.search.ladder import FULL_BUDGET, SHORT_BUDGET, Budget, Repair, Search, SearchMethod, run_search
 from linkplan.planner.search.multistart import from_several_starts
@@ -92,19 +92,6 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
         run=starts.from_swings,
         budget=SHORT_BUDGET,
         shares_time=_leaves_time_to_wait,
-    ),
-    SearchMethod(
-        name="continuation in the duration",
-        tried=lambda search: (
-            not search.solved
-            and all(attempts.unsound(plan) for plan in search.plans[:1])
-            and not search.only_time_counts
-            and not of_several(search.problem)
-            and continuations.may_be_lengthened(search)
-            and not waiting.far_beyond(search)
-        ),
-        run=continuations.from_continuation,
-        budget=FULL_BUDGET,
     ),
     SearchMethod(
         name="the least time, and waiting",

@@ -13,7 +13,6 @@ from linkplan.planner.closed_chain.guess import guess_from, stretched
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import MIN_INTERVAL_SHARE
 from linkplan.planner.search.attempts import certified, without_solving
-from linkplan.planner.search.continuations import DURATION_FACTOR
 from linkplan.planner.search.ladder import Budget, Search
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import shortest_motion
@@ -29,17 +28,6 @@ def may_wait(search: Search) -> bool:
     if motion.kind != "reach" or motion.duration_s is None or motion.stays or motion.waypoints:
         return False
     return any(held(search.problem, end) is not None for end in ("start", "goal"))
-
-
-def far_beyond(search: Search) -> bool:
-    """True if a motion of several driven degrees of freedom is much longer than the least time and may wait.
-
-    Continuation to such a duration takes minutes and loses the motion. A rest is a better start.
-    """
-    if search.problem.mechanism.dof == 1 or not may_wait(search):
-        return False
-    quick = shortest_motion(search)
-    return quick is not None and search.problem.motion.duration_s > DURATION_FACTOR * quick.trajectory.duration_s
 
 
 def from_waiting(search: Search, budget: Budget) -> Plan | None:

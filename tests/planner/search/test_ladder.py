@@ -1,4 +1,4 @@
-"""The ladder of attempts: methods in order, each where its condition holds and within its budget; and continuation."""
+"""The ladder of attempts: methods in order, each where its condition holds and within its budget."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import attempts, least_limit
-from linkplan.planner.search.ladder import FULL_BUDGET, Budget, Search, SearchMethod, Steps, followed, run_search
+from linkplan.planner.search.ladder import FULL_BUDGET, Budget, Search, SearchMethod, run_search
 from linkplan.planner.search.planning import DIAGNOSES, SEARCH_METHODS, plan_motion, search_for
 from linkplan.planner.search.replan import Replanner
 from linkplan.planner.search.solving import first_mesh
@@ -149,43 +149,6 @@ def test_diagnoses_never_return_a_motion():
     plans = [plan for diagnosis in DIAGNOSES if (plan := diagnosis(search)) is not None]
     assert len(plans) >= 2  # the efforts, and the last word
     assert all(plan.trajectory is None and plan.status != "optimal" for plan in plans)
-
-
-@pytest.mark.parametrize(
-    ("end", "factor", "most", "stages"),
-    [(10.0, 2.0, 10.0, (1, 2, 4, 8, 10)), (0.1, 0.5, 1.0, (1, 0.5, 0.25, 0.125, 0.1)), (8.0, 2.0, 3.0, (1, 2))],
-)
-def test_continuation_goes_by_equal_factors_to_the_end_or_where_it_is_lost_for_good(end, factor, most, stages):
-    path = followed(1.0, Steps(begin=1.0, end=end, factor=factor, halvings=0), lambda _, x: x if x <= most else None)
-    assert path.arrived is (stages[-1] == end)
-    assert path.stages == stages
-
-
-def test_a_lost_step_is_tried_again_with_the_root_of_its_factor():
-    # A step succeeds where it changes the parameter by less than a half.
-    tried = []
-
-    def solve(stage, value):
-        tried.append(value / stage)
-        return value if value < 1.5 * stage else None
-
-    path = followed(1.0, Steps(begin=1.0, end=8.0, factor=4.0, halvings=2), solve)
-    assert path.arrived
-    assert tried[:3] == pytest.approx([4.0, 2.0, np.sqrt(2.0)])
-    assert path.stages[-1] == 8.0
-
-
-def test_a_continuation_ends_where_it_has_gone_far_enough():
-    enough = []
-
-    def settled(before, after, whole):
-        enough.append((before, after, whole))
-        return after > 3
-
-    path = followed(1.0, Steps(begin=1.0, end=100.0, factor=2.0, halvings=0), lambda _, v: v, enough=settled)
-    assert path.arrived
-    assert path.stages == (1.0, 2.0, 4.0)
-    assert all(whole for *_, whole in enough)
 
 
 @pytest.mark.parametrize(("change", "status"), [(5e-5, "optimal"), (5e-4, "optimal"), (0.04, "optimal"), (0.06, "feasible")])

@@ -5,15 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.closed_chain.guess import Guess, first_guess
 from linkplan.planner.limits.joints import RangeLimit, SingularMarginLimit
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.plan.plan import Plan
-from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.attempts import plan_from
-from linkplan.planner.search.continuations import nears_singular
 from linkplan.planner.search.ladder import FULL_BUDGET, Search, SearchMethod
 from linkplan.planner.search.least_limit import least_limit_of_starts
 from linkplan.planner.search.planning import plan_motion, search_for
@@ -119,11 +117,6 @@ def clear_problem(number: int) -> Problem:
     return Problem.from_tables("next to a singular pose", random_case(SEED, number).tables)
 
 
-def test_a_straight_motion_in_the_open_nears_no_singular_pose():
-    problem = clear_problem(TO_A_DEAD_CENTRE)
-    assert not nears_singular(problem, first_guess(problem, problem.start_pose()))
-
-
 @pytest.mark.slow
 def test_known_switches_are_planned_next_to_a_singular_pose():
     """From a smooth path, solvers fly through the mesh: 24 % faster than the least time, and no motion."""
@@ -171,23 +164,3 @@ def test_a_pose_short_of_the_singular_margin_is_refused(more, refused):
     assert (said is not None) == refused
     if said is not None:
         assert "short of its limit" in said
-
-
-@pytest.mark.parametrize(("furthest", "nears"), [(0.5, False), (1.36, True)])
-def test_a_motion_nears_a_singular_pose_where_it_comes_within_half_the_distance_of_its_ends(furthest, nears):
-    """The knee's crank from 0.4 rad to `furthest` and back; at 1.37 rad its loop is next to a singular pose."""
-    problem = load_problem("knee-sprint")
-    begin = 0.4
-
-    def position(t: np.ndarray) -> np.ndarray:
-        return (begin + (furthest - begin) * np.sin(np.pi * t))[:, None]
-
-    guess = Guess(
-        position=position,
-        velocity=position,
-        acceleration=position,
-        effort=None,
-        duration_s=1.0,
-        start_pose=problem.start_pose(),
-    )
-    assert nears_singular(problem, guess) is nears
