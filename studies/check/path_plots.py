@@ -2,8 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from itertools import chain
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,11 +15,9 @@ from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts
 from linkplan.studies.check.spring_ratios import sprung_tendons
 from linkplan.studies.output.document import Axis, Plot
 from linkplan.studies.output.draw_bodies import draw_poses
-from linkplan.studies.output.figure import GREY, RED
+from linkplan.studies.output.figure import GREY, RED, draw_plot
+from linkplan.studies.output.figure_spec import FigureSpec, one_screen
 from linkplan.studies.output.lines import TIME, Line, plots
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # With more coordinates, the paths of a page are folded, and the plots of a path show its own coordinate only.
 MAX_COORDINATES_DRAWN = 6
@@ -31,10 +27,8 @@ MAX_FIGURES = 3
 _OF_REACH = ("Dependent joints", "Reduced inertia", "Effort that holds it still")
 
 
-def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach], saved: Path) -> None:
-    """Draw a path: the mechanism at seven poses, and the plots of its quantities."""
-    from linkplan.studies.output.figure import figure_of, one_screen
-
+def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach]) -> FigureSpec:
+    """Return the figure of a path: the mechanism at seven poses, and the plots of its quantities."""
     poses = path.poses[np.linspace(0, len(path.poses) - 1, num=7).astype(int)]
     if path.coordinate is not None:
         poses = np.vstack([poses, path.mechanism.home])
@@ -43,17 +37,16 @@ def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach], saved: Path) 
         panels[1:] = [_marked(plot, path.mechanism, reaches[path.coordinate]) for plot in panels[1:]]
     title = f"{path.mechanism.name}: along {path.title}, at rest"
     columns = 2 if len(panels) <= 6 else 4
-    figure_of(panels, saved, title=title, columns=columns, panel_in=one_screen(len(panels), columns, (5.3, 3.3)))
+    size = one_screen(len(panels), columns, (5.3, 3.3))
+    return FigureSpec(panels=panels, title=title, columns=columns, panel_in=size)
 
 
-def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
-    """Return the figure of a mechanism over the reach of its first three coordinates, saved at `path` if it is given.
+def inspection_figure(found: Inspection) -> FigureSpec:
+    """Return the figure of a mechanism over the reach of its first three coordinates.
 
     The figure has the mechanism, its dependent joints, the reduced inertia, and the holding effort. Up to three coordinates
     also have a figure loop-N.png each. Spins of rods about their own axis are left out.
     """
-    from linkplan.studies.output.figure import figure_of, one_screen
-
     mechanism = found.mechanism
     actuated = [can for can in found.reaches if mechanism.actuated[can.coordinate]]
     reaches = (actuated or found.reaches)[:MAX_FIGURES]
@@ -69,12 +62,11 @@ def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
     columns = 2 if len(rows) <= 1 else min(4, max(map(len, rows)))  # the panels of a coordinate begin a row
     panels = [panel for row in rows for panel in (*row, *[None] * (-len(row) % columns))]
     size = one_screen(len(panels), columns, (5.3, 3.6))
-    return figure_of(panels, path, title=f"{mechanism.name}{others}", columns=columns, panel_in=size)
+    return FigureSpec(panels=panels, title=f"{mechanism.name}{others}", columns=columns, panel_in=size)
 
 
 def _marked(plot: Plot, mechanism: Mechanism, can: Reach) -> Callable[..., None]:
     """Return the panel of a plot over a reach, with its singular poses and turning points."""
-    from linkplan.studies.output.figure import draw_plot
 
     def draw(axes) -> None:
         draw_plot(axes, plot)

@@ -25,6 +25,7 @@ from linkplan.studies.check.kinematic_loop_report import (
 )
 from linkplan.studies.check.path_plots import inspection_figure, path_plots
 from linkplan.studies.cli.main import main
+from linkplan.studies.output.figure import figure_of
 from linkplan.studies.output.text import text_of
 from tests.support.data import KNEE_TABLE
 from tests.support.drive import line_rates
@@ -289,7 +290,7 @@ def test_what_holds_the_gripper_still_has_its_springs_in_it():
 def test_the_drawing_of_two_freedoms_sweeps_both(tmp_path, monkeypatch):
     saved = saved_figures(monkeypatch)
     mechanism = mechanism_of("five-bar")
-    inspection_figure(inspect(mechanism, []), tmp_path / "five-bar.png")
+    figure_of(inspection_figure(inspect(mechanism, [])), tmp_path / "five-bar.png")
     assert (tmp_path / "five-bar.png").exists()
     figure = saved["five-bar.png"]
     sketch, shown = ("x [m]", "z [m]"), ("position [deg]", "inertia [kg m2]", "effort [N.m]")
@@ -307,7 +308,7 @@ def test_a_rod_s_spin_is_not_drawn_over_its_reach():
     """A delta's figure had the spins of two rods in place of its other motors."""
     found = inspect(load_mechanism(RSSR), [])
     assert len(found.reaches) == 2
-    assert {axes.get_xlabel() for axes in inspection_figure(found).axes[1:]} == {"crank [deg]"}
+    assert {axes.get_xlabel() for axes in figure_of(inspection_figure(found)).axes[1:]} == {"crank [deg]"}
 
 
 def test_the_dotted_lines_over_a_reach_are_named_in_the_legend():
@@ -315,5 +316,5 @@ def test_the_dotted_lines_over_a_reach_are_named_in_the_legend():
     found = inspect(mechanism, [])
     assert len(found.reaches[0].singular)
     assert toggles(mechanism)
-    axes = inspection_figure(found).axes[1]
+    axes = figure_of(inspection_figure(found)).axes[1]
     assert [text.get_text() for text in axes.get_legend().get_texts()][-2:] == ["singular pose", "a joint turns back"]
