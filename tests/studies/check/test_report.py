@@ -24,6 +24,7 @@ from linkplan.studies.check.kinematic_loop_report import (
     swept,
 )
 from linkplan.studies.check.path_plots import inspection_figure, path_plots
+from linkplan.studies.check.path_quantities import path_figures
 from linkplan.studies.cli.main import main
 from linkplan.studies.output.figure import figure_of
 from linkplan.studies.output.text import text_of
@@ -148,7 +149,7 @@ def test_an_actuator_without_limits_gives_any_effort_where_it_acts_and_none_wher
     mechanism = load_mechanism(text)
     path = measure(mechanism, mechanism.home[None], "home")
     assert path.available_effort[0].tolist() == [[-np.inf, np.inf], [0.0, 0.0]]
-    json.dumps(to_json_types(path.figures), allow_nan=False)
+    json.dumps(to_json_types(path_figures(path)), allow_nan=False)
 
 
 def test_a_models_sites_are_listed_where_mujoco_has_them_at_home(capsys):
