@@ -6,6 +6,7 @@ has no derivative at zero, so limits use sin^2(alpha / 2) = 1 - w^2 of the unit 
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import mujoco
@@ -152,6 +153,15 @@ def _free_range(name: str, label: str, model: mujoco.MjModel, index: int) -> tup
             f" range {lower:g} to {upper:g} (rad or m)"
         )
     return lower + margin, upper - margin
+
+
+def shown_by_unit(joints: Iterable[Joint], values: Iterable) -> dict[str, dict[str, Any]]:
+    """Return values of joints [rad or m], numbers or arrays, by name: those of hinges in "deg", those of slides in "m"."""
+    found: dict[str, dict[str, Any]] = {"deg": {}, "m": {}}
+    for joint, value in zip(joints, values, strict=True):
+        shown = np.degrees(value) if joint.kind == "hinge" else value
+        found[joint.unit][joint.name] = shown if np.ndim(shown) else float(shown)
+    return found
 
 
 def unit_steps(joints: Sequence[Joint], extent_m: float) -> np.ndarray:

@@ -1,5 +1,6 @@
 """A path of `linkplan check` as a document: a table of a few poses, and the quantities that are the same at all poses."""
 
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass
 
 import numpy as np
@@ -7,9 +8,9 @@ import numpy as np
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.poses.body_angles import turning_bodies
 from linkplan.models.tree.dynamics import site_names
-from linkplan.models.tree.joints import Joint, where
+from linkplan.models.tree.joints import where
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts
-from linkplan.studies.check.spring_ratios import sprung_tendons
+from linkplan.studies.check.path_quantities import FELT_INERTIA, INERTIA, QUANTITIES, shown_curves
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
 
 
@@ -41,22 +42,13 @@ class Column:
         return f"{self.head} {text}{'' if self.unit == '1' else f' {self.unit}'}"
 
 
-def ratio_unit(joint: Joint, actuator_unit: str) -> str:
-    """Return the unit of the effort on a joint per effort of an actuator, for example metres for a force on a hinge."""
-    if joint.si_units[1] == actuator_unit:
-        return "1"
-    return "m" if joint.kind == "hinge" else "1/m"
-
-
 def path_blocks(path: KinematicLoopPath, *, brief: bool = False) -> list[Block]:
     """Return the table of a path, the constant quantities, and the poses at which the weight cannot be held.
 
     A brief document has only the table with the quantities of the swept coordinate, its actuators and the closures. It is
     empty if none of them changes.
     """
-    columns = quantities(path)
-    if brief and path.coordinate is not None:
-        columns = _own(path, columns)
+    columns = quantities(path, _own_names(path, path.coordinate) if brief and path.coordinate is not None else None)
     table = _table(path, columns, f"along {path.title}, at rest")
     changing = brief and path.coordinate != 0
     said = [*weight_sentences(path, changing=changing), *unheld_sentences(path, changing=changing), *balance_sentences(path)]
@@ -111,13 +103,10 @@ def _table(path: KinematicLoopPath, columns: list[Column], title: str) -> list[T
     return [table_of(f"{title} ({len(at)} of {len(path.poses)} poses)", heads, rows)]
 
 
-def _own(path: KinematicLoopPath, columns: list[Column]) -> list[Column]:
-    """Return the quantities of the swept coordinate, of its actuators, and of closures."""
-    assert path.coordinate is not None  # the path sweeps one
-    of = np.flatnonzero(acts(path)[path.coordinate])
-    names = [path.mechanism.independent_joints[path.coordinate].name, *(path.mechanism.actuators[j].name for j in of)]
-    ends = tuple(f" {name}" for name in names)
-    return [column for column in columns if column.head.startswith(("det", "force")) or column.head.endswith(ends)]
+def _own_names(path: KinematicLoopPath, column: int) -> set[str]:
+    """Return the names of a coordinate and of the actuators that act on it."""
+    acting = np.flatnonzero(acts(path)[column])
+    return {path.mechanism.independent_joints[column].name, *(path.mechanism.actuators[j].name for j in acting)}
 
 
 def _scale(values: np.ndarray) -> float:
@@ -126,58 +115,36 @@ def _scale(values: np.ndarray) -> float:
     return float(known.max(initial=0.0)) or 1.0
 
 
-def quantities(path: KinematicLoopPath) -> list[Column]:
-    """Return the quantities of the table in their order: ratios, inertias, efforts, singularity, closure forces."""
-    mechanism = path.mechanism
-    independent = [(k, mechanism.independent_joints[k]) for k in mechanism.channels]
-    actuators = list(enumerate(mechanism.actuators))
-    rows: list[tuple[str, str, np.ndarray, float]] = []  # head, unit, values, scale
-    acting = acts(path)
-    for j, actuator in actuators:
-        scale = _scale(path.ratio[..., j])
-        rows += [
-            (f"{actuator.name}->{joint.name}", ratio_unit(joint, actuator.unit), path.ratio[:, i, j], scale)
-            for i, joint in independent
-            if acting[i, j]
-        ]
-    rows += _inertias(path)
-    weight, hold, available = (_scale(x) for x in (path.gravity_effort, path.holding_effort, path.available_effort))
-    rows += [(f"weight alone {j.name}", j.si_units[1], path.gravity_effort[:, i], weight) for i, j in independent]
-    rows += [(f"hold {actuator.name}", actuator.unit, path.holding_effort[:, j], hold) for j, actuator in actuators]
-    if actuators:
-        rows += [(f"available {j.name}", j.si_units[1], path.available_effort[:, i], available) for i, j in independent]
-    if len(mechanism.dependent):
-        rows.append(("det J_z/home", "1", path.singularity, _scale(path.singularity)))
-    for t, name in enumerate(sprung_tendons(mechanism.model)):
-        rows.append((f"length {name}", "m", path.spring_length[:, t], mechanism.extent_m))
-        scale = _scale(path.spring_ratio)
-        rows += [(f"{name} per {j.name}", ratio_unit(j, "N"), path.spring_ratio[:, t, i], scale) for i, j in independent]
-    force = _scale(path.closure_force)
-    rows += [(f"force {name}", "N", path.closure_force[:, c], force) for c, name in enumerate(mechanism.closure_names)]
-    return [Column(head=head, unit=unit, values=values, scale=scale) for head, unit, values, scale in rows]
+def quantities(path: KinematicLoopPath, names: AbstractSet[str] | None = None) -> list[Column]:
+    """Return the quantities of the table; with `names`, of joints and actuators only those with these names.
+
+    The inertia at an actuator has a column of its own if it differs from that of every coordinate.
+    """
+    found, joints = [], _same_inertia(path)
+    for quantity in QUANTITIES:
+        scale = _scale(getattr(path, quantity.field))
+        for curve in shown_curves(path, quantity, path.mechanism.channels) if quantity.column else ():
+            own = {name for kind, name in zip(quantity.of, curve.names, strict=True) if kind in ("coordinate", "actuator")}
+            others = names is not None and not own <= names
+            if others or (quantity is FELT_INERTIA and curve.names[0] in joints):
+                continue
+            head = quantity.column.format(*curve.names)
+            if quantity is INERTIA:
+                head += "".join(f" = at {actuator}" for actuator, joint in joints.items() if joint == curve.names[0])
+            if quantity in (INERTIA, FELT_INERTIA):
+                scale = _scale(curve.values)
+            found.append(Column(head=head, unit=curve.unit, values=curve.values, scale=scale))
+    return found
 
 
-def _inertias(path: KinematicLoopPath) -> list[tuple[str, str, np.ndarray, float]]:
-    """Return the reduced inertias, and the inertias at actuators that differ from all of them: head, unit, values, scale."""
-    own = path.reduced_inertia.diagonal(axis1=1, axis2=2)
-    same, actuators = _same(own, path.reflected_inertia), path.mechanism.actuators
-    rows = []
-    for i in path.mechanism.channels:
-        joint = path.mechanism.independent_joints[i]
-        also = "".join(f" = at {actuator.name}" for j, actuator in enumerate(actuators) if same[j] == i)
-        rows.append((f"inertia {joint.name}{also}", joint.inertia_unit, own[:, i], _scale(own[:, i])))
-    for j, actuator in enumerate(actuators):
-        if same[j] is None:
-            values = path.reflected_inertia[:, j]
-            rows.append((f"inertia at {actuator.name}", actuator.inertia_unit, values, _scale(values)))
-    return rows
-
-
-def _same(own: np.ndarray, reflected: np.ndarray) -> list[int | None]:
-    """Return the coordinate whose inertia (n, n_s) equals the reflected inertia (n, n_u) of each actuator, or None."""
+def _same_inertia(path: KinematicLoopPath) -> dict[str, str]:
+    """Return the coordinate of the same inertia as an actuator feels, for each actuator with one, by name."""
+    own, felt = path.own_inertia, path.reflected_inertia
     with np.errstate(invalid="ignore"):
-        same = np.all(np.abs(reflected[:, None, :] - own[:, :, None]) <= ROUNDING_SHARE * own[:, :, None], axis=0)
-    return [int(np.argmax(of)) if of.any() else None for of in same.T]
+        same = np.all(np.abs(felt[:, None, :] - own[:, :, None]) <= ROUNDING_SHARE * own[:, :, None], axis=0)
+    joints = path.mechanism.independent_joints
+    pairs = zip(path.mechanism.actuators, same.T, strict=True)
+    return {actuator.name: joints[int(np.argmax(of))].name for actuator, of in pairs if of.any()}
 
 
 def _pose(path: KinematicLoopPath, k: int) -> str:

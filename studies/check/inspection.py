@@ -20,6 +20,7 @@ from linkplan.models.poses.contacts import ContactPair, contact_pairs
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.models.poses.reach import Reach, reach, toggles
 from linkplan.models.tree.dynamics import site_names
+from linkplan.models.tree.joints import shown_by_unit
 from linkplan.planner.files.structs import NOT_READ, Beside, Number
 from linkplan.planner.problem.motion import check_asked_pose
 from linkplan.studies.check.contact_findings import contact_findings
@@ -167,9 +168,7 @@ def _reach_values(mechanism: Mechanism, reaches: Sequence[Reach]) -> dict[str, A
 
 def _by_kind(name: str, mechanism: Mechanism, pose: np.ndarray) -> dict[str, Any]:
     """Return a pose as `name`_deg of the hinges and `name`_m of the slides."""
-    joints = list(zip(mechanism.joints, pose, strict=True))
-    hinges = {joint.name: joint.shown(x) for joint, x in joints if joint.kind == "hinge"}
-    return {f"{name}_deg": hinges, f"{name}_m": {joint.name: float(x) for joint, x in joints if joint.kind == "slide"}}
+    return {f"{name}_{unit}": positions for unit, positions in shown_by_unit(mechanism.joints, pose).items()}
 
 
 def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:

@@ -12,11 +12,9 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import casadi as ca
 import numpy as np
-from msgspec import Struct
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.coordinate_choice import is_regular, singular_inertia_text
@@ -24,17 +22,15 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import least_effort, sampled
 from linkplan.models.poses.assembly import follow
-from linkplan.models.poses.body_angles import turning_bodies
 from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import Reach
 from linkplan.models.reduction.reduced import ReducedDynamics
 from linkplan.models.transfer.polytope import effort_box
-from linkplan.models.tree.dynamics import site_names
 from linkplan.models.tree.joints import where
 from linkplan.planner.closed_chain.guess import GUESS_SAMPLES, first_guess, follows_reference, poses_along
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.balance import Balance, balances
-from linkplan.studies.check.spring_ratios import spring_motion, sprung_tendons
+from linkplan.studies.check.spring_ratios import spring_motion
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -54,31 +50,6 @@ class Sweep:
     def positions(self) -> np.ndarray:
         """The independent positions (n, n_s) [rad or m]."""
         return self.poses[:, self.mechanism.independent]
-
-
-class PathFigures(Struct, frozen=True, kw_only=True, eq=False):
-    """A path's entry in `check.json`: arrays over its samples, by joint, coordinate, actuator or closure."""
-
-    path: str
-    coordinate: str | None
-    time_s: np.ndarray | None
-    q_deg: dict[str, np.ndarray]
-    q_m: dict[str, np.ndarray]
-    joint_rate: dict[str, dict[str, np.ndarray]]
-    transmission_ratio: dict[str, dict[str, np.ndarray]]
-    reduced_inertia: np.ndarray
-    reflected_inertia: dict[str, np.ndarray]
-    gravity_effort: dict[str, np.ndarray]
-    holding_effort: dict[str, np.ndarray]
-    unheld_effort: dict[str, np.ndarray]
-    available_effort: dict[str, np.ndarray]
-    singularity_ratio: np.ndarray
-    closure_force_n: dict[str, np.ndarray]
-    site_m: dict[str, np.ndarray]
-    body_deg: dict[str, np.ndarray]
-    spring_length_m: dict[str, np.ndarray]
-    spring_motion_ratio: dict[str, dict[str, np.ndarray]]
-    balance: list[dict[str, Any]]
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -108,49 +79,19 @@ class KinematicLoopPath(Sweep):
 
     @property
     def needed(self) -> np.ndarray:
-        """The effort (n, n_s) on each coordinate that holds the pose at rest."""
-        return np.einsum("ksu,ku->ks", self.ratio, self.holding_effort) + self.unheld_effort
+        """The effort (n, n_s) on each coordinate that holds the pose at rest, with rounding errors as zero."""
+        needed = np.einsum("ksu,ku->ks", self.ratio, self.holding_effort) + self.unheld_effort
+        return np.where(np.abs(needed) > ROUNDING_SHARE * np.abs(needed).max(initial=0.0), needed, 0.0)
 
     @property
-    def figures(self) -> PathFigures:
-        """The path by names; beyond the size of a record (`has_whole_records`) with its own coordinate alone."""
-        mechanism, own = self.mechanism, self.coordinate
-        names, joints = [joint.name for joint in mechanism.independent_joints], list(enumerate(mechanism.joints))
-        of = list(range(len(names))) if own is None or has_whole_records(mechanism) else [own]
-        independent = [names[column] for column in of]
-        actuators = [actuator.name for actuator in mechanism.actuators]
+    def shown_poses(self) -> np.ndarray:
+        """The poses (n, n_q) [deg or m]."""
+        return self.poses * [joint.shown(1.0) for joint in self.mechanism.joints]
 
-        def by(names: list[str], values: np.ndarray) -> dict[str, np.ndarray]:
-            return {name: values[:, k] for k, name in enumerate(names)}
-
-        return PathFigures(
-            path=self.title,
-            coordinate=None if own is None else names[own],
-            time_s=self.time_s,
-            q_deg={joint.name: np.degrees(self.poses[:, k]) for k, joint in joints if joint.kind == "hinge"},
-            q_m={joint.name: self.poses[:, k] for k, joint in joints if joint.kind == "slide"},
-            joint_rate={joint.name: by(independent, self.rates[:, k, of]) for k, joint in joints},
-            transmission_ratio={name: by(independent, self.ratio[:, of, j]) for j, name in enumerate(actuators)},
-            reduced_inertia=self.reduced_inertia[:, of][:, :, of],
-            reflected_inertia=by(actuators, self.reflected_inertia),
-            gravity_effort=by(independent, self.gravity_effort[:, of]),
-            holding_effort=by(actuators, self.holding_effort),
-            unheld_effort=by(independent, self.unheld_effort[:, of]),
-            available_effort=by(independent, self.available_effort[:, of]),
-            singularity_ratio=self.singularity,
-            closure_force_n=by(list(mechanism.closure_names), self.closure_force),
-            body_deg={name: np.degrees(self.poses @ sigma) for name, sigma in turning_bodies(mechanism).items()},
-            site_m={name: self.places[:, :, mechanism.model.site(name).id] for name in site_names(mechanism.model)},
-            spring_length_m=by(list(sprung_tendons(mechanism.model)), self.spring_length),
-            spring_motion_ratio={
-                name: by(independent, self.spring_ratio[:, t, of]) for t, name in enumerate(sprung_tendons(mechanism.model))
-            },
-            balance=[
-                {"position": joint.shown(one.position), "unit": joint.unit, "stable": one.stable}
-                for one in self.balances
-                for joint in [mechanism.independent_joints[own or 0]]
-            ],
-        )
+    @property
+    def own_inertia(self) -> np.ndarray:
+        """The reduced inertia (n, n_s) of each coordinate, the others at rest."""
+        return self.reduced_inertia.diagonal(axis1=1, axis2=2)
 
 
 def measure(

@@ -1,27 +1,20 @@
 """The quantities along a path of `linkplan check` as plots, and the figures of a path and of a mechanism's reach."""
 
 from collections.abc import Callable, Sequence
-from itertools import chain
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.reach import Reach, toggles
-from linkplan.models.tree.joints import Joint
-from linkplan.studies.check.check_report import ratio_unit
 from linkplan.studies.check.inspection import Inspection
-from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, measure, most_poses, swept, thinned
-from linkplan.studies.check.spring_ratios import sprung_tendons
+from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, measure, most_poses, swept, thinned
+from linkplan.studies.check.path_quantities import LOG_PLOTS, PLOTS, QUANTITIES, WEIGHT, PathQuantity, shown_curves
 from linkplan.studies.output.document import Axis, Plot
 from linkplan.studies.output.draw_bodies import draw_poses
-from linkplan.studies.output.figure import GREY, RED
+from linkplan.studies.output.figure import GREY, RED, draw_plot
+from linkplan.studies.output.figure_spec import FigureSpec, one_screen
 from linkplan.studies.output.lines import TIME, Line, plots
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # With more coordinates, the paths of a page are folded, and the plots of a path show its own coordinate only.
 MAX_COORDINATES_DRAWN = 6
@@ -31,10 +24,8 @@ MAX_FIGURES = 3
 _OF_REACH = ("Dependent joints", "Reduced inertia", "Effort that holds it still")
 
 
-def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach], saved: Path) -> None:
-    """Draw a path: the mechanism at seven poses, and the plots of its quantities."""
-    from linkplan.studies.output.figure import figure_of, one_screen
-
+def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach]) -> FigureSpec:
+    """Return the figure of a path: the mechanism at seven poses, and the plots of its quantities."""
     poses = path.poses[np.linspace(0, len(path.poses) - 1, num=7).astype(int)]
     if path.coordinate is not None:
         poses = np.vstack([poses, path.mechanism.home])
@@ -43,17 +34,16 @@ def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach], saved: Path) 
         panels[1:] = [_marked(plot, path.mechanism, reaches[path.coordinate]) for plot in panels[1:]]
     title = f"{path.mechanism.name}: along {path.title}, at rest"
     columns = 2 if len(panels) <= 6 else 4
-    figure_of(panels, saved, title=title, columns=columns, panel_in=one_screen(len(panels), columns, (5.3, 3.3)))
+    size = one_screen(len(panels), columns, (5.3, 3.3))
+    return FigureSpec(panels=panels, title=title, columns=columns, panel_in=size)
 
 
-def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
-    """Return the figure of a mechanism over the reach of its first three coordinates, saved at `path` if it is given.
+def inspection_figure(found: Inspection) -> FigureSpec:
+    """Return the figure of a mechanism over the reach of its first three coordinates.
 
     The figure has the mechanism, its dependent joints, the reduced inertia, and the holding effort. Up to three coordinates
     also have a figure loop-N.png each. Spins of rods about their own axis are left out.
     """
-    from linkplan.studies.output.figure import figure_of, one_screen
-
     mechanism = found.mechanism
     actuated = [can for can in found.reaches if mechanism.actuated[can.coordinate]]
     reaches = (actuated or found.reaches)[:MAX_FIGURES]
@@ -69,12 +59,11 @@ def inspection_figure(found: Inspection, path: Path | None = None) -> "Figure":
     columns = 2 if len(rows) <= 1 else min(4, max(map(len, rows)))  # the panels of a coordinate begin a row
     panels = [panel for row in rows for panel in (*row, *[None] * (-len(row) % columns))]
     size = one_screen(len(panels), columns, (5.3, 3.6))
-    return figure_of(panels, path, title=f"{mechanism.name}{others}", columns=columns, panel_in=size)
+    return FigureSpec(panels=panels, title=f"{mechanism.name}{others}", columns=columns, panel_in=size)
 
 
 def _marked(plot: Plot, mechanism: Mechanism, can: Reach) -> Callable[..., None]:
     """Return the panel of a plot over a reach, with its singular poses and turning points."""
-    from linkplan.studies.output.figure import draw_plot
 
     def draw(axes) -> None:
         draw_plot(axes, plot)
@@ -114,74 +103,23 @@ def path_plots(path: KinematicLoopPath, group: str = "") -> list[Plot]:
     x = x[order]
     many = mechanism.dof > MAX_COORDINATES_DRAWN
     shown = mechanism.channels if path.coordinate is None or not many else (path.coordinate,)
-    joints = [(k, mechanism.independent_joints[k]) for k in shown]
-
-    def own(values: np.ndarray, suffix: str = "") -> list[Line]:
-        return [_line(f"{joint.name}{suffix}", values[:, i], joint.si_units[1]) for i, joint in joints]
-
-    needed = path.needed
-    rounding = ROUNDING_SHARE * max(np.abs(needed).max(), np.finfo(float).tiny)
-    needed = np.where(np.abs(needed) > rounding, needed, 0.0)
-    weights = own(needed)
-    if np.abs(needed - path.gravity_effort).max() > rounding:  # springs hold, too
-        weights += own(path.gravity_effort, ", weight alone")
-    available: list[Line] = []
-    if mechanism.actuators:
-        low = own(path.available_effort[:, :, 0], ", least")
-        high = own(path.available_effort[:, :, 1], ", most")
-        available = list(chain.from_iterable(zip(low, high, own(needed, ", holds it still"), strict=True)))
-    ratios, felt = _actuator_lines(path, joints)
-    inertias = [_line(joint.name, path.reduced_inertia[:, i, i], joint.inertia_unit) for i, joint in joints]
-    moved = np.ptp(path.poses, axis=0) > ROUNDING_SHARE * np.ptp(path.poses)
-    dependent = [(int(k), mechanism.joints[int(k)]) for k in mechanism.dependent if moved[k]]
-    singular = [_line("least of J_z's blocks", path.singularity, "1")] if mechanism.closure_names else []
-    followers = [_line(j.name, j.shown(1.0) * path.poses[:, k], j.unit) for k, j in dependent]
-    forces = [_line(name, path.closure_force[:, c], "N") for c, name in enumerate(mechanism.closure_names)]
-    springs = [
-        _line(f"{name} per {joint.name}", path.spring_ratio[:, t, i], ratio_unit(joint, "N"))
-        for t, name in enumerate(sprung_tendons(mechanism.model))
-        for i, joint in joints
-    ]
-    kinds: Sequence[tuple[str, str, list[Line], bool]] = (
-        ("Dependent joints", "position", followers, False),
-        ("Transmission ratio", "ratio", ratios, False),
-        ("Reduced inertia", "inertia", inertias, True),
-        ("Inertia that an actuator feels", "inertia", felt, True),
-        ("Effort that holds it still", "effort", weights, False),
-        ("Effort within the actuators' limits", "effort", available, False),
-        ("Distance from a singular pose", "det J_z over that at home", singular, False),
-        ("Closure force at rest", "force", forces, False),
-        ("Motion ratio of springs", "d length / d coordinate", springs, False),
-    )
+    drawn: dict[str, list[Line]] = {title: [] for title in PLOTS}
+    for quantity in QUANTITIES:
+        for curve in shown_curves(path, quantity, shown) if quantity.plot and _is_drawn(path, quantity) else ():
+            name, values = quantity.line.format(*curve.names), curve.values[order]
+            ends = {name: values} if values.ndim == 1 else {f"{name}, least": values[:, 0], f"{name}, most": values[:, 1]}
+            drawn[quantity.plot] += [Line(name=key, values=x, unit=curve.unit) for key, x in ends.items()]
     found = []
-    for title, what, lines, may_grow in kinds:
-        sorted_lines = [_line(line.name, line.values[order], line.unit) for line in lines]
-        log = may_grow and _spans_much(sorted_lines)
-        found += plots(
-            title, what, axis, x, sorted_lines, group=group, log=log, ends=None if log else inner_ends(sorted_lines)
-        )
+    for title, lines in drawn.items():
+        log = title in LOG_PLOTS and _spans_much(lines)
+        found += plots(title, PLOTS[title], axis, x, lines, group=group, log=log, ends=None if log else inner_ends(lines))
     return found
 
 
-def _actuator_lines(path: KinematicLoopPath, joints: list[tuple[int, Joint]]) -> tuple[list[Line], list[Line]]:
-    """Return the transmission ratios to the numbered joints and the reflected inertias of the actuators that act on them."""
-    mechanism = path.mechanism
-    if not mechanism.actuators:
-        return [], []
-    acting = acts(path)
-    drivers = [(j, a) for j, a in enumerate(mechanism.actuators) if acting[[i for i, _ in joints], j].any()]
-    ratios = [
-        _line(f"{a.name} to {joint.name}", path.ratio[:, i, j], ratio_unit(joint, a.unit))
-        for i, joint in joints
-        for j, a in drivers
-        if acting[i, j]
-    ]
-    inertias = [_line(a.name, path.reflected_inertia[:, j], a.inertia_unit) for j, a in drivers]
-    return ratios, inertias
-
-
-def _line(name: str, values: np.ndarray, unit: str) -> Line:
-    return Line(name=name, values=values, unit=unit)
+def _is_drawn(path: KinematicLoopPath, quantity: PathQuantity) -> bool:
+    """Tell if a plot has a quantity: the weight alone only where springs or constant forces hold, too."""
+    rounding = ROUNDING_SHARE * max(np.abs(path.needed).max(initial=0.0), np.finfo(float).tiny)
+    return quantity is not WEIGHT or bool(np.abs(path.needed - path.gravity_effort).max() > rounding)
 
 
 def _spans_much(lines: Sequence[Line]) -> bool:

@@ -18,7 +18,6 @@ from linkplan.studies.check.inspection import Inspection, inspect
 from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.kinematic_loop_report import (
     KinematicLoopPath,
-    PathFigures,
     Sweep,
     has_whole_records,
     inertia_notes,
@@ -26,6 +25,7 @@ from linkplan.studies.check.kinematic_loop_report import (
     motion_path,
     reach_sweeps,
 )
+from linkplan.studies.check.path_quantities import PathFigures, path_figures
 from linkplan.studies.check.refused_model import REFUSED
 from linkplan.studies.check.summary import summary_blocks
 from linkplan.studies.output.document import Block, Text
@@ -57,7 +57,7 @@ class WholeCheck(Inspection, frozen=True, kw_only=True, eq=False, dict=True):
     @property
     def with_paths(self) -> "WholeCheck":
         """The check with the figures of every path, which take the time and the memory to measure them."""
-        return replace(self, along=[path.figures for path in self.paths])
+        return replace(self, along=[path_figures(path) for path in self.paths])
 
     def blocks(self) -> list[Block]:
         """Return the findings as a document, with brief tables for more than six coordinates."""

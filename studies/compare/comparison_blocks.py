@@ -1,8 +1,6 @@
 """Trackers' runs on a plan as a document: a table for each case, and errors and efforts over time."""
 
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,11 +11,9 @@ from linkplan.studies.compare.compare import Comparison, actuated_by_unit, gap_u
 from linkplan.studies.compare.comparison_notes import comparison_notes
 from linkplan.studies.compare.document import document_rows
 from linkplan.studies.output.document import Block, Plot, Table, Text, table_of
+from linkplan.studies.output.figure_spec import FigureSpec, one_screen, side_by_side
 from linkplan.studies.output.lines import TIME, Line, overlaid_width, plots, tracker_colour
 from linkplan.studies.output.text import brief_rows
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # The peak efforts of more actuators have a table of their own.
 MAX_PEAK_COLUMNS = 3
@@ -29,15 +25,13 @@ def comparison_blocks(comparison: Comparison) -> list[Block]:
     return [*tables, *(Text(text=note, tone="note") for note in comparison_notes(comparison))]
 
 
-def comparison_figure(comparison: Comparison, path: Path | None = None, *, every_joint: bool = False) -> "Figure":
-    """Return the figure of every tracker's motion, error and effort, saved at `path` if given.
+def comparison_figure(comparison: Comparison, *, every_joint: bool = False) -> FigureSpec:
+    """Return the figure of every tracker's motion, error and effort.
 
     It is at most one screen high, with the two independent joints and the two actuators that have the largest errors and
     efforts; with `every_joint` it has all joints, dependent ones too, and all actuators. The left column has the runs as
     modelled, the right column those with the mismatch.
     """
-    from linkplan.studies.output.figure import figure_of, one_screen, side_by_side
-
     mechanism, cases = comparison.plan.problem.mechanism, comparison.cases
     most = max(mechanism.dof, mechanism.n_u) if every_joint else 2
     chosen, pushed = largest([run for _, runs in cases for run in runs.values()], most)
@@ -53,7 +47,7 @@ def comparison_figure(comparison: Comparison, path: Path | None = None, *, every
     title = f"{comparison.plan.problem.name}: {'; '.join(title for title, _ in cases)}"
     panels, size = side_by_side(*columns), (5.8, 2.6)
     size = size if every_joint else one_screen(len(panels), len(cases), size)
-    return figure_of(panels, path, title=title, columns=len(cases), panel_in=size)
+    return FigureSpec(panels=panels, title=title, columns=len(cases), panel_in=size)
 
 
 def largest(runs: Iterable[Rollout], most: int) -> tuple[list[int], list[int]]:
@@ -237,14 +231,12 @@ def document_blocks(runs: Mapping[tuple[str, float, float], Rollout]) -> list[Bl
     return [table, *_document_plots(runs)]
 
 
-def document_figure(blocks: Sequence[Block], path: Path) -> None:
-    """Draw the source document's figure, with a column for each model and a row for each pair of gains, into a file."""
-    from linkplan.studies.output.figure import figure_of, panels_of, side_by_side
-
-    panels = panels_of(blocks)
+def document_figure(runs: Mapping[tuple[str, float, float], Rollout]) -> FigureSpec:
+    """Return the source document's figure, with a column for each model and a row for each pair of gains."""
+    panels = _document_plots(runs)
     models = dict.fromkeys(panel.title.partition(":")[0] for panel in panels)
     columns = [[panel for panel in panels if panel.title.partition(":")[0] == model] for model in models]
-    figure_of(side_by_side(*columns), path, columns=len(columns))
+    return FigureSpec(panels=side_by_side(*columns), columns=len(columns))
 
 
 def _document_plots(runs: Mapping[tuple[str, float, float], Rollout]) -> list[Plot]:

@@ -29,13 +29,14 @@ from linkplan.studies.compare.comparison_figures import comparison_figures
 from linkplan.studies.compare.document import DOCUMENT_GAINS, document_rows, document_runs
 from linkplan.studies.compare.tracking_sections import comparison_sections
 from linkplan.studies.feedback.bode.bode import bode_study
-from linkplan.studies.feedback.bode.bode_report import bode_sections, save_bode
+from linkplan.studies.feedback.bode.bode_report import bode_figures, bode_sections
 from linkplan.studies.feedback.bode.loop_blocks import map_blocks
 from linkplan.studies.feedback.bode.map_study import map_study
 from linkplan.studies.feedback.frequency.excitation import Setup
 from linkplan.studies.output.document import Block, Section, Text, table_of
 from linkplan.studies.output.draw_plan import save_plan
-from linkplan.studies.output.figure import figure_of, panels_of
+from linkplan.studies.output.figure import save_figures
+from linkplan.studies.output.figure_spec import FigureSpec, panels_of
 from linkplan.studies.output.plan_sections import plan_sections
 from linkplan.studies.output.report_file import PAGE, report_of, save_report
 
@@ -158,7 +159,7 @@ def _checks(place: Path, said: dict, say: Say) -> Sections:
         folder.mkdir(parents=True)
         said["check"][name] = whole
         write_json(folder / "check.json", whole)
-        inspection_figure(whole, folder / "mechanism.png")
+        save_figures([("mechanism", inspection_figure(whole))], folder)
         if name == "optimus-knee":
             sections += check_sections(whole)
         else:
@@ -194,7 +195,7 @@ def _comparisons(place: Path, said: dict, plans: dict[str, Plan], say: Say) -> t
         folder.mkdir(parents=True)
         said["compare"][name] = comparison_figures(comparison)
         write_json(folder / "compare.json", said["compare"][name])
-        comparison_figure(comparison, folder / "compare.png")
+        save_figures([("compare", comparison_figure(comparison))], folder)
         texts += comparison_blocks(comparison)
         sections[name] = comparison_sections(comparison)
     return sections, texts
@@ -218,13 +219,14 @@ def _loops(place: Path, said: dict, say: Say) -> list[Sections]:
         folder.mkdir(parents=True)
         said["bode"].append(study)
         write_json(folder / "bode.json", study)
-        save_bode(study, folder)
+        save_figures(bode_figures(study), folder)
         sections.append(bode_sections(study, f"kp = {gains.kp:g}, kd = {gains.kd:g} every {1e3 * gains.period_s:g} ms"))
         if gains is LOOPS[0]:
             found = map_study(study, lambda text: say(f"stability map: {text}"))
             marked = [(f"the document's KP = {kp:g}, KD = {kd:g}", kp, kd) for kp, kd in DOCUMENT_GAINS]
             said["stability_map"], blocks = found, map_blocks(found, marked)
-            figure_of(panels_of(blocks), place / "stability_map.png", columns=2, panel_in=(6.5, 5.0))
+            spec = FigureSpec(panels=panels_of(blocks), columns=2, panel_in=(6.5, 5.0))
+            save_figures([("stability_map", spec)], place)
             sections[0].append(Section(title="Stability map", blocks=blocks, depth=2))
     return sections
 
@@ -233,5 +235,5 @@ def _document(place: Path, said: dict, plan: Plan, say: Say) -> list[Block]:
     runs = document_runs(plan, say)
     said["document"] = document_rows(runs)
     blocks = document_blocks(runs)
-    document_figure(blocks, place / "desired_and_actual.png")
+    save_figures([("desired_and_actual", document_figure(runs))], place)
     return blocks

@@ -12,7 +12,8 @@ from linkplan.studies.demo.draw_gallery import FOLDER
 from linkplan.studies.feedback.bode.bode import bode_study
 from linkplan.studies.feedback.bode.bode_result import BodePoint
 from linkplan.studies.output.document import Axis, Plot, Series
-from linkplan.studies.output.figure import BLUE, GREEN, GREY, ORANGE, PURPLE, Panel, draw_plot, figure_of
+from linkplan.studies.output.figure import BLUE, GREEN, GREY, ORANGE, PURPLE, draw_plot, figure_of
+from linkplan.studies.output.figure_spec import FigureSpec, Panel
 
 PICTURE = FOLDER / "margins.png"
 # The gains of docs/tutorial.md's `linkplan tune`, and the angle of O at which the page looks.
@@ -42,7 +43,7 @@ def margins_figure(path: Path) -> BodePoint:
         lambda axis: _draw_steps(axis, [_step(name, mechanism, *settings) for name, settings in steps.items()]),
         lambda axis: _draw_phase(axis, entry, frequency_hz),
     ]
-    figure_of(panels, path, columns=2, panel_in=(5.6, 3.2))
+    figure_of(FigureSpec(panels=panels, columns=2, panel_in=(5.6, 3.2)), path)
     return entry
 
 

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -16,11 +15,9 @@ from linkplan.planner.plan.folder import write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.sites import AXES, angles_of
 from linkplan.studies.output.document import Plot
+from linkplan.studies.output.figure_spec import FigureSpec, side_by_side
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.pin_forces import pin_forces
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # A position [rad or m], a speed [per second] or an effort [N.m or N] that is never larger is zero: the rest is rounding.
 LEAST_SHOWN = 1e-9
@@ -45,21 +42,20 @@ def drawn_motion(plan: Plan) -> Samples:
     return Samples(problem=plan.problem, trajectory=trajectory, points=points, time=time, q=q)
 
 
-def plan_figure(plan: Plan, path: Path | None = None) -> "Figure":
-    """Return the figure of a plan's positions, speeds and efforts, saved at `path` if it is given."""
-    from linkplan.studies.output.draw_bodies import draw_poses, draw_sites
-    from linkplan.studies.output.figure import figure_of, side_by_side
-
+def plan_figure(plan: Plan) -> FigureSpec:
+    """Return the figure of a plan's positions, speeds and efforts."""
     motion = drawn_motion(plan)
     drawn = time_plots(plan, motion)
     shown = [*drawn["position"], *drawn["speed"], *drawn["effort"]]
     poses = motion.q[np.linspace(0, len(motion.q) - 1, 5).astype(int)]
 
     def mechanism(axes) -> None:
+        from linkplan.studies.output.draw_bodies import draw_poses, draw_sites  # they load matplotlib
+
         draw_sites(axes, plan) if plan.problem.sites else draw_poses(axes, plan.problem.mechanism, poses)
 
     title = f"{plan.problem.name}: {plan.message}"
-    return figure_of(side_by_side(shown, [mechanism]), path, title=title, columns=2, panel_in=(6.2, 2.7))
+    return FigureSpec(panels=side_by_side(shown, [mechanism]), title=title, columns=2, panel_in=(6.2, 2.7))
 
 
 def time_plots(plan: Plan, motion: Samples, group: str = "", period: float | None = None) -> dict[str, list[Plot]]:
@@ -174,5 +170,7 @@ def _body_lines(plan: Plan, motion: Samples) -> list[Line]:
 
 def save_plan(plan: Plan, place: Path, target: Path | None = None, *, jumps: bool = False, parquet: bool = False) -> None:
     """Write a plan and its figure into an empty folder, which the caller moves to `target` if it is given."""
+    from linkplan.studies.output.figure import save_figures
+
     write_plan(plan, place, target, jumps=jumps, parquet=parquet)
-    plan_figure(plan, place / "plan.png")
+    save_figures([("plan", plan_figure(plan))], place)

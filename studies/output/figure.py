@@ -5,10 +5,9 @@ One look for every figure: sizes, grid, and colours that colour-blind readers ca
 
 import textwrap
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from io import BytesIO
-from itertools import chain, zip_longest
 from pathlib import Path
 
 import matplotlib
@@ -20,7 +19,8 @@ from matplotlib.text import Annotation, Text
 from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullFormatter, NullLocator
 from matplotlib.transforms import Bbox
 
-from linkplan.studies.output.document import MEASURED, Axis, Bars, Block, Numbers, Plane, Plot, Series
+from linkplan.studies.output.document import MEASURED, Axis, Bars, Numbers, Plane, Plot, Series
+from linkplan.studies.output.figure_spec import FigureSpec, Panel
 
 BLUE, ORANGE, GREEN, RED = "#0072B2", "#E69F00", "#009E73", "#D55E00"
 SKY, PURPLE, GREY, BLACK = "#56B4E9", "#CC79A7", "#7F7F7F", "#000000"
@@ -178,44 +178,10 @@ def outside_legend(axes, row_letters: int = 56, **options) -> int:
     return -(-len(lines) // columns)
 
 
-# A panel: a block of a document, a function of an Axes for what only one study draws, or None for an empty place.
-Panel = Plot | Plane | Bars | Callable[..., None] | None
-
-
-def panels_of(blocks: Sequence[Block]) -> list[Panel]:
-    """Return the blocks that can be drawn as a panel."""
-    return [block for block in blocks if isinstance(block, Plot | Plane | Bars)]
-
-
-def side_by_side(*columns: Sequence[Panel]) -> list[Panel]:
-    """Return the panels of several columns, row by row."""
-    return list(chain.from_iterable(zip_longest(*columns)))
-
-
-def one_screen(n_panels: int, columns: int, panel_in: tuple[float, float]) -> tuple[float, float]:
-    """Return the width and height of a panel [inch] with which a figure is at most one screen high (1,080 pixels)."""
-    rows = -(-n_panels // columns)
-    return panel_in[0], min(panel_in[1], 9.0 / max(1, rows))
-
-
-def figure_of(
-    panels: Sequence[Panel],
-    path: Path | None = None,
-    *,
-    title: str = "",
-    columns: int = 1,
-    panel_in: tuple[float, float] = (6.0, 3.3),
-) -> Figure:
-    """Return the figure of panels, row by row, saved at `path` if it is given.
-
-    Args:
-        panels: of the figure.
-        path: of the image file.
-        title: above all panels.
-        columns: number of panels side by side.
-        panel_in: width and height of a panel [inch].
-    """
-    columns = max(1, min(columns, len(panels)))
+def figure_of(spec: FigureSpec, path: Path | None = None) -> Figure:
+    """Return the figure of panels, saved at `path` if it is given."""
+    panels, panel_in, title = spec.panels, spec.panel_in, spec.title
+    columns = max(1, min(spec.columns, len(panels)))
     rows = max(1, -(-len(panels) // columns))
     size = panel_in[0] * columns, panel_in[1] * rows + 0.4
     named: list[list] = []
@@ -240,6 +206,12 @@ def figure_of(
         if title:
             figure.suptitle(wrapped(title, int(_TITLE_LETTERS_PER_INCH * size[0])), fontsize=11)
     return figure
+
+
+def save_figures(figures: Iterable[tuple[str, FigureSpec]], place: Path) -> None:
+    """Draw figures into a folder, each as NAME.png."""
+    for name, spec in figures:
+        figure_of(spec, place / f"{name}.png")
 
 
 def _width_of(panel: Panel, width_in: float) -> float:

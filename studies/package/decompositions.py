@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.inputs import PlanLike, listed, plan_of, with_imperfections
-from linkplan.paths import drawn
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import whole
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
 from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
 from linkplan.studies.output.document import Block, Report
+from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.variations.decompose import decompose as study
 from linkplan.studies.variations.decompose.decomposition import Decomposition
 from linkplan.studies.variations.decompose.decomposition_blocks import (
@@ -23,9 +21,6 @@ from linkplan.studies.variations.decompose.decomposition_blocks import (
     decomposition_figure,
     decomposition_report,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def decompose(
@@ -81,9 +76,9 @@ class DecompositionResult(Result):
         """Whether the plan passes and every tracker's error is split."""
         return self.plan.passed and self.decomposition.found
 
-    def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of every tracker's parts as bars, saved at `path` if it is given."""
-        return drawn(path, lambda place: decomposition_figure(self.decomposition, place))
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield decompose, every tracker's parts as bars."""
+        yield "decompose", decomposition_figure(self.decomposition)
 
     def blocks(self) -> list[Block]:
         """Return the table and the charts of the parts."""
@@ -92,10 +87,6 @@ class DecompositionResult(Result):
     def document(self) -> Report:
         """Return the report."""
         return decomposition_report(self.decomposition, self.plan)
-
-    def draw(self, place: Path) -> None:
-        """Write decompose.png."""
-        self.plot(place / "decompose.png")
 
     def __repr__(self) -> str:
         return f"DecompositionResult({self.decomposition.decomposition!r}: {', '.join(self.decomposition.trackers)})"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -21,13 +21,14 @@ from linkplan.results import Result
 from linkplan.studies.compare.named_run import NamedRun
 from linkplan.studies.compare.user_tracker import TrackerLike, name_of, refuse_unpicklable
 from linkplan.studies.output.document import Block, Report
+from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.variations.experiment.block import replay
 from linkplan.studies.variations.experiment.experiment import Settings, plan_digest
 from linkplan.studies.variations.experiment.experiment_blocks import outcome_blocks, sensitivity
 from linkplan.studies.variations.experiment.sensitivity import Sensitivity
-from linkplan.studies.variations.experiment.sensitivity_blocks import save_tornados, tornado_figure
+from linkplan.studies.variations.experiment.sensitivity_blocks import tornado_figure, tornado_figures
 from linkplan.studies.variations.experiment.statistics import Estimate
-from linkplan.studies.variations.experiment.study import ExperimentOutcome, experiment_figure, run_experiment
+from linkplan.studies.variations.experiment.study import ExperimentOutcome, experiment_figures, run_experiment
 from linkplan.studies.variations.tasks.cluster import engine_of
 from linkplan.typed_commands import sample_again
 
@@ -148,9 +149,9 @@ class ExperimentResult(Result):
         experiment = self.outcome.experiment
         return NamedRun.of(replay(experiment, tracker, sample)[0], experiment.plan.problem.mechanism)
 
-    def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of the distributions of each tracker's metrics, saved at `path` if it is given."""
-        return drawn(path, lambda place: experiment_figure(self.outcome, place))
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield the distributions of each tracker's metrics, and the influence of each imperfection."""
+        return experiment_figures(self.outcome)
 
     def blocks(self) -> list[Block]:
         """Return the trackers' metrics, or the influence of every imperfection."""
@@ -195,14 +196,14 @@ class SensitivityResult(Result):
         """Return the report of the experiment."""
         return ExperimentResult(outcome=self.outcome).document()
 
-    def draw(self, place: Path) -> None:
-        """Write the chart of each rms error."""
-        save_tornados(self.outcome.name, self.found, place)
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield the chart of each rms error."""
+        return tornado_figures(self.outcome.name, self.found)
 
     def plot(self, path: str | Path | None = None, metric: str | None = None) -> Figure:
         """Return the tornado chart of a metric, with a panel for each tracker, saved at `path` if it is given."""
         _, asked = self._asked(next(iter(self.found.trackers)), metric)
-        return drawn(path, lambda place: tornado_figure(self.outcome.name, self.found, asked, place))
+        return drawn(path, lambda: tornado_figure(self.outcome.name, self.found, asked))
 
     def _asked(self, tracker: str, metric: str | None) -> tuple[str, str]:
         choose("tracker", tracker, tuple(self.found.trackers), ProblemError)

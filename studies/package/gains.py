@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.inputs import Poses, Subject, note_forces, poses_of
 from linkplan.loops import loop_of
 from linkplan.models.errors import ProblemError, choose
-from linkplan.paths import drawn
 from linkplan.planner.problem.settings import number
 from linkplan.reporting import Progress, listener
 from linkplan.results import MechanismResult
@@ -22,9 +20,7 @@ from linkplan.studies.feedback.tune import tune_report
 from linkplan.studies.feedback.tune.requirements import LEAST_DAMPING_RATIO, Requirements
 from linkplan.studies.feedback.tune.tuning import Tuning
 from linkplan.studies.output.document import Block, Report
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+from linkplan.studies.output.figure_spec import FigureSpec
 
 
 def tune(
@@ -115,9 +111,9 @@ class TuneResult(MechanismResult):
         """The gains as the `tracking` table of problems, `track`, `compare` and `bode`."""
         return self.tuning.tracking
 
-    def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of bandwidth and margins over the poses, saved at `path` if it is given."""
-        return drawn(path, lambda place: tune_report.tune_figure(self.tuning, place))
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield tune, bandwidth and margins over the poses."""
+        yield "tune", tune_report.tune_figure(self.tuning)
 
     def blocks(self) -> list[Block]:
         """Return the gains and what they reach at every pose."""
@@ -127,7 +123,7 @@ class TuneResult(MechanismResult):
         """Return the report."""
         return tune_report.tune_report(self.tuning)
 
-    def draw(self, place: Path) -> None:
-        """Write tune.png, and tracking.toml, the gains as the table of a problem file."""
+    def write_files(self, place: Path, *, parquet: bool) -> None:
+        """Write tracking.toml, the gains as the table of a problem file."""
+        del parquet
         (place / "tracking.toml").write_text(tune_report.tracking_table(self.tuning), encoding="utf-8")
-        self.plot(place / "tune.png")

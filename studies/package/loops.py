@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,7 +24,7 @@ from linkplan.results import MechanismResult
 from linkplan.studies.feedback.bode.along_motion import along_motion
 from linkplan.studies.feedback.bode.bode import bode_study
 from linkplan.studies.feedback.bode.bode_blocks import summary
-from linkplan.studies.feedback.bode.bode_report import bode_figure, bode_report, save_bode
+from linkplan.studies.feedback.bode.bode_report import bode_figure, bode_figures, bode_report
 from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy
 from linkplan.studies.feedback.bode.large_study import large_study
 from linkplan.studies.feedback.bode.loop_blocks import along_blocks, large_blocks, map_blocks
@@ -35,6 +35,7 @@ from linkplan.studies.feedback.frequency.excitation import Setup
 from linkplan.studies.feedback.frequency.feedback_loops import QUANTITIES, refuse_several_freedoms
 from linkplan.studies.feedback.frequency.margins import frequency_grid
 from linkplan.studies.output.document import Block, Report, Section
+from linkplan.studies.output.figure_spec import FigureSpec, panels_of
 
 if TYPE_CHECKING:
     import control
@@ -258,13 +259,12 @@ class BodeResult(MechanismResult):
         """Return the report."""
         return bode_report(self.study, list(self._further.values()))
 
-    def draw(self, place: Path) -> None:
-        """Write bode.png, nyquist.png, sensitivity.png, margins.png and the figures of further studies."""
-        from linkplan.studies.output.figure import figure_of, panels_of
-
-        save_bode(self.study, place)
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield bode, nyquist, sensitivity, margins and the figures of further studies."""
+        yield from bode_figures(self.study)
         for name, section in self._further.items():
-            figure_of(panels_of(section.blocks), place / f"{name}.png", title=section.title, columns=3, panel_in=(6.0, 4.6))
+            panels = panels_of(section.blocks)
+            yield name, FigureSpec(panels=panels, title=section.title, columns=3, panel_in=(6.0, 4.6))
 
     def plot(self, path: str | Path | None = None, *, joint: str | None = None) -> Figure:
         """Return the figure of open and closed loop at every pose, saved at `path` if it is given.
@@ -278,4 +278,4 @@ class BodeResult(MechanismResult):
         """
         channel = self._channel(joint)
         entries = [entry for entry in self.study.points if entry.channel == channel]
-        return drawn(path, lambda place: bode_figure(self.study, entries, place))
+        return drawn(path, lambda: bode_figure(self.study, entries))

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from linkplan.inputs import Poses, Source, Subject, poses_of, source_of, subject_of
-from linkplan.models.errors import LinkplanError
 from linkplan.models.floating import floating_bodies
 from linkplan.models.mechanism import Mechanism
-from linkplan.paths import drawn
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.results import Result
@@ -19,10 +17,10 @@ from linkplan.studies.check.refused_model import REFUSED, RefusedModel, refused_
 from linkplan.studies.output.document import Block, Report
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
     from msgspec import Struct
 
     from linkplan.studies.check.whole_check import WholeCheck
+    from linkplan.studies.output.figure_spec import FigureSpec
 
 
 def load_mechanism(
@@ -198,34 +196,28 @@ class CheckResult(Result):
 
         return check_report(self.found)
 
-    def draw(self, place: Path) -> None:
-        """Write the figures, and the model as it was read if it is not the file's."""
-        from linkplan.models.model_text import urdf_root
-        from linkplan.models.selected_model import whole_model_text
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield the mechanism over its reach, and along each path; nothing of a model that is not a valid mechanism."""
         from linkplan.studies.check.path_plots import MAX_FIGURES, inspection_figure, path_figure
 
         if isinstance(self.found, RefusedModel):
             return
-        whole, mechanism = self.found, self.found.mechanism
-        inspection_figure(whole, place / "mechanism.png")
-        for number, path in enumerate(whole.paths if len(whole.sweeps) <= MAX_FIGURES else (), 1):
-            path_figure(path, whole.reaches, place / f"loop-{number}.png")
+        yield "mechanism", inspection_figure(self.found)
+        for number, path in enumerate(self.found.paths if len(self.found.sweeps) <= MAX_FIGURES else (), 1):
+            yield f"loop-{number}", path_figure(path, self.found.reaches)
+
+    def write_files(self, place: Path, *, parquet: bool) -> None:
+        """Write the model as it was read if it is not the file's."""
+        from linkplan.models.model_text import urdf_root
+        from linkplan.models.selected_model import whole_model_text
+
+        del parquet
+        mechanism = self.mechanism
+        if mechanism is None:
+            return
         if mechanism.selection or mechanism.shifted or urdf_root(str(mechanism.source["model"])) is not None:
             written = "selected.xml" if mechanism.selection else "model.xml"
             (place / written).write_text(whole_model_text(mechanism), encoding="utf-8")
-
-    def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of the mechanism over its reach, saved at `path` if it is given.
-
-        Raises:
-            LinkplanError: if the model is not a valid mechanism.
-        """
-        from linkplan.studies.check.path_plots import inspection_figure
-
-        if isinstance(self.found, RefusedModel):
-            raise LinkplanError(f"nothing to draw: {self.found.error}")
-        found = self.found
-        return drawn(path, lambda place: inspection_figure(found, place))
 
     def __repr__(self) -> str:
         return f"CheckResult({self.found.name!r}, {len(self.problems)} problems, {len(self.notes)} notes)"

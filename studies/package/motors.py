@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from linkplan.inputs import Source, given_problem
 from linkplan.models.errors import ProblemError
-from linkplan.paths import drawn, path_of
+from linkplan.paths import path_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import number
 from linkplan.reporting import Progress, listener
 from linkplan.results import Result
 from linkplan.studies.output.document import Block, Report
+from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.variations.size.candidates import actuator_of, motors_from, read_motors
 from linkplan.studies.variations.size.sizing import Sizing, size_motors
 from linkplan.studies.variations.size.sizing_blocks import sizing_blocks, sizing_figure, sizing_report
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def size(
@@ -80,9 +77,10 @@ class SizeResult(Result):
         """Whether a motor does."""
         return self.sizing.found
 
-    def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of efforts over speeds with the motors' limits, saved at `path` if it is given."""
-        return drawn(path, lambda place: sizing_figure(self.sizing, place))
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield size, efforts over speeds with the motors' limits, if a motion is known."""
+        if any(one.curve is not None for one in self.sizing.motors):
+            yield "size", sizing_figure(self.sizing)
 
     def blocks(self) -> list[Block]:
         """Return the answer, the table and the chart."""
@@ -91,11 +89,6 @@ class SizeResult(Result):
     def document(self) -> Report:
         """Return the report."""
         return sizing_report(self.sizing, self.plan)
-
-    def draw(self, place: Path) -> None:
-        """Write size.png, if a motion is known."""
-        if any(one.curve is not None for one in self.sizing.motors):
-            self.plot(place / "size.png")
 
     def __repr__(self) -> str:
         good = sum(one.does for one in self.sizing.motors)

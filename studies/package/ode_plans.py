@@ -115,7 +115,7 @@ class OdePlan(ode_planned.OdePlan, Shown):
         Raises:
             LinkplanError: if there is no motion.
         """
-        from linkplan.studies.output.figure import figure_of
+        from linkplan.studies.output.figure_spec import FigureSpec
         from linkplan.studies.output.lines import TIME, Line, plots
 
         (_, time), *columns = self.sample().items()
@@ -127,7 +127,7 @@ class OdePlan(ode_planned.OdePlan, Shown):
         states, efforts = lines[: self.problem.n_x], lines[self.problem.n_x :]
         panels = [*plots("States", "state", TIME, time, states), *plots("Efforts", "effort", TIME, time, efforts)]
         title = f"{self.problem.name}: {self.message}"
-        return drawn(path, lambda place: figure_of(panels, place, title=title, panel_in=(7.0, 2.7)))
+        return drawn(path, lambda: FigureSpec(panels=panels, title=title, panel_in=(7.0, 2.7)))
 
     def save(self, folder: str | Path) -> Path:
         """Write the solution as a folder, whole or not at all, and return its path: ode.json, trajectory.csv, plan.png.

@@ -11,6 +11,8 @@ from linkplan.models.errors import ProblemError, refusals
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
+    from linkplan.studies.output.figure_spec import FigureSpec
+
 
 def path_of(value: object, key: str) -> Path:
     """Return the path given by a caller.
@@ -89,14 +91,16 @@ def result_identity(folder: Path) -> str | None:
     return identity_at(folder)
 
 
-def drawn(path: object, draw: Callable[[Path | None], "Figure"]) -> "Figure":
-    """Return a figure, saved at a path if one is given.
+def drawn(path: object, make: "Callable[[], FigureSpec]") -> "Figure":
+    """Return a figure that is made after the path is checked, saved at a path if one is given.
 
     Raises:
         LinkplanError: if the path is invalid, the file cannot be written, or its suffix is not that of a picture.
     """
+    from linkplan.studies.output.figure import figure_of
+
     if path is None:
-        return draw(None)
-    place = path_of(path, "path")
+        return figure_of(make())
+    place, spec = path_of(path, "path"), make()
     with refusals(f"'{place}' cannot be written", ValueError):
-        return draw(place)
+        return figure_of(spec, place)

@@ -241,7 +241,7 @@ class Plan(planned.Plan, Reported):
         self.require_motion("draw")
         from linkplan.studies.output.draw_plan import plan_figure
 
-        return drawn(path, lambda place: plan_figure(self, place))
+        return drawn(path, lambda: plan_figure(self))
 
     def save(self, folder: str | Path, *, jumps: bool = False, parquet: bool = False, report: bool = False) -> Path:
         """Write the plan as a folder, whole or not at all, and return its path: plan.json, trajectory.npz, .csv, plan.png.

@@ -2,23 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from linkplan.models.errors import ProblemError, choose
-from linkplan.paths import drawn
 from linkplan.results import MechanismResult
 from linkplan.studies.feedback.bode.plant_blocks import plant_figure, plant_report, plant_summary
 from linkplan.studies.feedback.bode.plant_result import PlantStudy
 from linkplan.studies.feedback.frequency.plant_modes import plant_matrices
 from linkplan.studies.output.document import Block, Report
+from linkplan.studies.output.figure_spec import FigureSpec
 
 if TYPE_CHECKING:
     import control
-    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
@@ -68,10 +67,6 @@ class PlantResult(MechanismResult):
         """Return the report."""
         return plant_report(self.study)
 
-    def draw(self, place: Path) -> None:
-        """Write plant.png."""
-        self.plot(place / "plant.png")
-
-    def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of gain and phase of every response, saved at `path` if it is given."""
-        return drawn(path, lambda place: plant_figure(self.study, place))
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield plant, gain and phase of every response."""
+        yield "plant", plant_figure(self.study)

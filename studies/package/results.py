@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 from linkplan.models.errors import LinkplanError
 from linkplan.models.extras import load_extra
-from linkplan.paths import path_of
+from linkplan.paths import drawn, path_of
 
 if TYPE_CHECKING:
     import pandas
+    from matplotlib.figure import Figure
     from msgspec import Struct
 
     from linkplan.studies.output.document import Block, Report
+    from linkplan.studies.output.figure_spec import FigureSpec
 
 
 class Shown(ABC):
@@ -73,11 +76,13 @@ class Reported(Shown):
 
 
 class Result(Reported):
-    """The result of a study. Each kind has `passed`, `blocks`, `document` and `draw`; the rest follows."""
+    """The result of a study. Each kind has `passed`, `blocks`, `document` and `figure_specs`; the rest follows."""
 
     __slots__ = ()
     record_name = ""
     """The name of the record in a saved folder, without ".json"; empty for a result that its function writes."""
+    has_parquet = False
+    """Whether its tables are written as Parquet, too."""
 
     @property
     def passed(self) -> bool:
@@ -110,17 +115,26 @@ class Result(Reported):
         heads = [f"{head} [{unit}]" if unit else head for head, unit in found[0].columns]
         return pandas.DataFrame([list(row) for row in found[0].rows], columns=heads)
 
-    def draw(self, place: Path) -> None:
-        """Write figures into an existing folder; by default there are none."""
-        del place
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield the figures by the names of their files, that of `plot` first; by default there are none."""
+        return iter(())
 
-    def write_tables(self, place: Path, *, parquet: bool) -> None:
-        """Write tables into an existing folder, with `parquet` as Parquet too; by default there are none."""
-        del place
-        if parquet:
-            raise LinkplanError(
-                f"parquet is for the tables of track, compare and transfer; a {type(self).__name__} has none"
-            )
+    def plot(self, path: str | Path | None = None) -> Figure:
+        """Return the result's figure, saved at `path` if it is given.
+
+        Raises:
+            LinkplanError: if the result has none, or the file cannot be written.
+        """
+        return drawn(path, self._first_figure)
+
+    def _first_figure(self) -> FigureSpec:
+        for _, spec in self.figure_specs():
+            return spec
+        raise LinkplanError(f"nothing to draw: this {type(self).__name__} has no figure")
+
+    def write_files(self, place: Path, *, parquet: bool) -> None:
+        """Write tables and other files into an existing folder, with `parquet` as Parquet too; by default there are none."""
+        del place, parquet
 
     def save(self, folder: str | Path, *, report: bool = False, parquet: bool = False) -> Path:
         """Write the record, tables, figures and the document into a folder, whole or not at all, and return its path.
@@ -137,16 +151,21 @@ class Result(Reported):
             LinkplanError: if the folder has other files, or cannot be written.
         """
         from linkplan.planner.files.folders import write_json, write_whole
+        from linkplan.studies.output.figure import save_figures
         from linkplan.studies.output.report_file import save_report
 
+        if parquet and not self.has_parquet:
+            raise LinkplanError(
+                f"parquet is for the tables of track, compare and transfer; a {type(self).__name__} has none"
+            )
         if not self.record_name:
             raise LinkplanError("this result is only saved while it is computed: pass a folder to its function")
         target, record = path_of(folder, "folder"), f"{self.record_name}.json"
 
         def write(place: Path) -> None:
             write_json(place / record, self.to_dict())
-            self.write_tables(place, parquet=parquet)
-            self.draw(place)
+            self.write_files(place, parquet=parquet)
+            save_figures(self.figure_specs(), place)
             save_report(self.document(), place, page=report)
 
         write_whole(target, write, record)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -26,6 +26,7 @@ from linkplan.studies.compare.named_run import NamedRun
 from linkplan.studies.compare.time_series import save_time_series
 from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
 from linkplan.studies.output.document import Block, Report, Section, Text
+from linkplan.studies.output.figure_spec import FigureSpec
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -164,6 +165,7 @@ class TrackingResult(Result):
     `document_runs` are the runs of the source document's experiment by (model, KP, KD), if the plan is that.
     """
 
+    has_parquet = True
     figures: ComparisonFigures
     comparison: study.Comparison
     record_name: str = "compare"
@@ -218,22 +220,22 @@ class TrackingResult(Result):
         section = Section(title=title, blocks=document_blocks(self.document_runs)) if self.document_runs else None
         return comparison_report(self.comparison, section)
 
-    def write_tables(self, place: Path, *, parquet: bool) -> None:
+    def write_files(self, place: Path, *, parquet: bool) -> None:
         """Write every run's time series."""
         save_time_series(self.comparison, place, parquet=parquet)
 
-    def draw(self, place: Path) -> None:
-        """Write the figures."""
-        comparison_figure(self.comparison, place / f"{self.record_name}.png")
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield every tracker's motion, error and effort, and the source document's figure."""
+        yield self.record_name, comparison_figure(self.comparison)
         if self.document_runs:
-            document_figure(document_blocks(self.document_runs), place / "desired_and_actual.png")
+            yield "desired_and_actual", document_figure(self.document_runs)
 
     def plot(self, path: str | Path | None = None, *, every_joint: bool = False) -> Figure:
         """Return the figure of motion, error and effort of every tracker, saved at `path` if it is given.
 
         It is at most one screen high; with `every_joint` it has all joints, dependent ones too, and all actuators.
         """
-        return drawn(path, lambda place: comparison_figure(self.comparison, place, every_joint=every_joint))
+        return drawn(path, lambda: comparison_figure(self.comparison, every_joint=every_joint))
 
     def __repr__(self) -> str:
         names = ", ".join(self.comparison.nominal)

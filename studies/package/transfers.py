@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,7 +12,6 @@ import numpy as np
 from linkplan.inputs import PlanLike, Subject, note_forces, numbers, plan_of, subject_of
 from linkplan.models.errors import LinkplanError, ProblemError, choose
 from linkplan.models.transfer.rest import OutputMotion, rest_effort
-from linkplan.paths import drawn
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.reporting import Progress, listener
 from linkplan.results import MechanismResult
@@ -24,9 +23,8 @@ from linkplan.studies.handover.transfer.transfer_blocks import transfer_blocks, 
 from linkplan.studies.handover.transfer.transfer_figures import TransferFigures, transfer_figures
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
     from linkplan.studies.output.document import Block, Report
+    from linkplan.studies.output.figure_spec import FigureSpec
 
 Gains = float | Sequence[float]
 Rows = Sequence[Sequence[float]] | np.ndarray
@@ -108,6 +106,7 @@ class TransferResult(MechanismResult):
     """A transfer table. `str(result)` is the report; `to_dict()` has the linkage at home, the ends of the map and errors."""
 
     record_name = "transfer"
+    has_parquet = True
     figures: TransferFigures
     found: Transfer
 
@@ -210,14 +209,14 @@ class TransferResult(MechanismResult):
         """Return the report."""
         return transfer_report(self.found)
 
-    def write_tables(self, place: Path, *, parquet: bool) -> None:
-        """Write the tables (CSV, NPZ, with `parquet` Parquet too), the serial equivalent and the figure."""
+    def write_files(self, place: Path, *, parquet: bool) -> None:
+        """Write the tables (CSV, NPZ, with `parquet` Parquet too), the C++ header and the serial equivalent."""
         from linkplan.studies.handover.transfer.files import write_files
 
         write_files(self.found, place, parquet=parquet)
 
-    def plot(self, path: str | Path | None = None) -> Figure:
-        """Return the figure of the curves over each joint's range, saved at `path` if it is given."""
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield transfer, the curves over each joint's range."""
         from linkplan.studies.handover.transfer.files import transfer_figure
 
-        return drawn(path, lambda place: transfer_figure(self.found, place))
+        yield "transfer", transfer_figure(self.found)

@@ -1,52 +1,43 @@
 """The figures, the sections and the report of a feedback loop."""
 
-from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
 
 from msgspec.structs import replace
 
 from linkplan.studies.feedback.bode.bode_blocks import margins_along, nyquist, plants, responses, sensitivities, summary
 from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy
 from linkplan.studies.output.document import Block, Report, Section
+from linkplan.studies.output.figure_spec import FigureSpec, side_by_side
 from linkplan.studies.output.report_file import report_of
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
+def bode_figures(study: BodeStudy) -> Iterator[tuple[str, FigureSpec]]:
+    """Yield the figures of a study by their names: "bode", "nyquist", "sensitivity" and "margins".
 
-def save_bode(study: BodeStudy, place: Path) -> None:
-    """Draw every figure of a study into a folder: bode.png, nyquist.png, sensitivity.png and margins.png.
-
-    Where joints move along that no actuator drives, plant.png has the plant to the loop's joint and to those.
+    Where joints move along that no actuator drives, "plant" has the plant to the loop's joint and to those.
     """
-    from linkplan.studies.output.figure import figure_of
-
     joints, title = study.mechanism.independent_joints, f"{study.mechanism.name}, {study.law.name}: {study.loop_name}"
     channels = study.mechanism.channels
     suffixes = {channel: f"-{joints[channel].name}" if len(channels) > 1 else "" for channel in channels}
     for channel, suffix in suffixes.items():
         entries = [entry for entry in study.points if entry.channel == channel]
-        bode_figure(study, entries, place / f"bode{suffix}.png")
-        figure_of([nyquist(study, entries)], place / f"nyquist{suffix}.png", title=title, panel_in=(6.4, 7.0))
-        figure_of(sensitivities(entries, ""), place / f"sensitivity{suffix}.png", title=title, columns=3)
+        yield f"bode{suffix}", bode_figure(study, entries)
+        yield f"nyquist{suffix}", FigureSpec(panels=[nyquist(study, entries)], title=title, panel_in=(6.4, 7.0))
+        yield f"sensitivity{suffix}", FigureSpec(panels=sensitivities(entries, ""), title=title, columns=3)
         if moved := plants(entries, ""):
-            figure_of(moved, place / f"plant{suffix}.png", title=title, columns=2, panel_in=(6.0, 2.9))
+            yield f"plant{suffix}", FigureSpec(panels=moved, title=title, columns=2, panel_in=(6.0, 2.9))
     for scan in study.scans:
         panels = margins_along(study, scan, "")
-        figure_of(panels, place / f"margins{suffixes[scan.channel]}.png", title=title, panel_in=(8.0, 3.5))
+        yield f"margins{suffixes[scan.channel]}", FigureSpec(panels=panels, title=title, panel_in=(8.0, 3.5))
 
 
-def bode_figure(study: BodeStudy, entries: Sequence[BodePoint], path: Path | None = None) -> "Figure":
-    """Return the figure of open and closed loop at every pose, saved at `path` if given."""
-    from linkplan.studies.output.figure import figure_of, side_by_side
-
+def bode_figure(study: BodeStudy, entries: Sequence[BodePoint]) -> FigureSpec:
+    """Return the figure of open and closed loop at every pose."""
     how = "line: predicted, sampled; dotted: continuous"
     how += "; dots: MuJoCo, sinestream" if any(entry.responses for entry in entries) else ""
     title = f"{study.mechanism.name}, {study.law.name}: {study.message}; {how}"
-    return figure_of(
-        side_by_side(*responses(study, entries, "").values()), path, title=title, columns=2, panel_in=(6.0, 2.9)
-    )
+    panels = side_by_side(*responses(study, entries, "").values())
+    return FigureSpec(panels=panels, title=title, columns=2, panel_in=(6.0, 2.9))
 
 
 def bode_sections(study: BodeStudy, name: str) -> list[Section]:

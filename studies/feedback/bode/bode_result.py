@@ -7,6 +7,7 @@ import numpy as np
 from msgspec import UNSET, Struct, UnsetType, field
 
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.tree.joints import shown_by_unit
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.studies.feedback.bode.scan import Scan, stability
 from linkplan.studies.feedback.frequency.describing import LargeSignals
@@ -60,12 +61,9 @@ class PoseLoops(Struct, frozen=True, kw_only=True, eq=False):
 
 def pose_values(point: OperatingPoint) -> dict[str, dict[str, float]]:
     """Return the joints' positions `q_deg` and `q_m` and the `holding_effort` of a point, each by name."""
-    mechanism, joints = point.mechanism, list(zip(point.mechanism.joints, point.pose, strict=True))
-    return {
-        "q_deg": {joint.name: joint.shown(x) for joint, x in joints if joint.kind == "hinge"},
-        "q_m": {joint.name: float(x) for joint, x in joints if joint.kind != "hinge"},
-        "holding_effort": {a.name: float(u) for a, u in zip(mechanism.actuators, point.hold, strict=True)},
-    }
+    efforts = {a.name: float(u) for a, u in zip(point.mechanism.actuators, point.hold, strict=True)}
+    positions = shown_by_unit(point.mechanism.joints, point.pose)
+    return {"q_deg": positions["deg"], "q_m": positions["m"], "holding_effort": efforts}
 
 
 class WorstMargins(Margins, frozen=True, kw_only=True, eq=False):

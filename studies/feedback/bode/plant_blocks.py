@@ -1,8 +1,6 @@
 """A plant from chosen inputs to chosen outputs as a document: its behaviour at rest, poles and zeros, responses."""
 
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,12 +9,10 @@ from linkplan.studies.feedback.bode.curves import frequency_plot, measured_phase
 from linkplan.studies.feedback.bode.plant_result import LARGEST_UNCERTAINTY, PlantCurve, PlantResponse, PlantStudy, Root
 from linkplan.studies.feedback.bode.plant_words import agreement_text, modes_text, plant_notes, root_text
 from linkplan.studies.output.document import Block, Facts, Plot, Report, Section, Table, Text, table_of
+from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.output.lines import line_style
 from linkplan.studies.output.numbers import drawn_rows
 from linkplan.studies.output.report_file import report_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Points of a drawn curve, about half the width of a screen in pixels.
 _DRAWN_POINTS = 300
@@ -117,13 +113,11 @@ def _thinned(curve: PlantCurve) -> tuple:
     return curve.frequency_hz[rows], curve.gain_db[rows], curve.phase_deg[rows]
 
 
-def plant_figure(study: PlantStudy, path: Path | None = None) -> "Figure":
-    """Return the figure of gain and phase of every response, saved at `path` if given."""
-    from linkplan.studies.output.figure import figure_of
-
+def plant_figure(study: PlantStudy) -> FigureSpec:
+    """Return the figure of gain and phase of every response."""
     panels = [plot for both in plant_plots(study, "").values() for plot in both]
     how = "line: predicted" + ("; dotted: with hold and steps; dots: MuJoCo, sinestream" if study.measurement else "")
-    return figure_of(panels, path, title=f"{study.mechanism_name}, {study.message}; {how}", columns=2, panel_in=(6.0, 2.9))
+    return FigureSpec(panels=panels, title=f"{study.mechanism_name}, {study.message}; {how}", columns=2, panel_in=(6.0, 2.9))
 
 
 def plant_report(study: PlantStudy) -> Report:

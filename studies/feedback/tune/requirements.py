@@ -10,6 +10,7 @@ from msgspec.structs import asdict, force_setattr
 
 from linkplan.controllers.sampling import Sampling
 from linkplan.models.errors import LinkplanError
+from linkplan.models.tree.joints import shown_by_unit
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, SampledLaw, label_differences
 from linkplan.studies.feedback.frequency.margins import Margins, margins
@@ -123,13 +124,12 @@ def _judged(point: OperatingPoint, channel: int, law: SampledLaw) -> JudgedLoop:
 
 def _place(point: OperatingPoint, channel: int) -> dict[str, Any]:
     """Return where a loop is judged: the position of a single joint, or the joint of the loop and all positions."""
-    coordinates = point.mechanism.independent_joints
-    own, at = coordinates[channel], [(coordinates[k], float(point.state[k])) for k in point.mechanism.channels]
-    if len(at) == 1:
-        return {f"position_{own.unit}": own.shown(at[0][1])}
-    hinges = {joint.name: joint.shown(x) for joint, x in at if joint.kind == "hinge"}
-    slides = {joint.name: x for joint, x in at if joint.kind != "hinge"}
-    return {"joint": own.name, "position_deg": hinges, "position_m": slides}
+    joints, channels = point.mechanism.independent_joints, list(point.mechanism.channels)
+    own = joints[channel]
+    if len(channels) == 1:
+        return {f"position_{own.unit}": own.shown(point.state[channels[0]])}
+    at = shown_by_unit([joints[k] for k in channels], point.state[channels])
+    return {"joint": own.name, "position_deg": at["deg"], "position_m": at["m"]}
 
 
 def shortfall(found: Margins | QuickMargins, wanted: Requirements, timing: Sampling, reserve: float = 1.0) -> np.ndarray:

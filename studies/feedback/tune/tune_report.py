@@ -2,8 +2,6 @@
 
 import textwrap
 from collections.abc import Sequence
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -27,11 +25,9 @@ from linkplan.studies.output.document import (
     Text,
     table_of,
 )
+from linkplan.studies.output.figure_spec import FigureSpec, side_by_side
 from linkplan.studies.output.numbers import rounded
 from linkplan.studies.output.report_file import report_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 def gain_lines(tuning: Tuning) -> list[tuple[str, str]]:
@@ -91,16 +87,14 @@ def tune_plots(tuning: Tuning, loops: Sequence[JudgedLoop], of: str) -> list[Plo
     return found
 
 
-def tune_figure(tuning: Tuning, path: Path | None = None) -> "Figure":
-    """Return the figure of every joint's margins over the poses, saved at `path` if given."""
-    from linkplan.studies.output.figure import figure_of, side_by_side
-
+def tune_figure(tuning: Tuning) -> FigureSpec:
+    """Return the figure of every joint's margins over the poses."""
     joints, columns = tuning.joints, []
     for channel, joint in zip(tuning.mechanism.channels, joints, strict=True):
         loops = [loop for loop in tuning.points if loop.channel == channel]
         columns.append(tune_plots(tuning, loops, "" if len(joints) == 1 else f", loop of {joint.name}"))
     size, title = (7.5 if len(joints) == 1 else 4.5, 2.5), f"{tuning.mechanism.name}: {tuning.message.split(': ')[0]}"
-    return figure_of(side_by_side(*columns), path, title=title, columns=len(columns), panel_in=size)
+    return FigureSpec(panels=side_by_side(*columns), title=title, columns=len(columns), panel_in=size)
 
 
 def tracking_table(tuning: Tuning) -> str:

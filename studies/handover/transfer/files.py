@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.studies.handover.transfer.columns import columns_of, inverse_columns, npz_arrays
@@ -12,11 +11,11 @@ from linkplan.studies.handover.transfer.serial_study import along_columns
 from linkplan.studies.handover.transfer.serial_urdf import urdf_text
 from linkplan.studies.handover.transfer.study import Transfer
 from linkplan.studies.handover.transfer.transfer_blocks import transfer_plots
-from linkplan.studies.output.figure import figure_of
+from linkplan.studies.output.figure_spec import FigureSpec
 
 
 def write_files(transfer: Transfer, place: Path, *, parquet: bool = False) -> None:
-    """Write tables, serial.xml, serial.urdf, along.csv, transmission.hpp and transfer.png, as far as there are any.
+    """Write tables, serial.xml, serial.urdf, along.csv and transmission.hpp, as far as there are any.
 
     With `parquet`, the tables are written as Parquet too.
     """
@@ -38,10 +37,9 @@ def write_files(transfer: Transfer, place: Path, *, parquet: bool = False) -> No
             (place / "along.csv").write_bytes(csv_bytes(along_columns(transfer.serial)))
     (place / "transmission.hpp").write_text(cpp_header(transfer), encoding="utf-8")
     np.savez_compressed(place / "table.npz", **npz_arrays(transfer))  # pyright: ignore[reportArgumentType]  arrays by name
-    transfer_figure(transfer, place / "transfer.png")
 
 
-def transfer_figure(transfer: Transfer, path: Path | None = None) -> Figure:
-    """Return the figure of the curves over each joint's range, saved at `path` if it is given."""
+def transfer_figure(transfer: Transfer) -> FigureSpec:
+    """Return the figure of the curves over each joint's range."""
     title = f"{transfer.outputs.mechanism.name}: {transfer.message}"
-    return figure_of(transfer_plots(transfer), path, title=title, columns=2)
+    return FigureSpec(panels=transfer_plots(transfer), title=title, columns=2)

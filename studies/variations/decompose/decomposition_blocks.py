@@ -2,8 +2,6 @@
 
 import math
 from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING
 
 from linkplan.models.errors import counted
 from linkplan.planner.plan.plan import Plan
@@ -20,12 +18,10 @@ from linkplan.studies.output.document import (
     Text,
     table_of,
 )
+from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.output.plan_sections import plan_sections
 from linkplan.studies.output.report_file import report_of
 from linkplan.studies.variations.decompose.decomposition import Decomposition, Shares
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Significant digits of the rms error. Its parts have the same number of decimals, so that a column adds up.
 _TOTAL_DIGITS = 4
@@ -53,12 +49,10 @@ def decomposition_blocks(found: Decomposition) -> list[Block]:
     return [*blocks, *(Text(text=text, tone="note") for text in left_out)]
 
 
-def decomposition_figure(found: Decomposition, path: Path | None = None) -> "Figure":
-    """Return the figure of every tracker's parts, saved at `path` if given; each panel has its own scale."""
-    from linkplan.studies.output.figure import figure_of, panels_of
-
+def decomposition_figure(found: Decomposition) -> FigureSpec:
+    """Return the figure of every tracker's parts; each panel has its own scale."""
     title = f"{found.decomposition}: where the error comes from, {counted(found.machines, 'machine')}"
-    return figure_of(panels_of(decomposition_blocks(found)), path, title=title, columns=2, panel_in=(6.5, 3.0))
+    return FigureSpec(panels=decomposition_charts(found), title=title, columns=2, panel_in=(6.5, 3.0))
 
 
 def decomposition_charts(found: Decomposition) -> list[Bars]:

@@ -1,9 +1,7 @@
 """A sensitivity as a document: tables and bar charts of what each tracker's figures owe to each imperfection."""
 
 import math
-from collections.abc import Mapping
-from pathlib import Path
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Mapping
 
 from linkplan.studies.output.document import (
     LOWERING_COLOUR,
@@ -18,11 +16,9 @@ from linkplan.studies.output.document import (
     Text,
     table_of,
 )
+from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.variations.experiment.sensitivity import MetricInfluence, Sensitivity
 from linkplan.studies.variations.sensitivity.scheme import SOBOL
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # Number of imperfections in tables and charts.
 _MAX_ROWS = 12
@@ -53,21 +49,19 @@ def sensitivity_blocks(name: str, study: Sensitivity, seed: int) -> list[Block]:
     ]
 
 
-def save_tornados(name: str, study: Sensitivity, folder: Path) -> None:
-    """Save the figure of each rms error in a folder: sensitivity.png, and a second one for hinges and slides together."""
+def tornado_figures(name: str, study: Sensitivity) -> Iterator[tuple[str, FigureSpec]]:
+    """Yield the figure of each rms error by its name: "sensitivity", and a second one for hinges and slides together."""
     for i, metric in enumerate(study.mains):
-        tornado_figure(name, study, metric, folder / ("sensitivity.png" if i == 0 else f"sensitivity_{metric}.png"))
+        yield "sensitivity" if i == 0 else f"sensitivity_{metric}", tornado_figure(name, study, metric)
 
 
-def tornado_figure(name: str, study: Sensitivity, metric: str, path: Path | None) -> "Figure":
-    """Return the figure of the imperfections' influences on a metric of a plan's runs, saved at `path` if given."""
-    from linkplan.studies.output.figure import figure_of
-
+def tornado_figure(name: str, study: Sensitivity, metric: str) -> FigureSpec:
+    """Return the figure of the imperfections' influences on a metric of a plan's runs."""
     charts, machines = sensitivity_charts(study, metric), study.groups * study.group_size
     text = study.metrics[metric]["text"]
     title = f"{name}: what the {text} owes to each imperfection ({study.design}, {machines} machines)"
     height_in = 1.4 + 0.33 * len(charts[0].rows)
-    return figure_of(charts, path, title=title, columns=2, panel_in=(6.5, height_in))
+    return FigureSpec(panels=charts, title=title, columns=2, panel_in=(6.5, height_in))
 
 
 def sensitivity_charts(study: Sensitivity, metric: str) -> list[Bars]:

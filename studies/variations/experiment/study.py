@@ -1,8 +1,8 @@
 """A complete experiment: from a plan to a folder with results, or to a summary only."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from msgspec import field, structs
@@ -17,6 +17,7 @@ from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.compare.tracker_source import object_hash, refuse_other_sources, source_hash
 from linkplan.studies.compare.user_tracker import TrackerLike
+from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.variations.experiment.conduct import conduct, read_parts, read_results, write_results
 from linkplan.studies.variations.experiment.design import LATIN_HYPERCUBE, replicate_of
 from linkplan.studies.variations.experiment.distributions import SHOWN, distributions
@@ -33,7 +34,7 @@ from linkplan.studies.variations.experiment.experiment import (
 )
 from linkplan.studies.variations.experiment.metrics import metrics_of
 from linkplan.studies.variations.experiment.sensitivity import Sensitivity, sensitivity_of
-from linkplan.studies.variations.experiment.sensitivity_blocks import save_tornados
+from linkplan.studies.variations.experiment.sensitivity_blocks import tornado_figures
 from linkplan.studies.variations.experiment.summary import Summary, chatter_notes, summarise
 from linkplan.studies.variations.sensitivity.scheme import MORRIS, ONE_AT_A_TIME
 from linkplan.studies.variations.tasks.engine import Engine, Say, serial
@@ -46,9 +47,6 @@ from linkplan.studies.variations.tasks.unfinished import (
     unfinished,
     working,
 )
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 RECORD, RESULTS = "experiment.json", "results.parquet"
 
@@ -132,29 +130,34 @@ def run_experiment(
     return outcome
 
 
-def experiment_figure(outcome: ExperimentOutcome, path: Path | None) -> "Figure":
-    """Return the figure of an experiment's distributions, saved at `path` if given."""
-    from linkplan.studies.output.figure import figure_of
+def experiment_figures(outcome: ExperimentOutcome) -> Iterator[tuple[str, FigureSpec]]:
+    """Yield the figures of an experiment by their names: its distributions, and each imperfection's influence."""
+    if outcome.distributed:
+        yield "experiment", experiment_figure(outcome)
+    if outcome.sensitivity is not None:
+        yield from tornado_figures(outcome.name, outcome.sensitivity)
 
+
+def experiment_figure(outcome: ExperimentOutcome) -> FigureSpec:
+    """Return the figure of an experiment's distributions."""
     one, metrics = outcome.experiment, outcome.metrics
     names = [name for start in SHOWN for name in metrics if name.startswith(start)]
     drawn = distributions(outcome.population, one.settings.trackers, names, metrics)
     title = f"{one.plan.problem.name}: {outcome.samples} machines"
-    return figure_of(drawn, path, title=title, columns=3, panel_in=(4.0, 3.0))
+    return FigureSpec(panels=drawn, title=title, columns=3, panel_in=(4.0, 3.0))
 
 
 def _save(outcome: ExperimentOutcome, place: Path) -> None:
     """Write an outcome's files into an empty folder, and check that the record and the results can be read."""
+    from linkplan.studies.output.figure import save_figures
+
     write_results(place / RESULTS, outcome.experiment, outcome.results)
     read_results(place / RESULTS, outcome.experiment)
     write_json(place / RECORD, outcome)
     read_asked(place)
     (place / PLAN).mkdir()
     write_plan(outcome.experiment.plan, place / PLAN)
-    if outcome.sensitivity is not None:
-        save_tornados(outcome.name, outcome.sensitivity, place)
-    if outcome.distributed:
-        experiment_figure(outcome, place / "experiment.png")
+    save_figures(experiment_figures(outcome), place)
 
 
 def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: AskedRecord) -> ExperimentOutcome:

@@ -1,19 +1,16 @@
 """Sized motors as a document: the answer, a table with the best first, reasons, the best one's keys, and a chart."""
 
-from pathlib import Path
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from linkplan.planner.files.tables import toml_text
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.output.document import Axis, Block, Code, Plane, Report, Section, Series, Table, Text, table_of
+from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.output.numbers import drawn_rows, rounded
+from linkplan.studies.output.plan_sections import plan_sections
+from linkplan.studies.output.report_file import report_of
 from linkplan.studies.variations.size.sized_motor import SizedMotor
 from linkplan.studies.variations.size.sizing import Sizing
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # More motors in one chart cannot be told apart.
 _MOST_DRAWN = 4
@@ -135,17 +132,12 @@ def _ends(one: SizedMotor, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.where(none, np.nan, low), np.where(none, np.nan, high)
 
 
-def sizing_figure(found: Sizing, path: Path | None = None) -> "Figure":
-    """Return the figure of the chart, saved at `path` if given."""
-    from linkplan.studies.output.figure import figure_of, panels_of
-
-    return figure_of(panels_of(sizing_charts(found)), path, title=answer(found), panel_in=(8.0, 5.0))
+def sizing_figure(found: Sizing) -> FigureSpec:
+    """Return the figure of the chart."""
+    return FigureSpec(panels=sizing_charts(found), title=answer(found), panel_in=(8.0, 5.0))
 
 
 def sizing_report(found: Sizing, plan: Plan) -> Report:
     """Return the report of the motors, with the plan of the best one."""
-    from linkplan.studies.output.plan_sections import plan_sections
-    from linkplan.studies.output.report_file import report_of
-
     first = Section(title=f"Motors for {found.actuator} in {found.problem}", blocks=sizing_blocks(found))
     return report_of(first.title, answer(found), found.found, [first, *plan_sections(plan)])

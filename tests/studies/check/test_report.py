@@ -24,7 +24,9 @@ from linkplan.studies.check.kinematic_loop_report import (
     swept,
 )
 from linkplan.studies.check.path_plots import inspection_figure, path_plots
+from linkplan.studies.check.path_quantities import path_figures
 from linkplan.studies.cli.main import main
+from linkplan.studies.output.figure import figure_of
 from linkplan.studies.output.text import text_of
 from tests.support.data import KNEE_TABLE
 from tests.support.drive import line_rates
@@ -147,7 +149,7 @@ def test_an_actuator_without_limits_gives_any_effort_where_it_acts_and_none_wher
     mechanism = load_mechanism(text)
     path = measure(mechanism, mechanism.home[None], "home")
     assert path.available_effort[0].tolist() == [[-np.inf, np.inf], [0.0, 0.0]]
-    json.dumps(to_json_types(path.figures), allow_nan=False)
+    json.dumps(to_json_types(path_figures(path)), allow_nan=False)
 
 
 def test_a_models_sites_are_listed_where_mujoco_has_them_at_home(capsys):
@@ -289,7 +291,7 @@ def test_what_holds_the_gripper_still_has_its_springs_in_it():
 def test_the_drawing_of_two_freedoms_sweeps_both(tmp_path, monkeypatch):
     saved = saved_figures(monkeypatch)
     mechanism = mechanism_of("five-bar")
-    inspection_figure(inspect(mechanism, []), tmp_path / "five-bar.png")
+    figure_of(inspection_figure(inspect(mechanism, [])), tmp_path / "five-bar.png")
     assert (tmp_path / "five-bar.png").exists()
     figure = saved["five-bar.png"]
     sketch, shown = ("x [m]", "z [m]"), ("position [deg]", "inertia [kg m2]", "effort [N.m]")
@@ -307,7 +309,7 @@ def test_a_rod_s_spin_is_not_drawn_over_its_reach():
     """A delta's figure had the spins of two rods in place of its other motors."""
     found = inspect(load_mechanism(RSSR), [])
     assert len(found.reaches) == 2
-    assert {axes.get_xlabel() for axes in inspection_figure(found).axes[1:]} == {"crank [deg]"}
+    assert {axes.get_xlabel() for axes in figure_of(inspection_figure(found)).axes[1:]} == {"crank [deg]"}
 
 
 def test_the_dotted_lines_over_a_reach_are_named_in_the_legend():
@@ -315,5 +317,5 @@ def test_the_dotted_lines_over_a_reach_are_named_in_the_legend():
     found = inspect(mechanism, [])
     assert len(found.reaches[0].singular)
     assert toggles(mechanism)
-    axes = inspection_figure(found).axes[1]
+    axes = figure_of(inspection_figure(found)).axes[1]
     assert [text.get_text() for text in axes.get_legend().get_texts()][-2:] == ["singular pose", "a joint turns back"]

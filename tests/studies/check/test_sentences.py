@@ -12,6 +12,7 @@ from linkplan.models.poses.along import least_effort
 from linkplan.studies.check.check_report import path_blocks
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.kinematic_loop_report import measured, reach_sweeps
+from linkplan.studies.check.path_quantities import path_figures
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.cli.main import main
 from linkplan.studies.output.text import text_of
@@ -126,7 +127,7 @@ def test_a_gimbal_lock_in_a_reach_is_a_note_that_names_joints_and_pose():
     (note,) = [text for text in found.notes if "singular inertia" in text]
     assert note.startswith("singular inertia at b = -90 deg, in 2 of ")
     assert "joints a and c move together without moving any mass there" in note
-    felt = list(found.paths)[1].figures.reflected_inertia["actuator 0"]
+    felt = path_figures(list(found.paths)[1]).reflected_inertia["actuator 0"]
     assert np.flatnonzero(np.isnan(felt)).tolist() == [0, len(felt) - 1]
 
 

@@ -9,6 +9,7 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.reach import reach
 from linkplan.studies.check.drives import _krylov_space
 from linkplan.studies.check.kinematic_loop_report import measured, reach_sweeps
+from linkplan.studies.check.path_quantities import path_figures
 from linkplan.studies.check.summary import grouped
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.output.text import text_of
@@ -178,11 +179,11 @@ def test_of_many_each_has_its_own(wholes):
 
 
 def test_records_of_very_many_coordinates_have_those_of_their_own_only(wholes):
-    assert list(measured(wholes[9].sweeps[7]).figures.joint_rate["j0"]) == [f"j{i}" for i in range(9)]
+    assert list(path_figures(measured(wholes[9].sweeps[7])).joint_rate["j0"]) == [f"j{i}" for i in range(9)]
     mechanism = load_mechanism(chain(30))
     (sweep,) = reach_sweeps(mechanism, [reach(mechanism, 7)])
     path = measured(sweep)
-    figures = path.figures
+    figures = path_figures(path)
     assert figures.coordinate == "j7"
     assert list(figures.joint_rate["j0"]) == list(figures.gravity_effort) == ["j7"]
     np.testing.assert_array_equal(figures.reduced_inertia[:, 0, 0], path.reduced_inertia[:, 7, 7])

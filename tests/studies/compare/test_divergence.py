@@ -12,6 +12,7 @@ from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.cli.main import main
 from linkplan.studies.compare.compare import Comparison, _plant, run_figures, track, tracking_reference
 from linkplan.studies.compare.comparison_blocks import comparison_figure
+from linkplan.studies.output.figure import figure_of
 from linkplan.studies.variations.experiment.statistics import mean_of
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -66,10 +67,8 @@ def test_a_run_that_diverges_is_measured_and_drawn_without_a_warning(plan, gain,
     assert np.abs(run.commanded).max() > 1e6
     assert run_figures(plan, run)["peak_effort"]["ma"] > 1e6
     runs = {"runaway": run}
-    comparison_figure(
-        Comparison(plan=plan, nominal=runs, mismatch=None, mismatched={}, title="nominal", stem="nominal"),
-        tmp_path / "compare.png",
-    )
+    comparison = Comparison(plan=plan, nominal=runs, mismatch=None, mismatched={}, title="nominal", stem="nominal")
+    figure_of(comparison_figure(comparison), tmp_path / "compare.png")
 
 
 @pytest.mark.parametrize("gain", GAINS)

@@ -33,6 +33,7 @@ from linkplan.studies.compare.compare import (
 from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure
 from linkplan.studies.compare.comparison_notes import comparison_notes
 from linkplan.studies.compare.time_series import run_columns, save_time_series
+from linkplan.studies.output.figure import figure_of
 from linkplan.studies.output.plan_blocks import plan_blocks
 from linkplan.studies.output.text import text_of
 from tests.support.plans import optimal
@@ -75,8 +76,8 @@ def test_a_run_is_saved_with_units_in_its_heads_as_csv_and_npz(tmp_path):
 
 def test_the_figure_has_every_joint_and_every_actuator():
     comparison = compared("five-bar")
-    assert comparison_figure(comparison).get_size_inches()[1] * 110 <= 1080
-    figure = comparison_figure(comparison, every_joint=True)
+    assert figure_of(comparison_figure(comparison)).get_size_inches()[1] * 110 <= 1080
+    figure = figure_of(comparison_figure(comparison, every_joint=True))
     drawn = {axes.get_title(): axes for axes in figure.axes}
     motions = [f"{joint}, desired and tracked" for joint in ("O1", "O2")]
     errors = [f"Size of the error of {joint}" for joint in ("O1", "O2")]

@@ -21,6 +21,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.compare.compare import build_tracker, mismatch_of, track, tracking_reference
 from linkplan.studies.output.document import Table
+from linkplan.studies.output.figure import figure_of
 from linkplan.studies.output.text import text_of
 from linkplan.studies.variations.decompose.decompose import decompose, error_parts
 from linkplan.studies.variations.decompose.decomposition import Decomposition, Shares
@@ -175,7 +176,7 @@ def test_tables_have_all_trackers_and_columns_add_up():
 
 def test_every_tracker_has_a_panel_whose_bars_end_where_the_whole_does(tmp_path):
     found = decompose(reach(SHORT, AS_MODELLED), ["pd", "lqr"])
-    figure = decomposition_figure(found, tmp_path / "parts.png")
+    figure = figure_of(decomposition_figure(found), tmp_path / "parts.png")
     assert (tmp_path / "parts.png").is_file()
     for axis, one in zip(figure.axes, found.trackers.values(), strict=False):
         bars = axis.patches

@@ -9,6 +9,7 @@ import linkplan
 from linkplan.models.errors import ProblemError
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.search.planning import silent
+from linkplan.studies.output.figure import figure_of
 from linkplan.studies.output.text import text_of
 from linkplan.studies.variations.experiment.block import replay
 from linkplan.studies.variations.experiment.experiment import Settings, experiment_of
@@ -115,7 +116,7 @@ def test_the_record_the_table_and_the_figure_stand_in_the_folder(tmp_path):
 def test_a_tornados_bars_end_where_the_figure_does_at_the_ends_of_each_range():
     outcome = tried("one-at-a-time", [DELAY, PAYLOAD], SHORT)
     found = outcome.sensitivity
-    (axis,) = tornado_figure("knee-reach", found, "rms_error_deg", None).axes
+    (axis,) = figure_of(tornado_figure("knee-reach", found, "rms_error_deg")).axes
     one = found.trackers["pd+ff"]["rms_error_deg"]
     bars = [(bar.get_x(), bar.get_x() + bar.get_width()) for bar in axis.patches]
     assert [sorted(bar) for bar in bars] == [

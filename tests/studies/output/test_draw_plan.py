@@ -14,6 +14,7 @@ from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.output.document import Table
 from linkplan.studies.output.draw_plan import drawn_motion, plan_figure, time_plots
+from linkplan.studies.output.figure import figure_of
 from linkplan.studies.output.plan_blocks import plan_blocks
 from tests.support.arms import LOWER, UPPER
 from tests.support.figures import curves, saved_figures
@@ -52,7 +53,7 @@ def test_a_plan_s_page_shows_the_path_of_a_site_and_what_is_forbidden_to_it():
     waypoints = [{"at": {"foot": {"x": 0.45}}, "time_s": 0.3}]
     limits = {"foot": {"x": [0.1, 0.5]}}
     plan = plan_of(arm_of(UPPER, LOWER), motion | {"waypoints": waypoints}, limits, mesh={"tolerance_deg": 1e-3})
-    axes = next(axes for axes in plan_figure(plan).axes if axes.get_xlabel() == "x [m]")
+    axes = next(axes for axes in figure_of(plan_figure(plan)).axes if axes.get_xlabel() == "x [m]")
     lines = {line.get_label(): line.get_xydata() for line in axes.get_lines()}
     path = places_along(plan, per_interval=10)[:, [0, 2]]
     assert lines["path of foot"] == pytest.approx(path, abs=1e-9)
@@ -65,14 +66,14 @@ def test_a_plan_s_page_shows_the_path_of_a_site_and_what_is_forbidden_to_it():
 
 
 def test_a_plan_without_sites_is_drawn_beside_its_curves():
-    axes = plan_figure(many()).axes
+    axes = figure_of(plan_figure(many())).axes
     assert sum(bool(one.get_ylabel()) for one in axes) == 7  # a panel each of hinges and of slides, and the mechanism
     assert sum(one.get_ylabel() == "z [m]" for one in axes) == 1
 
 
 def test_a_plan_s_page_has_every_coordinate_s_position_speed_and_effort_in_its_unit(tmp_path, monkeypatch):
     saved = saved_figures(monkeypatch)
-    plan_figure(many(), tmp_path / "plan.png")
+    figure_of(plan_figure(many()), tmp_path / "plan.png")
     assert (tmp_path / "plan.png").exists()
     n_hinges = KINDS.count("hinge")
 

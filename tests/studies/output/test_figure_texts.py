@@ -19,7 +19,8 @@ from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.path_plots import inspection_figure
 from linkplan.studies.output.document import Axis, Bar, Bars, DrawnLimit, Plane, Plot, Series, Span
 from linkplan.studies.output.draw_bodies import draw_poses
-from linkplan.studies.output.figure import figure_of, one_screen
+from linkplan.studies.output.figure import figure_of
+from linkplan.studies.output.figure_spec import FigureSpec, one_screen
 from linkplan.studies.output.lines import TIME, Line, plots
 from tests.support.figure_texts import text_faults
 from tests.support.figures import curves, saved_figures
@@ -107,7 +108,7 @@ def test_the_demo_s_figures_have_all_texts_and_each_can_be_read(tmp_path, monkey
 @pytest.mark.parametrize("name", ["optimus-knee", "five-bar", "andrews-squeezer", "parallel-gripper", "cart-pole"])
 def test_names_at_pins_lie_on_no_other_text(name):
     mechanism = mechanism_of(name)
-    figure = figure_of([lambda axes: draw_poses(axes, mechanism, mechanism.home[None])], title=name)
+    figure = figure_of(FigureSpec(panels=[lambda axes: draw_poses(axes, mechanism, mechanism.home[None])], title=name))
     assert not text_faults(figure)
 
 
@@ -121,7 +122,7 @@ def bare_plot(**more) -> Plot:
 
 def spoilt(how: str) -> Figure:
     """Return a figure with one fault."""
-    figure = figure_of([bare_plot()], title="Title")
+    figure = figure_of(FigureSpec(panels=[bare_plot()], title="Title"))
     axes = figure.axes[0]
     if how == "lies on":
         axes.text(0.5, 0.5, "one", transform=axes.transAxes)
@@ -155,7 +156,7 @@ def test_a_plane_of_equal_units_has_room_for_its_titles_and_its_labels():
         equal=True,
     )
     title = "optimus-knee, pd: kp = 200 N.m/rad, kd = 1 N.m.s/rad sampled every 0.0001 s"
-    assert not text_faults(figure_of([plane], title=title, panel_in=(6.4, 7.0)))
+    assert not text_faults(figure_of(FigureSpec(panels=[plane], title=title, panel_in=(6.4, 7.0))))
 
 
 def test_a_legend_above_bars_with_long_labels_stays_on_the_page():
@@ -164,13 +165,13 @@ def test_a_legend_above_bars_with_long_labels_stays_on_the_page():
     rows = [Bar(label="torque_constant_factor.act_O, 0.9412 to 1.059", spans=spans, note="0.00697")] * 2
     bars = Bars(title="pd+ff: what the rms error owes to each imperfection", axis=Axis(label="error", unit="deg"), rows=rows,
                 line=0.0, line_name="", note_name="")  # fmt: skip
-    assert not text_faults(figure_of([bars] * 3, columns=2, panel_in=(6.5, 2.4)))
+    assert not text_faults(figure_of(FigureSpec(panels=[bars] * 3, columns=2, panel_in=(6.5, 2.4))))
 
 
 @pytest.mark.parametrize("ends", [(3.78, 5.99), (11.0, 950.0), (150.0, 3_000.0), (1e-4, 1e3), (0.2, 0.201)])
 def test_a_logarithmic_axis_has_three_numbers_at_least(ends):
     plot = bare_plot(series=[Series(name="", y=list(ends))], y_axis=Axis(label="frequency", unit="Hz", log=True, ends=ends))
-    assert not text_faults(figure_of([plot]))
+    assert not text_faults(figure_of(FigureSpec(panels=[plot])))
 
 
 @pytest.mark.slow
@@ -178,7 +179,7 @@ def test_the_curves_over_a_slide_s_reach_are_those_of_the_table():
     """A slide had one point in 17 mm: next to a singular pose the figure showed an effort fifty times the table's."""
     mechanism = load_mechanism("optimus-knee-linear", payload="shank")
     found = inspect(mechanism, [])
-    x, drawn = curves(inspection_figure(found).axes[2])["DB"]
+    x, drawn = curves(figure_of(inspection_figure(found)).axes[2])["DB"]
     positions = np.linspace(x[0], x[-1], 60)[1:-1]
     inertia = [np.array(mechanism.dynamics.reduced_inertia(q))[0, 0] for q in poses_at(mechanism, positions)]
     assert np.interp(positions, x, drawn) == pytest.approx(inertia, rel=0.02)
@@ -205,20 +206,22 @@ def test_curves_have_room_below_long_legends(tmp_path):
     panels = [panel(number, 10) for number in range(16)]
     with warnings.catch_warnings():
         warnings.simplefilter("error")  # matplotlib warns of axes without a height
-        figure = figure_of(panels, tmp_path / "many.png", columns=4, panel_in=one_screen(len(panels), 4, (5.3, 3.3)))
+        figure = figure_of(
+            FigureSpec(panels=panels, columns=4, panel_in=one_screen(len(panels), 4, (5.3, 3.3))), tmp_path / "many.png"
+        )
     heights = [axes.get_position().height * figure.get_size_inches()[1] for axes in figure.axes]
     assert min(heights) > 0.5
 
 
 def test_a_figure_of_few_curves_keeps_the_height_of_its_panels():
-    figure = figure_of([panel(0, 2)] * 2, columns=2, panel_in=(5.3, 3.3))
+    figure = figure_of(FigureSpec(panels=[panel(0, 2)] * 2, columns=2, panel_in=(5.3, 3.3)))
     assert figure.get_size_inches().tolist() == [2 * 5.3, 3.3 + 0.4]
 
 
 def test_a_name_longer_than_its_panel_takes_several_lines_of_the_legend():
     poses = [Series(name=", ".join(f"joint_{k} = {n} deg" for k in range(12)), y=[0.0, 1.0], colour=n) for n in range(3)]
     axes = {"x_axis": Axis(label="x", unit="Hz"), "y_axis": Axis(label="y", unit="1")}
-    figure = figure_of([Plot(title="Gain", group="", x=[0.0, 1.0], series=poses, **axes)] * 2, columns=2)
+    figure = figure_of(FigureSpec(panels=[Plot(title="Gain", group="", x=[0.0, 1.0], series=poses, **axes)] * 2, columns=2))
     figure.canvas.draw()
     legend = figure.axes[0].get_legend().get_window_extent()
     assert legend.x0 >= 0
@@ -242,7 +245,7 @@ def test_the_name_of_a_limit_is_beside_the_curves(values, below):
         title="", group="g", x_axis=Axis(label="O", unit="deg"), y_axis=axis, x=[0.0, 1.0],
         series=[Series(name="bandwidth", y=values)], limits=[limit],
     )  # fmt: skip
-    figure = figure_of([plot])
+    figure = figure_of(FigureSpec(panels=[plot]))
     FigureCanvasAgg(figure).draw()
     (text,) = [text for text in figure.axes[0].texts if "wanted" in text.get_text()]
     line = figure.axes[0].transData.transform((0.0, 30.0))[1]

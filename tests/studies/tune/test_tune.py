@@ -15,6 +15,7 @@ from linkplan.studies.feedback.frequency.margins import damping_ratio, margins, 
 from linkplan.studies.feedback.tune.requirements import Requirements
 from linkplan.studies.feedback.tune.tune import Tuning, tune
 from linkplan.studies.feedback.tune.tune_report import tracking_table, tune_blocks, tune_figure
+from linkplan.studies.output.figure import figure_of
 from linkplan.studies.output.text import text_of
 from tests.support.oscillators import inertia_alone, mass_on_a_spring
 from tests.support.tolerances_loops import GAINS_SCALED
@@ -193,7 +194,7 @@ def test_poles_of_a_second_order_system_have_its_damping_ratio_and_settle_with_i
 
 
 def test_all_points_of_the_figure_are_inside_its_axes():
-    figure = tune_figure(tuned("shank", "pd", 30.0, 60.0, 1e-3, 1))
+    figure = figure_of(tune_figure(tuned("shank", "pd", 30.0, 60.0, 1e-3, 1)))
     for axes in figure.axes:
         for line in axes.lines:
             values = np.asarray(line.get_ydata(), dtype=float)

@@ -1,0 +1,210 @@
+"""The quantities along a path of `linkplan check`: names and unit of each, for the record, tables and plots."""
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from msgspec import Struct
+
+from linkplan.models.actuation.actuators import Actuator
+from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.models.poses.body_angles import turning_bodies
+from linkplan.models.tree.dynamics import site_names
+from linkplan.models.tree.joints import Joint, shown_by_unit
+from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, has_whole_records
+from linkplan.studies.check.spring_ratios import sprung_tendons
+
+# The keys of the record of fields of a `KinematicLoopPath` with other names.
+_KEYS = {
+    "rates": "joint_rate",
+    "ratio": "transmission_ratio",
+    "singularity": "singularity_ratio",
+    "closure_force": "closure_force_n",
+    "spring_length": "spring_length_m",
+    "spring_ratio": "spring_motion_ratio",
+}
+
+
+class PathFigures(Struct, frozen=True, kw_only=True, eq=False):
+    """A path's entry in `check.json`: arrays over its samples, by joint, coordinate, actuator or closure."""
+
+    path: str
+    coordinate: str | None
+    time_s: np.ndarray | None
+    q_deg: dict[str, np.ndarray]
+    q_m: dict[str, np.ndarray]
+    joint_rate: dict[str, dict[str, np.ndarray]]
+    transmission_ratio: dict[str, dict[str, np.ndarray]]
+    reduced_inertia: np.ndarray
+    reflected_inertia: dict[str, np.ndarray]
+    gravity_effort: dict[str, np.ndarray]
+    holding_effort: dict[str, np.ndarray]
+    unheld_effort: dict[str, np.ndarray]
+    available_effort: dict[str, np.ndarray]
+    singularity_ratio: np.ndarray
+    closure_force_n: dict[str, np.ndarray]
+    site_m: dict[str, np.ndarray]
+    body_deg: dict[str, np.ndarray]
+    spring_length_m: dict[str, np.ndarray]
+    spring_motion_ratio: dict[str, dict[str, np.ndarray]]
+    balance: list[dict[str, Any]]
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class PathQuantity:
+    """A quantity along a path: the `field` of a `KinematicLoopPath` with an axis for each kind of part in `of`.
+
+    `unit` is a text, or a function of the parts. In names the parts stand in braces. Without a `column` the quantity is not
+    in the table, without the title of a `plot` in none; `line` is a line's name there. Fields of `PathFigures` are recorded.
+    """
+
+    field: str
+    of: tuple[str, ...] = ()
+    unit: str | Callable[..., str] = "1"
+    column: str = ""
+    plot: str = ""
+    line: str = "{}"
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class PathCurve:
+    """One curve of a quantity: the names of its parts, its unit, and its values (n,) or intervals (n, 2)."""
+
+    names: tuple[str, ...]
+    unit: str
+    values: np.ndarray
+
+
+def ratio_unit(joint: Joint, actuator_unit: str) -> str:
+    """Return the unit of the effort on a joint per effort of an actuator, for example metres for a force on a hinge."""
+    if joint.si_units[1] == actuator_unit:
+        return "1"
+    return "m" if joint.kind == "hinge" else "1/m"
+
+
+def _effort(part: Joint | Actuator) -> str:
+    return part.si_units[1]
+
+
+def _inertia(part: Joint | Actuator) -> str:
+    return part.inertia_unit
+
+
+# The plots in their order: the label of the vertical axis by title.
+PLOTS = {
+    "Dependent joints": "position",
+    "Transmission ratio": "ratio",
+    "Reduced inertia": "inertia",
+    "Inertia that an actuator feels": "inertia",
+    "Effort that holds it still": "effort",
+    "Effort within the actuators' limits": "effort",
+    "Distance from a singular pose": "det J_z over that at home",
+    "Closure force at rest": "force",
+    "Motion ratio of springs": "d length / d coordinate",
+}
+LOG_PLOTS = ("Reduced inertia", "Inertia that an actuator feels")  # logarithmic where they change by much
+_FOLLOWERS, _RATIO, _INERTIA, _FELT, _HELD, _LIMITED, _SINGULAR, _FORCE, _SPRINGS = PLOTS
+_JOINT, _MOTOR = ("coordinate",), ("actuator",)
+RATIO = PathQuantity(
+    field="ratio",
+    of=("coordinate", "actuator"),
+    unit=lambda joint, actuator: ratio_unit(joint, actuator.unit),
+    column="{1}->{0}",
+    plot=_RATIO,
+    line="{1} to {0}",
+)
+INERTIA = PathQuantity(field="own_inertia", of=_JOINT, unit=_inertia, column="inertia {}", plot=_INERTIA)
+FELT_INERTIA = PathQuantity(field="reflected_inertia", of=_MOTOR, unit=_inertia, column="inertia at {}", plot=_FELT)
+WEIGHT = PathQuantity(
+    field="gravity_effort", of=_JOINT, unit=_effort, column="weight alone {}", plot=_HELD, line="{}, weight alone"
+)
+AVAILABLE = PathQuantity(field="available_effort", of=_JOINT, unit=_effort, column="available {}", plot=_LIMITED)
+SINGULARITY = PathQuantity(field="singularity", column="det J_z/home", plot=_SINGULAR, line="least of J_z's blocks")
+# In the order of a table's columns.
+QUANTITIES = (
+    RATIO,
+    INERTIA,
+    FELT_INERTIA,
+    PathQuantity(field="shown_poses", of=("follower",), unit=lambda joint: joint.unit, plot=_FOLLOWERS),
+    PathQuantity(field="needed", of=_JOINT, unit=_effort, plot=_HELD),
+    WEIGHT,
+    PathQuantity(field="holding_effort", of=_MOTOR, unit=_effort, column="hold {}"),
+    PathQuantity(field="unheld_effort", of=_JOINT, unit=_effort),
+    AVAILABLE,
+    PathQuantity(field="needed", of=_JOINT, unit=_effort, plot=_LIMITED, line="{}, holds it still"),
+    SINGULARITY,
+    PathQuantity(field="spring_length", of=("tendon",), unit="m", column="length {}"),
+    PathQuantity(
+        field="spring_ratio",
+        of=("tendon", "coordinate"),
+        unit=lambda _, joint: ratio_unit(joint, "N"),
+        column="{} per {}",
+        plot=_SPRINGS,
+        line="{} per {}",
+    ),
+    PathQuantity(field="closure_force", of=("closure",), unit="N", column="force {}", plot=_FORCE),
+    PathQuantity(field="rates", of=("joint", "coordinate")),
+)
+
+
+def curves_of(path: KinematicLoopPath, quantity: PathQuantity, columns: Sequence[int]) -> Iterator[PathCurve]:
+    """Yield the curves of a quantity, of coordinates those of the given columns."""
+    mechanism, values = path.mechanism, getattr(path, quantity.field)
+    rounding = ROUNDING_SHARE * np.ptp(path.poses)
+    parts: dict[str, list[tuple[int, Any]]] = {
+        "coordinate": [(k, mechanism.independent_joints[k]) for k in columns],
+        "joint": list(enumerate(mechanism.joints)),
+        "follower": [(k, mechanism.joints[k]) for k in mechanism.dependent.tolist() if np.ptp(path.poses[:, k]) > rounding],
+        "actuator": list(enumerate(mechanism.actuators)),
+        "closure": list(enumerate(mechanism.closure_names)),
+        "tendon": list(enumerate(sprung_tendons(mechanism.model))),
+    }
+    for some in itertools.product(*(parts[kind] for kind in quantity.of)):
+        index, things = tuple(k for k, _ in some), [thing for _, thing in some]
+        unit = quantity.unit if isinstance(quantity.unit, str) else quantity.unit(*things)
+        names = tuple(thing if isinstance(thing, str) else thing.name for thing in things)
+        yield PathCurve(names=names, unit=unit, values=values[(slice(None), *index)])
+
+
+def shown_curves(path: KinematicLoopPath, quantity: PathQuantity, columns: Sequence[int]) -> list[PathCurve]:
+    """Return the curves in tables and plots: those of what the mechanism has and of actuators that act on the columns."""
+    mechanism, found = path.mechanism, list(curves_of(path, quantity, columns))
+    if (quantity is AVAILABLE and not mechanism.actuators) or (quantity is SINGULARITY and not len(mechanism.dependent)):
+        return []
+    acting = acts(path)[list(columns)]
+    shown = {id(RATIO): acting.ravel(), id(FELT_INERTIA): acting.any(axis=0)}.get(id(quantity))
+    return found if shown is None else [curve for curve, acts_on in zip(found, shown, strict=True) if acts_on]
+
+
+def path_figures(path: KinematicLoopPath) -> PathFigures:
+    """Return a path by names; beyond the size of a record (`has_whole_records`) with its own coordinate alone."""
+    mechanism, own = path.mechanism, path.coordinate
+    of = list(range(mechanism.dof)) if own is None or has_whole_records(mechanism) else [own]
+    joint = mechanism.independent_joints[own or 0]
+    positions, keys = shown_by_unit(mechanism.joints, path.poses.T), PathFigures.__struct_fields__
+    return PathFigures(
+        path=path.title,
+        coordinate=None if own is None else joint.name,
+        time_s=path.time_s,
+        q_deg=positions["deg"],
+        q_m=positions["m"],
+        reduced_inertia=path.reduced_inertia[:, of][:, :, of],
+        **{key: _by_name(path, one, of) for one in QUANTITIES if (key := _KEYS.get(one.field, one.field)) in keys},
+        body_deg={name: np.degrees(path.poses @ sigma) for name, sigma in turning_bodies(mechanism).items()},
+        site_m={name: path.places[:, :, mechanism.model.site(name).id] for name in site_names(mechanism.model)},
+        balance=[{"position": joint.shown(one.position), "unit": joint.unit, "stable": one.stable} for one in path.balances],
+    )
+
+
+def _by_name(path: KinematicLoopPath, quantity: PathQuantity, columns: Sequence[int]) -> Any:
+    """Return a quantity's arrays by the names of its parts, a coordinate's name last; of no part the array itself."""
+    found: dict[str, Any] = {}
+    for curve in curves_of(path, quantity, columns):
+        names = curve.names if quantity.of[:1] != _JOINT else curve.names[::-1]
+        if not names:
+            return curve.values
+        inner = found if len(names) == 1 else found.setdefault(names[0], {})
+        inner[names[-1]] = curve.values
+    return found
