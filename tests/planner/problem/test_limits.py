@@ -258,11 +258,6 @@ def test_a_limit_that_cannot_be_is_refused_in_one_line(given, said):
     assert "\n" not in str(refusal.value)
 
 
-def test_an_effort_rate_s_limit_does_not_go_with_constant_efforts():
-    with pytest.raises(ProblemError, match=r"needs mesh\.effort linear or polynomial"):
-        planned("knee-reach", "limits.effort_rate.act_O=2000", "mesh.effort=constant")
-
-
 AIRY = """<mujoco><option density="1.2"/><worldbody><body name="arm"><joint name="J" axis="0 1 0"/>
   <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
   <actuator><motor name="motor" joint="J" ctrlrange="-4 4"/></actuator></mujoco>"""

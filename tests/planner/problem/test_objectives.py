@@ -206,6 +206,13 @@ def test_an_objective_that_does_not_go_is_refused_in_one_line(asked, said):
     assert "\n" not in str(refusal.value)
 
 
+def test_a_peak_is_refused_where_an_effort_has_no_limit():
+    free = GANTRY.replace(' ctrlrange="-40 40"', "")
+    ends = {"goal_m": {"X": 1.0, "Y": 0.0}, "start_m": {"X": 0.0, "Y": 0.0}}
+    with pytest.raises(ProblemError, match=r"'peak_effort' needs finite limits.effort \(.*missing for G\)"):
+        Problem.reach(load_mechanism(free), **ends, minimize="peak_effort")
+
+
 GANTRY = """<mujoco><option gravity="0 0 0"/>
   <worldbody>
     <body><joint name="X" type="slide" axis="1 0 0"/><geom type="box" size=".1 .1 .1" mass="3"/>
@@ -260,11 +267,3 @@ def test_programs_with_other_limits_are_not_used_again_for_a_peak():
     assert structure(peak) != structure(lower)
     effort = problem_of("knee-reach", "limits.effort.act_O=[-90.0, 90.0]")
     assert structure(problem_of("knee-reach")) == structure(effort)
-
-
-def test_a_peak_without_limits_is_refused():
-    free = GANTRY.replace(' ctrlrange="-40 40"', "")
-    with pytest.raises(ProblemError, match=r"'peak_effort' needs finite limits.effort \(.*missing for G\)"):
-        Problem.reach(
-            load_mechanism(free), goal_m={"X": 1.0, "Y": 0.0}, start_m={"X": 0.0, "Y": 0.0}, minimize="peak_effort"
-        )
