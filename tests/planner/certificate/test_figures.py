@@ -18,7 +18,7 @@ from tests.support.plans import planned
 from tests.support.tolerances_planner import EXCESS
 
 # The hinge's quarter turn in a second along s = a + b (3 t^2 - 2 t^3): speed 6 b t (1 - t), effort 6 I b (1 - 2 t).
-PEAK_SPEED, PEAK_EFFORT = 1.5 * TURN, 6 * HINGE_INERTIA * TURN
+PEAK_EFFORT = 6 * HINGE_INERTIA * TURN
 
 
 def quarter_turn(*, position: float = 0.0, velocity: float = 1.0, effort: float = 1.0, extra: float = 0.0) -> Trajectory:

@@ -210,6 +210,8 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
         with_record(lambda said: said["problem"]["mechanism"].update(model="gone.xml")),
         "cannot be built again: unknown model 'gone.xml'",
     ),
+    "an objective that is no number": (with_record(lambda said: said.update(objective=True)), "at `$.objective`"),
+    "a figure that is not finite": (with_record(lambda said: said.update(details={"price": np.nan})), "not JSON"),
     "a status that is none": (with_record(lambda said: said.update(status="perfect")), "perfect"),
     "no trajectory": (lambda folder: (folder / "trajectory.npz").unlink(), "trajectory.npz"),
     "a trajectory that is a folder": (as_folder, "trajectory.npz"),
@@ -264,19 +266,6 @@ def test_what_is_no_plan_is_refused(what, tmp_path):
         path.write_text("{}")
     with pytest.raises(PlanFileError, match="plan"):
         read_plan(path)
-
-
-@pytest.mark.parametrize("value", ["x", True, [1], 10**400, np.nan], ids=["text", "bool", "list", "huge", "nan"])
-@pytest.mark.parametrize("place", ["objective", "details", "history"])
-def test_a_figure_of_the_record_that_is_no_number_is_refused(place, value, saved):
-    new = {"objective": value, "details": {"price": value}}
-
-    def edit(said: dict) -> None:
-        said.update({"history": [said["history"][0] | {"objective": value}]} if place == "history" else {place: new[place]})
-
-    with_record(edit)(saved)
-    with pytest.raises(PlanFileError, match=r"plan\.json' is (not a record that linkplan wrote|truncated or not JSON)"):
-        read_plan(saved, anyway=True)
 
 
 def test_a_solve_without_an_objective_has_one_that_is_not_a_number(saved):

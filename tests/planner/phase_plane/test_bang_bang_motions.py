@@ -12,11 +12,8 @@ from linkplan.planner.phase_plane.bang_bang_motions import (
     stretched,
 )
 from linkplan.planner.problem.problem import Problem
+from tests.support.bodies import cart
 
-# A mass of 2 kg on a rail of 8 m, pushed by -4 to 6 N; and an inertia of 0.3 kg m2 on a damped hinge.
-CART = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0" range="-4 4" {joint}/>
-<inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody>
-<actuator><motor name="push" joint="x" ctrlrange="-4 6"/></actuator></mujoco>"""
 CRANK = """<mujoco><option gravity="0 0 {gravity}"/><worldbody><body><joint name="J" axis="0 1 0" damping="0.5"/>
 <inertial pos="0 0 -0.2" mass="1" diaginertia="0.26 0.26 0.26"/></body></worldbody>
 <actuator><motor name="u" joint="J" ctrlrange="{low} {high}"/></actuator></mujoco>"""
@@ -28,7 +25,7 @@ GRID = 2e-3
 def reach(start: float, goal: float, *, joint: str = "", waypoints=(), duration="free", limits=None, **motion) -> Problem:
     given = {"kind": "reach", "start_m": {"x": start}, "goal_m": {"x": goal}, "duration_s": duration} | motion
     given |= {"waypoints": list(waypoints)} if waypoints else {}
-    tables = {"mechanism": {"model": CART.format(joint=joint)}, "motion": given}
+    tables = {"mechanism": {"model": cart("-4 6", joint=joint)}, "motion": given}
     tables |= {"objective": {"minimize": "time" if duration == "free" else "effort"}, "limits": limits or {}}
     return Problem.from_tables("cart", tables)
 

@@ -11,7 +11,7 @@ from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.presolve import no_way_to_stop
-from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_problem
+from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_problem, cart
 from tests.support.fourbar_problems import random_case
 from tests.support.tolerances_planner import MINIMUM_TIME, ROUNDING, SAME_FIGURE
 
@@ -173,10 +173,6 @@ def test_the_efforts_of_a_least_time_guess_change_at_its_switch_time_and_not_a_c
     assert guess.effort(np.array([0.0, *at, 0.999 * least]))[:, 0].tolist() == [4.0, 4.0, -4.0, -4.0]
 
 
-# A mass of 2 kg on a rail, pushed by at most 6 N: it stops from 0.3 m/s within 0.015 m.
-CART = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0" range="{low} {high}"/>
-<inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody>
-<actuator><motor name="push" joint="x" ctrlrange="-6 6"/></actuator></mujoco>"""
 ACCELERATION, SPEED = 3.0, 0.3
 STOP = SPEED**2 / (2 * ACCELERATION)
 
@@ -186,7 +182,7 @@ def reach(start: float, goal: float, *, low: float = -2.0, high: float = 2.0, mi
     return Problem.from_tables(
         "cart",
         {
-            "mechanism": {"model": CART.format(low=low, high=high)},
+            "mechanism": {"model": cart(rail=f"{low} {high}")},
             "motion": {"kind": "reach"} | ends | motion,
             "objective": {"minimize": minimize},
         },

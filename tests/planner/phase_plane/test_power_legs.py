@@ -15,6 +15,7 @@ from linkplan.planner.phase_plane.power_legs import power_legs
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.planning import plan_motion
+from tests.support.bodies import cart
 from tests.support.least_time import least_time
 from tests.support.sliders import drawn_with_a_pin
 
@@ -74,18 +75,12 @@ def test_a_way_that_weight_shuts_has_no_such_legs():
     assert knee("limits.power_w.act_O=10", "limits.effort.act_O=[-1, 1]")[1] is None
 
 
-# A mass on a rail.
-CART = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0" range="-4 4"/>
-<inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody>
-<actuator><motor name="push" joint="x" ctrlrange="-6 6"/></actuator></mujoco>"""
-
-
 @pytest.mark.parametrize("start", [-1.0, 0.0, 1.0])
 def test_a_mass_that_is_pushed_and_braked_by_a_power_takes_the_closed_form_s_time_wherever_it_starts(start):
     """Half the way: 6 N up to the speed v = P / F, then m v^2 / 2 grows by the power, and m v^3 / 3 by it times the way."""
     mass, force, power = 2.0, 6.0, 4.0
     motion = {"kind": "reach", "start_m": {"x": start}, "goal_m": {"x": start + 2.0}, "duration_s": "free"}
-    tables = {"mechanism": {"model": CART}, "motion": motion, "objective": {"minimize": "time"}}
+    tables = {"mechanism": {"model": cart()}, "motion": motion, "objective": {"minimize": "time"}}
     problem = Problem.from_tables("cart", tables | {"limits": {"power_w": {"push": power}}})
     _, boundaries = power_legs(problem, problem.start_pose())
     v = power / force

@@ -52,9 +52,7 @@ def test_several_starts_are_the_same_in_every_run():
 
 # A weak pendulum has two ways up: straight, where the torque is short, or by a swing.
 
-LIGHT_PENDULUM = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="arm"><joint name="J" axis="0 1 0"/>
-<inertial pos="0 0 -0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
-<actuator><motor name="motor" joint="J" ctrlrange="-3 3"/></actuator></mujoco>"""
+LIGHT_ROD = PENDULUM.format(limit=3)
 UP = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 180.0 }\nduration_s = "free"\n'
 
 
@@ -83,7 +81,7 @@ def time_of_one_swing(switch: float) -> float:
 
 @pytest.mark.slow
 def test_a_motor_short_of_gravity_swings_back_once_and_takes_the_least_time_of_that():
-    plan = body_plan(LIGHT_PENDULUM, UP, "objective.minimize=time")
+    plan = body_plan(LIGHT_ROD, UP, "objective.minimize=time")
     assert 1 * 9.81 * 0.5 > 3  # the motor cannot hold the arm level
     assert plan.status == "optimal", plan.message
     motion = plan.trajectory
@@ -93,7 +91,7 @@ def test_a_motor_short_of_gravity_swings_back_once_and_takes_the_least_time_of_t
 
 
 def test_the_history_ends_with_what_was_planned_and_no_step_of_it_is_faster():
-    plan = body_plan(LIGHT_PENDULUM, UP, "objective.minimize=time")
+    plan = body_plan(LIGHT_ROD, UP, "objective.minimize=time")
     assert plan.history[-1].objective == plan.objective
     assert plan.history[-1].integration_error_deg == plan.certificate.integration_error_deg
     first = next(step for step in plan.history if step.converged)
@@ -133,8 +131,7 @@ def test_a_guess_decides_which_of_two_local_optima_is_found():
     """In 4 s the weak pendulum goes up by swings that begin to one side or to the other; the first is the better."""
     fixed = UP.replace('"free"', "4.0")
     plans = [
-        body_plan(LIGHT_PENDULUM, fixed, f"guess.path_deg.J={path}")
-        for path in ([0, -60, -20, 90, 180], [0, -30, 60, -90, 180])
+        body_plan(LIGHT_ROD, fixed, f"guess.path_deg.J={path}") for path in ([0, -60, -20, 90, 180], [0, -30, 60, -90, 180])
     ]
     for plan in plans:
         assert plan.status == "optimal", plan.message

@@ -14,7 +14,7 @@ from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import waiting, without_solver
 from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.search.planning import REPAIRS, plan_motion
-from tests.support.bodies import PENDULUM, body_problem
+from tests.support.bodies import PENDULUM, body_problem, cart
 from tests.support.motions import motion_along
 
 DURATION_S = 0.8
@@ -84,20 +84,17 @@ def test_a_pose_is_held_only_by_an_effort_within_its_limit(share, can_wait):
     assert waiting.may_wait(Search(problem=problem, start_pose=problem.start_pose())) is can_wait
 
 
-CART = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0"/>
-<inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody>
-<actuator><motor name="push" joint="x" ctrlrange="-6 6"/></actuator></mujoco>"""
-
-
-def cart(minimize: str, duration: float | str) -> Problem:
+def pushed(minimize: str, duration: float | str) -> Problem:
     """Return the problem of pushing two kilograms a metre on."""
     motion = {"kind": "reach", "start_m": {"x": 0.0}, "goal_m": {"x": 1.0}, "duration_s": duration}
-    return Problem.from_tables("cart", {"mechanism": {"model": CART}, "motion": motion, "objective": {"minimize": minimize}})
+    return Problem.from_tables(
+        "cart", {"mechanism": {"model": cart()}, "motion": motion, "objective": {"minimize": minimize}}
+    )
 
 
 def test_of_the_known_motions_the_one_that_costs_least_with_its_rest_is_taken():
-    quick, slow = plan_motion(cart("time", "free")), plan_motion(cart("effort", 1.5))
-    asked = cart("effort", 2.5)
+    quick, slow = plan_motion(pushed("time", "free")), plan_motion(pushed("effort", 1.5))
+    asked = pushed("effort", 2.5)
     search = Search(problem=asked, start_pose=asked.start_pose())
     for plan in (quick, slow):
         search.known.add(plan.trajectory)
@@ -112,8 +109,8 @@ def test_of_the_known_motions_the_one_that_costs_least_with_its_rest_is_taken():
 def test_the_way_to_a_rest_beside_the_quickest_motion_is_gone_only_if_there_is_time_for_it(factor):
     """From rest to rest over a metre with 3 m/s2 either way: 2 sqrt(1 / 3) s."""
     least = 2.0 * np.sqrt(1.0 / 3.0)
-    quick = plan_motion(cart("time", "free"))
-    asked = cart("effort", factor * quick.trajectory.duration_s)
+    quick = plan_motion(pushed("time", "free"))
+    asked = pushed("effort", factor * quick.trajectory.duration_s)
     plan = waiting.from_waiting(Search(problem=asked, start_pose=asked.start_pose()), FULL_BUDGET)
     assert quick.trajectory.duration_s == pytest.approx(least, rel=1e-6)
     if factor == 1.0:
