@@ -66,15 +66,8 @@ def test_its_feedforward_is_followed_in_mujoco_with_the_models_own_friction():
 
 
 def test_a_motor_that_cannot_overcome_friction_is_told_so():
-    plan = plan_motion(
-        Problem.from_tables(
-            "stuck",
-            {
-                "mechanism": {"model": RUBBED_ARM.replace('ctrlrange="-2 2"', 'ctrlrange="-0.4 0.4"')},
-                "motion": {"kind": "reach", "start_deg": {"J": 0.0}, "goal_deg": {"J": 90.0}, "duration_s": 1.0},
-            },
-        )
-    )
+    weak = RUBBED_ARM.replace('ctrlrange="-2 2"', 'ctrlrange="-0.4 0.4"')
+    plan = plan_motion(Problem.reach(weak, **ENDS, duration_s=1.0))
     assert not plan.passed
     assert "m on joint J" in plan.message
 
@@ -93,9 +86,7 @@ def test_a_swing_up_turns_back_against_friction():
       <actuator><motor name="m" joint="J" ctrlrange="-1 1"/></actuator></mujoco>"""
 
     def least_time(text: str) -> Plan:
-        motion = {"kind": "reach", "start_deg": {"J": 0.0}, "goal_deg": {"J": 180.0}, "duration_s": "free"}
-        tables = {"mechanism": {"model": text}, "motion": motion, "objective": {"minimize": "time"}}
-        return plan_motion(Problem.from_tables("swing", tables)).require()
+        return plan_motion(Problem.reach(text, start_deg={"J": 0.0}, goal_deg={"J": 180.0}, minimize="time")).require()
 
     rubbed, smooth = least_time(model), least_time(model.replace(' frictionloss="0.1"', ""))
     assert rubbed.trajectory.velocity.min() < -1.0, "it swings back first"

@@ -83,9 +83,8 @@ SERVO = '<position name="s" joint="O" kp="10" ctrlrange="-0.5 2" forcerange="-4 
 
 
 def crank(actuators: str, **limits) -> Problem:
-    motion = {"kind": "reach", "start_deg": {"O": 20.0}, "goal_deg": {"O": 80.0}, "duration_s": 1.0}
-    tables = {"mechanism": {"model": CRANK.format(actuators=actuators)}, "motion": motion, "limits": limits}
-    return Problem.from_tables("crank", tables | {"objective": {"minimize": "effort"}})
+    motion = {"start_deg": {"O": 20.0}, "goal_deg": {"O": 80.0}, "duration_s": 1.0}
+    return Problem.reach(CRANK.format(actuators=actuators), **motion, limits=limits)
 
 
 def test_at_every_instant_powers_are_limited_of_actuators_with_a_coordinate_and_with_levers():

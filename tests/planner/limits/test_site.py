@@ -23,9 +23,8 @@ FINE_GRID = 1e-8
 
 
 def problem(**site) -> Problem:
-    motion = {"kind": "reach", "start_deg": {"J": 20.0}, "goal_deg": {"J": 110.0}, "duration_s": DURATION_S}
-    tables = {"mechanism": {"model": UNIT_ARM}, "motion": motion, "limits": {"site": {"tip": site}}}
-    return Problem.from_tables("arm", tables | {"objective": {"minimize": "effort"}})
+    motion = {"start_deg": {"J": 20.0}, "goal_deg": {"J": 110.0}, "duration_s": DURATION_S}
+    return Problem.reach(UNIT_ARM, **motion, limits={"site": {"tip": site}})
 
 
 def motion(n: int = 3) -> Trajectory:

@@ -178,15 +178,8 @@ STOP = SPEED**2 / (2 * ACCELERATION)
 
 
 def reach(start: float, goal: float, *, low: float = -2.0, high: float = 2.0, minimize: str = "time", **motion):
-    ends = {"start_m": {"x": start}, "goal_m": {"x": goal}, "duration_s": "free"}
-    return Problem.from_tables(
-        "cart",
-        {
-            "mechanism": {"model": cart(rail=f"{low} {high}")},
-            "motion": {"kind": "reach"} | ends | motion,
-            "objective": {"minimize": minimize},
-        },
-    )
+    ends = {"start_m": {"x": start}, "goal_m": {"x": goal}}
+    return Problem.reach(cart(rail=f"{low} {high}"), **ends | motion, minimize=minimize)
 
 
 @pytest.mark.parametrize("end", ["start", "goal"])

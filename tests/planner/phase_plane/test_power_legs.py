@@ -79,9 +79,8 @@ def test_a_way_that_weight_shuts_has_no_such_legs():
 def test_a_mass_that_is_pushed_and_braked_by_a_power_takes_the_closed_form_s_time_wherever_it_starts(start):
     """Half the way: 6 N up to the speed v = P / F, then m v^2 / 2 grows by the power, and m v^3 / 3 by it times the way."""
     mass, force, power = 2.0, 6.0, 4.0
-    motion = {"kind": "reach", "start_m": {"x": start}, "goal_m": {"x": start + 2.0}, "duration_s": "free"}
-    tables = {"mechanism": {"model": cart()}, "motion": motion, "objective": {"minimize": "time"}}
-    problem = Problem.from_tables("cart", tables | {"limits": {"power_w": {"push": power}}})
+    ends = {"start_m": {"x": start}, "goal_m": {"x": start + 2.0}}
+    problem = Problem.reach(cart(), **ends, minimize="time", limits={"power_w": {"push": power}})
     _, boundaries = power_legs(problem, problem.start_pose())
     v = power / force
     way = mass * v**2 / (2 * force)

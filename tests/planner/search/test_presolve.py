@@ -124,11 +124,9 @@ def test_start_and_goal_may_exceed_a_limit_by_rounding_only(bound, refused):
 @pytest.mark.parametrize(("share", "refused"), [(3e-7, False), (3e-6, True)])
 def test_the_only_way_may_exceed_a_limit_by_a_millionth_of_the_extent(share, refused):
     """A tip on a hinge of 1 m, 1 m high in the middle of its way from 70 to 110 degrees."""
-    motion = {"kind": "reach", "start_deg": {"J": 70.0}, "goal_deg": {"J": 110.0}, "duration_s": 1.0}
-    tables = {"mechanism": {"model": UNIT_ARM}, "motion": motion, "objective": {"minimize": "effort"}}
-    extent = Problem.from_tables("arm", tables).mechanism.extent_m
-    site = {"tip": {"z": [-9.0, 1.0 - share * extent]}}
-    said = plain_contradiction(Problem.from_tables("arm", tables | {"limits": {"site": site}}))
+    way = Problem.reach(UNIT_ARM, start_deg={"J": 70.0}, goal_deg={"J": 110.0}, duration_s=1.0)
+    site = {"tip": {"z": [-9.0, 1.0 - share * way.mechanism.extent_m]}}
+    said = plain_contradiction(way.replace(limits={"site": site}))
     assert (said is not None) is refused
     assert said is None or "where J = 90 deg, between start and goal" in said
 

@@ -86,10 +86,7 @@ def test_a_pose_is_held_only_by_an_effort_within_its_limit(share, can_wait):
 
 def pushed(minimize: str, duration: float | str) -> Problem:
     """Return the problem of pushing two kilograms a metre on."""
-    motion = {"kind": "reach", "start_m": {"x": 0.0}, "goal_m": {"x": 1.0}, "duration_s": duration}
-    return Problem.from_tables(
-        "cart", {"mechanism": {"model": cart()}, "motion": motion, "objective": {"minimize": minimize}}
-    )
+    return Problem.reach(cart(), start_m={"x": 0.0}, goal_m={"x": 1.0}, duration_s=duration, minimize=minimize)
 
 
 def test_of_the_known_motions_the_one_that_costs_least_with_its_rest_is_taken():
