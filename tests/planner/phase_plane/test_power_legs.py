@@ -101,13 +101,8 @@ CRANK = """<mujoco><worldbody>
 
 
 def crank(start_deg: float, goal_deg: float, friction: str = "", driven: str = "O", **limits) -> Problem:
-    motion = {"kind": "reach", "start_deg": {"O": start_deg}, "goal_deg": {"O": goal_deg}, "duration_s": "free"}
-    tables = {
-        "mechanism": {"model": CRANK.format(friction=friction, driven=driven)},
-        "motion": motion,
-        "objective": {"minimize": "time"},
-    }
-    return Problem.from_tables("crank", tables | ({"limits": limits} if limits else {}))
+    ends = {"start_deg": {"O": start_deg}, "goal_deg": {"O": goal_deg}}
+    return Problem.reach(CRANK.format(friction=friction, driven=driven), **ends, minimize="time", limits=limits)
 
 
 @pytest.mark.parametrize(("start", "goal"), [(20.0, 80.0), (80.0, 20.0)])
@@ -147,10 +142,9 @@ def test_a_descent_that_no_effort_brakes_has_no_legs():
     rod = """<mujoco><worldbody><body><joint name="J" axis="0 1 0"/>
     <inertial pos="0 0 0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
     <actuator><motor name="u" joint="J" ctrlrange="-{hold} 20"/></actuator></mujoco>"""
-    motion = {"kind": "reach", "start_deg": {"J": 80.0}, "goal_deg": {"J": 100.0}, "duration_s": "free"}
+    asked = {"start_deg": {"J": 80.0}, "goal_deg": {"J": 100.0}, "minimize": "time", "limits": {"power_w": {"u": 10.0}}}
     for hold, known in ((8.0, True), (4.0, False)):
-        tables = {"mechanism": {"model": rod.format(hold=hold)}, "limits": {"power_w": {"u": 10.0}}, "motion": motion}
-        problem = Problem.from_tables("descent", tables | {"objective": {"minimize": "time"}})
+        problem = Problem.reach(rod.format(hold=hold), **asked)
         assert (power_legs(problem, problem.start_pose()) is not None) is known
 
 

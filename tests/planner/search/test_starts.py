@@ -260,25 +260,14 @@ def test_the_phase_plane_leaves_out_all_limits_but_those_on_effort_range_and_spe
     assert starts.other_limits(load_problem("knee-reach", [setting])) == others
 
 
-PROBLEM = """[mechanism]
-model = "pendulum.xml"
-[motion]
-kind = "reach"
-start_deg = {{ J = 0.0 }}
-goal_deg = {{ J = {goal} }}
-duration_s = "free"
-[objective]
-minimize = "time"
-"""
 WEIGHT = 0.5 * 9.81  # [N.m] of the rod held level
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", [0.7 * WEIGHT, 0.6 * WEIGHT])
-def test_a_pendulum_too_heavy_for_its_motor_swings_back_first(tmp_path, limit):
-    (tmp_path / "pendulum.xml").write_text(PENDULUM.format(limit=limit))
-    (tmp_path / "problem.toml").write_text(PROBLEM.format(goal=120.0))
-    plan = plan_motion(load_problem(tmp_path / "problem.toml"))
+def test_a_pendulum_too_heavy_for_its_motor_swings_back_first(limit):
+    ends = {"start_deg": {"J": 0.0}, "goal_deg": {"J": 120.0}}
+    plan = plan_motion(linkplan.Problem.reach(PENDULUM.format(limit=limit), **ends, minimize="time"))
     turn = np.radians(120.0)
     assert limit * turn < WEIGHT * (1 - np.cos(turn)), "straight there, the motor's work falls short of the weight's"
     assert plan.status == "optimal", plan.message
