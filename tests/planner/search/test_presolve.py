@@ -21,9 +21,11 @@ def stop(force: float) -> float:
 
 
 def reach(start: float, goal: float, *, friction=0.0, drive=MOTOR, duration=None, limits=None, **motion) -> Problem:
-    given = {"start_m": {"x": start}, "goal_m": {"x": goal}, "duration_s": duration or "free", "limits": limits or {}}
-    minimize = "effort" if duration else "time"
-    return Problem.reach(CART.format(friction=friction, drive=drive), **given | motion, minimize=minimize)
+    given = {"kind": "reach", "start_m": {"x": start}, "goal_m": {"x": goal}, "duration_s": duration or "free"}
+    model = {"model": CART.format(friction=friction, drive=drive)}
+    tables = {"mechanism": model, "motion": given | motion}
+    tables |= {"objective": {"minimize": "effort" if duration else "time"}, "limits": limits or {}}
+    return Problem.from_tables("cart", tables)
 
 
 @pytest.mark.parametrize("way", [+1, -1])
