@@ -217,6 +217,7 @@ def test_the_demands_of_the_knee_are_those_of_dense_samples():
     assert found.peak_speed == pytest.approx(np.abs(speed).max(), rel=1e-4)
     assert found.peak_motor_power_w == pytest.approx(power.max(), rel=1e-3)
     assert found.peak_brake_power_w == pytest.approx(-power.min(), rel=1e-3)
+    assert plan.certificate.peak_power[0] == pytest.approx(np.abs(power).max(), rel=1e-3)
     assert found.energy_given_j == pytest.approx(np.maximum(power, 0).sum() * step, rel=1e-3)
     assert found.energy_taken_j == pytest.approx(np.maximum(-power, 0).sum() * step, rel=1e-3)
 
