@@ -189,7 +189,7 @@ REFUSED = {
     "one at the end": ("motion.waypoints=[{at_deg={O=0},time_s=0.16}]", "beyond the motion's 0.16 s"),
     "one at no time": ("motion.waypoints=[{at_deg={O=0},time_s=0}]", "positive"),
     "one with a time alone": ("motion.waypoints=[{time_s=0.1}]", "it needs one of them"),
-    "a joint for a site": ("motion.waypoints=[{at={O=0}}]", r"joint O's position is motion.waypoints\[0\].at_deg"),
+    "a joint for a site": ("motion.waypoints=[{at={O=0}}]", "joint O's position is motion.waypoints[0].at_deg"),
     "a joint that is not there": ("motion.waypoints=[{at_deg={K=0}}]", "K"),
     "one beyond reach": ("motion.waypoints=[{at_deg={O=100}}]", "beyond reach"),
     "bounds on a fixed duration": ("motion.max_duration_s=1", "bound a free duration"),
@@ -200,9 +200,7 @@ REFUSED = {
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_cannot_be_asked_of_the_way_is_refused_in_one_line(case):
     override, said = REFUSED[case]
-    with pytest.raises(ProblemError, match=said) as refusal:
-        planned("knee-reach", override)
-    assert "\n" not in str(refusal.value)
+    assert_refused(lambda: planned("knee-reach", override), said, kind=ProblemError)
 
 
 @pytest.mark.parametrize("bounds", [("2", "1"), ("1", "1")])

@@ -17,6 +17,7 @@ from linkplan.planner.search.planning import SEARCH_METHODS, plan_motion
 from linkplan.planner.search.starts import with_switch_times
 from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, PENDULUM, QUARTER_TURN, TURN, body_plan, body_problem
 from tests.support.plans import optimal, planned
+from tests.support.refusals import assert_refused
 from tests.support.tolerances_planner import (
     BEST_START,
     BOUNDARY_DEG,
@@ -149,21 +150,14 @@ def test_a_guess_decides_which_of_two_local_optima_is_found():
         (("guess.path_deg.K=[1,2]",), "K"),
         (("guess.path=[1,2]",), "unknown key"),
         (("guess.path_deg.O=[0,10]", "guess.plan=nowhere"), "two guesses"),
-        (("solver.starts=0",), "solver.starts"),
         (("solver.starts=2.5",), "solver.starts"),
-        (("mesh.breaks=[0,0.5]",), "three or more increasing"),
-        (("mesh.breaks=[0,0.5,0.4,1]",), "three or more increasing"),
-        (("mesh.breaks=[0.1,0.5,1]",), "three or more increasing"),
         (("mesh.breaks=[0,0.5,0.5000000000000001,1]",), "at least 1e-09 apart"),
         (("mesh.breaks=[0,0.5,1]", "mesh.intervals=2"), "keep one"),
-        (("mesh.refine=degrees",), "did you mean 'degree'|both, intervals, degree"),
-        (("mesh.tolerance_deg=1e-12",), "mesh.tolerance_deg"),
+        (("mesh.refine=degrees",), "did you mean 'degree'"),
     ],
 )
 def test_a_start_or_mesh_that_cannot_be_is_refused_in_one_line(given, said):
-    with pytest.raises(ProblemError, match=said) as refusal:
-        planned("knee-reach", *given)
-    assert "\n" not in str(refusal.value)
+    assert_refused(lambda: planned("knee-reach", *given), said, kind=ProblemError)
 
 
 # Meshes of one's own, and refinement.
