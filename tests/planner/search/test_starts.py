@@ -13,6 +13,7 @@ from linkplan.planner.plan.folder import write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search import starts
+from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.search.planning import SEARCH_METHODS, plan_motion
 from linkplan.planner.search.starts import with_switch_times
 from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, PENDULUM, QUARTER_TURN, TURN, body_plan, body_problem
@@ -78,6 +79,22 @@ def time_of_one_swing(switch: float) -> float:
         return quad(slowness, 0, np.sqrt(abs(end - rest)))[0]
 
     return arc(0, -switch, -u) + arc(-stop, -switch, u) + arc(-stop, brake, u) + arc(np.pi, brake, -u)
+
+
+@pytest.mark.parametrize(
+    ("model", "goal", "asked", "is_begun"),
+    [
+        (LIGHT_ROD, 180.0, {"duration_s": 3.0}, True),
+        (LIGHT_ROD, 180.0, {"minimize": "time"}, False),  # it is looked for itself
+        (HINGE, 90.0, {"duration_s": 1.5}, False),  # it does not swing
+    ],
+)
+def test_least_effort_is_begun_from_a_motion_of_least_time_that_swings(model, goal, asked, is_begun):
+    problem = linkplan.Problem.reach(model, start_deg={"J": 0.0}, goal_deg={"J": goal}, **asked)
+    search = Search(problem=problem, start_pose=problem.start_pose())
+    names = [name for name, _ in starts._of_the_phase_plane(search, FULL_BUDGET)]
+    assert names[-1] == "the phase plane"
+    assert ("the least-time motion" in names) is is_begun
 
 
 @pytest.mark.slow
