@@ -137,6 +137,16 @@ def test_a_rest_is_joined_to_a_motion_as_constants(first):
         np.testing.assert_allclose(getattr(joined, name)(moves), getattr(motion, name)(np.array([0.1, 0.9])))
 
 
+def test_the_cheapest_legs_of_a_swing_up_follow_a_rest_that_costs_nothing():
+    problem = Problem.reach(PENDULUM.format(limit=6), start_deg={"J": 0.0}, goal_deg={"J": 90.0}, duration_s=6.0)
+    plan = without_solver.legs_plan(Search(problem=problem, start_pose=problem.start_pose()))
+    assert plan.passed, plan.message
+    assert plan.trajectory.duration_s == pytest.approx(6.0, rel=1e-12)
+    hanging = np.linspace(0.0, 4.0, 41)
+    assert np.abs(plan.trajectory.position_at(hanging)).max() == 0.0
+    assert np.abs(plan.trajectory.effort_at(hanging)).max() < 1e-12
+
+
 @pytest.mark.parametrize(("sign", "limit", "held"), [(1, 2.46, True), (1, 2.44, False), (-1, 2.46, True), (-1, 2.44, False)])
 def test_a_weight_is_held_on_either_side_up_to_the_limit_there(sign, limit, held):
     """At 30 deg the rod weighs 2.4525 N.m; the other limit is 9 N.m, and the goal is beyond it."""
