@@ -1,17 +1,14 @@
-"""Commands ended at random moments: `python -m tests.bench.kills N SEED [NAME ...]` ends each N times in each of five ways.
+"""Commands ended at random moments: `python -m tests.bench.kills N SEED [NAME ...]` ends each N times in each of four ways.
 
-The ways are kill -9, SIGTERM and Ctrl-C at a random one of the things that the command does to its folders, a disk that is
-full from there on, and one on which no file may grow beyond a random size. What must hold: the earlier result or the new one
-is there whole, nothing of the user's is lost, after the next run there is no litter, the exit code is that of the way, and
-what is said of the result is true. A batch goes on where it ended: the same command again makes what a run
-that was left alone makes, byte by byte where nothing is timed.
+The ways are kill -9, SIGTERM and Ctrl-C at a random one of the things that the command does to its folders, and a disk
+that is full from there on. What must hold: the earlier result or the new one is there whole, nothing of the user's is
+lost, after the next run there is no litter, the exit code is that of the way, and what is said of the result is true.
 """
 
 import errno
 import json
 import os
 import random
-import resource
 import shutil
 import signal
 import sys
@@ -21,21 +18,20 @@ import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from linkplan.planner.files.folders import check_target
 from linkplan.planner.files.manifest import MANIFEST
 
-WAYS = ("kill", "term", "int", "full", "size")
+WAYS = ("kill", "term", "int", "full")
 SIGNALS = {"kill": signal.SIGKILL, "term": signal.SIGTERM, "int": signal.SIGINT}
-LEGAL = {"kill": {-signal.SIGKILL}, "term": {143}, "int": {130}, "full": {2}, "size": {2}}
+LEGAL = {"kill": -signal.SIGKILL, "term": 143, "int": 130, "full": 2}
 # Beyond this a command hangs [s].
 LIMIT_S = 300.0
 # What a command does to its folders, as Python tells it before it is done.
 _EVENTS = {"open", "os.mkdir", "os.rename", "os.link", "os.remove", "os.rmdir", "os.chmod", "os.scandir", "os.listdir"}
 _NEEDS_ROOM = {"open", "os.mkdir", "os.link"}
-_LARGEST_FILE = 120_000
 BATCH = """problem = "knee-reach"
 [[case]]
 name = "near"
@@ -47,9 +43,8 @@ set = ["motion.goal_deg.O=25"]
 THEIRS = {"notes.txt": "mine", "mine/thesis.tex": "all my work"}
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Outcome:
-    """What became of a case: command, way, moment, exit code, whether the result is the new one, and what was wrong."""
+class Outcome(NamedTuple):
+    """What became of a command: way, moment, exit code, whether the result is the new one, and what was wrong."""
 
     command: str
     way: str
@@ -59,30 +54,21 @@ class Outcome:
     wrong: str
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Command:
-    """A command line that writes into `out`, the name of its record, and a folder of the user's inside of the result.
+class Command(NamedTuple):
+    """A command line that writes into `out`, the name of its record, and a folder inside of the result.
 
-    One that `resumes` leaves its parts beside the result, and goes on from them; `same` are files that are then the same
-    to the last byte as without any ending.
+    One that `resumes` leaves its parts beside the result, and goes on from them.
     """
 
     words: tuple[str, ...]
     record: str
     inside: str = ""
     resumes: bool = False
-    same: tuple[str, ...] = ()
 
 
 COMMANDS = {
-    "plan": Command(words=("plan", "knee-reach", "-o", "out"), record="plan.json"),
-    "batch": Command(
-        words=("batch", "batch.toml", "-o", "out"),
-        record="batch.json",
-        inside="near/",
-        resumes=True,
-        same=("near/trajectory.npz", "far/trajectory.npz"),
-    ),
+    "plan": Command(("plan", "knee-reach", "-o", "out"), "plan.json"),
+    "batch": Command(("batch", "batch.toml", "-o", "out"), "batch.json", inside="near/", resumes=True),
 }
 
 
@@ -145,33 +131,23 @@ def counted(root: Path, act: Callable[[int, str], None]) -> None:
 
 def ending(root: Path, way: str, moment: int) -> Callable[[], None]:
     """Return what prepares a command to be ended in a way at a moment."""
-    full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def act(number: int, event: str) -> None:
         if way in SIGNALS and number == moment:
             os.kill(os.getpid(), SIGNALS[way])
         if way == "full" and number >= moment and event in _NEEDS_ROOM:
-            raise full
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    if way == "size":
-        return lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (moment, moment))
     return lambda: counted(root, act)
 
 
 def moments(root: Path, words: tuple[str, ...]) -> int:
     """Return how many things a command does to its folders, by running it."""
-    tally = root.parent / "tally"
-
-    def act(number: int, event: str) -> None:
-        del event
-        os.pwrite(log, f"{number:9d}".encode(), 0)
-
-    log = os.open(tally, os.O_RDWR | os.O_CREAT)
-    code, said = forked(root, words, lambda: counted(root, act))
-    os.close(log)
-    if code != 0:
-        raise RuntimeError(f"{words} ends with {code}: {said}")
-    return int(tally.read_text(encoding="ascii"))
+    with (root.parent / "tally").open("w+b", buffering=0) as tally:
+        code, said = forked(root, words, lambda: counted(root, lambda *_: tally.write(b"1")))
+        if code != 0:
+            raise RuntimeError(f"{words} ends with {code}: {said}")
+        return tally.tell()
 
 
 def content(folder: Path) -> dict[str, bytes]:
@@ -209,7 +185,7 @@ def judged(
     # Folders of the user's go over after the new result has taken its place, in the next run where this one was killed.
     wrong = [] if way == "kill" else faults(out, before, command.record)
     new = out.is_dir() and identity(content(out)) != identity(before)
-    if code not in LEGAL[way] | {0} or (code == 0 and not new):
+    if code not in (LEGAL[way], 0) or (code == 0 and not new):
         wrong.append(f"exit code {code}, {said[-300:]}")
     if "Traceback" in said or "fault of linkplan's own" in said:
         wrong.append(f"a traceback: {said[-600:]}")
@@ -259,26 +235,14 @@ def ended(name: str, ways: tuple[str, ...], count: int, seed: int) -> list[Outco
             way, root = ways[number % len(ways)], base / "run"
             before = prepared(root, name, earlier if rng.random() < 0.8 else None)
             # With an earlier result there is more to do than without.
-            moment = rng.randint(0, _LARGEST_FILE) if way == "size" else rng.randint(1, last + 10)
+            moment = rng.randint(1, last + 10)
             code, said = forked(root, command.words, ending(root, way, moment))
             new, wrong = judged(root, way, code, said, before, command)
-            if command.resumes and not wrong:
-                wrong = _unlike(root, command, earlier)
-            found.append(Outcome(command=name, way=way, moment=moment, code=code, new=new, wrong=wrong))
+            found.append(Outcome(name, way, moment, code, new, wrong))
             if wrong:
                 print(found[-1], flush=True)
             shutil.rmtree(root, ignore_errors=True)
     return found
-
-
-def _unlike(root: Path, command: Command, alone: Path) -> str:
-    """Return what is wrong after the same command again, beside a result that was made without an ending."""
-    code, said = forked(root, command.words, int)
-    if code != 0:
-        return f"the same command again: exit code {code}, {said[-300:]}"
-    wrong = [name for name in command.same if (root / "out" / name).read_bytes() != (alone / name).read_bytes()]
-    left = [path.name for path in root.iterdir() if path.name.startswith((".", "out.unfinished"))]
-    return "; ".join([f"{name} is another than without an ending" for name in wrong] + [f"{name} is left" for name in left])
 
 
 def main(count: int, seed: int, names: list[str]) -> int:

@@ -9,13 +9,7 @@ from mujoco.batch import MODEL_FIELDS
 
 from linkplan.controllers.imperfections.batch_effects import FIELDS
 from linkplan.controllers.imperfections.driving import act, driving, take
-from linkplan.controllers.imperfections.imperfections import (
-    Drives,
-    Imperfections,
-    Machine,
-    Sensors,
-    Start,
-)
+from linkplan.controllers.imperfections.imperfections import Drives, Imperfections, Machine, Sensors, Start
 from linkplan.controllers.imperfections.plant import plant
 from linkplan.controllers.imperfections.sensing import measure, sensing
 from linkplan.controllers.rollout import ControlLoop

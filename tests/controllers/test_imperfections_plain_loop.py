@@ -7,15 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 
-from linkplan.controllers.imperfections.imperfections import (
-    Clock,
-    Drives,
-    Imperfections,
-    Machine,
-    Push,
-    Sensors,
-    Start,
-)
+from linkplan.controllers.imperfections.imperfections import Clock, Drives, Imperfections, Machine, Push, Sensors, Start
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.models.mechanism import Mechanism, load_mechanism

@@ -69,10 +69,8 @@ def test_with_its_couplers_locked_it_moves_as_mujocos_own_matrices_say():
 def test_with_its_couplers_locked_it_is_planned_and_tracked(tmp_path):
     path = tmp_path / "locked.xml"
     path.write_text(locked(), encoding="utf-8")
-    motion = {"start_deg": {"left_driver_joint": 5.0}, "goal_deg": {"left_driver_joint": 30.0}, "duration_s": 0.5}
-    plan = plan_motion(
-        Problem.from_tables("close", {"mechanism": {"model": str(path)}, "motion": {"kind": "reach", **motion}})
-    )
+    ends = {"start_deg": {"left_driver_joint": 5.0}, "goal_deg": {"left_driver_joint": 30.0}}
+    plan = plan_motion(Problem.reach(path, **ends, duration_s=0.5))
     assert plan.require().certificate.passed
     rollout = track(plan, "pd+ff")
     assert np.degrees(np.abs(rollout.position_rad - rollout.reference_rad).max()) < TRACKED_DEG
@@ -82,10 +80,8 @@ def test_with_its_couplers_locked_it_is_planned_and_tracked(tmp_path):
 def test_closed_too_far_its_pads_meet_and_the_plan_is_refused(tmp_path):
     path = tmp_path / "locked.xml"
     path.write_text(locked().replace('ctrlrange="0 255"', 'ctrlrange="-100 400"'), encoding="utf-8")
-    motion = {"start_deg": {"left_driver_joint": 5.0}, "goal_deg": {"left_driver_joint": 45.0}, "duration_s": 0.5}
-    plan = plan_motion(
-        Problem.from_tables("close", {"mechanism": {"model": str(path)}, "motion": {"kind": "reach", **motion}})
-    )
+    ends = {"start_deg": {"left_driver_joint": 5.0}, "goal_deg": {"left_driver_joint": 45.0}}
+    plan = plan_motion(Problem.reach(path, **ends, duration_s=0.5))
     assert plan.status == "failed"
     assert "geoms right_pad" in plan.message
     assert "(left_pad) collide at t = " in plan.message

@@ -9,13 +9,7 @@ import pytest
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.reach import reach, toggles
-from tests.support.mechanism_checks import (
-    acceleration,
-    lagrangian_acceleration,
-    mechanism_of,
-    plan_of,
-    tracked,
-)
+from tests.support.mechanism_checks import acceleration, lagrangian_acceleration, mechanism_of, plan_of, tracked
 from tests.support.slider_crank import inertia, potential, rod, slider
 from tests.support.tolerances import ANGLE_RAD, BRACKET_RAD, DIFFERENCES, KNEE, relative_error
 from tests.support.tolerances_planner import CLOSURE_M, ROLLOUT_GAP_M

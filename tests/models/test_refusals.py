@@ -7,7 +7,6 @@ import linkplan
 from linkplan.models.audit import audit
 from linkplan.models.errors import AssemblyError, ModelError
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.poses.assembly import close_at
 from tests.support.linkages import GRIPPER, LEG, LINKAGES, PSSR, RSSR, WELDED
 from tests.support.mechanisms import CRANK_ROCKER, FIVE_BAR, SLIDER_CRANK, TRUSS, replaced
 from tests.support.refusals import TWO_BODIES, assert_names, refusal
@@ -138,12 +137,6 @@ def test_a_choice_at_its_dead_centre_is_refused():
 def test_a_ball_turned_out_of_its_chart_at_home_is_refused():
     message = refusal(lambda: load_mechanism(PSSR, home={"rod_rx": 6.0}), AssemblyError)
     assert_names(message, "'rod'", "keyframe")
-
-
-def test_an_independent_position_out_of_reach_is_refused_by_joint():
-    mechanism = load_mechanism(RSSR)
-    message = refusal(lambda: close_at(mechanism, np.array([-1.2, 0.0])), AssemblyError)
-    assert_names(message, "crank = -68.7549 deg", "does not close")
 
 
 def test_a_scene_that_asks_for_gigabytes_is_read():

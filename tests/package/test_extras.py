@@ -11,6 +11,7 @@ from linkplan import ExtraCost, ExtraLimit, Problem
 from linkplan.models.errors import PlanFileError, ProblemError
 from linkplan.studies.output.text import text_of
 from tests.support.margins import other_margins
+from tests.support.refusals import assert_refused
 
 REACH = {"start_deg": {"O": -20.0}, "goal_deg": {"O": 20.0}, "duration_s": 0.2}
 
@@ -76,9 +77,9 @@ def test_an_expression_that_is_no_scalar_of_the_motion_is_refused_in_one_line(kn
     ],
 )
 def test_a_limit_that_cannot_be_is_refused_when_it_is_made(given, said):
-    with pytest.raises(ProblemError) as refused:
-        ExtraLimit(**({"name": "mine", "expression": angle, "upper": 1.0} | given))
-    assert said in str(refused.value)
+    assert_refused(
+        lambda: ExtraLimit(**({"name": "mine", "expression": angle, "upper": 1.0} | given)), said, kind=ProblemError
+    )
 
 
 @pytest.mark.parametrize("weight", [-1.0, 0.0, np.inf, np.nan, "1", True])
@@ -100,9 +101,7 @@ def test_a_cost_s_weight_is_a_positive_number(weight):
     ],
 )
 def test_lists_that_cannot_be_are_refused_in_one_line(knee, given, said):
-    with pytest.raises(ProblemError) as refused:
-        Problem.reach(knee, **REACH, **given)
-    assert said in str(refused.value)
+    assert_refused(lambda: Problem.reach(knee, **REACH, **given), said, kind=ProblemError)
 
 
 def test_variants_of_a_problem_keep_its_extras_until_they_are_taken_back(knee):

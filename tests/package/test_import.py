@@ -70,17 +70,6 @@ def test_the_module_runs_as_the_command_line():
     assert "trackers: pd, pd+ff, lqr" in said
 
 
-@pytest.mark.parametrize("name", linkplan.__all__)
-def test_every_public_name_is_there_and_documented(name):
-    value = getattr(linkplan, name)
-    assert inspect.getdoc(value)
-    assert name in dir(linkplan)
-    if inspect.isclass(value):
-        for member, thing in vars(value).items():
-            if not member.startswith("_") and (callable(thing) or isinstance(thing, property | classmethod)):
-                assert inspect.getdoc(thing), f"{name}.{member}"
-
-
 def test_a_name_that_is_not_there_is_refused_with_those_that_are():
     with pytest.raises(AttributeError, match=r"no attribute 'solve'.*load_mechanism.*tune"):
         linkplan.solve  # noqa: B018

@@ -1,7 +1,6 @@
 """Every result of a study is one struct: its JSON is read back as the same struct, and no function describes it again."""
 
 import json
-import re
 
 import msgspec
 import pytest
@@ -13,7 +12,6 @@ from linkplan.results import MechanismResult, Result
 from linkplan.studies.handover.export import c_files
 from linkplan.studies.output.text import text_of
 from tests.support.ode import double_integrator, duration
-from tests.support.sources import ROOT, SOURCES
 
 COARSE = {"tracking.period_s": 1e-3, "tracking.kp": 200.0, "tracking.kd": 1.0}
 VARIED = {"payload_mass_factor": [0.9, 1.1], "delay_periods": [0.0, 2.0]}
@@ -126,10 +124,3 @@ def test_every_kind_of_result_is_a_struct_and_tried_above():
     kinds = {name: kind for name, kind in kinds.items() if name not in OF_THE_PLANNER}
     assert {kind for kind, _ in MADE.values()} == set(kinds)
     assert not [name for name, kind in kinds.items() if "to_dict" in vars(kind)]
-
-
-def test_no_function_of_a_study_describes_a_result_as_a_record():
-    texts = [path.read_text(encoding="utf-8") for path in SOURCES if path.is_relative_to(ROOT / "studies")]
-    functions = [name for text in texts for name in re.findall(r"^ *def (\w+)\(", text, flags=re.MULTILINE)]
-    assert len(functions) > 500
-    assert not [name for name in functions if name == "record" or name.endswith("_record")]

@@ -182,15 +182,11 @@ def test_a_plan_solved_again_is_judged_as_a_fresh_one(monkeypatch):
     assert len(refused) == 1
 
 
-def test_a_duration_that_the_last_one_holds_back_is_planned_from_the_beginning(tmp_path):
+def test_a_duration_that_the_last_one_holds_back_is_planned_from_the_beginning():
     """The least of u^2 dt + w T over a distance of one is at T = (36 / w)^(1/4)."""
-    (tmp_path / "cart.xml").write_text(CART, encoding="utf-8")
 
     def cart(weight: float) -> Problem:
-        motion = {"kind": "reach", "start_m": {"X": 0.0}, "goal_m": {"X": 1.0}, "duration_s": "free"}
-        objective = {"minimize": {"effort": 1.0, "time": weight}}
-        model = {"model": str(tmp_path / "cart.xml")}
-        return Problem.from_tables("cart", {"mechanism": model, "motion": motion, "objective": objective})
+        return Problem.reach(CART, start_m={"X": 0.0}, goal_m={"X": 1.0}, minimize={"effort": 1.0, "time": weight})
 
     planner = Replanner()
     assert planner.plan(cart(36e4)).trajectory.duration_s == pytest.approx(0.1, rel=1e-3)

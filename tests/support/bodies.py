@@ -23,8 +23,26 @@ LIFT = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="cage"><joi
 PENDULUM = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="rod"><joint name="J" axis="0 1 0"/>
 <inertial pos="0 0 -0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
 <actuator><motor name="m" joint="J" ctrlrange="-{limit} {limit}"/></actuator></mujoco>"""
+# Without gravity: an arm of 1 kg m2 whose sites "mid" and "tip" are at 0.5 and 1 m; one of 0.1 kg m2 rubbed by 0.5 N.m;
+# one of 0.02 kg m2 on a position servo of 50 N.m/rad and 1 N.m, which is its effort beyond 0.32 rad at every ctrl.
+UNIT_ARM = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="J" axis="0 -1 0"/>
+<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><site name="mid" pos="0.5 0 0"/><site name="tip" pos="1 0 0"/></body>
+</worldbody><actuator><motor name="m" joint="J" ctrlrange="-9 9"/></actuator></mujoco>"""
+RUBBED_ARM = """<mujoco><option gravity="0 0 0" timestep="1e-3"/><worldbody><body>
+<joint name="J" axis="0 1 0" frictionloss="0.5"/><inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body>
+</worldbody><actuator><motor name="m" joint="J" ctrlrange="-2 2"/></actuator></mujoco>"""
+SERVO_ARM = """<mujoco><compiler angle="radian"/><option gravity="0 0 0" timestep="2e-4"/><worldbody><body>
+<joint name="O" axis="0 1 0"/><inertial pos="0 0 0" mass="1" diaginertia="0.02 0.02 0.02"/></body></worldbody>
+<actuator><position name="servo" joint="O" kp="50" ctrlrange="-0.3 0.3" forcerange="-1 1"/></actuator></mujoco>"""
 # The lines of the [motion] table of the hinge's quarter turn, without a duration.
 QUARTER_TURN = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\n'
+
+
+def cart(effort: str = "-6 6", rail: str = "-4 4", joint: str = "") -> str:
+    """Return 2 kg on a rail [m] that is pushed [N], without gravity, with further attributes of the joint."""
+    return f"""<mujoco><option gravity="0 0 0"/><worldbody><body>
+<joint name="x" type="slide" axis="1 0 0" range="{rail}" {joint}/><inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body>
+</worldbody><actuator><motor name="push" joint="x" ctrlrange="{effort}"/></actuator></mujoco>"""
 
 
 def body_problem(mjcf: str, motion: str, *overrides: str) -> Problem:

@@ -1,4 +1,4 @@
-"""Refusals of the models package: ours, in one line, with words that must be in it; and a model of two bodies to refuse."""
+"""Refusals: ours, in one line, with words that must be in it; and a model of two bodies to refuse."""
 
 from collections.abc import Callable
 
@@ -33,3 +33,8 @@ def assert_names(message: str, *words: str) -> None:
     """Fail where a message lacks one of the words."""
     missing = [word for word in words if word not in message]
     assert not missing, f"{missing} not in: {message}"
+
+
+def assert_refused(action: Callable[[], object], *words: str, kind: type[LinkplanError] = LinkplanError) -> None:
+    """Fail unless an action is refused by an error of a kind, in one line with all of the words."""
+    assert_names(refusal(action, kind), *words)

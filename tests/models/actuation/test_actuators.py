@@ -1,6 +1,5 @@
 """Actuators through every transmission: moments, limits, servos inverted, and what a plan cannot use named."""
 
-import casadi as ca
 import mujoco
 import numpy as np
 import pytest
@@ -9,9 +8,8 @@ from linkplan.models.actuation.actuators import Actuator, unusable_reason
 from linkplan.models.audit import audit
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.controls import control_excess, needed_controls
-from linkplan.models.tree.dynamics import build_tree
 from tests.support.linkages import GRIPPER
-from tests.support.mechanisms import SLIDER_CRANK, replaced, simulated
+from tests.support.mechanisms import replaced, simulated
 from tests.support.servos import ctrl_of
 from tests.support.tolerances import ACTION, MOMENT, TREE, relative_error
 from tests.support.tolerances_planner import ROUNDING
@@ -281,32 +279,3 @@ def test_a_spring_of_a_tendon_through_a_geom_falsifies():
     found = audit(load_mechanism(text).model)
     assert all(item.falsifies and "inside of a geom" in item.text for item in found)
     assert len(found) == 3
-
-
-@pytest.mark.slow
-def test_springs_dampers_and_armature_of_a_tendon_are_mujocos():
-    motor = '<motor tendon="rope" gear="2" armature="0.2" damping="0.3 0.1 0.2"/>'
-    text = replaced(SLIDER_CRANK, '<motor joint="crank" ctrlrange="-2 2"/>', motor)
-    sites = '<site name="hook" pos="-0.3 0.1 0.4"/>'
-    rope = (
-        '<tendon><spatial name="rope" stiffness="40 3 5" springlength="0.1 0.3" damping="1 0.5 0.2" armature="0.7">'
-        '<site site="hook"/><site site="end"/></spatial></tendon><equality>'
-    )
-    text = replaced(replaced(text, "<worldbody>", f"<worldbody>{sites}"), "<equality>", rope)
-    chain = load_mechanism(text)
-    assert audit(chain.model) == ()
-    for q, v in np.random.default_rng(0).uniform(-1, 1, (20, 2, 3)):
-        expected = simulated(chain.model, q, v)
-        assert np.abs(expected.passive).max() > 1e-2, "the tendon pulls"
-        assert relative_error(np.array(chain.dynamics.passive(q, v)).ravel(), expected.passive) < TREE
-        assert relative_error(np.array(chain.dynamics.mass_matrix(q)), expected.mass_matrix) < TREE
-        assert relative_error(np.array(chain.dynamics.bias(q, v)).ravel(), expected.bias) < TREE
-        kinetic, potential = (float(e) for e in energy(chain, q, v))
-        assert abs(kinetic - expected.energy[1]) < ROUNDING * max(1.0, kinetic)
-        assert abs(potential - expected.energy[0]) < ROUNDING * max(1.0, abs(potential))
-
-
-def energy(chain: Mechanism, q: np.ndarray, rates: np.ndarray):
-    """Return kinetic and potential energy at any rates: those of the open tree."""
-    tree = build_tree(chain.model)
-    return ca.Function("energy", [tree.q, tree.qd], [tree.kinetic_energy, tree.potential_energy])(q, rates)

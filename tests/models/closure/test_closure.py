@@ -11,21 +11,8 @@ from linkplan.models.poses.along import joint_rates, needed_effort, sampled
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.reduction.reduced import linearised
 from tests.support.closures import FOUR_BARS, N_POSES, Case, case
-from tests.support.mechanisms import (
-    CHAINS,
-    derivative,
-    random_four_bar,
-    second_derivative,
-    simulated,
-)
-from tests.support.tolerances import (
-    CLOSURE,
-    DIFFERENCES,
-    MOTION_FROM_EFFORT,
-    REDUCED,
-    SOFT_LIMIT,
-    relative_error,
-)
+from tests.support.mechanisms import CHAINS, derivative, random_four_bar, second_derivative, simulated
+from tests.support.tolerances import CLOSURE, DIFFERENCES, MOTION_FROM_EFFORT, REDUCED, SOFT_LIMIT, relative_error
 
 NAMES = (*FOUR_BARS, *CHAINS)
 on_every_mechanism = pytest.mark.parametrize("name", NAMES)

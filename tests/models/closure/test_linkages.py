@@ -14,16 +14,7 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.reach import reach
 from tests.support.linkages import COUNTS, LEG, LINKAGES, loaded
 from tests.support.mechanisms import Simulated, replaced, simulated
-from tests.support.tolerances import (
-    GAP_M,
-    INTEGRATED_GAP,
-    POWER,
-    RANDOM_LIMIT,
-    REACH_END,
-    REDUCED,
-    TREE,
-    relative_error,
-)
+from tests.support.tolerances import GAP_M, INTEGRATED_GAP, POWER, RANDOM_LIMIT, REACH_END, REDUCED, TREE, relative_error
 
 N_POSES = 3
 SOFTNESS = (1e-5, 1e-6)

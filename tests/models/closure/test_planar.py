@@ -19,12 +19,7 @@ from linkplan.models.poses.assembly import close_at
 from tests.support.mechanisms import Simulated, simulated
 from tests.support.planar import Planar, random_planar
 from tests.support.servos import ctrl_of
-from tests.support.tolerances import (
-    GAP_M,
-    MOMENT,
-    RANDOM_LIMIT,
-    relative_error,
-)
+from tests.support.tolerances import GAP_M, MOMENT, RANDOM_LIMIT, relative_error
 
 N_SEEDS = int(os.environ.get("LINKPLAN_PLANAR", "30"))
 # Of these, so many are in the quick set.

@@ -5,6 +5,7 @@ import pytest
 
 from linkplan.models.errors import ModelError
 from linkplan.models.guide.curve import Curve, curve_through
+from tests.support.refusals import assert_refused
 
 CORNER = [[0.0, 0.0, 0.0], [0.1, 0.0, 0.0], [0.1, 0.0, 0.1], [0.0, 0.0, 0.2]]
 
@@ -76,9 +77,7 @@ def test_distances_are_those_from_the_nearest_of_many_points(shape: str, blend_m
     ],
 )
 def test_points_without_a_curve_are_refused(points: list, shape: str, blend_m: float, said: str):
-    with pytest.raises(ModelError) as error:
-        curve_through(points, shape, blend_m, "path")
-    assert said in str(error.value)
+    assert_refused(lambda: curve_through(points, shape, blend_m, "path"), said, kind=ModelError)
 
 
 def test_a_spline_of_many_points_is_that_of_scipy_with_its_derivatives():

@@ -10,6 +10,7 @@ from linkplan.models.errors import ModelError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import sliding_friction
 from linkplan.models.tree.friction import frictions_of, viscous_below
+from tests.support.bodies import RUBBED_ARM
 from tests.support.linkages import GRIPPER, RSSR, WELDED
 from tests.support.mechanisms import replaced
 from tests.support.tolerances import TREE, relative_error
@@ -24,9 +25,6 @@ MODELS = {
         'type="slide" axis="0 0 1" frictionloss="2"',
     ),
 }
-ARM = """<mujoco><option gravity="0 0 0" timestep="1e-3"/><worldbody><body>
-  <joint name="J" axis="0 1 0" frictionloss="0.5"/><inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body>
-  </worldbody><actuator><motor joint="J" ctrlrange="-2 2"/></actuator></mujoco>"""
 
 
 def in_mujoco(mechanism, q: np.ndarray, rates: np.ndarray) -> np.ndarray:
@@ -59,7 +57,7 @@ def test_sliding_fast_friction_is_mujocos(name):
 
 def test_at_rest_it_is_nothing_and_turns_over_with_the_speed_asked():
     for speed in (0.005, 0.05):
-        arm = load_mechanism(ARM, friction_transition=speed).dynamics
+        arm = load_mechanism(RUBBED_ARM, friction_transition=speed).dynamics
         force = [float(arm.inverse_dynamics(0.0, v, 0.0)) for v in (0.0, speed, -speed, 10 * speed)]
         assert np.allclose(force, [0.0, 0.5 * np.tanh(1.0), -0.5 * np.tanh(1.0), 0.5])
 
@@ -80,7 +78,7 @@ def test_a_mechanism_that_moves_on_is_rubbed_by_all_its_joints():
 
 
 def test_the_simulators_own_gives_way_below_the_speed_that_is_named():
-    model = load_mechanism(ARM).model
+    model = load_mechanism(RUBBED_ARM).model
     (one,) = frictions_of(model)
     slowest = viscous_below(model, one)
     assert slowest > 1e-3
@@ -92,9 +90,9 @@ def test_the_simulators_own_gives_way_below_the_speed_that_is_named():
 
 
 def test_stiff_makes_the_simulators_friction_dry():
-    model = load_mechanism(ARM, solref="stiff").model
+    model = load_mechanism(RUBBED_ARM, solref="stiff").model
     (one,) = frictions_of(model)
-    assert viscous_below(model, one) < 0.02 * viscous_below(load_mechanism(ARM).model, one)
+    assert viscous_below(model, one) < 0.02 * viscous_below(load_mechanism(RUBBED_ARM).model, one)
 
 
 def test_friction_is_honoured_and_noted_by_name():
@@ -104,11 +102,11 @@ def test_friction_is_honoured_and_noted_by_name():
     assert "joint lift 2 N" in note
     assert "tendon split 0.2 N.m" in note
     assert "mechanism.friction_transition_deg_s" in note
-    switched_off = ARM.replace('timestep="1e-3"/>', '><flag frictionloss="disable"/></option>')
+    switched_off = RUBBED_ARM.replace('timestep="1e-3"/>', '><flag frictionloss="disable"/></option>')
     assert not load_mechanism(switched_off).notes
 
 
 @pytest.mark.parametrize("speed", [0.0, -1.0, np.nan, 1e3, True, "slow"])
 def test_a_transition_that_is_no_speed_is_refused(speed):
     with pytest.raises(ModelError, match="friction_transition_deg_s"):
-        linkplan.load_mechanism(ARM, friction_transition_deg_s=speed)
+        linkplan.load_mechanism(RUBBED_ARM, friction_transition_deg_s=speed)

@@ -2,6 +2,7 @@
 
 from functools import cache
 
+import casadi as ca
 import mujoco
 import numpy as np
 import pytest
@@ -13,9 +14,11 @@ from linkplan.models.errors import ModelError, ProblemError
 from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import sampled
+from linkplan.models.tree.dynamics import build_tree
 from tests.support.linkages import LEG, RSSR
 from tests.support.mechanisms import PENDULUM, SLIDER_CRANK, Simulated, random_tree, replaced, simulated
 from tests.support.tolerances import ENERGY, TREE, TREE_ACCELERATION, relative_error, worst_relative_error
+from tests.support.tolerances_planner import ROUNDING
 
 N_STATES = 1000
 
@@ -94,6 +97,31 @@ def test_kinetic_and_potential_energy_are_mujocos(name):
     kinetic, potential = np.array(ours).T
     assert relative_error(kinetic, np.array([s.energy[1] for s in expected[:100]])) < ENERGY
     assert relative_error(potential, np.array([s.energy[0] for s in expected[:100]])) < ENERGY
+
+
+@pytest.mark.slow
+def test_springs_dampers_and_armature_of_a_tendon_are_mujocos():
+    motor = '<motor tendon="rope" gear="2" armature="0.2" damping="0.3 0.1 0.2"/>'
+    text = replaced(SLIDER_CRANK, '<motor joint="crank" ctrlrange="-2 2"/>', motor)
+    sites = '<site name="hook" pos="-0.3 0.1 0.4"/>'
+    rope = (
+        '<tendon><spatial name="rope" stiffness="40 3 5" springlength="0.1 0.3" damping="1 0.5 0.2" armature="0.7">'
+        '<site site="hook"/><site site="end"/></spatial></tendon><equality>'
+    )
+    text = replaced(replaced(text, "<worldbody>", f"<worldbody>{sites}"), "<equality>", rope)
+    chain = load_mechanism(text)
+    assert audit(chain.model) == ()
+    tree = build_tree(chain.model)
+    energy = ca.Function("energy", [tree.q, tree.qd], [tree.kinetic_energy, tree.potential_energy])
+    for q, v in np.random.default_rng(0).uniform(-1, 1, (20, 2, 3)):
+        expected = simulated(chain.model, q, v)
+        assert np.abs(expected.passive).max() > 1e-2, "the tendon pulls"
+        assert relative_error(np.array(chain.dynamics.passive(q, v)).ravel(), expected.passive) < TREE
+        assert relative_error(np.array(chain.dynamics.mass_matrix(q)), expected.mass_matrix) < TREE
+        assert relative_error(np.array(chain.dynamics.bias(q, v)).ravel(), expected.bias) < TREE
+        kinetic, potential = (float(e) for e in energy(q, v))
+        assert abs(kinetic - expected.energy[1]) < ROUNDING * max(1.0, kinetic)
+        assert abs(potential - expected.energy[0]) < ROUNDING * max(1.0, abs(potential))
 
 
 def test_the_random_trees_carry_every_feature_that_they_are_there_to_test():

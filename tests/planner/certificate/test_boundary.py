@@ -8,13 +8,9 @@ from linkplan.planner.certificate.integration import ends_off_m, exact_bounds, r
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from tests.support.arms import LOWER, UPPER, angles_at, foot_of
-from tests.support.bodies import HINGE, body_problem
+from tests.support.bodies import HINGE, UNIT_ARM, body_problem
 from tests.support.motions import motion_along
 from tests.support.sites import ABOVE, BELOW, arm_of, site_problem
-
-ARM = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="J" axis="0 -1 0"/>
-<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><site name="tip" pos="1 0 0"/><site name="mid" pos="0.5 0 0"/></body>
-</worldbody><actuator><motor name="m" joint="J" ctrlrange="-9 9"/></actuator></mujoco>"""
 
 
 def place(angle: float, radius: float = 1.0) -> list[float]:
@@ -27,7 +23,7 @@ def problem(off: float = 0.0, time_s: float | None = None, kind: str = "reach") 
     way = {"at": {"mid": place(0.5 + 3 * off, 0.5), "tip": place(0.5 + 3 * off)}}
     way |= {} if time_s is None else {"time_s": time_s}
     motion |= {"waypoints": [way]} if kind == "reach" else {}
-    tables = {"mechanism": {"model": ARM}, "motion": motion, "objective": {"minimize": "effort"}}
+    tables = {"mechanism": {"model": UNIT_ARM}, "motion": motion, "objective": {"minimize": "effort"}}
     return Problem.from_tables("arm", tables)
 
 

@@ -7,11 +7,9 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.compare.compare import track
+from tests.support.bodies import RUBBED_ARM
 
-# An arm of inertia 0.1 kg m2 on its axis, rubbed by 0.5 N.m, driven by 2: (2 - 0.5) / 0.1 and (2 + 0.5) / 0.1 rad/s2.
-ARM = """<mujoco><option gravity="0 0 0" timestep="1e-3"/><worldbody><body>
-  <joint name="J" axis="0 1 0" frictionloss="0.5"/><inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body>
-  </worldbody><actuator><motor name="m" joint="J" ctrlrange="-2 2"/></actuator></mujoco>"""
+# The arm's: (2 - 0.5) / 0.1 and (2 + 0.5) / 0.1 rad/s2.
 INERTIA, RUB, EFFORT, SPAN = 0.1, 0.5, 2.0, np.pi / 2
 ENDS = {"start_deg": {"J": 0.0}, "goal_deg": {"J": 90.0}}
 # What friction that turns over at 2 deg/s takes less than Coulomb's, relative: of a least time, and of a least effort.
@@ -23,7 +21,7 @@ TRACKED_DEG = 0.05
 
 def planned(duration: float | str, minimize: str, ends: dict = ENDS, **mechanism: object) -> Plan:
     tables = {
-        "mechanism": {"model": ARM, "solref": "stiff"} | mechanism,
+        "mechanism": {"model": RUBBED_ARM, "solref": "stiff"} | mechanism,
         "motion": {"kind": "reach", "duration_s": duration} | ends,
         "objective": {"minimize": minimize},
         "tracking": {"kp": 20.0, "kd": 2.0, "period_s": 1e-3},
@@ -42,8 +40,9 @@ def test_the_least_time_is_that_of_full_effort_against_friction_and_of_braking_w
 @pytest.mark.slow
 def test_the_least_time_of_several_freedoms_that_rub_is_found():
     """Two such arms, turned as far: each alone takes as long as both."""
-    body, motor = ARM[ARM.index("<body>") : ARM.index("</body>") + 7], '<motor name="m" joint="J" ctrlrange="-2 2"/>'
-    both = ARM.replace(body, body + body.replace('"J"', '"K"'))
+    body = RUBBED_ARM[RUBBED_ARM.index("<body>") : RUBBED_ARM.index("</body>") + 7]
+    motor = '<motor name="m" joint="J" ctrlrange="-2 2"/>'
+    both = RUBBED_ARM.replace(body, body + body.replace('"J"', '"K"'))
     both = both.replace(motor, motor + motor.replace('"J"', '"K"').replace('"m"', '"n"'))
     ends = {"start_deg": {"J": 0.0, "K": 0.0}, "goal_deg": {"J": 90.0, "K": 90.0}}
     exact = np.sqrt(2 * SPAN * INERTIA * (1 / (EFFORT - RUB) + 1 / (EFFORT + RUB)))
@@ -67,15 +66,8 @@ def test_its_feedforward_is_followed_in_mujoco_with_the_models_own_friction():
 
 
 def test_a_motor_that_cannot_overcome_friction_is_told_so():
-    plan = plan_motion(
-        Problem.from_tables(
-            "stuck",
-            {
-                "mechanism": {"model": ARM.replace('ctrlrange="-2 2"', 'ctrlrange="-0.4 0.4"')},
-                "motion": {"kind": "reach", "start_deg": {"J": 0.0}, "goal_deg": {"J": 90.0}, "duration_s": 1.0},
-            },
-        )
-    )
+    weak = RUBBED_ARM.replace('ctrlrange="-2 2"', 'ctrlrange="-0.4 0.4"')
+    plan = plan_motion(Problem.reach(weak, **ENDS, duration_s=1.0))
     assert not plan.passed
     assert "m on joint J" in plan.message
 
@@ -94,9 +86,7 @@ def test_a_swing_up_turns_back_against_friction():
       <actuator><motor name="m" joint="J" ctrlrange="-1 1"/></actuator></mujoco>"""
 
     def least_time(text: str) -> Plan:
-        motion = {"kind": "reach", "start_deg": {"J": 0.0}, "goal_deg": {"J": 180.0}, "duration_s": "free"}
-        tables = {"mechanism": {"model": text}, "motion": motion, "objective": {"minimize": "time"}}
-        return plan_motion(Problem.from_tables("swing", tables)).require()
+        return plan_motion(Problem.reach(text, start_deg={"J": 0.0}, goal_deg={"J": 180.0}, minimize="time")).require()
 
     rubbed, smooth = least_time(model), least_time(model.replace(' frictionloss="0.1"', ""))
     assert rubbed.trajectory.velocity.min() < -1.0, "it swings back first"

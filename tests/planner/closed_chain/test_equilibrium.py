@@ -88,18 +88,13 @@ def test_freedoms_on_springs_that_have_no_rest_are_named_with_the_key_that_locks
     assert [joint.name for joint in locked.joints] == ["arm"]
 
 
-def test_without_a_spring_the_value_is_asked_for(tmp_path):
-    path = tmp_path / "loose.xml"
-    path.write_text(HANGING.format(spring='damping="4"'), encoding="utf-8")
-    with pytest.raises(ProblemError, match="names no value for joint spring, which is independent"):
-        Problem.from_tables("loose", tables(path, {"arm": 0.0}, {"arm": 20.0}))
-
-
-def test_a_driven_joint_is_always_asked_for(arm):
-    unnamed = tables(arm, {}, {})
-    unnamed["motion"]["start_m"] = unnamed["motion"]["goal_m"] = {"spring": 0.0}
-    with pytest.raises(ProblemError, match="names no value for joint arm"):
-        Problem.from_tables("arm", unnamed)
+def test_the_value_of_a_joint_without_a_spring_or_with_a_drive_is_asked_for(arm):
+    loose = tables(HANGING.format(spring='damping="4"'), {"arm": 0.0}, {"arm": 20.0})
+    driven = tables(arm, {}, {})
+    driven["motion"]["start_m"] = driven["motion"]["goal_m"] = {"spring": 0.0}
+    for asked, joint in ((loose, "spring, which is independent"), (driven, "arm")):
+        with pytest.raises(ProblemError, match=f"names no value for joint {joint}"):
+            Problem.from_tables("arm", asked)
 
 
 def test_a_rest_within_a_loop_is_where_no_effort_is_missing():

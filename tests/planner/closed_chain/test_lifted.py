@@ -62,10 +62,8 @@ def test_a_lifted_program_has_the_reduced_ones_answer(fastest, monkeypatch):
 @pytest.mark.long
 def test_a_platform_on_six_rods_is_raised_and_turned():
     goal = {f"s{k}": 0.03 + 0.02 * (-1) ** k for k in range(6)}
-    motion = {"kind": "reach", "start_m": {f"s{k}": 0.0 for k in range(6)}, "goal_m": goal, "duration_s": 0.5}
-    tables = {"mechanism": {"model": hexapod()}, "motion": motion, "objective": {"minimize": "effort"}}
-    tables["mesh"] = {"intervals": 10}
-    plan = plan_motion(Problem.from_tables("platform", tables))
+    ends = {"start_m": {f"s{k}": 0.0 for k in range(6)}, "goal_m": goal}
+    plan = plan_motion(Problem.reach(hexapod(), **ends, duration_s=0.5, mesh={"intervals": 10}))
     assert plan.status == "optimal", plan.message
 
 

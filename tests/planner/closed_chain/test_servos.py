@@ -10,7 +10,7 @@ import linkplan
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.controls import control_excess
-from tests.support.bodies import body_plan
+from tests.support.bodies import SERVO_ARM, body_plan
 from tests.support.linkages import GRIPPER
 from tests.support.mechanisms import replaced
 
@@ -156,13 +156,6 @@ def test_a_quick_motion_of_least_effort_keeps_the_servos_range():
     assert -1e-3 < overrun(found) < CTRL, "and the range binds"
 
 
-# An arm of 0.02 kg m2 on a position servo of 50 N.m/rad and 1 N.m whose ctrl ends at 0.3 rad: beyond 0.32 rad every ctrl
-# pulls it back with all of the 1 N.m.
-ARM = """<mujoco model="arm"><compiler angle="radian"/><option gravity="0 0 0" timestep="2e-4"/>
-  <worldbody><body name="arm"><joint name="O" axis="0 1 0"/>
-    <inertial pos="0 0 0" mass="1" diaginertia="0.02 0.02 0.02"/></body>
-  </worldbody>
-  <actuator><position name="servo" joint="O" kp="50" ctrlrange="-0.3 0.3" forcerange="-1 1"/></actuator></mujoco>"""
 BEYOND = np.radians(30.0)
 # The arm in MuJoCo [deg]: a switch time between two of its steps.
 CARRIED_DEG = 0.05
@@ -171,7 +164,7 @@ CARRIED_DEG = 0.05
 @pytest.mark.parametrize("sign", [1, -1])
 def test_a_servo_whose_whole_range_is_beyond_its_clamp_gives_the_clamp(sign):
     """All the way to 30 deg and back to rest in the least time of 1 N.m either way: 2 sqrt(angle I / 1 N.m)."""
-    mechanism = linkplan.load_mechanism(ARM)
+    mechanism = linkplan.load_mechanism(SERVO_ARM)
     found = linkplan.plan(
         linkplan.Problem.reach(mechanism, start_deg={"O": 0}, goal_deg={"O": sign * np.degrees(BEYOND)}, minimize="time")
     )
@@ -181,7 +174,7 @@ def test_a_servo_whose_whole_range_is_beyond_its_clamp_gives_the_clamp(sign):
 
 
 def test_that_the_clamp_acts_there_is_mujocos_word():
-    mechanism = linkplan.load_mechanism(ARM)
+    mechanism = linkplan.load_mechanism(SERVO_ARM)
     model = mechanism.model
     data = mujoco.MjData(model)
     for angle, ctrl in ((0.5, 0.3), (0.5, -0.3), (-0.5, 0.0)):
@@ -195,7 +188,7 @@ def test_that_the_clamp_acts_there_is_mujocos_word():
 
 
 def test_a_motion_beyond_the_range_is_run_in_mujoco_as_planned():
-    mechanism = linkplan.load_mechanism(ARM)
+    mechanism = linkplan.load_mechanism(SERVO_ARM)
     found = linkplan.plan(linkplan.Problem.reach(mechanism, start_deg={"O": 0}, goal_deg={"O": 30.0}, minimize="time"))
     run = linkplan.track(found, "pd+ff", tracking={"kp": 0.0, "kd": 0.0, "period_s": 2e-4})
     (rollout,) = run.comparison.nominal.values()

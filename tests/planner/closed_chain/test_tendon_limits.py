@@ -26,17 +26,13 @@ ARM = """<mujoco model="strapped"><compiler angle="radian" autolimits="true"/><o
   <actuator><motor name="s" joint="S" ctrlrange="-5 5"/><motor name="e" joint="E" ctrlrange="-5 5"/></actuator></mujoco>"""
 STRAP = '<spatial name="strap" range="{low} {high}"><site site="wall"/><site site="tip"/></spatial>'
 SUM = '<fixed name="sum" range="{low} {high}"><joint joint="S" coef="1"/><joint joint="E" coef="1"/></fixed>'
-MOTION = {"kind": "reach", "start_deg": {"S": 40, "E": 60}, "goal_deg": {"S": 40, "E": -60}, "duration_s": 0.6}
+MOTION = {"start_deg": {"S": 40, "E": 60}, "goal_deg": {"S": 40, "E": -60}, "duration_s": 0.6}
 # A length that is kept [of itself]: what rounding leaves, and how near the strap comes to its end.
 KEPT, NEAR = 1e-6, 1e-3
 
 
 def planned(model: str, **motion: object) -> Plan:
-    return plan_motion(
-        Problem.from_tables(
-            "strap", {"mechanism": {"model": model}, "motion": MOTION | motion, "objective": {"minimize": "effort"}}
-        )
-    )
+    return plan_motion(Problem.reach(model, **MOTION | motion))
 
 
 def strapped(high: float) -> str:
@@ -65,7 +61,7 @@ def test_a_strap_is_not_overstretched_between_the_nodes():
 
 def test_a_plan_made_without_the_strap_fails_the_certificate_with_it():
     free = planned(strapped(2.0)).require()
-    asked = Problem.from_tables("strap", {"mechanism": {"model": strapped(0.81)}, "motion": MOTION})
+    asked = Problem.reach(strapped(0.81), **MOTION)
     (failure,) = certify(asked, free.trajectory).failures
     assert "the length of tendon strap comes to 0.8" in failure
     assert "beyond its limit of 0.81" in failure

@@ -15,6 +15,7 @@ from linkplan.planner.search.batch_file import read_batch
 from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.output.plan_blocks import plan_blocks
 from linkplan.studies.output.text import text_of
+from tests.support.refusals import assert_refused
 
 # The knee's reach said of the rocker C, whose motor is at O.
 AT_C = {"kind": "reach", "start_deg": {"C": -20.0}, "goal_deg": {"C": 40.0}, "duration_s": 0.3}
@@ -72,10 +73,7 @@ def test_a_reference_of_another_joint_is_followed_there():
     ids=["start and goal of two joints", "coordinates named by hand", "a dead centre of the joint at home"],
 )
 def test_coordinates_that_are_not_plain_are_refused(motion, mechanism, words):
-    with pytest.raises(ProblemError) as refused:
-        problem(motion, mechanism={"model": "optimus-knee"} | mechanism)
-    for word in words:
-        assert word in str(refused.value)
+    assert_refused(lambda: problem(motion, mechanism={"model": "optimus-knee"} | mechanism), *words, kind=ProblemError)
 
 
 def test_a_batch_whose_cases_name_different_joints_plans_each_in_its_own(tmp_path):

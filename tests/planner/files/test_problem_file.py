@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 
 from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.payload import SHANK
-from linkplan.planner.files.tables import BUILT_IN, built_in_text
 from linkplan.planner.problem.keys.kinds import MAX_INTERVALS
 from linkplan.planner.problem.keys.reading import KEYS
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.transcription.schemes import NAMES
+from tests.support.refusals import assert_refused
 from tests.support.tolerances_planner import ROUNDING
 
 REACH = "knee-reach"
@@ -41,17 +41,13 @@ MALFORMED: list[tuple[str | tuple[str, ...], list[str]]] = [
     ("mechanism.model=optimus-kne", ["'optimus-kne'", "did you mean 'optimus-knee'"]),
     ("mechanism.payload=shnk", ["'shnk'", "did you mean 'shank'"]),
     ("mechanism.payload.body=thig", ["'thig'", "did you mean 'thigh'"]),
-    ("mechanism.payload.weight=1", ["payload.weight", "mass_kg"]),
     ("mechanism.home_deg.Z=3", ["'Z'", "O, A, C"]),
     # wrong types
-    ("motion.kind=3", ["motion.kind", "got 3"]),
-    ("motion.goal_deg=3", ["motion.goal_deg", "table of joint = value"]),
     ("motion.goal_deg.O=true", ["motion.goal", "joint O", "a number", "True"]),
     ("motion.duration_s=fre", ['"free"', "'fre'"]),
     ("motion.duration_s=1979-05-27", ["motion.duration_s", "a positive number"]),
     ("limits.effort=[-1, 1]", ["limits.effort", "table of actuator"]),
     ("limits.effort.act_O=5", ["limits.effort.act_O", "[low, high]", "got 5"]),
-    ("limits.effort.act_O=[1, 2, 3]", ["limits.effort.act_O", "[low, high]"]),
     ("mesh.intervals=40.0", ["mesh.intervals", "whole number", "40.0"]),
     ("mesh.scheme=[1, 2]", ["mesh.scheme", "radau-1 to radau-9"]),
     ("mesh.scheme={a=1}", ["mesh.scheme", "radau-1 to radau-9"]),
@@ -59,14 +55,12 @@ MALFORMED: list[tuple[str | tuple[str, ...], list[str]]] = [
     ("mechanism.model=3", ["mechanism.model", "got 3"]),
     ("mechanism.payload=3", ["payload", "got 3"]),
     ("mechanism.payload.com_m=5", ["payload.com_m", "three"]),
-    ("mechanism.payload.mass_kg=true", ["payload.mass_kg", "True"]),
     ("mechanism.home_deg=3", ["mechanism.home_deg", "table of joint = value"]),
     ("mechanism.home_m.O=0.1", ["O", "hinge", "home_deg"]),
     ("motion.goal_m.O=1", ["joint 'O' is a hinge", "motion.goal_deg"]),
     ("limits.range_m.O=[-1, 1]", ["joint 'O' is a hinge", "limits.range_deg"]),
     # not a number, infinite, negative, too large, empty
     ("motion.goal_deg.O=nan", ["motion.goal", "joint O", "nan"]),
-    ("motion.duration_s=0", ["motion.duration_s", "positive", "got 0"]),
     ("motion.duration_s=1" + "0" * 400, ["motion.duration_s"]),
     ("motion.max_duration_s=-3", ["motion.max_duration_s", "positive", "-3"]),
     ("limits.effort.act_O=[5, 5]", ["limits.effort.act_O", "low < high"]),
@@ -74,12 +68,8 @@ MALFORMED: list[tuple[str | tuple[str, ...], list[str]]] = [
     ("limits.range_deg.O=[-95, 95]", ["limits.range_deg.O", "wider", "[-90, 90]"]),
     ("limits.speed_deg_s.O=0", ["limits.speed_deg_s.O", "positive"]),
     ("limits.speed_deg_s.O=[5, 10]", ["limits.speed_deg_s.O", "rest"]),
-    ("mesh.intervals=1", ["mesh.intervals", "from 2 to"]),
     ("mesh.intervals=100000", ["mesh.intervals", str(MAX_INTERVALS)]),
     ("tracking.kp=-1", ["tracking.kp", "at least 0", "-1"]),
-    ("mechanism.payload.mass_kg=-1", ["payload.mass_kg", "positive", "-1"]),
-    ("mechanism.payload.com_m=[1, 2]", ["payload.com_m", "three"]),
-    ("mechanism.payload.inertia_kgm2=[1, 0, 0]", ["payload.inertia_kgm2", "not that of a rigid body"]),
     # words with a line's end in them
     ('motion.kind="reach\\nx"', ["motion.kind"]),
     ('mechanism.model="a\\nb"', ["a model's name", "cannot be shown"]),
@@ -98,20 +88,10 @@ MALFORMED: list[tuple[str | tuple[str, ...], list[str]]] = [
 ]
 
 
-def assert_one_line(error: Exception, words: list[str]) -> None:
-    text = str(error)
-    assert text.strip() == text
-    assert len(text.splitlines()) == 1
-    for word in words:
-        assert word in text
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(("overrides", "words"), MALFORMED, ids=lambda value: repr(value)[:40])
 def test_a_malformed_setting_is_refused_in_one_line(overrides, words):
-    with pytest.raises(LinkplanError) as raised:
-        load_problem(REACH, [overrides] if isinstance(overrides, str) else overrides)
-    assert_one_line(raised.value, words)
+    assert_refused(lambda: load_problem(REACH, [overrides] if isinstance(overrides, str) else overrides), *words)
 
 
 # Files and models that cannot be used: name, content, words of the answer.
@@ -128,9 +108,6 @@ MODELS = {
         FRICTION.replace(' frictionloss="0.5"', "").replace('<motor name="motor" joint="J" ctrlrange="-4 4"/>', ""),
         ["no usable actuator", "a motor in mechanism.drive"],
     ),
-    "not XML": ("<mujoco><worldbody>", ["does not parse"]),
-    "empty": ("", ["is empty"]),
-    "no joint": ("<mujoco><worldbody/></mujoco>", ["no joint"]),
     "a ball joint": (FRICTION.replace('type="hinge"', 'type="ball"'), ["'J'", "J_rx, J_ry, J_rz"]),
     "a filtered servo": (
         FRICTION.replace(' frictionloss="0.5"', "").replace("<motor", '<position kp="5" timeconst="0.1"'),
@@ -144,9 +121,7 @@ PROBLEM = '[mechanism]\nmodel = "model.xml"\n[motion]\nkind = "reach"\nstart_deg
 def test_a_model_that_cannot_be_planned_truly_is_refused_in_one_line(case, tmp_path):
     (tmp_path / "model.xml").write_text(MODELS[case][0], encoding="utf-8")
     (tmp_path / "problem.toml").write_text(PROBLEM + "duration_s = 1.0\n", encoding="utf-8")
-    with pytest.raises(LinkplanError) as raised:
-        load_problem(tmp_path / "problem.toml")
-    assert_one_line(raised.value, MODELS[case][1])
+    assert_refused(lambda: load_problem(tmp_path / "problem.toml"), *MODELS[case][1])
 
 
 def write(content: bytes) -> Callable[[Path], Path]:
@@ -180,9 +155,7 @@ FILES: dict[str, tuple[Callable[[Path], str | Path], list[str]]] = {
 @pytest.mark.parametrize("case", FILES)
 def test_a_file_that_cannot_be_read_is_refused_in_one_line(case, tmp_path):
     prepare, words = FILES[case]
-    with pytest.raises(LinkplanError) as raised:
-        load_problem(prepare(tmp_path))
-    assert_one_line(raised.value, words)
+    assert_refused(lambda: load_problem(prepare(tmp_path)), *words)
 
 
 def test_a_periodic_motion_lasts_whole_periods_of_its_reference():
@@ -244,28 +217,6 @@ def test_every_scheme_can_be_named(name):
 # What files mean.
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", BUILT_IN)
-def test_a_built_in_problem_is_a_file_like_any_other(name, tmp_path):
-    path = tmp_path / f"{name}.toml"
-    path.write_text(built_in_text(name), encoding="utf-8")
-    built_in, read = load_problem(name), load_problem(path)
-    assert read.name == built_in.name == name
-    assert read.source == built_in.source
-    assert read.objective.weights == built_in.objective.weights
-    np.testing.assert_array_equal(read.limits.effort, built_in.limits.effort)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", BUILT_IN)
-def test_a_problem_s_source_means_the_problem(name):
-    motor = load_problem(name).mechanism.actuators[0].name
-    problem = load_problem(name, [f"limits.effort.{motor}=[-0.03, 0.02]"])
-    again = Problem.from_tables(problem.name, problem.source)
-    np.testing.assert_array_equal(again.limits.effort[0], [-0.03, 0.02])
-    assert again.source == problem.source
-
-
 def test_degrees_become_radians_and_the_model_s_ranges_become_limits():
     problem = load_problem(REACH, ["limits.speed_deg_s.A=180"])
     np.testing.assert_allclose(problem.limits.position, np.radians([[-90, 90], [-150, 150], [-120, 120]]))
@@ -283,17 +234,3 @@ def test_the_independent_joint_can_be_named():
     assert [joint.name for joint in problem.mechanism.independent_joints] == ["A"]
     assert problem.motion.start is not None
     assert abs(float(problem.motion.start[0]) - np.radians(10)) < ROUNDING
-
-
-@pytest.mark.parametrize(
-    ("value", "words"),
-    [
-        ('["K"]', ["'K'", "O, A, C"]),
-        ('"O"', ["list of joint names"]),
-        ('["O", "A"]', ["degrees of freedom (1)", "got O, A"]),
-    ],
-)
-def test_a_name_that_is_no_independent_joint_is_refused(value, words):
-    with pytest.raises(LinkplanError) as raised:
-        load_problem(REACH, [f"mechanism.independent={value}"])
-    assert_one_line(raised.value, words)

@@ -31,16 +31,18 @@ def test_a_setting_is_one_value_and_no_further_line():
 
 
 @pytest.mark.parametrize("name", ["position", "velocity", "effort"])
-@pytest.mark.parametrize(("coefficients", "legal"), [(24, True), (25, False)])
-def test_polynomials_of_up_to_24_coefficients_are_read(tmp_path, name, coefficients, legal):
-    arrays = {key: np.zeros((2, 1, 1)) for key in ("position", "velocity", "effort")}
-    arrays[name] = np.zeros((coefficients, 1, 1))
+@pytest.mark.parametrize(("coefficients", "intervals", "legal"), [(24, 20_000, True), (25, 1, False), (2, 20_001, False)])
+def test_at_most_20000_polynomials_of_24_coefficients_are_read(tmp_path, name, coefficients, intervals, legal):
+    arrays = {key: np.zeros((2, intervals, 1)) for key in ("position", "velocity", "effort")}
+    arrays[name] = np.zeros((coefficients, intervals, 1))
     path = tmp_path / "trajectory.npz"
-    np.savez(path, breaks_s=np.array([0.0, 1.0]), start_pose=np.zeros(1), periodic=False, **arrays)
+    np.savez(path, breaks_s=np.arange(intervals + 1.0), start_pose=np.zeros(1), periodic=False, **arrays)
     if legal:
         assert len(getattr(read_trajectory(path), name)) == coefficients
     else:
-        with pytest.raises(PlanFileError, match="1 intervals of 25 coefficients; at most 20000 of 24 are read"):
+        with pytest.raises(
+            PlanFileError, match=f"{intervals} intervals of {coefficients} coefficients; at most 20000 of 24"
+        ):
             read_trajectory(path)
 
 

@@ -16,7 +16,7 @@ from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
-from tests.support.bodies import HINGE, body_problem
+from tests.support.bodies import HINGE, SERVO_ARM, body_problem
 from tests.support.motions import motion_along
 
 BREAKS_S = np.array([0.0, 1.0, 3.0, 3.5])
@@ -83,9 +83,8 @@ SERVO = '<position name="s" joint="O" kp="10" ctrlrange="-0.5 2" forcerange="-4 
 
 
 def crank(actuators: str, **limits) -> Problem:
-    motion = {"kind": "reach", "start_deg": {"O": 20.0}, "goal_deg": {"O": 80.0}, "duration_s": 1.0}
-    tables = {"mechanism": {"model": CRANK.format(actuators=actuators)}, "motion": motion, "limits": limits}
-    return Problem.from_tables("crank", tables | {"objective": {"minimize": "effort"}})
+    motion = {"start_deg": {"O": 20.0}, "goal_deg": {"O": 80.0}, "duration_s": 1.0}
+    return Problem.reach(CRANK.format(actuators=actuators), **motion, limits=limits)
 
 
 def test_at_every_instant_powers_are_limited_of_actuators_with_a_coordinate_and_with_levers():
@@ -147,16 +146,12 @@ def test_power_is_effort_times_speed(most, left):
     assert power.left == pytest.approx(left, rel=1e-9)
 
 
-# A position servo of 50 N.m/rad and 1 N.m: beyond 0.32 rad every ctrl of its range gives the clamp.
-ARM = """<mujoco><compiler angle="radian"/><option gravity="0 0 0"/><worldbody><body><joint name="O" axis="0 1 0"/>
-<inertial pos="0 0 0" mass="1" diaginertia="0.02 0.02 0.02"/></body></worldbody>
-<actuator><position name="servo" joint="O" kp="50" ctrlrange="-0.3 0.3" forcerange="-1 1"/></actuator></mujoco>"""
 GAIN, CTRL_HIGH, ANGLE = 50.0, 0.3, 0.5
 
 
 @pytest.mark.parametrize(("share", "is_clamped"), [(5e-5, True), (5e-4, False)])
 def test_beside_a_clamped_instant_an_effort_within_a_ten_thousandth_of_the_clamp_counts_as_clamped(share, is_clamped):
-    (actuator,) = linkplan.load_mechanism(ARM).actuators
+    (actuator,) = linkplan.load_mechanism(SERVO_ARM).actuators
     effort = np.array([-1.0, -1.0 + share, -1.0])
     ranged, bent = _ranged(actuator, ANGLE + effort / GAIN, effort, 3)
     assert bent.all()
@@ -166,7 +161,7 @@ def test_beside_a_clamped_instant_an_effort_within_a_ten_thousandth_of_the_clamp
 
 def test_a_servo_s_ctrl_is_the_one_with_which_mujoco_gives_the_effort():
     """Of a lever arm's servo with every bias: effort = gain ctrl + b_0 + b_1 length + b_2 speed."""
-    text = ARM.replace(
+    text = SERVO_ARM.replace(
         '<position name="servo" joint="O" kp="50" ctrlrange="-0.3 0.3" forcerange="-1 1"/>',
         '<general name="servo" joint="O" gear="2" gainprm="7" biastype="affine" biasprm="0.4 -30 -3" ctrlrange="-5 5"/>',
     )

@@ -131,6 +131,12 @@ def test_the_least_value_of_a_curve_that_is_no_parabola_is_found_to_rounding(low
     assert least_between(values, SAMPLE_POINTS)[0] == pytest.approx(-2.0, abs=1e-10)
 
 
+def test_a_kink_elsewhere_in_the_interval_does_not_change_the_least_value():
+    points = sample_points(9)
+    values = np.cosh(points - 0.31) + 5.0 * np.maximum(points - 0.8, 0.0)
+    assert least_between(values, points)[0] == pytest.approx(1.0, abs=1e-10)
+
+
 @pytest.mark.parametrize("joint", ["O", "A", "C"])
 def test_a_limit_at_the_largest_speed_passes_above_it_and_fails_below(joint):
     plan = optimal("knee-reach")

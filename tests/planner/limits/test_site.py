@@ -13,11 +13,9 @@ from linkplan.planner.limits.site import SitePathLimit, _tube
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
+from tests.support.bodies import UNIT_ARM
 from tests.support.motions import motion_along
 
-ARM = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="J" axis="0 -1 0"/>
-<inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><site name="tip" pos="1 0 0"/></body></worldbody>
-<actuator><motor name="m" joint="J" ctrlrange="-9 9"/></actuator></mujoco>"""
 # From 20 to 110 degrees: x from 0.94 to -0.34, z up to 1 at 90 degrees; t^2 (3 - 2 t) over three seconds.
 BEGIN, END, DURATION_S = np.radians(20.0), np.radians(110.0), 3.0
 # Of an extreme between samples, by a parabola through three of a fine grid. Measured 2e-9.
@@ -25,9 +23,8 @@ FINE_GRID = 1e-8
 
 
 def problem(**site) -> Problem:
-    motion = {"kind": "reach", "start_deg": {"J": 20.0}, "goal_deg": {"J": 110.0}, "duration_s": DURATION_S}
-    tables = {"mechanism": {"model": ARM}, "motion": motion, "limits": {"site": {"tip": site}}}
-    return Problem.from_tables("arm", tables | {"objective": {"minimize": "effort"}})
+    motion = {"start_deg": {"J": 20.0}, "goal_deg": {"J": 110.0}, "duration_s": DURATION_S}
+    return Problem.reach(UNIT_ARM, **motion, limits={"site": {"tip": site}})
 
 
 def motion(n: int = 3) -> Trajectory:

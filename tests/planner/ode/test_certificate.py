@@ -21,11 +21,10 @@ def judged(running: np.ndarray | None = None, efforts: np.ndarray | None = None,
     problem = OdeProblem(
         name="straight",
         rate=lambda x, u, p, t: [u[0]],  # noqa: ARG005
-        effort_limit=FREE_EFFORT,
         duration_s=DURATION_S,
         running_cost=squared_effort,
         final_cost=lambda x0, xT, T, p: 5 * xT[0] - x0[0] + T**2,  # noqa: ARG005
-        **{"start": [0], "goal": [NAN]} | given,
+        **{"start": [0], "goal": [NAN], "effort_limit": FREE_EFFORT} | given,
     )
     breaks = np.linspace(0.0, DURATION_S, INTERVALS + 1)
     motion = Curves(
@@ -35,6 +34,13 @@ def judged(running: np.ndarray | None = None, efforts: np.ndarray | None = None,
         running=running,
     )
     return certify_ode(problem, motion)
+
+
+def limited(what: str, limit: list[float]):
+    """Return the certificate with limits on the state, or on the same quantity of the path."""
+    if what == "state":
+        return judged(state_limit=[limit])
+    return judged(path=lambda x, u, p, t: x[0], path_limit=[limit])  # noqa: ARG005
 
 
 def left_of(certificate, kind: str) -> list[float]:
@@ -61,11 +67,14 @@ def test_the_error_of_the_running_cost_is_a_share_of_the_whole_objective():
     assert any("objective" in failure for failure in certificate.failures)
 
 
+@pytest.mark.parametrize("what", ["state", "path"])
 @pytest.mark.parametrize(("limit", "margin"), [([-1.0, 10.0], 1.0), ([-5.0, 8.0], 2.0), ([0.0, 5.5], -0.5)])
-def test_the_margin_of_a_state_is_its_least_distance_to_its_limits(limit, margin):
-    certificate = judged(state_limit=[limit])
-    assert left_of(certificate, "state")[0] == pytest.approx(margin, abs=1e-9)
+def test_a_margin_is_the_least_distance_to_the_limits(what, limit, margin):
+    certificate = limited(what, limit)
+    assert left_of(certificate, what)[0] == pytest.approx(margin, abs=1e-9)
     assert certificate.passed == (margin > 0)
+    said = "state0 comes to" if what == "state" else "path quantity 0 comes to"
+    assert any(said in failure for failure in certificate.failures) == (margin < 0)
 
 
 def test_the_margin_of_a_state_is_measured_between_the_samples_too():
@@ -81,13 +90,6 @@ def test_the_margin_of_a_state_is_measured_between_the_samples_too():
     certificate = certify_ode(problem, Curves(breaks_s=np.array([0.0, 1.0]), state=state, effort=effort))
     assert certificate.integration_error < 1e-10
     assert left_of(certificate, "state") == pytest.approx([-1e-4], abs=1e-12)
-
-
-@pytest.mark.parametrize(("limit", "margin"), [([-1.0, 10.0], 1.0), ([-5.0, 8.0], 2.0), ([0.0, 5.5], -0.5)])
-def test_the_margin_of_a_path_quantity_is_its_least_distance_to_its_limits(limit, margin):
-    certificate = judged(path=lambda x, u, p, t: x[0], path_limit=[limit])  # noqa: ARG005
-    assert left_of(certificate, "path")[0] == pytest.approx(margin, abs=1e-9)
-    assert any("path quantity 0 comes to" in failure for failure in certificate.failures) == (margin < 0)
 
 
 @pytest.mark.parametrize(("share", "leaves"), [(5e-9, False), (1e-7, True)])
@@ -127,10 +129,7 @@ def test_the_objective_may_be_a_thousandth_of_its_size_from_that_of_the_integrat
 )
 def test_an_interval_touches_a_limit_where_it_comes_to_it_on_a_part(what, upper, touching):
     """The state's size is 6: a millionth of it is at the limit. Beyond 4.5 a part of the last interval is at no limit."""
-    if what == "state":
-        certificate = judged(state_limit=[[-1.0, upper]])
-    else:
-        certificate = judged(path=lambda x, u, p, t: x[0], path_limit=[[-1.0, upper]])  # noqa: ARG005
+    certificate = limited(what, [-1.0, upper])
     expected = np.array(touching, dtype=bool)
     if upper < 5:
         expected[3] = False  # all of it is beyond the limit
@@ -146,7 +145,7 @@ def test_an_overrun_is_the_largest_of_all_intervals_and_asks_for_refinement_ther
 
 
 def test_the_overrun_of_a_path_quantity_is_known_for_every_interval():
-    certificate = judged(path=lambda x, u, p, t: x[0], path_limit=[[-1.0, 4.0]])  # noqa: ARG005
+    certificate = limited("path", [-1.0, 4.0])
     assert certificate.margins[0].overrun * 4.0 == pytest.approx([0.0, 0.0, 0.5, 2.0], abs=1e-9)
 
 
@@ -190,24 +189,9 @@ def test_the_running_cost_of_an_interval_is_its_own_where_the_effort_jumps(name)
     assert running_cost(problem, motion, scheme(name)) == pytest.approx([9.0 * 0.5, 1.0 * 1.5], rel=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("limits", "excess"),
-    [([[-1.0, 10.0]], 0.0), ([[-5.0, 2.5]], 0.5), ([[3.25, 9.0]], 0.25), ([[-1.0, 10.0], [0.5, 1.0]], 0.5)],
-)
-def test_an_effort_is_refused_by_the_most_that_one_exceeds_its_limits(limits, excess):
-    """The second effort, where there is one, rests at zero."""
-    problem = OdeProblem(
-        name="straight",
-        rate=lambda x, u, p, t: [u[0]],  # noqa: ARG005
-        start=[0],
-        goal=[NAN],
-        effort_limit=limits,
-        duration_s=DURATION_S,
-        final_cost=lambda x0, xT, T, p: xT[0],  # noqa: ARG005
-    )
-    state = np.array([[0.0], [SPEED * DURATION_S]])[:, :, None]
-    effort = np.array([SPEED, 0.0])[: len(limits)].reshape(1, 1, -1)
-    certificate = certify_ode(problem, Curves(breaks_s=np.array([0.0, DURATION_S]), state=state, effort=effort))
+@pytest.mark.parametrize(("limit", "excess"), [([-1.0, 10.0], 0.0), ([-5.0, 2.5], 0.5), ([3.25, 9.0], 0.25)])
+def test_an_effort_is_refused_by_the_most_that_it_exceeds_its_limits(limit, excess):
+    certificate = judged(effort_limit=[limit])
     assert max(0.0, -min(left_of(certificate, "effort"))) == pytest.approx(excess)
     assert any(failure.startswith("effort") for failure in certificate.failures) == (excess > 0)
 

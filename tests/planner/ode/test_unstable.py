@@ -73,30 +73,6 @@ def test_whether_a_motion_is_unstable_does_not_hang_on_its_mesh(n_intervals, cou
     assert (certify_ode(problem, still).integration_restarts > 0) == unstable
 
 
-def test_a_stable_motion_is_integrated_in_one_go():
-    plan = solved(beside_a_pole(2.0, pole=-POLE))
-    assert plan.certificate.integration_restarts == 0
-    assert "unstable" not in plan.message
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("share", [1e-3, 1e-2])
-def test_an_unstable_motion_with_efforts_that_are_not_its_own_does_not_pass(share):
-    motion = long().trajectory
-    assert not certify_ode(long().problem, replace(motion, effort=motion.effort * (1 + share))).passed
-
-
-@pytest.mark.slow
-def test_what_is_begun_anew_still_adds_up_what_each_interval_is_off():
-    """A step of the planned state in the middle is a defect: it grows by no more than RESTART_GROWTH, and is seen."""
-    motion, step = long().trajectory, 1e-6
-    state = np.array(motion.state)
-    state[:, state.shape[1] // 2 :] += step
-    judged = certify_ode(long().problem, replace(motion, state=state))
-    assert judged.integration_restarts
-    assert judged.integration_error > 0.5 * step / np.abs(state).max()
-
-
 @pytest.mark.slow
 def test_the_objective_of_an_unstable_motion_is_judged_along_it():
     motion = long().trajectory

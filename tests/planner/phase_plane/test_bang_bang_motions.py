@@ -12,11 +12,8 @@ from linkplan.planner.phase_plane.bang_bang_motions import (
     stretched,
 )
 from linkplan.planner.problem.problem import Problem
+from tests.support.bodies import cart
 
-# A mass of 2 kg on a rail of 8 m, pushed by -4 to 6 N; and an inertia of 0.3 kg m2 on a damped hinge.
-CART = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0" range="-4 4" {joint}/>
-<inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody>
-<actuator><motor name="push" joint="x" ctrlrange="-4 6"/></actuator></mujoco>"""
 CRANK = """<mujoco><option gravity="0 0 {gravity}"/><worldbody><body><joint name="J" axis="0 1 0" damping="0.5"/>
 <inertial pos="0 0 -0.2" mass="1" diaginertia="0.26 0.26 0.26"/></body></worldbody>
 <actuator><motor name="u" joint="J" ctrlrange="{low} {high}"/></actuator></mujoco>"""
@@ -26,11 +23,9 @@ GRID = 2e-3
 
 
 def reach(start: float, goal: float, *, joint: str = "", waypoints=(), duration="free", limits=None, **motion) -> Problem:
-    given = {"kind": "reach", "start_m": {"x": start}, "goal_m": {"x": goal}, "duration_s": duration} | motion
+    given = {"start_m": {"x": start}, "goal_m": {"x": goal}, "duration_s": duration, "limits": limits or {}} | motion
     given |= {"waypoints": list(waypoints)} if waypoints else {}
-    tables = {"mechanism": {"model": CART.format(joint=joint)}, "motion": given}
-    tables |= {"objective": {"minimize": "time" if duration == "free" else "effort"}, "limits": limits or {}}
-    return Problem.from_tables("cart", tables)
+    return Problem.reach(cart("-4 6", joint=joint), **given, minimize="time" if duration == "free" else "effort")
 
 
 def at(place: float, speed: float | None = None) -> dict:
@@ -104,13 +99,10 @@ def test_a_speed_at_an_end_adds_the_way_on_which_it_is_lost_or_gathered(start, g
 @pytest.mark.parametrize("turns", [1, -1])
 def test_a_damped_crank_turns_at_the_speed_at_which_dampers_take_full_effort(turns):
     """u = c w: 4 N.m over 0.5 N.m.s make 8 rad/s, and 3 N.m backwards 6 rad/s."""
-    motion = {"kind": "periodic", "turns": {"J": turns}, "duration_s": "free", "start_deg": {"J": -200.0 * turns}}
-    tables = {"motion": motion, "objective": {"minimize": "time"}}
-    model = {"model": CRANK.format(gravity=0, low=-3, high=4)}
-    guess = quickest(Problem.from_tables("crank", tables | {"mechanism": model}))
+    motion = {"turns": {"J": turns}, "start_deg": {"J": -200.0 * turns}, "minimize": "time"}
+    guess = quickest(Problem.periodic(CRANK.format(gravity=0, low=-3, high=4), **motion))
     assert guess.duration_s == pytest.approx(2 * np.pi / (8.0 if turns > 0 else 6.0), rel=GRID)
-    heavy = {"model": CRANK.format(gravity=-9.81, low=-3, high=4)}
-    problem = Problem.from_tables("crank", tables | {"mechanism": heavy})
+    problem = Problem.periodic(CRANK.format(gravity=-9.81, low=-3, high=4), **motion)
     guess = quickest(problem)
     speeds = guess.velocity(np.array([0.0, guess.duration_s]))[:, 0]
     assert speeds[0] == pytest.approx(speeds[1], rel=1e-3)

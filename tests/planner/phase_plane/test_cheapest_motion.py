@@ -23,12 +23,8 @@ ROD = """<mujoco><option gravity="0 0 {gravity}"/><worldbody><body name="rod"><j
 
 
 def programmed(duration_s: float, goal_deg: float, gravity: float, high: float, low: float | None = None) -> Guess:
-    motion = {"kind": "reach", "start_deg": {"J": 0.0}, "goal_deg": {"J": goal_deg}, "duration_s": duration_s}
-    tables = {
-        "mechanism": {"model": ROD.format(gravity=gravity, low=-high if low is None else low, high=high)},
-        "motion": motion,
-    }
-    problem = Problem.from_tables("rod", tables | {"objective": {"minimize": "effort"}})
+    rod = ROD.format(gravity=gravity, low=-high if low is None else low, high=high)
+    problem = Problem.reach(rod, start_deg={"J": 0.0}, goal_deg={"J": goal_deg}, duration_s=duration_s)
     pose = problem.start_pose()
     quickest = least_time_guess(problem, pose)
     assert quickest is not None
@@ -75,13 +71,8 @@ def test_a_push_of_one_sign_lifts_a_rod_that_weight_brakes():
 )
 def test_a_weak_four_bar_with_half_more_than_the_least_time_costs_little(seed, number, least_s, most):
     fourbar, start, goal, limit = weak_case(seed, number)
-    ends = {"start_deg": {"O": float(np.degrees(start))}, "goal_deg": {"O": float(np.degrees(goal))}}
-    tables = {
-        "mechanism": {"model": fourbar.mjcf(start, limit=limit)},
-        "motion": {"kind": "reach", **ends, "duration_s": 1.5 * least_s},
-        "objective": {"minimize": "effort"},
-    }
-    plan = plan_motion(Problem.from_tables("weak", tables))
+    ends = {"start_deg": {"O": np.degrees(start)}, "goal_deg": {"O": np.degrees(goal)}}
+    plan = plan_motion(Problem.reach(fourbar.mjcf(start, limit=limit), **ends, duration_s=1.5 * least_s))
     assert plan.status == "optimal", plan.message
     assert plan.objective < most
 

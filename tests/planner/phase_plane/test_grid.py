@@ -23,9 +23,8 @@ QUADRATURE = 1e-9
 
 
 def pendulum(joint: str = "", start_deg: float = -30.0, goal_deg: float = 60.0, **tables) -> Problem:
-    motion = {"kind": "reach", "start_deg": {"J": start_deg}, "goal_deg": {"J": goal_deg}, "duration_s": "free"}
-    given = {"mechanism": {"model": PENDULUM.format(joint=joint)}, "motion": motion, "objective": {"minimize": "time"}}
-    return Problem.from_tables("pendulum", given | tables)
+    ends = {"start_deg": {"J": start_deg}, "goal_deg": {"J": goal_deg}}
+    return Problem.reach(PENDULUM.format(joint=joint), **ends, minimize="time", **tables)
 
 
 def grid(problem: Problem, n_cells: int = 200, **how) -> tuple[np.ndarray, np.ndarray]:

@@ -11,7 +11,7 @@ from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.presolve import no_way_to_stop
-from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_problem
+from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_problem, cart
 from tests.support.fourbar_problems import random_case
 from tests.support.tolerances_planner import MINIMUM_TIME, ROUNDING, SAME_FIGURE
 
@@ -26,25 +26,13 @@ FINE_GRID = 1e-3
 TURNS = 3e-2
 
 
-@pytest.fixture
-def spring(tmp_path):
-    (tmp_path / "spring.xml").write_text(SPRING, encoding="utf-8")
-
-    def problem(start_m: float, *settings: str):
-        path = tmp_path / "problem.toml"
-        path.write_text(
-            f'[mechanism]\nmodel = "spring.xml"\n[motion]\nkind = "reach"\nstart_m = {{ x = {start_m} }}\n'
-            'goal_m = { x = 0.0 }\nduration_s = "free"\n[objective]\nminimize = "time"\n',
-            encoding="utf-8",
-        )
-        return load_problem(path, settings)
-
-    return problem
+def spring(start_m: float, **motion) -> Problem:
+    return Problem.reach(SPRING, start_m={"x": start_m}, goal_m={"x": 0.0}, minimize="time", **motion)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("half_swings", [1, 5])
-def test_a_weak_push_on_a_spring_takes_half_a_period_for_every_two_metres(spring, half_swings):
+def test_a_weak_push_on_a_spring_takes_half_a_period_for_every_two_metres(half_swings):
     """Each half swing about +-1 m takes pi and brings the end 2 m nearer."""
     problem = spring(2.0 * half_swings)
     guess = least_time_guess(problem, problem.start_pose())
@@ -55,7 +43,7 @@ def test_a_weak_push_on_a_spring_takes_half_a_period_for_every_two_metres(spring
     assert plan.objective == pytest.approx(np.pi * half_swings, rel=MINIMUM_TIME)
 
 
-def test_the_guess_on_a_spring_swings_where_the_push_is_too_weak(spring):
+def test_the_guess_on_a_spring_swings_where_the_push_is_too_weak():
     """The state (s, v) moves on circles: about -1 m under -1 N, half of one about 1 m under 1 N, about -1 m again."""
     start = 3.5
     problem = spring(start)
@@ -135,7 +123,7 @@ def test_a_motion_that_turns_back_at_a_waypoint_takes_the_least_time_of_its_two_
     assert plan.objective == pytest.approx(case.duration, rel=MINIMUM_TIME)
 
 
-def test_waypoints_on_the_way_are_passed_in_turn_and_change_nothing(spring):
+def test_waypoints_on_the_way_are_passed_in_turn_and_change_nothing():
     problem = spring(1.9)
     way = replace(problem.motion, waypoints=tuple(Waypoint(position=[x]) for x in (1.5, 0.3)))
     guess = least_time_guess(problem, problem.start_pose())
@@ -146,7 +134,7 @@ def test_waypoints_on_the_way_are_passed_in_turn_and_change_nothing(spring):
     assert passed.position(passed.boundaries_s)[:, 0] == pytest.approx([1.9, 1.5, 0.3, 0.0])
 
 
-def test_a_speed_asked_at_a_waypoint_is_the_guesss_there(spring):
+def test_a_speed_asked_at_a_waypoint_is_the_guesss_there():
     problem = spring(2.0)
     asked = replace(problem.motion, waypoints=(Waypoint(position=[1.0], speed=[-0.5]),))
     guess = least_time_guess(replace(problem, motion=asked), problem.start_pose())
@@ -155,8 +143,8 @@ def test_a_speed_asked_at_a_waypoint_is_the_guesss_there(spring):
 
 
 @pytest.mark.slow
-def test_a_motion_that_there_is_no_time_for_is_not_tried_from_other_starts(spring):
-    plan = plan_motion(spring(10.0, "motion.max_duration_s=10"))
+def test_a_motion_that_there_is_no_time_for_is_not_tried_from_other_starts():
+    plan = plan_motion(spring(10.0, max_duration_s=10.0))
     assert plan.status == "infeasible"
     assert not [step for step in plan.history if step.what.startswith("start from")]
 
@@ -173,24 +161,13 @@ def test_the_efforts_of_a_least_time_guess_change_at_its_switch_time_and_not_a_c
     assert guess.effort(np.array([0.0, *at, 0.999 * least]))[:, 0].tolist() == [4.0, 4.0, -4.0, -4.0]
 
 
-# A mass of 2 kg on a rail, pushed by at most 6 N: it stops from 0.3 m/s within 0.015 m.
-CART = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0" range="{low} {high}"/>
-<inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody>
-<actuator><motor name="push" joint="x" ctrlrange="-6 6"/></actuator></mujoco>"""
 ACCELERATION, SPEED = 3.0, 0.3
 STOP = SPEED**2 / (2 * ACCELERATION)
 
 
 def reach(start: float, goal: float, *, low: float = -2.0, high: float = 2.0, minimize: str = "time", **motion):
-    ends = {"start_m": {"x": start}, "goal_m": {"x": goal}, "duration_s": "free"}
-    return Problem.from_tables(
-        "cart",
-        {
-            "mechanism": {"model": CART.format(low=low, high=high)},
-            "motion": {"kind": "reach"} | ends | motion,
-            "objective": {"minimize": minimize},
-        },
-    )
+    ends = {"start_m": {"x": start}, "goal_m": {"x": goal}}
+    return Problem.reach(cart(rail=f"{low} {high}"), **ends | motion, minimize=minimize)
 
 
 @pytest.mark.parametrize("end", ["start", "goal"])

@@ -15,6 +15,7 @@ from linkplan.planner.phase_plane.power_legs import power_legs
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.planning import plan_motion
+from tests.support.bodies import cart
 from tests.support.least_time import least_time
 from tests.support.sliders import drawn_with_a_pin
 
@@ -74,19 +75,12 @@ def test_a_way_that_weight_shuts_has_no_such_legs():
     assert knee("limits.power_w.act_O=10", "limits.effort.act_O=[-1, 1]")[1] is None
 
 
-# A mass on a rail.
-CART = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0" range="-4 4"/>
-<inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody>
-<actuator><motor name="push" joint="x" ctrlrange="-6 6"/></actuator></mujoco>"""
-
-
 @pytest.mark.parametrize("start", [-1.0, 0.0, 1.0])
 def test_a_mass_that_is_pushed_and_braked_by_a_power_takes_the_closed_form_s_time_wherever_it_starts(start):
     """Half the way: 6 N up to the speed v = P / F, then m v^2 / 2 grows by the power, and m v^3 / 3 by it times the way."""
     mass, force, power = 2.0, 6.0, 4.0
-    motion = {"kind": "reach", "start_m": {"x": start}, "goal_m": {"x": start + 2.0}, "duration_s": "free"}
-    tables = {"mechanism": {"model": CART}, "motion": motion, "objective": {"minimize": "time"}}
-    problem = Problem.from_tables("cart", tables | {"limits": {"power_w": {"push": power}}})
+    ends = {"start_m": {"x": start}, "goal_m": {"x": start + 2.0}}
+    problem = Problem.reach(cart(), **ends, minimize="time", limits={"power_w": {"push": power}})
     _, boundaries = power_legs(problem, problem.start_pose())
     v = power / force
     way = mass * v**2 / (2 * force)
@@ -107,13 +101,8 @@ CRANK = """<mujoco><worldbody>
 
 
 def crank(start_deg: float, goal_deg: float, friction: str = "", driven: str = "O", **limits) -> Problem:
-    motion = {"kind": "reach", "start_deg": {"O": start_deg}, "goal_deg": {"O": goal_deg}, "duration_s": "free"}
-    tables = {
-        "mechanism": {"model": CRANK.format(friction=friction, driven=driven)},
-        "motion": motion,
-        "objective": {"minimize": "time"},
-    }
-    return Problem.from_tables("crank", tables | ({"limits": limits} if limits else {}))
+    ends = {"start_deg": {"O": start_deg}, "goal_deg": {"O": goal_deg}}
+    return Problem.reach(CRANK.format(friction=friction, driven=driven), **ends, minimize="time", limits=limits)
 
 
 @pytest.mark.parametrize(("start", "goal"), [(20.0, 80.0), (80.0, 20.0)])
@@ -153,10 +142,9 @@ def test_a_descent_that_no_effort_brakes_has_no_legs():
     rod = """<mujoco><worldbody><body><joint name="J" axis="0 1 0"/>
     <inertial pos="0 0 0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
     <actuator><motor name="u" joint="J" ctrlrange="-{hold} 20"/></actuator></mujoco>"""
-    motion = {"kind": "reach", "start_deg": {"J": 80.0}, "goal_deg": {"J": 100.0}, "duration_s": "free"}
+    asked = {"start_deg": {"J": 80.0}, "goal_deg": {"J": 100.0}, "minimize": "time", "limits": {"power_w": {"u": 10.0}}}
     for hold, known in ((8.0, True), (4.0, False)):
-        tables = {"mechanism": {"model": rod.format(hold=hold)}, "limits": {"power_w": {"u": 10.0}}, "motion": motion}
-        problem = Problem.from_tables("descent", tables | {"objective": {"minimize": "time"}})
+        problem = Problem.reach(rod.format(hold=hold), **asked)
         assert (power_legs(problem, problem.start_pose()) is not None) is known
 
 

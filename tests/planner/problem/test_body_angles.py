@@ -4,6 +4,7 @@ import csv
 from dataclasses import replace
 from functools import cache
 
+import casadi as ca
 import mujoco
 import numpy as np
 import pytest
@@ -18,10 +19,11 @@ from linkplan.planner.limits.extra import ExtraPathLimit
 from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.extra import ExtraLimit
+from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.prove import prove
 from linkplan.planner.search.planning import plan_motion
-from tests.support.arms import LOWER, UPPER
+from tests.support.arms import LOWER, UPPER, arm
 from tests.support.polycentric import KNEE, shank_deg
 from tests.support.refusals import assert_names, refusal
 from tests.support.sites import arm_of, plan_of, site_problem
@@ -110,6 +112,17 @@ def test_a_limit_holds_back_the_shank_that_would_swing_beyond_it():
     plan = plan_of(arm_of(UPPER, LOWER), motion, limits={"body_deg": {"link2": [-np.inf, half]}})
     assert -np.degrees(pitch_along(plan, "link2")).min() == pytest.approx(half, abs=1e-3)
     assert plan.objective > free.objective
+
+
+def test_the_row_of_a_limit_is_as_far_from_its_bounds_as_the_angle_from_the_limit():
+    """Home is at 60 and 40 deg."""
+    bent = load_mechanism(arm(UPPER, LOWER), home={"J1": np.radians(60.0), "J2": np.radians(40.0)})
+    asked = site_problem(bent, BENT | TO, limits={"body_deg": {"link2": [-10.0, 110.0]}})
+    at, (q, *_) = free_instant(bent)
+    (limit,) = BodyAngleLimit.of(asked)
+    row = ca.Function("row", [q], [limit.rows.node(at, ca.SX())])
+    for bound, end in zip(limit.bounds(asked, None), (-10.0, 110.0), strict=True):
+        assert float(row(np.radians([30.0, 20.0]))) - bound == pytest.approx(np.radians(50.0 - end), abs=1e-12)
 
 
 def test_an_open_goal_ends_with_the_sum_of_the_hinges_and_leaves_the_rest_to_the_planner():

@@ -16,6 +16,7 @@ from tests.support.bodies import HINGE_INERTIA, LIFT, TURN, body_plan, hinge
 from tests.support.mechanisms import simulated
 from tests.support.motions import effort_rate, pin_forces, power
 from tests.support.plans import optimal, planned, problem_of
+from tests.support.refusals import assert_refused
 from tests.support.tolerances_planner import (
     EXACT_EFFORT,
     LEAST_WORK,
@@ -196,14 +197,19 @@ def test_the_closure_force_of_the_knee_is_what_mujoco_s_pin_carries():
         ("objective.minimize={effort=-1.0}", "positive weight"),
         ("objective.minimize={speed=1.0}", "is one of"),
         ("objective.minimize=copper_loss", "missing for act_O"),
-        ("objective.minimize=tracking", r"needs a \[reference\]"),
+        ("objective.minimize=tracking", "needs a [reference]"),
         ("objective.minimize={time=1.0,effort=1.0}", 'needs motion.duration_s = "free"'),
     ],
 )
 def test_an_objective_that_does_not_go_is_refused_in_one_line(asked, said):
-    with pytest.raises(ProblemError, match=said) as refusal:
-        planned("knee-reach", asked)
-    assert "\n" not in str(refusal.value)
+    assert_refused(lambda: planned("knee-reach", asked), said, kind=ProblemError)
+
+
+def test_a_peak_is_refused_where_an_effort_has_no_limit():
+    free = GANTRY.replace(' ctrlrange="-40 40"', "")
+    ends = {"goal_m": {"X": 1.0, "Y": 0.0}, "start_m": {"X": 0.0, "Y": 0.0}}
+    with pytest.raises(ProblemError, match=r"'peak_effort' needs finite limits.effort \(.*missing for G\)"):
+        Problem.reach(load_mechanism(free), **ends, minimize="peak_effort")
 
 
 GANTRY = """<mujoco><option gravity="0 0 0"/>
@@ -260,11 +266,3 @@ def test_programs_with_other_limits_are_not_used_again_for_a_peak():
     assert structure(peak) != structure(lower)
     effort = problem_of("knee-reach", "limits.effort.act_O=[-90.0, 90.0]")
     assert structure(problem_of("knee-reach")) == structure(effort)
-
-
-def test_a_peak_without_limits_is_refused():
-    free = GANTRY.replace(' ctrlrange="-40 40"', "")
-    with pytest.raises(ProblemError, match=r"'peak_effort' needs finite limits.effort \(.*missing for G\)"):
-        Problem.reach(
-            load_mechanism(free), goal_m={"X": 1.0, "Y": 0.0}, start_m={"X": 0.0, "Y": 0.0}, minimize="peak_effort"
-        )

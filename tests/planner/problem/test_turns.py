@@ -12,6 +12,7 @@ from linkplan.models.errors import CertificateError, ProblemError
 from linkplan.models.library import built_in_text
 from tests.support.linkages import GRIPPER, UNCUT
 from tests.support.mechanisms import replaced
+from tests.support.refusals import assert_refused
 from tests.support.slider_crank import inertia, potential
 from tests.support.tolerances_planner import CLOSURE_M, ROLLOUT_GAP_M
 
@@ -168,9 +169,7 @@ def loaded(text: str) -> str:
     ],
 )
 def test_turns_that_cannot_be_are_refused_in_a_line(model, turns, words):
-    with pytest.raises(ProblemError, match=words) as refused:
-        linkplan.Problem.periodic(model, turns=turns, duration_s=1.0)
-    assert "\n" not in str(refused.value)
+    assert_refused(lambda: linkplan.Problem.periodic(model, turns=turns, duration_s=1.0), words, kind=ProblemError)
 
 
 def test_a_spring_whose_joint_is_back_after_a_turn_winds_nothing_up():

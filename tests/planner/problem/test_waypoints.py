@@ -9,6 +9,7 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.search.planning import plan_motion
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_plan
 from tests.support.plans import optimal, planned, problem_of
+from tests.support.refusals import assert_refused
 from tests.support.tolerances_planner import (
     BOUNDARY,
     CONTINUITY,
@@ -188,7 +189,7 @@ REFUSED = {
     "one at the end": ("motion.waypoints=[{at_deg={O=0},time_s=0.16}]", "beyond the motion's 0.16 s"),
     "one at no time": ("motion.waypoints=[{at_deg={O=0},time_s=0}]", "positive"),
     "one with a time alone": ("motion.waypoints=[{time_s=0.1}]", "it needs one of them"),
-    "a joint for a site": ("motion.waypoints=[{at={O=0}}]", r"joint O's position is motion.waypoints\[0\].at_deg"),
+    "a joint for a site": ("motion.waypoints=[{at={O=0}}]", "joint O's position is motion.waypoints[0].at_deg"),
     "a joint that is not there": ("motion.waypoints=[{at_deg={K=0}}]", "K"),
     "one beyond reach": ("motion.waypoints=[{at_deg={O=100}}]", "beyond reach"),
     "bounds on a fixed duration": ("motion.max_duration_s=1", "bound a free duration"),
@@ -199,9 +200,7 @@ REFUSED = {
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_cannot_be_asked_of_the_way_is_refused_in_one_line(case):
     override, said = REFUSED[case]
-    with pytest.raises(ProblemError, match=said) as refusal:
-        planned("knee-reach", override)
-    assert "\n" not in str(refusal.value)
+    assert_refused(lambda: planned("knee-reach", override), said, kind=ProblemError)
 
 
 @pytest.mark.parametrize("bounds", [("2", "1"), ("1", "1")])
@@ -260,10 +259,7 @@ def test_a_waypoint_of_one_joints_speed_leaves_the_rest_free():
     ],
 )
 def test_what_a_waypoint_cannot_mean_is_refused(waypoint, words):
-    with pytest.raises(ProblemError) as refused:
-        problem_of("five-bar-reach", f"motion.waypoints=[{waypoint}]")
-    for word in words:
-        assert word in str(refused.value)
+    assert_refused(lambda: problem_of("five-bar-reach", f"motion.waypoints=[{waypoint}]"), *words, kind=ProblemError)
 
 
 def test_a_dependent_joint_of_a_waypoint_that_fits_is_taken():

@@ -36,8 +36,6 @@ CENTRE, RADIUS, INTERVAL = 0.5, 0.25, 1
 # Of the gripper's servo in tests/support/linkages.py.
 KP, KV = 5.0, 0.05
 
-BITS = 80
-
 
 def check(problem, motion: Trajectory, words: str, exact, shares=(-1.0, -0.37, 0.0, 0.62, 1.0)) -> None:
     """Check that a claim's enclosure on a box contains `exact`(q, rates, u, time) in 50 digits at shares of the box."""

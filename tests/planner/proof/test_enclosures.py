@@ -19,8 +19,6 @@ from tests.support.mp_functions import ball, mp_effort, mp_motion, mp_pose, mp_v
 from tests.support.plans import optimal
 from tests.support.provable import INTERVALS, swing
 
-BITS = 80
-
 
 def value_at(form: TaylorForm, x: arb) -> arb:
     return sum((c * x**k for k, c in enumerate(form.coefficients)), arb(0)) + arb(0, form.remainder)

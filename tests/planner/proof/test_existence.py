@@ -129,8 +129,8 @@ def test_the_first_tube_s_bounds_make_a_second_one_in_which_a_motion_is_proved(n
     assert {finding.answer for finding in found} == {"proved"}
 
 
-# Along t^2 (3 - 2 t) of the quarter turn in two seconds: the largest coefficient of its speed, and its acceleration.
-DURATION_S, SPEED, ACCELERATION = 2.0, 1.5 * TURN, 1.5 * TURN
+# Along t^2 (3 - 2 t) of the quarter turn in two seconds: its largest acceleration.
+DURATION_S, ACCELERATION = 2.0, 1.5 * TURN
 
 
 def without_efforts() -> Trajectory:

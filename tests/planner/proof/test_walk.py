@@ -9,7 +9,7 @@ import pytest
 from flint import arb, arb_series, ctx
 
 from linkplan.models.mechanism import load_mechanism
-from linkplan.planner.proof.walk import UnknownOperationError, Walk, walk_of
+from linkplan.planner.proof.walk import UnknownOperationError, Walk, larger, walk_of
 from tests.support.linkages import RSSR
 from tests.support.tolerances_planner import ROUNDING
 
@@ -94,6 +94,8 @@ def test_beside_a_kink_both_slopes_are_enclosed_and_no_more():
     assert found[1].contains(arb(1))
     assert found[1].contains(arb(-1))
     assert not found[2].is_finite()
+    one, other = arb_series([arb(0, 0.5), 1], prec=3), arb_series([arb(0, 0.5), -1], prec=5)
+    assert larger(one, other).prec == larger(other, one).prec == 3, "no more coefficients than both are known to"
 
 
 def test_a_jump_has_no_known_slope_also_in_a_product():

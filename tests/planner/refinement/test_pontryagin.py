@@ -52,9 +52,20 @@ def turned(*overrides: str) -> Plan:
     return plan
 
 
-@pytest.mark.parametrize(("deg_s", "binds"), [(136.0, False), (134.0, True)])
-def test_a_speed_limit_binds_where_it_is_below_the_fastest_speed(deg_s, binds):
-    problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n", f"limits.speed_deg_s.J={deg_s}")
+PEAK = 6 * HINGE_INERTIA * TURN  # of the least effort, at both ends
+
+
+@pytest.mark.parametrize(
+    ("limit", "binds"),
+    [
+        ("speed_deg_s.J=136.0", False),
+        ("speed_deg_s.J=134.0", True),
+        (f"effort.motor=[{-1.01 * PEAK}, {1.01 * PEAK}]", False),
+        (f"effort.motor=[{-0.99 * PEAK}, {1.01 * PEAK}]", True),
+    ],
+)
+def test_a_limit_binds_where_the_motion_without_it_is_beyond(limit, binds):
+    problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n", f"limits.{limit}")
     case = case_of(problem)
     start = case.start_from(turned().trajectory)
     found = attempt(case, start, uniform(20), np.ones(1), "once")

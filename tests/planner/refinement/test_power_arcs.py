@@ -6,6 +6,7 @@ from scipy.integrate import quad
 from scipy.interpolate import CubicSpline
 from scipy.optimize import brentq
 
+import linkplan
 from linkplan.models.errors import ProblemError
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate import flow, integration
@@ -23,20 +24,6 @@ from tests.support.tolerances_planner import ROUNDING, SATURATED, SATURATED_ROUG
 # Against the exact least time, relative.
 EXACT = 1e-6
 QUICK = ("objective.minimize=time", "motion.duration_s=free")
-PARALLELOGRAM = """[mechanism]
-model = "parallelogram.xml"
-home_deg = { O = 60.0, A = -60.0, C = 60.0 }
-[motion]
-kind = "reach"
-start_deg = { O = 30.0 }
-goal_deg = { O = 150.0 }
-duration_s = "free"
-[objective]
-minimize = "time"
-[limits]
-effort = { O = [-0.5, 0.5] }
-power_w = { O = 5.0 }
-"""
 
 
 @pytest.mark.slow
@@ -56,20 +43,14 @@ def test_a_least_time_along_a_power_limit_is_exact(name, settings):
     assert plan.trajectory.duration_s == pytest.approx(least_time(problem), rel=EXACT)
 
 
-@pytest.fixture
-def parallelogram(tmp_path):
-    """Return the function from settings to the problem of a parallelogram within five watts."""
-    model = FLAT_PARALLELOGRAM.replace('<motor joint="O"/>', '<motor name="O" joint="O" ctrlrange="-20 20"/>')
-    (tmp_path / "parallelogram.xml").write_text(model, encoding="utf-8")
-    (tmp_path / "problem.toml").write_text(PARALLELOGRAM, encoding="utf-8")
-    return lambda *settings: load_problem(tmp_path / "problem.toml", settings)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", [0.5, 20.0])
-def test_a_parallelogram_within_five_watts_is_exact(parallelogram, limit):
+def test_a_parallelogram_within_five_watts_is_exact(limit):
     """With 20 N.m its bangs last a 60 000th of the motion, on which the power overruns its limit between coarse nodes."""
-    problem = parallelogram(f"limits.effort.O=[{-limit}, {limit}]")
+    model = FLAT_PARALLELOGRAM.replace('<motor joint="O"/>', '<motor name="O" joint="O" ctrlrange="-20 20"/>')
+    mechanism = linkplan.load_mechanism(model, home_deg={"O": 60.0, "A": -60.0, "C": 60.0})
+    limits = {"effort": {"O": [-limit, limit]}, "power_w": {"O": 5.0}}
+    problem = Problem.reach(mechanism, start_deg={"O": 30.0}, goal_deg={"O": 150.0}, minimize="time", limits=limits)
     plan = plan_motion(problem)
     assert plan.status == "optimal", plan.message
     assert plan.trajectory.duration_s == pytest.approx(least_time(problem), rel=EXACT)

@@ -10,13 +10,14 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.actions import ReadSwitches
+from linkplan.planner.refinement.actions import Halve, ReadSwitches, Tighten
 from linkplan.planner.refinement.case import attempt, certify_iterate
 from linkplan.planner.refinement.marking import marked_for
 from linkplan.planner.refinement.state import RefinementState
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.solving import first_mesh
-from tests.support.bodies import HINGE, PENDULUM, body_plan, body_problem
+from linkplan.planner.transcription.mesh import uniform
+from tests.support.bodies import HINGE, PENDULUM, QUARTER_TURN, body_plan, body_problem
 from tests.support.data import KNEE_TABLE
 from tests.support.plans import optimal, planned
 from tests.support.refinement_states import iterate
@@ -63,6 +64,16 @@ def test_a_reading_of_switches_counts_as_a_round_and_holds_what_it_read():
     assert (after.rounds, after.readings, after.read_in) == (6, 2, 5)
     assert after.iterate.found.fixed.efforts[:, 0].tolist() == problem.limits.effort[0, ::-1].tolist()
     assert after.iterate.passed
+
+
+@pytest.mark.parametrize(("action", "intervals"), [(Halve(marked=np.array([True, False, True, False])), 6), (Tighten(), 4)])
+def test_each_solve_of_a_refinement_counts_as_a_round(action, intervals):
+    problem = body_problem(HINGE, QUARTER_TURN + "duration_s = 1.0\n")
+    case = case_of(problem)
+    first = attempt(case, first_guess(problem, problem.start_pose()), uniform(4), np.ones(1), "first solve")
+    state = RefinementState(asked=case, case=case, iterate=certify_iterate(case, first), warm=False, rounds=5)
+    after = action.apply(state)
+    assert (after.rounds, after.iterate.n_intervals, after.ended) == (6, intervals, False)
 
 
 # Six intervals: dynamics are not kept on the third, and the integrated state strays from there on.

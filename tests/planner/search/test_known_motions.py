@@ -14,6 +14,7 @@ from linkplan.planner.search.planning import plan_motion, search_for
 from linkplan.planner.search.starts import shortest_motion
 from tests.bench.contradictions import rotary_answer, weak_answer, weak_case
 from tests.support import fourbar_problems
+from tests.support.bodies import HINGE, LIFT, QUARTER_TURN, body_plan
 from tests.support.plans import optimal, problem_of
 from tests.support.tolerances_planner import BEST_DURATION, LEAST_EFFORT, LONGEST_DURATION, MINIMUM_TIME
 
@@ -50,18 +51,14 @@ def quickest_turn_s() -> float:
 
 @pytest.mark.slow
 def test_the_quickest_turn_is_that_of_full_torque_also_where_a_slower_turn_is_a_local_optimum():
-    motion = {"kind": "periodic", "turns": {"J": 1}, "duration_s": "free"}
-    tables = {"mechanism": {"model": ROTOR}, "motion": motion, "objective": {"minimize": "time"}}
-    plan = plan_motion(Problem.from_tables("rotor", tables))
+    plan = plan_motion(Problem.periodic(ROTOR, turns={"J": 1}, minimize="time"))
     assert plan.status == "optimal", plan.message
     assert plan.objective == pytest.approx(quickest_turn_s(), rel=1e-6)
 
 
 @pytest.mark.slow
 def test_a_turn_that_could_be_quicker_takes_the_least_duration_that_is_allowed():
-    motion = {"kind": "periodic", "turns": {"J": 1}, "duration_s": "free", "min_duration_s": 0.1}
-    tables = {"mechanism": {"model": ROTOR}, "motion": motion, "objective": {"minimize": "time"}}
-    plan = plan_motion(Problem.from_tables("rotor", tables))
+    plan = plan_motion(Problem.periodic(ROTOR, turns={"J": 1}, min_duration_s=0.1, minimize="time"))
     assert plan.status == "optimal", plan.message
     assert plan.objective == pytest.approx(0.1, rel=1e-8)
 
@@ -70,9 +67,7 @@ def test_a_turn_that_could_be_quicker_takes_the_least_duration_that_is_allowed()
 def test_a_direct_reach_that_the_phase_plane_knows_is_found_where_the_smooth_path_leads_to_a_slower_one():
     fourbar, start, goal, limit = weak_case(1, 11)
     ends = {"start_deg": {"O": np.degrees(start)}, "goal_deg": {"O": np.degrees(goal)}}
-    motion = {"kind": "reach", **ends, "duration_s": "free"}
-    tables = {"mechanism": {"model": fourbar.mjcf(start, limit=limit)}, "motion": motion, "objective": {"minimize": "time"}}
-    plan = plan_motion(Problem.from_tables("weak", tables))
+    plan = plan_motion(Problem.reach(fourbar.mjcf(start, limit=limit), **ends, minimize="time"))
     assert plan.objective == pytest.approx(fourbar.minimum_time(start, goal, -limit, limit), rel=1e-6)
 
 
@@ -84,9 +79,7 @@ def test_a_turn_is_no_slower_than_under_constant_full_effort_or_at_constant_spee
 @pytest.mark.slow
 def test_guesses_along_which_the_loops_open_are_left_out_and_others_show_the_effort_that_is_lacking():
     ends = {"start_deg": {"O1": 10.0, "O2": 170.0}, "goal_deg": {"O1": 100.0, "O2": 80.0}}
-    motion = {"kind": "reach", **ends, "duration_s": 1.0}
-    tables = {"mechanism": {"model": "five-bar"}, "motion": motion, "objective": {"minimize": "effort"}}
-    plan = plan_motion(Problem.from_tables("far", tables | {"mesh": {"intervals": 6}}))
+    plan = plan_motion(Problem.reach("five-bar", **ends, duration_s=1.0, mesh={"intervals": 6}))
     assert plan.status == "infeasible", plan.message
     assert "N.m beyond its limit of 1.4" in plan.message
 
@@ -98,73 +91,32 @@ def test_only_what_the_phase_plane_proves_is_called_more_than_locally_optimal(na
     assert plan_motion(load_problem(name)).message.startswith(words)
 
 
-ARM = """<mujoco model="arm">
-  <option gravity="0 0 0"/>
-  <worldbody>
-    <body name="arm"><joint name="J" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 -0.4" size="0.02" mass="1"/></body>
-  </worldbody>
-  <actuator><motor name="act" joint="J" ctrlrange="-8 8"/></actuator>
-</mujoco>"""
-LIFT = """<mujoco model="lift">
-  <option gravity="0 0 -9.81"/>
-  <worldbody>
-    <body name="load"><joint name="Z" type="slide" axis="0 0 1"/><geom type="sphere" size="0.05" mass="2"/></body>
-  </worldbody>
-  <actuator><motor name="act" joint="Z" ctrlrange="-200 200"/></actuator>
-</mujoco>"""
-RAISE = """[mechanism]
-model = "lift.xml"
-[motion]
-kind = "reach"
-start_m = { Z = 0.0 }
-goal_m = { Z = 0.3 }
-duration_s = "free"
-[objective]
-minimize = "effort"
-"""
-REACH = """[mechanism]
-model = "arm.xml"
-[motion]
-kind = "reach"
-start_deg = { J = 0.0 }
-goal_deg = { J = 40.0 }
-duration_s = "free"
-[objective]
-minimize = "effort"
-"""
-
-
-def planned(tmp_path, *settings: str):
-    (tmp_path / "arm.xml").write_text(ARM, encoding="utf-8")
-    (tmp_path / "reach.toml").write_text(REACH, encoding="utf-8")
-    return plan_motion(load_problem(tmp_path / "reach.toml", settings))
+FREE = QUARTER_TURN + 'duration_s = "free"\n'
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("objective", ["effort", "work"])
-def test_a_motion_that_costs_less_the_longer_it_is_has_no_best_duration_and_says_so(objective, tmp_path):
-    plan = planned(tmp_path, f"objective.minimize={objective}")
+def test_a_motion_that_costs_less_the_longer_it_is_has_no_best_duration_and_says_so(objective):
+    plan = body_plan(HINGE, FREE, f"objective.minimize={objective}")
     assert plan.status == "failed"
     assert f"the objective is unbounded in the duration: the longer the motion, the smaller its {objective}" in plan.message
     assert plan.message.endswith("set motion.max_duration_s")
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("longest", [3.0, 30.0])
-def test_a_longest_duration_is_used_to_the_full_however_long(longest, tmp_path):
+@pytest.mark.parametrize("longest", [3.0, 20.0])
+def test_a_longest_duration_is_used_to_the_full_however_long(longest):
     """Without gravity the objective is 12 (J angle)^2 / T^3. The longest duration is far beyond that of a first guess."""
-    plan = planned(tmp_path, f"motion.max_duration_s={longest}")
+    plan = body_plan(HINGE, FREE, f"motion.max_duration_s={longest}")
     assert plan.status == "optimal", plan.message
     assert plan.trajectory.duration_s == pytest.approx(longest, rel=LONGEST_DURATION)
-    shorter = planned(tmp_path, "motion.duration_s=1.0")
+    shorter = body_plan(HINGE, FREE, "motion.duration_s=1.0")
     assert plan.objective == pytest.approx(shorter.objective / longest**3, rel=LONGEST_DURATION)
 
 
-def test_weight_gives_a_motion_a_best_duration(tmp_path):
+def test_weight_gives_a_motion_a_best_duration():
     """A mass m lifted by d under gravity costs m^2 (g^2 T + 12 d^2 / T^3): least at T^4 = 36 d^2 / g^2."""
-    (tmp_path / "lift.xml").write_text(LIFT, encoding="utf-8")
-    (tmp_path / "lift.toml").write_text(RAISE, encoding="utf-8")
-    plan = plan_motion(load_problem(tmp_path / "lift.toml"))
+    plan = plan_motion(Problem.reach(LIFT, start_m={"J": 0.0}, goal_m={"J": 0.3}))
     assert plan.status == "optimal", plan.message
     T = (36 * 0.3**2 / 9.81**2) ** 0.25
     assert plan.trajectory.duration_s == pytest.approx(T, rel=BEST_DURATION)
@@ -222,10 +174,7 @@ def test_a_certified_least_time_refutes_a_later_one_of_the_phase_plane():
     """It takes 1.93482 s. The swings of the phase plane turn back on a grid, and are more than 0.3 % late."""
     fourbar, start, goal, limit = weak_case(4078, 4)
     ends = {"start_deg": {"O": np.degrees(start)}, "goal_deg": {"O": np.degrees(goal)}}
-    motion = {"kind": "reach", **ends, "duration_s": 1.9387}
-    model = {"model": fourbar.mjcf(start, limit=limit)}
-    tables = {"mechanism": model, "motion": motion, "objective": {"minimize": "effort"}}
-    plan = plan_motion(Problem.from_tables("weak", tables))
+    plan = plan_motion(Problem.reach(fourbar.mjcf(start, limit=limit), **ends, duration_s=1.9387))
     assert plan.status == "optimal", plan.message
 
 

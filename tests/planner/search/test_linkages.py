@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from tests.bench.random_linkages import judged
+from tests.bench.random_linkages import drawn_slider, judged
 from tests.support.driven_five_bar import random_five_bar
 from tests.support.linkage_problems import drawn
 from tests.support.mujoco_curves import closed_poses, curves_of_poses
@@ -13,7 +13,7 @@ from tests.support.open_linkages import KINDS, random_linkage
 
 SEED = 1
 # Of each family one, and one of each thing asked; 38's switch times have further to go than its first mesh lets them.
-SAMPLE = (0, 6, 12, 38, 4)
+SAMPLE, SLIDERS = (0, 6, 12, 38, 4), (0, 1, 2, 3, 6)
 # Torques by two routes, relative: rounding through a closed loop.
 TWO_ROUTES = 1e-9
 # Places that MuJoCo's own constraint keeps against the curves', as a share of the motion: what its softness gives way.
@@ -21,9 +21,9 @@ SOFT = 2e-3
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", SAMPLE)
-def test_a_random_linkage_s_answer_is_exact(number):
-    said, error, _ = judged(drawn(SEED, number))
+@pytest.mark.parametrize(("draw", "number"), [*((drawn, k) for k in SAMPLE), *((drawn_slider, k) for k in SLIDERS)])
+def test_a_random_linkage_s_answer_is_exact(draw, number):
+    said, error, _ = judged(draw(SEED, number))
     assert said == "right", f"{error:+.1e} {said}"
 
 

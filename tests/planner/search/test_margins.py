@@ -18,6 +18,7 @@ from linkplan.planner.search.planning import plan_motion, search_for
 from linkplan.planner.search.presolve import ONLY_WAY_SLACK, only_way, sentence_beyond
 from linkplan.planner.search.starts import at_a_distance, may_near_singular
 from tests.bench.contradictions import weak_case
+from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
 from tests.support.fourbar_problems import random_case
 from tests.support.plans import problem_of
 from tests.support.tolerances_planner import PHASE_PLANE_TIME
@@ -26,30 +27,9 @@ from tests.support.tolerances_planner import PHASE_PLANE_TIME
 def weak_reach(number: int, duration_s: float | str = 1.0, minimize: str = "effort", margin: float = 0.0) -> Problem:
     """Return the reach of a weak four-bar, within a margin to singular poses."""
     fourbar, start, goal, limit = weak_case(9001, number)
-    ends = {"start_deg": {"O": float(np.degrees(start))}, "goal_deg": {"O": float(np.degrees(goal))}}
-    tables = {
-        "mechanism": {"model": fourbar.mjcf(start, limit=limit)},
-        "motion": {"kind": "reach", **ends, "duration_s": duration_s},
-        "objective": {"minimize": minimize},
-    }
-    problem = Problem.from_tables("weak", tables)
+    ends = {"start_deg": {"O": np.degrees(start)}, "goal_deg": {"O": np.degrees(goal)}}
+    problem = Problem.reach(fourbar.mjcf(start, limit=limit), **ends, duration_s=duration_s, minimize=minimize)
     return replace(problem, limits=replace(problem.limits, singular_margin=margin))
-
-
-# A pendulum on one joint.
-SERIAL_REACH = {
-    "mechanism": {
-        "model": """<mujoco>
-            <worldbody><body>
-                <joint name="a" axis="0 1 0"/>
-                <geom type="capsule" fromto="0 0 0 0 0 -0.5" size="0.02"/>
-            </body></worldbody>
-            <actuator><motor name="m" joint="a" ctrllimited="true" ctrlrange="-1 1"/></actuator>
-        </mujoco>"""
-    },
-    "motion": {"kind": "reach", "start_deg": {"a": 0.0}, "goal_deg": {"a": 30.0}, "duration_s": 2.0},
-    "objective": {"minimize": "effort"},
-}
 
 
 @pytest.mark.long
@@ -68,7 +48,7 @@ def test_a_distance_is_kept_where_loops_may_come_near_a_singular_pose_and_no_mar
     # A crank that turns fully, and may pass a nearly singular pose; a motion in 0.1 s is too short for it.
     assert may_near_singular(search_for(weak_reach(0, duration_s=2.0)))
     assert not may_near_singular(search_for(weak_reach(0, duration_s=0.1)))
-    without_loops = Problem.from_tables("serial", SERIAL_REACH)
+    without_loops = body_problem(HINGE, QUARTER_TURN + "duration_s = 2.0\n")
     assert search_for(without_loops).quickest is not None
     assert not may_near_singular(search_for(without_loops))
 

@@ -5,6 +5,7 @@ import pytest
 
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.presolve import no_way_to_stop, only_way, plain_contradiction
+from tests.support.bodies import UNIT_ARM
 
 # A mass of 2 kg on a rail, pushed by -4 to 6 N; from 0.5 m/s it stops within m v^2 / (2 F).
 CART = """<mujoco><option gravity="0 0 0"/><worldbody>
@@ -123,14 +124,9 @@ def test_start_and_goal_may_exceed_a_limit_by_rounding_only(bound, refused):
 @pytest.mark.parametrize(("share", "refused"), [(3e-7, False), (3e-6, True)])
 def test_the_only_way_may_exceed_a_limit_by_a_millionth_of_the_extent(share, refused):
     """A tip on a hinge of 1 m, 1 m high in the middle of its way from 70 to 110 degrees."""
-    arm = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="J" axis="0 -1 0"/>
-    <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/><site name="tip" pos="1 0 0"/></body></worldbody>
-    <actuator><motor name="m" joint="J" ctrlrange="-9 9"/></actuator></mujoco>"""
-    motion = {"kind": "reach", "start_deg": {"J": 70.0}, "goal_deg": {"J": 110.0}, "duration_s": 1.0}
-    tables = {"mechanism": {"model": arm}, "motion": motion, "objective": {"minimize": "effort"}}
-    extent = Problem.from_tables("arm", tables).mechanism.extent_m
-    site = {"tip": {"z": [-9.0, 1.0 - share * extent]}}
-    said = plain_contradiction(Problem.from_tables("arm", tables | {"limits": {"site": site}}))
+    way = Problem.reach(UNIT_ARM, start_deg={"J": 70.0}, goal_deg={"J": 110.0}, duration_s=1.0)
+    site = {"tip": {"z": [-9.0, 1.0 - share * way.mechanism.extent_m]}}
+    said = plain_contradiction(way.replace(limits={"site": site}))
     assert (said is not None) is refused
     assert said is None or "where J = 90 deg, between start and goal" in said
 

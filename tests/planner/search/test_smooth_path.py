@@ -92,10 +92,21 @@ def test_it_is_no_answer_if_a_joint_has_no_drive():
     assert not unsolved(load_problem("cart-pole-swing-up")).passed
 
 
-@pytest.mark.parametrize(("name", "carried"), [("five-bar-reach", True), ("cart-pole-swing-up", False)])
-def test_a_path_is_carried_where_the_actuators_give_every_effort_that_it_needs(name, carried):
-    """A pole without a motor does not follow the smooth path, though the cart does."""
-    problem = load_problem(name, [STRONG] if name == "five-bar-reach" else [])
+PUSHING = "limits.effort.pull=[-20, 20]"
+
+
+@pytest.mark.parametrize(
+    ("name", "settings", "carried"),
+    [
+        ("five-bar-reach", [STRONG], True),
+        ("gripper-close", [PUSHING], True),
+        ("gripper-close", [], False),
+        ("cart-pole-swing-up", [], False),
+    ],
+)
+def test_a_path_is_carried_where_the_actuators_give_every_effort_that_it_needs(name, settings, carried):
+    """A pole without a motor does not follow the smooth path, though the cart does; a cable does not push."""
+    problem = load_problem(name, settings)
     search = search_for(problem)
     assert _is_carried(problem, search.smooth) is carried
 

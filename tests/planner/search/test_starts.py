@@ -13,10 +13,12 @@ from linkplan.planner.plan.folder import write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search import starts
-from linkplan.planner.search.planning import SEARCH_METHODS, plan_motion
+from linkplan.planner.search.ladder import FULL_BUDGET
+from linkplan.planner.search.planning import SEARCH_METHODS, plan_motion, search_for
 from linkplan.planner.search.starts import with_switch_times
 from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, PENDULUM, QUARTER_TURN, TURN, body_plan, body_problem
 from tests.support.plans import optimal, planned
+from tests.support.refusals import assert_refused
 from tests.support.tolerances_planner import (
     BEST_START,
     BOUNDARY_DEG,
@@ -52,9 +54,7 @@ def test_several_starts_are_the_same_in_every_run():
 
 # A weak pendulum has two ways up: straight, where the torque is short, or by a swing.
 
-LIGHT_PENDULUM = """<mujoco><option gravity="0 0 -9.81"/><worldbody><body name="arm"><joint name="J" axis="0 1 0"/>
-<inertial pos="0 0 -0.5" mass="1" diaginertia="0.01 0.01 0.01"/></body></worldbody>
-<actuator><motor name="motor" joint="J" ctrlrange="-3 3"/></actuator></mujoco>"""
+LIGHT_ROD = PENDULUM.format(limit=3)
 UP = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 180.0 }\nduration_s = "free"\n'
 
 
@@ -81,9 +81,25 @@ def time_of_one_swing(switch: float) -> float:
     return arc(0, -switch, -u) + arc(-stop, -switch, u) + arc(-stop, brake, u) + arc(np.pi, brake, -u)
 
 
+@pytest.mark.parametrize(
+    ("model", "goal", "asked", "is_begun"),
+    [
+        (LIGHT_ROD, 180.0, {"duration_s": 3.0}, True),
+        (LIGHT_ROD, 180.0, {"minimize": "time"}, False),  # it is looked for itself
+        (HINGE, 90.0, {"duration_s": 1.5}, False),  # it does not swing
+    ],
+)
+def test_least_effort_is_begun_from_a_motion_of_least_time_that_swings(model, goal, asked, is_begun):
+    problem = linkplan.Problem.reach(model, start_deg={"J": 0.0}, goal_deg={"J": goal}, **asked)
+    search = search_for(problem)
+    names = [name for name, _ in starts.of_the_phase_plane(search, FULL_BUDGET)]
+    assert names[-1] == "the phase plane"
+    assert ("the least-time motion" in names) is is_begun
+
+
 @pytest.mark.slow
 def test_a_motor_short_of_gravity_swings_back_once_and_takes_the_least_time_of_that():
-    plan = body_plan(LIGHT_PENDULUM, UP, "objective.minimize=time")
+    plan = body_plan(LIGHT_ROD, UP, "objective.minimize=time")
     assert 1 * 9.81 * 0.5 > 3  # the motor cannot hold the arm level
     assert plan.status == "optimal", plan.message
     motion = plan.trajectory
@@ -93,7 +109,7 @@ def test_a_motor_short_of_gravity_swings_back_once_and_takes_the_least_time_of_t
 
 
 def test_the_history_ends_with_what_was_planned_and_no_step_of_it_is_faster():
-    plan = body_plan(LIGHT_PENDULUM, UP, "objective.minimize=time")
+    plan = body_plan(LIGHT_ROD, UP, "objective.minimize=time")
     assert plan.history[-1].objective == plan.objective
     assert plan.history[-1].integration_error_deg == plan.certificate.integration_error_deg
     first = next(step for step in plan.history if step.converged)
@@ -133,8 +149,7 @@ def test_a_guess_decides_which_of_two_local_optima_is_found():
     """In 4 s the weak pendulum goes up by swings that begin to one side or to the other; the first is the better."""
     fixed = UP.replace('"free"', "4.0")
     plans = [
-        body_plan(LIGHT_PENDULUM, fixed, f"guess.path_deg.J={path}")
-        for path in ([0, -60, -20, 90, 180], [0, -30, 60, -90, 180])
+        body_plan(LIGHT_ROD, fixed, f"guess.path_deg.J={path}") for path in ([0, -60, -20, 90, 180], [0, -30, 60, -90, 180])
     ]
     for plan in plans:
         assert plan.status == "optimal", plan.message
@@ -152,21 +167,14 @@ def test_a_guess_decides_which_of_two_local_optima_is_found():
         (("guess.path_deg.K=[1,2]",), "K"),
         (("guess.path=[1,2]",), "unknown key"),
         (("guess.path_deg.O=[0,10]", "guess.plan=nowhere"), "two guesses"),
-        (("solver.starts=0",), "solver.starts"),
         (("solver.starts=2.5",), "solver.starts"),
-        (("mesh.breaks=[0,0.5]",), "three or more increasing"),
-        (("mesh.breaks=[0,0.5,0.4,1]",), "three or more increasing"),
-        (("mesh.breaks=[0.1,0.5,1]",), "three or more increasing"),
         (("mesh.breaks=[0,0.5,0.5000000000000001,1]",), "at least 1e-09 apart"),
         (("mesh.breaks=[0,0.5,1]", "mesh.intervals=2"), "keep one"),
-        (("mesh.refine=degrees",), "did you mean 'degree'|both, intervals, degree"),
-        (("mesh.tolerance_deg=1e-12",), "mesh.tolerance_deg"),
+        (("mesh.refine=degrees",), "did you mean 'degree'"),
     ],
 )
 def test_a_start_or_mesh_that_cannot_be_is_refused_in_one_line(given, said):
-    with pytest.raises(ProblemError, match=said) as refusal:
-        planned("knee-reach", *given)
-    assert "\n" not in str(refusal.value)
+    assert_refused(lambda: planned("knee-reach", *given), said, kind=ProblemError)
 
 
 # Meshes of one's own, and refinement.
@@ -263,25 +271,14 @@ def test_the_phase_plane_leaves_out_all_limits_but_those_on_effort_range_and_spe
     assert starts.other_limits(load_problem("knee-reach", [setting])) == others
 
 
-PROBLEM = """[mechanism]
-model = "pendulum.xml"
-[motion]
-kind = "reach"
-start_deg = {{ J = 0.0 }}
-goal_deg = {{ J = {goal} }}
-duration_s = "free"
-[objective]
-minimize = "time"
-"""
 WEIGHT = 0.5 * 9.81  # [N.m] of the rod held level
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("limit", [0.7 * WEIGHT, 0.6 * WEIGHT])
-def test_a_pendulum_too_heavy_for_its_motor_swings_back_first(tmp_path, limit):
-    (tmp_path / "pendulum.xml").write_text(PENDULUM.format(limit=limit))
-    (tmp_path / "problem.toml").write_text(PROBLEM.format(goal=120.0))
-    plan = plan_motion(load_problem(tmp_path / "problem.toml"))
+def test_a_pendulum_too_heavy_for_its_motor_swings_back_first(limit):
+    ends = {"start_deg": {"J": 0.0}, "goal_deg": {"J": 120.0}}
+    plan = plan_motion(linkplan.Problem.reach(PENDULUM.format(limit=limit), **ends, minimize="time"))
     turn = np.radians(120.0)
     assert limit * turn < WEIGHT * (1 - np.cos(turn)), "straight there, the motor's work falls short of the weight's"
     assert plan.status == "optimal", plan.message

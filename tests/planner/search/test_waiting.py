@@ -14,7 +14,7 @@ from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import waiting, without_solver
 from linkplan.planner.search.ladder import FULL_BUDGET, Search
 from linkplan.planner.search.planning import plan_motion, search_for
-from tests.support.bodies import PENDULUM, body_problem
+from tests.support.bodies import PENDULUM, body_problem, cart
 from tests.support.motions import motion_along
 
 DURATION_S = 0.8
@@ -84,20 +84,14 @@ def test_a_pose_is_held_only_by_an_effort_within_its_limit(share, can_wait):
     assert waiting.may_wait(search_for(problem)) is can_wait
 
 
-CART = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0"/>
-<inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody>
-<actuator><motor name="push" joint="x" ctrlrange="-6 6"/></actuator></mujoco>"""
-
-
-def cart(minimize: str, duration: float | str) -> Problem:
+def pushed(minimize: str, duration: float | str) -> Problem:
     """Return the problem of pushing two kilograms a metre on."""
-    motion = {"kind": "reach", "start_m": {"x": 0.0}, "goal_m": {"x": 1.0}, "duration_s": duration}
-    return Problem.from_tables("cart", {"mechanism": {"model": CART}, "motion": motion, "objective": {"minimize": minimize}})
+    return Problem.reach(cart(), start_m={"x": 0.0}, goal_m={"x": 1.0}, duration_s=duration, minimize=minimize)
 
 
 def test_of_the_known_motions_the_one_that_costs_least_with_its_rest_is_taken():
-    quick, slow = plan_motion(cart("time", "free")), plan_motion(cart("effort", 1.5))
-    asked = cart("effort", 2.5)
+    quick, slow = plan_motion(pushed("time", "free")), plan_motion(pushed("effort", 1.5))
+    asked = pushed("effort", 2.5)
     search = search_for(asked)
     for plan in (quick, slow):
         search.known.add(plan.trajectory)
@@ -112,8 +106,8 @@ def test_of_the_known_motions_the_one_that_costs_least_with_its_rest_is_taken():
 def test_the_way_to_a_rest_beside_the_quickest_motion_is_gone_only_if_there_is_time_for_it(factor):
     """From rest to rest over a metre with 3 m/s2 either way: 2 sqrt(1 / 3) s."""
     least = 2.0 * np.sqrt(1.0 / 3.0)
-    quick = plan_motion(cart("time", "free"))
-    asked = cart("effort", factor * quick.trajectory.duration_s)
+    quick = plan_motion(pushed("time", "free"))
+    asked = pushed("effort", factor * quick.trajectory.duration_s)
     plan = waiting.from_waiting(search_for(asked), FULL_BUDGET)
     assert quick.trajectory.duration_s == pytest.approx(least, rel=1e-6)
     if factor == 1.0:
@@ -141,6 +135,16 @@ def test_a_rest_is_joined_to_a_motion_as_constants(first):
     assert (joined.velocity_at(at)[0, 0], joined.effort_at(at)[0, 0]) == (0.0, 3.0)
     for name in ("position_at", "velocity_at", "effort_at"):
         np.testing.assert_allclose(getattr(joined, name)(moves), getattr(motion, name)(np.array([0.1, 0.9])))
+
+
+def test_the_cheapest_legs_of_a_swing_up_follow_a_rest_that_costs_nothing():
+    problem = Problem.reach(PENDULUM.format(limit=6), start_deg={"J": 0.0}, goal_deg={"J": 90.0}, duration_s=6.0)
+    plan = without_solver.legs_plan(search_for(problem))
+    assert plan.passed, plan.message
+    assert plan.trajectory.duration_s == pytest.approx(6.0, rel=1e-12)
+    hanging = np.linspace(0.0, 4.0, 41)
+    assert np.abs(plan.trajectory.position_at(hanging)).max() == 0.0
+    assert np.abs(plan.trajectory.effort_at(hanging)).max() < 1e-12
 
 
 @pytest.mark.parametrize(("sign", "limit", "held"), [(1, 2.46, True), (1, 2.44, False), (-1, 2.46, True), (-1, 2.44, False)])

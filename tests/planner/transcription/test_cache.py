@@ -11,14 +11,7 @@ import numpy as np
 import pytest
 
 from linkplan.models.compiled import functions as module
-from linkplan.models.compiled.cache import (
-    cache_folder,
-    evict,
-    find_entry,
-    keep_entry,
-    mark_used,
-    trusted_folder,
-)
+from linkplan.models.compiled.cache import cache_folder, evict, find_entry, keep_entry, mark_used, trusted_folder
 from linkplan.models.compiled.functions import cached, compiled, compiler
 from linkplan.models.deadline import Deadline
 from linkplan.models.mechanism import load_mechanism

@@ -1,19 +1,15 @@
 """Transcriptions: exactness on polynomials, known tableaux, guarded constants, and the order that each one claims."""
 
 from dataclasses import fields, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.polynomial import Polynomial
 
 from linkplan.models.errors import ProblemError
-from linkplan.planner.plan.plan import Plan
-from linkplan.planner.problem.problem import load_problem
-from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.transcription.bernstein import bernstein_matrix
 from linkplan.planner.transcription.schemes import MAX_DEGREE, NAMES, Scheme, scheme
-from tests.support.bodies import HINGE, HINGE_INERTIA, TURN
+from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_plan
 from tests.support.tolerances_planner import EFFORT_JUMP, EXACT_EFFORT, UNIT, UNIT_VALUES
 
 FIRST_ORDER = ("trapezoid", "hermite-simpson")
@@ -92,25 +88,18 @@ def test_an_unknown_scheme_is_refused_with_the_legal_names(name):
 # A single body: its optimum has a closed form.
 
 
-TURN_MOTION = "start_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\n"
-
-
-def plan_body(folder: Path, mjcf: str, motion: str, *overrides: str) -> Plan:
-    (folder / "model.xml").write_text(mjcf, encoding="utf-8")
-    path = folder / "problem.toml"
-    path.write_text(f'[mechanism]\nmodel = "model.xml"\n[motion]\nkind = "reach"\n{motion}', encoding="utf-8")
-    return plan_motion(load_problem(path, overrides)).require()
+TURN_MOTION = QUARTER_TURN + "duration_s = 1.5\n"
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in NAMES if name not in ("radau-1", "gauss-1", "trapezoid")])
-def test_a_pure_inertia_is_turned_with_twelve_inertia_squared_angle_squared_over_time_cubed(name, tmp_path):
-    plan = plan_body(tmp_path, HINGE, TURN_MOTION + "duration_s = 1.5", f"mesh.scheme={name}", "mesh.intervals=4")
+def test_a_pure_inertia_is_turned_with_twelve_inertia_squared_angle_squared_over_time_cubed(name):
+    plan = body_plan(HINGE, TURN_MOTION, f"mesh.scheme={name}", "mesh.intervals=4").require()
     assert plan.objective == pytest.approx(12 * HINGE_INERTIA**2 * TURN**2 / 1.5**3, rel=EXACT_EFFORT)
 
 
-def test_the_least_effort_of_a_pure_inertia_is_a_straight_line(tmp_path):
-    plan = plan_body(tmp_path, HINGE, TURN_MOTION + "duration_s = 1.5")
+def test_the_least_effort_of_a_pure_inertia_is_a_straight_line():
+    plan = body_plan(HINGE, TURN_MOTION).require()
     time = np.linspace(0, 1.5, 301)[:-1]
     line = 6 * HINGE_INERTIA * TURN / 1.5**2 * (1 - 2 * time / 1.5)
     np.testing.assert_allclose(plan.trajectory.effort_at(time)[:, 0], line, atol=EFFORT_JUMP)

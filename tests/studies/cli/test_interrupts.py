@@ -11,15 +11,13 @@ import matplotlib
 import pytest
 
 from linkplan.models.deadline import ended_by
-from linkplan.models.errors import LinkplanError
 from linkplan.planner.plan.folder import read_plan
 from linkplan.planner.plan.plan import Plan
-from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.problem.problem import Problem
 from linkplan.studies.cli import commands, exit_codes
 from linkplan.studies.cli import main as program
 from linkplan.studies.output.figure import page
 from tests.support.plans import optimal
-from tests.support.refusals import refusal
 
 pytestmark = [
     pytest.mark.skipif(os.name != "posix", reason="signals are sent as POSIX has them"),
@@ -157,18 +155,6 @@ def test_what_cannot_be_read_is_not_said_to_be_unwritable(monkeypatch, capsys):
     monkeypatch.setattr("linkplan.studies.cli.commands.run_list", fails)
     assert program.main(["list"]) == 2
     assert capsys.readouterr().err == "linkplan list: 'planned/plan.json' cannot be read or written: Permission denied\n"
-
-
-def test_a_setting_of_further_lines_is_refused():
-    for text in ("motion.duration_s=0.2\nmotion.kind=1", "motion.duration_s=0.2 # x\n[solver]"):
-        refusal(lambda text=text: load_problem("knee-reach", [text]), LinkplanError)
-
-
-def test_more_waypoints_than_a_mesh_has_room_for_are_counted_and_refused():
-    point = "{ at_deg = { O = 1.0 } }"
-    message = refusal(lambda: load_problem("knee-reach", [f"motion.waypoints=[{', '.join([point] * 1001)}]"]), LinkplanError)
-    assert "at most 1000" in message
-    assert "1001" in message
 
 
 @pytest.mark.parametrize("text", ["abc", "", "1e5", "9" * 20])

@@ -26,18 +26,6 @@ MOTION = {
     "objective": {"minimize": "effort"},
     "tracking": {"period_s": 0.001},
 }
-# Far too fast for its period.
-MOTION_TEXT = """[motion]
-kind = "reach"
-start_deg = { a = 0, b = 0 }
-goal_deg = { a = 30, b = 20 }
-duration_s = 0.5
-[objective]
-minimize = "effort"
-[tracking]
-bandwidth_hz = 50
-period_s = 0.03
-"""
 GAINS = [1e9, 1e100, 1e200, 1e308]
 
 
@@ -88,8 +76,9 @@ def test_a_mean_of_values_beyond_all_squares_has_no_bounds():
 
 
 def test_a_feedback_loop_that_diverges_is_said_to_be_unstable_and_nothing_else_is_said(tmp_path, monkeypatch, capfd):
-    (tmp_path / "arm.xml").write_text(ARM)
-    (tmp_path / "arm.toml").write_text('[mechanism]\nmodel = "arm.xml"\n' + MOTION_TEXT)
+    too_fast = {"bandwidth_hz": 50, "period_s": 0.03}
+    problem = Problem.from_tables("arm", {"mechanism": {"model": ARM}, **MOTION, "tracking": too_fast})
+    (tmp_path / "arm.toml").write_text(problem.to_toml())
     monkeypatch.chdir(tmp_path)
     assert main(["bode", "arm.toml", "--tracker", "pd"]) == 1
     out, err = capfd.readouterr()

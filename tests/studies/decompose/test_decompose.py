@@ -348,17 +348,3 @@ def test_python_has_the_same_study(plan, tmp_path):
     assert "sampling and delay" in str(found)
     found.plot(tmp_path / "parts.png")
     assert (tmp_path / "parts.png").is_file()
-
-
-@pytest.mark.parametrize(
-    ("asked", "said"),
-    [
-        ({"trackers": "pd"}, "a list of names"),
-        ({"imperfections": {"dealy_periods": 1}}, "did you mean 'delay_periods'"),
-        ({"samples": 1.5}, "samples is a whole number"),
-        ({"seed": -1}, "seed is a whole number"),
-    ],
-)
-def test_what_makes_no_sense_is_refused(plan, asked, said):
-    with pytest.raises(linkplan.LinkplanError, match=said):
-        linkplan.decompose(plan, **asked)

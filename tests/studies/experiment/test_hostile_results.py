@@ -97,20 +97,6 @@ def test_rows_beyond_those_asked_for_are_refused_before_a_column_is_decoded(fold
         saved_outcome(folder)
 
 
-@pytest.mark.parametrize(
-    ("how", "words"),
-    [
-        ({"compression": "zstd"}, "encoded by ZSTD"),
-        ({"compression": "gzip"}, "encoded by GZIP"),
-        ({"use_dictionary": False, "column_encoding": {"failure": "DELTA_BYTE_ARRAY"}}, "encoded by DELTA_BYTE_ARRAY"),
-    ],
-)
-def test_encodings_that_expand_without_a_stated_bound_are_refused(how, words, folder):
-    parquet.write_table(parquet.read_table(folder / RESULTS), folder / RESULTS, **how)
-    with pytest.raises(PlanFileError, match=words):
-        saved_outcome(folder)
-
-
 def test_texts_larger_than_rows_may_be_are_refused(folder):
     table = column("failure", lambda values: ["x" * 5_000_000 for _ in values])(parquet.read_table(folder / RESULTS))
     parquet.write_table(table, folder / RESULTS)

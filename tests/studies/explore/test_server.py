@@ -127,22 +127,15 @@ def test_a_body_of_another_form_gets_a_line_and_code_400(body, server, told, cap
     assert capfd.readouterr().err == ""
 
 
+NO_DURATIONS = ("x", None, [1], {}, float("nan"), float("inf"), True, 10**400)
+
+
 @pytest.mark.parametrize(
     "asked",
     [
-        {"values": {"duration_s": "x"}},
-        {"values": {"duration_s": None}},
-        {"values": {"duration_s": [1]}},
-        {"values": {"duration_s": {}}},
-        {"values": {"duration_s": float("nan")}},
-        {"values": {"duration_s": float("inf")}},
-        {"values": {"duration_s": True}},
-        {"values": {"duration_s": 10**400}},
-        {"values": {"unknown": 1}},
-        {"values": {"": 1}},
-        {"objective": "unknown"},
-        {"objective": ""},
-        {"objective": "\ud800"},
+        *({"values": {"duration_s": value}} for value in NO_DURATIONS),
+        *({"values": {name: 1}} for name in ("unknown", "")),
+        *({"objective": name} for name in ("unknown", "", "\ud800")),
     ],
 )
 def test_values_that_make_no_problem_are_refused_in_one_line(asked, server, told, capfd):

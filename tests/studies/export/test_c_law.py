@@ -15,7 +15,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.plan.plan import Plan
-from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.cli.main import main
 from linkplan.studies.compare.compare import build_tracker, track, tracking_reference
@@ -158,27 +158,11 @@ def test_the_law_in_c_repeats_a_periodic_motion_from_the_rows_of_one_period(trac
         assert np.abs(efforts_in_c(tables, folder, t, s, v)[0] - wanted).max() < 1e-9 * np.abs(wanted).max()
 
 
-TURN = """
-[mechanism]
-model = "slider-crank"
-[motion]
-kind = "periodic"
-turns = { O = 1 }
-duration_s = 0.5
-[objective]
-minimize = { effort = 1 }
-[tracking]
-period_s = 1e-3
-kp = 1.0
-kd = 0.1
-"""
-
-
 @needs_gcc
 @pytest.mark.parametrize("period_s", [1e-3, 0.7e-3])
 def test_a_crank_that_turns_on_is_a_turn_further_in_each_period(period_s, tmp_path):
-    (tmp_path / "turn.toml").write_text(TURN)
-    plan = plan_motion(load_problem(tmp_path / "turn.toml", [f"tracking.period_s={period_s}", "tracking.duration_s=1.6"]))
+    tracking = {"period_s": period_s, "duration_s": 1.6, "kp": 1.0, "kd": 0.1}
+    plan = plan_motion(Problem.periodic("slider-crank", turns={"O": 1}, duration_s=0.5, tracking=tracking))
     tables = law_tables(plan, "pd+ff")
     write_law(tables, tmp_path, "a plan", compiled=False)
     reference = tracking_reference(plan)

@@ -105,14 +105,8 @@ def test_a_drive_that_cannot_hold_its_weight_gets_twice_what_holds_it(tmp_path, 
     weak, _ = changed_mechanism({"model": ARM.format(effort=1.0)})
     raised = raised_limits(weak)
     np.testing.assert_allclose(raised["drive"], [-2 * WEIGHT_N_M, 2 * WEIGHT_N_M], rtol=0.01)
-    problem = Problem.from_tables(
-        "lift",
-        {
-            "mechanism": {"model": ARM.format(effort=1.0)},
-            "motion": {"kind": "reach", "start_deg": {"arm": 0.0}, "goal_deg": {"arm": 1.0}, "duration_s": 1.0},
-            "limits": {"effort": raised},
-        },
-    )
+    ends = {"start_deg": {"arm": 0.0}, "goal_deg": {"arm": 1.0}}
+    problem = Problem.reach(ARM.format(effort=1.0), **ends, duration_s=1.0, limits={"effort": raised})
     still = np.zeros((1, 1))
     hold = needed_effort(problem.mechanism, problem.mechanism.home[None], still, still)[0]
     assert np.all(hold > problem.limits.effort[:, 0])

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from linkplan.planner.problem.problem import Problem
 from linkplan.studies.cli.main import main
 from linkplan.studies.output.document import Facts, Table, Text, table_of
 from linkplan.studies.output.terminal import drawn
@@ -115,12 +116,9 @@ def folder(tmp_path_factory):
     )
     option = '<option gravity="0 0 0" timestep="0.002"/>'
     carts = f"<mujoco>{option}<worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>"
-    (place / "carts.xml").write_text(carts)
-    start, goal = (", ".join(f"x{k} = {value}" for k in range(CARTS)) for value in (0.0, 0.1))
-    (place / "carts.toml").write_text(
-        '[mechanism]\nmodel = "carts.xml"\n[motion]\nkind = "reach"\nduration_s = 0.5\n'
-        f"start_m = {{ {start} }}\ngoal_m = {{ {goal} }}\n[objective]\nminimize = 'effort'\n"
-    )
+    start, goal = ({f"x{k}": value for k in range(CARTS)} for value in (0.0, 0.1))
+    problem = Problem.reach(carts, start_m=start, goal_m=goal, duration_s=0.5)
+    (place / "carts.toml").write_text(problem.to_toml())
     assert main(["plan", str(place / "carts.toml"), "-o", str(place / "plan")]) == 0
     return place / "plan"
 

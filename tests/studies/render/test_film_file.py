@@ -22,6 +22,7 @@ from linkplan.studies.render.settings import RenderSettings
 from linkplan.studies.render.shapes import GHOST, load_colour
 from tests.support.linkages import RSSR
 from tests.support.pictures import PERIOD_S, waved
+from tests.support.refusals import assert_refused
 
 WIDTH, HEIGHT, MANY = 96, 64, 30
 
@@ -186,9 +187,7 @@ def test_a_camera_is_a_name_or_two_angles():
 
 @pytest.mark.parametrize(("text", "words"), [("sid", ["did you mean 'side'"]), ("30", ["30"]), ("0/120", ["-90 to 90"])])
 def test_what_is_no_camera_is_refused_with_those_there_are(text, words):
-    with pytest.raises(ProblemError) as refusal:
-        camera_from(text, load_mechanism("optimus-knee"))
-    assert all(word in str(refusal.value) for word in words)
+    assert_refused(lambda: camera_from(text, load_mechanism("optimus-knee")), *words, kind=ProblemError)
 
 
 def test_a_films_frames_are_evenly_spaced_from_the_beginning_to_the_end():

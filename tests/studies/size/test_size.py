@@ -10,6 +10,7 @@ import scipy
 import linkplan
 from linkplan.studies.variations.size.candidates import motors_from, read_motors, with_motor
 from tests.support.bodies import HINGE, HINGE_INERTIA, TURN
+from tests.support.refusals import assert_refused
 from tests.support.slider_crank import inertia, potential
 from tests.support.tolerances_planner import SAME_FIGURE
 
@@ -167,9 +168,7 @@ def test_lists_that_cannot_be_are_refused_in_one_line_before_planning(ask, tmp_p
 )
 def test_rows_that_cannot_be_are_refused(tmp_path, text, said):
     (tmp_path / "motors.csv").write_text(text)
-    with pytest.raises(linkplan.LinkplanError) as error:
-        linkplan.size("knee-reach", tmp_path / "motors.csv")
-    assert said in str(error.value)
+    assert_refused(lambda: linkplan.size("knee-reach", tmp_path / "motors.csv"), said)
 
 
 def test_missing_files_servos_and_wrong_subjects_are_refused(tmp_path):
