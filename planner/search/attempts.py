@@ -23,7 +23,7 @@ from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.state import OPTIMAL_CHANGE, REPORTED_CHANGE, Refined
 from linkplan.planner.search.finer_meshes import refine_several
-from linkplan.planner.search.ladder import Budget, Search
+from linkplan.planner.search.methods import Budget, Search
 from linkplan.planner.search.solving import (
     GRID_ERROR_FACTOR,
     INTERVALS_PER_SWING,

@@ -25,7 +25,7 @@ from linkplan.planner.refinement.case import Iterate, attempt, share_gained
 from linkplan.planner.refinement.history import progress
 from linkplan.planner.search.attempts import certified, objective_of, of_several, only_feasible, without_solving
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, LAST_MARGIN, at_a_distance, is_sound
-from linkplan.planner.search.ladder import Budget, Search
+from linkplan.planner.search.methods import Budget, Search
 from linkplan.planner.search.solving import first_mesh, with_longer_durations
 from linkplan.planner.search.starts import no_time, of_the_phase_plane
 from linkplan.planner.search.without_solver import slower

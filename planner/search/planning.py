@@ -22,7 +22,7 @@ from linkplan.planner.refinement.history import Say, progress, recorded, recordi
 from linkplan.planner.refinement.state import REPORTED_CHANGE
 from linkplan.planner.search import attempts, reasons, starts, waiting, without_solver
 from linkplan.planner.search.attempts import of_several
-from linkplan.planner.search.ladder import FULL_BUDGET, SHORT_BUDGET, Budget, Repair, Search, SearchMethod, run_search
+from linkplan.planner.search.methods import FULL_BUDGET, SHORT_BUDGET, Budget, Repair, Search, SearchMethod, run_search
 from linkplan.planner.search.multistart import from_several_starts
 from linkplan.planner.search.site_path import plan_along_path
 from linkplan.planner.search.solving import longest

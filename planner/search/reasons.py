@@ -19,8 +19,8 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.extra import extras_not_finite
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import add_step, progress, recorded, step_of
-from linkplan.planner.search.ladder import SHORT_BUDGET, Search
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts
+from linkplan.planner.search.methods import SHORT_BUDGET, Search
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.search.solving import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, first_mesh, longest, may_swing, solve_from
 from linkplan.planner.search.starts import enough_time, least_time_plan, no_time, shortest_motion

@@ -24,7 +24,7 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recording
 from linkplan.planner.search.attempts import only_feasible, plan_from, without_solving
-from linkplan.planner.search.ladder import FULL_BUDGET, SHORT_BUDGET, Budget, Search, run_search
+from linkplan.planner.search.methods import FULL_BUDGET, SHORT_BUDGET, Budget, Search, run_search
 from linkplan.planner.search.presolve import only_way
 from linkplan.planner.search.solving import (
     GRID_ERROR_FACTOR,

@@ -13,7 +13,7 @@ from linkplan.planner.closed_chain.guess import guess_from, stretched
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import MIN_INTERVAL_SHARE
 from linkplan.planner.search.attempts import certified, without_solving
-from linkplan.planner.search.ladder import Budget, Search
+from linkplan.planner.search.methods import Budget, Search
 from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import shortest_motion
 from linkplan.planner.search.without_solver import held, joined

@@ -26,7 +26,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress
 from linkplan.planner.search.attempts import without_solving
 from linkplan.planner.search.finer_meshes import is_sound
-from linkplan.planner.search.ladder import Budget, Search
+from linkplan.planner.search.methods import Budget, Search
 from linkplan.planner.search.solving import first_mesh, longest
 from linkplan.planner.solvers.solve import OUT_OF_TIME
 from linkplan.planner.trajectory import Trajectory

@@ -17,7 +17,7 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say
-from linkplan.planner.search.ladder import SHORT_BUDGET, SearchMethod
+from linkplan.planner.search.methods import SHORT_BUDGET, SearchMethod
 from linkplan.planner.search.planning import DIAGNOSES, SEARCH_METHODS, plan_motion
 from linkplan.planner.search.reasons import nothing_found, solver_stopped
 from linkplan.planner.search.starts import from_first_starts

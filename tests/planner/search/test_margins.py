@@ -12,8 +12,8 @@ from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.attempts import plan_from
-from linkplan.planner.search.ladder import FULL_BUDGET, Search, SearchMethod
 from linkplan.planner.search.least_limit import least_limit_of_starts
+from linkplan.planner.search.methods import FULL_BUDGET, Search, SearchMethod
 from linkplan.planner.search.planning import plan_motion, search_for
 from linkplan.planner.search.presolve import ONLY_WAY_SLACK, only_way, sentence_beyond
 from linkplan.planner.search.starts import at_a_distance, may_near_singular

@@ -9,7 +9,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem, load_problem
-from linkplan.planner.search.ladder import SHORT_BUDGET, SearchMethod
+from linkplan.planner.search.methods import SHORT_BUDGET, SearchMethod
 from linkplan.planner.search.planning import plan_motion, search_for
 from linkplan.planner.search.reasons import nothing_found
 from linkplan.planner.search.solving import INTERVALS_PER_SWING, first_mesh, graded_mesh

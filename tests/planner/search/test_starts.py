@@ -13,7 +13,7 @@ from linkplan.planner.plan.folder import write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search import starts
-from linkplan.planner.search.ladder import FULL_BUDGET
+from linkplan.planner.search.methods import FULL_BUDGET
 from linkplan.planner.search.planning import SEARCH_METHODS, plan_motion, search_for
 from linkplan.planner.search.starts import with_switch_times
 from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, PENDULUM, QUARTER_TURN, TURN, body_plan, body_problem

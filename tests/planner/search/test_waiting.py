@@ -12,7 +12,7 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import waiting, without_solver
-from linkplan.planner.search.ladder import FULL_BUDGET, Search
+from linkplan.planner.search.methods import FULL_BUDGET, Search
 from linkplan.planner.search.planning import plan_motion, search_for
 from tests.support.bodies import PENDULUM, body_problem, cart
 from tests.support.motions import motion_along

@@ -1,4 +1,4 @@
-"""The ladder of attempts: methods in order, each where its condition holds and within its budget."""
+"""The methods of a search: in order, each where its condition holds and within its budget."""
 
 from dataclasses import replace
 
@@ -16,7 +16,7 @@ from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import attempts, least_limit
-from linkplan.planner.search.ladder import FULL_BUDGET, Budget, Search, SearchMethod, run_search
+from linkplan.planner.search.methods import FULL_BUDGET, Budget, Search, SearchMethod, run_search
 from linkplan.planner.search.planning import DIAGNOSES, SEARCH_METHODS, plan_motion, search_for
 from linkplan.planner.search.replan import Replanner
 from linkplan.planner.search.solving import first_mesh
@@ -59,7 +59,7 @@ def test_progress_after_a_plan_that_passes_ends_in_its_objective():
     assert float(told[1].rpartition("; best certified ")[2]) == pytest.approx(plan.objective, rel=1e-5)
 
 
-def test_rungs_are_tried_in_order_and_only_where_their_conditions_hold():
+def test_methods_are_tried_in_order_and_only_where_their_conditions_hold():
     called = []
     methods = [noting("first", called), noting("never", called, tried=lambda search: search.solved), noting("last", called)]
     assert run_search(timed_search(load_problem("knee-reach"), methods)) is None
@@ -207,7 +207,7 @@ def test_wherever_the_time_ends_there_is_a_plan_that_says_so(name, overrides, lo
     assert clock.reads < 3 * looks + 300
 
 
-def test_a_certified_motion_is_kept_when_a_later_rung_runs_out_of_time():
+def test_a_certified_motion_is_kept_when_a_later_method_runs_out_of_time():
     found = plan_motion(load_problem("knee-reach"))
 
     def late(*_):
