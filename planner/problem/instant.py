@@ -197,7 +197,7 @@ class Scales:
 
     def vector(self) -> np.ndarray:
         """Return the scales as parameters of a node."""
-        units = [self.length_m, self.power, self.force]
+        units = [self.length_m, self.power]
         return np.concatenate([[self.time_s], self.position, self.effort, self.residual, units])
 
 
@@ -224,8 +224,7 @@ class Instant:
         payload: numbers (7,) of the payload; empty without a payload.
         forces: those over time (3 n_sites,) [N] in the world; empty without any.
         call: calls the reduced dynamics' functions by name.
-        units: the program's units by name: time, position, effort, residual, length, power, force.
-        rates: rates (n_q,) of all joints if they are unknowns of the program; otherwise they follow from the loops.
+        units: the program's units by name: time, position, effort, residual, length, power.
         reference: independent positions (n_s,) that are tracked.
         effort_rate, jerk: u' (n_u,) and a' (n_s,), if they are known.
         losses: copper loss per squared effort (n_u,) of the motors.
@@ -241,7 +240,6 @@ class Instant:
     forces: ca.SX
     call: Callable[..., ca.SX]
     units: Mapping[str, ca.SX] = field(default_factory=dict)
-    rates: ca.SX | None = None
     reference: ca.SX | None = None
     effort_rate: Any = None
     jerk: Any = None
@@ -252,7 +250,7 @@ class Instant:
     @cached_property
     def joint_rates(self) -> ca.SX:
         """The rates (n_q,) of all joints."""
-        return self.call("velocity_map", self.q) @ self.v if self.rates is None else self.rates
+        return self.call("velocity_map", self.q) @ self.v
 
     @cached_property
     def joint_accelerations(self) -> ca.SX:
@@ -288,9 +286,7 @@ class Instant:
     @cached_property
     def actuator_speeds(self) -> ca.SX:
         """The actuators' speeds (n_u,)."""
-        if self.rates is None:
-            return self.of_pose("effort_map").T @ self.v
-        return self.call("effort_matrix", self.q).T @ self.rates
+        return self.of_pose("effort_map").T @ self.v
 
     @cached_property
     def closure_force(self) -> ca.SX:
