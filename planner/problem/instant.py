@@ -197,7 +197,7 @@ class Scales:
 
     def vector(self) -> np.ndarray:
         """Return the scales as parameters of a node."""
-        units = [self.length_m, self.power]
+        units = [self.length_m, self.power, self.force]
         return np.concatenate([[self.time_s], self.position, self.effort, self.residual, units])
 
 
@@ -224,7 +224,8 @@ class Instant:
         payload: numbers (7,) of the payload; empty without a payload.
         forces: those over time (3 n_sites,) [N] in the world; empty without any.
         call: calls the reduced dynamics' functions by name.
-        units: the program's units by name: time, position, effort, residual, length, power.
+        units: the program's units by name: time, position, effort, residual, length, power, force.
+        rates: rates (n_q,) of all joints if they are unknowns of the program; otherwise they follow from the loops.
         reference: independent positions (n_s,) that are tracked.
         effort_rate, jerk: u' (n_u,) and a' (n_s,), if they are known.
         losses: copper loss per squared effort (n_u,) of the motors.
@@ -240,6 +241,7 @@ class Instant:
     forces: ca.SX
     call: Callable[..., ca.SX]
     units: Mapping[str, ca.SX] = field(default_factory=dict)
+    rates: ca.SX | None = None
     reference: ca.SX | None = None
     effort_rate: Any = None
     jerk: Any = None
@@ -250,7 +252,7 @@ class Instant:
     @cached_property
     def joint_rates(self) -> ca.SX:
         """The rates (n_q,) of all joints."""
-        return self.call("velocity_map", self.q) @ self.v
+        return self.call("velocity_map", self.q) @ self.v if self.rates is None else self.rates
 
     @cached_property
     def joint_accelerations(self) -> ca.SX:
@@ -286,7 +288,9 @@ class Instant:
     @cached_property
     def actuator_speeds(self) -> ca.SX:
         """The actuators' speeds (n_u,)."""
-        return self.of_pose("effort_map").T @ self.v
+        if self.rates is None:
+            return self.of_pose("effort_map").T @ self.v
+        return self.call("effort_matrix", self.q).T @ self.rates
 
     @cached_property
     def closure_force(self) -> ca.SX:

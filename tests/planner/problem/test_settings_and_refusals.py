@@ -151,7 +151,7 @@ def test_the_units_of_power_and_force_are_the_largest_of_their_parts():
     )
     assert scales.power == pytest.approx(2.0 * 3.0 / 0.5)
     assert scales.force == pytest.approx(8.0 / 0.25)
-    assert scales.vector() == pytest.approx([0.5, 2.0, 0.1, 7.0, 3.0, 8.0, 0.25, 12.0])
+    assert scales.vector() == pytest.approx([0.5, 2.0, 0.1, 7.0, 3.0, 8.0, 0.25, 12.0, 32.0])
 
 
 @pytest.mark.parametrize(

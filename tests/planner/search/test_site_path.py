@@ -14,6 +14,7 @@ from linkplan.models.poses.along import accelerations, joint_rates, site_motion
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.closed_chain.mechanics import is_lifted
 from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.prove import prove
@@ -335,12 +336,14 @@ def test_a_motion_with_time_to_spare_stays_between_the_ends_of_its_path():
     assert plan.status == "optimal"
 
 
-def test_a_path_does_not_push_a_mechanism():
+def test_a_path_does_not_push_a_mechanism_whose_program_is_lifted():
     mechanism = load_mechanism(delta().text)
     site = mechanism.model.site("at_0").id
     place = places_of(mechanism, site, mechanism.home)[0]
     curve = curve_through([place, place + np.array([0.05, 0.03, -0.02])], "polyline", 0.0, "path")
     guide = guided(mechanism, site, curve, mechanism.home)
+    assert is_lifted(mechanism)
+    assert not is_lifted(guide)  # its multipliers would include forces of the path
     # The residual is that of the free mechanism, along the same velocity and acceleration.
     v, a, u = np.array([0.3]), np.array([-2.0]), np.array([1.0, -2.0, 3.0])
     free = mechanism.independent
