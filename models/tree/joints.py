@@ -156,7 +156,12 @@ def _free_range(name: str, label: str, model: mujoco.MjModel, index: int) -> tup
 
 
 def shown_by_unit(joints: Iterable[Joint], values: Iterable) -> dict[str, dict[str, Any]]:
-    """Return values of joints [rad or m], numbers or arrays, by name: those of hinges in "deg", those of slides in "m"."""
+    """Return joints' values by unit and by name, in that unit: "deg" for hinges, "m" for slides.
+
+    Args:
+        joints: hinges and slides.
+        values: a number or an array of each [rad or m].
+    """
     found: dict[str, dict[str, Any]] = {"deg": {}, "m": {}}
     for joint, value in zip(joints, values, strict=True):
         shown = np.degrees(value) if joint.kind == "hinge" else value

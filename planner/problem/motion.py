@@ -293,7 +293,7 @@ def _check_turns(mechanism: Mechanism, motion: Motion, start_pose: np.ndarray, d
 
 
 def _check_efforts(mechanism: Mechanism, names: str, pose: np.ndarray, gone: np.ndarray) -> None:
-    """Refuse springs and servos' ranges for which the next turn is another than the last."""
+    """Refuse turns that wind up a spring, or need a servo's ctrl to go on beyond its range."""
     still = np.zeros(mechanism.n_q)
     before, after = (np.array(mechanism.dynamics.passive(q, still)).ravel() for q in (pose, pose + gone))
     if np.abs(after - before).max() > ROUNDING_SHARE * np.abs(before).max(initial=1.0):

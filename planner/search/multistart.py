@@ -1,10 +1,10 @@
 """Multistart: cheap first solves from several starts, the best few refined, every certified motion a bound.
 
 Several local optima exist, and no start leads to the best of them for certain. A problem may ask for a number of starts.
-Motions of several motors always have several: until the best objective was found twice (Boender & Rinnooy Kan, Mathematical
-Programming 37, 1987, have such stopping rules). Their first solves take tens of iterations once three things hold: iterates
-keep a distance from singular poses, a small weight on efforts breaks the ties of joints with time to spare, and the barrier
-of every other one of a free duration follows the iterates.
+With several motors, starts are tried until the best objective was found twice (Boender & Rinnooy Kan, Mathematical
+Programming 37, 1987, have such stopping rules). Their first solves take tens of iterations under three conditions: iterates
+keep a distance from singular poses; a small weight on efforts breaks the ties of joints with time to spare; and, where the
+duration is free, the barrier of every other solve follows the iterates.
 """
 
 import contextlib
@@ -132,7 +132,7 @@ def _in_more_time(problem: Problem, first: _First) -> Plan | None:
 def _first_solutions(search: Search, budget: Budget) -> tuple[int, list[_First]]:
     """Return the number of starts that were tried, and their solutions.
 
-    As many are tried as the problem asks for. Where it asks for none, they end once the best motion was found twice.
+    If the problem asks for more than one, so many are tried. Otherwise they end once the best motion was found twice.
     """
     problem, wanted = search.within(budget), search.problem.solver.starts
     case, several, most = _first_case(problem, search.start_pose), of_several(problem), max(wanted, _MOST_STARTS)
@@ -196,7 +196,7 @@ def _alike(one: float, other: float) -> bool:
 
 
 def _starts(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
-    """Yield starts with the words on each, in the order in which they are worth trying."""
+    """Yield starts, each with the words for messages, the most promising first."""
     problem, perturbed = search.problem, perturbed_guesses(search.problem, search.start_pose)
     if not of_several(problem):
         yield from search.first_starts()
@@ -217,7 +217,10 @@ def _starts(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
 
 
 def _first_case(problem: Problem, start_pose: np.ndarray) -> MechanismCase:
-    """Return the case of first solves. Of several motors they keep their distance, break ties, and have a coarse mesh."""
+    """Return the case of first solves.
+
+    With several motors it has a coarse mesh, a distance from singular poses, and a weight on efforts that breaks ties.
+    """
     if not of_several(problem):
         return case_of(problem)
     solver = problem.solver

@@ -79,7 +79,7 @@ class KinematicLoopPath(Sweep):
 
     @property
     def needed(self) -> np.ndarray:
-        """The effort (n, n_s) on each coordinate that holds the pose at rest, with rounding errors as zero."""
+        """The effort (n, n_s) on each coordinate that holds the pose at rest; rounding errors are set to zero."""
         needed = np.einsum("ksu,ku->ks", self.ratio, self.holding_effort) + self.unheld_effort
         return np.where(np.abs(needed) > ROUNDING_SHARE * np.abs(needed).max(initial=0.0), needed, 0.0)
 

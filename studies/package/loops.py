@@ -267,7 +267,7 @@ class BodeResult(MechanismResult):
             yield name, FigureSpec(panels=panels, title=section.title, columns=3, panel_in=(6.0, 4.6))
 
     def plot(self, path: str | Path | None = None, *, joint: str | None = None) -> Figure:
-        """Return the figure of open and closed loop at every pose, saved at `path` if it is given.
+        """Return the figure of the open-loop and closed-loop responses at every pose, saved at `path` if it is given.
 
         Args:
             path: of the picture.

@@ -32,7 +32,7 @@ def bode_figures(study: BodeStudy) -> Iterator[tuple[str, FigureSpec]]:
 
 
 def bode_figure(study: BodeStudy, entries: Sequence[BodePoint]) -> FigureSpec:
-    """Return the figure of open and closed loop at every pose."""
+    """Return the figure of the open-loop and closed-loop responses at every pose."""
     how = "line: predicted, sampled; dotted: continuous"
     how += "; dots: MuJoCo, sinestream" if any(entry.responses for entry in entries) else ""
     title = f"{study.mechanism.name}, {study.law.name}: {study.message}; {how}"

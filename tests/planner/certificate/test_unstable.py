@@ -1,4 +1,4 @@
-"""Motions that are unstable open loop, judged interval by interval, and long ones under a weak motor."""
+"""The certificate of motions that are unstable without feedback, and a long motion under a weak motor."""
 
 from dataclasses import replace
 from functools import cache

@@ -107,7 +107,7 @@ def test_the_cost_of_the_ends_is_that_of_the_states_without_their_clock():
 
 
 def completed(duration: object, effort_limit: list[list[float]], **guess) -> Curves:
-    """Return the motion of a guess, with what it lacks."""
+    """Return the motion of a guess, completed where the guess has no values."""
     problem = chain(goal=[1.0], duration_s=duration, effort_limit=effort_limit, guesses=[StateGuess(**guess)])
     return guesses_of(problem)[0]
 

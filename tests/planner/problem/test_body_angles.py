@@ -115,7 +115,7 @@ def test_a_limit_holds_back_the_shank_that_would_swing_beyond_it():
 
 
 def test_the_row_of_a_limit_is_as_far_from_its_bounds_as_the_angle_from_the_limit():
-    """Home is at 60 and 40 deg."""
+    """The arm's joints are at 60 and 40 deg in its home pose."""
     bent = load_mechanism(arm(UPPER, LOWER), home={"J1": np.radians(60.0), "J2": np.radians(40.0)})
     asked = site_problem(bent, BENT | TO, limits={"body_deg": {"link2": [-10.0, 110.0]}})
     at, (q, *_) = free_instant(bent)

@@ -270,7 +270,7 @@ def test_a_segment_whose_switch_times_meet_on_finer_meshes_is_removed_and_the_mo
 
 
 def test_a_reference_that_asks_for_a_little_too_much_is_tracked_by_two_motors_and_proved():
-    """Refined as motions of one motor are, it was "feasible": the smoothing of efforts is most of its objective."""
+    """With the refinement of one motor it was "feasible": most of its objective was the smoothing of efforts."""
     reference = {
         "frequency_hz": 3.3488,
         "amplitude_deg": {"hip_pitch": 14.0, "knee_motor": 6.6},
