@@ -298,3 +298,14 @@ def test_least_work_is_refined_like_other_motions_and_its_objective_is_that_of_t
     assert plan.status == "optimal"
     assert plan.objective == pytest.approx(objective_value(plan.problem, plan.trajectory)[0], rel=1e-5)
     assert plan.objective == pytest.approx(11.9912, rel=2e-4)
+
+
+@pytest.mark.slow
+def test_as_many_starts_as_asked_are_solved_on_the_coarse_mesh_of_several_motors():
+    plan = plan_motion(load_problem("five-bar-reach", ["solver.starts=5"]))
+    firsts = [step for step in plan.history if step.what.startswith("start ")]
+    assert [step.what.split(",")[0] for step in firsts] == [f"start {k} of 5" for k in range(1, 6)]
+    assert {step.intervals for step in firsts} == {round(0.6 * plan.problem.mesh.intervals)}
+    assert plan.status == "optimal"
+    assert plan.details["starts"] == 5
+    assert plan.details["starts_solved"] == sum(step.converged for step in firsts)
