@@ -125,7 +125,7 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
         before, at = at, certify_iterate(case, finer)
         last_gain, gain = gain, share_gained(before.found.solution.objective, finer.solution.objective)
         left = gain
-        if gain > 0 and last_gain > 0 and kept and not case.enclosed:  # along powers gains shrink unsteadily
+        if gain > 0 and 0 < last_gain < np.inf and not case.enclosed:  # along powers gains shrink unsteadily
             left *= min(1.0, gain / last_gain)
         better = not kept or finer.solution.objective < kept[-1].at.found.solution.objective
         last = _Kept(way.case, at, rows) if better and at.certificate is not None else None
@@ -151,27 +151,23 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
 
 
 def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -> Iterate | None:
-    """Return the solution of the next solve from a motion; None without one, or without one by a deadline.
+    """Return the solution of the next solve from a motion; None without one by a deadline, or if it is of another motion.
 
     The barrier follows the iterates where the duration is free. With a given one it falls from a small value, which takes
-    fewer iterations. The other one is tried where the motion is lost.
+    fewer iterations.
     """
     start, settings = replace(guess_from(coarse.motion), share_of_effort=1.0), way.case.problem.solver
     another = coarse.solution.transcribed.scheme.name != way.case.problem.mesh.scheme
     most = 2 * _MOST_ITERATIONS if another else _MOST_ITERATIONS
     few = settings.replace(max_iterations=min(most, settings.max_iterations or most), deadline=until)
     case = replace(way.case, problem=replace(way.case.problem, solver=few))
-    found: list[Iterate] = []
     mesh, durations = _without_met(way.mesh, way.durations)
     free = case.asked.motion.duration_s is None
+    finer = attempt(case, start, mesh, durations, way.what, close=True, adaptive=free, position_rows=rows)
     lost = _LOST_SHARE_AT_FIRST if another and not free else _LOST_SHARE
-    for adaptive in (free, not free):
-        finer = attempt(case, start, mesh, durations, way.what, close=True, adaptive=adaptive, position_rows=rows)
-        if finer is not None:
-            found.append(finer)
-            if share_gained(finer.solution.objective, coarse.solution.objective) <= lost:
-                break
-    return min(found, key=lambda finer: finer.solution.objective, default=None)
+    if finer is None or share_gained(finer.solution.objective, coarse.solution.objective) > lost:
+        return None
+    return finer
 
 
 def _without_met(mesh: Mesh, durations: np.ndarray) -> tuple[Mesh, np.ndarray]:
