@@ -16,6 +16,7 @@ import numpy as np
 
 from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.poses.assembly import follow
+from linkplan.models.tree.friction import frictions_of
 from linkplan.planner.phase_plane.bang_bang_motions import Part
 from linkplan.planner.problem.problem import Problem
 
@@ -122,9 +123,10 @@ class VelocityCurve:
 class LegField:
     """The efforts and accelerations that the limits on effort, power, line, pin force and speed allow along a part.
 
-    M a = still + square v^2 + linear v + maps u; `curves` gives (M, still, square, linear, maps...) over the coordinate.
-    `effort` (n_u, 2) [N.m or N], `power` (n_u, 2) [W], `line` (n_u, 2) of stall efforts and no-load speeds, `way` +1 or -1;
-    `pins` is None if no pin force is limited, `velocity_curve` if no speed is, and `servos` if no servo has a ctrlrange.
+    M a = still + square v^2 + linear v + maps u - friction(s, v); `curves` gives (M, still, square, linear, maps...) over
+    the coordinate. `effort` (n_u, 2) [N.m or N], `power` (n_u, 2) [W], `line` (n_u, 2) of stall efforts and no-load speeds,
+    `way` +1 or -1. `pins` is None if no pin force is limited, `velocity_curve` if no speed is, `servos` if no servo has a
+    ctrlrange, and `friction` without dry friction.
     """
 
     curves: Callable[[Any], np.ndarray]
@@ -135,6 +137,7 @@ class LegField:
     pins: PinForces | None = None
     velocity_curve: VelocityCurve | None = None
     servos: ServoRanges | None = None
+    friction: Callable[[Any, Any], np.ndarray] | None = None
 
     @property
     def at_speed(self) -> int:
@@ -170,6 +173,8 @@ class LegField:
         """Return the efforts (..., n_u) of actuators held at limits, and the acceleration, at given positions and speeds."""
         values, v = self.curves(s), np.asarray(v, dtype=float)
         free = values[..., 1] + values[..., 2] * v**2 + values[..., 3] * v
+        if self.friction is not None:
+            free = free - self.friction(s, v)
         if self.velocity_curve is not None and np.all(held >= self.at_speed):
             a = self.velocity_curve.acceleration(s, v, np.broadcast_to(held[..., 0] - self.at_speed, v.shape))
             return ((values[..., 0] * a - free) / values[..., 4])[..., None], a
@@ -266,10 +271,13 @@ def field_along(problem: Problem, part: Part, start_pose: np.ndarray) -> LegFiel
     speeds = {v: np.full((POSES_PER_PART, 1), v) for v in (0.0, 1.0, -1.0)}
     accelerations = [sampled(dynamics.acceleration, q, v, none)[:, :, 0] for v in speeds.values()]
     still, fast, back = (inertia * a[:, 0] for a in accelerations)
-    way, rub = float(np.sign(goal - start)), sliding_friction(problem.mechanism, q)
-    square, linear = 0.5 * (fast + back) - still, 0.5 * (fast - back) + rub
-    values = np.column_stack([inertia, still - way * rub, square, linear, maps])
+    way = float(np.sign(goal - start))
     along = slice(None, None, int(way))
+    friction = _friction(problem, place[along], q[along])
+    square, linear = 0.5 * (fast + back) - still, 0.5 * (fast - back)
+    if friction is not None:
+        linear += friction(place, speeds[1.0][:, 0])
+    values = np.column_stack([inertia, still, square, linear, maps])
     pins = None
     if supports_pin_limits(problem):
         still, fast, back = (
@@ -296,7 +304,26 @@ def field_along(problem: Problem, part: Part, start_pose: np.ndarray) -> LegFiel
         pins=pins,
         velocity_curve=velocity_curve,
         servos=_servos(problem, place[along], lengths[along]),
+        friction=friction,
     )
+
+
+def _friction(problem: Problem, place: np.ndarray, q: np.ndarray) -> Callable[[Any, Any], np.ndarray] | None:
+    """Return the dry friction (...) [N.m or N] at positions and speeds (...), by a spline of the poses (n, n_q), or None."""
+    import scipy
+
+    dynamics = problem.mechanism.dynamics
+    if not any(frictions_of(problem.mechanism.model)):
+        return None
+    poses = scipy.interpolate.CubicSpline(place, q)
+
+    def friction(s: Any, v: Any) -> np.ndarray:
+        at, speed = poses(np.ravel(s)), np.ravel(v)[:, None]
+        motion = (at, speed, 0.0 * speed, np.zeros((len(at), problem.mechanism.n_u)))
+        whole, without = (sampled(f, *motion)[:, 0, 0] for f in (dynamics.residual, dynamics.sliding))
+        return (whole - without).reshape(np.shape(v))
+
+    return friction
 
 
 def _servos(problem: Problem, place: np.ndarray, lengths: np.ndarray) -> ServoRanges | None:
