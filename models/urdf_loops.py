@@ -335,12 +335,12 @@ def add_motors(spec: mujoco.MjSpec, names: Sequence[str], where: str = "") -> li
     """Add a motor on each of the joints named in `where`, within the effort limit that the joint has, and return notes.
 
     Plugins that act on such a joint are deleted with their sensors, since no plan can use them. An actuator there with a
-    filter, as a hydraulic cylinder, loses the filter and is the motor.
+    filter, as a hydraulic cylinder, loses the filter and is the motor. A joint that has a motor keeps it and gets no other.
 
     Raises:
         ModelError: for a name that is no joint's, or a joint that has no motor's axis.
     """
-    added, replaced, unfiltered = [], [], []
+    added, replaced, unfiltered, kept = [], [], [], []
     for name in names:
         joint = _joint(spec, name, where)
         if joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
@@ -355,9 +355,11 @@ def add_motors(spec: mujoco.MjSpec, names: Sequence[str], where: str = "") -> li
         named = {plugin.name for plugin in plugins}
         sensors = [s for s in spec.sensors if s.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR and s.objname in named]
         replaced += [plugin.name or f"a plugin on {joint.name}" for plugin in plugins]
+        own = [a for a in own if a not in plugins]
         for one in [*plugins, *sensors]:
             spec.delete(one)
-        if filters:
+        kept += [f"{a.name or 'a motor'} on {joint.name}" for a in own if _is_motor(a) and a not in filters]
+        if filters or any(map(_is_motor, own)):
             continue
         added.append(name)
         motor = spec.add_actuator(name=name, target=joint.name, trntype=on_joint)
@@ -366,7 +368,15 @@ def add_motors(spec: mujoco.MjSpec, names: Sequence[str], where: str = "") -> li
             motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, joint.actfrcrange
     said = {
         "motors added (mechanism.drive)": added,
+        "motors that the model has already (mechanism.drive)": kept,
         "actuators without their filters, in simulation too (mechanism.drive)": unfiltered,
         "actuators replaced by motors, with their sensors": replaced,
     }
     return [f"{what}: {', '.join(of)}" for what, of in said.items() if of]
+
+
+def _is_motor(actuator: mujoco.MjsActuator) -> bool:
+    """True if an actuator's force is a constant times its ctrl."""
+    fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED and actuator.gainprm[0] != 0
+    direct = actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
+    return bool(fixed and direct)

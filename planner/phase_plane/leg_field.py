@@ -1,7 +1,8 @@
-"""Accelerations of one degree of freedom under limits on effort, power, torque-speed line, pin force and speed.
+"""Accelerations of one degree of freedom under limits on effort, power, line, pin force and speed.
 
 Each limit bounds the effort at a given position and speed. A limit P on power bounds the effort by P / w, where w is the
-actuator's speed. The torque-speed line of a motor bounds it by u = u_0 (1 - w / w_0), from stall effort to no-load speed. A
+actuator's speed. The torque-speed line of a motor bounds it by u = u_0 (1 - w / w_0), from stall effort to no-load speed.
+The ctrlrange of a servo bounds it by lines, too: u = g c + b_0 + b_1 l + b_2 w at an end c, where l is the servo's length. A
 pin force is affine in the effort, and its rating R bounds the effort by the roots of |F(s, v, u)|^2 = R^2. Speed limits of
 joints bound the speed v by the maximum velocity curve. Where the speed limit of a joint is active, the joint's speed r v is
 constant, so v' = -r' v^2 / r. Here r is the joint's speed per unit of v.
@@ -15,13 +16,14 @@ import numpy as np
 
 from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.poses.assembly import follow
+from linkplan.models.tree.friction import frictions_of
 from linkplan.planner.phase_plane.bang_bang_motions import Part
 from linkplan.planner.problem.problem import Problem
 
 # The limit that an actuator is held at: 1 and -1 are the upper and lower limit of its effort. The first number here is its
-# power, the second its motor's line, the third the force of the first closure; further closures and then the joints with a
-# limited speed follow. A force has a positive number where a larger effort reaches its limit, a negative one where a smaller
-# effort does.
+# power, the second its motor's or servo's line, the third the force of the first closure; further closures and then the
+# joints with a limited speed follow. A force has a positive number where a larger effort reaches its limit, a negative one
+# where a smaller effort does.
 AT_POWER, AT_LINE, AT_FORCE = 2, 3, 4
 # The share by which rounding may exceed limits on efforts, powers and forces.
 _LIMIT_TOLERANCE = 1e-6
@@ -60,6 +62,32 @@ class PinForces:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
+class ServoRanges:
+    """The efforts at the ends of servos' ctrlranges, within their force clamps.
+
+    `ends` (3, n_u, 2) are the coefficients of these efforts on 1, length and speed; efforts of other actuators are infinite.
+    `lengths` gives the actuators' lengths (n_u,) over the coordinate, and `clamps` (n_u, 2) are force clamps [N.m or N].
+    """
+
+    lengths: Callable[[Any], np.ndarray]
+    ends: np.ndarray
+    clamps: np.ndarray
+
+    def efforts(self, s: Any, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the least and largest effort (..., n_u) at positions (...) and actuator speeds (..., n_u)."""
+        still, by_length, by_speed = self.ends
+        found = still + by_length * self.lengths(s)[..., None] + by_speed * rate[..., None]
+        return np.minimum(found[..., 0], self.clamps[:, 1]), np.maximum(found[..., 1], self.clamps[:, 0])
+
+    def no_load_speed(self, s: Any) -> np.ndarray:
+        """Return the largest actuator speed (..., n_u) at which an end of a range gives no effort; infinite without one."""
+        still, by_length, by_speed = self.ends
+        with np.errstate(divide="ignore", invalid="ignore"):
+            speed = np.abs((still + by_length * self.lengths(s)[..., None]) / by_speed)
+        return np.fmax(speed[..., 0], speed[..., 1])
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class VelocityCurve:
     """The maximum velocity curve along a part of the motion: the largest speed that satisfies all joints' speed limits.
 
@@ -95,9 +123,10 @@ class VelocityCurve:
 class LegField:
     """The efforts and accelerations that the limits on effort, power, line, pin force and speed allow along a part.
 
-    M a = still + square v^2 + linear v + maps u; `curves` gives (M, still, square, linear, maps...) over the coordinate.
-    `effort` (n_u, 2) [N.m or N], `power` (n_u, 2) [W], `line` (n_u, 2) of stall efforts and no-load speeds, `way` +1 or -1;
-    `pins` is None if no pin force is limited, and `velocity_curve` if no speed is.
+    M a = still + square v^2 + linear v + maps u - friction(s, v); `curves` gives (M, still, square, linear, maps...) over
+    the coordinate. `effort` (n_u, 2) [N.m or N], `power` (n_u, 2) [W], `line` (n_u, 2) of stall efforts and no-load speeds,
+    `way` +1 or -1. `pins` is None if no pin force is limited, `velocity_curve` if no speed is, `servos` if no servo has a
+    ctrlrange, and `friction` without dry friction.
     """
 
     curves: Callable[[Any], np.ndarray]
@@ -107,6 +136,8 @@ class LegField:
     way: float
     pins: PinForces | None = None
     velocity_curve: VelocityCurve | None = None
+    servos: ServoRanges | None = None
+    friction: Callable[[Any, Any], np.ndarray] | None = None
 
     @property
     def at_speed(self) -> int:
@@ -124,7 +155,7 @@ class LegField:
         spent = effort * maps * np.asarray(v)[..., None]
         held = np.where(spent > self.power[:, 1], AT_POWER, np.where(spent < self.power[:, 0], -AT_POWER, held))
         effort, a = self.along(s, v, held)
-        low, high = self.line_efforts(maps * np.asarray(v)[..., None])
+        low, high = self.line_efforts(s, maps * np.asarray(v)[..., None])
         lined = np.where(upper & (effort > high), AT_LINE, np.where(~upper & (effort < low), -AT_LINE, held))
         if np.any(lined != held):
             held = lined
@@ -142,6 +173,8 @@ class LegField:
         """Return the efforts (..., n_u) of actuators held at limits, and the acceleration, at given positions and speeds."""
         values, v = self.curves(s), np.asarray(v, dtype=float)
         free = values[..., 1] + values[..., 2] * v**2 + values[..., 3] * v
+        if self.friction is not None:
+            free = free - self.friction(s, v)
         if self.velocity_curve is not None and np.all(held >= self.at_speed):
             a = self.velocity_curve.acceleration(s, v, np.broadcast_to(held[..., 0] - self.at_speed, v.shape))
             return ((values[..., 0] * a - free) / values[..., 4])[..., None], a
@@ -151,7 +184,7 @@ class LegField:
         effort = np.where(on_power, power / np.where(on_power, rate, 1.0), limit)
         on_line = np.abs(held) == AT_LINE
         if np.any(on_line):
-            low, high = self.line_efforts(rate)
+            low, high = self.line_efforts(s, rate)
             effort = np.where(on_line, np.where(upper, high, low), effort)
         if self.pins is not None and np.any(np.abs(held) >= AT_FORCE):
             least, most, _ = self.pins.efforts(s, v)
@@ -160,10 +193,19 @@ class LegField:
                 effort = np.where(held == -AT_FORCE - k, least[..., k, None], effort)
         return effort, (free + (values[..., 4:] * effort).sum(axis=-1)) / values[..., 0]
 
-    def line_efforts(self, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the least and the largest effort (..., n_u) on the motors' lines at actuator speeds (..., n_u)."""
+    def line_efforts(self, s: Any, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the least and largest effort (..., n_u) on the lines at positions (...) and actuator speeds (..., n_u)."""
         stall, no_load = self.line.T
-        return -stall * (1.0 + rate / no_load), stall * (1.0 - rate / no_load)
+        low, high = -stall * (1.0 + rate / no_load), stall * (1.0 - rate / no_load)
+        if self.servos is None:
+            return low, high
+        least, most = self.servos.efforts(s, rate)
+        return np.maximum(low, least), np.minimum(high, most)
+
+    def no_load_speed(self, s: Any) -> np.ndarray:
+        """Return the actuator speeds (..., n_u) at which the lines allow no effort; infinite without lines."""
+        speed = np.broadcast_to(self.line[:, 1], (*np.shape(s), len(self.line)))
+        return speed if self.servos is None else np.minimum(speed, self.servos.no_load_speed(s))
 
     @property
     def strength(self) -> np.ndarray:
@@ -174,7 +216,7 @@ class LegField:
         """True if efforts (n, n_u) at positions and speeds (n,) satisfy all limits on effort, power, line and pin force."""
         room = _LIMIT_TOLERANCE * np.abs(self.effort).max()
         rate = self.curves(s)[:, 4:] * v[:, None]
-        least_of_line, most_of_line = self.line_efforts(rate)
+        least_of_line, most_of_line = self.line_efforts(s, rate)
         low, high = np.maximum(self.effort[:, 0], least_of_line), np.minimum(self.effort[:, 1], most_of_line)
         if self.pins is not None:
             least, most, bears = self.pins.efforts(s, v)
@@ -200,8 +242,9 @@ def knows_speeds(problem: Problem) -> bool:
 
 
 def knows_lines(problem: Problem) -> bool:
-    """True if motors have torque-speed lines."""
-    return bool(np.isfinite(lines_of(problem)).any())
+    """True if motors have torque-speed lines, or servos a ctrlrange."""
+    servos = any(actuator.limits_control for actuator in problem.mechanism.actuators)
+    return servos or bool(np.isfinite(lines_of(problem)).any())
 
 
 def lines_of(problem: Problem) -> np.ndarray:
@@ -228,10 +271,13 @@ def field_along(problem: Problem, part: Part, start_pose: np.ndarray) -> LegFiel
     speeds = {v: np.full((POSES_PER_PART, 1), v) for v in (0.0, 1.0, -1.0)}
     accelerations = [sampled(dynamics.acceleration, q, v, none)[:, :, 0] for v in speeds.values()]
     still, fast, back = (inertia * a[:, 0] for a in accelerations)
-    way, rub = float(np.sign(goal - start)), sliding_friction(problem.mechanism, q)
-    square, linear = 0.5 * (fast + back) - still, 0.5 * (fast - back) + rub
-    values = np.column_stack([inertia, still - way * rub, square, linear, maps])
+    way = float(np.sign(goal - start))
     along = slice(None, None, int(way))
+    friction = _friction(problem, place[along], q[along])
+    square, linear = 0.5 * (fast + back) - still, 0.5 * (fast - back)
+    if friction is not None:
+        linear += friction(place, speeds[1.0][:, 0])
+    values = np.column_stack([inertia, still, square, linear, maps])
     pins = None
     if supports_pin_limits(problem):
         still, fast, back = (
@@ -248,6 +294,7 @@ def field_along(problem: Problem, part: Part, start_pose: np.ndarray) -> LegFiel
         ratios = sampled(dynamics.velocity_map, q)[:, limited, 0]
         of_speeds = scipy.interpolate.CubicSpline(place[along], ratios[along])
         velocity_curve = VelocityCurve(curves=of_speeds, speed=problem.limits.speed[limited], way=way)
+    lengths = np.nan_to_num(sampled(dynamics.actuator_length, q)[:, :, 0])  # unknown ones belong to no servo
     return LegField(
         curves=scipy.interpolate.CubicSpline(place[along], values[along]),
         effort=problem.limits.effort,
@@ -256,7 +303,44 @@ def field_along(problem: Problem, part: Part, start_pose: np.ndarray) -> LegFiel
         way=way,
         pins=pins,
         velocity_curve=velocity_curve,
+        servos=_servos(problem, place[along], lengths[along]),
+        friction=friction,
     )
+
+
+def _friction(problem: Problem, place: np.ndarray, q: np.ndarray) -> Callable[[Any, Any], np.ndarray] | None:
+    """Return the dry friction (...) [N.m or N] at positions and speeds (...), by a spline of the poses (n, n_q), or None."""
+    import scipy
+
+    dynamics = problem.mechanism.dynamics
+    if not any(frictions_of(problem.mechanism.model)):
+        return None
+    poses = scipy.interpolate.CubicSpline(place, q)
+
+    def friction(s: Any, v: Any) -> np.ndarray:
+        at, speed = poses(np.ravel(s)), np.ravel(v)[:, None]
+        motion = (at, speed, 0.0 * speed, np.zeros((len(at), problem.mechanism.n_u)))
+        whole, without = (sampled(f, *motion)[:, 0, 0] for f in (dynamics.residual, dynamics.sliding))
+        return (whole - without).reshape(np.shape(v))
+
+    return friction
+
+
+def _servos(problem: Problem, place: np.ndarray, lengths: np.ndarray) -> ServoRanges | None:
+    """Return the ranges of the servos whose ctrlrange limits their efforts; None without one."""
+    import scipy
+
+    actuators = problem.mechanism.actuators
+    ends = np.zeros((3, len(actuators), 2))
+    ends[0] = -np.inf, np.inf
+    for j, servo in enumerate(actuators):
+        if servo.limits_control:
+            ends[:, j] = np.array(servo.biases)[:, None]
+            ends[0, j] += np.sort(servo.gain * np.array([servo.control_lower, servo.control_upper]))
+    if not np.isfinite(ends[0]).any():
+        return None
+    clamps = np.array([(servo.lower, servo.upper) for servo in actuators])
+    return ServoRanges(lengths=scipy.interpolate.CubicSpline(place, lengths), ends=ends, clamps=clamps)
 
 
 def _pins(problem: Problem, place: np.ndarray, forces: np.ndarray) -> PinForces:

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.models.deadline import Deadline
-from linkplan.planner.limits.actuators import MotorLimit
+from linkplan.planner.limits.actuators import ControlLimit, MotorLimit
 from linkplan.planner.phase_plane.leg_field import AT_LINE
 from linkplan.planner.phase_plane.power_legs import Leg, power_legs
 from linkplan.planner.problem.problem import Problem
@@ -41,7 +41,8 @@ def legs_motion(problem: Problem, start_pose: np.ndarray) -> Trajectory | None:
     rated = (1.0 - _LIMIT_RESERVE) * limits.closure_force
     effort, power, speed = (_inside(of) for of in (limits.effort, limits.power, limits.speed))
     inside = replace(limits, effort=effort, power=power, speed=speed, closure_force=rated)
-    found = power_legs(replace(MotorLimit.relaxed(problem, 1.0 - _LIMIT_RESERVE), limits=inside), start_pose)
+    lined = ControlLimit.relaxed(MotorLimit.relaxed(problem, 1.0 - _LIMIT_RESERVE), 1.0 - _LIMIT_RESERVE)
+    found = power_legs(replace(lined, limits=inside), start_pose)
     if found is None:
         return None
     legs, boundaries = found

@@ -1,4 +1,4 @@
-"""Least-time motions of one degree of freedom as legs along limits on power, torque-speed line, pin force and speed.
+"""Least-time motions of one degree of freedom as legs along limits on power, line, pin force and speed.
 
 One leg accelerates from the start with all the effort that the limits allow. Another leg brakes into the goal. They cross
 at the switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985). Limits on speeds add the maximum velocity
@@ -160,9 +160,9 @@ class _Way:
 
     @cached_property
     def top_speed(self) -> float:
-        """The largest speed that limits on speeds and the motors' lines allow at any position; infinite without them."""
+        """The largest speed that limits on speeds and the lines allow at any position; infinite without them."""
         with np.errstate(divide="ignore"):
-            no_load = np.abs(self.field.line[:, 1] / self.field.curves(self.places)[:, 4:])
+            no_load = np.abs(self.field.no_load_speed(self.places) / self.field.curves(self.places)[:, 4:])
         return float(np.minimum(self._fastest_at(self.places), no_load.min(axis=1)).max())
 
     def legs(self) -> list[Leg] | None:

@@ -217,7 +217,8 @@ def _check_reach(mechanism: Mechanism, ranges: np.ndarray | None, what: str, s: 
         if inside:
             if can is None or can.turns_fully:
                 continue
-            interval = (can.lower.position, can.upper.position)
+            lower, upper = can.lower, can.upper  # an end that does not stop the joint is only where the walk ended
+            interval = (lower.position if lower.stops else -np.inf, upper.position if upper.stops else np.inf)
             inside = interval[0] <= s[column] <= interval[1]
             reason = can.lower.reason if s[column] < interval[0] else can.upper.reason
         if not inside:

@@ -61,7 +61,7 @@ class _First:
 def from_several_starts(search: Search, budget: Budget) -> Plan | None:
     """Return the best plan that passes of several starts, else the first that was found; None without a motion."""
     problem, wanted = search.within(budget), search.problem.solver.starts
-    tried, solved = _first_solutions(search, budget)
+    tried, in_time, solved = _first_solutions(search, budget)
     firsts = _different(solved)
     plans: list[Plan] = []
     for first in problem.solver.certificate_deadline.take(firsts if wanted > 1 else firsts[:_MOST_REFINED]):
@@ -90,8 +90,9 @@ def from_several_starts(search: Search, budget: Budget) -> Plan | None:
     if not (plans and best is plans[0]) and _cheaper(better, best):
         return only_feasible(best, f"; a motion with {better:.6g} was found that does not pass its certificate")
     if tried < wanted:
-        said = f"; {tried} of the {wanted} starts were tried in their share of the {problem.solver.max_time_s:g} s {OF_TIME}"
-        best = replace(best, message=best.message + said)
+        share = f"in their share of the {problem.solver.max_time_s:g} s {OF_TIME}"
+        why = "and the loops open along all others" if in_time else share
+        best = replace(best, message=f"{best.message}; {tried} of the {wanted} starts were tried {why}")
     if not of_several(problem):
         return best
     said = _TIES if np.any(tie_weights(problem, TIE_WEIGHT)) else ""
@@ -129,8 +130,8 @@ def _in_more_time(problem: Problem, first: _First) -> Plan | None:
     return None
 
 
-def _first_solutions(search: Search, budget: Budget) -> tuple[int, list[_First]]:
-    """Return the number of starts that were tried, and their solutions.
+def _first_solutions(search: Search, budget: Budget) -> tuple[int, bool, list[_First]]:
+    """Return the number of starts that were tried, whether they ended before their time did, and their solutions.
 
     If the problem asks for more than one, so many are tried. Otherwise they end once the best motion was found twice.
     """
@@ -153,7 +154,7 @@ def _first_solutions(search: Search, budget: Budget) -> tuple[int, list[_First]]
                 found.append(_First(number, what, one, objective_of(one)))
             if number >= wanted > 1 or (wanted == 1 and _enough(found)):
                 break
-    return number, found
+    return number, not (problem.solver.deadline.passed or search.deadline.passed), found
 
 
 def _enough(found: list[_First]) -> bool:

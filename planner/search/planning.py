@@ -26,6 +26,7 @@ from linkplan.planner.search.methods import FULL_BUDGET, SHORT_BUDGET, Budget, R
 from linkplan.planner.search.multistart import from_several_starts
 from linkplan.planner.search.site_path import plan_along_path
 from linkplan.planner.search.solving import longest
+from linkplan.planner.search.without_solver import NOT_SHOWN
 from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 
 __all__ = ["DIAGNOSES", "REPAIRS", "SEARCH_METHODS", "Say", "plan_motion", "silent"]
@@ -202,25 +203,27 @@ def _planned(problem: Problem, methods: Sequence[SearchMethod], diagnoses: Seque
 
 
 def _or_simpler(search: Search, plan: Plan | None, rest: Plan | None) -> Plan | None:
-    """Return a plan of the methods or a rest that costs less; if none passes, the smooth path that does, or None.
+    """Return a plan of the methods, or a rest unless it costs more; if none passes, the smooth path that does, or None.
 
-    The plan's message says "locally optimal" unless the phase plane proves more.
+    The plan's message says "locally optimal" unless the phase plane proves more. A rest that costs as much as an optimal
+    plan is that plan's motion without the solver's rounding.
     """
     if plan is not None and plan.status == "optimal" and starts.judged_by_the_phase_plane(search)[0]:
         plan = replace(plan, message=plan.message.removeprefix(LOCALLY))
-    if plan is not None and plan.passed and (rest is None or _costs_no_more(plan, rest)):
+    if plan is not None and plan.passed and (rest is None or _costs_less(plan, rest)):
         return plan
     if rest is not None:
-        return rest
+        same = plan is not None and plan.status == "optimal"
+        return replace(rest, status="optimal", message=rest.message.removesuffix(NOT_SHOWN)) if same else rest
     with contextlib.suppress(OutOfTimeError):
         plan = without_solver.along_smooth_path(search) or plan
     return plan
 
 
-def _costs_no_more(plan: Plan, rest: Plan) -> bool:
+def _costs_less(plan: Plan, rest: Plan) -> bool:
     assert plan.objective is not None
     assert rest.objective is not None
-    return share_gained(plan.objective, rest.objective) <= REPORTED_CHANGE
+    return share_gained(rest.objective, plan.objective) > REPORTED_CHANGE
 
 
 def _with_the_best(say: Say, plans: Sequence[Plan]) -> Say:

@@ -36,6 +36,8 @@ from linkplan.planner.trajectory import Trajectory
 _LONGER_FACTORS = (1.0, 2.0, 4.0, 8.0)
 # The factors on the duration of a motion that does not pass, with which it is tried again.
 _SLOWER_FACTORS = (1.001, 1.003, 1.01, 1.03)
+# The words on a rest that costs something.
+NOT_SHOWN = "; that no motion costs less was not shown"
 
 
 def along_smooth_path(search: Search) -> Plan | None:
@@ -87,7 +89,7 @@ def at_rest(search: Search) -> Plan | None:
     objective, _ = objective_value(problem, rest)
     free = set(problem.objective.weights) <= SQUARES_AT_REST and objective <= negligible_objective(problem, rest)
     said = f"rest of {duration:.6g} s: constant efforts hold the start"
-    said = said if free else f"{said}; that no motion costs less was not shown"
+    said = said if free else said + NOT_SHOWN
     plan = finished(problem, rest, certify(problem, rest), objective, said, optimal=free)
     return plan if plan.passed else None
 

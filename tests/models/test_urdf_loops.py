@@ -90,6 +90,13 @@ def test_loop_joints_are_closed_and_transmissions_driven(tmp_path):
     assert "motors from transmissions of the URDF: motor" in mechanism.notes
 
 
+def test_a_joint_that_has_a_motor_gets_no_second_one(tmp_path):
+    path = written(tmp_path, robot(FOUR_BAR, LOOP_JOINT, TRANSMISSION))
+    mechanism = linkplan.load_mechanism(path, drive=["motor"])
+    assert [actuator.target for actuator in mechanism.actuators] == ["joint motor"]
+    assert "motors that the model has already (mechanism.drive): motor on motor" in mechanism.notes
+
+
 def test_closing_frames_are_paired_by_their_names(tmp_path):
     frames = FRAMES.replace("end_A", "closing_pin_1").replace("end_B", "closing_pin_2")
     mechanism = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, frames, TRANSMISSION)))

@@ -6,17 +6,18 @@ import numpy as np
 import pytest
 
 from linkplan.models.poses.assembly import close_at, follow
+from linkplan.models.tree.friction import TRANSITION
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.limits.samples import closure_forces
 from linkplan.planner.phase_plane.bang_bang_motions import parts_of
-from linkplan.planner.phase_plane.leg_field import AT_FORCE, AT_POWER, field_along
+from linkplan.planner.phase_plane.leg_field import AT_FORCE, AT_LINE, AT_POWER, field_along
 from linkplan.planner.phase_plane.legs_motion import legs_motion
 from linkplan.planner.phase_plane.power_legs import power_legs
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.planning import plan_motion
 from tests.support.bodies import cart
-from tests.support.least_time import least_time
+from tests.support.least_time import curves_of, least_time, least_time_within
 from tests.support.sliders import drawn_with_a_pin
 
 # The legs' integration, of the least time.
@@ -116,7 +117,8 @@ def test_the_field_has_the_mechanism_s_accelerations(start, goal, friction):
         pose = close_at(mechanism, np.array([s]))
         exact = float(mechanism.dynamics.acceleration(pose, [v], u))
         inertia, still, square, linear, by = found.curves(s)
-        assert (still + square * v**2 + linear * v + by * effort) / inertia == pytest.approx(exact, rel=1e-6)
+        rub = 0.0 if found.friction is None else found.friction(s, v)
+        assert (still + square * v**2 + linear * v + by * effort - rub) / inertia == pytest.approx(exact, rel=1e-6)
         assert inertia == pytest.approx(float(mechanism.dynamics.reduced_inertia(pose)))
     assert found.way == way
 
@@ -225,3 +227,40 @@ def test_a_rating_below_what_rest_asks_has_no_such_legs():
     tables = case.tables | {"limits": case.tables["limits"] | {"closure_force": {"P": 1e-3}}}
     problem = Problem.from_tables("slider", tables)
     assert power_legs(problem, problem.start_pose()) is None
+
+
+# An arm with a servo of gain kp on position and kv on speed, through a gear.
+ARM = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="q" axis="0 1 0" damping="0.1" frictionloss="{rub}"/>
+<inertial mass="1.5" pos="0.3 0 0" diaginertia="0.05 0.05 0.05"/></body></worldbody><actuator><general name="m" joint="q"
+gear="{gear}" gainprm="{gain}" biastype="affine" biasprm="0 {kp} {kv}" ctrlrange="-{end} {end}"
+forcerange="-{force} {force}"/></actuator></mujoco>"""
+
+
+@pytest.mark.parametrize(
+    ("gain", "kp", "kv", "gear", "end", "force", "rub"),
+    [
+        (6, 0, -6, 1, 4, 20, 0),  # a velocity servo
+        (6, 0, -6, 1, 4, 20, 1.2),  # with dry friction, which is none at rest
+        (30, -30, -4, 1, 1.3, 20, 0),  # a position servo
+        (60, -60, -0.5, 1, 0.25, 9, 0),  # all of its range is beyond a force clamp at start and goal
+        (-3, 0, -0.5, -2, 2, 9, 0),
+    ],
+)
+def test_along_the_ctrlrange_of_a_servo_a_motion_takes_the_least_time(gain, kp, kv, gear, end, force, rub):
+    asked = {"start_deg": {"q": 60.0}, "goal_deg": {"q": -30.0}, "minimize": "time"}
+    smooth, problem = (
+        Problem.reach(ARM.format(gain=gain, kp=kp, kv=kv, gear=gear, end=end, force=force, rub=f), **asked) for f in (0, rub)
+    )
+    legs, _ = power_legs(problem, problem.start_pose())
+    assert any(abs(held) == AT_LINE for leg in legs for _, (held,) in leg.arcs())
+
+    def within(s: float, v: float) -> tuple[float, float]:
+        efforts = np.array([-1, 1]) * abs(gain) * end + gear * (kp * s + kv * v)
+        low, high = np.clip(efforts, -force, force) - rub * np.tanh(v / TRANSITION) / gear
+        return low, max(high, low + 1e-8)  # the oracle's legs end where there is only one effort
+
+    start, goal = np.radians([60.0, -30.0])
+    plan = plan_motion(problem)
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(least_time_within(curves_of(smooth, start, goal), start, goal, within), rel=EXACT)
+    assert plan.prove().verdict == "proved"

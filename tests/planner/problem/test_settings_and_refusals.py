@@ -254,3 +254,13 @@ def test_a_broken_delay_is_for_loops_and_not_for_motions_that_are_tracked():
     values = {name: getattr(problem, name) for name in Problem.__slots__} | {"tracking": broken}
     with pytest.raises(ProblemError, match=r"tracking\.delay_periods is a whole number from 0 to 1000, got 0\.5"):
         Problem(**values)
+
+
+def test_a_slide_may_go_to_the_end_of_its_range_however_far_that_is():
+    """The search for an end follows a slide over twenty sizes of the model; a rail may be longer."""
+    model = """<mujoco><worldbody><body><joint name="x" type="slide" axis="1 0 0" range="-1 30"/>
+      <geom size="0.1" mass="1"/></body></worldbody><actuator><motor joint="x"/></actuator></mujoco>"""
+    assert reach(load_mechanism(model)).upper.reason == "no end found"
+    given = {"start_m": {"x": 0.0}, "duration_s": 9.0}
+    assert Problem.reach(model, goal_m={"x": 30.0}, **given).motion.goal == pytest.approx([30.0])
+    assert_refused(lambda: Problem.reach(model, goal_m={"x": 30.1}, **given), "range of x", kind=ProblemError)

@@ -300,6 +300,14 @@ def test_least_work_is_refined_like_other_motions_and_its_objective_is_that_of_t
     assert plan.objective == pytest.approx(11.9912, rel=2e-4)
 
 
+def test_starts_along_which_the_loops_open_are_not_said_to_lack_time(monkeypatch):
+    closing = iter([True, False, True])
+    monkeypatch.setattr(multistart, "closes", lambda *_: next(closing, False))
+    plan = plan_motion(leg(duration_s=0.28, minimize="effort").replace(solver={"starts": 4}))
+    assert plan.passed, plan.message
+    assert "2 of the 4 starts were tried and the loops open along all others" in plan.message
+
+
 @pytest.mark.slow
 def test_as_many_starts_as_asked_are_solved_on_the_coarse_mesh_of_several_motors():
     plan = plan_motion(load_problem("five-bar-reach", ["solver.starts=5"]))
