@@ -44,10 +44,10 @@ def comparison_figure(comparison: Comparison, *, every_joint: bool = False) -> F
         ]
         for _, runs in cases
     ]
-    title = f"{comparison.plan.problem.name}: {'; '.join(title for title, _ in cases)}"
     panels, size = side_by_side(*columns), (5.8, 2.6)
     size = size if every_joint else one_screen(len(panels), len(cases), size)
-    return FigureSpec(panels=panels, title=title, columns=len(cases), panel_in=size)
+    title, heads = f"{comparison.plan.problem.name}: tracked in MuJoCo", [title for title, _ in cases]
+    return FigureSpec(panels=panels, title=title, columns=len(cases), heads=heads, panel_in=size)
 
 
 def largest(runs: Iterable[Rollout], most: int) -> tuple[list[int], list[int]]:

@@ -56,6 +56,8 @@ _STYLES = {
 _TITLE_LETTERS_PER_INCH = 10
 # Letters of a panel's title and of its legend on an inch of its width.
 _PANEL_LETTERS_PER_INCH, _LEGEND_LETTERS_PER_INCH = 12, 15
+# The gap [pt] between a column's head and the title below it.
+_HEAD_GAP_PT = 6
 # Letters of a bar's label on a line, letters of labels and of notes on an inch, and the least width of bars [inch].
 _BAR_LABEL_LETTERS, _LABEL_LETTERS_PER_INCH, _NOTE_LETTERS_PER_INCH, _LEAST_BARS_IN = 32, 12, 16, 1.5
 # The name of annotations that may move around their pin, and the offsets [pt] of those places.
@@ -186,7 +188,8 @@ def figure_of(spec: FigureSpec, path: Path | None = None) -> Figure:
     size = panel_in[0] * columns, panel_in[1] * rows + 0.4
     named: list[list] = []
     heads_in = np.zeros(rows)
-    with page(path, rows, columns, size) as axes:
+    shared = {"sharex": True, "sharey": "row"} if spec.heads else {}
+    with page(path, rows, columns, size, **shared) as axes:
         for k, axis in enumerate(axes.flat):
             panel = panels[k] if k < len(panels) else None
             if panel is None:
@@ -201,6 +204,12 @@ def figure_of(spec: FigureSpec, path: Path | None = None) -> Figure:
             width = _width_of(panel, panel_in[0])
             head = _legend(axis, axis.get_title() if callable(panel) else panel.title, named, width)
             heads_in[k // columns] = max(heads_in[k // columns], head)
+            if shared:
+                axis.label_outer()
+        for axis, head in zip(axes[0], spec.heads, strict=False):
+            place = {"xytext": (0, 72 * heads_in[0] + _HEAD_GAP_PT), "textcoords": "offset points", "ha": "center"}
+            lines = wrapped(head, int(_TITLE_LETTERS_PER_INCH * panel_in[0]))
+            axis.annotate(lines, (0.5, 1.0), xycoords="axes fraction", weight="bold", **place)
         figure = axes.flat[0].figure
         figure.set_size_inches(size[0], max(size[1], float(heads_in.sum()) + 1.2 * rows))  # titles leave room for curves
         if title:

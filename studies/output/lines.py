@@ -74,7 +74,10 @@ def plots(
         for k, (line, y) in enumerate(zip(of_it, shown, strict=True)):
             style = line_style(k)
             look, colour = line.look or style["look"], style["colour"] if line.colour == -1 else line.colour
-            series.append(Series(name=line.name, y=y, look=look, colour=colour, width=line.width))
+            known = np.isfinite(values[:, k])
+            name = line.name if known.any() else ""  # without a value it has no entry in the legend
+            look = "points" if known.any() and not np.any(known[1:] & known[:-1]) else look  # values without neighbours
+            series.append(Series(name=name, y=y, look=look, colour=colour, width=line.width))
         found.append(
             Plot(
                 title=_title(title, units, of_it, lines),

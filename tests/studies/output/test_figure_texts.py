@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from msgspec import structs
 
 import linkplan
 from linkplan.models.mechanism import load_mechanism
@@ -251,3 +252,25 @@ def test_the_name_of_a_limit_is_beside_the_curves(values, below):
     line = figure.axes[0].transData.transform((0.0, 30.0))[1]
     box = text.get_window_extent()
     assert (box.y1 < line) if below else (box.y0 >= line - 1.0)
+
+
+def test_columns_of_cases_have_heads_above_every_title_and_rows_have_one_vertical_range():
+    cases = [panel(0, 10), panel(1, 10), panel(2, 2), panel(3, 2)]
+    cases[1] = structs.replace(cases[1], series=[Series(name="k", y=[0.0, 50.0])])
+    figure = figure_of(FigureSpec(panels=cases, columns=2, heads=["nominal", "20 % heavier"]))
+    FigureCanvasAgg(figure).draw()
+    for axes, head in zip(figure.axes[:2], ("nominal", "20 % heavier"), strict=True):
+        (text,) = [text for text in axes.texts if text.get_text() == head]
+        box, title = text.get_window_extent(), axes.title.get_window_extent()
+        assert title.y1 <= box.y0
+        assert box.y1 <= figure.bbox.height
+    assert figure.axes[0].get_ylim() == figure.axes[1].get_ylim() != figure.axes[2].get_ylim()
+    assert [bool(axes.get_xlabel()) for axes in figure.axes] == [False, False, True, True]
+
+
+def test_a_line_without_values_has_no_entry_in_the_legend_and_single_values_are_dots():
+    rows = {"none": [np.nan, np.nan, np.nan], "one": [np.nan, 1.0, np.nan], "two": [np.nan, 1.0, 2.0]}
+    lines = [Line(name=name, values=np.array(row), unit="Hz") for name, row in rows.items()]
+    (plot,) = plots("Crossings", "frequency", TIME, np.arange(3.0), lines)
+    looks = [(one.name, one.look, one.colour) for one in plot.series]
+    assert looks == [("", "line", 0), ("one", "points", 1), ("two", "line", 2)]
