@@ -9,12 +9,13 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.reach import Reach, toggles
 from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, measure, most_poses, swept, thinned
-from linkplan.studies.check.path_quantities import LOG_PLOTS, PLOTS, QUANTITIES, WEIGHT, PathQuantity, shown_curves
+from linkplan.studies.check.path_quantities import LOG_PLOTS, PLOTS, QUANTITIES, WEIGHT, shown_curves
 from linkplan.studies.output.document import Axis, Plot
 from linkplan.studies.output.draw_bodies import draw_poses
 from linkplan.studies.output.figure import GREY, RED, draw_plot
 from linkplan.studies.output.figure_spec import FigureSpec, one_screen
 from linkplan.studies.output.lines import TIME, Line, plots
+from linkplan.studies.output.quantities import Quantity
 
 # With more coordinates, the paths of a page are folded, and the plots of a path show its own coordinate only.
 MAX_COORDINATES_DRAWN = 6
@@ -116,7 +117,7 @@ def path_plots(path: KinematicLoopPath, group: str = "") -> list[Plot]:
     return found
 
 
-def _is_drawn(path: KinematicLoopPath, quantity: PathQuantity) -> bool:
+def _is_drawn(path: KinematicLoopPath, quantity: Quantity) -> bool:
     """Tell if a plot has a quantity: the weight alone only where springs or constant forces hold, too."""
     rounding = ROUNDING_SHARE * max(np.abs(path.needed).max(initial=0.0), np.finfo(float).tiny)
     return quantity is not WEIGHT or bool(np.abs(path.needed - path.gravity_effort).max() > rounding)
