@@ -89,7 +89,7 @@ def over(path: KinematicLoopPath) -> tuple[Axis, np.ndarray]:
         return Axis(label="time of the path", unit="s") if path.mechanism.dof > 1 else TIME, path.time_s
     column = path.coordinate or 0
     joint = path.mechanism.independent_joints[column]
-    return Axis(label=joint.name, unit=joint.unit), np.array([joint.shown(s) for s in path.positions[:, column]])
+    return Axis(label=joint.name, unit=joint.unit), joint.shown(path.positions[:, column])
 
 
 def rising_order(x: np.ndarray) -> np.ndarray:

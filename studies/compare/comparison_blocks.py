@@ -109,13 +109,13 @@ def joint_plots(comparison: Comparison, runs: Mapping[str, Rollout], chosen: Seq
     """Return the plots of the motion and the error of independent joints, by their number."""
     joints, longest, found = comparison.plan.problem.mechanism.independent_joints, _longest(runs), []
     for k in chosen:
-        joint, factor = joints[k], joints[k].shown(1.0)
+        joint = joints[k]
         desired = Line(
-            name="desired", values=factor * longest.reference_rad[:, k], unit=joint.unit, look="dash", colour=None
+            name="desired", values=joint.shown(longest.reference_rad[:, k]), unit=joint.unit, look="dash", colour=None
         )
-        positions = {name: factor * run.position_rad[:, k] for name, run in runs.items()}
+        positions = {name: joint.shown(run.position_rad[:, k]) for name, run in runs.items()}
         # On the logarithmic axis, errors below the simulator's rounding, about 1e-7 deg or m, are drawn at that value.
-        errors = {name: np.maximum(np.abs(factor * run.error_rad[:, k]), 1e-7) for name, run in runs.items()}
+        errors = {name: np.maximum(np.abs(joint.shown(run.error_rad[:, k])), 1e-7) for name, run in runs.items()}
         title = f"{joint.name}, desired and tracked"
         found += _plots(comparison, runs, title, "position", joint.unit, positions, extra=[desired])
         found += _plots(comparison, runs, f"Size of the error of {joint.name}", "error", joint.unit, errors, log=True)
@@ -127,7 +127,7 @@ def follower_plots(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[
     mechanism, found = comparison.plan.problem.mechanism, []
     for index in mechanism.dependent.tolist():
         joint = mechanism.joints[index]
-        positions = {name: joint.shown(1.0) * run.pose_rad[:, index] for name, run in runs.items()}
+        positions = {name: joint.shown(run.pose_rad[:, index]) for name, run in runs.items()}
         found += _plots(comparison, runs, f"{joint.name}, tracked", "position", joint.unit, positions)
     return found
 

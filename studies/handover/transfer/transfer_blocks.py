@@ -135,7 +135,7 @@ def _curves(transfer: Transfer, k: int) -> list[Plot]:
     joint, several = outputs.joints[k], len(outputs.joints) > 1
     points = np.tile(outputs.home, (_PLOT_SAMPLES, 1))
     points[:, k] = np.linspace(grid.axes[k][0], grid.axes[k][-1], _PLOT_SAMPLES)
-    x = np.array([joint.shown(value) for value in points[:, k]])
+    x = joint.shown(points[:, k])
     found = []
     for one in filter(lambda one: one.plot, QUANTITIES.values()):
         drawn = [
