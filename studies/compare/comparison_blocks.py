@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.controllers.rollout import Rollout
 from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.studies.compare.compare import Comparison, actuated_by_unit, gap_units, run_figures, tracking_reference
+from linkplan.studies.compare.compare import ERRORS, Comparison, actuated_by_unit, gap_units, run_figures, tracking_reference
 from linkplan.studies.compare.comparison_notes import comparison_notes
 from linkplan.studies.compare.document import document_rows
 from linkplan.studies.output.document import Block, Plot, Table, Text, table_of
@@ -66,7 +66,7 @@ def _tables(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> 
     few, (lengths, angles) = actuators if len(actuators) <= MAX_PEAK_COLUMNS else [], gap_units(comparison.plan)
     heads = [
         "tracker",
-        *((f"{which} error", unit) for unit in units for which in ("rms", "largest", "final")),
+        *((words, unit) for unit in units for words in ERRORS.values()),
         *((f"peak of {actuator.name}", actuator.unit) for actuator in few),
         "saturated [%]",
         *(["closure gap [um]"] if lengths else []),
@@ -77,7 +77,7 @@ def _tables(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> 
     rows = []
     for name, run in runs.items():
         said = run_figures(plan, run)
-        errors = [said.get(f"{which}_error_{unit}") for unit in units for which in ("rms", "max", "final")]
+        errors = [said.get(f"{which}_error_{unit}") for unit in units for which in ERRORS]
         gaps = [1e6 * gap for gap, there in zip(run.largest_gaps, (lengths, angles), strict=True) if there]
         peaks = [said["peak_effort"][actuator.name] for actuator in few]
         rows.append([name, *errors, *peaks, 100 * said["saturated_fraction"], *gaps, said["contacts"], said["stable"]])
