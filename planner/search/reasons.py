@@ -157,9 +157,7 @@ def path_effort(problem: Problem, guess: Guess) -> PathEffort | None:
     k, row = np.unravel_index(int(np.argmax(np.abs(missed))), missed.shape)
     if abs(missed[k, row]) > 1e-6 * np.abs(effort).max():
         joint = mechanism.independent_joints[row]
-        sentence += (
-            f", and no actuator gives the {missed[k, row]:.4g} {'N.m' if joint.kind == 'hinge' else 'N'} on {joint.name}"
-        )
+        sentence += f", and no actuator gives the {missed[k, row]:.4g} {joint.si_units[1]} on {joint.name}"
     return PathEffort(factor=float(factors.max()), inertial_factor=float(inertial.max()), sentence=sentence)
 
 

@@ -9,7 +9,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.reach import Reach, toggles
 from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, measure, most_poses, swept, thinned
-from linkplan.studies.check.path_quantities import LOG_PLOTS, PLOTS, QUANTITIES, WEIGHT, shown_curves
+from linkplan.studies.check.path_quantities import LOG_PLOTS, PLOTS, QUANTITIES, REACH_PLOTS, WEIGHT, shown_curves
 from linkplan.studies.output.document import Axis, Plot
 from linkplan.studies.output.draw_bodies import draw_poses
 from linkplan.studies.output.figure import GREY, RED, draw_plot
@@ -21,8 +21,6 @@ from linkplan.studies.output.quantities import Quantity
 MAX_COORDINATES_DRAWN = 6
 # The coordinates in the figure of a mechanism. A mechanism with no more has a figure for each, too. The page has all.
 MAX_FIGURES = 3
-# The plots in the figure of a mechanism's reach.
-_OF_REACH = ("Dependent joints", "Reduced inertia", "Effort that holds it still")
 
 
 def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach]) -> FigureSpec:
@@ -52,7 +50,7 @@ def inspection_figure(found: Inspection) -> FigureSpec:
     for can in reaches:
         poses = thinned(swept(mechanism, can), most_poses(mechanism))
         path_of_reach = measure(mechanism, poses, "reach", coordinate=can.coordinate)
-        plots_of_reach = [plot for plot in path_plots(path_of_reach) if plot.title.startswith(_OF_REACH)]
+        plots_of_reach = [plot for plot in path_plots(path_of_reach) if plot.title.startswith(REACH_PLOTS)]
         rows.append([lambda axes, can=can: draw_poses(axes, mechanism, _drawn_poses(mechanism, can))])
         rows[-1] += [_marked(plot, mechanism, can) for plot in plots_of_reach]
     names = [mechanism.joints[mechanism.independent[can.coordinate]].name for can in reaches]

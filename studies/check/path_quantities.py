@@ -81,8 +81,9 @@ PLOTS = {
     "Closure force at rest": "force",
     "Motion ratio of springs": "d length / d coordinate",
 }
-LOG_PLOTS = ("Reduced inertia", "Inertia that an actuator feels")  # logarithmic where they change by much
 _FOLLOWERS, _RATIO, _INERTIA, _FELT, _HELD, _LIMITED, _SINGULAR, _FORCE, _SPRINGS = PLOTS
+LOG_PLOTS = (_INERTIA, _FELT)  # logarithmic where they change by much
+REACH_PLOTS = (_FOLLOWERS, _INERTIA, _HELD)  # those in the figure of a mechanism's reach
 _JOINT, _MOTOR = ("coordinate",), ("actuator",)
 RATIO = Quantity(
     field="ratio",

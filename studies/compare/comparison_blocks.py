@@ -161,14 +161,12 @@ def gap_plots(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[Plot]
     """Return the plots of the closure gaps."""
     if not comparison.plan.problem.mechanism.closures:
         return []
-    lengths, angles = gap_units(comparison.plan)
     found: list[Plot] = []
-    if lengths:
-        gaps = {name: 1e6 * run.gap_m for name, run in runs.items()}
-        found += _plots(comparison, runs, "Gap of the kinematic loops", "gap", "um", gaps)
-    if angles:
-        gaps = {name: 1e6 * run.gap_rad for name, run in runs.items()}
-        found += _plots(comparison, runs, "Gap of the angles that closures tie", "gap", "urad", gaps)
+    kinds = (("Gap of the kinematic loops", "um", "gap_m"), ("Gap of the angles that closures tie", "urad", "gap_rad"))
+    for (title, unit, field), there in zip(kinds, gap_units(comparison.plan), strict=True):
+        if there:
+            gaps = {name: 1e6 * getattr(run, field) for name, run in runs.items()}
+            found += _plots(comparison, runs, title, "gap", unit, gaps)
     return found
 
 

@@ -13,7 +13,7 @@ class Quantity:
     """A quantity: a `field` (n, ...) with an axis for each kind of part in `of`; of two parts of one kind it is symmetric.
 
     `unit` is a text, or a function of the parts. In names the parts stand in braces. Without a `column` the quantity is not
-    in the table, without the title of a `plot` in none; `line` is a line's name there, `meaning` a phrase.
+    in the table, without the title of a `plot` in none. There `label` is the axis's, `line` a line's; `meaning` is a phrase.
     """
 
     field: str
@@ -21,6 +21,7 @@ class Quantity:
     unit: str | Callable[..., str] = "1"
     column: str = ""
     plot: str = ""
+    label: str = ""
     line: str = "{}"
     meaning: str = ""
 

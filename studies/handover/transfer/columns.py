@@ -16,15 +16,6 @@ from linkplan.models.tree.joints import Joint, inertia_unit_of
 from linkplan.studies.handover.transfer.study import Transfer, carried_gains
 from linkplan.studies.output.quantities import Curve, Quantity, curves_of
 
-# Titles of the plots over a joint's range, with the labels of their vertical axes.
-PLOTS = {
-    "Motor positions": "motor position",
-    "Transmission G": "G",
-    "Reflected inertia": "inertia",
-    "Effort that balances gravity": "effort",
-}
-_POSITIONS, _G, _INERTIA, _GRAVITY = PLOTS
-
 
 def _per(side: int, rate: str = "") -> Callable[..., str]:
     """Return a function of parts: the unit of the first one's position (0) or effort (1) per position of each other."""
@@ -44,16 +35,18 @@ def _of(kinds: str, field: str, unit: Callable[..., str], meaning: str, column: 
 _ALL = (
     _of("joint", "joint_position", _per(0), "positions of the output joints"),
     _of("motor", "motor_position", _per(0), "motor positions: gear times joint position, as MuJoCo's actuator length",
-        plot=_POSITIONS),
+        plot="Motor positions", label="motor position"),
     _of("motor joint", "ratio", _per(0), "G: motor velocity = G joint velocity, joint effort = G^T motor effort",
-        "G_{}_{}", plot=_G, line="{} / {}"),
+        "G_{}_{}", plot="Transmission G", label="G", line="{} / {}"),
     _of("motor joint joint", "ratio_slope", _per(0), "dG/ds: G' = the sum over its last axis of dG/ds times joint velocity",
         "dG_{}_{}_d_{}"),
-    _of("joint joint", "inertia", _inertia, "reflected inertia of all that moves with the output joints", plot=_INERTIA),
+    _of("joint joint", "inertia", _inertia, "reflected inertia of all that moves with the output joints",
+        plot="Reflected inertia", label="inertia"),
     _of("joint joint", "armature", _inertia, "the part of it that is armature of joints and rotors"),
     _of("joint joint", "damping", _per(1, ".s"), "reflected viscous damping"),
     _of("joint", "friction", _per(1), "dry friction on each joint while it slides alone"),
-    _of("joint", "gravity", _per(1), "effort that balances gravity", plot=_GRAVITY),
+    _of("joint", "gravity", _per(1), "effort that balances gravity",
+        plot="Effort that balances gravity", label="effort"),
     _of("joint", "hold", _per(1), "effort at rest: gravity, springs and constant forces"),
     _of("joint end", "effort_box", lambda joint, _: joint.si_units[1], "least and largest effort on each joint",
         "effort_{1}_{0}"),

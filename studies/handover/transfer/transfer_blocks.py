@@ -4,7 +4,7 @@ import numpy as np
 
 from linkplan.models.transfer.polytope import effort_box, effort_corners
 from linkplan.models.transfer.table import REFINED
-from linkplan.studies.handover.transfer.columns import PLOTS, QUANTITIES, curves
+from linkplan.studies.handover.transfer.columns import QUANTITIES, curves
 from linkplan.studies.handover.transfer.serial_study import error_plots, serial_blocks
 from linkplan.studies.handover.transfer.serial_urdf import urdf_notes
 from linkplan.studies.handover.transfer.study import CONVENTION, Transfer, carried_gains
@@ -149,7 +149,7 @@ def _curves(transfer: Transfer, k: int) -> list[Plot]:
         ]
         of = f" over {joint.name}" + (", other outputs at home" if several else "")
         axis = Axis(label=joint.name, unit=joint.unit)
-        found += plots(f"{one.plot}{of}", PLOTS[one.plot], axis, x, lines, group=f"transfer:{joint.name}")
+        found += plots(f"{one.plot}{of}", one.label, axis, x, lines, group=f"transfer:{joint.name}")
     return found
 
 
