@@ -32,7 +32,7 @@ def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach]) -> FigureSpec
     if path.coordinate is not None:
         panels[1:] = [_marked(plot, path.mechanism, reaches[path.coordinate]) for plot in panels[1:]]
     title = f"{path.mechanism.name}: along {path.title}, at rest"
-    columns = 2 if len(panels) <= 6 else 4
+    columns = 2 if len(panels) <= 6 else 3 if len(panels) <= 9 else 4
     size = one_screen(len(panels), columns, (5.3, 3.3))
     return FigureSpec(panels=panels, title=title, columns=columns, panel_in=size)
 

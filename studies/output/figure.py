@@ -196,9 +196,9 @@ def figure_of(spec: FigureSpec, path: Path | None = None) -> Figure:
                 axis.set_visible(False)
                 continue
             if callable(panel):
-                if not any(panels[k + columns :: columns]):  # a drawing takes the empty room below it
-                    axis.set_subplotspec(axis.get_gridspec()[k // columns :, k % columns])
                 panel(axis)
+                if axis.get_aspect() != "auto" and not any(panels[k + columns :: columns]):
+                    axis.set_subplotspec(axis.get_gridspec()[k // columns :, k % columns])  # the empty room below a drawing
             else:
                 _DRAWERS[type(panel)](axis, panel)
             width = _width_of(panel, panel_in[0])
@@ -327,9 +327,10 @@ def _draw_limits(axis, plot: Plot) -> None:
     ends = [float(one.y[-1]) for one in plot.series if len(one.y) and one.y[-1] is not None]
     for limit in plot.limits:
         axis.axhline(limit.value, color=GREY, linestyle=":", linewidth=1.2)
-        low, high = axis.get_ylim()
+        scaled = np.log10 if plot.y_axis.log else float
+        low, high, at = (scaled(value) for value in (*axis.get_ylim(), limit.value))
         # The name stands above its line, or below if the curves end above it and there is room.
-        below = limit.value - low > _ROOM_BELOW_LIMIT * (high - low) and bool(ends) and min(ends) >= limit.value
+        below = at - low > _ROOM_BELOW_LIMIT * (high - low) and bool(ends) and min(ends) >= limit.value
         place = {"xycoords": axis.get_yaxis_transform(), "ha": "right", "va": "top" if below else "bottom"}
         place |= {"xytext": (0, -3 if below else 0), "textcoords": "offset points"}
         text = axis.annotate(f"{limit.name} {limit.value:.4g}", (0.995, limit.value), color="#595959", fontsize=7, **place)

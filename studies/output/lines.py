@@ -33,9 +33,9 @@ def tracker_colour(tracker: str, other: int) -> int:
 
 
 def overlaid_width(index: int, n_lines: int) -> float:
-    """Return the width [px] of line `index` of `n_lines`: later lines are thinner, so that all remain visible."""
-    widest, thinnest = 3.4, 1.2
-    return round(widest - (widest - thinnest) * index / max(1, n_lines - 1), 2)
+    """Return the width [px] of line `index` of `n_lines`. Of several, later lines are thinner, and all remain visible."""
+    alone, widest, thinnest = 1.6, 3.4, 1.2
+    return alone if n_lines == 1 else round(widest - (widest - thinnest) * index / (n_lines - 1), 2)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

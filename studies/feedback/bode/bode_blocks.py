@@ -261,7 +261,7 @@ def sensitivities(entries: Sequence[BodePoint], group: str) -> list[Plot]:
                 dots = {**look, "look": "points"}
                 curves.append((f"{entry.point.name}, measured", response.frequency_hz, response.gain_db, dots))
         ends = None if quantity == "control" else (-50.0, 25.0)
-        limits = [] if quantity == "control" else [DrawnLimit(name="gain one,", value=0.0)]
+        limits = [] if quantity == "control" else [DrawnLimit(name="gain one at", value=0.0)]
         found.append(frequency_plot(title, "gain", unit, curves, group, limits, ends))
     return found
 

@@ -22,7 +22,7 @@ from linkplan.studies.output.document import Axis, Bar, Bars, DrawnLimit, Plane,
 from linkplan.studies.output.draw_bodies import draw_poses
 from linkplan.studies.output.figure import figure_of
 from linkplan.studies.output.figure_spec import FigureSpec, one_screen
-from linkplan.studies.output.lines import TIME, Line, plots
+from linkplan.studies.output.lines import TIME, Line, overlaid_width, plots
 from tests.support.figure_texts import text_faults
 from tests.support.figures import curves, saved_figures
 from tests.support.mechanism_checks import mechanism_of
@@ -274,3 +274,23 @@ def test_a_line_without_values_has_no_entry_in_the_legend_and_single_values_are_
     (plot,) = plots("Crossings", "frequency", TIME, np.arange(3.0), lines)
     looks = [(one.name, one.look, one.colour) for one in plot.series]
     assert looks == [("", "line", 0), ("one", "points", 1), ("two", "line", 2)]
+
+
+def test_only_a_drawing_in_one_scale_takes_the_empty_room_below_it():
+    def free(axes) -> None:
+        axes.plot([0.0, 1.0], [0.0, 1.0])
+
+    def drawn(axes) -> None:
+        free(axes)
+        axes.set_aspect("equal", adjustable="datalim")
+
+    for panels, spans in (([panel(0, 2), free, panel(1, 2)], 1), ([panel(0, 2), drawn, panel(1, 2)], 2)):
+        figure = figure_of(FigureSpec(panels=panels, columns=2))
+        assert len(figure.axes[1].get_subplotspec().rowspan) == spans
+
+
+def test_a_line_alone_is_of_the_usual_width_and_of_several_the_first_is_the_widest():
+    assert overlaid_width(0, 1) == Line(name="", values=np.zeros(1), unit="").width
+    widths = [overlaid_width(k, 3) for k in range(3)]
+    assert widths == sorted(widths, reverse=True)
+    assert len({*widths}) == 3
