@@ -28,7 +28,8 @@ def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach]) -> FigureSpec
     poses = path.poses[np.linspace(0, len(path.poses) - 1, num=7).astype(int)]
     if path.coordinate is not None:
         poses = np.vstack([poses, path.mechanism.home])
-    panels: list = [lambda axes: draw_poses(axes, path.mechanism, poses), *path_plots(path)]
+    last = "the end" if path.coordinate is None else "home"
+    panels: list = [lambda axes: draw_poses(axes, path.mechanism, poses, last), *path_plots(path)]
     if path.coordinate is not None:
         panels[1:] = [_marked(plot, path.mechanism, reaches[path.coordinate]) for plot in panels[1:]]
     title = f"{path.mechanism.name}: along {path.title}, at rest"
@@ -51,7 +52,7 @@ def inspection_figure(found: Inspection) -> FigureSpec:
         poses = thinned(swept(mechanism, can), most_poses(mechanism))
         path_of_reach = measure(mechanism, poses, "reach", coordinate=can.coordinate)
         plots_of_reach = [plot for plot in path_plots(path_of_reach) if plot.title.startswith(REACH_PLOTS)]
-        rows.append([lambda axes, can=can: draw_poses(axes, mechanism, _drawn_poses(mechanism, can))])
+        rows.append([lambda axes, can=can: draw_poses(axes, mechanism, _drawn_poses(mechanism, can), "home")])
         rows[-1] += [_marked(plot, mechanism, can) for plot in plots_of_reach]
     names = [mechanism.joints[mechanism.independent[can.coordinate]].name for can in reaches]
     others = "" if mechanism.dof == 1 else f": {' then '.join(names)} each over its reach, the other coordinates at home"

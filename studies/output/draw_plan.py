@@ -52,7 +52,10 @@ def plan_figure(plan: Plan) -> FigureSpec:
     def mechanism(axes) -> None:
         from linkplan.studies.output.draw_bodies import draw_poses, draw_sites  # they load matplotlib
 
-        draw_sites(axes, plan) if plan.problem.sites else draw_poses(axes, plan.problem.mechanism, poses)
+        if plan.problem.sites:
+            draw_sites(axes, plan)
+        else:
+            draw_poses(axes, plan.problem.mechanism, poses, "the end of the motion")
 
     title = f"{plan.problem.name}: {plan.message}"
     return FigureSpec(panels=side_by_side(shown, [mechanism]), title=title, columns=2, panel_in=(6.2, 2.7))
