@@ -9,7 +9,7 @@ from linkplan.studies.handover.transfer.serial_study import error_plots, serial_
 from linkplan.studies.handover.transfer.serial_urdf import urdf_notes
 from linkplan.studies.handover.transfer.study import CONVENTION, Transfer, carried_gains
 from linkplan.studies.output.document import Axis, Block, Facts, Plane, Plot, Report, Section, Series, Text, table_of
-from linkplan.studies.output.lines import Line, overlaid_width, plots
+from linkplan.studies.output.lines import Line, plots
 from linkplan.studies.output.numbers import rounded
 from linkplan.studies.output.report_file import report_of
 
@@ -138,14 +138,14 @@ def _curves(transfer: Transfer, k: int) -> list[Plot]:
     x = joint.shown(points[:, k])
     found = []
     for one in filter(lambda one: one.plot, QUANTITIES.values()):
-        drawn = [
-            # "A and B" for the coupling of two joints, else "A"
-            (one.line.format(*curve.names) if one.line != "{}" else " and ".join(dict.fromkeys(curve.names)), curve)
-            for curve in curves(transfer, one.field, grid.at(one.field, points))
-        ]
         lines = [
-            Line(name=said, values=curve.values, unit=curve.unit, width=overlaid_width(i, len(drawn)))
-            for i, (said, curve) in enumerate(drawn)
+            # "A and B" for the coupling of two joints, else "A"
+            Line(
+                name=one.line.format(*curve.names) if one.line != "{}" else " and ".join(dict.fromkeys(curve.names)),
+                values=curve.values,
+                unit=curve.unit,
+            )
+            for curve in curves(transfer, one.field, grid.at(one.field, points))
         ]
         of = f" over {joint.name}" + (", other outputs at home" if several else "")
         axis = Axis(label=joint.name, unit=joint.unit)

@@ -290,7 +290,22 @@ def test_only_a_drawing_in_one_scale_takes_the_empty_room_below_it():
 
 
 def test_a_line_alone_is_of_the_usual_width_and_of_several_the_first_is_the_widest():
-    assert overlaid_width(0, 1) == Line(name="", values=np.zeros(1), unit="").width
+    assert overlaid_width(0, 1) == Series(name="", y=[]).width
     widths = [overlaid_width(k, 3) for k in range(3)]
     assert widths == sorted(widths, reverse=True)
     assert len({*widths}) == 3
+
+
+def test_lines_that_hide_each_other_are_of_different_widths():
+    time = np.linspace(0.0, 1.0, 50)
+    rows = {"one": np.sin(9 * time), "same": np.sin(9 * time) + 1e-4, "other": np.cos(9 * time)}
+
+    def widths(*names: str, log: bool = False) -> list[float]:
+        lines = [Line(name=name, values=np.exp(rows[name]) if log else rows[name], unit="m") for name in names]
+        (plot,) = plots("Motion", "position", TIME, time, lines, log=log)
+        return [one.width for one in plot.series]
+
+    for log in (False, True):
+        hidden, apart = widths("one", "other", "same", log=log), widths("one", "other", log=log)
+        assert hidden == [overlaid_width(k, 3) for k in range(3)]
+        assert apart == [overlaid_width(0, 1)] * 2
