@@ -6,7 +6,7 @@ has no derivative at zero, so limits use sin^2(alpha / 2) = 1 - w^2 of the unit 
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import casadi as ca
 import mujoco
@@ -16,6 +16,7 @@ from linkplan.models.errors import ModelError, nearest
 from linkplan.models.tree.coordinates import BALL, FREE, HINGE, Coordinates, joint_label, turned_quaternion
 from linkplan.models.tree.passive import limits_off
 
+Shown = TypeVar("Shown", float, np.ndarray)
 # Positions below this are zero to rounding [rad or m]: assembly closes loops to about 1e-12.
 POSITION_ROUNDING = 1e-9
 
@@ -101,17 +102,21 @@ class Joint:
         """The units of a stiffness and of a damping."""
         return gain_units_of(self.si_units[1])
 
-    def shown(self, position: float) -> float:
-        """Return a position [rad or m] in the unit of files and messages."""
-        return float(np.degrees(position)) if self.kind == "hinge" else float(position)
+    def shown(self, position: Shown) -> Shown:
+        """Return a position, or an array of them, [rad or m] in the unit of files and messages."""
+        return self._in(np.degrees, position)
 
     def text(self, position: float, digits: int = 4) -> str:
         """Return a position [rad or m] as text in the unit of files and messages, rounded to `digits` digits."""
         return f"{0.0 if abs(position) < POSITION_ROUNDING else self.shown(position):.{digits}g}"
 
-    def read(self, value: float) -> float:
-        """Return a value in the unit of files and messages as a position [rad or m]."""
-        return float(np.radians(value)) if self.kind == "hinge" else float(value)
+    def read(self, value: Shown) -> Shown:
+        """Return a value, or an array of them, in the unit of files and messages as a position [rad or m]."""
+        return self._in(np.radians, value)
+
+    def _in(self, of_angles: Any, value: Any) -> Any:
+        found = of_angles(value) if self.kind == "hinge" else value
+        return found if np.ndim(found) else float(found)
 
 
 def read_joints(name: str, model: mujoco.MjModel, coordinates: Coordinates) -> tuple[Joint, ...]:
@@ -164,9 +169,13 @@ def shown_by_unit(joints: Iterable[Joint], values: Iterable) -> dict[str, dict[s
     """
     found: dict[str, dict[str, Any]] = {"deg": {}, "m": {}}
     for joint, value in zip(joints, values, strict=True):
-        shown = np.degrees(value) if joint.kind == "hinge" else value
-        found[joint.unit][joint.name] = shown if np.ndim(shown) else float(shown)
+        found[joint.unit][joint.name] = joint.shown(value)
     return found
+
+
+def shown_by_name(joints: Iterable[Joint], values: np.ndarray) -> dict[str, np.ndarray]:
+    """Return joints' values (n, n_joints) [rad or m] by name, in the unit of files and messages."""
+    return {joint.name: joint.shown(column) for joint, column in zip(joints, values.T, strict=True)}
 
 
 def unit_steps(joints: Sequence[Joint], extent_m: float) -> np.ndarray:

@@ -26,12 +26,8 @@ from linkplan.planner.transcription.scheme_names import MAX_INTERVALS
 ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")
 # Twice the coefficients of the highest degree: on the largest mesh, more would need gigabytes.
 _MAX_COEFFICIENTS = 24
-# Column headers end in a unit; the first ending that fits counts.
-_UNITS = {
-    "_deg_s2": "deg/s2", "_deg_s": "deg/s", "_deg": "deg",
-    "_m_s2": "m/s2", "_m_s": "m/s", "_m": "m",
-    "_Nm": "N.m", "_N": "N", "time_s": "s",
-}  # fmt: skip
+# The units in which column headers end; the first one that fits counts.
+_UNITS = ("deg/s2", "deg/s", "deg", "m/s2", "m/s", "m", "N.m", "N")
 Kind = Literal["number", "count", "flag", "word"]
 # The encodings of pyarrow's defaults. Others can expand to sizes that the metadata do not state.
 _ENCODINGS, _COMPRESSIONS = {"PLAIN", "RLE", "RLE_DICTIONARY", "PLAIN_DICTIONARY"}, {"SNAPPY", "UNCOMPRESSED"}
@@ -105,11 +101,17 @@ def _array(archive: zipfile.ZipFile, name: str, wanted: type) -> np.ndarray:
     return np.frombuffer(content, dtype=kind, offset=file.tell()).reshape(shape, order="F" if fortran else "C")
 
 
+def head_of(name: str, unit: str) -> str:
+    """Return the header of a column: "O_deg_s" for O in deg/s, "act_O_Nm" for act_O in N.m."""
+    return f"{name}_{unit.replace('.', '').replace('/', '_')}"
+
+
 def unit_of(head: str) -> str:
     """Return the unit of a column by its header: for "O_deg_s" it is deg/s, for "G_motor_knee [rad/rad]" it is rad/rad."""
     if head.endswith("]"):
         return head.rpartition("[")[2][:-1]
-    return next((unit for ending, unit in _UNITS.items() if head.endswith(ending)), "1")
+    ends = (unit for unit in _UNITS if head.endswith(head_of("", unit)))
+    return "s" if head.endswith("time_s") else next(ends, "1")
 
 
 def csv_bytes(columns: Mapping[str, np.ndarray]) -> bytes:

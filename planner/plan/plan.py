@@ -17,9 +17,11 @@ from linkplan.models.extras import load_extra
 from linkplan.models.poses.along import joint_rates, whole_turns
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
+from linkplan.models.tree.joints import shown_by_name
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.demands import Demand, demands_of
 from linkplan.planner.certificate.further_checks import contact_notes
+from linkplan.planner.files.columns import head_of
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import AXES, angles_of
 from linkplan.planner.proof.finding import Proof
@@ -54,14 +56,27 @@ class MotionTable:
         sites = {name: place[0] for name, place in self.site.items()}
         return replace(self, time_s=float(self.time_s[0]), site=sites, **first)
 
+    def by_quantity(self) -> dict[str, dict[str, tuple[str, np.ndarray]]]:
+        """Return the unit and the values by name of position, speed, acceleration, effort, site and body."""
+
+        def rates(values: dict[str, np.ndarray], per: str) -> dict[str, tuple[str, np.ndarray]]:
+            return {name: (self.unit[name] + per, x) for name, x in values.items()}
+
+        return {
+            "position": rates(self.position_deg, ""),
+            "speed": rates(self.speed_deg_s, "/s"),
+            "acceleration": rates(self.acceleration_deg_s2, "/s2"),
+            "effort": {name: (self.effort_unit[name], x) for name, x in self.effort.items()},
+            "site": {name: ("m", x) for name, x in self.site.items()},
+            "body": {name: ("deg", x) for name, x in self.body_deg.items()},
+        }
+
     def columns(self) -> dict[str, np.ndarray]:
         """Return all columns (n,), units in their heads: time_s, O_deg, O_deg_s, ..., act_O_Nm, foot_x_m, body_shank_deg."""
-        found = {"time_s": self.time_s}
-        for name, values in self.position_deg.items():
-            found[f"{name}_{self.unit[name]}"] = values
-            found[f"{name}_{self.unit[name]}_s"] = self.speed_deg_s[name]
-        found |= {f"{name}_{self.unit[name]}_s2": values for name, values in self.acceleration_deg_s2.items()}
-        found |= {f"{name}_{self.effort_unit[name].replace('.', '')}": values for name, values in self.effort.items()}
+        of = self.by_quantity()
+        rows = [(name, *of[key][name]) for name in self.position_deg for key in ("position", "speed")]
+        rows += [(name, *row) for key in ("acceleration", "effort") for name, row in of[key].items()]
+        found = {"time_s": self.time_s} | {head_of(name, unit): values for name, unit, values in rows}
         for name, place in self.site.items():
             heads = [f"{name}_{axis}_m" for axis in AXES]
             taken = any(head in found for head in heads)  # by a slide of that name
@@ -146,14 +161,11 @@ def motion_table(
     rates = joint_rates(mechanism, q, trajectory.velocity_at(time))
     accelerations, efforts = trajectory.acceleration_at(time), trajectory.effort_at(time)
 
-    def shown(joints, values: np.ndarray) -> dict[str, np.ndarray]:
-        return {j.name: np.degrees(x) if j.kind == "hinge" else x for j, x in zip(joints, values.T, strict=True)}
-
     return MotionTable(
         time_s=time,
-        position_deg=shown(mechanism.joints, q),
-        speed_deg_s=shown(mechanism.joints, rates),
-        acceleration_deg_s2=shown(mechanism.independent_joints, accelerations),
+        position_deg=shown_by_name(mechanism.joints, q),
+        speed_deg_s=shown_by_name(mechanism.joints, rates),
+        acceleration_deg_s2=shown_by_name(mechanism.independent_joints, accelerations),
         effort={actuator.name: u for actuator, u in zip(mechanism.actuators, efforts.T, strict=True)},
         unit={joint.name: joint.unit for joint in mechanism.joints},
         effort_unit={actuator.name: actuator.unit for actuator in mechanism.actuators},

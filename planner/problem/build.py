@@ -64,6 +64,8 @@ _SECTIONS += ("robust", "imperfections")
 _TABLES = {key: "motion" for key in KEYS["motion"] if key != "kind"} | {"minimize": "objective", "reserve": "limits"}
 _MECHANISM = tuple(key for key in KEYS["mechanism"] if key != "model")
 _EXTRAS = ("extra_costs", "extra_limits")
+# Sections with readers of their own: settings that Python code makes, too, and imperfections, which planning does not use.
+_READ_ALONE = ("mesh", "solver", "tracking", "imperfections")
 # The arguments of builders.
 ARGUMENTS = ("mechanism", *_TABLES, *_SECTIONS, *_EXTRAS, "name", *_MECHANISM)
 
@@ -154,12 +156,12 @@ def tracking_from_tables(tables: Mapping[str, dict], mechanism: Mechanism | None
 
 
 def _sections(tables: Tables, mechanism: Mechanism) -> ProblemFile:
-    """Return all sections of a file, without [imperfections], which has its own reader and which planning does not use."""
+    """Return the sections of a file but for `_READ_ALONE`, with defaults in place of these."""
     if "imperfections" in tables:
         imperfections_of(tables["imperfections"], mechanism)
     # An empty reference is none. An empty objective is legal with extra costs only, and `Objective` checks it.
-    left_out = {"reference": {}, "objective": {"minimize": {}}, "imperfections": tables.get("imperfections")}
-    given = {name: table for name, table in tables.items() if name not in left_out or table != left_out[name]}
+    left_out = {"reference": {}, "objective": {"minimize": {}}}
+    given = {name: table for name, table in tables.items() if name not in _READ_ALONE and table != left_out.get(name)}
     return read(ProblemFile, given, "", functools.partial(_refuse_unknown_name, mechanism))
 
 
@@ -240,18 +242,15 @@ def _mesh(section: dict, objective: Objective, *, rated: bool) -> dict:
     values: dict = {"effort": "linear" if rated else "constant"} if smeared else {}
     if "scheme" in section:
         values["refine"] = "intervals"  # keeps the named transcription, unless its refinement is given too
-    if "breaks" in section:
-        if "intervals" in section:
-            raise ProblemError("mesh.breaks and mesh.intervals both say how many intervals there are; keep one")
-        values["intervals"] = len(section["breaks"]) - 1
+    if "breaks" in section and "intervals" in section:
+        raise ProblemError("mesh.breaks and mesh.intervals both say how many intervals there are; keep one")
     return values | section
 
 
 def _tracking(section: dict, mechanism: Mechanism | None) -> Tracking:
-    found = Tracking(**section)
+    step_s = 0.0 if mechanism is None else float(mechanism.model.opt.timestep)
+    found = Tracking(**{"period_s": max(DEFAULT_PERIOD_S, step_s)} | section)
     if mechanism is not None:
-        if "period_s" not in section:
-            found = found.replace(period_s=max(DEFAULT_PERIOD_S, float(mechanism.model.opt.timestep)))
         # Both refuse joints without a value, and values of unknown joints.
         found.gains(mechanism.independent_joints)
         found.lqr_errors(mechanism.independent_joints)

@@ -14,7 +14,7 @@ from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta
-from msgspec.structs import force_setattr
+from msgspec.structs import fields, force_setattr
 
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import ProblemError
@@ -30,7 +30,7 @@ from linkplan.planner.problem.keys.kinds import (
     Number,
     Positive,
 )
-from linkplan.planner.problem.keys.reading import KEYS, checked, kind_of, read
+from linkplan.planner.problem.keys.reading import read
 from linkplan.planner.problem.keys.section import Section
 from linkplan.planner.problem.keys.sections import MeshSection, SolverSection, TrackingSection
 
@@ -154,27 +154,29 @@ def _named(tables: Mapping[str, dict]) -> Iterator[str]:
                 yield from table.get(f"{state}_{unit}", ())
 
 
-def _check(settings: Section, section: str) -> None:
-    """Check settings that Python code makes as the decoder checks a file's section; None is kept if it is the default."""
-    for key in KEYS[section]:
-        value = to_toml_types(getattr(settings, key))
-        if value is not None or getattr(kind_of(section)(), key) is not None:
-            force_setattr(settings, key, checked(f"{section}.{key}", value))
+def _decode(settings: Section, kind: type[Section], name: str) -> None:
+    """Decode the keys of a section, of a file or from Python, in place; None is kept if it is the default."""
+    values = [(one, to_toml_types(getattr(settings, one.name))) for one in fields(kind)]
+    given = {one.name: value for one, value in values if value is not None or one.default is not None}
+    found = read(kind, given, name)
+    for key in given:
+        force_setattr(settings, key, getattr(found, key))
 
 
 class MeshSettings(MeshSection, frozen=True, eq=False):
-    """The [mesh] of a problem; `breaks` is an array."""
+    """The [mesh] of a problem; `breaks` is an array, which says how many intervals there are."""
 
     breaks: Any = None
 
     def __post_init__(self) -> None:
         given = to_toml_types(self.breaks)
-        _check(self, "mesh")
+        _decode(self, MeshSection, "mesh")
         if given is not None:
             breaks = frozen(self.breaks)
             if breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) < MIN_INTERVAL_SHARE):
                 raise ProblemError(f"mesh.breaks is {BREAKS}, got {given!r}")
             force_setattr(self, "breaks", breaks)
+            force_setattr(self, "intervals", len(breaks) - 1)
 
 
 class SolverSettings(SolverSection, frozen=True, eq=False):
@@ -184,7 +186,7 @@ class SolverSettings(SolverSection, frozen=True, eq=False):
     deadline: Deadline = NO_DEADLINE  # of all solves; certificates have a later one
 
     def __post_init__(self) -> None:
-        _check(self, "solver")
+        _decode(self, SolverSection, "solver")
         if self.max_iterations is not None:
             force_setattr(self, "max_iterations", whole(self.max_iterations, "solver.max_iterations", 1, 1_000_000))
 
@@ -210,7 +212,7 @@ class Tracking(TrackingSection, frozen=True, eq=False):
 
     def __post_init__(self) -> None:
         delay = to_toml_types(self.delay_periods)
-        _check(self, "tracking")
+        _decode(self, TrackingSection, "tracking")
         force_setattr(self, "delay_periods", delay)  # an integer stays an integer
 
     def tracked(self) -> "Tracking":

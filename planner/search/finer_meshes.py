@@ -9,7 +9,6 @@ The first solves keep a distance from singular poses that nobody asked for, so t
 (`FIRST_MARGIN`). Finer meshes come nearer, from a motion that is on its branch.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,15 +19,15 @@ from linkplan.planner.closed_chain.case import MechanismCase
 from linkplan.planner.closed_chain.formulate import TIE_WEIGHT
 from linkplan.planner.closed_chain.guess import guess_from, with_force_times
 from linkplan.planner.limits.limit import with_limits
-from linkplan.planner.limits.rates import smooth_columns
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.actions import nearest_on
 from linkplan.planner.refinement.case import CertifiedIterate, Iterate, attempt, certify_iterate, share_gained, with_scheme
-from linkplan.planner.refinement.constrained_arcs import arc_ends, own_arcs, path_multipliers
+from linkplan.planner.refinement.constrained_arcs import path_multipliers
 from linkplan.planner.refinement.marking import degree_of, rough_of
 from linkplan.planner.refinement.state import Refined
 from linkplan.planner.refinement.switches import mesh_with_switches
+from linkplan.planner.search.jumps import apart, jumps_of
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, divided, uniform, without_empty
 
@@ -51,12 +50,6 @@ _LOST_SHARE = 1e-3
 # The same for the first finer mesh of a given duration: the first mesh costs 0.9 and 1.6 % too little for the excavator, and
 # at most 3e-4 for the other 30 problems of the set.
 _LOST_SHARE_AT_FIRST = 2e-2
-# An effort jumps where it changes by more than this share of its range from one interval to the next but one. The jump costs
-# about the square of the interval's share of the motion: less than the second share is not worth an unknown.
-_JUMP_SHARE, _WORTH_AN_UNKNOWN = 0.4, 1e-4
-# At most so many jumps are unknowns, for each interval: with all 35 of an open chain of twelve motors on 24 intervals, its
-# least time took 44 s in place of 30, and was no better.
-_MOST_JUMPS = 0.9
 # A mesh is too coarse with more than this share of the allowed residual, and where a limit is overrun between the nodes by
 # more than this share of itself: less is tightened.
 _MOST_RESIDUAL, _MOST_TIGHTENED = 0.2, 3e-4
@@ -252,19 +245,18 @@ def _next_way(case: MechanismCase, before: CertifiedIterate, at: CertifiedIterat
         return None
     pieces, mesh = _coarse(case, at), at.found.mesh
     boundaries, durations = at.found.motion.breaks_s[mesh.boundaries()], at.found.durations
-    further = _apart(jumps_of(case, at.found), np.concatenate([[0.0], np.cumsum(durations)]), at.found.motion)
+    further = apart(jumps_of(case, at.found), np.concatenate([[0.0], np.cumsum(durations)]), at.found.motion)
     if (nearer := _nearer(case, at.found)) is not case:
         return _Way(nearer, mesh, durations, "nearer to singular poses")
     settled = left <= _settled_change(case)
+    tightened = case.tightened(at.certificate, at.found.motion) if at.overruns else case
     if not settled and len(further) and mesh.n_segments + len(further) <= mesh.n_intervals // 3:
         ends = np.concatenate([np.cumsum(durations)[:-1], further])
         ends = np.sort(ends[np.abs(ends[:, None] - boundaries).min(axis=1) > 1e-9 * boundaries[-1]])
         return _Way(case, *mesh_with_switches(boundaries, ends, mesh.n_intervals, least=1), "further jumps as unknowns")
     if not settled and pieces.max() > 1 and pieces.sum() <= _MAX_GROWTH * case.asked.mesh.intervals:
-        tightened = case.tightened(at.certificate, at.found.motion) if at.overruns else case
         return _Way(tightened, divided(mesh, pieces), durations, "finer mesh")
     if at.overruns and case.n_tightenings < _MAX_TIGHTENINGS:
-        tightened = case.tightened(at.certificate, at.found.motion)
         return _Way(tightened, mesh, durations, "limits tightened between the nodes")
     cost = -gain / _settled_change(case)  # of tightening
     if case.n_tightenings and (at.overruns or (at.passed and cost > 1)):
@@ -340,71 +332,3 @@ def _enough(case: MechanismCase, worst: np.ndarray) -> np.ndarray:
     finite, scheme = np.nan_to_num(worst, nan=1e30, posinf=1e30), case.problem.mesh.scheme
     order = degree_of(scheme) if scheme[-1].isdigit() else 2
     return np.clip(np.ceil(finite ** (1.0 / order)), 1, _MAX_PIECES).astype(int)
-
-
-def jumps_of(case: MechanismCase, found: Iterate) -> np.ndarray:
-    """Return the increasing times (n,) [s] at which efforts or limited jerks jump, or at which arcs along limits end.
-
-    The limits are those on speed, acceleration, jerk and power.
-    """
-    if case.problem.mechanism.forces is not None:  # which are known at fixed instants
-        return np.zeros(0)
-    motion, jumps = found.motion, effort_jumps(case, found.motion)
-    arcs = own_arcs(found.solution.transcribed, found.solution.x, ("speed", "acceleration", "jerk", "power"))
-    ends = arc_ends(arcs, motion.breaks_s, jumps, motion.breaks_s[found.mesh.boundaries()])
-    every = np.concatenate([jumps, ends, _jerk_jumps(case, motion)])
-    return _apart(np.sort(every), motion.breaks_s[[0, -1]], motion)
-
-
-def _jerk_jumps(case: MechanismCase, motion: Trajectory) -> np.ndarray:
-    """Return the times (n,) [s] at which jerks jump, increasing: a site's turns about while its size stays at the limit."""
-    columns = list(smooth_columns(case.problem))
-    if not columns or case.problem.objective.has("jerk"):
-        return np.zeros(0)
-    mean = np.diff(motion.acceleration_at(motion.breaks_s)[:, columns], axis=0) / np.diff(motion.breaks_s)[:, None]
-    return _jumps(mean / np.maximum(np.ptp(mean, axis=0), 1e-300), motion)
-
-
-def effort_jumps(case: MechanismCase, motion: Trajectory) -> np.ndarray:
-    """Return the times (n,) [s] at which efforts jump between intervals or inside one, increasing.
-
-    The impulse of an interval tells where in it an effort changes from its mean before to its mean after.
-    """
-    if case.target.continuous_efforts or case.target.enclosed or not case.target.switches:
-        return np.zeros(0)
-    limit, mean = case.asked.limits.effort, motion.effort.mean(axis=0)  # of Bernstein coefficients: that of the polynomial
-    span = np.ptp(limit, axis=1)
-    return _jumps(mean / np.where(np.isfinite(span) & (span > 0), span, np.maximum(np.ptp(mean, axis=0), 1e-300)), motion)
-
-
-def _jumps(level: np.ndarray, motion: Trajectory) -> np.ndarray:
-    """Return the increasing times (n,) [s] at which a column of the intervals' means (n_intervals, m) jumps.
-
-    Of very many those that cost most are taken.
-    """
-    breaks, found = motion.breaks_s, []
-    widths = np.diff(breaks) / motion.duration_s
-    for column in level.T:
-        k = 1
-        while k < len(column) - 1:
-            before, after = column[k - 1], column[k + 1]
-            if abs(after - before) <= _JUMP_SHARE or widths[k] ** 2 * abs(after - before) <= _WORTH_AN_UNKNOWN:
-                k += 1
-                continue
-            share = float(np.clip((column[k] - after) / (before - after), 0.0, 1.0))
-            cost = widths[k] ** 2 * abs(after - before) * share * (1 - share)
-            found.append((float(cost), float(breaks[k] + share * (breaks[k + 1] - breaks[k]))))
-            k += 2
-    dearest = sorted(found, reverse=True)[: int(_MOST_JUMPS * len(widths))]
-    return _apart(np.array(sorted(time for _, time in dearest)), breaks[[0, -1]], motion)
-
-
-def _apart(times: np.ndarray, from_these: np.ndarray, motion: Trajectory) -> np.ndarray:
-    """Return the times that are a tenth of a mean interval or more apart from some others and from each other."""
-    least = 0.1 * motion.duration_s / (len(motion.breaks_s) - 1)
-    kept: list[float] = []
-    for time in times:
-        others: Sequence[float] = [*from_these, *kept]
-        if min(abs(time - other) for other in others) > least:
-            kept.append(float(time))
-    return np.array(kept)

@@ -1,4 +1,4 @@
-"""The least effort limits with which a motion exists: a start, or the reason why there is no plan."""
+"""The least limits with which a motion exists, on efforts or of another kind: a start, or the reason for no plan."""
 
 import itertools
 from dataclasses import dataclass
@@ -7,12 +7,14 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, perturbed_guesses
-from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
+from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
+from linkplan.planner.limits.kinds import factor_of
+from linkplan.planner.limits.limit import Limit
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import add_step, step_of
 from linkplan.planner.refinement.switches import MESH_ERROR_SHARE, find_bang_efforts, find_switch_times, mesh_with_switches
 from linkplan.planner.search.solving import first_mesh
-from linkplan.planner.solvers.solve import solve
+from linkplan.planner.solvers.solve import build_solver, run_solver, solve
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, halved
 
@@ -114,3 +116,41 @@ def least_limit(
             bang_efforts = np.where(np.isclose(bang_efforts, bound, rtol=1e-9), bound, bang_efforts)
         guess = guess_from(best.trajectory)
     return best
+
+
+def least_relaxation(
+    problem: Problem, kind: type[Limit], motion: Trajectory, mesh: Mesh, durations: np.ndarray
+) -> Trajectory:
+    """Return the motion with the least relaxation of a limit, by bisection of a common factor with warm solves.
+
+    Args:
+        problem: a problem without a motion.
+        kind: the kind of limit.
+        motion: a motion planned without the limit; returned if no motion is closer to the limit.
+        mesh: of the solves.
+        durations: of the mesh's segments in the motion [s].
+    """
+    factor = factor_of(kind, problem, motion)
+    if factor is None:
+        return motion
+    near, far = 1.0, factor
+    transcribed = transcribe(kind.relaxed(problem, far), guess_from(motion), mesh, durations)
+    best = solve(transcribed, problem.solver)
+    add_step(step_of(f"least {kind.key}", transcribed, best))
+    if not best.converged:
+        return motion
+    solver = build_solver(transcribed.program, problem.solver, warm=True)
+    for _ in range(13):  # resolves the factor to four digits of its range
+        if problem.solver.deadline.passed:
+            break
+        middle = 0.5 * (near + far)
+        trial = run_solver(solver, renumbered(best.transcribed, kind.relaxed(problem, middle), best.x))
+        if trial.converged:
+            best, far = trial, middle
+        else:
+            near = middle
+    add_step(step_of(f"least {kind.key}", best.transcribed, best))
+    try:
+        return trajectory_of(best.transcribed, best.x, problem.limits.effort)
+    except AssemblyError:
+        return motion

@@ -7,30 +7,36 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import demanded, least_effort, needed_effort
-from linkplan.planner.closed_chain.guess import Guess, even_poses, guess_from
-from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
+from linkplan.planner.closed_chain.guess import Guess, even_poses
 from linkplan.planner.limits.joints import RangeLimit
-from linkplan.planner.limits.kinds import factor_of, limits_of, relaxed_kinds, violation, without
+from linkplan.planner.limits.kinds import limits_of, relaxed_kinds, violation, without
 from linkplan.planner.limits.limit import Limit
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.extra import extras_not_finite
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.refinement.history import add_step, progress, recorded, step_of
-from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts
+from linkplan.planner.refinement.history import progress, recorded
+from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts, least_relaxation
 from linkplan.planner.search.methods import SHORT_BUDGET, Search
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.search.solving import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, first_mesh, longest, may_swing, solve_from
 from linkplan.planner.search.starts import enough_time, least_time_plan, no_time, shortest_motion
-from linkplan.planner.solvers.solve import INVALID, build_solver, run_solver, solve, why_stopped
-from linkplan.planner.trajectory import Trajectory
-from linkplan.planner.transcription.mesh import Mesh
+from linkplan.planner.solvers.solve import INVALID, why_stopped
 
 # A duration below this share of the shortest motion's is surely infeasible: least times found are local, but within
 # percents.
 _INFEASIBLE_DURATION_SHARE = 0.1
+
+
+def _must_give(actuator: Actuator, effort: float) -> str:
+    return f"{actuator.name} on {actuator.target} would have to give {effort:.4g} {actuator.unit}"
+
+
+def _times_limit(actuator: Actuator, factor: float, limit: float) -> str:
+    return f"{factor:.4g} times its limit of {limit:.4g} {actuator.unit}"
 
 
 def effort_sentence(problem: Problem, least: LeastLimit) -> tuple[str, dict[str, float]]:
@@ -45,8 +51,7 @@ def effort_sentence(problem: Problem, least: LeastLimit) -> tuple[str, dict[str,
     actuator = problem.mechanism.actuators[column]
     needed, bound = float(u[at, column]), float(limit[column, 1] if u[at, column] > 0 else limit[column, 0])
     sentence = (
-        f"{actuator.name} on {actuator.target} would have to give"
-        f" {abs(needed):.4g} {actuator.unit} at t = {time[at]:.3g} s, {abs(needed - bound):.4g} {actuator.unit} beyond its"
+        f"{_must_give(actuator, abs(needed))} at t = {time[at]:.3g} s, {abs(needed - bound):.4g} {actuator.unit} beyond its"
         f" limit of {abs(bound):.4g} {actuator.unit}"
     )
     return sentence, {"needed_effort": abs(needed), "needed_limit_factor": least.factor}
@@ -73,8 +78,7 @@ def share_sentence(problem: Problem, factor: float, motion: Guess, *, at_all: bo
     place = joint.shown(float(motion.position(time[at : at + 1])[0, 0]))
     if problem.mechanism.n_u == 1 and motion.effort is not None:
         actuator, needed = problem.mechanism.actuators[0], float(motion.effort(time[at : at + 1])[0, 0])
-        need = f"{actuator.name} on {actuator.target} would have to give {needed:.4g} {actuator.unit}"
-        need += f", {factor:.4g} times its limit of {needed / factor:.4g} {actuator.unit}"
+        need = f"{_must_give(actuator, needed)}, {_times_limit(actuator, factor, needed / factor)}"
     else:
         need = f"all efforts would have to be {factor:.4g} times their limits"
     if not at_all:
@@ -101,12 +105,7 @@ def far_too_short(search: Search) -> tuple[str, dict[str, float]] | None:
     degrees of freedom it is planned only if the smooth path needs far more effort than allowed.
     """
     problem, asked = search.problem, longest(search.problem)
-    motion = problem.motion
-    if motion.kind != "reach" or motion.stays or not np.isfinite(asked) or not np.all(np.isfinite(problem.limits.effort)):
-        return None
-    if any(waypoint.time_s is not None for waypoint in motion.waypoints):
-        return None
-    path = path_effort(problem, search.smooth)
+    path = path_effort(problem, search.smooth) if _may_be_too_short(problem) else None
     # Efforts of inertia grow with the square of the pace.
     if path is None or path.inertial_factor < 1 / _INFEASIBLE_DURATION_SHARE**2:
         return None
@@ -118,6 +117,14 @@ def far_too_short(search: Search) -> tuple[str, dict[str, float]] | None:
         f" the shortest feasible duration is {about}{shortest:.4g} s"
     )
     return sentence, {"shortest_duration_s": shortest, "smooth_path_limit_factor": path.factor}
+
+
+def _may_be_too_short(problem: Problem) -> bool:
+    """True if a motion's duration may be the reason: of a reach within effort limits, without instants of its waypoints."""
+    motion = problem.motion
+    timed = any(waypoint.time_s is not None for waypoint in motion.waypoints)
+    limited = bool(np.isfinite(longest(problem)) and np.all(np.isfinite(problem.limits.effort)))
+    return motion.kind == "reach" and not motion.stays and not timed and limited
 
 
 def _shortest(search: Search) -> tuple[float | None, str]:
@@ -147,19 +154,16 @@ def path_effort(problem: Problem, guess: Guess) -> PathEffort | None:
     at, column = np.unravel_index(int(np.argmax(factors)), factors.shape)
     actuator = mechanism.actuators[column]
     sentence = (
-        f"along the smooth path from start to goal {actuator.name} on {actuator.target} would have to give"
-        f" {effort[at, column]:.4g} {actuator.unit} at t = {time[at]:.3g} s,"
+        f"along the smooth path from start to goal {_must_give(actuator, effort[at, column])} at t = {time[at]:.3g} s, "
     )
     if bound[at, column] == 0:
-        sentence += " a direction in which its limit is 0"
+        sentence += "a direction in which its limit is 0"
     else:
-        sentence += f" {factors[at, column]:.4g} times its limit of {bound[at, column]:.4g} {actuator.unit}"
+        sentence += _times_limit(actuator, factors[at, column], bound[at, column])
     k, row = np.unravel_index(int(np.argmax(np.abs(missed))), missed.shape)
     if abs(missed[k, row]) > 1e-6 * np.abs(effort).max():
         joint = mechanism.independent_joints[row]
-        sentence += (
-            f", and no actuator gives the {missed[k, row]:.4g} {'N.m' if joint.kind == 'hinge' else 'N'} on {joint.name}"
-        )
+        sentence += f", and no actuator gives the {missed[k, row]:.4g} {joint.si_units[1]} on {joint.name}"
     return PathEffort(factor=float(factors.max()), inertial_factor=float(inertial.max()), sentence=sentence)
 
 
@@ -323,7 +327,7 @@ def _without(search: Search, kind: type[Limit]) -> Plan | None:
     motion = found.motion
     if kind in relaxed_kinds(problem) and violation(kind, problem, motion) is not None:
         progress(f"looking for the least limit on {kind.key} that admits a motion")
-        motion = least_of(problem, kind, motion, mesh, found.durations)
+        motion = least_relaxation(problem, kind, motion, mesh, found.durations)
     sentence = violation(kind, problem, motion)
     return None if sentence is None else _infeasible(search, f"infeasible: {sentence}", {})
 
@@ -350,55 +354,8 @@ def _failed(search: Search, reason: str, details: dict[str, float] | None = None
 
 def shortest_sentence(search: Search, details: dict[str, float]) -> str:
     """Return a phrase on the shortest feasible duration, if it can be found, and add its value to the details."""
-    problem, motion = search.problem, search.problem.motion
-    if motion.kind != "reach" or motion.stays or not np.isfinite(longest(problem)):
-        return ""
-    if any(w.time_s is not None for w in motion.waypoints) or not np.all(np.isfinite(problem.limits.effort)):
-        return ""
-    quickest = shortest_motion(search)
+    quickest = shortest_motion(search) if _may_be_too_short(search.problem) else None
     if quickest is None:
         return ""
     details["shortest_duration_s"] = quickest.trajectory.duration_s
     return f"; the shortest feasible duration is {quickest.trajectory.duration_s:.5g} s"
-
-
-def least_of(
-    problem: Problem,
-    kind: type[Limit],
-    motion: Trajectory,
-    mesh: Mesh,
-    durations: np.ndarray,
-) -> Trajectory:
-    """Return the motion with the least relaxation of a limit, by bisection of a common factor with warm solves.
-
-    Args:
-        problem: a problem without a motion.
-        kind: the kind of limit.
-        motion: a motion planned without the limit; returned if no motion is closer to the limit.
-        mesh: of the solves.
-        durations: of the mesh's segments in the motion [s].
-    """
-    factor = factor_of(kind, problem, motion)
-    if factor is None:
-        return motion
-    near, far = 1.0, factor
-    transcribed = transcribe(kind.relaxed(problem, far), guess_from(motion), mesh, durations)
-    best = solve(transcribed, problem.solver)
-    add_step(step_of(f"least {kind.key}", transcribed, best))
-    if not best.converged:
-        return motion
-    solver = build_solver(transcribed.program, problem.solver, warm=True)
-    for _ in range(13):  # resolves the factor to four digits of its range
-        if problem.solver.deadline.passed:
-            break
-        middle = 0.5 * (near + far)
-        trial = run_solver(solver, renumbered(best.transcribed, kind.relaxed(problem, middle), best.x))
-        if trial.converged:
-            best, far = trial, middle
-        else:
-            near = middle
-    add_step(step_of(f"least {kind.key}", best.transcribed, best))
-    try:
-        return trajectory_of(best.transcribed, best.x, problem.limits.effort)
-    except AssemblyError:
-        return motion

@@ -9,19 +9,18 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.reach import Reach, toggles
 from linkplan.studies.check.inspection import Inspection
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, measure, most_poses, swept, thinned
-from linkplan.studies.check.path_quantities import LOG_PLOTS, PLOTS, QUANTITIES, WEIGHT, PathQuantity, shown_curves
+from linkplan.studies.check.path_quantities import LOG_PLOTS, PLOTS, QUANTITIES, REACH_PLOTS, WEIGHT, shown_curves
 from linkplan.studies.output.document import Axis, Plot
 from linkplan.studies.output.draw_bodies import draw_poses
 from linkplan.studies.output.figure import GREY, RED, draw_plot
 from linkplan.studies.output.figure_spec import FigureSpec, one_screen
 from linkplan.studies.output.lines import TIME, Line, plots
+from linkplan.studies.output.quantities import Quantity
 
 # With more coordinates, the paths of a page are folded, and the plots of a path show its own coordinate only.
 MAX_COORDINATES_DRAWN = 6
 # The coordinates in the figure of a mechanism. A mechanism with no more has a figure for each, too. The page has all.
 MAX_FIGURES = 3
-# The plots in the figure of a mechanism's reach.
-_OF_REACH = ("Dependent joints", "Reduced inertia", "Effort that holds it still")
 
 
 def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach]) -> FigureSpec:
@@ -29,11 +28,12 @@ def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach]) -> FigureSpec
     poses = path.poses[np.linspace(0, len(path.poses) - 1, num=7).astype(int)]
     if path.coordinate is not None:
         poses = np.vstack([poses, path.mechanism.home])
-    panels: list = [lambda axes: draw_poses(axes, path.mechanism, poses), *path_plots(path)]
+    last = "the end" if path.coordinate is None else "home"
+    panels: list = [lambda axes: draw_poses(axes, path.mechanism, poses, last), *path_plots(path)]
     if path.coordinate is not None:
         panels[1:] = [_marked(plot, path.mechanism, reaches[path.coordinate]) for plot in panels[1:]]
     title = f"{path.mechanism.name}: along {path.title}, at rest"
-    columns = 2 if len(panels) <= 6 else 4
+    columns = 2 if len(panels) <= 6 else 3 if len(panels) <= 9 else 4
     size = one_screen(len(panels), columns, (5.3, 3.3))
     return FigureSpec(panels=panels, title=title, columns=columns, panel_in=size)
 
@@ -51,8 +51,8 @@ def inspection_figure(found: Inspection) -> FigureSpec:
     for can in reaches:
         poses = thinned(swept(mechanism, can), most_poses(mechanism))
         path_of_reach = measure(mechanism, poses, "reach", coordinate=can.coordinate)
-        plots_of_reach = [plot for plot in path_plots(path_of_reach) if plot.title.startswith(_OF_REACH)]
-        rows.append([lambda axes, can=can: draw_poses(axes, mechanism, _drawn_poses(mechanism, can))])
+        plots_of_reach = [plot for plot in path_plots(path_of_reach) if plot.title.startswith(REACH_PLOTS)]
+        rows.append([lambda axes, can=can: draw_poses(axes, mechanism, _drawn_poses(mechanism, can), "home")])
         rows[-1] += [_marked(plot, mechanism, can) for plot in plots_of_reach]
     names = [mechanism.joints[mechanism.independent[can.coordinate]].name for can in reaches]
     others = "" if mechanism.dof == 1 else f": {' then '.join(names)} each over its reach, the other coordinates at home"
@@ -88,7 +88,7 @@ def over(path: KinematicLoopPath) -> tuple[Axis, np.ndarray]:
         return Axis(label="time of the path", unit="s") if path.mechanism.dof > 1 else TIME, path.time_s
     column = path.coordinate or 0
     joint = path.mechanism.independent_joints[column]
-    return Axis(label=joint.name, unit=joint.unit), np.array([joint.shown(s) for s in path.positions[:, column]])
+    return Axis(label=joint.name, unit=joint.unit), joint.shown(path.positions[:, column])
 
 
 def rising_order(x: np.ndarray) -> np.ndarray:
@@ -116,7 +116,7 @@ def path_plots(path: KinematicLoopPath, group: str = "") -> list[Plot]:
     return found
 
 
-def _is_drawn(path: KinematicLoopPath, quantity: PathQuantity) -> bool:
+def _is_drawn(path: KinematicLoopPath, quantity: Quantity) -> bool:
     """Tell if a plot has a quantity: the weight alone only where springs or constant forces hold, too."""
     rounding = ROUNDING_SHARE * max(np.abs(path.needed).max(initial=0.0), np.finfo(float).tiny)
     return quantity is not WEIGHT or bool(np.abs(path.needed - path.gravity_effort).max() > rounding)

@@ -1,8 +1,9 @@
-"""The quantities along a path of `linkplan check`: names and unit of each, for the record, tables and plots."""
+"""The quantities along a path of `linkplan check`, for the record, tables and plots.
 
-import itertools
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+Each has the `field` of a `KinematicLoopPath`; fields of `PathFigures` are recorded.
+"""
+
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from linkplan.models.tree.dynamics import site_names
 from linkplan.models.tree.joints import Joint, shown_by_unit
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, has_whole_records
 from linkplan.studies.check.spring_ratios import sprung_tendons
+from linkplan.studies.output.quantities import Curve, Quantity, curves_of
 
 # The keys of the record of fields of a `KinematicLoopPath` with other names.
 _KEYS = {
@@ -52,31 +54,6 @@ class PathFigures(Struct, frozen=True, kw_only=True, eq=False):
     balance: list[dict[str, Any]]
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class PathQuantity:
-    """A quantity along a path: the `field` of a `KinematicLoopPath` with an axis for each kind of part in `of`.
-
-    `unit` is a text, or a function of the parts. In names the parts stand in braces. Without a `column` the quantity is not
-    in the table, without the title of a `plot` in none; `line` is a line's name there. Fields of `PathFigures` are recorded.
-    """
-
-    field: str
-    of: tuple[str, ...] = ()
-    unit: str | Callable[..., str] = "1"
-    column: str = ""
-    plot: str = ""
-    line: str = "{}"
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class PathCurve:
-    """One curve of a quantity: the names of its parts, its unit, and its values (n,) or intervals (n, 2)."""
-
-    names: tuple[str, ...]
-    unit: str
-    values: np.ndarray
-
-
 def ratio_unit(joint: Joint, actuator_unit: str) -> str:
     """Return the unit of the effort on a joint per effort of an actuator, for example metres for a force on a hinge."""
     if joint.si_units[1] == actuator_unit:
@@ -104,10 +81,11 @@ PLOTS = {
     "Closure force at rest": "force",
     "Motion ratio of springs": "d length / d coordinate",
 }
-LOG_PLOTS = ("Reduced inertia", "Inertia that an actuator feels")  # logarithmic where they change by much
 _FOLLOWERS, _RATIO, _INERTIA, _FELT, _HELD, _LIMITED, _SINGULAR, _FORCE, _SPRINGS = PLOTS
+LOG_PLOTS = (_INERTIA, _FELT)  # logarithmic where they change by much
+REACH_PLOTS = (_FOLLOWERS, _INERTIA, _HELD)  # those in the figure of a mechanism's reach
 _JOINT, _MOTOR = ("coordinate",), ("actuator",)
-RATIO = PathQuantity(
+RATIO = Quantity(
     field="ratio",
     of=("coordinate", "actuator"),
     unit=lambda joint, actuator: ratio_unit(joint, actuator.unit),
@@ -115,28 +93,28 @@ RATIO = PathQuantity(
     plot=_RATIO,
     line="{1} to {0}",
 )
-INERTIA = PathQuantity(field="own_inertia", of=_JOINT, unit=_inertia, column="inertia {}", plot=_INERTIA)
-FELT_INERTIA = PathQuantity(field="reflected_inertia", of=_MOTOR, unit=_inertia, column="inertia at {}", plot=_FELT)
-WEIGHT = PathQuantity(
+INERTIA = Quantity(field="own_inertia", of=_JOINT, unit=_inertia, column="inertia {}", plot=_INERTIA)
+FELT_INERTIA = Quantity(field="reflected_inertia", of=_MOTOR, unit=_inertia, column="inertia at {}", plot=_FELT)
+WEIGHT = Quantity(
     field="gravity_effort", of=_JOINT, unit=_effort, column="weight alone {}", plot=_HELD, line="{}, weight alone"
 )
-AVAILABLE = PathQuantity(field="available_effort", of=_JOINT, unit=_effort, column="available {}", plot=_LIMITED)
-SINGULARITY = PathQuantity(field="singularity", column="det J_z/home", plot=_SINGULAR, line="least of J_z's blocks")
+AVAILABLE = Quantity(field="available_effort", of=_JOINT, unit=_effort, column="available {}", plot=_LIMITED)
+SINGULARITY = Quantity(field="singularity", column="det J_z/home", plot=_SINGULAR, line="least of J_z's blocks")
 # In the order of a table's columns.
 QUANTITIES = (
     RATIO,
     INERTIA,
     FELT_INERTIA,
-    PathQuantity(field="shown_poses", of=("follower",), unit=lambda joint: joint.unit, plot=_FOLLOWERS),
-    PathQuantity(field="needed", of=_JOINT, unit=_effort, plot=_HELD),
+    Quantity(field="shown_poses", of=("follower",), unit=lambda joint: joint.unit, plot=_FOLLOWERS),
+    Quantity(field="needed", of=_JOINT, unit=_effort, plot=_HELD),
     WEIGHT,
-    PathQuantity(field="holding_effort", of=_MOTOR, unit=_effort, column="hold {}"),
-    PathQuantity(field="unheld_effort", of=_JOINT, unit=_effort),
+    Quantity(field="holding_effort", of=_MOTOR, unit=_effort, column="hold {}"),
+    Quantity(field="unheld_effort", of=_JOINT, unit=_effort),
     AVAILABLE,
-    PathQuantity(field="needed", of=_JOINT, unit=_effort, plot=_LIMITED, line="{}, holds it still"),
+    Quantity(field="needed", of=_JOINT, unit=_effort, plot=_LIMITED, line="{}, holds it still"),
     SINGULARITY,
-    PathQuantity(field="spring_length", of=("tendon",), unit="m", column="length {}"),
-    PathQuantity(
+    Quantity(field="spring_length", of=("tendon",), unit="m", column="length {}"),
+    Quantity(
         field="spring_ratio",
         of=("tendon", "coordinate"),
         unit=lambda _, joint: ratio_unit(joint, "N"),
@@ -144,15 +122,14 @@ QUANTITIES = (
         plot=_SPRINGS,
         line="{} per {}",
     ),
-    PathQuantity(field="closure_force", of=("closure",), unit="N", column="force {}", plot=_FORCE),
-    PathQuantity(field="rates", of=("joint", "coordinate")),
+    Quantity(field="closure_force", of=("closure",), unit="N", column="force {}", plot=_FORCE),
+    Quantity(field="rates", of=("joint", "coordinate")),
 )
 
 
-def curves_of(path: KinematicLoopPath, quantity: PathQuantity, columns: Sequence[int]) -> Iterator[PathCurve]:
+def path_curves(path: KinematicLoopPath, quantity: Quantity, columns: Sequence[int]) -> Iterator[Curve]:
     """Yield the curves of a quantity, of coordinates those of the given columns."""
-    mechanism, values = path.mechanism, getattr(path, quantity.field)
-    rounding = ROUNDING_SHARE * np.ptp(path.poses)
+    mechanism, rounding = path.mechanism, ROUNDING_SHARE * np.ptp(path.poses)
     parts: dict[str, list[tuple[int, Any]]] = {
         "coordinate": [(k, mechanism.independent_joints[k]) for k in columns],
         "joint": list(enumerate(mechanism.joints)),
@@ -161,16 +138,12 @@ def curves_of(path: KinematicLoopPath, quantity: PathQuantity, columns: Sequence
         "closure": list(enumerate(mechanism.closure_names)),
         "tendon": list(enumerate(sprung_tendons(mechanism.model))),
     }
-    for some in itertools.product(*(parts[kind] for kind in quantity.of)):
-        index, things = tuple(k for k, _ in some), [thing for _, thing in some]
-        unit = quantity.unit if isinstance(quantity.unit, str) else quantity.unit(*things)
-        names = tuple(thing if isinstance(thing, str) else thing.name for thing in things)
-        yield PathCurve(names=names, unit=unit, values=values[(slice(None), *index)])
+    return curves_of(quantity, parts, getattr(path, quantity.field))
 
 
-def shown_curves(path: KinematicLoopPath, quantity: PathQuantity, columns: Sequence[int]) -> list[PathCurve]:
+def shown_curves(path: KinematicLoopPath, quantity: Quantity, columns: Sequence[int]) -> list[Curve]:
     """Return the curves in tables and plots: those of what the mechanism has and of actuators that act on the columns."""
-    mechanism, found = path.mechanism, list(curves_of(path, quantity, columns))
+    mechanism, found = path.mechanism, list(path_curves(path, quantity, columns))
     if (quantity is AVAILABLE and not mechanism.actuators) or (quantity is SINGULARITY and not len(mechanism.dependent)):
         return []
     acting = acts(path)[list(columns)]
@@ -198,10 +171,10 @@ def path_figures(path: KinematicLoopPath) -> PathFigures:
     )
 
 
-def _by_name(path: KinematicLoopPath, quantity: PathQuantity, columns: Sequence[int]) -> Any:
+def _by_name(path: KinematicLoopPath, quantity: Quantity, columns: Sequence[int]) -> Any:
     """Return a quantity's arrays by the names of its parts, a coordinate's name last; of no part the array itself."""
     found: dict[str, Any] = {}
-    for curve in curves_of(path, quantity, columns):
+    for curve in path_curves(path, quantity, columns):
         names = curve.names if quantity.of[:1] != _JOINT else curve.names[::-1]
         if not names:
             return curve.values

@@ -202,6 +202,10 @@ def control_loop(problem: Problem) -> ControlLoop:
     )
 
 
+# The errors of a run: their words by the beginning of their names.
+ERRORS = {"rms": "rms error", "max": "largest error", "final": "final error"}
+
+
 @np.errstate(over="ignore", invalid="ignore")  # a diverged run has infinite errors
 def run_figures(plan: Plan, rollout: Rollout) -> dict:
     """Return a run's metrics; the names contain the units."""
@@ -222,8 +226,8 @@ def error_figures(mechanism: Mechanism, error: np.ndarray) -> dict[str, float]:
     record = {}
     for unit, (which, factor) in actuated_by_unit(mechanism).items():
         size = factor * np.linalg.norm(error[:, which], axis=1)
-        figures = {"rms": np.sqrt(np.mean(size**2)), "max": size.max(), "final": size[-1]}
-        record |= {f"{name}_error_{unit}": float(value) for name, value in figures.items()}
+        figures = (np.sqrt(np.mean(size**2)), size.max(), size[-1])
+        record |= {f"{name}_error_{unit}": float(value) for name, value in zip(ERRORS, figures, strict=True)}
     return record
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.controllers.rollout import Rollout
 from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.studies.compare.compare import Comparison, actuated_by_unit, gap_units, run_figures, tracking_reference
+from linkplan.studies.compare.compare import ERRORS, Comparison, actuated_by_unit, gap_units, run_figures, tracking_reference
 from linkplan.studies.compare.comparison_notes import comparison_notes
 from linkplan.studies.compare.document import document_rows
 from linkplan.studies.output.document import Block, Plot, Table, Text, table_of
@@ -44,10 +44,10 @@ def comparison_figure(comparison: Comparison, *, every_joint: bool = False) -> F
         ]
         for _, runs in cases
     ]
-    title = f"{comparison.plan.problem.name}: {'; '.join(title for title, _ in cases)}"
     panels, size = side_by_side(*columns), (5.8, 2.6)
     size = size if every_joint else one_screen(len(panels), len(cases), size)
-    return FigureSpec(panels=panels, title=title, columns=len(cases), panel_in=size)
+    title, heads = f"{comparison.plan.problem.name}: tracked in MuJoCo", [title for title, _ in cases]
+    return FigureSpec(panels=panels, title=title, columns=len(cases), heads=heads, panel_in=size)
 
 
 def largest(runs: Iterable[Rollout], most: int) -> tuple[list[int], list[int]]:
@@ -66,7 +66,7 @@ def _tables(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> 
     few, (lengths, angles) = actuators if len(actuators) <= MAX_PEAK_COLUMNS else [], gap_units(comparison.plan)
     heads = [
         "tracker",
-        *((f"{which} error", unit) for unit in units for which in ("rms", "largest", "final")),
+        *((words, unit) for unit in units for words in ERRORS.values()),
         *((f"peak of {actuator.name}", actuator.unit) for actuator in few),
         "saturated [%]",
         *(["closure gap [um]"] if lengths else []),
@@ -77,7 +77,7 @@ def _tables(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> 
     rows = []
     for name, run in runs.items():
         said = run_figures(plan, run)
-        errors = [said.get(f"{which}_error_{unit}") for unit in units for which in ("rms", "max", "final")]
+        errors = [said.get(f"{which}_error_{unit}") for unit in units for which in ERRORS]
         gaps = [1e6 * gap for gap, there in zip(run.largest_gaps, (lengths, angles), strict=True) if there]
         peaks = [said["peak_effort"][actuator.name] for actuator in few]
         rows.append([name, *errors, *peaks, 100 * said["saturated_fraction"], *gaps, said["contacts"], said["stable"]])
@@ -109,13 +109,13 @@ def joint_plots(comparison: Comparison, runs: Mapping[str, Rollout], chosen: Seq
     """Return the plots of the motion and the error of independent joints, by their number."""
     joints, longest, found = comparison.plan.problem.mechanism.independent_joints, _longest(runs), []
     for k in chosen:
-        joint, factor = joints[k], joints[k].shown(1.0)
+        joint = joints[k]
         desired = Line(
-            name="desired", values=factor * longest.reference_rad[:, k], unit=joint.unit, look="dash", colour=None
+            name="desired", values=joint.shown(longest.reference_rad[:, k]), unit=joint.unit, look="dash", colour=None
         )
-        positions = {name: factor * run.position_rad[:, k] for name, run in runs.items()}
+        positions = {name: joint.shown(run.position_rad[:, k]) for name, run in runs.items()}
         # On the logarithmic axis, errors below the simulator's rounding, about 1e-7 deg or m, are drawn at that value.
-        errors = {name: np.maximum(np.abs(factor * run.error_rad[:, k]), 1e-7) for name, run in runs.items()}
+        errors = {name: np.maximum(np.abs(joint.shown(run.error_rad[:, k])), 1e-7) for name, run in runs.items()}
         title = f"{joint.name}, desired and tracked"
         found += _plots(comparison, runs, title, "position", joint.unit, positions, extra=[desired])
         found += _plots(comparison, runs, f"Size of the error of {joint.name}", "error", joint.unit, errors, log=True)
@@ -127,7 +127,7 @@ def follower_plots(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[
     mechanism, found = comparison.plan.problem.mechanism, []
     for index in mechanism.dependent.tolist():
         joint = mechanism.joints[index]
-        positions = {name: joint.shown(1.0) * run.pose_rad[:, index] for name, run in runs.items()}
+        positions = {name: joint.shown(run.pose_rad[:, index]) for name, run in runs.items()}
         found += _plots(comparison, runs, f"{joint.name}, tracked", "position", joint.unit, positions)
     return found
 
@@ -161,14 +161,12 @@ def gap_plots(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[Plot]
     """Return the plots of the closure gaps."""
     if not comparison.plan.problem.mechanism.closures:
         return []
-    lengths, angles = gap_units(comparison.plan)
     found: list[Plot] = []
-    if lengths:
-        gaps = {name: 1e6 * run.gap_m for name, run in runs.items()}
-        found += _plots(comparison, runs, "Gap of the kinematic loops", "gap", "um", gaps)
-    if angles:
-        gaps = {name: 1e6 * run.gap_rad for name, run in runs.items()}
-        found += _plots(comparison, runs, "Gap of the angles that closures tie", "gap", "urad", gaps)
+    kinds = (("Gap of the kinematic loops", "um", "gap_m"), ("Gap of the angles that closures tie", "urad", "gap_rad"))
+    for (title, unit, field), there in zip(kinds, gap_units(comparison.plan), strict=True):
+        if there:
+            gaps = {name: 1e6 * getattr(run, field) for name, run in runs.items()}
+            found += _plots(comparison, runs, title, "gap", unit, gaps)
     return found
 
 

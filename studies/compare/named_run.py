@@ -10,7 +10,7 @@ import numpy as np
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.extras import load_extra
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.tree.joints import Joint
+from linkplan.models.tree.joints import shown_by_name
 from linkplan.studies.compare.time_series import run_columns
 
 if TYPE_CHECKING:
@@ -31,22 +31,22 @@ class NamedRun(Rollout):
     @property
     def position_deg(self) -> dict[str, np.ndarray]:
         """The positions (n,) [deg or m] of all joints by name."""
-        return _shown(self.mechanism.joints, self.pose_rad)
+        return shown_by_name(self.mechanism.joints, self.pose_rad)
 
     @property
     def reference_deg(self) -> dict[str, np.ndarray]:
         """The desired positions (n,) [deg or m] of the independent joints by name."""
-        return _shown(self.mechanism.independent_joints, self.reference_rad)
+        return shown_by_name(self.mechanism.independent_joints, self.reference_rad)
 
     @property
     def error_deg(self) -> dict[str, np.ndarray]:
         """The position errors (n,) [deg or m] of the independent joints by name, desired less actual."""
-        return _shown(self.mechanism.independent_joints, self.error_rad)
+        return shown_by_name(self.mechanism.independent_joints, self.error_rad)
 
     @property
     def speed_deg_s(self) -> dict[str, np.ndarray]:
         """The speeds (n,) [deg/s or m/s] of the independent joints by name."""
-        return _shown(self.mechanism.independent_joints, self.velocity_rad_s)
+        return shown_by_name(self.mechanism.independent_joints, self.velocity_rad_s)
 
     @property
     def effort(self) -> dict[str, np.ndarray]:
@@ -60,7 +60,3 @@ class NamedRun(Rollout):
             MissingPackageError: if pandas is not installed.
         """
         return load_extra("pandas", "NamedRun.to_frame").DataFrame(run_columns(self.mechanism, self))
-
-
-def _shown(joints: tuple[Joint, ...] | list[Joint], values: np.ndarray) -> dict[str, np.ndarray]:
-    return {joint.name: joint.shown(1.0) * column for joint, column in zip(joints, values.T, strict=True)}

@@ -6,7 +6,7 @@ import numpy as np
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.files.columns import csv_bytes, parquet_bytes
+from linkplan.planner.files.columns import csv_bytes, head_of, parquet_bytes
 from linkplan.studies.compare.compare import Comparison
 
 
@@ -19,18 +19,16 @@ def run_columns(mechanism: Mechanism, rollout: Rollout) -> dict[str, np.ndarray]
     """
     found = {"time_s": rollout.time_s}
     for k, joint in enumerate(mechanism.independent_joints):
-        unit, factor = joint.unit, joint.shown(1.0)
-        found[f"{joint.name}_ref_{unit}"] = factor * rollout.reference_rad[:, k]
-        found[f"{joint.name}_{unit}"] = factor * rollout.position_rad[:, k]
-        found[f"{joint.name}_error_{unit}"] = factor * rollout.error_rad[:, k]
-        found[f"{joint.name}_{unit}_s"] = factor * rollout.velocity_rad_s[:, k]
-    for index in mechanism.dependent:
-        joint = mechanism.joints[int(index)]
-        found[f"{joint.name}_{joint.unit}"] = joint.shown(1.0) * rollout.pose_rad[:, index]
+        found[head_of(f"{joint.name}_ref", joint.unit)] = joint.shown(rollout.reference_rad[:, k])
+        found[head_of(joint.name, joint.unit)] = joint.shown(rollout.position_rad[:, k])
+        found[head_of(f"{joint.name}_error", joint.unit)] = joint.shown(rollout.error_rad[:, k])
+        found[head_of(joint.name, f"{joint.unit}/s")] = joint.shown(rollout.velocity_rad_s[:, k])
+    for index in mechanism.dependent.tolist():
+        joint = mechanism.joints[index]
+        found[head_of(joint.name, joint.unit)] = joint.shown(rollout.pose_rad[:, index])
     for k, actuator in enumerate(mechanism.actuators):
-        unit = actuator.unit.replace(".", "")
-        found[f"{actuator.name}_commanded_{unit}"] = rollout.commanded[:, k]
-        found[f"{actuator.name}_applied_{unit}"] = rollout.applied[:, k]
+        found[head_of(f"{actuator.name}_commanded", actuator.unit)] = rollout.commanded[:, k]
+        found[head_of(f"{actuator.name}_applied", actuator.unit)] = rollout.applied[:, k]
     angles = {"closure_gap_rad": rollout.gap_rad} if len(rollout.gap_rad) else {}
     return found | {"closure_gap_m": rollout.gap_m} | angles
 

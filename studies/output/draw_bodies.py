@@ -24,8 +24,9 @@ _MAX_LEGEND_ENTRIES = 12
 _MAX_NAMES_AT_PINS = 6
 
 
-def draw_poses(axes, mechanism: Mechanism, poses: np.ndarray) -> None:
-    """Draw the bodies at poses (n, n_q); the last one is opaque, with the names of its pins."""
+def draw_poses(axes, mechanism: Mechanism, poses: np.ndarray, last: str = "") -> None:
+    """Draw the bodies at poses (n, n_q); the last one is opaque, with the names of its pins. The title says what it is."""
+    axes.set_title(last and f"Poses; {last} is opaque")
     named = mechanism.model.nbody <= _MAX_LEGEND_ENTRIES
     draw_bodies(axes, mechanism, poses, np.append(np.full(len(poses) - 1, 0.3), 1.0), named=named)
     name_pins(axes, mechanism, poses[-1])

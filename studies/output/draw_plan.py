@@ -52,7 +52,10 @@ def plan_figure(plan: Plan) -> FigureSpec:
     def mechanism(axes) -> None:
         from linkplan.studies.output.draw_bodies import draw_poses, draw_sites  # they load matplotlib
 
-        draw_sites(axes, plan) if plan.problem.sites else draw_poses(axes, plan.problem.mechanism, poses)
+        if plan.problem.sites:
+            draw_sites(axes, plan)
+        else:
+            draw_poses(axes, plan.problem.mechanism, poses, "the end of the motion")
 
     title = f"{plan.problem.name}: {plan.message}"
     return FigureSpec(panels=side_by_side(shown, [mechanism]), title=title, columns=2, panel_in=(6.2, 2.7))
@@ -64,26 +67,23 @@ def time_plots(plan: Plan, motion: Samples, group: str = "", period: float | Non
     independent, dependent = list(mechanism.independent), list(mechanism.dependent)
     reference = plan.problem.reference_over(time[-1] - time[0])
 
-    def joints(which: Sequence[int], values: np.ndarray, bounds: np.ndarray, per: str) -> list[Line]:
+    def joints(which: Sequence[int], values: np.ndarray, bounds: np.ndarray, per: str = "") -> list[Line]:
         return [
             Line(
                 name=(joint := mechanism.joints[k]).name,
-                values=joint.shown(1.0) * values[:, k],
+                values=joint.shown(values[:, k]),
                 unit=f"{joint.unit}{per}",
-                limits=(joint.shown(float(bounds[k, 0])), joint.shown(float(bounds[k, 1]))),
+                limits=tuple(joint.shown(bounds[k]).tolist()),
             )
             for k in which
             if np.any(np.abs(values[:, k]) > LEAST_SHOWN)
         ]
 
-    def over_time(title: str, what: str, lines: Sequence[Line]) -> list[Plot]:
-        return plots(title, what, TIME, time, lines, group=group, period=period)
-
-    positions = joints(independent, motion.q, limits.position, "")
+    positions = joints(independent, motion.q, limits.position)
     if reference is not None:
         wanted = reference.derivative(time)
         positions += [
-            Line(name=f"{joint.name}, reference", values=joint.shown(1.0) * x, unit=joint.unit, look="dash", colour=None)
+            Line(name=f"{joint.name}, reference", values=joint.shown(x), unit=joint.unit, look="dash", colour=None)
             for joint, x in zip(mechanism.independent_joints, wanted.T, strict=True)
         ]
     efforts = [
@@ -94,24 +94,25 @@ def time_plots(plan: Plan, motion: Samples, group: str = "", period: float | Non
         Line(name=actuator.name, values=power, unit="W", limits=tuple(limits.power[j]))
         for j, (actuator, power) in enumerate(zip(mechanism.actuators, (motion.u * motion.actuator_speeds).T, strict=True))
     ]
-    return {
-        "position": over_time("Position of the independent joints", "position", positions),
-        "dependent position": over_time(
-            "Position of the dependent joints", "position", joints(dependent, motion.q, limits.position, "")
+    drawn = (
+        ("position", "Position of the independent joints", "position", positions),
+        ("dependent position", "Position of the dependent joints", "position", joints(dependent, motion.q, limits.position)),
+        ("site", "Sites", "place", _site_lines(plan, motion)),
+        ("site", "Angles of bodies", "angle", _body_lines(plan, motion)),
+        ("speed", "Speed of the independent joints", "speed", joints(independent, motion.joint_rates, limits.speed, "/s")),
+        (
+            "dependent speed",
+            "Speed of the dependent joints",
+            "speed",
+            joints(dependent, motion.joint_rates, limits.speed, "/s"),
         ),
-        "site": [
-            *over_time("Sites", "place", _site_lines(plan, motion)),
-            *over_time("Angles of bodies", "angle", _body_lines(plan, motion)),
-        ],
-        "speed": over_time(
-            "Speed of the independent joints", "speed", joints(independent, motion.joint_rates, limits.speed, "/s")
-        ),
-        "dependent speed": over_time(
-            "Speed of the dependent joints", "speed", joints(dependent, motion.joint_rates, limits.speed, "/s")
-        ),
-        "effort": over_time("Effort of the actuators", "effort", efforts),
-        "power": over_time("Mechanical power of the actuators", "power", powers),
-    }
+        ("effort", "Effort of the actuators", "effort", efforts),
+        ("power", "Mechanical power of the actuators", "power", powers),
+    )
+    found: dict[str, list[Plot]] = {}
+    for key, title, what, lines in drawn:
+        found.setdefault(key, []).extend(plots(title, what, TIME, time, lines, group=group, period=period))
+    return found
 
 
 def force_plots(plan: Plan, motion: Samples, group: str = "", period: float | None = None) -> list[Plot]:

@@ -56,6 +56,8 @@ _STYLES = {
 _TITLE_LETTERS_PER_INCH = 10
 # Letters of a panel's title and of its legend on an inch of its width.
 _PANEL_LETTERS_PER_INCH, _LEGEND_LETTERS_PER_INCH = 12, 15
+# The gap [pt] between a column's head and the title below it.
+_HEAD_GAP_PT = 6
 # Letters of a bar's label on a line, letters of labels and of notes on an inch, and the least width of bars [inch].
 _BAR_LABEL_LETTERS, _LABEL_LETTERS_PER_INCH, _NOTE_LETTERS_PER_INCH, _LEAST_BARS_IN = 32, 12, 16, 1.5
 # The name of annotations that may move around their pin, and the offsets [pt] of those places.
@@ -186,21 +188,28 @@ def figure_of(spec: FigureSpec, path: Path | None = None) -> Figure:
     size = panel_in[0] * columns, panel_in[1] * rows + 0.4
     named: list[list] = []
     heads_in = np.zeros(rows)
-    with page(path, rows, columns, size) as axes:
+    shared = {"sharex": True, "sharey": "row"} if spec.heads else {}
+    with page(path, rows, columns, size, **shared) as axes:
         for k, axis in enumerate(axes.flat):
             panel = panels[k] if k < len(panels) else None
             if panel is None:
                 axis.set_visible(False)
                 continue
             if callable(panel):
-                if not any(panels[k + columns :: columns]):  # a drawing takes the empty room below it
-                    axis.set_subplotspec(axis.get_gridspec()[k // columns :, k % columns])
                 panel(axis)
+                if axis.get_aspect() != "auto" and not any(panels[k + columns :: columns]):
+                    axis.set_subplotspec(axis.get_gridspec()[k // columns :, k % columns])  # the empty room below a drawing
             else:
                 _DRAWERS[type(panel)](axis, panel)
             width = _width_of(panel, panel_in[0])
             head = _legend(axis, axis.get_title() if callable(panel) else panel.title, named, width)
             heads_in[k // columns] = max(heads_in[k // columns], head)
+            if shared:
+                axis.label_outer()
+        for axis, head in zip(axes[0], spec.heads, strict=False):
+            place = {"xytext": (0, 72 * heads_in[0] + _HEAD_GAP_PT), "textcoords": "offset points", "ha": "center"}
+            lines = wrapped(head, int(_TITLE_LETTERS_PER_INCH * panel_in[0]))
+            axis.annotate(lines, (0.5, 1.0), xycoords="axes fraction", weight="bold", **place)
         figure = axes.flat[0].figure
         figure.set_size_inches(size[0], max(size[1], float(heads_in.sum()) + 1.2 * rows))  # titles leave room for curves
         if title:
@@ -318,9 +327,10 @@ def _draw_limits(axis, plot: Plot) -> None:
     ends = [float(one.y[-1]) for one in plot.series if len(one.y) and one.y[-1] is not None]
     for limit in plot.limits:
         axis.axhline(limit.value, color=GREY, linestyle=":", linewidth=1.2)
-        low, high = axis.get_ylim()
+        scaled = np.log10 if plot.y_axis.log else float
+        low, high, at = (scaled(value) for value in (*axis.get_ylim(), limit.value))
         # The name stands above its line, or below if the curves end above it and there is room.
-        below = limit.value - low > _ROOM_BELOW_LIMIT * (high - low) and bool(ends) and min(ends) >= limit.value
+        below = at - low > _ROOM_BELOW_LIMIT * (high - low) and bool(ends) and min(ends) >= limit.value
         place = {"xycoords": axis.get_yaxis_transform(), "ha": "right", "va": "top" if below else "bottom"}
         place |= {"xytext": (0, -3 if below else 0), "textcoords": "offset points"}
         text = axis.annotate(f"{limit.name} {limit.value:.4g}", (0.995, limit.value), color="#595959", fontsize=7, **place)

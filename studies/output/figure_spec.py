@@ -12,11 +12,16 @@ Panel = Plot | Plane | Bars | Callable[..., None] | None
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class FigureSpec:
-    """Panels row by row, `columns` of them side by side, under a title; `panel_in` is width and height of each [inch]."""
+    """Panels row by row, `columns` of them side by side, under a title; `panel_in` is width and height of each [inch].
+
+    `heads` are the columns' own titles, one for each case. A row then has one quantity in all cases: its panels share the
+    vertical axis, and all panels the horizontal one.
+    """
 
     panels: Sequence[Panel]
     title: str = ""
     columns: int = 1
+    heads: Sequence[str] = ()
     panel_in: tuple[float, float] = (6.0, 3.3)
 
 

@@ -1,5 +1,6 @@
 """Lines over time or another common axis, one plot for each unit."""
 
+import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypedDict
@@ -12,6 +13,8 @@ from linkplan.studies.output.numbers import drawn_rows, rounded, rounded_times
 
 # More lines of one unit are divided among several plots.
 _MAX_LINES_PER_PLOT = 9
+# The usual width of a line [px], and the share of a plot's height within which two lines are drawn as one.
+_USUAL_WIDTH, _HIDING_SHARE = 1.6, 0.005
 
 
 class LineStyle(TypedDict):
@@ -33,9 +36,9 @@ def tracker_colour(tracker: str, other: int) -> int:
 
 
 def overlaid_width(index: int, n_lines: int) -> float:
-    """Return the width [px] of line `index` of `n_lines`: later lines are thinner, so that all remain visible."""
+    """Return the width [px] of line `index` of `n_lines`. Of several, later lines are thinner, and all remain visible."""
     widest, thinnest = 3.4, 1.2
-    return round(widest - (widest - thinnest) * index / max(1, n_lines - 1), 2)
+    return _USUAL_WIDTH if n_lines == 1 else round(widest - (widest - thinnest) * index / (n_lines - 1), 2)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -48,7 +51,7 @@ class Line:
     limits: tuple[float, float] = (-np.inf, np.inf)
     look: str = ""  # "": that of `line_style`
     colour: int | None = -1  # -1: that of `line_style`
-    width: float = 1.6
+    width: float = 0.0  # 0: the usual one, or that of `overlaid_width` if lines coincide
 
 
 def plots(
@@ -67,14 +70,19 @@ def plots(
     found, units = [], list(dict.fromkeys(line.unit for line in lines))
     for unit, of_it in _readable(units, lines):
         columns = np.column_stack([line.values for line in of_it])
-        rows = drawn_rows(np.log10(np.where(columns > 0, columns, np.nan)) if log else columns)
-        values = np.column_stack([line.values[rows] for line in of_it])
+        scaled = np.log10(np.where(columns > 0, columns, np.nan)) if log else columns
+        rows = drawn_rows(scaled)
+        values, covered = columns[rows], _coincide(scaled[rows])
         shown = [rounded(row, log=log) for row in values.T]
         series = []
         for k, (line, y) in enumerate(zip(of_it, shown, strict=True)):
             style = line_style(k)
             look, colour = line.look or style["look"], style["colour"] if line.colour == -1 else line.colour
-            series.append(Series(name=line.name, y=y, look=look, colour=colour, width=line.width))
+            known = np.isfinite(values[:, k])
+            name = line.name if known.any() else ""  # without a value it has no entry in the legend
+            look = "points" if known.any() and not np.any(known[1:] & known[:-1]) else look  # values without neighbours
+            width = line.width or (overlaid_width(k, len(of_it)) if covered else _USUAL_WIDTH)
+            series.append(Series(name=name, y=y, look=look, colour=colour, width=width))
         found.append(
             Plot(
                 title=_title(title, units, of_it, lines),
@@ -88,6 +96,14 @@ def plots(
             )
         )
     return found
+
+
+@np.errstate(over="ignore", invalid="ignore")  # a diverged run
+def _coincide(columns: np.ndarray) -> bool:
+    """Tell if two columns of values (n, n_lines) hide each other wherever both have values."""
+    span = np.ptp(columns[np.isfinite(columns)]) if np.isfinite(columns).any() else 0.0
+    apart = (np.abs(one - other) for one, other in itertools.combinations(columns.T, 2))
+    return any(np.isfinite(off).any() and np.nanmax(off) <= _HIDING_SHARE * span for off in apart)
 
 
 def _readable(units: Sequence[str], lines: Sequence[Line]) -> Iterator[tuple[str, list[Line]]]:

@@ -17,14 +17,13 @@ def phase_plane(plan: Plan, motion: Samples, group: str, period: float | None) -
     if mechanism.dof != 1:
         return None
     joint = mechanism.independent_joints[0]
-    unit = joint.shown(1.0)
     s, v = motion.q[:, mechanism.independent[0]], motion.v[:, 0]
     rows = drawn_rows(np.column_stack([s, v]))
-    path = Series(name="planned", x=rounded(unit * s[rows]), y=rounded(unit * v[rows]), colour=None, width=2.2)
+    path = Series(name="planned", x=rounded(joint.shown(s[rows])), y=rounded(joint.shown(v[rows])), colour=None, width=2.2)
     most = 2.5 * float(np.abs(v).max()) or 1.0  # limit curves are unbounded next to singular poses
     limits = [] if not np.all(np.isfinite(plan.problem.limits.effort)) else _limit_curves(plan, motion, most)
     curves = [
-        Series(name=name, x=rounded(unit * x), y=rounded(unit * y), look=look, colour=colour)
+        Series(name=name, x=rounded(joint.shown(x)), y=rounded(joint.shown(y)), look=look, colour=colour)
         for name, x, y, look, colour in limits
     ]
     return Plane(

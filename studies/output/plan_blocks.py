@@ -4,6 +4,7 @@ Figures are printed with the digits that are known of them.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from msgspec.structs import replace
@@ -14,6 +15,7 @@ from linkplan.planner.certificate.demands import demands_of, operating_points, s
 from linkplan.planner.plan.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, Proof
+from linkplan.planner.refinement.history import Step
 from linkplan.studies.output.certificate_list import certificate_list
 from linkplan.studies.output.document import Axis, Block, Facts, Plane, Series, Table, Text, table_of
 from linkplan.studies.output.numbers import drawn_rows, rounded
@@ -26,19 +28,17 @@ _TITLES = {
     "undecided": "Undecided: these are neither proved nor refuted",
     "proved": "Proved at every instant, for the model and the polynomials of the plan",
 }
-# The heads of the demands on actuators.
-_DEMAND_HEADS = [
-    "actuator",
-    "peak effort",
-    "rms effort",
-    "unit",
-    "peak speed",
-    "its unit",
-    "power as motor [W]",
-    "as brake [W]",
-    "energy given [J]",
-    "taken [J]",
-]
+# The heads of the fields of a `Demand`, and of a `Step`.
+_DEMAND_HEADS = {
+    "actuator": "actuator", "peak_effort": "peak effort", "rms_effort": "rms effort", "effort_unit": "unit",
+    "peak_speed": "peak speed", "speed_unit": "its unit", "peak_motor_power_w": "power as motor [W]",
+    "peak_brake_power_w": "as brake [W]", "energy_given_j": "energy given [J]", "energy_taken_j": "taken [J]",
+}  # fmt: skip
+_STEP_HEADS = {
+    "what": "what was tried", "scheme": "scheme", "intervals": "intervals", "segments": "segments", "converged": "solved",
+    "solver_status": "solver's answer", "objective": "objective [SI]", "integration_error_deg": "integration error [deg]",
+    "build_s": "time to build [s]", "solve_s": "time to solve [s]",
+}  # fmt: skip
 # The tables of a proof that a summary of a plan has too.
 _OPEN_TITLES = (_TITLES["refuted"], _TITLES["undecided"])
 
@@ -125,22 +125,9 @@ def _demands(plan: Plan) -> list[Block]:
 
 def demand_table(plan: Plan) -> Table:
     """Return the demands of a plan with a motion, an actuator in a row."""
-    rows = [
-        [
-            one.actuator,
-            one.peak_effort,
-            one.rms_effort,
-            one.effort_unit,
-            one.peak_speed,
-            one.speed_unit,
-            one.peak_motor_power_w,
-            one.peak_brake_power_w,
-            one.energy_given_j,
-            one.energy_taken_j,
-        ]
-        for one in demands_of(plan.problem, plan.require_motion("judge actuators by"))
-    ]
-    return table_of("What the motion demands of each actuator", _DEMAND_HEADS, rows, brief=[])
+    demands = demands_of(plan.problem, plan.require_motion("judge actuators by"))
+    rows = [[getattr(one, field) for field in _DEMAND_HEADS] for one in demands]
+    return table_of("What the motion demands of each actuator", [*_DEMAND_HEADS.values()], rows, brief=[])
 
 
 def demand_blocks(plan: Plan, group: str) -> list[Block]:
@@ -240,25 +227,14 @@ def facts(plan: Plan) -> list[tuple[str, str]]:
 
 def solves(plan: Plan) -> Table:
     """Return the table of the solves before a plan."""
-    heads = ["what was tried", "scheme", "intervals", "segments", "solved", "solver's answer", "objective [SI]"]
-    heads += ["integration error [deg]", "time to build [s]", "time to solve [s]"]
     digits = min(objective_digits(plan), 6)
-    rows = [
-        [
-            step.what,
-            step.scheme,
-            step.intervals,
-            step.segments,
-            step.converged,
-            step.solver_status,
-            None if step.objective is None else figure(step.objective, digits),
-            step.integration_error_deg,
-            step.build_s,
-            step.solve_s,
-        ]
-        for step in plan.history
-    ]
-    return table_of("Attempts in their order, each with its mesh", heads, rows, digits=3)
+
+    def cell(step: Step, field: str) -> Any:
+        value = getattr(step, field)
+        return figure(value, digits) if field == "objective" and value is not None else value
+
+    rows = [[cell(step, field) for field in _STEP_HEADS] for step in plan.history]
+    return table_of("Attempts in their order, each with its mesh", [*_STEP_HEADS.values()], rows, digits=3)
 
 
 def least_margin(plan: Plan) -> tuple[str, str]:

@@ -62,10 +62,23 @@ def _within(box: Bbox, page: Bbox) -> bool:
     return bool(box.x0 > -1 and box.y0 > -1 and box.x1 < page.x1 + 1 and box.y1 < page.y1 + 1)
 
 
+def _outermost(axes, name: str):
+    """Return the axes with the numbers of an axis: the lowest one in a column that shares x, the first in a row for y."""
+    alike = getattr(axes, f"get_shared_{name}_axes")().get_siblings(axes)
+    if len(alike) == 1:
+        return axes
+    own = axes.get_subplotspec()
+    if name == "x":
+        column = [one for one in alike if one.get_subplotspec().colspan == own.colspan]
+        return max(column, key=lambda one: one.get_subplotspec().rowspan.start)
+    row = [one for one in alike if one.get_subplotspec().rowspan == own.rowspan]
+    return min(row, key=lambda one: one.get_subplotspec().colspan.start)
+
+
 def _missing(axes) -> list[str]:
     """Return the labels and numbers that axes lack; bars have names in place of numbers, and a colour bar one axis."""
     faults = []
-    for axis in (axes.xaxis, axes.yaxis):
+    for axis in (_outermost(axes, "x").xaxis, _outermost(axes, "y").yaxis):
         low, high = sorted(axis.get_view_interval())
         numbers = {
             float(place): label.get_text()

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from msgspec.structs import replace
 
 from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy
 from linkplan.studies.feedback.bode.curves import frequency_plot, measured_phase, phase_near
@@ -262,7 +261,7 @@ def sensitivities(entries: Sequence[BodePoint], group: str) -> list[Plot]:
                 dots = {**look, "look": "points"}
                 curves.append((f"{entry.point.name}, measured", response.frequency_hz, response.gain_db, dots))
         ends = None if quantity == "control" else (-50.0, 25.0)
-        limits = [] if quantity == "control" else [DrawnLimit(name="gain one,", value=0.0)]
+        limits = [] if quantity == "control" else [DrawnLimit(name="gain one at", value=0.0)]
         found.append(frequency_plot(title, "gain", unit, curves, group, limits, ends))
     return found
 
@@ -309,7 +308,9 @@ def margins_along(study: BodeStudy, scan: Scan, name: str) -> list[Plot | Plane]
     """Return the sensitivity and the margins over a line of positions; the title names the position of the worst margin."""
     line = scan.line
     x = np.array([line.shown(position) for position in scan.positions])
-    axis = Axis(label=line.name if line.name != "t" else "time", unit=line.unit)
+    room = 0.02 * (x[-1] - x[0])
+    ends = (float(x[0] - room), float(x[-1] + room)) if room else None  # of every panel, without values at its ends, too
+    axis = Axis(label=line.name if line.name != "t" else "time", unit=line.unit, ends=ends)
     group = f"along:{name}"
     margins = [
         Line(name="phase margin", values=scan.column("phase_margin_deg"), unit="deg"),
@@ -320,15 +321,14 @@ def margins_along(study: BodeStudy, scan: Scan, name: str) -> list[Plot | Plane]
     lost = np.array([0.0 if not bounds.stable else np.nan for bounds in scan.margins])
     if np.isfinite(lost).any():
         margins.append(Line(name="unstable", values=lost, unit="deg", look="points", colour=4))
-    crossings = [
-        Line(name="crossover", values=scan.column("crossover_hz"), unit="Hz"),
-        Line(name="bandwidth", values=scan.column("bandwidth_hz"), unit="Hz"),
-    ]
+    crossings = [Line(name=name, values=scan.column(f"{name}_hz"), unit="Hz") for name in ("crossover", "bandwidth")]
+    crossings = [one for one in crossings if np.isfinite(one.values).any()]  # none of a loop that is unstable everywhere
     title = f"Margins; the worst is at {line.place(scan.positions[scan.worst])}"
+    crossed = " and ".join(one.name for one in crossings).capitalize()
     return [
         _map(study, scan, axis, x),
         *plots(title, "margin", axis, x, margins, group=group, ends=(0.0, max(10.0, 1.08 * highest))),
-        *plots("Crossover and bandwidth", "frequency", axis, x, crossings, group=group, log=True),
+        *plots(crossed, "frequency", axis, x, crossings, group=group, log=True),
     ]
 
 
@@ -336,7 +336,7 @@ def _map(study: BodeStudy, scan: Scan, axis: Axis, x: np.ndarray) -> Plane:
     grid, heat = sensitivity_along(study, scan)
     return Plane(
         title="Sensitivity |S| over position and frequency",
-        x_axis=replace(axis, ends=(float(x[0]), float(x[-1])) if len(x) > 1 else None),
+        x_axis=axis,
         y_axis=Axis(label="frequency", unit="Hz", log=True, ends=(float(grid[0]), float(grid[-1]))),
         curves=[Series(name="crossover", x=rounded(x), y=rounded(scan.column("crossover_hz"), log=True), colour=None)],
         heat=Heat(

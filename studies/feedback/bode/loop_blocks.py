@@ -192,7 +192,7 @@ def large_blocks(signals: LargeSignals) -> list[Block]:
         Series(
             name="feasible for any controller",
             x=rounded(curve.frequency_hz[live], log=True),
-            y=rounded(joint.shown(1.0) * curve.amplitude[live], log=True),
+            y=rounded(joint.shown(curve.amplitude[live]), log=True),
             colour=4,
             width=2.2,
         )

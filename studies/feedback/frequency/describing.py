@@ -150,7 +150,7 @@ def large_signals(
         multiples=np.array(multiples, dtype=float),
         gain_db=20 * np.log10(np.abs(found["measured"])),
         predicted_db=20 * np.log10(np.abs(found["predicted"])),
-        **{f"amplitude_{joint.unit}": joint.shown(1.0) * sizes.T},
+        **{f"amplitude_{joint.unit}": joint.shown(sizes.T)},
         **found,
     )
 

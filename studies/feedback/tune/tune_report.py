@@ -69,16 +69,20 @@ def tune_plots(tuning: Tuning, loops: Sequence[JudgedLoop], of: str) -> list[Plo
         ("sensitivity_peak", "peak of |S|", "1", wanted.largest_peak, "wanted at most"),
     ):
         values, asked = figures(margins, name), [limit] if np.isfinite(limit) and limit > 0 else []
+        known = [value for value in (*values.tolist(), *asked) if value > 0]
+        highest, lowest = max(known, default=1.0), min(known, default=1.0)
+        log = per == "Hz" and highest > 10 * lowest
+        ends = (lowest / 4.0, 1.5 * highest) if log else (0.0, 1.12 * highest)  # room for the limit's name below it
+        values = np.maximum(values, ends[0])
         series = [Series(name=what, y=rounded(values)), Series(name="looked at", y=rounded(values), look="points")]
         if len(lost):
-            series.append(Series(name="unstable", x=rounded(lost), y=[0.0] * len(lost), look="points", colour=4))
-        highest = max([*values[np.isfinite(values)].tolist(), *asked], default=0.0)
+            series.append(Series(name="unstable", x=rounded(lost), y=[ends[0]] * len(lost), look="points", colour=4))
         found.append(
             Plot(
                 title=f"{what[:1].upper()}{what[1:]} over the {place if of else 'position'}{of}",
                 group="along:tune",
                 x_axis=Axis(label=place, unit=unit or "1"),
-                y_axis=Axis(label=what, unit=per, ends=(0.0, 1.12 * highest or 1.0)),
+                y_axis=Axis(label=what, unit=per, log=log, ends=ends),
                 x=rounded(at[order]),
                 series=series,
                 limits=[DrawnLimit(name=words, value=float(x)) for x in asked],

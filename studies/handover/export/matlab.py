@@ -15,22 +15,14 @@ def mat_bytes(samples: ExportedSamples) -> bytes:
     `units` has the same structs with a unit for each name, `names` has the names of the model.
     """
     table = samples.table
-    groups = {
-        "position": (table.position_deg, table.unit),
-        "speed": (table.speed_deg_s, {name: f"{unit}/s" for name, unit in table.unit.items()}),
-        "acceleration": (table.acceleration_deg_s2, {name: f"{unit}/s2" for name, unit in table.unit.items()}),
-        "effort": (table.effort, table.effort_unit),
-        "site": (table.site, dict.fromkeys(table.site, "m")),
-        "body": (table.body_deg, dict.fromkeys(table.body_deg, "deg")),
-    }
     content: dict = {"time_s": table.time_s, "plan": samples.plan.problem.name}
     units: dict = {"time_s": "s"}
     names: dict = {}
-    for group, (values, unit) in groups.items():
-        if values:
-            fields = _fields(values)
-            content[group] = {fields[name]: value for name, value in values.items()}
-            units[group] = {fields[name]: unit[name] for name in values}
+    for group, rows in table.by_quantity().items():
+        if rows:
+            fields = _fields(rows)
+            content[group] = {fields[name]: values for name, (_, values) in rows.items()}
+            units[group] = {fields[name]: unit for name, (unit, _) in rows.items()}
             names[group] = {field: name for name, field in fields.items()}
     file = io.BytesIO()
     scipy.io.savemat(file, content | {"units": units, "names": names}, long_field_names=True, oned_as="column")

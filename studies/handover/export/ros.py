@@ -31,7 +31,7 @@ def joint_trajectory_text(samples: ExportedSamples, joints: Sequence[str] = ()) 
         shown, coordinates = mechanism.independent.tolist(), mechanism
     effort = samples.effort_on(coordinates, [mechanism.joints[i].name for i in shown])
     names = [json.dumps(mechanism.joints[i].name, ensure_ascii=False) for i in shown]
-    units = [f"{mechanism.joints[i].name} [{'rad' if mechanism.joints[i].kind == 'hinge' else 'm'}]" for i in shown]
+    units = [f"{mechanism.joints[i].name} [{mechanism.joints[i].si_units[0]}]" for i in shown]
     follow = [joint.name for i, joint in enumerate(mechanism.joints) if i not in shown]
     lines = [
         f"# trajectory_msgs/msg/JointTrajectory: plan {json.dumps(samples.plan.problem.name)}, {', '.join(units)}",

@@ -86,8 +86,7 @@ def exported_samples(plan: Plan, every_s: float | None = None) -> ExportedSample
     joints = mechanism.joints
 
     def internal(values: dict[str, np.ndarray]) -> np.ndarray:
-        columns = [np.radians(values[j.name]) if j.kind == "hinge" else values[j.name] for j in joints]
-        return np.column_stack(columns)
+        return np.column_stack([joint.read(values[joint.name]) for joint in joints])
 
     at = table.time_s
     return ExportedSamples(

@@ -1,7 +1,7 @@
-"""A transfer table as columns with units in their heads, and as arrays for NPZ."""
+"""The quantities of a transfer table, as columns with units in their heads, and as arrays for NPZ."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
@@ -12,37 +12,66 @@ from linkplan.models.transfer.polytope import (
     speed_alone,
     speed_box,
 )
-from linkplan.models.tree.joints import inertia_unit_of
+from linkplan.models.tree.joints import Joint, inertia_unit_of
 from linkplan.studies.handover.transfer.study import Transfer, carried_gains
+from linkplan.studies.output.quantities import Curve, Quantity, curves_of
 
-# What an array of the NPZ file is, by name; joints are in the order of the table's axes, motors in the file's order.
-MEANINGS = {
-    "joint_position": "positions of the output joints",
-    "motor_position": "motor positions: gear times joint position, as MuJoCo's actuator length",
-    "ratio": "G: motor velocity = G joint velocity, joint effort = G^T motor effort",
-    "ratio_slope": "dG/ds: G' = the sum over its last axis of dG/ds times joint velocity",
-    "inertia": "reflected inertia of all that moves with the output joints",
-    "armature": "the part of it that is armature of joints and rotors",
-    "damping": "reflected viscous damping",
-    "friction": "dry friction on each joint while it slides alone",
-    "gravity": "effort that balances gravity",
-    "hold": "effort at rest: gravity, springs and constant forces",
-    "effort_box": "least and largest effort on each joint",
-    "effort_corners": "joint efforts at the corners of the motors' limits, motors counted in binary, last one first",
-    "speed_alone": "largest speed of each joint while the others rest",
-    "speed_box": "largest speed of each joint in any motion",
-    "motor_kp": "motor stiffness that gives the joints the stiffness asked for",
-    "motor_kd": "motor damping that gives the joints the damping asked for",
-    "joint_kp": "joint stiffness that the motors' stiffness gives",
-    "joint_kd": "joint damping that the motors' damping gives",
-    "inertia_rest": "inertia that the serial equivalent lacks",
-    "inertia_rest_slope": "its derivatives by the joint positions, along the last axis",
-    "damping_rest": "damping that it lacks",
-    "friction_rate": "rates of the linkage's joints with dry friction, over those of the output joints",
-    "effort_rest": "effort at rest that it lacks: weight, springs and constant forces",
-    "status": "0: on the map; 1: the loops do not close; 2: next to a singular pose; 3: beside the map, for interpolation at"
-    " the edge of the way back; 100 + k: joint k is beyond its range",
-}
+
+def _per(side: int, rate: str = "") -> Callable[..., str]:
+    """Return a function of parts: the unit of the first one's position (0) or effort (1) per position of each other."""
+    return lambda first, *others: "/".join([first.si_units[side] + rate, *(other.si_units[0] for other in others)])
+
+
+def _inertia(first: Joint, second: Joint, *others: Joint) -> str:
+    return "/".join([inertia_unit_of(first.si_units[1], second.si_units[1]), *(other.si_units[0] for other in others)])
+
+
+def _of(kinds: str, field: str, unit: Callable[..., str], meaning: str, column: str = "", **drawn: str) -> Quantity:
+    """Return a quantity of parts; its column has by default its name and theirs."""
+    of = tuple(kinds.split())
+    return Quantity(field=field, of=of, unit=unit, column=column or field + "_{}" * len(of), meaning=meaning, **drawn)
+
+
+_ALL = (
+    _of("joint", "joint_position", _per(0), "positions of the output joints"),
+    _of("motor", "motor_position", _per(0), "motor positions: gear times joint position, as MuJoCo's actuator length",
+        plot="Motor positions", label="motor position"),
+    _of("motor joint", "ratio", _per(0), "G: motor velocity = G joint velocity, joint effort = G^T motor effort",
+        "G_{}_{}", plot="Transmission G", label="G", line="{} / {}"),
+    _of("motor joint joint", "ratio_slope", _per(0), "dG/ds: G' = the sum over its last axis of dG/ds times joint velocity",
+        "dG_{}_{}_d_{}"),
+    _of("joint joint", "inertia", _inertia, "reflected inertia of all that moves with the output joints",
+        plot="Reflected inertia", label="inertia"),
+    _of("joint joint", "armature", _inertia, "the part of it that is armature of joints and rotors"),
+    _of("joint joint", "damping", _per(1, ".s"), "reflected viscous damping"),
+    _of("joint", "friction", _per(1), "dry friction on each joint while it slides alone"),
+    _of("joint", "gravity", _per(1), "effort that balances gravity",
+        plot="Effort that balances gravity", label="effort"),
+    _of("joint", "hold", _per(1), "effort at rest: gravity, springs and constant forces"),
+    _of("joint end", "effort_box", lambda joint, _: joint.si_units[1], "least and largest effort on each joint",
+        "effort_{1}_{0}"),
+    _of("joint corner", "effort_corners", lambda joint, _: joint.si_units[1],
+        "joint efforts at the corners of the motors' limits, motors counted in binary, last one first",
+        "effort_corner_{1}_{0}"),
+    _of("joint", "speed_alone", _per(0, "/s"), "largest speed of each joint while the others rest"),
+    _of("joint", "speed_box", _per(0, "/s"), "largest speed of each joint in any motion"),
+    _of("motor motor", "motor_kp", _per(1), "motor stiffness that gives the joints the stiffness asked for"),
+    _of("motor motor", "motor_kd", _per(1, ".s"), "motor damping that gives the joints the damping asked for"),
+    _of("joint joint", "joint_kp", _per(1), "joint stiffness that the motors' stiffness gives"),
+    _of("joint joint", "joint_kd", _per(1, ".s"), "joint damping that the motors' damping gives"),
+    _of("joint joint", "inertia_rest", _inertia, "inertia that the serial equivalent lacks"),
+    _of("joint joint joint", "inertia_rest_slope", _inertia, "its derivatives by the joint positions, along the last axis",
+        "inertia_rest_slope_{}_{}_d_{}"),
+    _of("joint joint", "damping_rest", _per(1, ".s"), "damping that it lacks"),
+    _of("rubbing joint", "friction_rate", _per(0),
+        "rates of the linkage's joints with dry friction, over those of the output joints"),
+    _of("joint", "effort_rest", _per(1), "effort at rest that it lacks: weight, springs and constant forces"),
+    _of("", "status", lambda: "1",
+        "0: on the map; 1: the loops do not close; 2: next to a singular pose; 3: beside the map, for interpolation at"
+        " the edge of the way back; 100 + k: joint k is beyond its range"),
+)  # fmt: skip
+# The quantities by name; joints are in the order of the table's axes, motors in the file's order.
+QUANTITIES = {one.field: one for one in _ALL}
 
 
 def arrays_of(transfer: Transfer) -> dict[str, np.ndarray]:
@@ -69,25 +98,36 @@ def arrays_of(transfer: Transfer) -> dict[str, np.ndarray]:
     return found | {"status": flat["status"]}
 
 
+def curves(transfer: Transfer, name: str, values: np.ndarray) -> Iterator[Curve]:
+    """Yield the curves of a quantity with values (n, ...)."""
+    serial, joints = transfer.serial, transfer.outputs.mechanism.joints
+    corners: list[tuple[int, str]] = []
+    if name == "effort_corners":  # (n, corners, joints)
+        values = values.swapaxes(1, 2)
+        corners = [(k, str(k)) for k in range(values.shape[2])]
+    parts = {
+        "joint": list(enumerate(transfer.outputs.joints)),
+        "motor": list(enumerate(transfer.outputs.actuators)),
+        "end": list(enumerate(("least", "largest"))),
+        "corner": corners,
+        "rubbing": [] if serial is None else [(k, joints[i]) for k, i in enumerate(serial.model.rubbing)],
+    }
+    return curves_of(QUANTITIES[name], parts, values)
+
+
 def columns_of(transfer: Transfer) -> dict[str, np.ndarray]:
     """Return the table as columns (n,); heads are like "inertia_pitch_roll [kg m2]"."""
-    return {head: column for name, value in arrays_of(transfer).items() for head, column in _columns(transfer, name, value)}
+    return _columns(transfer, arrays_of(transfer))
 
 
 def inverse_columns(transfer: Transfer) -> dict[str, np.ndarray] | None:
     """Return the way back, joint positions over motor positions, as columns; None without one."""
-    inverse, outputs = transfer.table.inverse, transfer.outputs
+    inverse = transfer.table.inverse
     if inverse is None:
         return None
-    motors = [
-        (f"motor_position_{motor.name} [{motor.si_units[0]}]", x)
-        for motor, x in zip(outputs.actuators, inverse.points.T, strict=True)
-    ]
-    joints = inverse.values["joint_position"].reshape(len(inverse.points), -1).T
-    named = {
-        f"joint_position_{joint.name} [{joint.si_units[0]}]": x for joint, x in zip(outputs.joints, joints, strict=True)
-    }
-    return dict(motors) | named | {"status [1]": inverse.values["status"].ravel()}
+    joints = inverse.values["joint_position"].reshape(len(inverse.points), -1)
+    arrays = {"motor_position": inverse.points, "joint_position": joints, "status": inverse.values["status"].ravel()}
+    return _columns(transfer, arrays)
 
 
 def npz_arrays(transfer: Transfer) -> dict[str, np.ndarray]:
@@ -105,56 +145,15 @@ def npz_arrays(transfer: Transfer) -> dict[str, np.ndarray]:
         "joint_units": [joint.si_units for joint in outputs.joints],
         "motors": [motor.name for motor in outputs.actuators],
         "motor_units": [motor.si_units for motor in outputs.actuators],
-        "meaning": {name: MEANINGS[name] for name in values},
+        "meaning": {name: QUANTITIES[name].meaning for name in values},
     }
     return arrays | {"about": np.array(json.dumps(about))}
 
 
-def _columns(transfer: Transfer, name: str, value: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the heads and columns (n,) of a quantity (n, ...); of a symmetric one the upper triangle only."""
-    outputs = transfer.outputs
-    joints, motors = ([(one.name, *one.si_units) for one in of] for of in (outputs.joints, outputs.actuators))
-    if name == "status":
-        yield "status [1]", value
-    elif name in ("effort_box", "effort_corners"):
-        yield from _effort_columns(name, value, joints)
-    else:
-        rows = motors if name.startswith(("motor", "ratio")) else joints
-        columns = motors if name.startswith("motor") else joints
-        if name == "friction_rate":
-            closed = outputs.mechanism.joints
-            rows = [(closed[i].name, *closed[i].si_units) for i in transfer.serial.model.rubbing]
-        stem, symmetric = _STEMS.get(name, name), name not in ("ratio", "ratio_slope", "friction_rate")
-        kind = name.removesuffix("_slope").removesuffix("_rest")
-        rate = _RATES.get(kind, "")
-        for index in np.ndindex(value.shape[1:]):
-            if len(index) > 1 and symmetric and index[1] < index[0]:
-                continue
-            first, *others = (axis[i] for axis, i in zip((rows, columns, joints), index, strict=False))
-            head = "_d_".join([f"{stem}_{'_'.join(one[0] for one in (first, *others[:1]))}", *(by[0] for by in others[1:])])
-            if kind in _INERTIAS:
-                coupled, *by_joints = others or [first]
-                units = [inertia_unit_of(first[2], coupled[2]), *(by[1] for by in by_joints)]
-            else:
-                units = [first[1 if name in _OF_POSITIONS else 2] + rate, *(other[1] for other in others)]
-            unit = "/".join(units)
-            yield f"{head} [{unit}]", value[(slice(None), *index)]
-
-
-# The beginnings of heads that are not the quantity's name, what its unit has beside those of its joints and motors, and the
-# quantities whose unit begins with that of a position; the others begin with an effort.
-_STEMS = {"ratio": "G", "ratio_slope": "dG"}
-_INERTIAS = ("inertia", "armature")
-_RATES = {"damping": ".s", "motor_kd": ".s", "joint_kd": ".s"}
-_RATES |= {"speed_alone": "/s", "speed_box": "/s"}
-_OF_POSITIONS = ("joint_position", "motor_position", "speed_alone", "speed_box", "ratio", "ratio_slope", "friction_rate")
-
-
-def _effort_columns(name: str, value: np.ndarray, joints: list) -> Iterator[tuple[str, np.ndarray]]:
-    for k, joint in enumerate(joints):
-        if name == "effort_box":
-            for end, word in enumerate(("least", "largest")):
-                yield f"effort_{word}_{joint[0]} [{joint[2]}]", value[:, k, end]
-        else:
-            for corner in range(value.shape[1]):
-                yield f"effort_corner_{corner}_{joint[0]} [{joint[2]}]", value[:, corner, k]
+def _columns(transfer: Transfer, arrays: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """Return the columns (n,) of quantities (n, ...) by their heads."""
+    return {
+        f"{QUANTITIES[name].column.format(*curve.names)} [{curve.unit}]": curve.values
+        for name, values in arrays.items()
+        for curve in curves(transfer, name, values)
+    }

@@ -156,5 +156,5 @@ def each(values: Sequence[float], name: str, n: int) -> np.ndarray:
     """
     found = np.array([number(value, name, at_least_zero=True) for value in values])
     if len(found) not in (1, n):
-        raise ProblemError(f"{name} has one value for all or {n}, got {len(found)}")
+        raise ProblemError(f"{name} has one value{f' for all or {n}' if n > 1 else ''}, got {len(found)}")
     return np.broadcast_to(found, (n,)).astype(float)

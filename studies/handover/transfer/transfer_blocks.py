@@ -1,28 +1,19 @@
 """A transfer table as a document: the verdict, the linkage at home, the ends of the map, errors, curves and polytopes."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from linkplan.models.transfer.polytope import effort_box, effort_corners
 from linkplan.models.transfer.table import REFINED
-from linkplan.models.tree.joints import inertia_unit_of
+from linkplan.studies.handover.transfer.columns import QUANTITIES, curves
 from linkplan.studies.handover.transfer.serial_study import error_plots, serial_blocks
 from linkplan.studies.handover.transfer.serial_urdf import urdf_notes
 from linkplan.studies.handover.transfer.study import CONVENTION, Transfer, carried_gains
 from linkplan.studies.output.document import Axis, Block, Facts, Plane, Plot, Report, Section, Series, Text, table_of
-from linkplan.studies.output.lines import Line, overlaid_width, plots
+from linkplan.studies.output.lines import Line, plots
 from linkplan.studies.output.numbers import rounded
 from linkplan.studies.output.report_file import report_of
 
 _PLOT_SAMPLES = 201
-_TITLES = {
-    "motor_position": "Motor positions",
-    "ratio": "Transmission G",
-    "inertia": "Reflected inertia",
-    "gravity": "Effort that balances gravity",
-}
-_WORDS = {"motor_position": "motor position", "ratio": "G", "inertia": "inertia", "gravity": "effort"}
 
 
 def transfer_blocks(transfer: Transfer) -> list[Block]:
@@ -82,11 +73,8 @@ def _facts(transfer: Transfer) -> list[tuple[str, str]]:
         text = f"{size} nodes, error {error:.2g} of the largest position"
         text += f", answers {100 * table.inverse.answered:.4g} % of {table.inverse.checked} reachable positions"
         rows.append(("table from motor to joint positions", text))
-    for name, (gains,) in carried_gains(transfer, transfer.home.ratio).items():
-        of = transfer.outputs.actuators if name.startswith("motor") else transfer.outputs.joints
-        rate = ".s" if name.endswith("kd") else ""
-        said = [f"{a.name}-{b.name} {gains[j, k]:.5g} {a.si_units[1]}{rate}/{b.si_units[0]}"
-                for j, a in enumerate(of) for k, b in enumerate(of) if k >= j]  # fmt: skip
+    for name, gains in carried_gains(transfer, transfer.home.ratio).items():
+        said = [f"{'-'.join(one.names)} {one.values[0]:.5g} {one.unit}" for one in curves(transfer, name, gains)]
         rows.append((f"{name} at home", ", ".join(said)))
     return rows
 
@@ -147,31 +135,22 @@ def _curves(transfer: Transfer, k: int) -> list[Plot]:
     joint, several = outputs.joints[k], len(outputs.joints) > 1
     points = np.tile(outputs.home, (_PLOT_SAMPLES, 1))
     points[:, k] = np.linspace(grid.axes[k][0], grid.axes[k][-1], _PLOT_SAMPLES)
-    x = np.array([joint.shown(value) for value in points[:, k]])
+    x = joint.shown(points[:, k])
     found = []
-    for name, title in _TITLES.items():
-        drawn = _lines(transfer, name, grid.at(name, points))
-        lines = [replace(line, width=overlaid_width(i, len(drawn))) for i, line in enumerate(drawn)]
+    for one in filter(lambda one: one.plot, QUANTITIES.values()):
+        lines = [
+            # "A and B" for the coupling of two joints, else "A"
+            Line(
+                name=one.line.format(*curve.names) if one.line != "{}" else " and ".join(dict.fromkeys(curve.names)),
+                values=curve.values,
+                unit=curve.unit,
+            )
+            for curve in curves(transfer, one.field, grid.at(one.field, points))
+        ]
         of = f" over {joint.name}" + (", other outputs at home" if several else "")
         axis = Axis(label=joint.name, unit=joint.unit)
-        found += plots(f"{title}{of}", _WORDS[name], axis, x, lines, group=f"transfer:{joint.name}")
+        found += plots(f"{one.plot}{of}", one.label, axis, x, lines, group=f"transfer:{joint.name}")
     return found
-
-
-def _lines(transfer: Transfer, name: str, values: np.ndarray) -> list[Line]:
-    outputs = transfer.outputs
-    joints, motors = ([(one.name, *one.si_units) for one in of] for of in (outputs.joints, outputs.actuators))
-    if name == "motor_position":
-        return [Line(name=m, values=values[:, j], unit=unit) for j, (m, unit, _) in enumerate(motors)]
-    if name == "ratio":
-        pairs = [(j, k) for j in range(len(motors)) for k in range(len(joints))]
-        return [Line(name=f"{motors[j][0]} / {joints[k][0]}", values=values[:, j, k], unit=f"{motors[j][1]}/{joints[k][1]}")
-                for j, k in pairs]  # fmt: skip
-    if name == "inertia":
-        pairs = [(j, k) for j in range(len(joints)) for k in range(j, len(joints))]
-        return [Line(name=f"{joints[j][0]}" if j == k else f"{joints[j][0]} and {joints[k][0]}", values=values[:, j, k],
-                     unit=inertia_unit_of(joints[j][2], joints[k][2])) for j, k in pairs]  # fmt: skip
-    return [Line(name=joint, values=values[:, k], unit=effort) for k, (joint, _, effort) in enumerate(joints)]
 
 
 def _polytope(transfer: Transfer) -> Plane:

@@ -10,17 +10,16 @@ from linkplan.studies.variations.experiment.sensitivity_blocks import sensitivit
 from linkplan.studies.variations.experiment.statistics import Estimate, Pair
 from linkplan.studies.variations.experiment.study import ExperimentOutcome
 
-_WORDS = (("rms", "rms"), ("max", "largest"), ("final", "final"))
-# The columns of the second table of trackers: metric, head, unit, factor.
-_OTHERS = (
-    ("peak_effort", "peak effort", "", 1.0),
-    ("rms_effort", "rms effort", "", 1.0),
-    ("energy_j", "energy", "J", 1.0),
-    ("chatter", "effort's total variation", "", 1.0),
-    ("saturated_share", "at the limit", "%", 100.0),
-    ("settling_s", "settling", "s", 1.0),
-    ("loop_gap_um", "closure gap", "um", 1.0),
-)
+# The metrics of the second table of trackers, and their heads. Shares are in percent.
+_OTHERS = {
+    "peak_effort": "peak effort",
+    "rms_effort": "rms effort",
+    "energy_j": "energy",
+    "chatter": "effort's total variation",
+    "saturated_share": "at the limit",
+    "settling_s": "settling",
+    "loop_gap_um": "closure gap",
+}
 
 
 def outcome_blocks(outcome: ExperimentOutcome) -> list[Block]:
@@ -78,8 +77,7 @@ def _facts(outcome: ExperimentOutcome) -> Facts:
 
 
 def _tables(outcome: ExperimentOutcome) -> list[Table]:
-    units = [name.removeprefix("rms_error_") for name in outcome.metrics if name.startswith("rms_error_")]
-    errors = [(f"{which}_error_{unit}", f"{word} error", unit) for unit in units for which, word in _WORDS]
+    errors = [(name, metric.text, metric.unit) for name, metric in outcome.metrics.items() if "_error_" in name]
     largest = [(name, f"95th percentile of the {word}", unit) for name, word, unit in errors if name.startswith("max")]
     heads = ["tracker", "success [%]", "its 95 % interval [%]", "failed", *((word, unit) for _, word, unit in errors)]
     rows = [
@@ -95,9 +93,10 @@ def _tables(outcome: ExperimentOutcome) -> list[Table]:
     ]
     title = "Trackers: means with half of their 95 % confidence intervals"
     first = table_of(title, [*heads, *((word, unit) for _, word, unit in largest)], rows, digits=3)
-    others = ["tracker", *((head, unit or outcome.metrics[name].unit) for name, head, unit, _ in _OTHERS)]
+    units = {name: "%" if (unit := outcome.metrics[name].unit) == "1" else unit for name in _OTHERS}
+    others = ["tracker", *((head, units[name]) for name, head in _OTHERS.items())]
     rows = [
-        [tracker, *(factor * one.means[name].value for name, *_, factor in _OTHERS)]
+        [tracker, *((100.0 if unit == "%" else 1.0) * one.means[name].value for name, unit in units.items())]
         for tracker, one in outcome.trackers.items()
     ]
     return [first, table_of("Efforts, energy and closure, means", others, rows)]

@@ -8,7 +8,7 @@ from msgspec import Struct
 from linkplan.controllers.reference import state_at
 from linkplan.controllers.simulate import Ensemble
 from linkplan.models.mechanism import Mechanism
-from linkplan.studies.compare.compare import actuated_by_unit, error_figures
+from linkplan.studies.compare.compare import ERRORS, actuated_by_unit, error_figures
 from linkplan.studies.variations.experiment.experiment import Experiment
 
 
@@ -26,12 +26,8 @@ def metrics_of(mechanism: Mechanism) -> Mapping[str, Metric]:
     effort = efforts[0] if len(efforts) == 1 else "N.m or N"
     found: dict[str, Metric] = {}
     for unit in actuated_by_unit(mechanism):
-        found |= {
-            f"rms_error_{unit}": Metric(text="rms error", unit=unit),
-            f"max_error_{unit}": Metric(text="largest error", unit=unit),
-            f"final_error_{unit}": Metric(text="final error", unit=unit),
-            f"overshoot_{unit}": Metric(text="overshoot beyond the path's range", unit=unit),
-        }
+        found |= {f"{name}_error_{unit}": Metric(text=text, unit=unit) for name, text in ERRORS.items()}
+        found[f"overshoot_{unit}"] = Metric(text="overshoot beyond the path's range", unit=unit)
     return found | {
         "settling_s": Metric(text="settling into the tube after the motion's end", unit="s"),
         "rms_effort": Metric(text="rms effort", unit=effort),

@@ -242,6 +242,13 @@ def test_numpys_numbers_are_numbers_and_kept_as_pythons():
     assert solver.max_time_s == 2.0
 
 
+def test_the_ends_of_intervals_say_how_many_there_are():
+    breaks = [0.0, 0.25, 0.5, 1.0]
+    for mesh in (MeshSettings(breaks=breaks), load_problem("knee-reach", [f"mesh.breaks={breaks}"]).mesh):
+        assert mesh.breaks.tolist() == breaks
+        assert mesh.intervals == 3
+
+
 def test_angles_at_the_ends_of_what_is_legal_survive_their_way_through_radians():
     for end in (1e-9, 1e9):
         problem = load_problem("knee-reach", [f"tracking.lqr_position_deg={end}"])

@@ -23,7 +23,8 @@ from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import finer_meshes, multistart
 from linkplan.planner.search.attempts import of_several
-from linkplan.planner.search.finer_meshes import FIRST_MARGIN, along_ranges, at_a_distance, effort_jumps, gain_at_margin
+from linkplan.planner.search.finer_meshes import FIRST_MARGIN, along_ranges, at_a_distance, gain_at_margin
+from linkplan.planner.search.jumps import effort_jumps
 from linkplan.planner.search.methods import FULL_BUDGET
 from linkplan.planner.search.multistart import from_several_starts
 from linkplan.planner.search.planning import plan_motion, search_for

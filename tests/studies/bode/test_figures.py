@@ -48,6 +48,17 @@ def test_the_open_loop_of_an_unstable_gain_is_in_its_frame_and_named():
     assert max(abs(x[np.nanargmin(np.hypot(x, y))]) for x, y in lines.values()) > 2.5  # beyond the frame as it was
 
 
+def test_margins_of_a_loop_that_is_unstable_at_most_angles_are_over_one_range():
+    figure = drawn("optimus-knee", "--kp", "200", "--kd", "10")["margins.png"]
+    panels = [axes for axes in figure.axes if axes.get_xlabel() == "O [deg]"]
+    assert len(panels) == 3
+    assert len({axes.get_xlim() for axes in panels}) == 1
+    for axes in panels[1:]:
+        lines = [line for line in axes.lines if not line.get_label().startswith("_")]
+        assert len(lines) >= 2
+        assert all(np.isfinite(line.get_ydata()).any() for line in lines)  # what the legend names is drawn
+
+
 @pytest.mark.filterwarnings("error:All-NaN")
 def test_figures_of_a_loop_that_is_unstable_at_every_pose_bring_no_warning():
     assert "margins.png" in drawn("knee-sine", "--set", "tracking.kd=10")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from msgspec import structs
 
 import linkplan
 from linkplan.models.mechanism import load_mechanism
@@ -21,7 +22,7 @@ from linkplan.studies.output.document import Axis, Bar, Bars, DrawnLimit, Plane,
 from linkplan.studies.output.draw_bodies import draw_poses
 from linkplan.studies.output.figure import figure_of
 from linkplan.studies.output.figure_spec import FigureSpec, one_screen
-from linkplan.studies.output.lines import TIME, Line, plots
+from linkplan.studies.output.lines import TIME, Line, overlaid_width, plots
 from tests.support.figure_texts import text_faults
 from tests.support.figures import curves, saved_figures
 from tests.support.mechanism_checks import mechanism_of
@@ -251,3 +252,60 @@ def test_the_name_of_a_limit_is_beside_the_curves(values, below):
     line = figure.axes[0].transData.transform((0.0, 30.0))[1]
     box = text.get_window_extent()
     assert (box.y1 < line) if below else (box.y0 >= line - 1.0)
+
+
+def test_columns_of_cases_have_heads_above_every_title_and_rows_have_one_vertical_range():
+    cases = [panel(0, 10), panel(1, 10), panel(2, 2), panel(3, 2)]
+    cases[1] = structs.replace(cases[1], series=[Series(name="k", y=[0.0, 50.0])])
+    figure = figure_of(FigureSpec(panels=cases, columns=2, heads=["nominal", "20 % heavier"]))
+    FigureCanvasAgg(figure).draw()
+    for axes, head in zip(figure.axes[:2], ("nominal", "20 % heavier"), strict=True):
+        (text,) = [text for text in axes.texts if text.get_text() == head]
+        box, title = text.get_window_extent(), axes.title.get_window_extent()
+        assert title.y1 <= box.y0
+        assert box.y1 <= figure.bbox.height
+    assert figure.axes[0].get_ylim() == figure.axes[1].get_ylim() != figure.axes[2].get_ylim()
+    assert [bool(axes.get_xlabel()) for axes in figure.axes] == [False, False, True, True]
+
+
+def test_a_line_without_values_has_no_entry_in_the_legend_and_single_values_are_dots():
+    rows = {"none": [np.nan, np.nan, np.nan], "one": [np.nan, 1.0, np.nan], "two": [np.nan, 1.0, 2.0]}
+    lines = [Line(name=name, values=np.array(row), unit="Hz") for name, row in rows.items()]
+    (plot,) = plots("Crossings", "frequency", TIME, np.arange(3.0), lines)
+    looks = [(one.name, one.look, one.colour) for one in plot.series]
+    assert looks == [("", "line", 0), ("one", "points", 1), ("two", "line", 2)]
+
+
+def test_only_a_drawing_in_one_scale_takes_the_empty_room_below_it():
+    def free(axes) -> None:
+        axes.plot([0.0, 1.0], [0.0, 1.0])
+
+    def drawn(axes) -> None:
+        free(axes)
+        axes.set_aspect("equal", adjustable="datalim")
+
+    for panels, spans in (([panel(0, 2), free, panel(1, 2)], 1), ([panel(0, 2), drawn, panel(1, 2)], 2)):
+        figure = figure_of(FigureSpec(panels=panels, columns=2))
+        assert len(figure.axes[1].get_subplotspec().rowspan) == spans
+
+
+def test_a_line_alone_is_of_the_usual_width_and_of_several_the_first_is_the_widest():
+    assert overlaid_width(0, 1) == Series(name="", y=[]).width
+    widths = [overlaid_width(k, 3) for k in range(3)]
+    assert widths == sorted(widths, reverse=True)
+    assert len({*widths}) == 3
+
+
+def test_lines_that_hide_each_other_are_of_different_widths():
+    time = np.linspace(0.0, 1.0, 50)
+    rows = {"one": np.sin(9 * time), "same": np.sin(9 * time) + 1e-4, "other": np.cos(9 * time)}
+
+    def widths(*names: str, log: bool = False) -> list[float]:
+        lines = [Line(name=name, values=np.exp(rows[name]) if log else rows[name], unit="m") for name in names]
+        (plot,) = plots("Motion", "position", TIME, time, lines, log=log)
+        return [one.width for one in plot.series]
+
+    for log in (False, True):
+        hidden, apart = widths("one", "other", "same", log=log), widths("one", "other", log=log)
+        assert hidden == [overlaid_width(k, 3) for k in range(3)]
+        assert apart == [overlaid_width(0, 1)] * 2

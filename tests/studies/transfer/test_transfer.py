@@ -130,7 +130,7 @@ def test_a_table_that_misses_its_tolerance_says_so_and_ends_with_1(capsys):
         (["--joints", "O,C"], ["degrees of freedom (1)", "got O, C"]),
         (["--joints", "C,C"], ["different joints"]),
         (["--joints", "C", "--tolerance", "0"], ["tolerance", "positive"]),
-        (["--joints", "C", "--joint-kp", "1,2"], ["--joint-kp has one value for all or 1, got 2"]),
+        (["--joints", "C", "--joint-kp", "1,2"], ["--joint-kp has one value, got 2"]),
         (["--joints", "C", "--joint-kp", "soft"], ["--joint-kp", "'soft'"]),
         (["--joints", "C", "--range-deg", "C=1"], ["JOINT=LOW:HIGH", "'C=1'"]),
         (["--joints", "C", "--range-deg", "O=1:2"], ["'O'", "output joints are C"]),

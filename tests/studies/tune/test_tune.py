@@ -203,6 +203,18 @@ def test_all_points_of_the_figure_are_inside_its_axes():
             assert (values <= low + 0.95 * (high - low)).all(), axes.get_ylabel()
 
 
+def test_bandwidths_of_more_than_a_decade_are_on_a_logarithmic_axis():
+    mechanism = load_mechanism("optimus-knee")
+    points = [operating_point(mechanism, np.radians([angle])) for angle in (0.0, 76.8)]  # far from and next to a dead centre
+    law = sampled_law(mechanism, "pd", Tracking(period_s=1e-4), mechanism.effort_limit)
+    found = tune(points, Requirements(bandwidth_hz=10.0, phase_margin_deg=60.0), law)
+    axes = figure_of(tune_figure(found)).axes[0]
+    values = np.asarray(axes.lines[0].get_ydata(), dtype=float)
+    assert values.max() > 10 * values.min() >= 100.0
+    assert axes.get_yscale() == "log"
+    assert axes.get_ylim()[0] < 10.0
+
+
 MASS_KG, LENGTH_M, ANGLE = 2.0, 0.5, np.radians(20.0)
 # A mass on a light rod that hangs: its weight gives the hinge a stiffness of m g l cos(angle).
 HANGING = f"""<mujoco><option timestep="5e-4" integrator="implicitfast"/><worldbody>
