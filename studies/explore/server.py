@@ -99,7 +99,7 @@ class _Handler(BaseHTTPRequestHandler):
             return 200, "application/json", _json({"refused": one_line(error)})
         except Exception as error:
             self.server.tell(error)
-            return 500, "text/plain", b"a fault of linkplan's own; its terminal says more\n"
+            return 500, "text/plain", b"an internal error of linkplan; see its terminal\n"
 
     def _send(self, code: int, kind: str, content: bytes) -> None:
         self.send_response(code)

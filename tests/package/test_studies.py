@@ -158,7 +158,7 @@ class Nameless:
         (lambda plan: linkplan.track(plan, mass_factor=0), "mass_factor is a positive number, got 0"),
         (lambda plan: linkplan.track(plan, delay_periods=2000), "delay_periods is from 0 to 1000, got 2000"),
         (lambda plan: linkplan.track(plan, tracking={"kp": "much"}), "tracking.kp is a number of at least 0"),
-        (lambda plan: linkplan.track(plan.problem.mechanism), "a Plan is needed to track"),
+        (lambda plan: linkplan.track(plan.problem.mechanism), "to track, give a Plan"),
         (lambda plan: linkplan.compare(plan, "lqr"), "trackers are a list"),
         (lambda plan: linkplan.compare(plan, []), "got none"),
         (lambda plan: linkplan.compare(plan, ["lqr", "lqr"]), "trackers with different names, got lqr, lqr"),
@@ -179,7 +179,7 @@ def test_a_check_has_findings_text_record_and_figure(subject, tmp_path):
 
 
 def test_a_result_without_tables_is_not_saved_as_parquet(tmp_path):
-    with pytest.raises(LinkplanError, match=r"parquet is for the tables of .*; a CheckResult has none"):
+    with pytest.raises(LinkplanError, match=r"parquet applies to the tables of .*; a CheckResult has no such table"):
         linkplan.check("five-bar").save(tmp_path / "checked", parquet=True)
     assert list(tmp_path.iterdir()) == []
 

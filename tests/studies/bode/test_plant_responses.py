@@ -275,10 +275,13 @@ REFUSED = [
     (["--from-effort", "drive", "--to-position", "tip.w"], "--to-position names a position: of joints (motor, link), coord"),
     (["--from-effort", "drive", "--to-position", "body.arm"], "unknown body in to_position 'arm'"),
     (["--from-effort", "drive", "--to-position", "link,link"], "--to-position names one or more, each once, got link, link"),
-    (["--from-effort", "drive"], "--from-effort names one side of a plant; give the other side, too (to_position)"),
-    (["--to-position", "link"], "--to-position names one side of a plant; give the other side, too (from_effort)"),
-    (["--from-effort", "drive", "--to-position", "link", "--map"], "--map is about the loop of a tracker, and a plant"),
-    (["--from-effort", "drive", "--to-position", "link", "--along"], "--along is about the loop of a tracker"),
+    (["--from-effort", "drive"], "--from-effort also needs to_position"),
+    (["--to-position", "link"], "--to-position also needs from_effort"),
+    (
+        ["--from-effort", "drive", "--to-position", "link", "--map"],
+        "--map analyses the loop of a tracker; it cannot be combined",
+    ),
+    (["--from-effort", "drive", "--to-position", "link", "--along"], "--along analyses the loop of a tracker"),
 ]
 
 

@@ -45,10 +45,13 @@ REFUSALS = [
     (["track", "{a_plan}", "--sample", "3"], ["holds no experiment", "experiment.json"]),
     (
         ["track", "{a_plan}", "--sample", "3", "--mass-factor", "1.2", "--set", "tracking.kp=3"],
-        ["--set, mass_factor: not with sample"],
+        ["--set, mass_factor cannot be combined with sample"],
     ),
     (["track", "{a_plan}", "--set", "tracking.kp=-1"], ["with tracking.kp=-1: tracking.kp is a number of at least 0"]),
-    (["track", "{a_plan}", "--set", "motion.duration_s=1"], ["a saved plan is fixed; only tracking.* and imperfections.*"]),
+    (
+        ["track", "{a_plan}", "--set", "motion.duration_s=1"],
+        ["a saved plan cannot be changed; only tracking.* and imperfections.*"],
+    ),
     (["compare", "{a_plan}", "--delay-periods", "2000"], ["--delay-periods is from 0 to 1000, got 2000"]),
     (["compare", "{a_plan}", "--mass-factor", "abc"], ["argument --mass-factor: takes a number, got 'abc'"]),
     (["compare", "{a_plan}", "--trackers"], ["argument --trackers: expected one argument"]),

@@ -310,12 +310,12 @@ def test_the_command_writes_a_folder_with_its_costs(tmp_path, capsys):
         (["optimus-knee", "--to", "c++"], "unknown format 'c++'"),
         (["knee-reach", "--to", "c", "--tracker", "mpc"], "legal: pd, pd+ff, lqr, gs-pd+ff"),
         (["knee-reach", "--to", "c", "--every-s", "0.1"], "--every-s"),
-        (["knee-reach", "--to", "c", "--joints", "C"], "the plan's own coordinates"),
+        (["knee-reach", "--to", "c", "--joints", "C"], "the plan's coordinates"),
         (["optimus-knee", "--to", "c", "--joints", "Q"], "'Q'"),
-        (["optimus-knee", "--to", "c", "--tolerance", "0.1"], "--tolerance is for the tables of a plan's law"),
-        (["knee-reach", "--to", "c", "--sizes"], "--sizes is for a model"),
-        (["knee-reach", "--to", "csv", "--sizes"], "--sizes is for code in C"),
-        (["knee-reach", "--to", "csv", "--tolerance", "0.1"], "--tolerance is for code in C"),
+        (["optimus-knee", "--to", "c", "--tolerance", "0.1"], "--tolerance applies to the tables of a plan's law"),
+        (["knee-reach", "--to", "c", "--sizes"], "--sizes applies to a model"),
+        (["knee-reach", "--to", "csv", "--sizes"], "--sizes applies to C code only"),
+        (["knee-reach", "--to", "csv", "--tolerance", "0.1"], "--tolerance applies to C code only"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(words, said, tmp_path, capsys):

@@ -107,7 +107,7 @@ def test_an_earlier_report_is_replaced(tmp_path):
 
 def test_a_page_without_a_folder_to_stand_in_is_refused_before_any_work(capsys):
     assert main(["plan", "knee-reach", "--report"]) == 2
-    assert "--report writes report.html into the folder of -o, which is not given" in capsys.readouterr().err
+    assert "--report writes report.html into the folder of -o; add -o DIR" in capsys.readouterr().err
 
 
 def test_the_command_makes_a_page_of_a_plan_s_folder(tmp_path, capsys):

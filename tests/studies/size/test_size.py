@@ -185,7 +185,7 @@ def test_missing_files_servos_and_wrong_subjects_are_refused(tmp_path):
         linkplan.size(7, motors)
     with pytest.raises(linkplan.LinkplanError, match="rest_s is a number of at least 0, got -1"):
         linkplan.size("knee-reach", motors, rest_s=-1)
-    with pytest.raises(linkplan.LinkplanError, match="rest_s is the rest after a motion that ends, and knee-sine-shank"):
+    with pytest.raises(linkplan.LinkplanError, match="rest_s must be 0 for a periodic motion such as knee-sine-shank"):
         linkplan.size("knee-sine-shank", motors, rest_s=1.0)
     servo = HINGE.replace('<motor name="motor" joint="J"', '<position name="motor" joint="J" kp="9"')
     problem = linkplan.Problem.reach(servo, start_deg={"J": 10}, goal_deg={"J": 100}, duration_s=1.5)
