@@ -16,7 +16,7 @@ from linkplan.models.tree.joints import Joint, shown_by_unit
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, has_whole_records
 from linkplan.studies.check.spring_ratios import sprung_tendons
 
-# The keys of the record of fields of a `KinematicLoopPath` with other names.
+# Fields of a `KinematicLoopPath` that have other names in the record.
 _KEYS = {
     "rates": "joint_rate",
     "ratio": "transmission_ratio",
@@ -56,8 +56,9 @@ class PathFigures(Struct, frozen=True, kw_only=True, eq=False):
 class PathQuantity:
     """A quantity along a path: the `field` of a `KinematicLoopPath` with an axis for each kind of part in `of`.
 
-    `unit` is a text, or a function of the parts. In names the parts stand in braces. Without a `column` the quantity is not
-    in the table, without the title of a `plot` in none; `line` is a line's name there. Fields of `PathFigures` are recorded.
+    `unit` is a text, or a function of the parts. Names contain the parts in braces. A quantity without `column` is not in
+    the table, one without the title of a `plot` is not plotted; `line` is the name of a line in the plot. Fields of
+    `PathFigures` are recorded.
     """
 
     field: str
@@ -104,7 +105,7 @@ PLOTS = {
     "Closure force at rest": "force",
     "Motion ratio of springs": "d length / d coordinate",
 }
-LOG_PLOTS = ("Reduced inertia", "Inertia that an actuator feels")  # logarithmic where they change by much
+LOG_PLOTS = ("Reduced inertia", "Inertia that an actuator feels")  # logarithmic if they change by a large factor
 _FOLLOWERS, _RATIO, _INERTIA, _FELT, _HELD, _LIMITED, _SINGULAR, _FORCE, _SPRINGS = PLOTS
 _JOINT, _MOTOR = ("coordinate",), ("actuator",)
 RATIO = PathQuantity(
@@ -122,7 +123,7 @@ WEIGHT = PathQuantity(
 )
 AVAILABLE = PathQuantity(field="available_effort", of=_JOINT, unit=_effort, column="available {}", plot=_LIMITED)
 SINGULARITY = PathQuantity(field="singularity", column="det J_z/home", plot=_SINGULAR, line="least of J_z's blocks")
-# In the order of a table's columns.
+# In the order of the table's columns.
 QUANTITIES = (
     RATIO,
     INERTIA,
@@ -150,7 +151,7 @@ QUANTITIES = (
 
 
 def curves_of(path: KinematicLoopPath, quantity: PathQuantity, columns: Sequence[int]) -> Iterator[PathCurve]:
-    """Yield the curves of a quantity, of coordinates those of the given columns."""
+    """Yield the curves of a quantity; of coordinates, only those in the given columns."""
     mechanism, values = path.mechanism, getattr(path, quantity.field)
     rounding = ROUNDING_SHARE * np.ptp(path.poses)
     parts: dict[str, list[tuple[int, Any]]] = {
@@ -169,7 +170,7 @@ def curves_of(path: KinematicLoopPath, quantity: PathQuantity, columns: Sequence
 
 
 def shown_curves(path: KinematicLoopPath, quantity: PathQuantity, columns: Sequence[int]) -> list[PathCurve]:
-    """Return the curves in tables and plots: those of what the mechanism has and of actuators that act on the columns."""
+    """Return the curves for tables and plots: of existing parts, and of actuators that act on the columns."""
     mechanism, found = path.mechanism, list(curves_of(path, quantity, columns))
     if (quantity is AVAILABLE and not mechanism.actuators) or (quantity is SINGULARITY and not len(mechanism.dependent)):
         return []
@@ -179,7 +180,7 @@ def shown_curves(path: KinematicLoopPath, quantity: PathQuantity, columns: Seque
 
 
 def path_figures(path: KinematicLoopPath) -> PathFigures:
-    """Return a path by names; beyond the size of a record (`has_whole_records`) with its own coordinate alone."""
+    """Return the record of a path; if it is too large (`has_whole_records`), only with the path's own coordinate."""
     mechanism, own = path.mechanism, path.coordinate
     of = list(range(mechanism.dof)) if own is None or has_whole_records(mechanism) else [own]
     joint = mechanism.independent_joints[own or 0]
@@ -199,7 +200,7 @@ def path_figures(path: KinematicLoopPath) -> PathFigures:
 
 
 def _by_name(path: KinematicLoopPath, quantity: PathQuantity, columns: Sequence[int]) -> Any:
-    """Return a quantity's arrays by the names of its parts, a coordinate's name last; of no part the array itself."""
+    """Return a quantity's arrays by the names of its parts, a coordinate's name last; without parts, the array itself."""
     found: dict[str, Any] = {}
     for curve in curves_of(path, quantity, columns):
         names = curve.names if quantity.of[:1] != _JOINT else curve.names[::-1]
