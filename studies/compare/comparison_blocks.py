@@ -15,7 +15,7 @@ from linkplan.studies.output.figure_spec import FigureSpec, one_screen, side_by_
 from linkplan.studies.output.lines import TIME, Line, overlaid_width, plots, tracker_colour
 from linkplan.studies.output.text import brief_rows
 
-# The peak efforts of more actuators have a table of their own.
+# With more actuators, their peak efforts have a separate table.
 MAX_PEAK_COLUMNS = 3
 
 
@@ -106,7 +106,7 @@ def _peak_table(comparison: Comparison, title: str, runs: Mapping[str, Rollout])
 
 
 def joint_plots(comparison: Comparison, runs: Mapping[str, Rollout], chosen: Sequence[int]) -> list[Plot]:
-    """Return the plots of the motion and the error of independent joints, by their number."""
+    """Return the plots of the motion and the error of independent joints, by joint index."""
     joints, longest, found = comparison.plan.problem.mechanism.independent_joints, _longest(runs), []
     for k in chosen:
         joint, factor = joints[k], joints[k].shown(1.0)
@@ -114,7 +114,7 @@ def joint_plots(comparison: Comparison, runs: Mapping[str, Rollout], chosen: Seq
             name="desired", values=factor * longest.reference_rad[:, k], unit=joint.unit, look="dash", colour=None
         )
         positions = {name: factor * run.position_rad[:, k] for name, run in runs.items()}
-        # On the logarithmic axis, errors below the simulator's rounding, about 1e-7 deg or m, are drawn at that value.
+        # On the logarithmic axis, errors below the simulator's rounding (about 1e-7 deg or m) are drawn at this value.
         errors = {name: np.maximum(np.abs(factor * run.error_rad[:, k]), 1e-7) for name, run in runs.items()}
         title = f"{joint.name}, desired and tracked"
         found += _plots(comparison, runs, title, "position", joint.unit, positions, extra=[desired])
@@ -133,7 +133,7 @@ def follower_plots(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[
 
 
 def effort_plots(comparison: Comparison, runs: Mapping[str, Rollout], pushed: Sequence[int]) -> list[Plot]:
-    """Return the plots of the effort of actuators, by their number."""
+    """Return the plots of the effort of actuators, by actuator index."""
     actuators, limits, found = comparison.plan.problem.mechanism.actuators, _longest(runs).effort_limit, []
     for j in pushed:
         ends = (float(limits[j][0]), float(limits[j][1]))
@@ -168,7 +168,7 @@ def gap_plots(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[Plot]
         found += _plots(comparison, runs, "Gap of the kinematic loops", "gap", "um", gaps)
     if angles:
         gaps = {name: 1e6 * run.gap_rad for name, run in runs.items()}
-        found += _plots(comparison, runs, "Gap of the angles that closures tie", "gap", "urad", gaps)
+        found += _plots(comparison, runs, "Gap of the angles coupled by closures", "gap", "urad", gaps)
     return found
 
 

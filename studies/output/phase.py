@@ -21,7 +21,7 @@ def phase_plane(plan: Plan, motion: Samples, group: str, period: float | None) -
     s, v = motion.q[:, mechanism.independent[0]], motion.v[:, 0]
     rows = drawn_rows(np.column_stack([s, v]))
     path = Series(name="planned", x=rounded(unit * s[rows]), y=rounded(unit * v[rows]), colour=None, width=2.2)
-    most = 2.5 * float(np.abs(v).max()) or 1.0  # limit curves are unbounded next to singular poses
+    most = 2.5 * float(np.abs(v).max()) or 1.0  # limit curves are unbounded near singular poses
     limits = [] if not np.all(np.isfinite(plan.problem.limits.effort)) else _limit_curves(plan, motion, most)
     curves = [
         Series(name=name, x=rounded(unit * x), y=rounded(unit * y), look=look, colour=colour)
@@ -40,7 +40,7 @@ def phase_plane(plan: Plan, motion: Samples, group: str, period: float | None) -
 
 
 def _limit_curves(plan: Plan, motion: Samples, most: float) -> list[tuple[str, np.ndarray, np.ndarray, str, int]]:
-    """Return curves: name, positions, speeds (signed), look, colour; none if the grid cannot cover the motion."""
+    """Return the limit curves (name, positions, signed speeds, look, colour); none if the grid cannot cover the motion."""
     problem = plan.problem
     s = motion.q[:, problem.mechanism.independent[0]]
     places = np.array([s[0], s.max(), s.min(), s[-1]])
@@ -67,7 +67,7 @@ def _limit_curves(plan: Plan, motion: Samples, most: float) -> list[tuple[str, n
 
 
 def _speed_limits(grid: PhaseGrid, s: np.ndarray, most: float) -> list:
-    """Return the curves of the largest speeds from which full effort keeps the joints' speed limits, if there are any."""
+    """Return the curves of the largest speeds from which full effort can satisfy the joints' speed limits, if any."""
     near = (grid.s >= s.min()) & (grid.s <= s.max())
     found = []
     for way in (1, -1):

@@ -1,4 +1,4 @@
-"""A transfer table as columns with units in their heads, and as arrays for NPZ."""
+"""A transfer table as columns with units in their names, and as arrays for NPZ."""
 
 import json
 from collections.abc import Iterator
@@ -15,7 +15,7 @@ from linkplan.models.transfer.polytope import (
 from linkplan.models.tree.joints import inertia_unit_of
 from linkplan.studies.handover.transfer.study import Transfer, carried_gains
 
-# What an array of the NPZ file is, by name; joints are in the order of the table's axes, motors in the file's order.
+# The meaning of each array of the NPZ file; joints are in the order of the table's axes, motors in the file's order.
 MEANINGS = {
     "joint_position": "positions of the output joints",
     "motor_position": "motor positions: gear times joint position, as MuJoCo's actuator length",
@@ -31,17 +31,17 @@ MEANINGS = {
     "effort_corners": "joint efforts at the corners of the motors' limits, motors counted in binary, last one first",
     "speed_alone": "largest speed of each joint while the others rest",
     "speed_box": "largest speed of each joint in any motion",
-    "motor_kp": "motor stiffness that gives the joints the stiffness asked for",
-    "motor_kd": "motor damping that gives the joints the damping asked for",
+    "motor_kp": "motor stiffness that gives the joints the requested stiffness",
+    "motor_kd": "motor damping that gives the joints the requested damping",
     "joint_kp": "joint stiffness that the motors' stiffness gives",
     "joint_kd": "joint damping that the motors' damping gives",
     "inertia_rest": "inertia that the serial equivalent lacks",
     "inertia_rest_slope": "its derivatives by the joint positions, along the last axis",
-    "damping_rest": "damping that it lacks",
+    "damping_rest": "damping that the serial equivalent lacks",
     "friction_rate": "rates of the linkage's joints with dry friction, over those of the output joints",
-    "effort_rest": "effort at rest that it lacks: weight, springs and constant forces",
-    "status": "0: on the map; 1: the loops do not close; 2: next to a singular pose; 3: beside the map, for interpolation at"
-    " the edge of the way back; 100 + k: joint k is beyond its range",
+    "effort_rest": "effort at rest (weight, springs and constant forces) that the serial equivalent lacks",
+    "status": "0: on the map; 1: the loops do not close; 2: near a singular pose; 3: outside the map, for interpolation at"
+    " the edge of the inverse map; 100 + k: joint k is beyond its range",
 }
 
 
@@ -75,7 +75,7 @@ def columns_of(transfer: Transfer) -> dict[str, np.ndarray]:
 
 
 def inverse_columns(transfer: Transfer) -> dict[str, np.ndarray] | None:
-    """Return the way back, joint positions over motor positions, as columns; None without one."""
+    """Return the inverse map, joint positions over motor positions, as columns; None without one."""
     inverse, outputs = transfer.table.inverse, transfer.outputs
     if inverse is None:
         return None
@@ -111,7 +111,7 @@ def npz_arrays(transfer: Transfer) -> dict[str, np.ndarray]:
 
 
 def _columns(transfer: Transfer, name: str, value: np.ndarray) -> Iterator[tuple[str, np.ndarray]]:
-    """Yield the heads and columns (n,) of a quantity (n, ...); of a symmetric one the upper triangle only."""
+    """Yield the heads and columns (n,) of a quantity (n, ...); for a symmetric one, of the upper triangle only."""
     outputs = transfer.outputs
     joints, motors = ([(one.name, *one.si_units) for one in of] for of in (outputs.joints, outputs.actuators))
     if name == "status":
@@ -141,8 +141,8 @@ def _columns(transfer: Transfer, name: str, value: np.ndarray) -> Iterator[tuple
             yield f"{head} [{unit}]", value[(slice(None), *index)]
 
 
-# The beginnings of heads that are not the quantity's name, what its unit has beside those of its joints and motors, and the
-# quantities whose unit begins with that of a position; the others begin with an effort.
+# Names in heads that differ from the quantity's name; additional parts of units; and the quantities whose unit begins with
+# that of a position. All other units begin with an effort.
 _STEMS = {"ratio": "G", "ratio_slope": "dG"}
 _INERTIAS = ("inertia", "armature")
 _RATES = {"damping": ".s", "motor_kd": ".s", "joint_kd": ".s"}

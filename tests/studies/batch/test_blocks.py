@@ -119,7 +119,7 @@ def test_a_damaged_block_is_refused(case, answer, tmp_path):
 @pytest.mark.parametrize("content", [b"", b"\x91", b"no answers"])
 def test_a_block_of_other_bytes_is_refused(content, tmp_path):
     (tmp_path / "part.msgpack").write_bytes(content)
-    with pytest.raises(PlanFileError, match=r"part\.msgpack' is damaged: .* remove it, and the same command plans"):
+    with pytest.raises(PlanFileError, match=r"part\.msgpack' is damaged: .* remove it and run the same command again"):
         unpacked(tmp_path / "part.msgpack", CASES, None)
 
 

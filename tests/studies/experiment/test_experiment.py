@@ -314,7 +314,7 @@ def test_a_tracker_whose_gains_are_too_high_for_its_encoder_is_said_to_chatter(t
     coarse = ("imperfections.encoder_resolution_deg=0.05", SHORT)
     (quiet, loud) = (done(tmp_path / name, overrides=how).notes for name, how in (("a", fine), ("b", coarse)))
     assert not any("chatters" in note for note in quiet)
-    assert any(note.startswith("pd+ff chatters: its effort varies by") for note in loud)
+    assert any(note.startswith("pd+ff chatters: the total variation of its effort is") for note in loud)
 
 
 LIGHT_ANKLE = """

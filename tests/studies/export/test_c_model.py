@@ -202,7 +202,7 @@ def test_code_of_a_whole_robot_is_written_and_not_measured(monkeypatch, tmp_path
     monkeypatch.setattr(c_files, "MOST_MEASURED_OPERATIONS", 100)
     record = write_model(code, tmp_path)
     assert record.sizes == []
-    assert "the option sizes measures it" in text_of(record.blocks(tmp_path))
+    assert "use the option sizes to measure it" in text_of(record.blocks(tmp_path))
 
 
 @needs_gcc
@@ -239,7 +239,7 @@ def test_spins_of_rods_are_named_and_are_no_output_joints(tmp_path):
     assert header.count("spins freely") == 2
     assert "s[3] left/toe-roll [rad], effort [N.m]\n" in header
     assert checked_outputs(mechanism, toes) is mechanism
-    with pytest.raises(ProblemError, match=r"joints are 2.*got 1; left/toe-roll would be left out"):
+    with pytest.raises(ProblemError, match=r"joints must be 2.*got 1; left/toe-roll would be omitted"):
         checked_outputs(mechanism, toes[:1])
 
 

@@ -44,7 +44,7 @@ def test_the_problem_of_a_page_plans_for_its_receiver_who_has_the_model_beside_i
     (sender / "leg.xml").write_text(model)
     problem = linkplan.Problem.reach(str(sender / "leg.xml"), start_deg={"O": -10}, goal_deg={"O": 10}, duration_s=0.2)
     (code,) = [one for one in blocks(plan_report(linkplan.plan(problem)), Code) if "problem" in one.title]
-    assert "# Needs leg.xml in its own folder." in code.text
+    assert "# Needs leg.xml in its folder." in code.text
     assert str(tmp_path) not in code.text
     (receiver / "leg.xml").write_text(model)
     (receiver / "received.toml").write_text(code.text)
@@ -55,7 +55,7 @@ def test_the_problem_of_a_page_plans_for_its_receiver_who_has_the_model_beside_i
 @pytest.mark.parametrize("name", ["notes.txt", "tune.json"])
 def test_a_folder_of_something_else_or_of_version_1_0_is_refused_in_one_line(name, tmp_path):
     (tmp_path / name).write_text("{}")
-    with pytest.raises(PlanFileError, match=r"has no result of linkplan with a report\.json; version 1\.0 wrote none"):
+    with pytest.raises(PlanFileError, match=r"has no report\.json of a linkplan result; version 1\.0 did not write"):
         folder_report(tmp_path)
 
 

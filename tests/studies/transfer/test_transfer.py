@@ -120,7 +120,7 @@ def test_a_problem_gives_effort_limits_and_motor_speeds(capsys):
 def test_a_table_that_misses_its_tolerance_says_so_and_ends_with_1(capsys):
     code, out, _ = ask(capsys, "transfer", "optimus-knee", "--joints", "C", "--tolerance", "1e-9")
     assert code == 1
-    assert "above 1e-09" in out
+    assert "above the tolerance of 1e-09" in out
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_a_table_that_misses_its_tolerance_says_so_and_ends_with_1(capsys):
         (["--joints", "O,C"], ["degrees of freedom (1)", "got O, C"]),
         (["--joints", "C,C"], ["different joints"]),
         (["--joints", "C", "--tolerance", "0"], ["tolerance", "positive"]),
-        (["--joints", "C", "--joint-kp", "1,2"], ["--joint-kp has one value for all or 1, got 2"]),
+        (["--joints", "C", "--joint-kp", "1,2"], ["--joint-kp must have one value for all, or 1 in total; got 2"]),
         (["--joints", "C", "--joint-kp", "soft"], ["--joint-kp", "'soft'"]),
         (["--joints", "C", "--range-deg", "C=1"], ["JOINT=LOW:HIGH", "'C=1'"]),
         (["--joints", "C", "--range-deg", "O=1:2"], ["'O'", "output joints are C"]),
