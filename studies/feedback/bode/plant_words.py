@@ -53,7 +53,7 @@ def plant_notes(points: Sequence[PlantPoint]) -> Iterator[str]:
     if poles:
         fastest, where = max(poles)
         yield (
-            f"the plant is unstable by itself{_at([at for _, at in poles], points)}: a loop that stabilises it must cross"
+            f"the plant is unstable by itself{_at([at for _, at in poles], points)}: a loop that stabilises it should cross"
             f" over above about {fastest / np.pi:.3g} Hz, twice the fastest unstable pole, {fastest:.4g}"
             f" rad/s{_of(where, points)}"
         )

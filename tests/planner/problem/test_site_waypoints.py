@@ -120,7 +120,7 @@ def test_places_on_the_way_are_numbers_of_a_built_program():
 
 REFUSED = [
     ({"at": {"foot": VIA}, "at_deg": {"J1": 3.0}}, ["waypoints[0].at and", "waypoints[0].at_deg", "keep one"]),
-    ({"at": {"base": [0.0, 0.0, 0.0]}}, ["waypoints[0].at", "do not move"]),
+    ({"at": {"base": [0.0, 0.0, 0.0]}}, ["waypoints[0].at", "cannot move"]),
     ({"at": [0.4, 0.0, 0.1]}, ["motion.waypoints[0].at is a table of site"]),
     ({"at_foot": VIA}, ["unknown key 'motion.waypoints[0].at_foot'", "at_deg, at_m, at,"]),
 ]

@@ -265,5 +265,5 @@ def test_a_hold_without_a_start_or_a_duration_is_refused(changes, said):
 
 def test_a_hold_that_is_asked_to_move_is_refused():
     tables = {"motion": {"kind": "hold", "start_deg": {"q": 0.0}, "goal_deg": {"q": 10.0}, "duration_s": 1.0}}
-    with pytest.raises(ProblemError, match=r"motion.goal_deg asks for a motion; motion.kind 'hold' stays at its start"):
+    with pytest.raises(ProblemError, match=r"motion.goal_deg belongs to a motion, but motion.kind 'hold' stays"):
         Problem.from_tables("hold", tables, mechanism=linkplan.load_mechanism(ONE))

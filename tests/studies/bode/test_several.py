@@ -99,7 +99,7 @@ def test_gains_by_joint_name_every_independent_joint():
     kp, kd = GAINS.gains(mechanism.independent_joints)
     assert dict(zip([j.name for j in mechanism.independent_joints], kp, strict=True)) == {"O1": 30.0, "E1": 8.0}
     assert kd.min() == 0.2
-    with pytest.raises(ProblemError, match=r"tracking.kp has a value for each independent joint \(O1, O2\), got O1"):
+    with pytest.raises(ProblemError, match=r"tracking.kp must have a value for each independent joint \(O1, O2\), got O1"):
         load_problem("five-bar-reach", ["tracking.kp={ O1 = 20 }"])
     problem = load_problem("five-bar-reach", ["tracking.kp={ O1 = 20, O2 = 30 }"])
     assert problem.tracking.gains_text() == "kp = { O1 = 20, O2 = 30 }, kd = 1"
@@ -249,7 +249,7 @@ def test_no_response_is_measured_where_contacts_push():
     assert all(point.stable for point in study().points)  # or nothing would be measured anyway
     assert study().measurement is None
     assert not any(point.responses for point in study().points)
-    assert "not measured: contacts push" in text_of(summary(study()))
+    assert "not measured: there are contacts" in text_of(summary(study()))
 
 
 def test_no_plant_is_measured_where_contacts_push_and_all_of_it_is_predicted():

@@ -40,7 +40,7 @@ TYPED = [
     (["batch", "planned"], ["batch 'planned' is a saved plan", "[sweep]"]),
     (["track", "planned/plan.json"], ["a file of the saved plan 'planned'", "name its folder"]),
     (["batch", "leg.toml"], ["batch 'leg.toml' is a problem file, which plan takes"]),
-    (["plan", "sweep.toml"], ["'sweep.toml' is a batch file, which batch takes"]),
+    (["plan", "sweep.toml"], ["'sweep.toml' is a batch file, for batch"]),
     # a tracking motion without a reference
     (["plan", "leg.toml", "--set", "motion.kind=track"], ["motion.kind 'track' needs a [reference]"]),
     # units

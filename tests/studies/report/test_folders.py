@@ -93,7 +93,7 @@ def test_a_damaged_document_is_refused(case, tmp_path):
 def test_a_file_that_is_no_report_is_not_replaced(tmp_path):
     mine = tmp_path / "mine.html"
     mine.write_text("<p>mine</p>")
-    with pytest.raises(PlanFileError, match="is there and not linkplan's"):
+    with pytest.raises(PlanFileError, match="exists and was not written by linkplan"):
         write_report(plan_report(optimal("knee-reach")), mine)
     assert mine.read_text() == "<p>mine</p>"
 

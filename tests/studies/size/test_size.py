@@ -134,10 +134,10 @@ def _line(stall: float) -> dict[str, float]:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "motor is missing; it is a list of 1 to 1000 tables ([[motor]])"),
+        ("", "motor is missing; it must be a list of 1 to 1000 tables ([[motor]])"),
         ("motor = []", "motor is a list of 1 to 1000 tables ([[motor]]), got []"),
         ("motor = [1]", "motor[0] must be a table"),
-        ("[[motor]]\npeak_effort = 1", "motor[0].name is missing; it is a name of 1 to 99 letters"),
+        ("[[motor]]\npeak_effort = 1", "motor[0].name is missing; it must be a name of 1 to 99 letters"),
         ('[[motor]]\nname = "M"', "motor 'M' needs a peak_effort or a stall_effort; got neither"),
         ('[[motor]]\nname = "M"\npeak = 1', "unknown key 'motor.M.peak' (did you mean 'peak_effort'?)"),
         ('[[motor]]\nname = "M"\npeak_effort = -1', "motor.M.peak_effort is a positive number, got -1"),
