@@ -149,8 +149,8 @@ def test_a_saved_plan_that_is_read_without_its_extras_says_so(saved):
     plan, folder = saved
     again = linkplan.read_plan(folder)
     note = (
-        "read without the extra limit 'wide' and the extra cost 'bend', Python that the files do not hold: nothing here was"
-        " checked against it"
+        "read without the extra limit 'wide' and the extra cost 'bend', Python code that the files do not contain, which was"
+        " therefore not checked"
     )
     assert (again.status, again.objective) == ("optimal", plan.objective)
     assert note in again.problem.notes

@@ -71,7 +71,7 @@ def test_a_batch_is_a_table():
     found = durations.to_dict()["cases"]
     assert [case["status"] for case in found.values()] == ["optimal", "optimal", "infeasible"]
     assert durations._repr_html_().count("<tr>") == 4
-    with pytest.raises(linkplan.LinkplanError, match="a batch has"):
+    with pytest.raises(linkplan.LinkplanError, match="a batch must have"):
         linkplan.batch({"problem": "knee-reach"})
 
 

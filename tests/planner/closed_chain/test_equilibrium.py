@@ -92,8 +92,8 @@ def test_the_value_of_a_joint_without_a_spring_or_with_a_drive_is_asked_for(arm)
     loose = tables(HANGING.format(spring='damping="4"'), {"arm": 0.0}, {"arm": 20.0})
     driven = tables(arm, {}, {})
     driven["motion"]["start_m"] = driven["motion"]["goal_m"] = {"spring": 0.0}
-    for asked, joint in ((loose, "the independent joint spring"), (driven, "arm")):
-        with pytest.raises(ProblemError, match=f"names no value for joint {joint}"):
+    for asked, joint in ((loose, "spring"), (driven, "arm")):
+        with pytest.raises(ProblemError, match=f"has no value for the independent joint {joint}"):
             Problem.from_tables("arm", asked)
 
 

@@ -202,8 +202,8 @@ def test_a_saved_case_is_a_plan_like_any_other(batch_file, tmp_path, capsys):
     ("text", "words"),
     [
         ("", ["names no problem", "[[case]] or [sweep]"]),
-        ('problem = "knee-reach"', ["[[case]]", "[sweep]", "one of the two"]),
-        (f"{CASE_TABLES}[sweep]\nx = [1]", ["one of the two"]),
+        ('problem = "knee-reach"', ["[[case]]", "[sweep]", "either [[case]] tables or a [sweep] table"]),
+        (f"{CASE_TABLES}[sweep]\nx = [1]", ["either [[case]] tables or a [sweep] table"]),
         ('problem = "knee-reach"\ncases = []', ["'cases'", "did you mean 'case'"]),
         ('problem = "knee-reach"\n[sweep]\nmotion.duration_s = 0.2', ["sweep.motion.duration_s", "one or more values"]),
         (f'problem = "knee-reach"\n[sweep]\na.b = {list(range(200))}\na.c = {list(range(200))}', ["10000", "40000"]),

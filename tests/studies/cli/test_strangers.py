@@ -39,7 +39,7 @@ TYPED = [
     (["bode", "planned"], ["model 'planned' is a saved plan; give the file of its problem"]),
     (["batch", "planned"], ["batch 'planned' is a saved plan", "[sweep]"]),
     (["track", "planned/plan.json"], ["a file of the saved plan 'planned'", "name its folder"]),
-    (["batch", "leg.toml"], ["batch 'leg.toml' is a problem file, which plan takes"]),
+    (["batch", "leg.toml"], ["batch 'leg.toml' is a problem file, for plan"]),
     (["plan", "sweep.toml"], ["'sweep.toml' is a batch file, for batch"]),
     # a tracking motion without a reference
     (["plan", "leg.toml", "--set", "motion.kind=track"], ["motion.kind 'track' needs a [reference]"]),
