@@ -55,9 +55,9 @@ def _settle_meshes(spec: mujoco.MjSpec, folder: Path | None) -> list[str]:
         spec.delete(mesh)
     remedy = 'their folder is named by <mujoco><compiler strippath="true" meshdir="FOLDER"/></mujoco> in <robot>'
     said = {
-        "meshes that are not there are left out: {}; " + remedy: missing,
-        f"meshes that MuJoCo does not read (it reads binary {', '.join(_MESHES)}) are left out: {{}}": unread,
-        "Git LFS pointers are left out: {}; git lfs pull gets the files": pointers,
+        "missing meshes are ignored: {}; " + remedy: missing,
+        f"meshes that MuJoCo does not read (it reads binary {', '.join(_MESHES)}) are ignored: {{}}": unread,
+        "Git LFS pointers are ignored: {}; git lfs pull downloads the files": pointers,
     }
     return [note.format(", ".join(dict.fromkeys(names))) for note, names in said.items() if names]
 
@@ -77,7 +77,7 @@ def _delete_flat(spec: mujoco.MjSpec) -> list[str]:
     flat = [geom for geom in spec.geoms if (n := counts.get(geom.type)) and not np.all(geom.size[:n] > 0)]
     links = dict.fromkeys(geom.parent.name for geom in flat)
     delete_geoms(spec, flat)
-    return [f"shapes without size are left out: of {listed(list(links), 8)}"] if flat else []
+    return [f"shapes without size are ignored: of {listed(list(links), 8)}"] if flat else []
 
 
 def _delete_ranges(spec: mujoco.MjSpec) -> list[str]:
@@ -123,7 +123,8 @@ def _weigh(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:
         return []
     spec.compiler.boundmass, spec.compiler.boundinertia = LEAST_MASS_KG, LEAST_INERTIA_KGM2
     return [
-        f"links without mass get {LEAST_MASS_KG:g} kg and {LEAST_INERTIA_KGM2:g} kg.m^2, as MuJoCo moves no massless body:"
+        f"links without mass get {LEAST_MASS_KG:g} kg and {LEAST_INERTIA_KGM2:g} kg.m^2, because MuJoCo cannot move a"
+        " massless body:"
         f" {', '.join(sorted(light))}"
     ]
 

@@ -131,7 +131,7 @@ def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple
     named_there = dict.fromkeys(j.get("name", "") for t in root.iter("transmission") for j in t.findall("joint"))
     transmitted = [name for name in named_there if name in {joint.name for joint in spec.joints}]
     if still := [name for name in named_there if name not in transmitted]:
-        notes.append(f"transmissions of joints that are not there, or do not move, are left out: {listed(still, 8)}")
+        notes.append(f"transmissions of missing or immovable joints are ignored: {listed(still, 8)}")
     kinds = ("revolute", "continuous", "prismatic")  # a fixed joint, or one that follows another, has no motor
     moving = {j.get("name") for j in root.findall("joint") if j.get("type") in kinds and j.find("mimic") is None}
     commanded = [j for j in root.iterfind(".//ros2_control/joint") if j.find("command_interface") is not None]
@@ -182,7 +182,7 @@ def _close_loops(spec: mujoco.MjSpec, root: ET.Element, named: Beside, hinges: S
 def _left_open(loops: Sequence[ET.Element], added: Sequence[GazeboJoint]) -> list[str]:
     """Return the notes on what is not read of loop_joints, and on joints in <gazebo> that close no loop."""
     unread = {loop.get("name", "loop"): listed(left, 6) for loop in loops if (left := _unread(loop))}
-    notes = [f"left out of loop_joint '{name}': {left}" for name, left in unread.items()]
+    notes = [f"ignored in loop_joint '{name}': {left}" for name, left in unread.items()]
     if not added:
         return notes
     names = ", ".join(f"{joint.name} (type {joint.kind}, {' to '.join(joint.links)})" for joint in added)

@@ -178,7 +178,7 @@ def _is_given_with_pose(limit: Limit) -> bool:
 
 
 def _tightened_row(limit: Limit) -> TightenedRow:
-    assert limit.facts.tightened is not None  # tightenings of rows of a program; the others narrow the problem's limits
+    assert limit.facts.tightened is not None  # only limits with rows that can be tightened come here
     return TightenedRow(limit.facts.kind, limit.item, limit.facts.tightened)
 
 

@@ -246,7 +246,7 @@ def tracking_table(own: Mapping, tracking: object) -> dict:
 def poses_of(mechanism: Mechanism, at_deg: object, at_m: object = ()) -> list[dict[str, float]]:
     """Return poses as positions [rad or m] by joint name; `at_deg` and `at_m` are lists of tables of joint = value.
 
-    For one degree of freedom a pose may be a number alone.
+    For one degree of freedom a pose may be a single number.
 
     If both are given, tables at the same index belong to one pose.
 

@@ -38,7 +38,7 @@ def plant_modes(point: OperatingPoint, channel: int) -> dict[str, PlantModes]:
 
 
 def plant_transfer(point: OperatingPoint, push: np.ndarray, row: np.ndarray) -> TransferFunction:
-    """Return the transfer function from efforts `push` (n_u,) times an input to the output `row` (n_s,) times s.
+    """Return the transfer function from a scalar input, which gives efforts `push` (n_u,) per unit, to the output `row` @ s.
 
     Passive and coasting coordinates are included only if the output depends on them.
     """

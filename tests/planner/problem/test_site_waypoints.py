@@ -99,7 +99,9 @@ def test_a_certificate_sees_a_waypoint_that_is_missed():
     found = certify(replace(plan.problem, motion=replace(motion, waypoints=(waypoint,))), plan.trajectory)
     assert not found.passed
     assert found.site_error_m == pytest.approx(1e-4, rel=1e-6)
-    assert any("site foot is 0.0001 m away from where motion.waypoints[0].at asks it" in said for said in found.failures)
+    assert any(
+        "site foot is 0.0001 m away from the place that motion.waypoints[0].at gives" in said for said in found.failures
+    )
     assert any("misses its boundary conditions" in said for said in found.failures)
 
 
