@@ -62,7 +62,7 @@ KEYS: Mapping = {
     265: ("Up", "faster", lambda c: _slower(c, 0.5)),
     32: ("Space", "stop, go on", lambda c: replace(c, paused=not c.paused)),
     269: ("End", "the plan's ghost", lambda c: replace(c, ghost=not c.ghost)),
-    268: ("Home", "begin again, first gains", _again),
+    268: ("Home", "restart with the first gains", _again),
 }
 # Every key and its effect as one line.
 KEYS_TEXT = "; ".join(f"{name} {does}" for name, does, _ in KEYS.values())

@@ -8,7 +8,7 @@ The reduced dynamics' linearisation is a = A_s ds + A_v dv + B du. A step is v_{
     Euler           F = M_r^-1 Gamma^T M (M + h D)^-1 M Gamma, D the joints' damping; F = I without damping
     implicitfast    the same, D of joints, tendons and servos, without coupling between branches of the tree
     implicit        the same with Coriolis terms
-    discrete        (M_r + h D_r + h^2 K_r) F a = M_r a - h K_r v, D whole, K the springs of joints, tendons and servos
+    discrete        (M_r + h D_r + h^2 K_r) F a = M_r a - h K_r v, D complete, K the springs of joints, tendons and servos
     RK4             the Taylor polynomial of the exponential to the fourth order
 
 The loop constraint is assumed to be rigid. MuJoCo's constraint is soft: with an impedance d it yields by (1 - d) / d of the

@@ -44,11 +44,11 @@ class SampledReference:
 
     @property
     def states(self) -> tuple[np.ndarray, ...]:
-        """What the dynamics take at the instants (n, ...): poses, velocities, efforts, and forces over time."""
+        """The dynamics' arguments at the instants (n, ...): poses, velocities, efforts, and forces over time."""
         return self.pose_rad, self.velocity_rad_s, self.effort, *self.forces
 
     def part(self, which: slice, cycle: int | None = None) -> "SampledReference":
-        """Return some instants, of a motion that repeats after `cycle` of them."""
+        """Return a reference of some of the instants, which repeats after `cycle` of them."""
         arrays = {name: getattr(self, name)[which] for name in _ARRAYS}
         return replace(self, cycle=cycle, forces=tuple(w[which] for w in self.forces), **arrays)
 

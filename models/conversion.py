@@ -57,7 +57,7 @@ def conversion_notes(root: ET.Element, *, driven: bool = False) -> list[str]:
 
 
 def compile_hint(error: Exception) -> str:
-    """Return what to write in a model whose inertia, or a URDF whose meshes, MuJoCo refuses; empty for other errors."""
+    """Return the remedy if MuJoCo refuses a model's inertia or a URDF's meshes; empty for other errors."""
     if "balanceinertia" in str(error):
         return ': <compiler balanceinertia="true"/>'
     if "'package:" not in str(error):

@@ -135,7 +135,8 @@ def refuse_singular_inertia(name: str, joints: Sequence[Joint], independent: np.
     of = [joints[index] for index in independent]
     raise InertiaError(
         f"mechanism '{name}' has a singular inertia at home ({where(of, pose[independent])}):"
-        f" {singular_inertia_text(of, inertia)}, so that no effort fixes their acceleration. Give a joint an armature or its"
+        f" {singular_inertia_text(of, inertia)}, so efforts do not determine their acceleration. Give a joint an armature"
+        " or its"
         " bodies mass off its axis; remove all but one of several joints on one axis; or choose another home pose, if axes"
         " coincide at this pose only",
         len(inertia),

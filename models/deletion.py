@@ -1,7 +1,7 @@
-"""Elements deleted from a specification with what refers to them, and files that an MJCF names and does not have.
+"""Deletion of elements of a specification with everything that refers to them, and of missing files of an MJCF.
 
-A mesh that is only drawn or touched is left out with its geoms. A mesh that gives its body a mass cannot be: the model is
-refused then, because its dynamics would be others.
+A missing mesh that only serves for drawing or contact is deleted with its geoms. If it gives its body a mass, the model is
+refused, because its dynamics would change.
 """
 
 import os
@@ -22,7 +22,7 @@ _POINTER = b"version https://git-lfs"
 
 
 def delete_users(spec: mujoco.MjSpec, joints: set[str], away: set[str], places: Mapping[str, np.ndarray]) -> list[str]:
-    """Delete what refers to locked joints, and return the names of their actuators and couplings.
+    """Delete the elements that refer to locked joints, and return the names of their actuators and couplings.
 
     A fixed tendon is the weighted sum of its joints: without a locked joint, its range and its spring move by a constant.
 
@@ -121,11 +121,11 @@ def delete_geoms(spec: mujoco.MjSpec, geoms: Iterable["mujoco._specs.MjsGeom"]) 
 
 
 def leave_the_ground(spec: mujoco.MjSpec) -> list[str]:
-    """Delete the world's geoms, and return a note: a robot whose base is fixed stands on nothing."""
+    """Delete the world's geoms, and return a note: a robot whose base is fixed needs no ground."""
     ground = list(spec.worldbody.geoms)
     names = list(dict.fromkeys(geom.name or "geoms without a name" for geom in ground))
     delete_geoms(spec, ground)
-    return [f"the base is fixed in the air: left out are the world's {', '.join(names)}"] if ground else []
+    return [f"the base is fixed in the air, without the world's {', '.join(names)}"] if ground else []
 
 
 def couple_narrow_tendons(spec: mujoco.MjSpec) -> tuple[str, ...]:
@@ -189,8 +189,8 @@ def leave_out_missing_files(spec: mujoco.MjSpec, path: Path) -> tuple[str, ...]:
         delete_geoms(spec, geoms)
         spec.delete(mesh)
     _delete_textures(spec, textures)
-    said = f"files that are not there are left out with what they draw: {listed(names, 6)}"
-    said += "; for Git LFS pointers, git lfs pull gets the files" if pointers else ""
+    said = f"missing files are ignored, with everything that uses them: {listed(names, 6)}"
+    said += "; for Git LFS pointers, git lfs pull downloads the files" if pointers else ""
     return (*notes, said)
 
 
@@ -209,7 +209,7 @@ def _places(spec: mujoco.MjSpec, folder: Path) -> dict[Any, Path]:
 
 
 def leave_out_large_textures(spec: mujoco.MjSpec, folders: Iterable[Path]) -> tuple[str, ...]:
-    """Delete the textures for which `MAX_IMAGE_PIXELS` leave no room, and return a note that names them: no plan needs them.
+    """Delete the textures that exceed `MAX_IMAGE_PIXELS` together, and return a note that names them; no plan needs them.
 
     Args:
         spec: a parsed model.
@@ -273,7 +273,7 @@ def _without_lost_pairs(spec: mujoco.MjSpec) -> tuple[str, ...]:
     lost = sorted(set().union(*(names for _, names in named)))
     for contact in [contact for contact, names in named if names]:
         spec.delete(contact)
-    return (f"pairs for contact with geoms or bodies of other files are left out: {', '.join(lost)}",) if lost else ()
+    return (f"contact pairs with geoms or bodies of other files are ignored: {', '.join(lost)}",) if lost else ()
 
 
 def _place(folder: Path, name: str, stripped: bool) -> Path:
@@ -283,7 +283,7 @@ def _place(folder: Path, name: str, stripped: bool) -> Path:
 
 def is_pointer(place: Path) -> bool:
     """Return True if a file is the text that stands for another one in a clone without Git LFS."""
-    if not os.path.isfile(place):  # a pipe would be waited for
+    if not os.path.isfile(place):  # opening a pipe would block
         return False
     try:
         with open(place, "rb") as file:
@@ -294,7 +294,7 @@ def is_pointer(place: Path) -> bool:
 
 def _fails_for_a_file(spec: mujoco.MjSpec) -> bool:
     try:
-        spec.copy().compile()  # what is deleted of a compiled specification takes fifty times as long
+        spec.copy().compile()  # deletion from a compiled specification takes fifty times as long
     except (ValueError, mujoco.FatalError) as error:
         return _OPENING in str(error)
     return False
@@ -305,7 +305,7 @@ def _refuse_lost_mass(geom: mujoco.MjsGeom, mesh: mujoco.MjsMesh, path: Path, po
     if body.name == "world" or body.explicitinertial or geom.mass == 0 or geom.density == 0:
         return
     named = f"body '{body.name}'" if body.name else "a body without a name"
-    lost = "is a Git LFS pointer; git lfs pull gets the file" if pointer else "is not there; put the file there"
+    lost = "is a Git LFS pointer; git lfs pull downloads the file" if pointer else "is missing; put the file there"
     raise ModelError(
         f"model '{shown(str(path))}': {named} has its mass from mesh '{mesh.file}', which {lost}, or give the body"
         " an <inertial>"

@@ -1,8 +1,8 @@
 """Forces on sites: a load on a foot, a tyre's force, a weight on a hook.
 
-A constant force is an actuator without gain in the model itself, so that MuJoCo, the symbolic dynamics and an exported model
-have the same one: its line of action moves with the site, its size and direction in the world do not change. A force over
-time is a parameter of the symbolic dynamics, and a simulation applies it.
+A constant force is an actuator without gain in the model itself, so that it is the same in MuJoCo, in the symbolic dynamics
+and in an exported model. Its line of action moves with the site; its size and its direction in the world do not change. A
+force over time is a parameter of the symbolic dynamics, and a simulation applies it.
 """
 
 from collections.abc import Mapping, Sequence

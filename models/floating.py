@@ -1,4 +1,4 @@
-"""Bodies that float: bases on what stands still that no drive, loop or cable holds, and loose bodies."""
+"""Bodies that float: bases that no drive, loop or cable holds to the fixed bodies, and loose bodies."""
 
 from collections.abc import Iterable, Sequence
 
@@ -27,8 +27,9 @@ def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
 
     Their parents stand still, and they translate in a plane or in space, or fall along a rail.
 
-    A base that actuators drive does not float, nor does one that loops or actuated cables tie to the world or to what stands
-    on it. Of floating bases that are tied to one another, such as the plates of a chassis, only the heaviest is returned.
+    A base that actuators drive does not float, nor does one that loops or actuated cables tie to the world or to a body that
+    is fixed or mounted on it. Of floating bases that are tied to one another, such as the plates of a chassis, only the
+    heaviest is returned.
     """
     driven = set(actuated(model, mujoco.mjtTrn.mjTRN_JOINT))
     rotors = set(model.site_bodyid[actuated(model, mujoco.mjtTrn.mjTRN_SITE)].tolist())
@@ -44,7 +45,7 @@ def floating_of(model: mujoco.MjModel, bodies: Iterable[int]) -> list[int]:
 
 
 def _falls(model: mujoco.MjModel, joint: int) -> bool:
-    """Return True if weight moves the slide of a base, and nothing that the model has can hold it but a stop."""
+    """Return True if weight moves the slide of a base, and only a stop of the model can hold it."""
     if int(model.jnt_type[joint]) != SLIDE or model.jnt_stiffness[joint]:
         return False
     body, axis = int(model.jnt_bodyid[joint]), data_at(model, model.qpos0).xaxis[joint]
@@ -97,7 +98,7 @@ def floating_sentence(model: mujoco.MjModel) -> str | None:
     chains = [model.body(b).name for b in moving if any(model.body_dofnum[below] for below in subtree(model, b))]
     if bases:
         remedy = (
-            "take a chain with its loops out of the robot by mechanism.keep = [NAMES] and mechanism.fix_base = true; chains"
+            "select a chain of the robot, with its loops, by mechanism.keep = [NAMES] and mechanism.fix_base = true; chains"
             f" begin at {', '.join(chains)}"
         )
     elif freedoms < model.nv:
@@ -123,5 +124,5 @@ def refuse_many_loose(name: str, model: mujoco.MjModel) -> None:
 
 
 def _names(model: mujoco.MjModel, bodies: Sequence[int]) -> str:
-    """Return the names of bodies, of many the first and how many there are beside them."""
+    """Return the names of bodies; of many, the first names and the number of the others."""
     return listed([model.body(b).name for b in bodies], 4)

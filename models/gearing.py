@@ -18,8 +18,8 @@ def set_gearing(spec: mujoco.MjSpec, gear: Mapping[str, float], rotor_inertia: M
     """Give actuators by name a gear and a rotor [kg m2, or kg], and return notes on the armature of their joints.
 
     Raises:
-        ModelError: for an unknown actuator, a gear of 0, or one that acts otherwise than on a hinge, slide, tendon or
-            slider-crank; a rotor on a slider-crank.
+        ModelError: for an unknown actuator, a gear of 0, or one that acts on anything but a hinge, slide, tendon or
+            slider-crank; also for a rotor on a slider-crank.
     """
     actuators = {one.name or f"actuator {index}": one for index, one in enumerate(spec.actuators)}
     for name, ratio in gear.items():

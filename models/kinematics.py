@@ -159,7 +159,7 @@ def tied_points(model: mujoco.MjModel, index: int) -> list[tuple[int, np.ndarray
 
 
 def subtree(model: mujoco.MjModel, body: int) -> set[int]:
-    """Return a body and all that hangs on it."""
+    """Return a body and its descendants."""
     found = {body}
     for other in range(body + 1, model.nbody):
         if int(model.body_parentid[other]) in found:

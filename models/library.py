@@ -1,6 +1,6 @@
 """Finding and compiling a model: a built-in name, a path to an MJCF file, or MJCF text.
 
-Its text is checked before MuJoCo allocates what it asks for, and the compiled model's names and numbers afterwards: MuJoCo's
+Its text is checked before MuJoCo allocates memory for it, and the compiled model's names and numbers afterwards: MuJoCo's
 compiler warns of NaN but accepts infinite masses, negative armatures and ranges with low above high. MuJoCo has one handler
 of warnings for the whole process; its warnings are kept here for each thread.
 """
@@ -260,7 +260,7 @@ def _selected(source: str | Path, selection: Selection) -> tuple[str, mujoco.MjS
 
 
 def _angle_note(spec: mujoco.MjSpec) -> tuple[str, ...]:
-    """Return a note on ranges that are read in degrees and that radians would explain, if no hinge has a larger one."""
+    """Return a note if all hinges' ranges, which are read in degrees, are so small that radians may be meant."""
     hinges = (
         [joint.range for joint in spec.joints if joint.type == mujoco.mjtJoint.mjJNT_HINGE] if spec.compiler.degree else []
     )
@@ -329,7 +329,7 @@ def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]
 
 
 def _included(content: bytes, folder: Path, found: dict[str, bytes]) -> dict[str, bytes]:
-    """Return the files that a model includes, also by included ones, by name; those that are not there MuJoCo refuses."""
+    """Return the files that a model includes, also through included ones, by name; MuJoCo refuses missing ones."""
     for name in (word.decode("utf-8", "replace") for word in _INCLUDE.findall(COMMENT.sub(b"", content))):
         if name not in found and (folder / name).exists():  # MuJoCo would wait for a pipe
             found[name] = read_file(folder / name, f"'{name}'", MAX_MODEL_BYTES, ModelError)

@@ -55,7 +55,7 @@ class Mechanism:
     They count as closed below a gap of `closed_m`, which is larger if the file's numbers are rounded. Overconstrained loops
     are in `projected` and are closed by the normal equations of all their rows. `passive_dofs` are independent coordinates
     that move while all other bodies rest, as the spin of a rod between balls does. On `coasting_dofs` only damping acts, as
-    on a loose cart. `notes` are about the assembly, `faults` what a file's rounding takes from it; `source` is its table.
+    on a loose cart. `notes` are about the assembly, `faults` what it loses by a file's rounding; `source` is its table.
     `forces` act on sites over the time of a problem's motion; `dynamics` are those without them, `forced` those with them.
 
     Example::
@@ -140,7 +140,7 @@ class Mechanism:
     def channels(self) -> tuple[int, ...]:
         """The indices of the independent joints that have a feedback loop.
 
-        With fewer actuators than freedoms these are the joints on which an actuator acts, the rest moves along.
+        With fewer actuators than freedoms these are the joints on which an actuator acts; the others move along.
         """
         held = np.flatnonzero(self.actuated).tolist()
         if self.n_u >= len(held):

@@ -17,13 +17,13 @@ _XACRO, _ENTITY, COMMENT = re.compile(rb"<xacro:\w"), re.compile(rb"<!ENTITY\s")
 _UNITS = {"K": 2**10, "M": 2**20, "G": 2**30, "T": 2**40, "P": 2**50, "E": 2**60}
 # Comments and declarations, which have no content; a CDATA section (group 1) may hold their marks.
 _WITHOUT_CONTENT = re.compile(r"(<!\[CDATA\[.*?\]\]>)|<!--.*?-->|<\?.*?\?>", re.DOTALL)
-# An ampersand that MuJoCo's reader takes as it stands.
+# An ampersand that MuJoCo's reader takes literally.
 _PLAIN_AMPERSAND = re.compile(r"&(?!(?:lt|gt|amp|quot|apos|#\d+|#x[0-9a-fA-F]+);)")
 _FIRST_TAG = re.compile(r"<([^\s!?/>]+)")
 
 
 def refuse_oversized(content: bytes, what: str) -> None:
-    """Refuse an MJCF text that is too long, has a count or size above the limits, or is not what MuJoCo reads as a whole.
+    """Refuse an MJCF text that is too long, has a count or size above the limits, or would be read by MuJoCo only in part.
 
     Args:
         content: the text.

@@ -2,7 +2,7 @@
 
 Nothing drives the spin of a rod between two ball joints, and it moves nothing else. The universal joint's first axis is that
 of the hinge which carries the rod, normal to the rod at home, and its second is normal to both. Since the two axes are
-always normal to each other, damping, armature and dry friction of the ball joint act on its two angles as they did.
+always normal to each other, damping, armature and dry friction of the ball joint act on its two angles as before.
 """
 
 from collections.abc import Sequence

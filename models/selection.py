@@ -1,4 +1,4 @@
-"""One closed sub-chain of a robot: bodies that are dropped and joints that are locked.
+"""The selection of one closed sub-chain of a robot, by dropped bodies and locked joints.
 
 A body with locked joints is fixed at its pose in its parent at the locked positions, and its other joints act about the axes
 that they have there. MuJoCo computes the second anchor of a closure between bodies at the reference pose. A lock changes
@@ -144,7 +144,7 @@ def _body_of(model: mujoco.MjModel, name: str) -> int:
 
 
 def _closed_chain(model: mujoco.MjModel, chosen: Sequence[int]) -> set[int]:
-    """Return bodies with what hangs on them, and every chain that a closure ties to them."""
+    """Return bodies with their descendants, and every chain that a closure ties to them."""
     kept = set().union(*(subtree(model, body) for body in chosen))
     pairs = [pair for i in range(model.neq) if len(pair := tied_bodies(model, i)) > 1]
     while True:
@@ -252,11 +252,11 @@ def _drop(spec: mujoco.MjSpec, model: mujoco.MjModel, dropped: Sequence[int]) ->
         return []
     mass = float(sum(model.body_mass[body] for body in dropped))
     names = listed([model.body(body).name for body in roots], 12)
-    return [f"dropped with all that hangs on them ({len(dropped)} bodies, {mass:.4g} kg): {names}"]
+    return [f"dropped with everything attached to them ({len(dropped)} bodies, {mass:.4g} kg): {names}"]
 
 
 def _filtered_pairs(model: mujoco.MjModel, locked: set[int], dropped: set[int]) -> list[tuple[str, str]]:
-    """Return the pairs of a fixed body and one that hangs on it: MuJoCo filters their contacts only while both move."""
+    """Return the pairs of a fixed body and a child of it: MuJoCo filters their contacts only while both move."""
     if model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_FILTERPARENT:
         return []
     still = {0}

@@ -1,4 +1,4 @@
-"""What of a URDF MuJoCo does not compile: masses and inertias that no body has, meshes, shapes and ranges without size."""
+"""Parts of a URDF that MuJoCo cannot compile: impossible masses and inertias, meshes, shapes and ranges without size."""
 
 import re
 import xml.etree.ElementTree as ET
@@ -11,14 +11,15 @@ from linkplan.models.deletion import delete_geoms, is_pointer
 from linkplan.models.errors import listed
 from linkplan.models.payload import MAX_SI_VALUE
 
-# What a link without mass gets [kg, kg.m^2]: dummy links of universal joints, a millionth of light links.
+# The mass and inertia of a link without mass [kg, kg.m^2], such as a dummy link of a universal joint: a millionth of light
+# links.
 LEAST_MASS_KG, LEAST_INERTIA_KGM2 = 1e-6, 1e-9
 # Formats of meshes that MuJoCo reads.
 _MESHES = (".stl", ".obj", ".msh")
 
 
 def settle_links(spec: mujoco.MjSpec, root: ET.Element, folder: Path | None) -> list[str]:
-    """Change what MuJoCo does not compile of a URDF's links and ranges, and return notes on that.
+    """Change the parts of a URDF's links and ranges that MuJoCo cannot compile, and return notes on them.
 
     Args:
         spec: MuJoCo's conversion of the URDF, which is changed.
@@ -42,7 +43,7 @@ def _settle_meshes(spec: mujoco.MjSpec, folder: Path | None) -> list[str]:
         if not mesh.file:
             continue
         name = re.sub(r"^package:/+", "", mesh.file)
-        inside = name.partition("/")[2]  # of a package, which is a folder above the URDF, whatever its name is here
+        inside = name.partition("/")[2]  # of a package: a folder above the URDF, which may have another name here
         above = [] if folder is None else [folder, *folder.resolve().parents[:3]]
         places = [base / part for part in (name, inside) for base in above if part]
         places += [base / spec.meshdir / Path(name).name for base in above[:1]]
@@ -55,9 +56,9 @@ def _settle_meshes(spec: mujoco.MjSpec, folder: Path | None) -> list[str]:
         spec.delete(mesh)
     remedy = 'their folder is named by <mujoco><compiler strippath="true" meshdir="FOLDER"/></mujoco> in <robot>'
     said = {
-        "meshes that are not there are left out: {}; " + remedy: missing,
-        f"meshes that MuJoCo does not read (it reads binary {', '.join(_MESHES)}) are left out: {{}}": unread,
-        "Git LFS pointers are left out: {}; git lfs pull gets the files": pointers,
+        "missing meshes are ignored: {}; " + remedy: missing,
+        f"meshes that MuJoCo does not read (it reads binary {', '.join(_MESHES)}) are ignored: {{}}": unread,
+        "Git LFS pointers are ignored: {}; git lfs pull downloads the files": pointers,
     }
     return [note.format(", ".join(dict.fromkeys(names))) for note, names in said.items() if names]
 
@@ -77,11 +78,11 @@ def _delete_flat(spec: mujoco.MjSpec) -> list[str]:
     flat = [geom for geom in spec.geoms if (n := counts.get(geom.type)) and not np.all(geom.size[:n] > 0)]
     links = dict.fromkeys(geom.parent.name for geom in flat)
     delete_geoms(spec, flat)
-    return [f"shapes without size are left out: of {listed(list(links), 8)}"] if flat else []
+    return [f"shapes without size are ignored: of {listed(list(links), 8)}"] if flat else []
 
 
 def _delete_ranges(spec: mujoco.MjSpec) -> list[str]:
-    """Delete the ranges of joints that limit nothing, as those that end below their beginning, and return a note on them."""
+    """Delete ranges that limit nothing, such as those that end below their beginning, and return a note on them."""
     loose = [joint for joint in spec.joints if joint.range[0] > joint.range[1] or np.abs(joint.range).min() > MAX_SI_VALUE]
     said = [f"{joint.name} ({joint.range[0]:g} to {joint.range[1]:g})" for joint in loose]
     turned = any(joint.range[0] > joint.range[1] for joint in loose)
@@ -94,9 +95,9 @@ def _delete_ranges(spec: mujoco.MjSpec) -> list[str]:
 
 
 def _free_followers(spec: mujoco.MjSpec) -> list[str]:
-    """Delete the ranges of followers that would hold their leaders still, as by a wrong sign, and return a note on them.
+    """Delete the ranges of followers that would block their leaders, by a wrong sign for example, and return a note.
 
-    ROS limits a joint that is commanded, and moves those that follow it whatever their ranges are.
+    ROS limits a commanded joint, and ignores the ranges of the joints that follow it.
     """
     joints, freed = {joint.name: joint for joint in spec.joints}, []
     for equality in spec.equalities:
@@ -113,7 +114,7 @@ def _free_followers(spec: mujoco.MjSpec) -> list[str]:
 
 
 def _weigh(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:
-    """Give links without a mass that joints move the smallest one, and return a note on them."""
+    """Give moving links without mass the smallest mass, and return a note on them."""
     masses = {link.get("name", ""): link.find("inertial/mass") for link in root.iter("link")}
     moving = {
         joint.find("child").get("link", "") for joint in root.findall("joint") if joint.get("type") not in (None, "fixed")
@@ -123,16 +124,17 @@ def _weigh(spec: mujoco.MjSpec, root: ET.Element) -> list[str]:
         return []
     spec.compiler.boundmass, spec.compiler.boundinertia = LEAST_MASS_KG, LEAST_INERTIA_KGM2
     return [
-        f"links without mass get {LEAST_MASS_KG:g} kg and {LEAST_INERTIA_KGM2:g} kg.m^2, as MuJoCo moves no massless body:"
+        f"links without mass get {LEAST_MASS_KG:g} kg and {LEAST_INERTIA_KGM2:g} kg.m^2, because MuJoCo cannot move a"
+        " massless body:"
         f" {', '.join(sorted(light))}"
     ]
 
 
 def _settle_inertias(spec: mujoco.MjSpec) -> list[str]:
-    """Give links the nearest inertia that a body has, and return notes on those that had another, which MuJoCo refuses.
+    """Replace impossible inertias of links, which MuJoCo refuses, by the nearest possible ones, and return notes on them.
 
-    Principal moments are positive, and none exceeds the sum of the others. To the nearest, by least squares, each moment
-    contributes a third of what the largest has too much.
+    Principal moments are positive, and none exceeds the sum of the others. For the nearest one, by least squares, each
+    moment changes by a third of the largest moment's excess.
     """
     points, changes = [], []
     for body in spec.bodies:

@@ -1,8 +1,8 @@
-"""What a URDF says beside its tree: loops, drives and joint types in elements or in a YAML file, which MuJoCo leaves out.
+"""Loops, drives and joint types beside a URDF's tree, in elements or in a YAML file, which MuJoCo ignores.
 
-Read are `<loop_joint>` elements (Drake's), joints in `<gazebo>` elements, frames named closing_NAME_1 and closing_NAME_2
-(onshape-to-robot's), `<transmission>` and `<ros2_control>` elements, and the YAML files of example-parallel-robots and of
-the SolidWorks exporter sw2robot. Frames that only mark a closure stay bodies of their own.
+linkplan reads `<loop_joint>` elements (Drake's), joints in `<gazebo>` elements, frames named closing_NAME_1 and
+closing_NAME_2 (onshape-to-robot's), `<transmission>` and `<ros2_control>` elements, and the YAML files of
+example-parallel-robots and of the SolidWorks exporter sw2robot. Frames that only mark a closure stay bodies of their own.
 """
 
 import re
@@ -27,7 +27,7 @@ _MOST_YAML_BYTES = 1_000_000
 Table = TypeVar("Table", bound=msgspec.Struct)
 _CONNECT, _WELD = mujoco.mjtEq.mjEQ_CONNECT, mujoco.mjtEq.mjEQ_WELD
 _AXES = {"X": (1.0, 0.0, 0.0), "Y": (0.0, 1.0, 0.0), "Z": (0.0, 0.0, 1.0)}
-# Where closures and motors come from, in notes.
+# The sources of closures and motors, as notes name them.
 _BESIDE, _CUT = "the YAML file beside the URDF", "loop_closures.yaml"
 _CLOSING = re.compile(r"closing_(.+)_[12]")
 # The distance [m] of a hinge's two points.
@@ -66,7 +66,7 @@ def beside(path: Path) -> Beside | None:
     """Return the closures and motors of the YAML file with a URDF's name, or of the only one beside the only URDF.
 
     Raises:
-        ModelError: for a file with one of its keys that has not its form.
+        ModelError: for a file that has one of its keys but not its form.
     """
     place = path.with_suffix(".yaml")
     others = list(path.parent.glob("*.yaml"))
@@ -86,7 +86,7 @@ def loop_closures(path: Path) -> LoopClosures | None:
     """Return the cut hinges of the file loop_closures.yaml in a URDF's folder, in the folder above or in its config.
 
     Raises:
-        ModelError: for a file with closures that has not its form.
+        ModelError: for a file with closures in another form.
     """
     folders = (path.parent, path.parent.parent, path.parent.parent / "config")
     place = next((one for folder in folders if (one := folder / "loop_closures.yaml").is_file()), None)
@@ -94,7 +94,7 @@ def loop_closures(path: Path) -> LoopClosures | None:
 
 
 def _table(place: Path, kind: type[Table], keys: set[str]) -> Table | None:
-    """Return a YAML file as a table; None if it is not there or has none of the keys."""
+    """Return a YAML file as a table; None if it is missing or has none of the keys."""
     if not place.is_file():
         return None
     text = read_file(place, f"'{place}'", _MOST_YAML_BYTES, ModelError).decode("utf-8", "replace")
@@ -112,7 +112,7 @@ def _table(place: Path, kind: type[Table], keys: set[str]) -> Table | None:
 
 
 def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple[str, ...]:
-    """Add to a URDF's specification what MuJoCo left out of it, and return notes on what comes from where.
+    """Add the parts of a URDF that MuJoCo ignored to its specification, and return notes on their sources.
 
     Args:
         spec: MuJoCo's conversion of the URDF, which is changed.
@@ -131,7 +131,7 @@ def complete(spec: mujoco.MjSpec, source: str | Path, root: ET.Element) -> tuple
     named_there = dict.fromkeys(j.get("name", "") for t in root.iter("transmission") for j in t.findall("joint"))
     transmitted = [name for name in named_there if name in {joint.name for joint in spec.joints}]
     if still := [name for name in named_there if name not in transmitted]:
-        notes.append(f"transmissions of joints that are not there, or do not move, are left out: {listed(still, 8)}")
+        notes.append(f"transmissions of missing or immovable joints are ignored: {listed(still, 8)}")
     kinds = ("revolute", "continuous", "prismatic")  # a fixed joint, or one that follows another, has no motor
     moving = {j.get("name") for j in root.findall("joint") if j.get("type") in kinds and j.find("mimic") is None}
     commanded = [j for j in root.iterfind(".//ros2_control/joint") if j.find("command_interface") is not None]
@@ -180,9 +180,9 @@ def _close_loops(spec: mujoco.MjSpec, root: ET.Element, named: Beside, hinges: S
 
 
 def _left_open(loops: Sequence[ET.Element], added: Sequence[GazeboJoint]) -> list[str]:
-    """Return the notes on what is not read of loop_joints, and on joints in <gazebo> that close no loop."""
+    """Return the notes on unread parts of loop_joints, and on joints in <gazebo> that close no loop."""
     unread = {loop.get("name", "loop"): listed(left, 6) for loop in loops if (left := _unread(loop))}
-    notes = [f"left out of loop_joint '{name}': {left}" for name, left in unread.items()]
+    notes = [f"ignored in loop_joint '{name}': {left}" for name, left in unread.items()]
     if not added:
         return notes
     names = ", ".join(f"{joint.name} (type {joint.kind}, {' to '.join(joint.links)})" for joint in added)
@@ -335,10 +335,10 @@ def add_motors(spec: mujoco.MjSpec, names: Sequence[str], where: str = "") -> li
     """Add a motor on each of the joints named in `where`, within the effort limit that the joint has, and return notes.
 
     Plugins that act on such a joint are deleted with their sensors, since no plan can use them. An actuator there with a
-    filter, as a hydraulic cylinder, loses the filter and is the motor. A joint that has a motor keeps it and gets no other.
+    filter, such as a hydraulic cylinder, loses the filter and serves as the motor. A joint that has a motor gets no other.
 
     Raises:
-        ModelError: for a name that is no joint's, or a joint that has no motor's axis.
+        ModelError: for an unknown joint, or a joint without an axis for a motor.
     """
     added, replaced, unfiltered, kept = [], [], [], []
     for name in names:

@@ -134,7 +134,7 @@ def take(drives: DriveState, k: int, command: np.ndarray) -> None:
     np.maximum(command, drives.low, out=slot)
     np.minimum(slot, drives.high, out=slot)
     if k == 0:
-        # Until the first command arrives, its value acts already: a delay begins with the loop running.
+        # Before the first command arrives, its value already acts, as if the loop had been running before.
         drives.queue[:] = slot[:, None].copy()
 
 

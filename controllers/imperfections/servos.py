@@ -6,7 +6,8 @@ At every step the ctrl c of a servo is computed from the desired effort u, the l
 
 With explicit integrators such a servo is equivalent to a motor, and the simulation uses a motor. Implicit integrators add
 the derivatives of a servo's force to the step's inertia, for any ctrl, so the simulation keeps the servo. Its force follows
-from the speed at a step's end: the ctrl is computed for the speed at its beginning and what the reference gains in a step.
+from the speed at a step's end: the ctrl is computed for the speed at the step's beginning plus the increase of the
+reference's speed in a step.
 """
 
 from dataclasses import dataclass
@@ -77,10 +78,10 @@ def servo_inversion(mechanism: Mechanism) -> ServoInversion | None:
 
 
 def speed_gains(mechanism: Mechanism, reference: SampledReference, substeps: int) -> np.ndarray | None:
-    """Return what the actuators' speeds (n, n_u) gain along a reference in a simulator step of each control period.
+    """Return the increases (n, n_u) of the actuators' speeds along a reference in a simulator step of each control period.
 
-    None if no servo's force follows from the speed at a step's end. The discrete integrator takes the length there, too; its
-    efforts are left as they are.
+    None if no servo's force follows from the speed at a step's end. The discrete integrator also takes the length at the
+    step's end, for which efforts are not corrected.
     """
     discrete = int(mechanism.model.opt.integrator) == int(mujoco.mjtIntegrator.mjINT_DISCRETE)
     if discrete or not simulates_servos(mechanism):

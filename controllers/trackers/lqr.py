@@ -99,7 +99,7 @@ def lqr(design: Design) -> StateFeedback:
 
 
 def _joined(first: _Span, then: _Span) -> _Span:
-    """Return the span of two, one after the other."""
+    """Return the span that consists of two consecutive spans."""
     (A, G, P), (A_then, G_then, P_then) = first, then
     A_half, G_half = np.hsplit(np.linalg.solve(np.eye(len(A)) + G @ P_then, np.hstack([A, G])), 2)
     G, P = G_then + A_then @ G_half @ A_then.T, P + A.T @ P_then @ A_half

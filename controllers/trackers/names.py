@@ -1,4 +1,4 @@
-"""The built-in trackers, and what other rooms know of each, in a file of their own so that listing them loads no numbers."""
+"""The built-in trackers and their properties, in a separate file so that listing them loads no numerical libraries."""
 
 import importlib
 from dataclasses import dataclass

@@ -12,8 +12,8 @@ from linkplan.models.compiled.functions import compiled_as_asked, tools_hash
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.reduction.closing import closed_near
 
-# The exponential over a block is that over this power of one half of it, squared as often: near a singular pose the
-# derivatives are up to 2^5 per block.
+# To compute the exponential over a block, the block is halved this many times, and the result squared as often: near a
+# singular pose the derivatives are up to 2^5 per block.
 _EXPONENTIAL_DOUBLINGS = 5
 
 

@@ -75,7 +75,7 @@ class Actuator:
 
     @property
     def inertia_unit(self) -> str:
-        """The unit of an inertia that its motion feels."""
+        """The unit of an inertia that it moves."""
         return inertia_unit_of(self.unit)
 
     @property
@@ -148,7 +148,7 @@ def _unusable_force(model: mujoco.MjModel, index: int) -> str | None:
     if not dc_motor and (gain not in (FIXED, AFFINE) or bias not in (NO_BIAS, AFFINE_BIAS)):
         return "its gain or bias is not affine"
     if is_gas_spring(model, index):
-        of = "a constant force" if kind == TRN_SITE else "a passive force, as a gas spring's"
+        of = "a constant force" if kind == TRN_SITE else "a passive force, such as a gas spring's"
         return f"it has no gain: {of}"
     if _coefficients(model, index)[0][0] == 0.0:
         return "its gain vanishes at rest"

@@ -233,7 +233,7 @@ def _joint(model: mujoco.MjModel, tree: Tree, index: int):
 
 
 def _coupling(kind: str, model: mujoco.MjModel, index: int, residual: ca.SX, units: list[tuple[str, float]]):
-    """Return the gap of a coupling y = a_0 + a_1 x + ... as a length of the one of both that moves less [m].
+    """Return the gap of a coupling y = a_0 + a_1 x + ... as a length of whichever of the two moves less [m].
 
     The gap of a screw is thus the same whether its nut follows its motor or its motor its nut, and its row is no larger than
     those of other closures. `units` are the unit of y, and of x if there is one, with the length [m] of one such unit.

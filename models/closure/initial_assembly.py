@@ -159,7 +159,8 @@ def home_text(tables: dict[str, dict[str, float]]) -> str:
 def idle_drives(joints, actuators, dynamics, poses, mobility: Mobility, extent_m: float) -> tuple[list[str], list[str]]:
     """Return notes on the actuators that the loops leave without effect at closed poses (n_q,), and faults.
 
-    It is a fault if a closure tolerance frees the actuator's target: a gap of rounding, by the size `extent_m`.
+    It is a fault if a closure tolerance frees the actuator's target, with a gap that rounding may leave in a mechanism of
+    the size `extent_m`.
     """
     maps = [np.array(dynamics.effort_map(q)).reshape(dynamics.effort_map.size1_out(0), -1) for q in poses]
     full = [np.array(dynamics.effort_matrix(q)).reshape(len(joints), -1) for q in poses]
@@ -209,7 +210,7 @@ def with_closed_pose(
     tolerance = f", or rounded, which mechanism.closure_tolerance_m = {1.01 * error.gap_m:.3g} accepts"
     hint = f"the links may be too short{tolerance if error.gap_m <= 0.1 * SHIFT_SHARE * extent_m else ''}"
     return UnassembledError(
-        f"{error}; no closed pose was found near it: {hint}; else name a pose with mechanism.home_deg", error.gap_m
+        f"{error}; no closed pose was found near it: {hint}; otherwise name a pose with mechanism.home_deg", error.gap_m
     )
 
 
@@ -238,7 +239,7 @@ def home_positions(loop: KinematicLoop, home: Mapping[str, float] | None) -> dic
     """Return the positions [rad or m] in `home` by joint index."""
     asked = {index_of(loop.name, loop.joints, joint): float(value) for joint, value in (home or {}).items()}
     for index, value in asked.items():
-        if not abs(value) < 1000:  # Newton would take steps without end
+        if not abs(value) < 1000:  # Newton's steps would never end
             raise ModelError(f"home of joint '{loop.joints[index].name}' is within 1000 rad or m, got {value!r}")
     return asked
 
@@ -263,7 +264,7 @@ def assemble(loop: KinematicLoop, reference: np.ndarray, asked: dict[int, float]
     violation = loop.coordinates.range_violation(pose)
     if violation is not None:
         raise AssemblyError(
-            f"mechanism '{loop.name}' assembles with {violation}; give the model a keyframe 'home' near the pose meant"
+            f"mechanism '{loop.name}' assembles with {violation}; give the model a keyframe 'home' near the intended pose"
         )
     return pose
 

@@ -33,8 +33,8 @@ from linkplan.models.kinematics import data_at
 from linkplan.models.tree.coordinates import Coordinates
 from linkplan.models.tree.joints import Joint
 
-# A centre of mass no farther from its body's line of spin, as a share of the mechanism's size, moves other bodies little: a
-# millimetre on a leg. Exported rods are half a millimetre off.
+# The distance, as a share of the mechanism's size, up to which a centre of mass beside its body's line of spin moves other
+# bodies little: a millimetre on a leg. Exported rods are half a millimetre off.
 _OFFSET_SHARE = 1e-3
 
 
@@ -82,7 +82,7 @@ def _spinning_bodies(
     free = np.abs(acting.T @ gamma).max(axis=0) <= scale * np.abs(gamma).max(axis=0)
     speeds, turns = _body_rates(model, coordinates, q, gamma * free)
     moment, whole = model.body_mass @ speeds, model.body_mass[model.body_weldid > 0].sum()
-    # Farther off, a light rod still moves the others little: a bent rod of 10 g in a leg of 10 kg.
+    # With a more distant centre of mass a light rod still moves the others little: a bent rod of 10 g in a leg of 10 kg.
     least = _OFFSET_SHARE * extent_m * turns.max(axis=0)
     spins = free & ((speeds.max(axis=0) <= least) | (moment <= 0.01 * whole * least))
     return spins & (turns > ROUNDING_SHARE * turns.max(axis=0))

@@ -353,7 +353,7 @@ def _outside(loop: KinematicLoop, pose: np.ndarray) -> float:
 
 
 def _brought_within_ranges(loop: KinematicLoop, pose: np.ndarray) -> np.ndarray:
-    """Return a closed pose within the joints' ranges, by bounded least squares from a closed one; that one without any."""
+    """Return a closed pose within the joints' ranges, by bounded least squares from a closed pose; else the latter."""
     if _outside(loop, pose) == 0.0:
         return pose
     import scipy
@@ -372,7 +372,7 @@ def _moved_to_reference(
 ) -> np.ndarray:
     """Return the closed pose reached from `pose` by steps towards the reference that each decrease `measure`."""
     moved = np.abs(loop.jacobian(pose)).max(axis=0)
-    trial, step = _closed(loop, np.where(moved > 1e-6 * moved.max(), pose, reference)), 1.0  # what is in no loop stays
+    trial, step = _closed(loop, np.where(moved > 1e-6 * moved.max(), pose, reference)), 1.0  # joints outside loops stay
     pose = pose if trial is None else min(pose, trial, key=measure)
     for _ in range(100):
         if deadline.passed:

@@ -31,7 +31,7 @@ _POSIX = hasattr(os, "geteuid")
 def cache_folder() -> Path:
     """Return the cache's folder: $LINKPLAN_CACHE, `linkplan` in the user's cache folder, or a temporary folder.
 
-    Users without a home folder, as in containers, get `linkplan-` and the user's number in $TMPDIR or /tmp.
+    Users without a home folder, for example in containers, get `linkplan-` and the user's number in $TMPDIR or /tmp.
 
     Raises:
         OSError: when there is no folder for temporary files.
@@ -76,7 +76,7 @@ def trusted_folder(*, make: bool) -> Path:
     why = whose or open_to or next((why for one in above if (why := _replaceable(one))), None)
     if why is not None:
         raise PermissionError(
-            f"the cache '{folder}' {why}, and its code would be run: name one of your own in LINKPLAN_CACHE"
+            f"the cache '{folder}' {why}, and its code would be run: set LINKPLAN_CACHE to a folder of your own"
         )
     return folder
 

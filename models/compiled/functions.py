@@ -170,7 +170,7 @@ def _loaded(folder: Path, key: str, kind: type[CodeT], file: tuple[int, ...]) ->
 
 
 def _opened(library: Path, record: dict, kind: type[CodeT]) -> CodeT:
-    """Return the functions of a library with what its record says of them."""
+    """Return the functions of a library with the entries of its record."""
     functions = {name: ca.external(name, str(library)) for name in record["functions"]}
     return kind(**functions, **{name: value for name, value in record.items() if name != "functions"})
 

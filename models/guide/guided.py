@@ -24,7 +24,7 @@ from linkplan.models.selection import home_qpos
 from linkplan.models.tree.dynamics import Tree, build_tree
 from linkplan.models.tree.joints import Joint
 
-# The curve directs every freedom where the site's Jacobian has singular values above this share of the largest.
+# The curve determines every freedom if the singular values of the site's Jacobian are above this share of the largest.
 _RANK_SHARE = 1e-6
 
 
@@ -69,7 +69,7 @@ def guided(free: Mechanism, site: int, curve: Curve, pose: np.ndarray) -> Guided
         pose: a closed pose (n_q,) with the site at the curve's begin, which is the home pose.
 
     Raises:
-        ModelError: if the curve leaves the mechanism further freedoms, or drives do not decide all of them.
+        ModelError: if the curve leaves the mechanism further freedoms, or if the drives do not move all of them.
     """
     import scipy
 

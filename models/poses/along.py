@@ -16,7 +16,7 @@ from linkplan.models.tree.friction import frictions_of
 RANGE_ROUNDING = 1e-8
 # Moment arms below this share of the largest are zero to rounding, at an actuator's dead centre.
 _ZERO_ARM_SHARE = 1e-12
-# Efforts that miss no more than this share of the largest effort give the whole: above rounding, far below what is felt.
+# Efforts that miss at most this share of the largest effort count as complete: above rounding, and negligible in practice.
 HOLDING_TOLERANCE = 1e-9
 
 
@@ -140,17 +140,17 @@ def missed_rounding(limit: np.ndarray) -> float:
 def effort_within(tau: np.ndarray, maps: np.ndarray, limit: np.ndarray) -> np.ndarray:
     """Return the efforts (n, n_u) of least norm within limits (n_u, 2) that give tau (n, n_s), in least squares.
 
-    Several actuators of one joint, as cables that only pull, share its effort otherwise than without limits.
+    Several actuators of one joint, such as cables that only pull, may share its effort differently than without limits.
     """
     import scipy
 
     effort, (low, high) = least_effort(tau, maps), limit.T
     for k in np.flatnonzero(np.any((effort < low) | (effort > high), axis=1)):
-        small = 1e-6 * float(np.linalg.norm(maps[k])) * np.eye(len(limit))  # of efforts that give the same, the least
+        small = 1e-6 * float(np.linalg.norm(maps[k])) * np.eye(len(limit))  # the least of the efforts with the same result
         rows, wanted = np.vstack([maps[k], small]), np.append(tau[k], np.zeros(len(limit)))
         within = (low, np.nextafter(high, np.inf))
         found = scipy.optimize.lsq_linear(rows, wanted, within, method="bvls", max_iter=100 * len(limit))
-        free = found.active_mask == 0  # these give exactly, not but for the small rows, what those at their limits do not
+        free = found.active_mask == 0  # these give exactly, in all rows, what those at their limits lack
         held = np.where(free, 0.0, np.clip(found.x, low, high))
         held[free] = least_effort((tau[k] - maps[k] @ held)[None], maps[k][None, :, free])[0]
         both = (np.clip(x, low, high) for x in (held, found.x))
@@ -178,7 +178,7 @@ def beyond_balls(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
 
 
 def shut_balls(mechanism: Mechanism) -> str | None:
-    """Return a sentence on the ball joints with a range of 0 deg, as by a default limited="true"; else None."""
+    """Return a sentence on the ball joints with a range of 0 deg, which a default limited="true" gives; None without any."""
     names = [ball.name for ball in mechanism.balls if ball.largest == 0]
     if not names:
         return None

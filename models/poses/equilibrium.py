@@ -76,9 +76,9 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
         unheld = np.array(slopes(pose, np.linalg.pinv(arms) @ tau))[kept]
         return null @ (null.T @ unheld @ np.array(mechanism.dynamics.velocity_map(pose))[:, columns])
 
-    # On the way to a balance each step takes more than 1e-10 of the effort squared away. With less it creeps, for thousands
-    # of steps, towards a least effort that is not zero. The unknowns are deflections: scipy's first step is as long as the
-    # first unknowns, and of its own choice from exactly zero.
+    # On the way to an equilibrium each step reduces the squared effort by more than 1e-10 of it. Smaller reductions lead,
+    # over thousands of steps, to a least effort that is not zero. The unknowns are deflections: scipy's first step is as
+    # long as the first unknowns, and of its own choice from exactly zero.
     try:
         found = scipy.optimize.least_squares(
             unbalanced, np.zeros(len(columns)), slope, x_scale="jac", xtol=1e-15, ftol=1e-10, gtol=1e-15
@@ -128,8 +128,8 @@ def stop_sentence(stops: Sequence[tuple[Joint, float]], when: str) -> str:
     """Return the sentence on joints that weight and springs press onto their stops [rad or m], with the remedy."""
     names = ", ".join(f"{joint.name} ({joint.text(x, 4)} {joint.unit})" for joint, x in stops)
     return (
-        f"{when} weight and springs press {names} onto {'its stop' if len(stops) == 1 else 'their stops'}. No actuator"
-        f" holds them off, and plans have no stop forces: {lock_words(stops)} locks them there, as linkplan.new does"
+        f"{when} weight and springs press {names} onto {'its stop' if len(stops) == 1 else 'their stops'}. No actuator can"
+        f" counter this, and plans contain no stop forces: {lock_words(stops)} locks them there, as linkplan.new does"
     )
 
 

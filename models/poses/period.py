@@ -32,7 +32,7 @@ def _matters(mechanism: Mechanism, j: int) -> bool:
     closing the loops.
     """
     n_q, n_s, unit = mechanism.n_q, mechanism.dof, unit_steps(mechanism.joints, mechanism.extent_m)
-    # Numbers from 0 to 1 in no order; the motions are generic.
+    # Irregular numbers from 0 to 1, so that the motions are generic.
     spread = np.modf(_GOLDEN_RATIO * np.arange(_EXAMINED_POSES * (n_q + 2 * n_s)))[0].reshape(_EXAMINED_POSES, -1)
     poses = mechanism.home + 0.1 * unit * (2 * spread[:, :n_q] - 1)
     moved = poses.copy()
@@ -95,9 +95,10 @@ def turn_of(mechanism: Mechanism, coordinate: int) -> float:
 
 
 def returned(mechanism: Mechanism, travelled: np.ndarray) -> np.ndarray | None:
-    """Return the part of the joints' travel (n_q,) [rad or m] that changes nothing, if that is all of it; else None.
+    """Return the part of the joints' travel (n_q,) [rad or m] that changes nothing, if that is all the travel; else None.
 
-    These are whole turns of hinges, and any travel of rotors whose position does not matter, beside joints that do move.
+    This part consists of whole turns of hinges, and of any travel of rotors
+    whose position does not matter, beside joints that do move.
     """
     matters = mattering(mechanism)
     rounding = RANGE_ROUNDING * np.maximum(1.0, np.abs(travelled))

@@ -25,9 +25,9 @@ from linkplan.models.tree.joints import Joint
 
 # Neighbours on either side in a spline of poses. Its error at steps of half a degree is below 1e-8.
 _SPLINE_NEIGHBOURS = 5
-# The reason of an end that nothing makes. A slide, and what moves one, is followed over this many sizes of the model.
+# The reason of an end without a cause. A slide, and a joint that moves one, is followed over this many sizes of the model.
 _NO_END, _SLIDE_EXTENTS = "no end found", 20
-# A hinge that nothing stops and that does not come back is followed over this many turns.
+# A hinge without a stop and without a period is followed over this many turns.
 _MAX_TURNS = 100
 
 
@@ -264,7 +264,7 @@ def _range_stop(mechanism: Mechanism, q: np.ndarray, trial: np.ndarray, coordina
         stops.append((lambda p, k=k: float(beyond_balls(mechanism, p[None])[0, k]), 1.0, reason, None))
     first, index = None, mechanism.independent[coordinate]
     for beyond, unit, reason, joint in stops:
-        # What does not move with the coordinate, or returns into its range, is no stop.
+        # A joint that does not move with the coordinate, or that returns into its range, is no stop.
         if not beyond(trial) - beyond(q) > ROUNDING_SHARE * unit:
             continue
         pose = _pose_where(mechanism, q, trial, coordinate, beyond)

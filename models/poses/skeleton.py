@@ -1,4 +1,4 @@
-"""A stick drawing of a mechanism: each body as the polygon of its pins; and the lines along which tendons run."""
+"""A stick drawing of a mechanism, with each body as the polygon of its pins, and the lines along which tendons run."""
 
 import itertools
 from dataclasses import dataclass

@@ -100,8 +100,8 @@ def _block_solver(A: ca.SX) -> Callable[[ca.SX], ca.SX]:
     columns, place = ca.horzsplit(Q), [order.index(column) for column in range(len(order))]
 
     def solve(b: ca.SX) -> ca.SX:
-        # CasADi's Q, by modified Gram-Schmidt, is not quite orthogonal: Q^T b, taken one column after another from what the
-        # columns before leave of b, is as exact as the last column of a factorised [A, b] (Bjoerck, BIT 7, 1967).
+        # CasADi's Q, by modified Gram-Schmidt, is not quite orthogonal: Q^T b, computed column by column from the remainder
+        # of b after the earlier columns, is as exact as the last column of a factorised [A, b] (Bjoerck, BIT 7, 1967).
         parts = []
         for column in columns:
             parts.append(column.T @ b)

@@ -25,7 +25,7 @@ class KnownPoses:
         mechanism = self.outputs.mechanism
         found, tried = self.near(points), np.full(len(points), -1)
         self._keep(found)
-        while True:  # from what is known by now, until no start is nearer than before
+        while True:  # from the poses known by now, until no start is nearer than before
             left = np.flatnonzero(np.isnan(found[:, 0]))
             nearest = self._nearest(points[left])
             left, nearest = left[nearest != tried[left]], nearest[nearest != tried[left]]

@@ -1,4 +1,4 @@
-"""What a serial equivalent leaves out: as a table over the output joints' positions, and as errors along a motion."""
+"""The forces that a serial equivalent omits: as a table over the output joints' positions, and as errors along a motion."""
 
 import functools
 from collections.abc import Mapping, Sequence
@@ -27,7 +27,7 @@ class OutputMotion:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class SerialErrors:
-    """Errors of models without loops along a motion: the effort (n, n_o) that the motion needs less the one they compute.
+    """Errors of models without loops along a motion: the required effort (n, n_o) minus the effort that they compute.
 
     `effort` is what the closed chain needs. `static_map` is the error of the tree without anything reflected, whose efforts
     are carried across by G alone; `serial` that of the serial equivalent; `with_table` that of both together with the rest.
@@ -40,11 +40,11 @@ class SerialErrors:
     with_table: np.ndarray
 
     def named(self) -> Mapping[str, np.ndarray]:
-        """Return the errors by what they are of."""
+        """Return the errors by the names of the models."""
         return {"static map": self.static_map, "serial equivalent": self.serial, "serial with table": self.with_table}
 
     def rms(self) -> Mapping[str, np.ndarray]:
-        """Return the rms of each error over time (n_o,), by what it is of."""
+        """Return the rms of each error over time (n_o,), by the names of the models."""
         time = self.motion.time_s
         return {
             name: np.sqrt(np.trapezoid(off**2, time, axis=0) / (time[-1] - time[0])) for name, off in self.named().items()

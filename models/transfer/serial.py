@@ -2,13 +2,14 @@
 
 The bodies of the linkage stay, welded at their home pose, so that total mass and centre of mass at home are kept; they do
 not collide. Each output joint gets a motor, and the armature, damping and dry friction by which the closed chain at home
-exceeds the tree. What a constant cannot carry is the rest, as functions of the outputs' positions s and velocities v:
+exceeds the tree. The terms that constants cannot represent are the rest, functions of the outputs' positions s and
+velocities v:
 
     tau_closed = tau_serial(s, v, a) + dM(s) a + c(s, v) + dD(s) v + R^T f sign(R v) - F sign(v) + dg(s),
 
 where c are the Coriolis and centrifugal terms of dM, R(s) the rates of the linkage's joints over those of the outputs, f
-their dry friction, and F that of the serial model's joints: an output that slides alone feels F at home, two together less.
-The other independent coordinates rest at home.
+their dry friction, and F that of the serial model's joints: on an output that slides alone F acts at home, and less on two
+that slide together. The other independent coordinates rest at home.
 """
 
 from dataclasses import dataclass
@@ -153,7 +154,7 @@ def _tree(outputs: OutputMap, removed: list[str], box: np.ndarray) -> mujoco.MjS
 
 
 def _drop(spec: mujoco.MjSpec, mechanism: Mechanism, removed: list[str], motors: list[str]) -> None:
-    """Delete joints, the closures around them, their motors, and all that names one of these."""
+    """Delete joints, the closures around them, their motors, and every element that names one of these."""
     model = mechanism.model
     J = np.array(mechanism.dynamics.closure_jacobian(mechanism.home + 1e-3))
     dofs = [d for d in range(model.nv) if model.joint(model.dof_jntid[d]).name in removed]

@@ -1,4 +1,4 @@
-"""Transfer tables: a linkage over the range of its output joints, and the way back from the motors' positions."""
+"""Transfer tables: a linkage over the range of its output joints, and the inverse map from motor positions."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ _SINGULAR_MARGIN_SHARE = 0.005
 _SINGULAR_RATIO_MULTIPLE = 10.0
 # The quantities whose interpolation keeps the tolerance. Slopes are given, and their error is measured.
 REFINED = ("motor_position", "ratio", "inertia", "gravity")
-# Nodes of a table: a controller's has hundreds, and the largest measures the error that it is left with.
+# The largest number of nodes of a table. A controller's table has hundreds; the largest one measures its remaining error.
 MOST_NODES = 4000
 MOST_JOINTS = 3
-# Status of a node of the way back, not reachable, without which the cells at the edge of the map would lack a corner.
+# Status of an unreachable node of the inverse map, without which the cells at the edge of the map would lack a corner.
 BESIDE_MAP = 3
 
 
@@ -110,7 +110,7 @@ def transfer_table(
     if np.count_nonzero(grid.values["status"] == ON_MAP) < 2:
         names = ", ".join(joint.name for joint in outputs.joints)
         raise ModelError(
-            f"the table of {names} has fewer than 2 nodes at regular closed poses; allow it another range or home"
+            f"the table of {names} has fewer than 2 nodes at regular closed poses; give it another range or home"
         )
     inverse, note = _inverse(outputs, function, grid, poses, tolerance, most_nodes)
     dead = _dead_centres(outputs, reaches[0], limits[0]) if len(reaches) == 1 else ()

@@ -2,8 +2,8 @@
 
 A spring's force is -(a x + b x^2 + c x^3) with x measured from its rest position. A damper's force is
 -(a v + b v|v| + c v^3) (MuJoCo, Computation, "Polynomial forces"). An actuator's own coefficients are multiplied by gear^2.
-An actuator without gain is a passive force: its bias, an affine function of length and speed, as a gas spring's, or a
-constant force on a site along axes that stand still.
+An actuator without gain is a passive force: its bias, an affine function of length and speed, as for a gas spring, or a
+constant force on a site along fixed axes.
 """
 
 import itertools

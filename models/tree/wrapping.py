@@ -40,7 +40,7 @@ def side_of(model: mujoco.MjModel, data: mujoco.MjData, k: int) -> str | None:
     if np.linalg.norm(beside) < radius:
         return None
     ends = [turn.T @ (data.site_xpos[int(model.wrap_objid[end])] - centre) for end in (k - 1, k + 1)]
-    if int(model.wrap_type[k]) == SPHERE:  # the ends' plane turns, and the site's side in it with it
+    if int(model.wrap_type[k]) == SPHERE:  # the plane of the ends turns, and so does the site's side in it
         return None
     first, second, middle = (np.arctan2(place[1], place[0]) for place in (*ends, beside))
     gammas = [np.arccos(min(1.0, radius / max(np.hypot(*end[:2]), radius))) for end in ends]

@@ -40,8 +40,8 @@ CLOSURE_M = 1e-9
 INTEGRATION_M = 1e-5
 # Smallest span [rad or m] that errors are related to.
 _MIN_SPAN = 1e-9
-# Largest error of the planned effort between nodes, as a share of the largest effort: beyond it, the effort is not the
-# motion's.
+# Largest error of the planned effort between nodes, as a share of the largest effort: with a larger error the effort does
+# not belong to the motion.
 DYNAMICS_SHARE = 0.02
 
 
@@ -162,7 +162,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     closure_gaps = {unit: float(gap.max()) for unit, gap in mechanism.gaps_by_unit(q).items()}
     ratio = float(singularity_ratios(problem, q).min())
     of_limits = margins_along(samples)
-    # The speed of a motion that stands still is one at which it hardly leaves its place in its time.
+    # A motion at rest counts as having a speed that hardly moves it within its duration.
     speed = max(float(np.abs(v).max()) or INTEGRATION_M / trajectory.duration_s, _MIN_SPAN / trajectory.duration_s)
     velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
     boundary_error = end_state_error(problem, trajectory, speed)
@@ -218,7 +218,8 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     failures += [sentence for what, values in figures.items() for sentence in not_finite(what, values, time)]
     unknown = extras_not_finite(problem.objective.extra, mechanism, time, q, *samples.motion)
     if not np.all(np.isfinite(integrated.position)) and until.passed:
-        failures.insert(0, f"its integration ran out of the plan's {problem.solver.max_time_s:g} s (solver.max_time_s)")
+        left = f"its integration ran out of the plan's time, {problem.solver.max_time_s:g} s (solver.max_time_s)"
+        failures.insert(0, left)
     failures += _integration_failures(in_deg, in_m)
     unrepairable = [*unknown, *_ctrl_failures(samples)]
     failures += unrepairable + [margin.sentence() for margin in of_limits if not margin.kept]

@@ -24,8 +24,9 @@ INTEGRATION_RTOL = 1e-12
 # Largest number of evaluations of the dynamics on one interval: sixteen hundred explicit or three thousand implicit steps.
 # Feasible motions need about ten steps. At a fold, where the reduced dynamics end, steps become ever smaller.
 _MAX_EVALUATIONS = 20_000
-# Number of evaluations after which an interval is stiff, where there is an implicit method to go over to: ten times as many
-# as feasible motions need. A hand whose joints' damping acts within 10 us takes 20,000 explicit ones, and 400 implicit ones.
+# Number of evaluations after which an interval counts as stiff and the implicit method takes over, if there is one: ten
+# times as many as feasible motions need. A hand whose joints' damping acts within 10 us takes 20,000 explicit ones, and 400
+# implicit ones.
 STIFF_EVALUATIONS = 2_000
 # Numbers of intervals in one call, few at first: if a step is too long, all that follow in the call are lost.
 _STRETCHES = (1, 4, 16, 64)

@@ -46,7 +46,7 @@ def disagreements(problem: Problem, trajectory: Trajectory, objective: float | N
     rounding = 1e-8  # durations are unknowns of the program, found to rounding and saved in full
     if not low * (1 - rounding) <= duration <= high * (1 + rounding):
         asked = f"{low:.9g} s" if low == high else f"{low:.9g} to {high:.9g} s"
-        found.append(f"the motion lasts {duration:.9g} s, asked for was {asked}")
+        found.append(f"the motion lasts {duration:.9g} s instead of {asked}")
     found += _off_states(problem, trajectory)
     if objective is not None:
         found += _off_objective(problem, trajectory, objective)
@@ -150,7 +150,7 @@ def peak_share(problem: Problem, trajectory: Trajectory) -> float:
 def with_contacts(problem: Problem, trajectory: Trajectory, certificate: Certificate) -> Certificate:
     """Return a motion's certificate with the contacts along it; it fails if geoms collide, unless contacts are only noted.
 
-    Contacts are checked once, at the end, and not with each of refinement's certificates, which hardly change them.
+    Contacts are checked once, at the end, and not in each certificate of the refinement, which hardly changes them.
     """
     if not may_collide(problem.mechanism.model):
         return certificate
@@ -162,7 +162,7 @@ def with_contacts(problem: Problem, trajectory: Trajectory, certificate: Certifi
         poses = follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose, solver.judging_deadline)
         found = meetings(problem.mechanism, time, poses, trajectory.position_at, solver.judging_deadline)
     except OutOfTimeError:
-        late = f"its check for contacts ran out of the plan's {solver.max_time_s:g} s (solver.max_time_s)"
+        late = f"its check for contacts ran out of the plan's time, {solver.max_time_s:g} s (solver.max_time_s)"
         return replace(certificate, failures=(*certificate.failures, late))
     if problem.limits.contacts == "refuse" and new_meetings(found):
         collision = (_failure(new_meetings(found)),)
@@ -174,8 +174,8 @@ def with_contacts(problem: Problem, trajectory: Trajectory, certificate: Certifi
 def surely_collides(problem: Problem, trajectory: Trajectory) -> Certificate | None:
     """Return the certificate, without other failures, of a motion that collides on every finer mesh too; None if it may not.
 
-    At its nodes the geoms are deeper in each other than the motion is exact by far: by ten times the largest travel that its
-    integration error stands for. Nodes are few, and a motion without such a collision costs little here.
+    At its nodes the geoms penetrate each other by more than ten times the largest travel that its integration error may
+    cause. Only the few nodes are checked, so the check takes little time.
     """
     if problem.limits.contacts != "refuse" or not may_collide(problem.mechanism.model):
         return None
@@ -213,8 +213,8 @@ def _failure(found: tuple[Contact, ...]) -> str:
     more = f", and {others} more pair{'s' if others > 1 else ''} of geoms after them" if others else ""
     return (
         f"{geom_names(first)} collide at t = {first.since_s:.5g} s and penetrate by up to {1e3 * first.depth_m:.2g} mm, at"
-        f' t = {first.deepest_at_s:.5g} s{already}{more}; contact forces are not planned for (limits.contacts = "note"'
-        " plans without them)"
+        f" t = {first.deepest_at_s:.5g} s{already}{more}; plans contain no contact forces (limits.contacts ="
+        ' "note" only notes the contacts)'
     )
 
 
@@ -243,10 +243,10 @@ def contact_notes(found: tuple[Contact, ...]) -> tuple[str, ...]:
     said = (
         f"contact of {which}, as deep at home, or on a pin that they share,"
         f" {_neglected(max(meeting.depth_m for meeting in constant))}; the simulator applies them, and"
-        f" mechanism.exclude_contacts = {pairs} leaves them out"
+        f" mechanism.exclude_contacts = {pairs} excludes them"
     )
     return (*begun, said)
 
 
 def _neglected(depth_m: float) -> str:
-    return f"up to {1e3 * depth_m:.2g} mm deep along the motion: contact forces are not planned for"
+    return f"up to {1e3 * depth_m:.2g} mm deep along the motion: plans contain no contact forces"

@@ -48,7 +48,7 @@ VELOCITY_SHARE = 0.02
 Bounds = tuple[np.ndarray, np.ndarray] | np.ndarray
 # Start and goal may exceed a limit by this share of its size, because inverse kinematics and rounding are inexact.
 POSE_SLACK = 2e-9
-# Parts of an interval are at least so long, as shares of it: a force that bends closer to an end than this bends there.
+# The least length of a part of an interval, as a share of it: a bend of a force closer to an end counts as at that end.
 _CUT_SHARE = 1e-7
 
 
@@ -104,7 +104,7 @@ def _off_sentence(problem: Problem, point: Task, off_m: float, where: str) -> st
     off = f"{off_m:.3g} m"
     if isinstance(point, BodyAngle):
         off = f"{np.degrees(off_m / problem.mechanism.extent_m):.3g} deg"
-    return f"{point.label} is {off} away from where {key_of([point], where)} asks it"
+    return f"{point.label} is {off} away from the place that {key_of([point], where)} gives"
 
 
 def waypoint_times(trajectory: Trajectory, waypoint: Waypoint) -> np.ndarray:
@@ -199,7 +199,7 @@ def _integrated_with_restarts(
     span = position_units(mechanism, trajectory.position)
     unit = np.concatenate([span, np.full(n_s, speed)])
     poses = follow(mechanism, trajectory.position[0], trajectory.start_pose, until)
-    if _linear_growth(mechanism, trajectory, poses, unit) < 0.1 * RESTART_GROWTH:  # 2 n_s integrations are spared
+    if _linear_growth(mechanism, trajectory, poses, unit) < 0.1 * RESTART_GROWTH:  # saves 2 n_s integrations
         return None
     trajectory, first = _in_pieces(mechanism, trajectory, poses)
     n, widths = len(trajectory.breaks_s) - 1, np.diff(trajectory.breaks_s)
@@ -211,7 +211,7 @@ def _integrated_with_restarts(
     starts = (begins[:, None] + aside).reshape(-1, 2 * n_s)
     closed = one_stride(mechanism, np.repeat(poses, len(aside), axis=0), starts[:, :n_s])
     states = np.hstack([closed, starts[:, n_s:]]).reshape(n, len(aside), -1)
-    if not np.all(np.isfinite(states)):  # a pose next to a singular one, whose loops do not close a little aside
+    if not np.all(np.isfinite(states)):  # next to a singular pose the loops may not close at a slightly different position
         return None
     judged = [*mechanism.independent, *range(n_q, n_q + n_s)]
     found = errors_along(function, widths, inputs, states, judged, ends, unit, np.array([0.5, 1.0]), RESTART_GROWTH, until)
@@ -228,9 +228,9 @@ def _integrated_with_restarts(
 
 
 def _in_pieces(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarray) -> tuple[Trajectory, np.ndarray]:
-    """Return a trajectory on intervals over which no error grows to a restart, and the first (n_intervals,) of each before.
+    """Return a trajectory cut into intervals over which no error grows to a restart, and each old interval's first part.
 
-    The growth is that at intervals' first poses (n, n_q).
+    The first parts are indices (n_intervals,). The growth is that at intervals' first poses (n, n_q).
     """
     shares = []
     for width, slope in zip(np.diff(trajectory.breaks_s), _slopes(mechanism, trajectory, poses), strict=True):
@@ -241,7 +241,7 @@ def _in_pieces(mechanism: Mechanism, trajectory: Trajectory, poses: np.ndarray) 
 
 
 def _cut_at_forces(mechanism: Mechanism, trajectory: Trajectory) -> tuple[Trajectory, np.ndarray]:
-    """Return a trajectory on intervals over which forces over time are cubics, and the first of each interval before."""
+    """Return a trajectory cut into intervals over which forces over time are cubics, and each old interval's first part."""
     breaks, shares = trajectory.breaks_s, [np.array([0.0, 1.0])] * (len(trajectory.breaks_s) - 1)
     times = np.zeros(0) if mechanism.forces is None else mechanism.forces.curve.inner_times(float(breaks[-1]))
     for k in np.unique(np.searchsorted(breaks, times, side="right") - 1):

@@ -55,7 +55,7 @@ class MechanismCase:
     asked: Problem
     tightenings: tuple[Tightening, ...] = ()
     n_tightenings: int = 0
-    kinks: bool = True  # whether to seek kinks of continuous efforts
+    kinks: bool = True  # whether to search kinks of continuous efforts
     smoothing: float = SMOOTHING_WEIGHT  # see `formulate`
     enclosed: bool = False  # whether limits on power and pin force are imposed at every instant
     ties: float = 0.0  # see `formulate`
@@ -111,10 +111,10 @@ class MechanismCase:
 
 
 def case_of(problem: Problem, *, kinks: bool = True, enclosed: bool = False) -> MechanismCase:
-    """Return the case of a problem; with `kinks`, refinement seeks the kinks of continuous efforts.
+    """Return the case of a problem; with `kinks`, refinement searches the kinks of continuous efforts.
 
-    Limits on power of several freedoms are imposed at every instant. With one freedom the phase plane's legs keep them; with
-    `enclosed`, limits on power and pin force are imposed at every instant there too.
+    With several degrees of freedom, limits on power are imposed at every instant. With one, the phase plane's legs satisfy
+    them; with `enclosed`, limits on power and pin force are imposed at every instant there, too.
     """
     powers = problem.mesh.effort == "polynomial" and bool(np.any(np.isfinite(problem.limits.power)))
     return MechanismCase(problem, problem, kinks=kinks, enclosed=enclosed or (powers and problem.mechanism.dof > 1))
@@ -126,18 +126,18 @@ def _target(problem: Problem, *, kinks: bool, enclosed: bool) -> RefinementTarge
     Efforts jump between their limits, zero and constrained arcs if time or work is minimised. Efforts are continuous with
     kinks at their limits if squared efforts are minimised. In least time they are at their limits wherever no other limit
     binds. The change of the objective is checked where limits on coefficients may cost something that the motion itself does
-    not show. Switches are not sought if limits on power are imposed at every instant; jumps may then lie inside intervals.
+    not show. Switches are not searched if limits on power are imposed at every instant; jumps may then lie inside intervals.
     """
     objective = problem.objective
     continuous_efforts = objective.efforts("bend")
     bending = kinks and continuous_efforts and not objective.has("tracking")
     switches = not enclosed and (objective.efforts("jump") or bending) and not objective.efforts("smooth")
-    switches = switches and problem.mechanism.forces is None  # whose instants are those of the mesh
+    switches = switches and problem.mechanism.forces is None  # the instants of these jumps are those of the mesh
     lines = any(motor is not None and motor.line is not None for motor in problem.motors)
     bent = continuous_efforts and bool(np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent])))
     tolerance = 1e-7 if switches and (lines or bent) else None
     if any(limit.rows.jerk for limit in limits_of(problem)) or objective.has("peak_effort"):
-        tolerance = 1e-5  # looser, because jerk, and efforts inside their limits, may jump inside intervals
+        tolerance = 1e-5  # looser, because jerk, and efforts within their limits, may jump inside intervals
     return RefinementTarget(
         effort_limit=problem.limits.effort,
         switches=switches,
@@ -166,7 +166,7 @@ def is_exact(problem: Problem, certificate: Certificate) -> bool:
 
 
 def _tightened(problem: Problem, certificate: Certificate, *, further: bool) -> Problem:
-    """Return a problem whose limits that no row tightens are tightened by 1.1 times the overrun, `further` ones too."""
+    """Return a problem whose limits without tightenable rows, and `further` ones, are tightened by 1.1 times the overrun."""
     for margin in certificate.margins:
         by = margin.of.facts.tightened
         if by is Tightened.IN_PROBLEM or (further and by is Tightened.LATER_IN_PROBLEM):
@@ -239,12 +239,12 @@ def finished(
             sentence += f"; on the reference itself {over.sentence()}"
             details |= {"reference_needs": over.value, "reference_needs_at_s": over.time_s}
     slow = None if failure is not None else slow_share(problem.mechanism, trajectory)
-    if slow is not None and slow[0] > 0.1:  # less are its start, end and turning points
+    if slow is not None and slow[0] > 0.1:  # smaller shares are its start, end and turning points
         share, joint = slow
         details["slow_friction_share"] = share
         sentence += (
-            f"; {joint} is so slow during {share:.0%} of it that less than nine tenths of its dry friction are planned"
-            " (a lower mechanism.friction_transition_deg_s plans more)"
+            f"; during {share:.0%} of it {joint} is so slow that less than nine tenths of its dry friction are planned"
+            " (reduce mechanism.friction_transition_deg_s for more)"
         )
     if failure is not None:
         return replace(plan, status="failed", message=f"failed: {failure}", objective=None, details=details)
@@ -261,7 +261,7 @@ def _failure(plan: Plan) -> str | None:
     certificate, tolerance = plan.certificate, plan.problem.mesh.tolerance_deg
     assert certificate is not None  # of a motion
     if not certificate.passed:
-        return f"the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}"
+        return f"the solver converged, but the certificate does not pass: {'; '.join(certificate.failures)}"
     if plan.objective is not None and not np.isfinite(plan.objective):
         return f"the objective ({plan.problem.objective.name}) is {as_no_number(plan.objective)}"
     if tolerance is None or is_exact(plan.problem, certificate):
@@ -273,12 +273,12 @@ def _failure(plan: Plan) -> str | None:
     )
 
 
-# Rates at which a reference is tried, against its own, if the problem bounds no free duration.
+# Factors on a reference's speed that are tried if the problem has no bounds on a free duration.
 _LOWEST_RATE, _HIGHEST_RATE = 1e-3, 1e3
 
 
 def plan_prescribed(problem: Problem, start_pose: np.ndarray) -> Plan:
-    """Return the plan of a reference that must be followed exactly, in a free duration in the least that limits allow."""
+    """Return the plan of a reference that is followed exactly; if the duration is free, in the least feasible time."""
     if problem.motion.duration_s is None:
         return _plan_fastest(problem, start_pose)
     progress("following the reference")
@@ -291,15 +291,15 @@ def plan_prescribed(problem: Problem, start_pose: np.ndarray) -> Plan:
 
 
 def _too_fast(problem: Problem, start_pose: np.ndarray, over: Margin) -> Plan:
-    """Return the answer that a reference breaks a limit, with the highest rate at which it breaks none."""
+    """Return the plan that says that a reference violates a limit, with the highest rate at which it violates none."""
     sentence = f"on the reference {over.sentence()}"
     details = {"needed": over.value, "limit": over.limit, "time_s": over.time_s}
     nearest = 'motion.kind = "{}" plans the nearest motion that does'
-    if problem.mechanism.forces is not None:  # which would be others at another rate
+    if problem.mechanism.forces is not None:  # forces over time would not scale with the rate
         kind = "periodic" if problem.reference.periodic else "reach"
         message = f"infeasible: {sentence}; {nearest.format(kind)} not break it"
         return Plan(problem=problem, status="infeasible", message=message, details=details)
-    progress("looking for the highest feasible rate")
+    progress("searching for the highest feasible rate")
     rate, reference = highest_rate(problem, start_pose, _LOWEST_RATE, 1.0), problem.reference
     at = "at this amplitude" if isinstance(reference, Sine) else "along these positions"
     remedy = "no slower one satisfies the limits"
@@ -319,8 +319,8 @@ def _too_fast(problem: Problem, start_pose: np.ndarray, over: Margin) -> Plan:
 
 
 def _plan_fastest(problem: Problem, start_pose: np.ndarray) -> Plan:
-    """Return the plan of a reference in the least duration at which every limit is kept."""
-    progress("looking for the least duration of the reference")
+    """Return the plan of a reference in the least duration at which every limit is satisfied."""
+    progress("searching for the least duration of the reference")
     motion, own_s = problem.motion, problem.reference.period_s
     slowest = own_s / motion.max_duration_s if motion.max_duration_s else _LOWEST_RATE
     fastest = own_s / motion.min_duration_s if motion.min_duration_s else _HIGHEST_RATE
@@ -331,7 +331,7 @@ def _plan_fastest(problem: Problem, start_pose: np.ndarray) -> Plan:
         sentence = f"infeasible: even in {own_s / slowest:.4g} s, on the reference {worst.sentence()}"
         return Plan(problem=problem, status="infeasible", message=sentence)
     if rate == fastest and motion.min_duration_s is None:
-        message = f"failed: no limit is reached {fastest:g} times as fast as the reference; give motion.min_duration_s"
+        message = f"failed: no limit is reached at {fastest:g} times the speed of the reference; set motion.min_duration_s"
         return Plan(problem=problem, status="failed", message=message)
     trajectory = prescribe(at_rate(problem, rate), start_pose)
     binding = min(rate_margins(problem, start_pose, rate), key=lambda margin: margin.share)

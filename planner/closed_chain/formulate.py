@@ -32,12 +32,13 @@ from linkplan.planner.transcription.interval import COSTS, IntervalRows
 from linkplan.planner.transcription.system import Endpoint
 
 # Weight of the squared effort rate for objectives that leave efforts non-smooth (tracking, work), in scaled units. Without
-# it the nearest motion chatters at the ends of its bang arcs where limits bind (Fuller's phenomenon). With it, a swing over
-# the whole limit in a tenth of the motion costs as much as an rms error of 3e-4 of the motion's span.
+# it the nearest motion chatters at the ends of its bang arcs where limits are active (Fuller's phenomenon). With it, a
+# change of the effort over its whole range in a tenth of the motion costs as much as an rms error of 3e-4 of the motion's
+# span.
 SMOOTHING_WEIGHT = 2.5e-9
-# Weights of the mean squared effort, in shares of the limits, that breaks ties of several motors in least time: one joint
-# decides the time, and the others have time to spare. The first keeps first solves short: they take a half to a third of the
-# iterations, and the time is 5e-4 longer. The second makes it 1e-5 longer.
+# Weights of the mean squared effort, in shares of the limits, that break ties of several motors in least time: one joint
+# determines the time, and the others have slack. With the first weight, first solves take a half to a third of the
+# iterations, and the time is 5e-4 longer. With the second it is 1e-5 longer.
 FIRST_TIE_WEIGHT, TIE_WEIGHT = 1e-2, 1e-3
 
 
@@ -88,7 +89,7 @@ def formulate(
         scales: units of its unknowns.
         position_rows: impose the ranges of independent joints between the nodes too, of all or of some by their index.
         enclosed: impose limits on power and pin force between the nodes too.
-        least_limit: omit the objective, because only a motion is sought.
+        least_limit: omit the objective, because only a feasible motion is needed.
         tightenings: amounts by which limits are tightened along the motion, because it overran them between nodes.
         smoothing: the weight of the squared effort rate if the objective leaves efforts non-smooth, in scaled units.
         ties: the weight of the mean squared effort, see `tie_weights`.
@@ -177,7 +178,7 @@ def _is_given_with_pose(limit: Limit) -> bool:
 
 
 def _tightened_row(limit: Limit) -> TightenedRow:
-    assert limit.facts.tightened is not None  # of rows of a program; the others narrow the problem
+    assert limit.facts.tightened is not None  # only limits with rows that can be tightened come here
     return TightenedRow(limit.facts.kind, limit.item, limit.facts.tightened)
 
 
@@ -219,8 +220,8 @@ def _interval_rows(
 def tie_weights(problem: Problem, ties: float) -> np.ndarray:
     """Return the weights (n_u,) of the squared efforts' integrals [SI] that break ties, each by its limit and 1 / n_u.
 
-    They are zero for actuators without a limit, for one freedom, which has no ties, and for objectives without time or with
-    a term of squared efforts.
+    They are zero for actuators without a limit, for one degree of freedom, which has no ties, and for objectives without
+    time or with a term of squared efforts.
     """
     largest = np.abs(problem.limits.effort).max(axis=1)
     limited = np.isfinite(largest) & (largest > 0)
@@ -312,8 +313,8 @@ def phase_boundaries_of(problem: Problem, scales: Scales) -> tuple[PhaseBoundary
 def _first_position(problem: Problem) -> np.ndarray | None:
     """Return the start positions (n_s,) of a periodic motion, NaN where they are free; None if all are free.
 
-    A joint that turns endlessly passes every angle, so its motion may begin at any; it begins at home. The same holds for a
-    spin that affects nothing else.
+    A joint that turns continuously passes every angle, so its motion may begin at any angle; it begins at home. The same
+    holds for a spin that affects nothing else.
     """
     motion = problem.motion
     home = problem.mechanism.home[problem.mechanism.independent]

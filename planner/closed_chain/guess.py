@@ -1,4 +1,4 @@
-"""Initial guesses: motions that close the kinematic loops, meet the boundary states and need a feasible effort."""
+"""Initial guesses: motions that close the kinematic loops, satisfy the boundary states and need a feasible effort."""
 
 import functools
 import itertools
@@ -22,7 +22,7 @@ from linkplan.planner.transcription.mesh import Mesh, with_breaks
 
 # Samples along a guess at which its effort is evaluated: enough for a path of a few radians.
 GUESS_SAMPLES = 121
-# Forces over time that bend at more instants are met by refinement alone, and not by a first mesh with all these instants.
+# If forces over time have kinks at more instants, these are left to the refinement and are not in the first mesh.
 _MOST_FORCE_TIMES = 200
 # Ratio of the guessed duration to the time of the last waypoint with a prescribed time, if the guess would end before that.
 _LAST_WAYPOINT_STRETCH = 1.25
@@ -46,7 +46,7 @@ class Guess:
     # (n_switches,) switch times between its phase boundaries
     switch_times_s: np.ndarray | None = None
     bang_efforts: np.ndarray | None = None  # (n_segments, n_u) efforts between switch times and phase boundaries
-    share_of_effort: float = 0.95  # of the limits, at most: solvers that do not begin close to it need room
+    share_of_effort: float = 0.95  # of the limits at most, because solvers need a distance from bounds
 
 
 def guess_from(trajectory: Trajectory) -> Guess:
@@ -98,7 +98,7 @@ def force_times(problem: Problem) -> np.ndarray:
 
 
 def with_force_times(problem: Problem, mesh: Mesh, durations: np.ndarray) -> Mesh:
-    """Return a mesh with segments of durations [s] whose intervals end at the times at which forces over time bend."""
+    """Return a mesh with segments of durations [s] whose intervals end at the kinks of forces over time."""
     times = force_times(problem)
     return with_breaks(mesh, durations, times) if 0 < len(times) <= _MOST_FORCE_TIMES else mesh
 
@@ -117,12 +117,12 @@ def follows_reference(problem: Problem) -> bool:
 
 
 def perturbed_guesses(problem: Problem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
-    """Yield endlessly the first guess with a few half waves of pseudo-random size added, the same in every run."""
+    """Yield without end the first guess with a few half waves of pseudo-random size added, the same in every run."""
     base = first_guess(problem, start_pose)
     times = np.linspace(0.0, base.duration_s, GUESS_SAMPLES)
     s = base.position(times)
     unit = unit_steps(problem.mechanism.independent_joints, problem.mechanism.extent_m)
-    span = np.maximum(np.ptp(s, axis=0), 0.1 * unit)  # a guess that hardly moves is bent by this much
+    span = np.maximum(np.ptp(s, axis=0), 0.1 * unit)  # the size of perturbations of a guess that hardly moves
     for number in itertools.count(1):
         offset, _ = perturbation(number, times / base.duration_s, span)
         yield f"perturbed guess {number}", _splined(times, s + offset, base.start_pose, base.boundaries_s)
@@ -228,7 +228,7 @@ def guess_along(
 
 
 def stretched(guess: Guess, duration: float) -> Guess:
-    """Return a guess slowed or hastened to a duration, its efforts left to inverse dynamics."""
+    """Return a guess scaled in time to a duration; its efforts are left to inverse dynamics."""
     factor = guess.duration_s / duration
     return Guess(
         position=lambda t: guess.position(factor * t),
@@ -245,7 +245,7 @@ def stretched(guess: Guess, duration: float) -> Guess:
 def swinging_guesses(problem: Problem, start_pose: np.ndarray) -> Iterator[Guess]:
     """Yield motions for a reach that gain energy by swinging: first away from the goal, or past the goal and back.
 
-    The direct way is infeasible with less effort than gravity needs, and a solver that starts on it fails.
+    With less effort than gravity requires, the direct path is infeasible, and a solver that starts from it fails.
     """
     motion = problem.motion
     if motion.kind != "reach" or motion.waypoints:
@@ -261,7 +261,7 @@ def swinging_guesses(problem: Problem, start_pose: np.ndarray) -> Iterator[Guess
 
 
 def _smooth_path(problem: Problem, duration: float, rests: bool = False) -> PiecewisePolynomial:
-    """Return quintics through the phase boundaries with zero acceleration there (Flash & Hogan 1985); `rests`: and speed."""
+    """Return quintics through phase boundaries without acceleration there (Flash & Hogan 1985), or speed if `rests`."""
     motion = problem.motion
     if motion.waypoints:
         times, s = boundary_times(problem, duration), _boundary_positions(problem)
@@ -289,8 +289,7 @@ def _smooth_path(problem: Problem, duration: float, rests: bool = False) -> Piec
 def _shortest_duration(problem: Problem, start_pose: np.ndarray) -> float:
     """Return the duration at which the smooth path needs exactly the effort limit, by bisection in the log of time.
 
-    1 s if the loops cannot close along it, if no duration will do, or if no limit bounds it. Actuators without a limit bound
-    nothing.
+    It is 1 s if the loops cannot close along the path, if no duration is enough, or if no actuator has a limit.
     """
     given = [w.time_s for w in problem.motion.waypoints if w.time_s is not None]
     if given:

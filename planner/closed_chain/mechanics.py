@@ -12,7 +12,7 @@ dependent joints are unknowns, and the same equations are
 
     phi(q) = 0,   J q' = 0,   J q'' + J' q' = 0,   M q'' + h - B u - J^T mu = 0.
 
-Nothing is solved symbolically: there are 3 n_z more unknowns and rows, and the expressions are as short as those of the
+Nothing is solved symbolically. There are 3 n_z more unknowns and rows, but the expressions are as short as those of the
 tree. The motions are the same.
 """
 
@@ -42,7 +42,7 @@ _MAX_ELIMINATION_OPERATIONS = 1_000
 def is_lifted(mechanism: Mechanism) -> bool:
     """Check if a mechanism's program is lifted; an open tree has no dependent joints to lift.
 
-    Along a path it is not: lifted multipliers would let the path push.
+    Along a path it is not lifted, because lifted multipliers would be forces of the path.
     """
     if not len(mechanism.dependent) or mechanism.dynamics.projected or mechanism.n_equations > mechanism.dof:
         return False
@@ -139,8 +139,8 @@ class NodeTerms:
     """The terms evaluated at a node, which determine the structure of its functions.
 
     `running` are the objective's terms that are integrals of a quantity at nodes. `limits` have rows or unknowns at nodes.
-    `passed` are the coordinates (index, axis) of sites and bodies that waypoints prescribe. `has_jerk` tells whether any of
-    these takes the independent joints' jerk.
+    `passed` are the coordinates (index, axis) of sites and bodies that waypoints prescribe. `has_jerk` is True if any of
+    these depends on the independent joints' jerk.
     """
 
     running: tuple[Term, ...] = ()

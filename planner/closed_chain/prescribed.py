@@ -26,7 +26,8 @@ _REFERENCE_DEGREE = 8
 def prescribe(problem: Problem, start_pose: np.ndarray) -> Trajectory:
     """Return the reference as a trajectory with efforts by inverse dynamics.
 
-    A period has the intervals asked for, and the motion eight, or more: the reference is a polynomial or smooth on each.
+    A period has the problem's number of intervals and the motion at least eight; the reference is a polynomial or smooth on
+    each.
     """
     guess, reference = reference_guess(problem, start_pose), problem.reference
     T, period_s = guess.duration_s, reference.period_s
@@ -90,7 +91,7 @@ def rounded_up(value: float) -> float:
 
 
 def at_rate(problem: Problem, rate: float) -> Problem:
-    """Return a problem whose reference is followed `rate` times as fast, over as many periods."""
+    """Return a problem whose reference is followed `rate` times as fast, over the same number of periods."""
     given = problem.motion.duration_s
     motion = replace(problem.motion, duration_s=None if given is None else given / rate)
     return replace(problem, reference=problem.reference.stretched(1.0 / rate), motion=motion)
@@ -104,13 +105,13 @@ def rate_margins(problem: Problem, start_pose: np.ndarray, rate: float) -> list[
 
 
 def reference_overrun(problem: Problem, start_pose: np.ndarray) -> Margin | None:
-    """Return the largest overrun, as a share of the limit's size, of the reference followed exactly; None without any."""
+    """Return the largest overrun of the reference followed exactly, as a share of the limit's size; None without any."""
     over = [margin for margin in rate_margins(problem, start_pose, 1.0) if not margin.kept]
     return min(over, key=lambda margin: margin.share, default=None)
 
 
 def highest_rate(problem: Problem, start_pose: np.ndarray, slowest: float, fastest: float) -> float | None:
-    """Return the highest rate at which the reference keeps every limit, found by bisection; None if there is none.
+    """Return the highest rate at which the reference satisfies every limit, by bisection; None if there is none.
 
     Rates are between `slowest` and `fastest`.
     """
@@ -122,7 +123,7 @@ def highest_rate(problem: Problem, start_pose: np.ndarray, slowest: float, faste
 
 
 def at_rate_along(problem: Problem, motion: Trajectory, rate: float) -> Trajectory:
-    """Return a motion run `rate` times as fast, with the efforts that it then needs, by inverse dynamics.
+    """Return a motion `rate` times as fast, with efforts by inverse dynamics.
 
     Raises:
         AssemblyError: if its loops cannot close.
@@ -133,10 +134,10 @@ def at_rate_along(problem: Problem, motion: Trajectory, rate: float) -> Trajecto
 
 
 def highest_kept_rate(keeps: Callable[[float], bool], slowest: float, fastest: float) -> float | None:
-    """Return the highest rate from `slowest` to `fastest` that is kept, found by bisection; None if there is none.
+    """Return the highest rate from `slowest` to `fastest` that is feasible, by bisection; None if there is none.
 
-    Rates up to one that is kept are taken to be kept. If weight needs more at rest than in motion, `slowest` is not kept;
-    the bisection then begins at the motion's own speed.
+    All rates below a feasible one are assumed to be feasible. If the holding effort at rest exceeds that in motion,
+    `slowest` is not feasible; the bisection then begins at the motion's own speed.
     """
     if keeps(fastest):
         return fastest
@@ -148,17 +149,17 @@ def highest_kept_rate(keeps: Callable[[float], bool], slowest: float, fastest: f
     return low
 
 
-# Terms of an objective that at rest are squares of efforts, or the same for all: of efforts that hold the same, the least
-# are best.
+# Terms of an objective that at rest are squares of efforts or constant. For these, the least of all holding efforts are
+# best.
 SQUARES_AT_REST = {"effort", "copper_loss", "effort_rate", "work", "time"}
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Holding:
-    """The constant efforts that hold a pose at rest within their limits, or what is missing for it.
+    """The constant efforts that hold a pose at rest within their limits, or the missing ones.
 
     `effort` (n_u,) are the best within the limits and `needed` (n_u,) the least without them [N.m or N]; `missed` (n_s,) is
-    what weight and springs ask for and `effort` does not give. `best`: no others that hold the pose cost less.
+    the part of the holding effort that `effort` does not provide. `best`: no other holding efforts cost less.
     """
 
     s: np.ndarray  # (n_s,) [rad or m]
@@ -166,7 +167,7 @@ class Holding:
     effort: np.ndarray
     needed: np.ndarray
     missed: np.ndarray
-    slack: float  # the largest `missed` that is rounding
+    slack: float  # the largest `missed` that is due to rounding
     unique: bool  # whether no other efforts hold the pose
     best: bool
 
@@ -190,7 +191,7 @@ class Holding:
 
 
 def holding_at(problem: Problem, s: np.ndarray) -> Holding:
-    """Return what holds a pose s (n_s,) [rad or m] at rest.
+    """Return the efforts that hold a pose s (n_s,) [rad or m] at rest.
 
     Raises:
         AssemblyError: if the loops do not close there.
@@ -198,7 +199,7 @@ def holding_at(problem: Problem, s: np.ndarray) -> Holding:
     mechanism, limit, objective = problem.mechanism, problem.limits.effort, problem.objective
     pose, still = close_at(mechanism, s), np.zeros((1, mechanism.dof))
     tau, maps = demanded(mechanism, pose[None], still, still)
-    # In units in which every effort costs the same per square.
+    # In units in which the squares of all efforts have the same cost.
     price = objective.weight("effort") + objective.weight("copper_loss") * motor_losses(problem.motors)
     unit = 1.0 / np.sqrt(np.where(price > 0, price, price.max(initial=0.0) or 1.0))
     effort = unit * effort_within(tau, maps * unit, limit / unit[:, None])[0]
@@ -222,7 +223,7 @@ def _figure(value: float) -> str:
 
 
 def unheld(problem: Problem, holding: Holding) -> tuple[str, dict[str, float]]:
-    """Return a sentence on why no efforts within their limits hold a pose, and its numbers."""
+    """Return a sentence on the reason why no efforts within their limits hold a pose, and its numbers."""
     mechanism, needed = problem.mechanism, holding.needed
     nearest = np.clip(needed, *problem.limits.effort.T)
     j = int(np.argmax(np.abs(needed - nearest)))
@@ -237,5 +238,5 @@ def unheld(problem: Problem, holding: Holding) -> tuple[str, dict[str, float]]:
     row = int(np.argmax(np.abs(holding.missed)))
     joint, missed = mechanism.independent_joints[row], float(holding.missed[row])
     lacking = f"{_figure(missed)} {joint.si_units[1]} on joint {joint.name}"
-    sentence = f"the start is no equilibrium: no actuator gives the {lacking} that hold it"
+    sentence = f"the start is no equilibrium: no actuator can give the {lacking} needed to hold it"
     return sentence, {"needed": missed, "limit": 0.0}

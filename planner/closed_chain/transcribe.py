@@ -47,8 +47,8 @@ def choose_scales(problem: Problem, guess: Guess) -> Scales:
     times, poses = (samples[::2] for samples in even_poses(problem, guess))
     need, _ = needed_effort(mechanism, poses, guess.velocity(times), guess.acceleration(times), times)
     position = position_units(mechanism, guess.position(times))
-    # A joint at rest needs almost no effort. Its unit is the effort that moves it by its unit beside joints that move, and
-    # 1e-6 of that if all are at rest in balance.
+    # A joint at rest needs almost no effort. Its effort unit is the effort that moves it by its position unit if other
+    # joints move, and 1e-6 of that if all are at rest in balance.
     inertia = sampled(mechanism.dynamics.reduced_inertia, poses[:1])[0]
     maps = np.array([np.array(mechanism.dynamics.effort_map(q)) for q in poses[::10]])
     leverage = np.maximum(np.abs(maps).max(axis=0), max(1e-3 * np.abs(maps).max(initial=0.0), 1e-300))
@@ -63,7 +63,7 @@ def choose_scales(problem: Problem, guess: Guess) -> Scales:
     effort = np.where(effort > 0, effort, 1.0)
     residual = np.abs(maps).max(axis=0) @ effort
     residual = np.where(residual > 0, residual, effort.max())
-    # On a spin the actuators' leverage is rounding and no unit. The effort of the spin's own motion is the unit.
+    # On a passive spin the actuators' moment arms are rounding errors, so the unit is the effort of the spin's own motion.
     spins, rates, none = ~mechanism.actuated, position / guess.duration_s, 0.0 * position
     moved, still = (mechanism.dynamics.inverse_dynamics(poses[0], v, none) for v in (rates, none))
     own = np.abs(inertia) @ rates / guess.duration_s + np.abs(np.array(moved - still)).ravel()
@@ -103,8 +103,8 @@ def transcribe(
         position_rows: impose the ranges of independent joints between the nodes too, of all or of some by their index.
         enclosed: impose limits on power and pin force between the nodes too.
         least_limit: minimise the common factor on the effort limits instead of the objective.
-        bang_efforts: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
-        constrained_paths: (n_segments, n_path) path quantities held at their upper limit (1) or lower limit (-1) over whole
+        bang_efforts: (n_segments, n_u) efforts fixed over whole segments, NaN where they are free.
+        constrained_paths: (n_segments, n_path) path quantities fixed at their upper limit (1) or lower limit (-1) over whole
             segments.
         tightenings: amounts by which limits are tightened, because a motion overran them between nodes.
         smoothing: see `formulate`.
@@ -186,7 +186,7 @@ def _with_numbers_of(problem: Problem, transcribed: Transcribed, tightenings: tu
 
 
 def own_objective(transcribed: Transcribed, objective: float, motion: Trajectory) -> float:
-    """Return a motion's objective in SI without the terms that its program adds: the smoothing, and what breaks ties.
+    """Return a motion's objective in SI without the terms that its program adds for smoothing and breaking ties.
 
     They are smoothing x unit x T x integral of (u' / U)^2 dt over all actuators, and the integral of ties x u^2 dt; both are
     exact for the efforts' polynomials.

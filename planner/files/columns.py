@@ -1,4 +1,4 @@
-"""Columns of samples as files: CSV for people, Parquet for programs, with units in the heads; and `trajectory.npz`.
+"""Columns of samples as files: CSV for people, Parquet for programs, with units in the names; and `trajectory.npz`.
 
 Run-length and dictionary encodings of Parquet can expand 3 MB to 30 million rows. The metadata of a file that is read back
 (schema, rows, bytes, encodings) are therefore checked before a column is decoded, and texts stay dictionary-encoded until
@@ -37,7 +37,7 @@ def read_member(archive: zipfile.ZipFile, name: str, max_bytes: int) -> bytes:
     """Return the bytes of an archive's member.
 
     Raises:
-        ValueError: when it declares more bytes than `max_bytes`, or holds another number of bytes than it declares.
+        ValueError: if it declares more than `max_bytes`, or its number of bytes differs from the declared one.
     """
     declared = archive.getinfo(name).file_size
     if declared > max_bytes:
@@ -53,7 +53,7 @@ def read_trajectory(path: Path) -> Trajectory:
     """Return the trajectory in a file.
 
     Raises:
-        PlanFileError: when the file is missing, truncated or no trajectory.
+        PlanFileError: if the file is missing, truncated or not a trajectory.
     """
     try:
         content = read_file(path, f"'{path}'", MAX_FILE_BYTES, PlanFileError)
@@ -75,7 +75,7 @@ def read_trajectory(path: Path) -> Trajectory:
             return trajectory
     except PlanFileError:
         raise
-    except Exception as error:  # the parsers of zip files and headers raise some fifteen types on damaged bytes
+    except Exception as error:  # the parsers of zip files and headers raise about fifteen types of errors on damaged bytes
         why = one_line(error) or type(error).__name__
         raise PlanFileError(f"'{path}' is truncated or not a trajectory: {why}") from error
 
@@ -128,7 +128,7 @@ def read_csv(path: Path, what: str) -> dict[str, np.ndarray]:
     """Return the columns (n,) of a CSV file of numbers by their heads; empty lines and lines from # on are skipped.
 
     Raises:
-        ProblemError: if it cannot be read, or a row is not a number for each head, with the line's number.
+        ProblemError: if it cannot be read, or a row does not have one number per column, with the line's number.
     """
     try:
         text = read_file(path, what, MAX_FILE_BYTES).decode("utf-8-sig")
@@ -138,7 +138,7 @@ def read_csv(path: Path, what: str) -> dict[str, np.ndarray]:
     heads = [head.strip() for head in next(csv.reader([lines[0][1]]))] if lines else []
     if len(heads) < 2 or len(set(heads)) < len(heads) or len(lines) < 3:
         raise ProblemError(
-            f"{what} is a line of different heads, separated by commas, and two or more rows of numbers; got"
+            f"{what} must have a line of different column names, separated by commas, and two or more rows of numbers; got"
             f" {shown(', '.join(heads) or 'nothing')} and {max(0, len(lines) - 1)} rows"
         )
     rows = []
@@ -149,7 +149,7 @@ def read_csv(path: Path, what: str) -> dict[str, np.ndarray]:
         except ValueError:
             row = []
         if len(row) != len(heads) or not np.all(np.isfinite(row)):
-            raise ProblemError(f"{what}, line {number}, has {len(heads)} finite numbers, got '{shown(line)}'")
+            raise ProblemError(f"{what}, line {number}, must have {len(heads)} finite numbers, got '{shown(line)}'")
         rows.append(row)
     return dict(zip(heads, np.array(rows).T, strict=True))
 
@@ -191,7 +191,7 @@ def read_table(path: Path, kinds: Mapping[str, Kind], rows: int) -> dict[str, np
     import pyarrow.parquet as parquet
     from pyarrow import BufferReader
 
-    # A number takes eight bytes, the texts of a row some hundred, the metadata of a block of rows some kilobytes.
+    # A number takes eight bytes, the texts of a row about a hundred, the metadata of a block of rows some kilobytes.
     max_bytes = rows * (16 * len(kinds) + 1000) + 4_000_000
     content = read_file(path, f"'{path}'", max_bytes, PlanFileError)
     words = [name for name, kind in kinds.items() if kind == "word"]
@@ -202,7 +202,7 @@ def read_table(path: Path, kinds: Mapping[str, Kind], rows: int) -> dict[str, np
         return {name: _values(table[name], name, kind) for name, kind in kinds.items()}
     except PlanFileError:
         raise
-    except Exception as error:  # Arrow's parsers raise a dozen kinds on damaged bytes
+    except Exception as error:  # Arrow's parsers raise a dozen types of errors on damaged bytes
         why = one_line(error) or type(error).__name__
         raise PlanFileError(f"'{path}' is truncated or not a Parquet table: {why[:200]}") from error
 
@@ -225,7 +225,7 @@ def _refuse_content(found: Any, path: Path, n_columns: int, rows: int, max_bytes
     """Refuse metadata with another number of rows, too many bytes, or other encodings than linkplan writes."""
     groups = [found.row_group(k) for k in range(found.num_row_groups)]
     if found.num_rows != rows or sum(group.num_rows for group in groups) != rows:
-        raise PlanFileError(f"'{path}' has {found.num_rows} rows; {rows} were asked for")
+        raise PlanFileError(f"'{path}' has {found.num_rows} rows; {rows} were expected")
     chunks = [group.column(k) for group in groups for k in range(n_columns)]
     size = sum(chunk.total_uncompressed_size for chunk in chunks)
     if size > max_bytes:

@@ -1,4 +1,4 @@
-"""Result folders: written whole or not at all; files of the user are never replaced.
+"""Result folders: written completely or not at all; files of the user are never replaced.
 
 A result is written in a work folder next to its place and synchronised to the disk. Without an earlier result, one rename
 puts it in its place. Over an earlier result, one rename puts it into that folder as `.linkplan-new`, and the new result is
@@ -41,25 +41,25 @@ def place_of(target: Path) -> Path:
     Raises:
         PlanFileError: for the working folder, the home folder, folders above them, and impossible paths.
     """
-    if Path(target).parts[:1] == ("~",):  # the user might remove a folder of that name by "rm -r ~"
+    if Path(target).parts[:1] == ("~",):  # a folder named "~" is dangerous: the user might remove it by "rm -r ~"
         raise PlanFileError(f"'{target}' begins with a ~ that no shell has replaced; write the home folder's path")
     # A missing working folder, circular links, a zero byte.
-    with refusals(f"'{target}' is no path for a folder", RuntimeError, ValueError):
+    with refusals(f"'{target}' cannot be the path of a folder", RuntimeError, ValueError):
         place, here = Path(target).resolve(), Path.cwd().resolve()
         os.path.lexists(place)
     if place == here or place in here.parents:
-        raise PlanFileError(f"'{target}' is the working folder or above it; name a folder of its own for the result")
+        raise PlanFileError(f"'{target}' is the working folder or above it; name a separate folder for the result")
     try:
         home = Path.home().resolve()
     except (OSError, RuntimeError):  # neither HOME nor an entry of this user
         return place
     if place == home or place in home.parents:
-        raise PlanFileError(f"'{target}' is the home folder or above it; name a folder of its own for the result")
+        raise PlanFileError(f"'{target}' is the home folder or above it; name a separate folder for the result")
     return place
 
 
 def check_target(target: Path, record: str = "plan.json") -> None:
-    """Refuse a target that could not be written later, before long work begins.
+    """Refuse a target that cannot be written, before long work begins.
 
     A folder may be written into if it is empty or holds an earlier result of the same kind whose files are unchanged. The
     remains of killed processes are removed first.
@@ -69,8 +69,8 @@ def check_target(target: Path, record: str = "plan.json") -> None:
         record: the name of the record of that kind of result.
 
     Raises:
-        PlanFileError: when the target is a file or a folder of the user's, when files of the earlier result have changed or
-            must not be replaced, and when the folder above cannot be written.
+        PlanFileError: if the target is the user's file or folder, if files of the earlier result have changed or must not be
+            replaced, or if the folder above cannot be written.
     """
     place = place_of(target)
     with refusals(f"'{target}' cannot be written"):
@@ -80,7 +80,7 @@ def check_target(target: Path, record: str = "plan.json") -> None:
             complete(place)
             _refuse_folder(target, place, record)
         elif os.path.lexists(place):
-            raise PlanFileError(f"a result is a folder; '{target}' is a file")
+            raise PlanFileError(f"a result must be a folder; '{target}' is a file")
         parent = place.parent
         while not os.path.lexists(parent):
             parent = parent.parent
@@ -115,7 +115,7 @@ def _refuse_folder(target: Path, place: Path, record: str) -> None:
             )
     for name in (*_folders_of(manifest.files), *manifest.files, MANIFEST):
         if os.path.lexists(place / name) and not os.access(place / name, os.W_OK):  # root cannot write immutable files
-            raise PlanFileError(f"'{target}' holds '{name}', which may not be changed; name another folder")
+            raise PlanFileError(f"'{target}' contains '{name}', which cannot be changed; name another folder")
 
 
 def _mount_in(folder: Path) -> str | None:
@@ -173,8 +173,10 @@ def _put_in_place(target: Path, work: Path, place: Path) -> None:
         old = read_manifest(place)
         name = None if old is None else _taken(place, old, set(files_in(work)) - {MANIFEST})
         if name is not None:
-            raise PlanFileError(f"'{target}' holds '{name}', which linkplan would now write; move it or name another folder")
-        for folder in sorted(_folders_of(files_in(work))):  # a full disk is noticed here, before anything changes
+            raise PlanFileError(
+                f"'{target}' contains '{name}', which linkplan needs to write; move it or name another folder"
+            )
+        for folder in sorted(_folders_of(files_in(work))):  # a full disk causes an error here, before anything changes
             (place / folder).mkdir(exist_ok=True)
         work.rename(place / _NEW_RESULT)
         sync_folder(place)
@@ -208,7 +210,7 @@ def _complete(folder: Path) -> None:
     source = folder / _NEW_RESULT
     try:
         new, old = read_manifest(source), read_manifest(folder)
-        if new is None:  # the manifest was moved last: only this folder is left
+        if new is None:  # the manifest is moved last, so only this folder is left
             _remove_if_empty(source)
             return
         listed = {} if old is None else old.files
@@ -233,8 +235,8 @@ def _complete(folder: Path) -> None:
     except OSError as error:
         why = error.strerror or error
         raise PlanFileError(
-            f"'{folder}' is replaced in part: {why}; the rest of the new result is in '{source}', and the next command that"
-            " uses the folder goes on"
+            f"'{folder}' is only partly replaced: {why}; the rest of the new result is in '{source}'; the next command that"
+            " uses the folder continues"
         ) from error
 
 
@@ -296,7 +298,7 @@ def plain_record(record: Mapping | Struct) -> dict:
 
 
 def write_json(path: Path, record: Mapping | Struct) -> None:
-    """Write a record as JSON with a line for each key; a list of numbers stands in one line."""
+    """Write a record as JSON with a line for each key; a list of numbers is on one line."""
     path.write_text(_lines(plain_record(record), "\n") + "\n", encoding="utf-8")
 
 
@@ -308,4 +310,4 @@ def _lines(value: object, line: str) -> str:
         return f"{{{inner}{f',{inner}'.join(items)}{line}}}"
     if isinstance(value, list) and any(isinstance(item, dict) for item in value):
         return f"[{inner}{f',{inner}'.join(_lines(item, inner) for item in value)}{line}]"
-    return json.dumps(value, allow_nan=False)  # the encoder in C, twenty times as fast as an indented one
+    return json.dumps(value, allow_nan=False)  # the encoder in C, twenty times as fast as the indenting one

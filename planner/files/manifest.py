@@ -23,7 +23,7 @@ from linkplan.planner.files.structs import read_value
 MAX_RECORD_BYTES = 8_000_000
 Record = TypeVar("Record")
 MANIFEST = ".linkplan.json"
-# A manifest of 10,000 cases lists some 40,000 files. The limit protects memory from other files.
+# A manifest of 10,000 cases lists about 40,000 files. The limit protects memory from other files.
 _MAX_LISTED_FILES = 400_000
 # The name of the record in each kind of result.
 RECORDS = (

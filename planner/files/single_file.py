@@ -1,7 +1,7 @@
-"""Single files, written whole or not at all; files of the user are never replaced.
+"""Single files, written completely or not at all; files of the user are never replaced.
 
-`write_new` makes a new file, `write_again` replaces a file that is as it was written, and `write_file_whole` replaces only
-files that carry linkplan's mark.
+`write_new` writes a new file, `write_again` replaces a file that is unchanged since it was written, and `write_file_whole`
+replaces only files with linkplan's mark.
 """
 
 import os
@@ -14,7 +14,7 @@ from linkplan.models.work_folders import replace_file, sweep, work_folder
 
 # The mark of pictures and films, where each format allows it: a PNG's text, a GIF's comment, an MP4's metadata.
 MADE_BY = "made by linkplan render"
-# A mark is within so many bytes of a file's begin: those of pictures, films, pages and schemas are.
+# A mark is within this many bytes from the beginning of pictures, films, pages and schemas.
 _MARKED_BYTES = 16 << 20
 
 
@@ -26,7 +26,7 @@ def check_new(path: Path) -> None:
     """
     with refusals(f"'{path}' is no path for a file", ValueError):
         if os.path.lexists(path):
-            raise PlanFileError(f"'{path}' is there already, and no file is overwritten; name another, or remove it")
+            raise PlanFileError(f"'{path}' already exists, and no file is overwritten; name another, or remove it")
         if not path.name:
             raise PlanFileError(f"'{path}' is no path for a file")
         _check_folder(path, path.parent)
@@ -46,7 +46,7 @@ def write_new(path: Path, content: bytes) -> None:
             file.flush()
             os.fsync(file.fileno())
         try:
-            os.link(part, path)  # unlike renaming, this fails if the path exists by now
+            os.link(part, path)  # unlike renaming, this fails if the path now exists
         except FileExistsError:
             check_new(path)
             raise
@@ -59,7 +59,7 @@ def write_again(path: Path, content: bytes, earlier: bytes) -> None:
     """Replace a file that was written before with the content `earlier`, or write a new one if there is none.
 
     Raises:
-        PlanFileError: if the file has another content by now or is a link, or the disk refuses.
+        PlanFileError: if the file's content has changed, it is a link, or the disk refuses.
     """
     if not os.path.lexists(path):
         write_new(path, content)
@@ -74,7 +74,7 @@ def write_again(path: Path, content: bytes, earlier: bytes) -> None:
 
 
 def _check_unchanged(path: Path, earlier: bytes) -> None:
-    """Refuse a file that is not as it was written."""
+    """Refuse a file that has changed since it was written."""
     if path.is_symlink() or not path.is_file():
         raise PlanFileError(
             f"'{path}' is not the file that was written before, and nothing is overwritten; move it or name another"
@@ -86,7 +86,7 @@ def _check_unchanged(path: Path, earlier: bytes) -> None:
 
 
 def check_file_target(target: Path, suffixes: tuple[str, ...] = (), mark: str = MADE_BY) -> None:
-    """Refuse a file that could not be written later, before long work begins.
+    """Refuse a file that cannot be written, before long work begins.
 
     An existing file may be replaced if it contains `mark`. If `suffixes` is empty, any suffix is legal.
 
@@ -95,15 +95,15 @@ def check_file_target(target: Path, suffixes: tuple[str, ...] = (), mark: str = 
     """
     suffix = target.suffix.lower()
     if suffixes and suffix not in suffixes:
-        raise PlanFileError(f"'{target}' ends in {', '.join(suffixes[:-1])} or {suffixes[-1]}, got '{target.suffix}'")
+        raise PlanFileError(f"'{target}' must end in {', '.join(suffixes[:-1])} or {suffixes[-1]}, got '{target.suffix}'")
     with refusals(f"'{target}' cannot be written", RuntimeError, ValueError):
         place = target.resolve()
         sweep(place.parent)
         if place.is_dir():
-            raise PlanFileError(f"'{target}' is a folder; the result is a file")
+            raise PlanFileError(f"'{target}' is a folder; the result must be a file")
         _check_folder(target, place.parent)
         if os.path.lexists(place) and not _is_ours(place, mark):
-            raise PlanFileError(f"'{target}' is there and not linkplan's; move it or name another file")
+            raise PlanFileError(f"'{target}' exists and was not written by linkplan; move it or name another file")
 
 
 def write_file_whole(

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 else:
 
     class Number(float):
-        """The type of a field with a number that need not be finite: null in JSON, not a number when it is read."""
+        """The type of a field whose number may not be finite: JSON has null for it, which is read as NaN."""
 
     class Beside(Generic[T]):
         """The type of a field that figures need and the JSON does not have: `Beside[np.ndarray]`."""
@@ -47,5 +47,5 @@ def _json_fields(kind: type[Struct]) -> tuple[tuple[str, str, Any], ...]:
 
 
 def read_value(kind: type, value: object) -> object:
-    """Return an array or a `Number` from its JSON, where null is not a number: msgspec's hook to read a struct."""
+    """Return an array or a `Number` from its JSON, with NaN for null: msgspec's hook for reading a struct."""
     return np.array(value, dtype=float) if kind is np.ndarray else kind("nan" if value is None else convert(value, float))

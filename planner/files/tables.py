@@ -32,7 +32,7 @@ BUILT_IN = (
     "cart-pole-swing-up",
 )
 
-# The file that identifies a saved plan's folder, and the other files in it.
+# The file that identifies the folder of a saved plan, and its other files.
 PLAN_FILE = "plan.json"
 PLAN_FILES = (PLAN_FILE, "trajectory.npz", "trajectory.csv", "plan.png")
 
@@ -64,7 +64,7 @@ def inline(value: object, where: str = "value") -> str:
     """Return a value in TOML's syntax, on one line.
 
     Raises:
-        ProblemError: for a value that is no word, number, list or table.
+        ProblemError: for a value that is not a word, number, list or table.
     """
     if isinstance(value, bool):
         return str(value).lower()
@@ -73,7 +73,7 @@ def inline(value: object, where: str = "value") -> str:
     if isinstance(value, int):
         return repr(int(value))
     if isinstance(value, float):
-        return repr(float(value))  # numpy's floats have another repr
+        return repr(float(value))  # because numpy's floats have another repr
     if isinstance(value, str):
         return quoted(value)
     if isinstance(value, list | tuple):
@@ -105,15 +105,15 @@ def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:
     if not os.path.exists(path):
         raise ProblemError(unknown_source("problem", text, BUILT_IN))
     if path.suffix in (".xml", ".mjcf"):
-        raise ProblemError(f"problem '{shown}' is a model, which check and new take; a problem is a TOML file")
+        raise ProblemError(f"problem '{shown}' is a model, for check and new; a problem is a TOML file")
     tables = read_toml(path, f"problem '{text}'")
     if "motion" not in tables and ("sweep" in tables or "case" in tables):
-        raise ProblemError(f"'{shown}' is a batch file, which batch takes; a problem has [mechanism] and [motion]")
+        raise ProblemError(f"'{shown}' is a batch file, for batch; a problem has [mechanism] and [motion]")
     return shown_name(path.stem), tables, path.parent
 
 
 def refuse_saved_plan(source: str, what: str, legal: str) -> None:
-    """Refuse the folder of a saved plan, or a file in it, given for something else.
+    """Refuse the folder of a saved plan, or a file in it, where something else is expected.
 
     Args:
         source: a path.
@@ -149,7 +149,7 @@ def apply_override(tables: Tables, override: str) -> None:
     """Set one key of `tables` from "section.key=value"; the value is in TOML syntax, or a bare word for a string."""
     key, equals, text = override.partition("=")
     if not equals:
-        raise ProblemError(f"a setting is section.key=value, got '{override}'")
+        raise ProblemError(f"a setting must be section.key=value, got '{override}'")
     set_key(tables, key, parse_value(text.strip(), override))
 
 
@@ -161,7 +161,7 @@ def set_key(tables: Tables, key: str, value: object) -> None:
     """
     path = [part.strip() for part in key.split(".")]
     if len(path) < 2 or not all(path):
-        raise ProblemError(f"a setting is section.key=value, got '{key}'")
+        raise ProblemError(f"a setting must be section.key=value, got '{key}'")
     node: dict[str, Any] = tables
     for depth, part in enumerate(path[:-1]):
         child = node.setdefault(part, {})
@@ -175,7 +175,7 @@ def set_key(tables: Tables, key: str, value: object) -> None:
 
 def _payload_table(name: str) -> dict:
     """Return a built-in payload as a table of a problem file."""
-    from linkplan.models.payload import BUILT_IN as BUILT  # imports the simulator, which a list of names does not need
+    from linkplan.models.payload import BUILT_IN as BUILT  # imports the simulator, which is not needed for a list of names
 
     return BUILT[name].table()
 
@@ -188,8 +188,8 @@ def parse_value(text: str, where: str) -> object:
     """
     try:
         found = parse_toml(f"value = {text}", "the value")
-        if len(found) > 1:  # TOML reads further lines as further keys
-            raise ProblemError(f"setting '{where}' is one value, got {len(found)} lines of keys")
+        if len(found) > 1:  # TOML reads additional lines as additional keys
+            raise ProblemError(f"setting '{where}' must be one value, got {len(found)} lines of keys")
         return found["value"]
     except ProblemError as error:
         if re.fullmatch(r"[^\s\"'\[\]{}=,]+", text):

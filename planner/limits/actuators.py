@@ -1,10 +1,9 @@
 """Limits of actuators: power, the motor's torque-speed line, and a servo's ctrl.
 
-Powers are rows at nodes, or at every instant
-by products of Bernstein coefficients of effort and speed: at nodes alone, a limit on u w lets an effort that jumps exceed it
-between nodes, even on fine meshes. A motor's line, |u / stall + w / no_load| <= 1, is a row of intervals if the actuator
-drives a coordinate. A servo's ctrl range limits the ctrl of a planned effort, except where the servo's force is clamped. The
-efforts at the corners of [robust] are those that each machine there needs.
+Powers are rows at nodes, or at every instant by products of Bernstein coefficients of effort and speed. With rows at nodes
+alone, an effort that jumps can exceed a limit on u w between nodes, even on fine meshes. A motor's line, |u / stall + w /
+no_load| <= 1, is a row of intervals if the actuator drives a coordinate. A servo's ctrl range limits the ctrl of a planned
+effort, except where the servo's force is clamped. The efforts at the corners of [robust] are those that each machine needs.
 """
 
 from collections.abc import Iterator
@@ -34,8 +33,9 @@ from linkplan.planner.problem.instant import Instant, Scales
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
-# An effort within this share of the clamp of a servo's force counts as clamped, so ctrl has no effect: a motion may enter
-# the clamp between two nodes. Efforts between nodes may be wrong by 200 times as much (DYNAMICS_SHARE). Measured: 4e-5.
+# An effort within this share of the clamp of a servo's force counts as clamped, so that ctrl has no effect, because a motion
+# may enter the clamp between two nodes (measured: 4e-5). Efforts between nodes may have errors 200 times as large
+# (DYNAMICS_SHARE).
 _CLAMPED_SHARE = 1e-4
 
 
@@ -214,7 +214,7 @@ class ControlLimit(Limit):
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
-        """Return a problem whose servos' ranges have both ends further out, by `factor` - 1 of the larger end."""
+        """Return a problem with wider ranges of servos: both ends move outwards by `factor` - 1 of the larger end."""
         wider, share = list(problem.mechanism.actuators), min(factor, RELAXED_FACTOR) - 1
         for j in (limit.item for limit in cls.of(problem)):
             low, high, more = wider[j].control_lower, wider[j].control_upper, share * _unit(wider[j])
@@ -263,7 +263,7 @@ def control_claim(problem: Problem, trajectory: Trajectory, j: int) -> Claimed:
 
 
 def further_control_claims(problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
-    """Yield the claims on ctrls that the program does not limit: of servos whose gain varies or whose length is unknown."""
+    """Yield the claims on ctrls that the program does not limit, of servos with a variable gain or an unknown length."""
     for j, actuator in enumerate(problem.mechanism.actuators):
         ranged = np.isfinite((actuator.control_lower, actuator.control_upper)).any()
         if actuator.is_servo and ranged and not actuator.limits_control:

@@ -1,7 +1,7 @@
 """Limits on the angle of a body, and the coordinates of tasks in a program.
 
 The row of a limit is the angle relative to home [rad]. The angle is linear in the joints' positions
-(`linkplan.models.poses.body_angles`), so a joint of the loops that is shown nowhere else can be limited by it.
+(`linkplan.models.poses.body_angles`), so it can also limit a joint that appears in no other limit.
 """
 
 from collections.abc import Iterator, Sequence
@@ -80,7 +80,7 @@ class BodyAngleLimit(Limit):
 
 
 def coordinate(at: Instant, index: int, axis: int) -> ca.SX:
-    """Return the way from home of a site along an axis of the world [extents], or of a body's angle [rad]."""
+    """Return the displacement from home of a site along an axis of the world [extents], or of a body's angle [rad]."""
     if axis == ANGLE:
         return expression_of(at.mechanism, index, axis, at.q) - _home(at.mechanism, index, axis)
     return way(at, index, np.eye(len(AXES))[axis])

@@ -1,7 +1,7 @@
 """Limits on efforts: the effort of an actuator, its rate, and the efforts at the corners of [robust].
 
 Efforts and their rates are polynomials with bounded coefficients, so that their limits hold at every instant. The efforts at
-the corners of [robust] are those that each machine there needs.
+the corners of [robust] are those that each machine needs.
 """
 
 from collections.abc import Iterator
@@ -29,8 +29,8 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
-# By how much the motion's effort by inverse dynamics may exceed its limit, as a share of the limit. Proofs refuse more, and
-# the planner refines meshes until it holds.
+# Allowed overrun of the motion's effort by inverse dynamics, as a share of the limit. Proofs refuse larger overruns, and the
+# planner refines meshes until the overrun is smaller.
 INVERSE_DYNAMICS_SHARE = 2e-6
 
 
@@ -75,13 +75,13 @@ class EffortLimit(Limit):
 
 
 def end_sizes(bounds: np.ndarray) -> np.ndarray:
-    """Return the size of each end of limits (n, 2): an end at zero has that of the other, and an infinite one zero."""
+    """Return the size of each end of limits (n, 2): of the other end if an end is zero, and zero if it is infinite."""
     sizes = np.where(np.isfinite(bounds), np.abs(bounds), 0.0)
     return np.where(np.isfinite(bounds) & (sizes == 0), sizes.max(axis=1, keepdims=True), sizes)
 
 
 def share_of(bounds: np.ndarray, share: float) -> tuple[float, float]:
-    """Return the allowances of [low, high]: a share of each end, and for an end at zero of the other end."""
+    """Return the allowances of [low, high]: a share of each end, or of the other end if an end is zero."""
     low, high = share * end_sizes(np.reshape(bounds, (1, 2)))[0]
     return float(low), float(high)
 
@@ -127,7 +127,7 @@ class EffortRateLimit(Limit):
 
 
 def effort_rates(trajectory: Trajectory, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return u' (n, n_u) within intervals, and jumps (n, n_u): an infinite rate with the jump's sign after it, else NaN."""
+    """Return u' (n, n_u) within intervals, and jumps (n, n_u): infinite with the jump's sign after a jump, else NaN."""
     rate = PiecewisePolynomial(trajectory.effort, trajectory.breaks_s).derivative()(time)
     index = np.searchsorted(trajectory.breaks_s[1:-1], time, side="right")
     jumps = np.full((len(time), trajectory.n_u), np.nan)

@@ -54,7 +54,7 @@ class ExtraPathLimit(Limit):
             tightened=Tightened.IN_UNITS,
             jumps_with_effort=self.jumps_with_effort,
             of_position=self.of_position,
-            second_order=True,  # it may be: the effect of effort on it is unknown
+            second_order=True,  # unknown, so assumed: effort may act on it
             by_size=True,
         )
 

@@ -5,10 +5,10 @@ Dependent positions are unknowns at nodes, and dependent speeds are rows at node
 sin^2(alpha / 2), as a share of its value at the largest angle. The row of a tendon is its length in units of its range's
 width.
 
-Pin forces are rows at nodes, or at every instant by Bernstein coefficients of the force's square. Rows at nodes alone allow
-efforts that jump to exceed the limit between nodes, as for powers. At every instant the force is an algebraic unknown, a
-polynomial through the nodes; its error between nodes decreases with the interval's width. The distance from singular poses
-is the determinant of each block of J_z, relative to home.
+Pin forces are rows at nodes, or at every instant by Bernstein coefficients of the force's square. With rows at nodes alone,
+efforts that jump can exceed the limit between nodes, as for powers. For limits at every instant the force is an algebraic
+unknown, a polynomial through the nodes, whose error between nodes decreases with the interval's width. The distance from
+singular poses is the determinant of each block of J_z, relative to home.
 """
 
 from collections.abc import Callable, Iterator
@@ -41,7 +41,7 @@ from linkplan.planner.problem.instant import Instant, Scales
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
-# Largest overrun of ranges [rad or m] and speeds [rad/s or m/s]: the rounding of degrees.
+# Largest allowed overrun of ranges [rad or m] and speeds [rad/s or m/s], due to the rounding of degrees.
 RANGE_SLACK = 1e-9
 
 
@@ -117,7 +117,7 @@ class ClosureForceLimit(Limit):
 class SingularMarginLimit(Limit):
     """The determinant of one block of J_z, for loops that close together.
 
-    Its row binds at prescribed poses too: without it there, continuation next to the margin is lost more often.
+    Its row is also imposed at prescribed poses, because otherwise continuation near the margin fails more often.
     """
 
     key: ClassVar[str] = "singular_margin"
@@ -250,7 +250,7 @@ class SpeedLimit(Limit):
 
 
 def bounds_of_joint(limit: Any, problem: Problem, scales: Scales, order: int) -> Bounds:
-    """Return the scaled bounds of a limit on a joint's derivative of an order: of its `column`, if it has one."""
+    """Return the scaled bounds of a limit on a joint's derivative of an order; of its `column`, if it has one."""
     unit = 1.0 if limit.column is None else scales.position[limit.column]
     return tuple(getattr(problem.limits, limit.key)[limit.item] * (scales.time_s**order / unit))
 

@@ -17,8 +17,8 @@ from linkplan.planner.problem.instant import unit_scales
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
-# The order of their rows in a program, by their keys. In the same order, but the first two last, a diagnosis removes them to
-# find the one that forbids a motion. Kinds that are not named here follow.
+# The order of their rows in a program, by their keys; other kinds follow. A diagnosis removes limits in the same order, with
+# the first two last, to find the one that forbids a motion.
 _ORDER = (
     *("effort", "position", "robust", "jerk", "site_jerk", "site_acceleration", "acceleration", "speed", "power"),
     *("closure_force", "motor", "control", "effort_rate", "singular_margin", "tendon", "ball", "site", "path", "body"),
@@ -39,9 +39,10 @@ def _place(kind: type[Limit]) -> int:
 
 
 KINDS: tuple[type[Limit], ...] = tuple(sorted(_kinds(), key=_place))
-# Between nodes a motion slightly exceeds its values at the nodes. A limit that must admit it is widened by this factor.
+# Between nodes a motion slightly exceeds its values at the nodes. A limit that must permit the motion is widened by this
+# factor.
 BETWEEN_NODES_FACTOR = 1.001
-# What a proof has to show beyond the limits of the program.
+# Claims of a proof in addition to the limits of the program.
 FURTHER_CLAIMS = (further_control_claims,)
 
 
@@ -52,7 +53,7 @@ def limits_of(problem: Problem, *, enclosed: bool = False, position_rows: WhichJ
 
 
 def _part_of(problem: Problem, key: str) -> Any:
-    """Return the field of this name of a problem's limits, or of the problem; True if its kind has to look for it."""
+    """Return the field with this name of a problem's limits or of the problem; True if the kind itself must look for it."""
     return getattr(problem.limits, key, getattr(problem, key, True))
 
 
@@ -68,12 +69,12 @@ def structure_of(problem: Problem) -> tuple:
 
 
 def relaxed_kinds(problem: Problem, kinds: tuple[type[Limit], ...] = KINDS[2:]) -> list[type[Limit]]:
-    """Return those of kinds of limits that a problem has, in their order; by default of all but efforts and ranges."""
+    """Return, in order, the kinds of limits that a problem has; by default of all kinds but efforts and ranges."""
     return [kind for kind in kinds if kind.of(problem)]
 
 
 def margins_along(samples: Samples) -> tuple[Margin, ...]:
-    """Return the margins of all limits along a motion but those of efforts, which the certificate compares with needs."""
+    """Return the margins of all limits along a motion except efforts, which the certificate checks itself."""
     return tuple(limit_margin(limit, samples) for limit in limits_of(samples.problem) if not isinstance(limit, EffortLimit))
 
 
@@ -83,14 +84,14 @@ def without(kind: type[Limit], problem: Problem) -> Problem:
 
 
 def overrun_margins(kind: type[Limit], problem: Problem, motion: Trajectory) -> list[Margin]:
-    """Return the margins of one kind that a motion overruns."""
+    """Return the overrun margins of one kind along a motion."""
     samples = samples_of(problem, motion)
     found = [limit_margin(limit, samples) for limit in kind.of(problem)]
     return [margin for margin in found if not margin.kept]
 
 
 def factor_of(kind: type[Limit], problem: Problem, motion: Trajectory) -> float | None:
-    """Return the factor on the limits of a kind with which a motion keeps them; None if it keeps them, or none does."""
+    """Return the factor on a kind's limits with which a motion satisfies them; None if it already does, or never can."""
     over = [margin for margin in overrun_margins(kind, problem, motion) if np.isfinite(margin.value)]
     if not over:
         return None
@@ -105,12 +106,12 @@ def factor_of(kind: type[Limit], problem: Problem, motion: Trajectory) -> float 
 
 
 def violation(kind: type[Limit], problem: Problem, motion: Trajectory) -> str | None:
-    """Return a sentence on the worst overrun of the limits of a kind; None if a motion keeps them."""
+    """Return a sentence on the worst overrun of a kind's limits; None if a motion satisfies them."""
     try:
         over = overrun_margins(kind, problem, motion)
     except AssemblyError:
         return None
-    return max(over, key=lambda m: m.overrun.max()).sentence("would have to come to") if over else None
+    return max(over, key=lambda m: m.overrun.max()).sentence("would have to be") if over else None
 
 
 def tightened_in(problem: Problem, margin: Margin, factor: float) -> Problem:

@@ -1,4 +1,4 @@
-"""A limit at every instant of a motion: what the program, the certificate, the proof and the diagnosis need of it.
+"""A limit at every instant of a motion, with its parts for the program, the certificate, the proof and the diagnosis.
 
 A limit at nodes is a row of each node. A limit at every instant is a row of each interval, on Bernstein coefficients. A
 limit object holds the structure of a program, and objects of equal structure are equal; numbers come from the problem.
@@ -28,7 +28,7 @@ from linkplan.planner.problem.sites import Task
 from linkplan.planner.trajectory import Trajectory
 
 Bounds = tuple[float, float]
-# Of which independent joints: of none, of all, or of some by their index.
+# Independent joints with rows: none, all, or some by their index.
 WhichJoints = bool | Collection[int]
 MotionArrays = tuple[np.ndarray, ...]  # q (n, n_q), v and a (n, n_s), u (n, n_u), and those of `Mechanism.forces_at`
 # Limits that cannot be removed from a problem are widened by this factor.
@@ -39,10 +39,10 @@ class Tightened(Enum):
     """The unit in which a row is tightened after an overrun between the nodes."""
 
     BY_SHARE = "of the bound"
-    SQUARED = "of the bound, whose square the row is"
-    IN_UNITS = "of the row's unit: a place or a length has no natural size"
-    IN_PROBLEM = "of the problem, whose limit on the joint moves inwards"
-    LATER_IN_PROBLEM = "of the bound, and after the first time of the problem, too"
+    SQUARED = "the bound's unit; the row is its square"
+    IN_UNITS = "the row's unit, because a place or a length has no natural size"
+    IN_PROBLEM = "the problem's unit; the joint's limit moves inwards"
+    LATER_IN_PROBLEM = "the bound's unit, and after the first time also the problem's"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,15 +55,16 @@ class LimitFacts:
         bound: words on its bounds with {} for a name; by default the limit on its title.
         verb: of a sentence on its value at a pose.
         beyond: the word for an overrun.
-        tightened: how its row is tightened if it is overrun between the nodes; None if its rows hold at every instant.
+        tightened: how its row is tightened after an overrun between the nodes; None if its rows hold at every instant.
         enclosable: whether rows of intervals can impose it at every instant.
-        jumps_with_effort: whether its row jumps when the effort does.
+        jumps_with_effort: whether its row jumps with the effort.
         of_position: whether its row is a function of the pose only.
         at_given_poses: whether its row binds at nodes whose pose is given, too.
-        second_order: whether no effort changes its row's rate at once, as far as known; by default if it is of the pose.
-        in_phase_plane: whether the phase plane's motions keep it.
-        narrows_efforts: whether it narrows the efforts of a pose, which the phase plane leaves out.
-        by_size: whether a factor moves its bounds by a share of its size, in place of multiplying them.
+        second_order: whether efforts act only on the second derivative of its row, as far as known; by default if it is
+            `of_position`.
+        in_phase_plane: whether the phase plane's motions satisfy it.
+        narrows_efforts: whether it restricts the efforts at a pose, which the phase plane ignores.
+        by_size: whether a factor moves its bounds by a share of its size instead of multiplying them.
     """
 
     kind: str
@@ -112,11 +113,11 @@ class Measured:
     """A limited quantity at poses or along a motion: its `values` (n,), their bounds [low, high], and their unit.
 
     `name` is that of the limit's actuator, joint, closure, tendon or site. Overruns are shares of `size`, by default of the
-    limit itself. Overruns up to `slack` are rounding, by default a share of the limit. Intervals with a `bent` sample (n,)
-    have a kink. `coefficients` (n_nodes, n_intervals) are the Bernstein coefficients of values that are polynomials.
-    `at_times` gives the values at other instants (m,) [s] where samples and parabolas are too coarse, next to the limit.
-    Closed poses are exact to a share of `pose_size`, by default the size. `known_from` tells whether the tasks of an open
-    pose determine the values.
+    limit itself. Overruns up to `slack`, by default a share of the limit, are due to rounding. Intervals with a `bent`
+    sample (n,) have a kink. `coefficients` (n_nodes, n_intervals) are the Bernstein coefficients of values that are
+    polynomials. `at_times` gives the values at other instants (m,) [s], for samples near the limit, where parabolas are too
+    coarse. Closed poses are exact to a share of `pose_size`, by default the size. `known_from` returns True if the tasks of
+    an open pose determine the values.
     """
 
     name: str
@@ -134,14 +135,15 @@ class Measured:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Claimed:
-    """What a proof has to show of a limit: low - slack[0] <= value <= high + slack[1] at every instant, in SI.
+    """A claim on a limit, for a proof: low - slack[0] <= value <= high + slack[1] at every instant, in SI.
 
     Args:
         name: of the claim.
-        unit: in which it is shown, `per_unit` times SI.
+        unit: of its display, `per_unit` times SI.
         bounds: [low, high].
-        value: in the balls of a `proof.motion.Kinetics` (of a `State` if `of_planned`), or a CasADi function of the pose q,
-            or of the first of `motion_symbols`, or one function of q for each interval of the trajectory.
+        value: a function of a `proof.motion.Kinetics` (of a `State` if `of_planned`) with balls as values; or a CasADi
+            function of the pose q or of the first of `motion_symbols`; or one function of q for each interval of the
+            trajectory.
         of_planned: whether the value needs planned positions and efforts only, and no speeds, or is of one kinetics.
         slack: the allowances of both bounds; those for rounding by default.
         unknown: why the value cannot be enclosed.
@@ -171,10 +173,10 @@ class Margin(Struct, frozen=True, eq=False, kw_only=True):
     left: float
     unit: str
     time_s: float
-    overrun: Beside[np.ndarray]  # (n_intervals,) overrun in each interval as a share of the limit, 0 if it is kept
+    overrun: Beside[np.ndarray]  # (n_intervals,) overrun in each interval as a share of the limit, 0 if it is satisfied
     upper: Beside[bool]  # whether the limit is an upper one
     size: Beside[float]  # of which overruns are shares
-    slack: Beside[float] = 0.0  # the overrun that is rounding
+    slack: Beside[float] = 0.0  # the overrun that is due to rounding
 
     @InJson
     def what(self) -> str:
@@ -188,22 +190,22 @@ class Margin(Struct, frozen=True, eq=False, kw_only=True):
 
     @property
     def kept(self) -> bool:
-        """Whether the limit is kept, except for rounding."""
+        """Whether the limit is satisfied, except for rounding."""
         return self.left >= -self.slack
 
     @property
     def share(self) -> float:
-        """What is left as a share of the limit's size."""
+        """The remaining margin as a share of the limit's size."""
         return self.left / self.size
 
     @property
     def title(self) -> str:
-        """The limited quantity in words."""
+        """The limited quantity as text."""
         return self.of.facts.words.format(self.name)
 
     @property
     def bound(self) -> str:
-        """Its limit in words."""
+        """Its limit as text."""
         words = self.of.facts.bound
         return f"the limit on {self.title}" if words is None else words.format(self.name)
 
@@ -237,7 +239,7 @@ class Limit(ABC):
     @property
     @abstractmethod
     def facts(self) -> LimitFacts:
-        """What is true of it at all instants."""
+        """Its properties."""
 
     @property
     def rows(self) -> Rows:
@@ -254,7 +256,7 @@ class Limit(ABC):
 
     @abstractmethod
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
-        """Yield what a proof has to show; at least one claim."""
+        """Yield the claims of a proof, at least one."""
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
@@ -297,9 +299,9 @@ def limit_margin(limit: Limit, samples: Samples) -> Margin:
     return margin_of(limit, limit.measured(samples), samples)
 
 
-@np.errstate(invalid="ignore")  # infinity less infinity is not kept either
+@np.errstate(invalid="ignore")  # NaN (infinity minus infinity) does not count as satisfied
 def margin_of(of: Any, measured: Measured, samples: Any) -> Margin:
-    """Return the margin of a quantity along a motion, of whose samples `points` and `time` are read.
+    """Return the margin of a quantity along a motion, at the samples' `points` and `time`.
 
     The least margin of an interval with a kink is that of the samples, without interpolation by parabolas. Bernstein
     coefficients bound the margin from below.
@@ -346,7 +348,7 @@ def _sampled_finely(margin: Margin, measured: Measured, samples: Any) -> Margin:
     first, last = at[rows, np.maximum(worst[rows] - 1, 0)], at[rows, np.minimum(worst[rows] + 1, n_points - 1)]
     shares = np.linspace(0.0, 1.0, 33)
     near = first[:, None] + (last - first)[:, None] * shares
-    assert measured.at_times is not None  # by the caller
+    assert measured.at_times is not None  # the caller ensures it
     fine = measured.at_times(near.ravel()).reshape(near.shape)
     left = np.minimum(fine - low, high - fine)
     # Only the finest samples and parabolas through them count; coarse parabolas may overestimate.

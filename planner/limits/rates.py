@@ -201,7 +201,7 @@ def _limit(limit: SiteAccelerationLimit | SiteJerkLimit, problem: Problem) -> tu
 
 
 def _shares_of_largest(limit: SiteAccelerationLimit | SiteJerkLimit, rows: Rows) -> Rows:
-    """Return the rows with their number: one over the site's largest acceleration or jerk."""
+    """Return rows with their parameter: one over the site's largest acceleration or jerk."""
     return replace(rows, n_numbers=1, numbers=lambda problem: (1.0 / _limit(limit, problem)[1],))
 
 
@@ -214,7 +214,7 @@ def _claim_of_site(
 
 
 def _node_rows(moved_by: tuple[int, ...], node: Callable[[Instant, ca.SX], ca.SX]) -> Rows:
-    """Return the row of a jerk at a node; a joint or site that nothing moves has none, and the program no jerk for it."""
+    """Return the row of a jerk at a node; none for a joint or site that no coordinate moves."""
     return Rows(node=node, jerk=moved_by) if moved_by else Rows(node=lambda *_: ca.SX(0))
 
 

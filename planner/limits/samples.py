@@ -25,7 +25,7 @@ class Poses:
 
     def coefficients(self, name: str, joint: int) -> np.ndarray | None:
         """Return the Bernstein coefficients (n_nodes, n_intervals) of a joint's position or velocity, if they are known."""
-        del name, joint  # of a motion only
+        del name, joint  # known for motions only
 
     @cached_property
     def block_ratios(self) -> np.ndarray:
@@ -71,7 +71,7 @@ class Samples(Poses):
 
     @cached_property
     def acceleration_jumps(self) -> np.ndarray:
-        """The jumps of acceleration (n, n_s), each at the first sample after it or the motion's last; else zero."""
+        """The jumps of acceleration (n, n_s), each at the first sample after it or at the motion's last; otherwise zero."""
         motion, jumps, found = self.trajectory, self.trajectory.acceleration_jumps(), np.zeros(self.v.shape)
         interval, first = np.unique(np.searchsorted(motion.breaks_s[1:-1], self.time, side="right"), return_index=True)
         found[first] = jumps[interval]
@@ -123,19 +123,19 @@ def samples_of(problem: Problem, trajectory: Trajectory) -> Samples:
 def sample_points(n_nodes: int) -> np.ndarray:
     """Return the shares (n,) of an interval at which motions with so many nodes are sampled, denser at its ends.
 
-    The nodes of high degrees are dense there too.
+    The nodes of high degrees are also dense there.
     """
     n = max(12, 3 * n_nodes)  # three for each node, and as many as parabolas through them need
     points = 0.5 - 0.5 * np.cos(np.pi * np.arange(n + 1) / n)
-    points[-1] = 1.0 - 1e-12  # still on this interval
+    points[-1] = 1.0 - 1e-12  # the end that still belongs to this interval
     return points
 
 
 def least_between(values: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the least value (n,) of a smooth curve on each interval: a sample, or a minimum between samples.
 
-    Where a parabola through three samples has its vertex among them, the minimum is that of the polynomial through
-    the seven samples around them: the parabola was off by 1e-8 of a speed.
+    If a parabola through three samples has its vertex among them, the minimum is that of the polynomial through the seven
+    samples around them. The parabola alone had errors of 1e-8 of a speed.
 
     Args:
         values: samples (n, n_points), or all in one row.
@@ -143,7 +143,7 @@ def least_between(values: np.ndarray, points: np.ndarray) -> np.ndarray:
     """
     rows = values.reshape(-1, len(points))
     least = rows.min(axis=1)
-    with np.errstate(all="ignore"):  # for infinite values the least sample counts
+    with np.errstate(all="ignore"):  # with infinite values, the least sample is used
         slope = np.diff(rows, axis=1) / np.diff(points)
         bend = np.diff(slope, axis=1) / (points[2:] - points[:-2])
         at = slope[:, :-1] + bend * (points[1:-1] - points[:-2])

@@ -2,7 +2,7 @@
 
 A slab's row is n . (p - p_home) / L with the mechanism's extent L. A tube's row is d^2 / r^2 with the distance d from the
 polyline. The least distance over the segments has kinks, so the row uses a mean with the weights exp(-k d_i^2 / r^2), which
-is smooth and never below the least: a motion that satisfies the row stays in the tube.
+is smooth and never below the least distance. A motion that satisfies the row therefore stays in the tube.
 """
 
 import functools
@@ -129,7 +129,7 @@ class SitePathLimit(Limit):
 
 
 def way(at: Instant, site: int, normal: np.ndarray) -> ca.SX:
-    """Return the way of a site from home along a direction, in extents of the mechanism."""
+    """Return the displacement of a site from home along a direction, in extents of the mechanism."""
     p, home = at.of_pose("site_places")[:, site], site_at_home(at.mechanism, site)
     return (ca.dot(ca.DM(normal), p) - float(normal @ home)) / at.mechanism.extent_m
 
@@ -148,7 +148,7 @@ def site_at_home(mechanism: Mechanism, site: int) -> np.ndarray:
 
 
 def _tube(p: ca.SX, along: np.ndarray, radius: float) -> ca.SX:
-    """Return the squared distance of p (3,) from a polyline (n, 3), in squared radii, smooth and never underestimated."""
+    """Return the squared distance of p (3,) from a polyline (n, 3), in squared radii; smooth, and never too small."""
     squares = ca.vertcat(*squared_distances(p, along)) / radius**2
     weights = ca.exp(-_TUBE_SHARPNESS * (squares - ca.mmin(squares)))
     return ca.dot(weights, squares) / ca.sum1(weights)

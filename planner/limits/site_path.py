@@ -1,6 +1,6 @@
-"""The path of a motion that follows one: the site's distance from its curve at every instant.
+"""The limit on a site's distance from the path that it follows, at every instant.
 
-No row of a program imposes it. The motion is planned in the curve's parameter, and lies on the curve by its coordinate.
+No row of a program imposes it, because the motion is planned in the curve's parameter and therefore lies on the curve.
 """
 
 import functools
@@ -22,10 +22,11 @@ from linkplan.planner.problem.path import SitePath
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
-# Most Newton steps from the chord's parameter to that of a piece's nearest point, and the share of the piece's length by
-# which they may miss it: a squared distance then has an error of 1e-16 of the squared length.
+# Most Newton steps from the chord's parameter to that of a piece's nearest point, and their allowed error as a share of the
+# piece's length: a squared distance then has an error of 1e-16 of the squared length.
 _NEWTON_STEPS, _MISSED_SHARE = 6, 1e-8
-# Shares of an interval at which the nearest piece is looked for: plans have nodes at the ends of pieces, to rounding.
+# Shares of an interval at which the nearest piece is searched. They avoid the ends, because plans have nodes at the ends of
+# pieces.
 _SHARES = np.array([1e-6, 0.25, 0.5, 0.75, 1 - 1e-6])
 
 
@@ -88,7 +89,7 @@ class OnPathLimit(Limit):
 
 
 def _pieces_near(problem: Problem, trajectory: Trajectory) -> list[tuple[int, ...]]:
-    """Return the pieces of the path that the site is near to on each interval."""
+    """Return the pieces of the path nearest to the site on each interval."""
     path, mechanism = problem.path, problem.mechanism
     assert path is not None
     q = trajectory.position_at(trajectory.times_at(_SHARES))
@@ -110,7 +111,8 @@ def _squared_distance(mechanism: Mechanism, path: SitePath, pieces: tuple[int, .
 def _nearest(piece: Arc | Polynomial, p: ca.SX) -> ca.SX:
     """Return the parameter of the point of a piece that is nearest to p: of its chord's, then by Newton's method.
 
-    It takes no more steps than points of the piece need, because each makes a ball around the parameter twice as wide.
+    It takes only as many steps as the piece's points need, because each step doubles the width of a ball around the
+    parameter.
     """
     x, q = ca.SX.sym("x"), ca.SX.sym("p", 3)
     place = piece.place(x)

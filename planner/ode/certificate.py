@@ -1,7 +1,7 @@
-"""The certificate of a solution to a user's optimal-control problem: what holds between the nodes.
+"""The certificate of a solution to a user's optimal-control problem: checks between the nodes.
 
-The differential equation is integrated under the solution's efforts, interval by interval, as mechanisms' motions that are
-unstable (`linkplan.planner.certificate.flow.errors_along`).
+The differential equation is integrated under the solution's efforts, interval by interval, like unstable motions
+of mechanisms (`linkplan.planner.certificate.flow.errors_along`).
 """
 
 import functools
@@ -27,9 +27,9 @@ from linkplan.planner.transcription.bernstein import bernstein_value
 from linkplan.planner.transcription.collocation import Curves
 from linkplan.planner.transcription.schemes import Scheme
 
-# The integrated state may end this share of each state's size from the solution; a smaller tolerance is refined towards.
+# The integrated state may end this share of each state's size from the solution. Refinement may reach a smaller tolerance.
 INTEGRATION_SHARE = 1e-4
-# Limits may be exceeded by this share: rounding, and what the solver leaves of its rows.
+# Limits may be exceeded by this share, because of rounding and the solver's tolerance.
 LIMIT_SLACK = 1e-8
 # Between the nodes the integrated state may exceed a limit by this share of its size.
 OVERRUN_SHARE = 1e-6
@@ -37,7 +37,8 @@ OVERRUN_SHARE = 1e-6
 AT_LIMIT_SHARE = 1e-6
 # The objective may differ from that of the integrated motion by this multiple of the states' relative error.
 OBJECTIVE_ERROR_FACTOR = 10.0
-_EFFORT, _STATE = (LimitFacts(kind=kind, tightened=None) for kind in ("effort", "state"))  # rows keep them at every instant
+# Constraint rows keep them at every instant.
+_EFFORT, _STATE = (LimitFacts(kind=kind, tightened=None) for kind in ("effort", "state"))
 _PATH = LimitFacts(kind="path", words="path quantity {}")
 
 
@@ -61,12 +62,12 @@ class OdeSamples:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class OdeCertificate:
-    """What holds between the nodes of a solution; `failures` say why it does not pass.
+    """Findings on a solution between its nodes; `failures` are the reasons why it does not pass.
 
     `integration_error` is the largest distance of the integrated state from the planned one, as a share of each state's
-    size; `integrated_objective` the objective along the integrated state, and `objective_error` how far the solution's own
-    is from it, as a share of the sum of its parts' sizes; `overrun` how far the integrated state leaves its limits at most,
-    as a share of its size. `margins` are those of limited efforts, states and path quantities.
+    size; `integrated_objective` is the objective along the integrated state, and `objective_error` its distance from the
+    solution's own, as a share of the sum of its parts' sizes. `overrun` is the largest excess of the integrated state over
+    its limits, as a share of its size. `margins` are those of limited efforts, states and path quantities.
     """
 
     integration_error: float
@@ -76,17 +77,17 @@ class OdeCertificate:
     margins: tuple[Margin, ...]
     touching: np.ndarray  # (n_intervals,) whether a state or path quantity is at a limit on part of the interval only
     boundary_error: float
-    integration_restarts: int  # how often the integration was restarted, the motion being unstable; 0 as a rule
+    integration_restarts: int  # number of restarts of the integration because of an unstable motion; 0 as a rule
     growth: np.ndarray  # (n_intervals,) of the integration error, in shares of what is allowed
     failures: tuple[str, ...]
 
     @property
     def passed(self) -> bool:
-        """Whether everything holds."""
+        """Whether there is no failure."""
         return not self.failures
 
 
-@np.errstate(invalid="ignore")  # infinity less infinity, where the integration fails
+@np.errstate(invalid="ignore")  # infinity minus infinity, where the integration fails
 def certify_ode(problem: OdeProblem, motion: Curves) -> OdeCertificate:
     """Return the certificate of a solution against its problem."""
     samples, n_x, n = samples_of(motion), problem.n_x, len(motion.breaks_s) - 1
@@ -100,7 +101,7 @@ def certify_ode(problem: OdeProblem, motion: Curves) -> OdeCertificate:
     final = float(problem.at_ends("final_cost", motion.state[0, 0], found.states[-1, -1, :n_x], motion.duration_s)[0])
     misjudged = (cost - taken) / (float(np.abs(taken).sum() + abs(final)) or 1.0)
     off, missed = float(abs(misjudged.sum())), _boundary_error(problem, motion, size)
-    # The polynomial is no nearer to the motion than its own error; the integrated state is judged by itself.
+    # The polynomial is only as close to the motion as its own error; limits of the integrated state are checked separately.
     kinds = (
         (_EFFORT, problem.efforts, samples.u, problem.effort_limit, np.zeros(problem.n_u)),
         (_STATE, problem.states, samples.x, problem.state_limit, max(LIMIT_SLACK, min(error, OVERRUN_SHARE)) * size),
@@ -129,7 +130,7 @@ def certify_ode(problem: OdeProblem, motion: Curves) -> OdeCertificate:
         (missed > LIMIT_SLACK, f"start, goal or ends are missed by {missed:.3g}"),
     ]
     defects = scaled_defects(found.defects, found.errors) if found.restarts else np.diff(found.errors, axis=0, prepend=0.0)
-    # An overrun at its limit asks for as much refinement as a state at its tolerance.
+    # An overrun at its allowed value requires as much refinement as a state at its tolerance.
     shares = (
         np.abs(defects).max(axis=1),
         np.abs(misjudged) / OBJECTIVE_ERROR_FACTOR,
@@ -155,7 +156,7 @@ def integrate(problem: OdeProblem, motion: Curves, size: np.ndarray, points: np.
     """Return the integrated motion beside a solution, its states followed by the interval's running cost.
 
     Args:
-        problem: what was asked.
+        problem: the user's problem.
         motion: the solution.
         size: (n_x,) of the states.
         points: shares (m,) of an interval, from 0 to 1.
@@ -170,7 +171,7 @@ def integrate(problem: OdeProblem, motion: Curves, size: np.ndarray, points: np.
     states = begins[:, None] + np.column_stack([aside, np.zeros(n_x + 1)])
     inputs = np.column_stack([motion.effort.transpose(1, 2, 0).reshape(n, -1), breaks[:-1], widths])
     shares, until = np.append(points[1:-1], 1.0), problem.solver.certificate_deadline
-    # If errors grow by this factor at most, the integrator's own error stays within the tolerance.
+    # If errors grow at most by this factor, the integrator's own error stays within the tolerance.
     most = max(RESTART_GROWTH, problem.tolerance / INTEGRATION_RTOL)
     rate, judged = _rate(problem, len(motion.effort)), range(n_x)
     found = errors_along(rate, widths, inputs, states, judged, planned[1:], size, shares, most, until)
@@ -185,7 +186,7 @@ def integrate(problem: OdeProblem, motion: Curves, size: np.ndarray, points: np.
 def _rate(problem: OdeProblem, n_coefficients: int) -> ca.Function:
     """Return the rate of states and running cost within an interval, as a function for `errors_along`.
 
-    The input of an interval are the coefficients of its efforts, its beginning [s] and its width [s].
+    The inputs of an interval are the coefficients of its efforts, its beginning [s] and its width [s].
     """
     y, given, share = ca.SX.sym("y", problem.n_x + 1), ca.SX.sym("c", n_coefficients * problem.n_u + 2), ca.SX.sym("tau")
     u = bernstein_value(ca.reshape(given[:-2], n_coefficients, problem.n_u), share).T
@@ -219,7 +220,7 @@ def running_cost(problem: OdeProblem, motion: Curves, chosen: Scheme) -> np.ndar
 
 
 def sizes_of(x: np.ndarray) -> np.ndarray:
-    """Return the sizes (n_x,) of states (n, n_x) along a motion: of what they are and of how far they go."""
+    """Return the sizes (n_x,) of states (n, n_x) along a motion, from their values and from their changes."""
     size = np.maximum(np.abs(x).max(axis=0), np.ptp(x, axis=0))
     return np.where(size > 0, size, 1.0)
 

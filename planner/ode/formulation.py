@@ -90,7 +90,7 @@ def formulate_ode(
 
 
 def _open_end_path(problem: OdeProblem) -> tuple[int, ...]:
-    """Return the path quantities with effort in them, but for equalities: of those the nodes bear as many as they can."""
+    """Return the path inequalities that depend on efforts; the nodes carry as many equalities as they can."""
     path, limit = problem.function("path"), problem.path_limit
     jumping = np.unique(np.array(path.sparsity_jac(1, 0).get_triplet()[0], dtype=int))
     return tuple(int(i) for i in jumping if limit[i, 0] < limit[i, 1])
@@ -131,7 +131,7 @@ def _endpoint(problem: OdeProblem, units: Units) -> Endpoint | None:
 def guesses_of(problem: OdeProblem) -> list[Curves]:
     """Return the given guesses, then the straight line between the given values of start and goal.
 
-    Each consists of straight lines through the guess's rows, with efforts and a duration where it lacks them.
+    Each consists of straight lines through the guess's rows, completed by efforts and a duration where it has none.
     """
     ends = zip(problem.start, problem.goal, strict=True)
     line = np.array([[_middle(row, _middle(other, 0.0)) for row, other in (end, end[::-1])] for end in ends])

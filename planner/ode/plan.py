@@ -34,10 +34,10 @@ from linkplan.planner.transcription.formulation import Start, Units
 from linkplan.planner.transcription.mesh import Mesh, broken, uniform
 from linkplan.planner.transcription.schemes import scheme
 
-# The objective settles to this share where the user gives no tolerance and that is cheap.
+# The objective is refined to this share if the user gives no tolerance and that is cheap.
 _OBJECTIVE_TOLERANCE = 1e-6
-# Efforts are wild between the nodes if the integrated state ends this share of its size away. They are read then at this
-# share of an interval: the first node of radau-3.
+# If the integrated state ends this share of its size away, efforts are meaningless between the nodes. They are then read at
+# this share of an interval: the first node of radau-3.
 _WILD_SHARE, _FIRST_NODE = 1e-3, 0.155
 
 
@@ -51,7 +51,7 @@ class OdeCase:
 
     @property
     def target(self) -> RefinementTarget:
-        """The form of the best motion, of which little is known, and the accuracy that is asked for."""
+        """The form of the best motion, of which little is known, and the required accuracy."""
         problem = self.problem
         return RefinementTarget(
             effort_limit=problem.effort_limit,
@@ -60,7 +60,7 @@ class OdeCase:
             bang_bang=False,  # a differential equation's efforts may take a singular arc anywhere
             continuous_efforts=False,  # nothing is known of its costs
             strictness=INTEGRATION_SHARE / problem.tolerance,
-            tolerance_given=True,  # the mesh may grow beyond what is comfortable
+            tolerance_given=True,  # the mesh may become very fine
             objective_tolerance=problem.objective_tolerance or _OBJECTIVE_TOLERANCE,
             objective_tolerance_given=problem.objective_tolerance is not None,
         )
@@ -105,16 +105,16 @@ class OdeCase:
         )
 
     def tightened(self, certificate: OdeCertificate, motion: Curves) -> "OdeCase":
-        """Return the case with path limits tightened by what the solution overran them; rows keep those of states."""
+        """Return the case with path limits tightened by the solution's excess over them; rows keep those of states."""
         return replace(self, tightenings=self.tightenings + tightenings_of(certificate.margins, motion.breaks_s))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class OdePlan:
-    """A solution with its certificate, or none and the reason.
+    """A solution with its certificate, or the reason why there is none.
 
-    `status` is "optimal", "feasible" (certified, but less exact than was asked, or with an objective that still moves by
-    more: `message` says by how much) or "failed". `objective_error` estimates the error of the objective, in
+    `status` is "optimal", "feasible" (certified, but less accurate than required, or with an objective that still changes
+    from mesh to mesh; `message` gives the amount) or "failed". `objective_error` estimates the error of the objective, in
     its units: by its change from mesh to mesh, and by its distance from the objective of the integrated motion. A plan that
     failed has no objective; its trajectory and certificate, if any, show what does not hold.
     """
@@ -184,12 +184,12 @@ def without_motion(problem: OdeProblem, reason: str) -> OdePlan:
 
 
 def _verdict(problem: OdeProblem, refined: Refined) -> tuple[str, str]:
-    """Return the status of a refined motion and the reason for it; if it is optimal, what else there is to say."""
+    """Return the status of a refined motion and the reason for it; if it is optimal, a further remark."""
     certificate, tolerance, held_back = refined.certificate, problem.tolerance, held_by_guess(problem, refined)
     if held_back is not None:
         return "failed", held_back
     if not certificate.passed:
-        return "failed", f"the solver converged, the certificate does not pass: {'; '.join(certificate.failures)}"
+        return "failed", f"the solver converged, but the certificate does not pass: {'; '.join(certificate.failures)}"
     moved = f"; on the last finer mesh its objective changed by {100 * refined.moved:.2g} %" * bool(refined.moved)
     if certificate.integration_error > tolerance:
         return "feasible", (
@@ -206,7 +206,7 @@ def _verdict(problem: OdeProblem, refined: Refined) -> tuple[str, str]:
 
 
 def held_by_guess(problem: OdeProblem, at: Iterate | Refined) -> str | None:
-    """Return the words on a duration that ended at a bound which is its guess's, not the user's; None elsewhere."""
+    """Return a sentence if the duration ended at a bound that follows from its guess and not from the user; else None."""
     bound = bounded_by_guess(at.solution, *problem.duration)
     if bound is None:
         return None
@@ -255,8 +255,8 @@ def plan_ode(problem: OdeProblem, say: Say = silent) -> OdePlan:
 def _plan_from(problem: OdeProblem, guess: Curves, what: str) -> OdePlan | None:
     """Return the plan that a guess leads to, or None if the solver finds no motion from it.
 
-    An effort that acts through its sine and cosine alone may leap by whole turns from node to node: the equations hold
-    there, and between them its polynomial is wild. Efforts constant over an interval are next to a motion.
+    An effort that acts only through its sine and cosine may jump by whole turns from node to node: the equations hold at the
+    nodes, but the polynomial between them is meaningless. Efforts that are constant over an interval avoid this.
     """
     case, breaks = OdeCase(problem, units_of(problem, guess)), problem.mesh.breaks
     mesh = uniform(problem.mesh.intervals) if breaks is None else broken(breaks)

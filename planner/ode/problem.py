@@ -48,13 +48,14 @@ class OdeProblem:
     """An optimal-control problem over a differential equation.
 
     `rate` is f, and the cost L and the path c go with it: callables, or CasADi functions, of (x, u, p, t). `final_cost` phi
-    and `ends` psi are of (x_0, x_T, T, p). `start` and `goal` have a value for each state, NaN where it is free, or [low,
-    high] rows. `duration_s` is a number, or (low, high) where it is free. `effort_limit` (n_u, 2), `state_limit` (n_x, 2),
-    `path_limit` and `ends_limit` have [low, high] rows, infinite where there is none. `returns` are states that end as they
-    began. `guesses` are motions to start from; then comes a straight line between the given values of start and goal.
-    `tolerance` is on the state after integration, relative to each state's size; `objective_tolerance` on the objective's
-    change from one mesh to the next, relative: None asks for 1e-6 where that is cheap. Mesh and solver settings mean what
-    they do for mechanisms, tolerance_deg apart; `solver.starts` must be 1, because there is no search beyond the guesses.
+    and `ends` psi are functions of (x_0, x_T, T, p). `start` and `goal` have a value for each state, NaN where it is free,
+    or [low, high] rows. `duration_s` is a number, or (low, high) where it is free. `effort_limit` (n_u, 2), `state_limit`
+    (n_x, 2), `path_limit` and `ends_limit` have [low, high] rows, infinite where there is none. `returns` are states that
+    end at their initial values. `guesses` are motions to start from; then comes a straight line between the given values of
+    start and goal. `tolerance` is on the state after integration, relative to each state's size; `objective_tolerance` on
+    the objective's change from one mesh to the next, relative: None asks for 1e-6 where that is cheap. Mesh and solver
+    settings mean what they do for mechanisms, tolerance_deg apart; `solver.starts` must be 1, because there is no search
+    beyond the guesses.
 
     Example::
 
@@ -97,7 +98,7 @@ class OdeProblem:
         self._freeze_arrays()
         self._check_lists()
         self._check_settings()
-        for name in ("rate", "running_cost", "path", *_AT_ENDS):  # functions that give a wrong number of values
+        for name in ("rate", "running_cost", "path", *_AT_ENDS):  # functions with a wrong number of values
             n = {"rate": self.n_x, "path": len(self.path_limit), "ends": len(self.ends_limit)}.get(name, 1)
             got = self.function(name).numel_out(0)
             if got != n:
@@ -146,7 +147,7 @@ class OdeProblem:
                     raise ProblemError(f"{what} asks for {name} = {asked:g}, beyond its limits {least:g} to {most:g}")
 
     def _check_settings(self) -> None:
-        """Refuse durations, tolerances and settings that mean nothing, and a problem without a rate or a cost."""
+        """Refuse meaningless durations, tolerances and settings, and a problem without a rate or a cost."""
         low, high = self.duration
         if not (0 <= low <= high and high > 0 and np.isfinite(low)):
             raise ProblemError(
@@ -178,7 +179,7 @@ class OdeProblem:
 
     @property
     def duration(self) -> tuple[float, float]:
-        """The bounds on the duration [s]: twice the same where it is given."""
+        """The bounds on the duration [s], equal if it is given."""
         given = _array("duration_s", self.duration_s).ravel()
         if len(given) not in (1, 2):
             raise ProblemError(f"duration_s is a positive number, or (low, high) where it is free, got {self.duration_s!r}")
@@ -187,7 +188,7 @@ class OdeProblem:
     def function(self, name: str) -> ca.Function:
         """Return `rate`, `running_cost` or `path` of (x, u, p, t), or `final_cost` or `ends` of (x_0, x_T, T, p).
 
-        It is CasADi's. A cost that is not given is zero, and of a path or ends that are not given there are no values.
+        The result is a CasADi function. A missing cost is zero; a missing path, or missing ends, have no values.
         """
         sizes = {"x": self.n_x, "u": self.n_u, "p": len(self.parameters), "t": 1}
         if name in _AT_ENDS:
@@ -198,7 +199,7 @@ class OdeProblem:
             value = ca.SX.zeros(name.endswith("cost"), 1) if given is None else given(*symbols)
             column = ca.vec(ca.vertcat(*value) if isinstance(value, list | tuple) else ca.SX(value))
             return ca.Function(name, symbols, [ca.densify(column)])
-        except Exception as error:  # whatever a user's function raises is said, with its name
+        except Exception as error:  # any error of a user's function is reported with the function's name
             raise ProblemError(
                 f"{name} of '{self.name}' cannot be written in CasADi's SX: {type(error).__name__}: {one_line(error)}"
             ) from error

@@ -187,7 +187,7 @@ def _resting_places(plane: PhasePlane, part: Part) -> tuple[float | None, float 
         energy = plane.inertia[last] * leg[-1]
         lost = plane.work[-step][last] - plane.work[-step][last + step]
         rest = plane.s[last] + min(energy / lost, 1.0) * (plane.s[last + step] - plane.s[last])
-        # A speed at the goal is gathered over a way that is longer than need be by this share.
+        # The way over which a motion gains its speed at the goal is longer than necessary by this share.
         found.append(float(rest + (1e-3 * (rest - plane.s[at]) if along < 0 else 0.0)))
     return found[0], found[1]
 
@@ -316,7 +316,7 @@ def _guess(plane: PhasePlane, parts: list[Part], ways: list, start_pose: np.ndar
     guess = guess_along(path, float(t[-1]), start_pose, passed, swings=sum(len(legs) for legs in ways))
     top = np.where(np.array(v) > 0, plane.top[+1][visited], plane.top[-1][visited])
     if np.any((0.5 * np.square(v) >= (1 - _SAME_ENERGY_SHARE) * top) & (top > 0)):
-        return guess  # along speed limits efforts are what these ask for
+        return guess  # along speed limits, these limits determine the efforts
     switched = np.setdiff1d(np.flatnonzero(np.diff(pushed)) + 1, boundaries)
     ends = np.sort(np.concatenate([t[switched], t[boundaries]]))
     bang_efforts = effort_at(0.5 * (ends[1:] + ends[:-1]))

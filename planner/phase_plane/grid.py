@@ -55,7 +55,7 @@ class PhasePlane:
         """
         sign = -step if backwards else step
         if not w and step * (self.force[effort][start] - sign * self.rub[start]) <= 0:
-            return np.array([float(w)])  # rest is not left that way, however soon the way would be open again
+            return np.array([float(w)])  # rest cannot be left in this direction, even if the way is open a little further on
         if self.undamped:
             return self._free_leg(start, w, step, effort, self.top[sign], below)
         # In plain floats: place by place, numpy's take ten times as long.

@@ -20,10 +20,10 @@ from linkplan.models.tree.friction import frictions_of
 from linkplan.planner.phase_plane.bang_bang_motions import Part
 from linkplan.planner.problem.problem import Problem
 
-# The limit that an actuator is held at: 1 and -1 are the upper and lower limit of its effort. The first number here is its
-# power, the second its motor's or servo's line, the third the force of the first closure; further closures and then the
-# joints with a limited speed follow. A force has a positive number where a larger effort reaches its limit, a negative one
-# where a smaller effort does.
+# Numbers of the limits that an actuator is held at. 1 and -1 are the upper and lower limit of its effort, `AT_POWER` is its
+# power and `AT_LINE` its motor's or servo's line. `AT_FORCE` is the force of the first closure; the numbers of further
+# closures follow, and then those of the joints with a limited speed. A force has a positive number where a larger effort
+# reaches its limit, a negative one where a smaller effort does.
 AT_POWER, AT_LINE, AT_FORCE = 2, 3, 4
 # The share by which rounding may exceed limits on efforts, powers and forces.
 _LIMIT_TOLERANCE = 1e-6

@@ -150,7 +150,7 @@ def _collocated(leg: Leg, held: np.ndarray, t: float, h: float, at: np.ndarray):
         for c in (position, velocity, efforts, np.linalg.solve(known.effort_at, a))
     )
     asked, pushed = law(s, v)
-    # Along a line or a pin force the effort may pass through nothing: there the whole limit is its measure.
+    # Along a line or a pin force the effort may pass through zero: errors are then relative to the whole limit.
     size = np.abs(asked) if np.all(np.abs(held) < AT_LINE) else leg.field.strength
     values = leg.field.curves(s)
     strength = np.abs(values[:, 4:] * size).sum(axis=1) / values[:, 0]

@@ -98,8 +98,8 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
         parquet: also write trajectory.parquet.
 
     Raises:
-        PlanFileError: when the plan has no motion.
-        CertificateError: when `read_plan` would refuse the files of a plan that passes.
+        PlanFileError: if the plan has no motion. CertificateError: if `read_plan` would refuse the files of a plan that
+            passes.
     """
     if plan.trajectory is None:
         raise PlanFileError(f"nothing to save: {plan.message}")
@@ -122,7 +122,7 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
     )
     again = _certified(folder, read_plan_record(folder), read, plan.problem, known)
     if plan.passed and not again.passed:
-        raise CertificateError(f"the plan is not saved, since its files could not be used: {again.message}")
+        raise CertificateError(f"the plan is not saved, because its files could not be used: {again.message}")
 
 
 def _from(place: Path, problem: Problem) -> str | None:
@@ -187,7 +187,7 @@ def _read(
     extra_costs: Sequence[ExtraCost] = (),
     extra_limits: Sequence[ExtraLimit] = (),
 ) -> tuple[PlanRecord, Trajectory, Problem]:
-    """Return what a plan's folder holds, and its problem, built again.
+    """Return the content of a plan's folder, and its problem, built again.
 
     Raises:
         PlanFileError: when the folder or one of its files is missing, truncated, or not a plan's.
@@ -204,7 +204,7 @@ def _read(
         had = extras_text(saved.extras) if saved.extras else "no extra limit or cost"
         raise PlanFileError(f"'{folder}' was planned with {had}; plan.json has their bounds, weights and units; got others")
     if saved.extras and not problem.extras:
-        note = f"read without {_lost(saved)}: nothing here was checked against it"
+        note = f"read without {_lost(saved)}, which was therefore not checked"
         problem = replace(problem, notes=(*problem.notes, note), unread_extras=tuple(saved.extras))
     return saved, trajectory, problem
 
@@ -224,7 +224,7 @@ def _certified(
         certificate = known or with_contacts(problem, trajectory, certify(problem, trajectory))
     except AssemblyError as error:
         raise PlanFileError(
-            f"'{folder / 'trajectory.npz'}' holds a motion that the mechanism cannot make: {error}"
+            f"'{folder / 'trajectory.npz'}' contains a motion that the mechanism cannot make: {error}"
         ) from error
     status, message = saved.status, saved.message
     lost_cost = not problem.objective.extra and any(one.kind == "cost" for one in saved.extras)
@@ -246,7 +246,7 @@ def _certified(
 
 
 def _lost(saved: PlanRecord) -> str:
-    return f"{extras_text(saved.extras)}, Python that the files do not hold"
+    return f"{extras_text(saved.extras)}, Python code that the files do not contain"
 
 
 def _rebuilt_problem(
@@ -277,7 +277,7 @@ def _rebuilt_problem(
         changed = changed or f"model '{model}' has changed since '{folder}' was planned, in its {' and '.join(different)}"
     if changed:
         raise PlanFileError(f"{changed}; plan it again")
-    why = refusal or "mechanism.model is no name"
+    why = refusal or "mechanism.model is not a name"
     why = f"{why}; it was planned with {_lost(saved)}" if saved.extras else why
     how = f" with {', '.join(overrides)}" if overrides else " again"
     raise PlanFileError(f"the problem in '{folder / 'plan.json'}' cannot be built{how}: {why}") from refusal

@@ -254,15 +254,15 @@ class Plan:
             LinkplanError: if the plan has no motion.
         """
         if self.trajectory is None:
-            raise LinkplanError(f"nothing to {use}, the plan has no motion: {self.message}")
+            raise LinkplanError(f"cannot {use}: the plan has no motion: {self.message}")
         return self.trajectory
 
     def prove(self, *, existence: bool = True) -> Proof:
         """Return the proof of the motion's limits at every instant, from the coefficients of its polynomials alone.
 
-        Ball arithmetic encloses the closure and the efforts by inverse dynamics between all samples. `proved`, `refuted`,
-        `undecided` and `sampled` findings are in the proof's `of(answer)`; `passed` says that nothing is refuted, `complete`
-        that all is proved.
+        Ball arithmetic encloses the closure and the efforts by inverse dynamics between all samples. The proof's
+        `of(answer)` returns the `proved`, `refuted`, `undecided` or `sampled` findings; `passed` is true if nothing is
+        refuted, `complete` if everything is proved.
 
         Args:
             existence: whether a motion of the model near the plan is looked for, too, for at most a minute.
@@ -273,7 +273,7 @@ class Plan:
         return self._proved(NO_DEADLINE, existence=existence)
 
     def with_proof(self, until: Deadline = NO_DEADLINE, *, existence: bool = True) -> Self:
-        """Return this plan with its proof; its status is "failed" if that refutes a limit.
+        """Return this plan with its proof; its status is "failed" if the proof refutes a limit.
 
         Args:
             until: the deadline.
@@ -281,8 +281,8 @@ class Plan:
 
         Raises:
             LinkplanError: if the plan has no motion.
-            OutOfTimeError: if the deadline passes before all claims are judged, or some intervals show that they take
-                twice the time to it.
+            OutOfTimeError: if the deadline passes before all claims are decided, or if the first intervals show that this
+                takes twice the remaining time.
         """
         proof = self._proved(until, existence=existence)
         if proof.passed or not self.passed or self.certificate is None:
@@ -337,7 +337,7 @@ class Plan:
         return sample_motion(self.problem, self.require_motion("sample"), time_s, jumps=jumps)
 
     def demands(self) -> tuple[Demand, ...]:
-        """Return what the motion demands of each actuator: peak and rms effort, peak speed, powers and energy.
+        """Return the motion's demands on each actuator: peak and rms effort, peak speed, powers and energy.
 
         Raises:
             LinkplanError: if the plan has no motion, or its loops cannot close along it.
@@ -378,7 +378,7 @@ def _unpickled(kind: type[Plan], kept: dict) -> Plan:
 
 
 def not_honoured(plan: Plan) -> tuple[str, ...]:
-    """Return phrases on what a plan neglects of its model: the problem's list, and contacts along the motion."""
+    """Return phrases on what a plan neglects: the problem's list, and contacts along the motion."""
     contacts = () if plan.certificate is None else plan.certificate.contacts
     return (*plan.problem.not_honoured, *contact_notes(contacts))
 

@@ -14,7 +14,7 @@ from linkplan.planner.problem.extra import Extra
 from linkplan.planner.refinement.history import Step
 
 PLAN_FORMAT = 1
-# The type of a field that is not read: it is for people, or follows from the motion.
+# The type of a field that is not read, because it is for people or follows from the motion.
 NotRead = Any
 
 
@@ -91,7 +91,7 @@ def read_plan_record(folder: Path) -> PlanRecord:
         )
     saved = read_record(path, PlanRecord)
     if saved.status not in STATUSES:
-        raise PlanFileError(f"'{path}' has status '{saved.status}'; a plan's is one of {', '.join(STATUSES)}")
+        raise PlanFileError(f"'{path}' has status '{saved.status}'; it must be one of {', '.join(STATUSES)}")
     if saved.format != PLAN_FORMAT:
         raise PlanFileError(f"'{path}' has format {saved.format}; this linkplan reads {PLAN_FORMAT}")
     return saved

@@ -52,13 +52,13 @@ from linkplan.planner.problem.settings import (
 )
 from linkplan.planner.problem.table_reference import reference_rows
 
-# Tables that may name a CSV file in place of some keys: these keys, and the function that makes them of its columns.
+# Tables that may name a CSV file in place of some keys: these keys, and the function that makes them from its columns.
 _FILES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, np.ndarray], str, Mechanism], dict[str, Any]]]] = {
     "reference": (("time_s", "position_deg", "position_m", "at", "body_deg"), reference_rows),
     "force_over_time": (("time_s", "on"), force_rows),
     "path": (("points",), path_rows),
 }
-# Arguments that are whole tables of a problem file, those that are keys of a table, and those that no file holds.
+# Arguments that are whole tables of a problem file, arguments that are keys of a table, and arguments that no file has.
 _SECTIONS = ("reference", "force_over_time", "path", "limits", "motors", "guess", "mesh", "solver", "tracking")
 _SECTIONS += ("robust", "imperfections")
 _TABLES = {key: "motion" for key in KEYS["motion"] if key != "kind"} | {"minimize": "objective", "reserve": "limits"}
@@ -134,7 +134,7 @@ def _replace_files(tables: Tables, mechanism: Mechanism, folder: Path | None) ->
             continue
         also = [one for one in replaced if one in section]
         if also:
-            raise ProblemError(f"{key}.file and {key}.{also[0]} are two tables; keep one")
+            raise ProblemError(f"{key}.file and {key}.{also[0]} both give the table; keep one")
         name = checked(f"{key}.file", section["file"])
         what = f"{key}.file '{name}'"
         rows = rows_of(read_csv(resolve_path(name, folder), what), what, mechanism)
@@ -188,7 +188,7 @@ def model_from_tables(tables: Mapping[str, dict], folder: Path | None = None) ->
 
 def _model_asked(section: dict, folder: Path | None) -> tuple[MechanismSection, Selection]:
     """Return a [mechanism] table and what it selects of the model, whose file is set in the table as an absolute path."""
-    # Errors in the model's place and pose are problem errors; all others are model errors.
+    # Errors in the model's path and pose are problem errors; all others are model errors.
     read(MechanismSection, {key: section[key] for key in ("model", "home_deg", "home_m") if key in section}, "mechanism")
     asked = read(MechanismSection, section, "mechanism", error=ModelError)
     place = resolve_path(asked.model, folder)
@@ -210,7 +210,7 @@ def _mechanism(section: dict, folder: Path | None) -> Mechanism:
         selection=selection,
         friction_transition=None if asked.friction_transition_deg_s is None else np.radians(asked.friction_transition_deg_s),
     )
-    joint_values(asked, "home", "mechanism", mechanism)  # refuses degrees for a slide and metres for a hinge
+    joint_values(asked, "home", "mechanism", mechanism)  # raises an error for degrees on a slide and metres on a hinge
     return replace(mechanism, source=copy.deepcopy(section))
 
 
@@ -222,7 +222,7 @@ def _in_coordinates(tables: Tables, mechanism: Mechanism, named: list[str], fold
     except ModelError as error:
         had = ", ".join(joint.name for joint in mechanism.independent_joints)
         raise ProblemError(
-            f"the motion names {', '.join(named)}, in which it cannot be planned; by default it is named in {had}: {error}"
+            f"the motion names {', '.join(named)}, but cannot be planned in these joints; name {had} instead: {error}"
         ) from error
 
 
@@ -231,19 +231,19 @@ def _duration_notes(motion: MotionSection, objective: Objective, reference: Refe
     is_given = any(value is not None for value in (motion.duration_s, motion.min_duration_s, motion.max_duration_s))
     if is_given or reference is not None or objective.has("time"):
         return []
-    return ['motion.duration_s is not given: the duration is free (give it, or write motion.duration_s = "free")']
+    return ['motion.duration_s is not given: the duration is free (set it, or write motion.duration_s = "free")']
 
 
 def _mesh(section: dict, objective: Objective, *, rated: bool) -> dict:
     """Return the mesh settings, with defaults that depend on the rest of the problem."""
-    # Least work has full effort, coasting and full braking. A polynomial smears this, and its cost is evaluated at nodes
-    # only. Efforts with limited rates cannot jump, so they are piecewise linear.
+    # A motion of least work consists of full effort, coasting and full braking. A polynomial cannot represent this, and its
+    # cost is evaluated only at nodes. Efforts with limited rates cannot jump, so they are piecewise linear.
     smeared = objective.has("work") and {*objective.weights} <= {"work", "time"}
     values: dict = {"effort": "linear" if rated else "constant"} if smeared else {}
     if "scheme" in section:
-        values["refine"] = "intervals"  # keeps the named transcription, unless its refinement is given too
+        values["refine"] = "intervals"  # a named transcription is kept, unless the refinement is also given
     if "breaks" in section and "intervals" in section:
-        raise ProblemError("mesh.breaks and mesh.intervals both say how many intervals there are; keep one")
+        raise ProblemError("mesh.breaks and mesh.intervals both give the number of intervals; keep one")
     return values | section
 
 
@@ -258,7 +258,7 @@ def _tracking(section: dict, mechanism: Mechanism | None) -> Tracking:
 
 
 def with_arguments(builder: Callable) -> Callable:
-    """Return a builder that help and editors show with every argument of a problem by name."""
+    """Return a builder whose signature has every argument of a problem, for help and editors."""
     own = [one for one in inspect.signature(builder).parameters.values() if one.kind is not one.VAR_KEYWORD]
     named = [name for name in ARGUMENTS if name not in [one.name for one in own]]
     every = [*own, *(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None) for name in named)]
@@ -267,7 +267,7 @@ def with_arguments(builder: Callable) -> Callable:
 
 
 def refuse_unknown_arguments(said: Mapping[str, object], builder: str) -> None:
-    """Refuse names that are no arguments of a builder."""
+    """Refuse names that are not arguments of a builder."""
     for key in said:
         if key not in ARGUMENTS:
             hint = nearest(key, ARGUMENTS)
@@ -312,7 +312,7 @@ def given_extras(said: Mapping[str, object]) -> dict:
 def checked_name(name: object) -> str:
     """Return a problem's name if it can be shown."""
     if not isinstance(name, str) or not name.strip() or not name.isprintable() or len(name) > 500:
-        raise ProblemError(f"a problem's name is a word of at most 500 characters that can be shown, got {name!r}")
+        raise ProblemError(f"a problem's name must have 1 to 500 printable characters, got {name!r}")
     return name
 
 
@@ -323,4 +323,4 @@ def file_text(tables: Tables, extras: Sequence[Extra]) -> str:
         ProblemError: for a value that TOML cannot express.
     """
     text = toml_text(tables)
-    return f"# Without {extras_text(extras)}: a problem file holds no Python.\n{text}" if extras else text
+    return f"# Without {extras_text(extras)}: a problem file cannot contain Python code.\n{text}" if extras else text

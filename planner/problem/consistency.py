@@ -22,7 +22,7 @@ from linkplan.planner.transcription.schemes import scheme
 
 
 def no_actuator(mechanism: Mechanism) -> str:
-    """Return the refusal of a mechanism that nothing drives."""
+    """Return the error for a mechanism without an actuator."""
     return (
         f"mechanism '{mechanism.name}' has no usable actuator, and a plan needs one: add it to the model, or name joints"
         " that get a motor in mechanism.drive"
@@ -30,7 +30,7 @@ def no_actuator(mechanism: Mechanism) -> str:
 
 
 def check_honoured(mechanism: Mechanism, unhonoured: str) -> None:
-    """Refuse a model with forces that make plans wrong, unless they are to be noted, and one without an actuator."""
+    """Refuse a model without an actuator, and one with forces that make plans wrong unless they are only to be noted."""
     falsifying = _falsifying(mechanism)
     if falsifying and unhonoured == "refuse":
         raise ProblemError(
@@ -72,7 +72,7 @@ def check_motion(motion: Motion, objective: Objective, reference: Reference | No
 
 
 def _check_length(motion: Motion, reference: Reference) -> None:
-    """Refuse a duration other than the reference's own, for a reference that does not repeat."""
+    """For a reference that does not repeat, refuse a duration other than its own."""
     if motion.duration_s is not None and abs(motion.duration_s - reference.period_s) > 1e-9 * reference.period_s:
         raise ProblemError(
             f"motion.duration_s must be that of the reference, {reference.period_s:g} s, or 'free' for the shortest within"
@@ -81,7 +81,7 @@ def _check_length(motion: Motion, reference: Reference) -> None:
 
 
 def _check_periodic(motion: Motion, objective: Objective, reference: Reference | None) -> None:
-    """Refuse a periodic motion without a cause to move, or with unsuitable ends."""
+    """Refuse a periodic motion with unsuitable ends, or without a reason to move."""
     if motion.waypoints and motion.goal is not None:
         raise ProblemError("motion.kind 'periodic' with motion.waypoints ends where it starts: it takes no motion.goal_deg")
     if reference is not None and not reference.periodic:
@@ -102,7 +102,7 @@ def _check_periodic(motion: Motion, objective: Objective, reference: Reference |
     if not objective.has("tracking") and not moves:
         raise ProblemError(
             f"motion.kind 'periodic' with minimize '{objective.name}' needs motion.start_deg and motion.goal_deg to move"
-            " between, or motion.waypoints: without them the optimum is to stand still"
+            " between, or motion.waypoints: without them the optimum is to rest"
         )
 
 
@@ -128,8 +128,8 @@ def check_turning_joints(motion: Motion, mechanism: Mechanism, limits: Limits) -
         if n and np.any(np.isfinite(limits.position[index])):
             low, high = (joint.text(x, 6) for x in limits.position[index])
             raise ProblemError(
-                f"motion.turns of joint {joint.name}: a joint that turns endlessly has no range; its range is {low} to"
-                f" {high} deg"
+                f"motion.turns of joint {joint.name}: a joint that turns continuously must have no range; its range is"
+                f" {low} to {high} deg"
             )
 
 
@@ -157,16 +157,18 @@ def check_robust(robust: Robust, mechanism: Mechanism) -> None:
 
 
 def _check_robust_of_driven(robust: Robust, mechanism: Mechanism, driven: int) -> None:
-    """Refuse ranges that actuators cannot compensate, for actuators that move only some degrees of freedom."""
+    """If the actuators move only some degrees of freedom, refuse ranges that they cannot compensate."""
     moved = f"the actuators of '{mechanism.name}' move {driven} of {mechanism.dof} degrees of freedom"
     if driven < mechanism.n_u:
-        raise ProblemError(f"[robust] takes actuators that move every degree of freedom, or each its own; {moved}")
+        raise ProblemError(
+            f"[robust] needs actuators that move every degree of freedom, or that each move a different one; {moved}"
+        )
     lost = corner_out_of_reach(mechanism, robust.corners)
     if lost is not None:
         raise ProblemError(
-            f"[robust] keeps one motion for every machine in its ranges; {moved}, and the others move differently at the"
-            f" corner: {lost.description}; legal are ranges that actuators"
-            " compensate: the torque constant, friction at driven joints"
+            f"[robust] plans one motion for every machine in its ranges; {moved}, and the others move differently at the"
+            f" corner: {lost.description}; legal are only ranges that actuators can compensate: torque constant, friction at"
+            " driven joints"
         )
 
 
@@ -178,7 +180,7 @@ def lacking_parts(
     mesh: MeshSettings,
     limits: Limits,
 ) -> dict[str, str | None]:
-    """Return, for each key of `Term.needs`, words on what a problem must have and lacks; None where it lacks nothing."""
+    """Return for each key of `Term.needs` a phrase on what the problem lacks; None if it lacks nothing."""
     given = motion.duration_s
     unknown = [
         actuator.name
@@ -227,7 +229,7 @@ def check_objective(
         raise ProblemError(f"objective.minimize 'time' needs {unlimited}: without them there is no least time")
     if list(objective.weights) == ["time"] and motion.stays:
         raise ProblemError(
-            "objective.minimize is 'time' and the motion ends where it starts, which takes no time: ask for another goal or"
+            "objective.minimize is 'time' and the motion ends where it starts, which takes no time: set another goal or"
             " objective"
         )
     for name, term in objective.terms.items():

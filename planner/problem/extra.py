@@ -15,7 +15,7 @@ from linkplan.models.poses.body_angles import body_index, turning
 from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.problem.instant import Instant, free_instant, jerk_columns, motion_symbols
 
-# Names appear in sentences.
+# The longest name, because names appear in sentences.
 MAX_NAME_CHARACTERS = 100
 
 
@@ -69,7 +69,7 @@ class NamedInstant:
         return _Named("actuator in at.effort", names, self.instant.u)
 
     def site(self, name: str) -> ca.SX:
-        """Return the place (3,) [m] of a site in the world."""
+        """Return the position (3,) [m] of a site in the world."""
         return self._of_site("site", name, self.instant.of_pose("site_places"))
 
     def site_velocity(self, name: str) -> ca.SX:
@@ -103,8 +103,8 @@ class ExtraLimit:
 
     Args:
         name: in messages.
-        expression: from a `NamedInstant` to a CasADi scalar, twice differentiable along the motion.
-        lower, upper: bounds, one of them finite.
+        expression: from a `NamedInstant` to a CasADi scalar, twice differentiable along the motion. lower, upper: bounds,
+            one of them finite.
         unit: of the expression, for messages.
 
     Example::
@@ -130,7 +130,7 @@ class ExtraLimit:
 
     @property
     def size(self) -> float:
-        """The unit of its row in a program: the larger absolute value of its finite bounds."""
+        """The scale of its row in a program: the larger absolute value of its finite bounds."""
         ends = np.abs([self.lower, self.upper])
         return float(ends[np.isfinite(ends)].max()) or 1.0
 
@@ -174,7 +174,7 @@ def expressed(extra: Extra, at: Instant) -> ca.SX:
     """Return the expression of an extra limit or cost at an instant.
 
     Raises:
-        ProblemError: for a name that the mechanism does not have, or an expression that is no scalar of the motion.
+        ProblemError: for a name that the mechanism does not have, or an expression that is not a scalar of the motion.
     """
     what = f"extra {extra.kind} '{extra.name}'"
     try:
@@ -215,7 +215,7 @@ def uses(extra: Extra, mechanism: Mechanism) -> dict[str, bool]:
 
 
 def take_jerk(extra: Extra, mechanism: Mechanism, lacking: str | None) -> bool:
-    """Check whether an extra limit or cost depends on jerk; `lacking` is what the transcription then lacks.
+    """Return True if an extra limit or cost depends on jerk; `lacking` is a phrase on what the transcription lacks for it.
 
     Raises:
         ProblemError: as `uses`, and for a jerk that the transcription does not have.
@@ -236,7 +236,7 @@ def jerk_of(extra: Extra, mechanism: Mechanism) -> tuple[int, ...]:
 def extra_along(extra: Extra, mechanism: Mechanism, *motion: np.ndarray) -> np.ndarray:
     """Return the values (n,) of an extra limit or cost along q (n, n_q), or along q, v, a (n, n_s), u (n, n_u) and jerk.
 
-    The jerk has the shape (n, n_s). The forces over time, as of `Mechanism.forces_at`, follow it.
+    The jerk has the shape (n, n_s). Forces over time, as from `Mechanism.forces_at`, follow it.
     """
     instant, _ = free_instant(mechanism)
     inputs = motion_symbols(instant)[: len(motion)]
@@ -245,7 +245,7 @@ def extra_along(extra: Extra, mechanism: Mechanism, *motion: np.ndarray) -> np.n
 
 
 def not_finite(what: str, values: np.ndarray, time: np.ndarray) -> list[str]:
-    """Return the sentence on the first instant (n,) [s] at which values (n, ...) are not all finite; none if they are."""
+    """Return a sentence on the first instant (n,) [s] at which values (n, ...) are not finite, if there is one."""
     rows = values.reshape(len(time), -1)
     bad = ~np.isfinite(rows)
     if not bad.any():
@@ -255,7 +255,7 @@ def not_finite(what: str, values: np.ndarray, time: np.ndarray) -> list[str]:
 
 
 def as_no_number(value: float) -> str:
-    """Return the words for a value that is not finite: "not finite (NaN)", "not finite (inf)"."""
+    """Return the text for a value that is not finite: "not finite (NaN)", "not finite (inf)"."""
     return f"not finite ({'NaN' if np.isnan(value) else f'{value:g}'})"
 
 
@@ -269,14 +269,14 @@ def checked_extras(extras: Sequence[Extra], kind: type, where: str) -> tuple:
     """Return extra limits or costs as a tuple.
 
     Raises:
-        ProblemError: for other values, or two of one name.
+        ProblemError: for other values, or two with the same name.
     """
     if isinstance(extras, str) or not isinstance(extras, Sequence) or not all(isinstance(one, kind) for one in extras):
         raise ProblemError(f"{where} is a list of linkplan.{kind.__name__}, got {shown(repr(extras))}")
     names = [one.name for one in extras]
     for name in names:
         if names.count(name) > 1:
-            raise ProblemError(f"{where} has names that differ, got '{name}' more than once")
+            raise ProblemError(f"{where} must have different names, got '{name}' more than once")
     return tuple(extras)
 
 
@@ -293,15 +293,15 @@ def _joints(mechanism: Mechanism) -> tuple[str, ...]:
 def _check_words(extra: Extra) -> None:
     kind, name = extra.kind, extra.name
     if not isinstance(name, str) or not name.strip() or not name.isprintable():
-        raise ProblemError(f"an extra {kind}'s name is a word that can be shown, got {shown(repr(name))}")
+        raise ProblemError(f"an extra {kind}'s name must be printable text, got {shown(repr(name))}")
     if len(name) > MAX_NAME_CHARACTERS:
         raise ProblemError(f"an extra {kind}'s name has at most {MAX_NAME_CHARACTERS} characters, got {len(name)}")
     if not callable(extra.expression):
         raise ProblemError(
-            f"extra {kind} '{name}': expression is a function of an instant, got {shown(repr(extra.expression))}"
+            f"extra {kind} '{name}': expression must be a function of an instant, got {shown(repr(extra.expression))}"
         )
     if not isinstance(extra.unit, str) or not extra.unit.isprintable():
-        raise ProblemError(f"extra {kind} '{name}': unit is a word, got {shown(repr(extra.unit))}")
+        raise ProblemError(f"extra {kind} '{name}': unit must be text, got {shown(repr(extra.unit))}")
 
 
 def _number(value: object, what: str) -> float:

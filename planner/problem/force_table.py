@@ -37,9 +37,9 @@ def forces_of(section: ForceSection, mechanism: Mechanism, motion: Motion) -> Fo
     """Return the forces of a [force_over_time] table.
 
     Args:
-        section: whose first row is at the motion's start.
+        section: the table; its first row is at the motion's start.
         mechanism: with the sites.
-        motion: whose time is that of the table.
+        motion: in whose time the table is given.
 
     Raises:
         ProblemError: for a table that cannot be read, or whose times do not fit the motion's.
@@ -51,7 +51,7 @@ def forces_of(section: ForceSection, mechanism: Mechanism, motion: Motion) -> Fo
     for name, axes in section.on.items():
         site = site_index(mechanism.model, name, f"{_KEY}.on", ProblemError)
         if mechanism.model.body_weldid[mechanism.model.site_bodyid[site]] == 0:
-            raise ProblemError(f"{_KEY}.on.{name}: the site does not move, so that a force on it does nothing")
+            raise ProblemError(f"{_KEY}.on.{name}: the site does not move, so a force on it has no effect")
         for axis, values in axes.items():
             if len(values) != len(time):
                 raise ProblemError(
@@ -65,15 +65,17 @@ def forces_of(section: ForceSection, mechanism: Mechanism, motion: Motion) -> Fo
     assert duration is not None  # as checked above
     if motion.kind == "periodic" and not returns(rows):
         raise ProblemError(
-            f"{_KEY} of a periodic motion ends with the row that it begins with (or give {_KEY}.period_s), got"
+            f"the last row of {_KEY} of a periodic motion must equal the first (or give {_KEY}.period_s), got"
             f" {_shown(rows[0])} first and {_shown(rows[-1])} N last"
         )
     if motion.kind == "periodic" and not is_whole(duration / last):
-        raise ProblemError(f"{_KEY} repeats after {last:g} s; motion.duration_s is a multiple of that, got {duration:g}")
+        raise ProblemError(
+            f"{_KEY} repeats after {last:g} s; motion.duration_s must be a multiple of this, got {duration:g}"
+        )
     if not repeats and last < duration * (1 - 1e-9):
         raise ProblemError(
-            f"{_KEY}.time_s ends at {last:g} s from its first row, before the motion's {duration:g} s; give rows up to the"
-            f" end, or {_KEY}.period_s if it repeats"
+            f"{_KEY}.time_s ends at {last:g} s from its first row, before the motion's end at {duration:g} s; add rows up"
+            f" to the end, or {_KEY}.period_s if it repeats"
         )
     if motion.kind == "periodic":
         rows[-1] = rows[0]
@@ -84,11 +86,11 @@ def forces_of(section: ForceSection, mechanism: Mechanism, motion: Motion) -> Fo
 def force_notes(section: ForceSection) -> list[str]:
     """Return the note on where the forces of a [force_over_time] table act."""
     rows, kind = len(section.time_s), section.interpolation
-    return [f"{_KEY}: {kind} between {rows} rows, on {', '.join(section.on)}, over the motion; poses at rest are without it"]
+    return [f"{_KEY}: {kind} between {rows} rows, on {', '.join(section.on)}, over the motion, not in poses at rest"]
 
 
 def _check_motion(motion: Motion) -> None:
-    """Refuse a motion whose instants are not known before it is planned, or that is no motion over time."""
+    """Refuse a motion whose times are not known before it is planned."""
     if motion.duration_s is None:
         raise ProblemError(f"{_KEY} is fixed in time and needs a motion.duration_s in seconds, got 'free'")
     free = [k for k, waypoint in enumerate(motion.waypoints) if waypoint.time_s is None]

@@ -57,7 +57,7 @@ def spread_of(value: object, key: str, label: str) -> Spread:
     """Return the distribution that a value of a file describes.
 
     Raises:
-        ProblemError: when it is no distribution, or outside the legal range of the key.
+        ProblemError: if it is not a distribution, or outside the legal range of the key.
     """
     where = f"imperfections.{label}"
     kind, pair = "uniform", value
@@ -76,7 +76,7 @@ def spread_of(value: object, key: str, label: str) -> Spread:
         return Spread(kind=kind, first=first, second=number(pair[1], f"{where}: the standard deviation", at_least_zero=True))
     second = _legal(pair[1], key, where)
     if second < first:
-        raise ProblemError(f"{where} goes from its low end to its high end, got {value!r}")
+        raise ProblemError(f"{where} must have its low end first, got {value!r}")
     return Spread(kind=kind, first=first, second=second)
 
 
@@ -110,7 +110,7 @@ def imperfections_of(table: Any, mechanism: Mechanism) -> ImperfectionFactors:
             continue
         names = _names(QUANTITIES[key].of, mechanism)
         if QUANTITIES[key].of and not names:
-            raise ProblemError(f"imperfections.{key} is for {_WHAT[QUANTITIES[key].of]}, of which the mechanism has none")
+            raise ProblemError(f"imperfections.{key} applies to {_WHAT[QUANTITIES[key].of]}; the mechanism has none")
         if not QUANTITIES[key].of:
             factors.append(Factor(key=key, name="", spread=spread_of(value, key, key)))
         elif isinstance(value, Mapping) and not is_spread(value):
@@ -167,9 +167,9 @@ def _check_push(keys: set[str], pushed: dict[str, str | None]) -> None:
     wanted = {"push_body": forces[:1], "push_joint": ["push_effort"] if "push_effort" in keys else []}
     for word, needs in wanted.items():
         if needs and pushed[word] is None:
-            raise ProblemError(f"imperfections.{needs[0]} is a push without a target; name imperfections.{word}")
+            raise ProblemError(f"imperfections.{needs[0]} needs the target of the push: imperfections.{word}")
         if pushed[word] is not None and not needs:
             lack = "push_force_x_n, _y_n or _z_n" if word == "push_body" else "push_effort"
-            raise ProblemError(f"imperfections.{word} is pushed with no force; give imperfections.{lack}")
+            raise ProblemError(f"imperfections.{word} needs the force of the push: imperfections.{lack}")
     if any(pushed.values()) and "push_duration_s" not in keys:
-        raise ProblemError("a push takes imperfections.push_duration_s [s] (and push_start_s, 0 where it is not given)")
+        raise ProblemError("a push needs imperfections.push_duration_s [s] (and push_start_s, by default 0)")

@@ -65,14 +65,14 @@ class Robust(RobustSection, frozen=True, eq=False):
                 legal = "of positive factors" if name in factors else "from zero on"
                 raise ProblemError(f"robust.{name} is [low, high] {legal} with low <= high, got [{low:g}, {high:g}]")
         if len(self.corners) > MAX_CORNERS:
-            raise ProblemError(f"[robust] has {len(self.corners)} corners; at most {MAX_CORNERS} are kept")
+            raise ProblemError(f"[robust] has {len(self.corners)} corners; the limit is {MAX_CORNERS}")
 
     @property
     def corners(self) -> tuple[Corner, ...]:
         """All corners except the nominal machine, whose efforts are the plan's own."""
         choices = []
         for joint in sorted({*self.viscous_friction, *self.coulomb_friction}):
-            most = self.coulomb_friction.get(joint, (0.0, 0.0))[1]  # of either sign
+            most = self.coulomb_friction.get(joint, (0.0, 0.0))[1]  # one corner for each sign
             signs = sorted({-most, most})
             viscous = sorted({*self.viscous_friction.get(joint, (0.0, 0.0))})
             choices.append([(joint, d, c) for d in viscous for c in signs])
@@ -208,7 +208,7 @@ def unit_scales(mechanism: Mechanism) -> Scales:
 
 
 def position_units(mechanism: Mechanism, positions: np.ndarray) -> np.ndarray:
-    """Return the spans (n_s,) of positions (..., n_s); of joints at rest, 1 rad or the mechanism's extent [rad or m]."""
+    """Return the spans (n_s,) of positions (..., n_s) [rad or m]; for joints at rest, 1 rad or the mechanism's extent."""
     unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)
     span = np.ptp(positions.reshape(-1, mechanism.dof), axis=0)
     return np.where(span > 1e-3 * unit, span, unit)

@@ -32,7 +32,7 @@ class Limits(LimitValues):
     actuator; `closure_force` (n_closures,) [N], the largest force of each closure; `singular_margin`, the least |det J_z|
     relative to home; `site`, the `SiteLimit`s [m]; `body`, the `BodyLimit`s [rad]; `site_acceleration` and `site_jerk`, the
     largest by site [m/s2, m/s3].
-    `effort` is the limit for plans: `reserve` is the share of the actuators' own limits that is left to feedback.
+    `effort` is the limit for plans; `reserve` is the share of the actuators' own limits that is reserved for feedback.
     """
 
     def __post_init__(self) -> None:
@@ -48,7 +48,7 @@ class Limits(LimitValues):
 
     @property
     def actuators_effort(self) -> np.ndarray:
-        """The actuators' own limits (n_u, 2) [N.m or N], including the reserve that plans leave to feedback."""
+        """The actuators' own limits (n_u, 2) [N.m or N], including the reserve for feedback."""
         return self.effort / (1.0 - self.reserve)
 
     @property
@@ -69,7 +69,7 @@ def limits_from(section: Section, mechanism: Mechanism) -> Limits:
 
 
 def _efforts(section: Any, _: str, mechanism: Mechanism) -> np.ndarray:
-    """Return the efforts' [low, high] (n_u, 2), less what is left to feedback."""
+    """Return the efforts' [low, high] (n_u, 2), without the reserve for feedback."""
     effort = np.array(mechanism.effort_limit)
     for name, value in section.effort.items():
         effort[actuator_index(mechanism, name, "limits.effort")] = interval(value, f"limits.effort.{name}")
@@ -85,8 +85,8 @@ def _ranges(section: Any, _: str, mechanism: Mechanism) -> np.ndarray:
         low, high = (joint.read(end) for end in shown)
         if low < joint.lower or high > joint.upper:
             raise ProblemError(
-                f"limits.range_{joint.unit}.{joint.name} = [{shown[0]:g}, {shown[1]:g}] is wider than the model's own range"
-                f" [{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}], where its stops act"
+                f"limits.range_{joint.unit}.{joint.name} = [{shown[0]:g}, {shown[1]:g}] exceeds the model's own range"
+                f" [{joint.shown(joint.lower):g}, {joint.shown(joint.upper):g}], at whose ends there are stops"
             )
         position[index] = low, high
     return position
@@ -102,7 +102,7 @@ def _of_actuators(section: Any, key: str, mechanism: Mechanism) -> np.ndarray:
 
 
 def _of_joints(section: Any, key: str, mechanism: Mechanism) -> np.ndarray:
-    """Return [low, high] (n_q, 2), in SI, of a limit by joint, whose key is in SI or in degrees on hinges."""
+    """Return [low, high] (n_q, 2), in SI, of a limit by joint whose key is in SI or, for hinges, in degrees."""
     rows = free_bounds(mechanism.n_q)
     if "_deg" not in key:
         for name, value in getattr(section, key).items():
@@ -130,7 +130,7 @@ def _of_sites(section: Any, key: str, mechanism: Mechanism) -> dict[str, float]:
     return dict(getattr(section, key))
 
 
-# The values of limits, in SI, of a section's key: of these limits alone, and by what their values belong to.
+# The functions that give a key's values in SI: for single limits, and by the kind of part that has the values.
 _MADE: dict[str, Callable[[Any, str, Mechanism], Any]] = {
     "effort": _efforts,
     "position": _ranges,
@@ -169,7 +169,7 @@ def closure_index(mechanism: Mechanism, name: str) -> int:
 
 
 def _including_rest(value: float | list[float], where: str) -> tuple[float, float]:
-    """Return [low, high] of a limit, from a positive number for both ways or an interval that contains zero."""
+    """Return [low, high] of a limit, from a positive number for both directions or an interval that contains zero."""
     if not isinstance(value, list):
         return -value, value
     low, high = interval(value, where)
@@ -188,9 +188,9 @@ def motors_of(section: dict[str, Motor], mechanism: Mechanism) -> tuple[Motor | 
         if unit != "N":
             right, wrong = wrong, right
         if getattr(motor, wrong) is not None:
-            raise ProblemError(f"actuator '{name}' gives {unit}; use {where}.{right}, not {wrong}")
+            raise ProblemError(f"actuator '{name}' has the unit {unit}; use {where}.{right}, not {wrong}")
         for one, other in (("torque_constant", "resistance_ohm"), ("stall_effort", right)):
             if (getattr(motor, one) is None) != (getattr(motor, other) is None):
-                raise ProblemError(f"{where}.{one} and {where}.{other} go together, got one of them alone")
+                raise ProblemError(f"{where}.{one} and {where}.{other} must be given together, got only one of them")
         motors[index] = motor
     return tuple(motors)

@@ -1,6 +1,6 @@
 """Motions: prescribed states at both ends and at waypoints, and bounds on the duration; the pose at the start.
 
-Ends beyond reach are refused, and turns that the mechanism does not make.
+Ends beyond reach and impossible turns are refused.
 """
 
 from collections.abc import Mapping
@@ -103,7 +103,7 @@ class Motion:
         self._check_turns()
         low, high = self.min_duration_s, self.max_duration_s
         if low is not None and high is not None and not low < high:
-            raise ProblemError(f"motion.min_duration_s is below motion.max_duration_s, got {low:g} and {high:g}")
+            raise ProblemError(f"motion.min_duration_s must be below motion.max_duration_s, got {low:g} and {high:g}")
         if self.duration_s is not None and (low is not None or high is not None):
             raise ProblemError(
                 'motion.min_duration_s and motion.max_duration_s bound a free duration (motion.duration_s = "free"),'
@@ -145,7 +145,7 @@ class Motion:
         if self.kind != "periodic":
             raise ProblemError(f"motion.turns belongs to motion.kind 'periodic', got '{self.kind}'")
         if not np.any(self.turns) or not np.all(self.turns == np.round(self.turns)):
-            raise ProblemError(f"motion.turns are whole turns, at least one of them not 0, got {self.turns}")
+            raise ProblemError(f"motion.turns must be whole turns, at least one of them not 0, got {self.turns}")
 
     def _check_waypoints(self) -> None:
         if self.waypoints and self.kind == "track":
@@ -160,7 +160,7 @@ class Motion:
             if time is None:
                 continue
             if not (np.isfinite(time) and time > last):
-                raise ProblemError(f"motion.waypoints[{k}].time_s comes after {last:g} s, got {time!r}")
+                raise ProblemError(f"motion.waypoints[{k}].time_s must be after {last:g} s, got {time!r}")
             last = time
         longest = self.duration_s or self.max_duration_s
         if longest is not None and last >= longest:
@@ -209,7 +209,7 @@ def _check_reach(mechanism: Mechanism, ranges: np.ndarray | None, what: str, s: 
     """Refuse positions (n_s,) outside the ranges (n_q, 2) of joints or outside the reach of a single degree of freedom."""
     can = reach(mechanism) if mechanism.dof == 1 and not np.isnan(s[0]) and not is_open(mechanism, s) else None
     for column, joint in enumerate(mechanism.independent_joints):
-        if np.isnan(s[column]):  # a waypoint leaves it free
+        if np.isnan(s[column]):  # free in a waypoint
             continue
         index = int(mechanism.independent[column])
         interval, reason = (-np.inf, np.inf) if ranges is None else tuple(ranges[index]), f"range of {joint.name}"
@@ -231,7 +231,7 @@ def _check_reach(mechanism: Mechanism, ranges: np.ndarray | None, what: str, s: 
 
 
 def is_open(mechanism: Mechanism, s: np.ndarray) -> bool:
-    """Return True if the straight path from home to s (n_s,) surely meets no singular pose and no end of a range.
+    """Return True if the straight path from home to s (n_s,) certainly has no singular pose and no end of a range.
 
     The steps are those of `reach`, but the check is much faster.
     """
@@ -251,10 +251,10 @@ def _way_through(can: Reach | None, reason: str, asked: float) -> str:
         return ""
     end = can.lower.position if asked < can.lower.position else can.upper.position
     if end in can.single:
-        return "; the loops lose rank there, and no other coordinate passes it"
+        return "; the loops lose rank there, and no choice of coordinate passes it"
     if end in dict(can.branching):
-        return "; the mechanism may branch there"
-    return "; another joint as mechanism.independent may pass it"
+        return "; the mechanism may change its branch there"
+    return "; with another joint as mechanism.independent the motion may pass it"
 
 
 def _check_turns(mechanism: Mechanism, motion: Motion, start_pose: np.ndarray, deadline: Deadline) -> None:
@@ -267,34 +267,35 @@ def _check_turns(mechanism: Mechanism, motion: Motion, start_pose: np.ndarray, d
         (joint,) = turning
         low, high = joint.text(can.lower.position, 6), joint.text(can.upper.position, 6)
         raise ProblemError(
-            f"motion.turns of joint {names}: it does not turn fully, it reaches from {low} deg ({can.lower.reason}) to"
+            f"motion.turns of joint {names}: it cannot turn continuously; it reaches from {low} deg ({can.lower.reason}) to"
             f" {high} deg ({can.upper.reason})"
         )
     first = start_pose[mechanism.independent]
-    # Poses examined in each turn.
+    # Number of poses checked in each turn.
     n = int(181 * np.abs(motion.turns).max())
     try:
         path = first + np.linspace(0.0, 1.0, n)[:, None] * motion.advance
         poses = follow(mechanism, path, start_pose, deadline)
     except AssemblyError as error:
-        if mechanism.dof > 1:  # another way may be open
+        if mechanism.dof > 1:  # another path may be feasible
             return
-        raise ProblemError(f"motion.turns of joint {names}: it does not turn fully: {error}") from error
+        raise ProblemError(f"motion.turns of joint {names}: it cannot turn continuously: {error}") from error
     travelled = poses[-1] - poses[0]
     gone = whole_turns(mechanism, travelled)
     worst = int(np.argmax(np.abs(travelled - gone)))
-    # A joint has returned after whole turns if it is this near [rad or m]: a multiple of the tolerance of assembly.
+    # A joint has returned after whole turns if its distance is at most this [rad or m], a multiple of the assembly
+    # tolerance.
     if abs(travelled[worst] - gone[worst]) > 1e-5:
         joint = mechanism.joints[worst]
         raise ProblemError(
-            f"motion.turns of joint {names}: joint {joint.name} does not return, it has moved by"
-            f" {joint.text(travelled[worst], 6)} {joint.unit}; give as many turns as bring all joints back"
+            f"motion.turns of joint {names}: joint {joint.name} does not return but moves by"
+            f" {joint.text(travelled[worst], 6)} {joint.unit}; choose a number of turns after which all joints return"
         )
     _check_efforts(mechanism, names, poses[0], gone)
 
 
 def _check_efforts(mechanism: Mechanism, names: str, pose: np.ndarray, gone: np.ndarray) -> None:
-    """Refuse turns that wind up a spring, or need a servo's ctrl to go on beyond its range."""
+    """Refuse turns that wind up a spring, or for which a servo's ctrl would have to leave its range."""
     still = np.zeros(mechanism.n_q)
     before, after = (np.array(mechanism.dynamics.passive(q, still)).ravel() for q in (pose, pose + gone))
     if np.abs(after - before).max() > ROUNDING_SHARE * np.abs(before).max(initial=1.0):
@@ -305,6 +306,6 @@ def _check_efforts(mechanism: Mechanism, names: str, pose: np.ndarray, gone: np.
     for actuator, x, y in zip(mechanism.actuators, ctrl, later, strict=True):
         if actuator.limits_control and abs(y - x) > ROUNDING_SHARE * max(1.0, abs(x)):
             raise ProblemError(
-                f"motion.turns of joint {names}: the ctrl of servo {actuator.name} goes on by {y - x:.4g} with them and"
-                f" has a ctrlrange of {actuator.control_lower:g} to {actuator.control_upper:g}"
+                f"motion.turns of joint {names}: they change the ctrl of servo {actuator.name} by {y - x:.4g}, but its"
+                f" ctrlrange is {actuator.control_lower:g} to {actuator.control_upper:g}"
             )

@@ -1,4 +1,4 @@
-"""From a [motion] table to the motion that it asks for, with every value checked against the mechanism."""
+"""From a [motion] table to its motion, with every value checked against the mechanism."""
 
 import json
 
@@ -16,7 +16,7 @@ from linkplan.planner.problem.reference import Reference, is_whole
 from linkplan.planner.problem.settings import DERIVED, joint_values
 from linkplan.planner.problem.sites import Task, key_of, pose_at, tasks_of
 
-# Keys of [motion] that say what a path says.
+# Keys of [motion] that a path replaces.
 _NOT_ALONG_A_PATH = (
     *("start_at", "start_body_deg", "goal_deg", "goal_m", "goal_at", "goal_body_deg"),
     *("start_speed_deg_s", "start_speed_m_s", "goal_speed_deg_s", "goal_speed_m_s", "waypoints", "turns"),
@@ -32,7 +32,7 @@ def motion_of(
     limits: Limits,
     path: SitePath | None = None,
 ) -> Motion:
-    """Return the motion of a [motion] table; poses found from sites and bodies keep the limits if possible."""
+    """Return the motion of a [motion] table; poses found from sites and bodies satisfy the limits if possible."""
     kind, duration = section.kind, section.duration_s
     if kind == "follow":
         return _along(section, mechanism, limits, path)
@@ -42,7 +42,7 @@ def motion_of(
     repeats = kind == "periodic" and reference is not None and duration is not None
     if repeats and not is_whole(duration / reference.period_s):
         raise ProblemError(
-            f"motion.duration_s of a periodic motion is a whole number of the reference's periods of"
+            f"motion.duration_s of a periodic motion must be a whole number of the reference's periods of"
             f" {reference.period_s:g} s, got {duration:g}"
         )
     start, start_at, _ = _end(section, "start", kind, mechanism, limits, mechanism.home)
@@ -51,7 +51,7 @@ def motion_of(
     goal, goal_at, goal_rows = _end(section, "goal", kind, mechanism, limits, begin)
     speeds = [_state(section, f"{name}_speed_s", mechanism, 0.0) for name in ("start", "goal")]
     goal_named = np.isin(mechanism.independent, list(_goal_joints(section, mechanism)))
-    if kind == "reach" and reference is not None and duration is not None:  # ends that are not given are the reference's
+    if kind == "reach" and reference is not None and duration is not None:  # ends default to the reference's
         ends = [reference.derivative(np.array([0.0, duration]), order) for order in (0, 1)]
         given = zip((start, goal), speeds, ends[1], strict=True)
         speeds = [own if s is None and v is None else v for s, v, own in given]
@@ -78,13 +78,13 @@ def motion_of(
 
 
 def _along(section: MotionSection, mechanism: Mechanism, limits: Limits, path: SitePath | None) -> Motion:
-    """Return the motion of a site along its path; the joints at the start choose the pose, the nearest to them."""
+    """Return the motion of a site along its path; it starts in the pose nearest to the joints of the start."""
     check_path(path, "follow", {})
     assert path is not None  # as checked
     unused = [key for key in _NOT_ALONG_A_PATH if getattr(section, key)]
     if unused:
         raise ProblemError(
-            f"motion.{unused[0]} does not belong to motion.kind 'follow', which goes from rest at the first point of its"
+            f"motion.{unused[0]} cannot be set for motion.kind 'follow', which goes from rest at the first point of its"
             " [path] to rest at the last"
         )
     near = _state(section, "start", mechanism, None)
@@ -103,14 +103,14 @@ def _along(section: MotionSection, mechanism: Mechanism, limits: Limits, path: S
 
 
 def _check_hold(section: MotionSection) -> None:
-    """Refuse keys of a hold that ask it to move, and one without a duration."""
+    """Refuse a hold with keys of a motion, and one without a duration."""
     if section.kind != "hold":
         return
     ends = [f"goal_{key}" for key in ("deg", "m", "at", "body_deg")]
     speeds = [f"{name}_speed_{unit}_s" for name in ("goal", "start") for unit in ("deg", "m")]
     asked = next((key for key in (*ends, *speeds, "waypoints") if getattr(section, key)), None)
     if asked is not None:
-        raise ProblemError(f"motion.{asked} asks for a motion; motion.kind 'hold' stays at its start")
+        raise ProblemError(f"motion.{asked} belongs to a motion, but motion.kind 'hold' stays at its start")
     if not isinstance(section.duration_s, int | float):
         raise ProblemError(f"motion.kind 'hold' needs a motion.duration_s in seconds, got {section.duration_s or 'none'!r}")
 
@@ -135,10 +135,8 @@ def _state(
         if index not in values and default is None and actuated:
             named = sorted(mechanism.joints[i].name for i in values)
             as_many = len(values) == mechanism.dof
-            hint = f"; mechanism.independent = {json.dumps(named)} plans in what is named" if as_many else ""
-            raise ProblemError(
-                f"{where}.{key}_{joint.unit} names no value for joint {joint.name}, which is independent{hint}"
-            )
+            hint = f"; mechanism.independent = {json.dumps(named)} plans in the named joints" if as_many else ""
+            raise ProblemError(f"{where}.{key}_{joint.unit} has no value for the independent joint {joint.name}{hint}")
         value = values.get(int(index), default)  # NaN (free) in a waypoint
         # A coordinate that is not named, because nothing moves or holds it, starts at home.
         result.append(mechanism.home[index] if value is None else joint.read(value))
@@ -169,12 +167,15 @@ def _end(
     tasks = tasks_of(sites, bodies, where, mechanism)
     key = key_of(tasks, where)
     if named:
-        raise ProblemError(f"{key} and motion.{named[0]} both say where the {name} is; keep one")
+        raise ProblemError(f"{key} and motion.{named[0]} both give the {name}; keep one")
     if kind == "track":
         raise ProblemError(f"{key} belongs to motion.kind 'reach' or 'periodic'; 'track' prescribes every instant")
     s, rows = pose_at(tasks, where, mechanism, limits.position, limits.tasks, begin)
     if rows and (name == "start" or kind != "reach"):
-        open_pose = f"{key} leaves freedoms of '{mechanism.name}' open, which has {mechanism.dof}; only the end of a 'reach'"
+        open_pose = (
+            f"{key} leaves some of the {mechanism.dof} degrees of freedom of '{mechanism.name}' open; only the end of a"
+            " 'reach'"
+        )
         raise ProblemError(f"{open_pose} may: name more coordinates, or the joints in motion.{name}_deg")
     return s, tasks, rows
 
@@ -190,7 +191,7 @@ def _turns(asked: dict[str, int] | None, mechanism: Mechanism) -> np.ndarray | N
         joint = mechanism.joints[index]
         if joint.kind != "hinge" or joint.chart is not None:
             what = "slide" if joint.kind == "slide" else "part of a ball joint"
-            raise ProblemError(f"motion.turns of joint {name}: it is a {what}; only hinges turn endlessly")
+            raise ProblemError(f"motion.turns of joint {name}: it is a {what}; only hinges turn continuously")
         if index not in places:
             names = ", ".join(j.name for j in mechanism.independent_joints)
             raise ProblemError(f"motion.turns of joint {name}: its turns follow from {names}; name those")
@@ -199,7 +200,7 @@ def _turns(asked: dict[str, int] | None, mechanism: Mechanism) -> np.ndarray | N
 
 
 def _closed(mechanism: Mechanism, s: np.ndarray) -> np.ndarray:
-    """Return the closed pose (n_q,) at a start; home if there is none, because the start is checked elsewhere."""
+    """Return the closed pose (n_q,) at a start; home if it does not close, because the start is checked elsewhere."""
     try:
         return close_at(mechanism, s)
     except AssemblyError:
@@ -207,7 +208,7 @@ def _closed(mechanism: Mechanism, s: np.ndarray) -> np.ndarray:
 
 
 def _with_rests(values: dict[int, float], where: str, mechanism: Mechanism) -> dict[int, float]:
-    """Return a state's values, with undriven freedoms that it does not name at their equilibrium on springs."""
+    """Return a state's values; undriven coordinates on springs that it does not name are at equilibrium."""
     if all(index in values for index in mechanism.independent.tolist()):
         return values
     unnamed = tuple(c for c in sprung_freedoms(mechanism) if int(mechanism.independent[c]) not in values)
@@ -225,7 +226,7 @@ def _with_rests(values: dict[int, float], where: str, mechanism: Mechanism) -> d
         held = [(joint, x) for joint, x in free if joint.chart is None]
         remedy = f"; {lock_words(held)} holds them" if held else ""
         raise ProblemError(
-            f"{where} names no value for {', '.join(joint.name for joint, _ in free)}, and no equilibrium of springs and"
+            f"{where} has no value for {', '.join(joint.name for joint, _ in free)}, and no equilibrium of springs and"
             f" weight was found near home{remedy}"
         )
     if stops := rests_on_stops(mechanism, named, unnamed):
@@ -248,7 +249,7 @@ def _waypoints(
         if tasks:
             if position is not None:
                 joints = "at_deg" if item.at_deg else "at_m"
-                raise ProblemError(f"{key_of(tasks, key)} and {where}.{joints} both say where it is; keep one")
+                raise ProblemError(f"{key_of(tasks, key)} and {where}.{joints} both give the pose; keep one")
             guess, rows = pose_at(tasks, key, mechanism, limits.position, limits.tasks, begin)
             begin, position = _closed(mechanism, guess), None if rows else guess
         waypoints.append(

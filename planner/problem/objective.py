@@ -27,9 +27,8 @@ class Term:
         words: description.
         unit: of the integral, SI.
         integrand: at an instant, in SI.
-        size: from a program's units and the motors: the integral in SI for a scaled integrand of one; for an `exact` term
-            one
-            value per actuator.
+        size: a function of a program's units and the motors: the integral in SI for a scaled integrand of one; for an
+            `exact` term one value per actuator.
         order: 2 for squares, 1 for terms linear in the motion's quantities; 0 for terms without a negligible size.
         exact: the cost of an interval (`COSTS`) that integrates it exactly; None for quadrature at nodes.
         needs: keys of `lacking_parts` (consistency.py).
@@ -168,11 +167,13 @@ class Objective:
     def __post_init__(self) -> None:
         weights, extra = dict(self.weights), checked_extras(self.extra, ExtraCost, "extra_costs")
         if not weights and not extra:
-            raise ProblemError(f"objective.minimize names at least one of {', '.join(TERMS)}")
+            raise ProblemError(f"objective.minimize must name at least one of {', '.join(TERMS)}")
         own = {cost.name: cost for cost in extra}
         for term in weights:
             if term not in TERMS and term not in own:
-                raise ProblemError(f"objective.minimize is one of {', '.join(TERMS)}, got '{term}'{nearest(term, TERMS)}")
+                raise ProblemError(
+                    f"objective.minimize must be one of {', '.join(TERMS)}, got '{term}'{nearest(term, TERMS)}"
+                )
         for name in own:
             if name in TERMS:
                 raise ProblemError(f"extra cost '{name}' has the name of a term of objective.minimize")
@@ -183,7 +184,7 @@ class Objective:
         object.__setattr__(self, "terms", terms)
 
     def __reduce__(self) -> tuple:
-        return objective_from, (self.weights, self.extra)  # terms are functions, which are not pickled
+        return objective_from, (self.weights, self.extra)  # terms are functions, which cannot be pickled
 
     def has(self, *terms: str) -> bool:
         """Check that any of the terms is in the sum."""

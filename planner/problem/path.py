@@ -16,9 +16,9 @@ from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.problem.keys.motion import PathSection
 from linkplan.planner.problem.sites import AXES, BodyLimit, SiteLimit, SitePoint, pose_at, shown
 
-# A motion follows its path if its site is never further from it than this share of the mechanism's extent.
+# A motion follows its path if its site's distance from the path is at most this share of the mechanism's extent.
 PATH_SHARE = 1e-6
-# Poses along a path between its ends.
+# Number of poses along a path between its ends.
 _PATH_SAMPLES = 181
 
 
@@ -32,10 +32,10 @@ class SitePath:
     within_m: float
 
     def guided(self, mechanism: Mechanism, pose: np.ndarray) -> GuidedMechanism:
-        """Return a mechanism guided along the path from a closed pose (n_q,) at its begin.
+        """Return a mechanism guided along the path from a closed pose (n_q,) at its beginning.
 
         Raises:
-            ProblemError: if the site's place does not decide all freedoms, or no drive moves one of them.
+            ProblemError: if the site's place does not determine the pose, or no drive moves some coordinate.
         """
         return _guided(self, mechanism, tuple(pose.tolist()))
 
@@ -49,7 +49,7 @@ class SitePath:
         """
         (first,) = self.curve.places(np.zeros(1))
         points = (SitePoint(site=self.site, index=self.index, point=first),)
-        s, _ = pose_at(points, "the begin of path", mechanism, ranges, limits, begin)
+        s, _ = pose_at(points, "the beginning of path", mechanism, ranges, limits, begin)
         pose = close_at(mechanism, s)
         guide, along = self.guided(mechanism, pose), np.linspace(0.0, self.curve.length, _PATH_SAMPLES)
         poses, places = np.append(pose, 0.0)[None], self.curve.places(along)
@@ -65,8 +65,8 @@ class SitePath:
 
     def _left_at(self, place: np.ndarray, x: float) -> str:
         return (
-            f"path leaves the reach of site {self.site} at {shown(place)}, {x:.4g} m of {self.curve.length:.4g} m after its"
-            " begin"
+            f"path leaves the reach of site {self.site} at {shown(place)}, {x:.4g} m of {self.curve.length:.4g} m from its"
+            " beginning"
         )
 
 
@@ -82,7 +82,7 @@ def site_path_of(section: PathSection, mechanism: Mechanism) -> SitePath:
     """Return the path of a [path] table.
 
     Raises:
-        ProblemError: for points that have no such curve.
+        ProblemError: for points through which there is no such curve.
     """
     if not section.points:
         raise ProblemError("[path] needs path.points, [x, y, z] in metres each, or path.file")
@@ -109,12 +109,12 @@ def path_rows(columns: dict[str, np.ndarray], what: str, _mechanism: Mechanism) 
 
 
 def check_path(path: SitePath | None, kind: str, others: Mapping[str, object]) -> None:
-    """Refuse a path that no motion follows, a motion without its path, and tables that do not belong to one.
+    """Refuse a path without a motion of kind "follow", such a motion without a path, and settings that exclude a path.
 
     Args:
         path: the problem's path.
         kind: of its motion.
-        others: what a motion along a path does not take, by its name in messages; None, False or empty if not given.
+        others: settings that exclude a path, by their name in messages; None, False or empty if not given.
     """
     if path is None:
         if kind == "follow":
@@ -124,4 +124,4 @@ def check_path(path: SitePath | None, kind: str, others: Mapping[str, object]) -
         raise ProblemError(f"[path] belongs to motion.kind 'follow', got '{kind}'; limits.site has tubes")
     given = [name for name, value in others.items() if value]
     if given:
-        raise ProblemError(f"motion.kind 'follow' takes no {given[0]}")
+        raise ProblemError(f"motion.kind 'follow' cannot be combined with {given[0]}")

@@ -60,7 +60,7 @@ class Problem:
         limits: the keys of [limits], such as `effort`, `range_deg`, `speed_deg_s` and `closure_force`, each by name, and
             `contacts`; `site`, boxes {"foot": {"z": [0.0, inf]}}, walls {"normal": n, "at": p} and tubes {"along": points,
             "radius_m": r}, one or a list by site; `body_deg`, [low, high] by body. By default the model's own.
-        reserve: the share of every effort limit that is left to feedback, such as 0.2; also a key of `limits`.
+        reserve: the share of every effort limit that is reserved for feedback, such as 0.2; also a key of `limits`.
         motors: by actuator: `torque_constant`, `resistance_ohm`, `stall_effort`, `no_load_speed_deg_s`.
         guess: `path_deg`, positions at equal times by joint, or `plan`, a saved plan's folder.
         mesh, solver: `scheme`, `intervals`, `effort`, `tolerance_deg`, `refine`, `breaks`; `starts`, `compile`, `max_time_s`
@@ -98,7 +98,7 @@ class Problem:
     solver: SolverSettings = field(default_factory=SolverSettings)
     tracking: Tracking = field(default_factory=Tracking)
     source: dict = field(default_factory=dict)
-    notes: tuple[str, ...] = ()  # sentences on choices that the problem leaves open
+    notes: tuple[str, ...] = ()  # sentences on automatic choices
     unread_extras: tuple = ()  # records of extra limits and costs of a saved plan, whose files lack the expressions
 
     @classmethod
@@ -113,7 +113,7 @@ class Problem:
     @classmethod
     @build.with_arguments
     def hold(cls, mechanism: Mechanism | str | Path, **arguments: Any) -> Problem:
-        """Return the problem of holding a pose at rest by the least efforts; the arguments are those of `Problem`."""
+        """Return the problem of holding a pose at rest with least efforts; the arguments are those of `Problem`."""
         return cls._built("hold", mechanism, arguments)
 
     @classmethod
@@ -138,7 +138,8 @@ class Problem:
     def follow(cls, mechanism: Mechanism | str | Path, **arguments: Any) -> Problem:
         """Return the problem of a site that follows a path exactly; the arguments are those of `Problem`.
 
-        It goes from rest at the first point of `path` to rest at the last. `start_deg` chooses among the poses there.
+        It goes from rest at the first point of `path` to rest at the last. `start_deg` selects the nearest of the poses
+        there.
         """
         return cls._built("follow", mechanism, arguments)
 
@@ -209,8 +210,7 @@ class Problem:
         """Return the closed pose (n_q,) at the start.
 
         Raises:
-            ProblemError: when start, goal, waypoints or reference lie outside what the mechanism reaches; for turns that the
-                mechanism does not make.
+            ProblemError: if start, goal, waypoints or reference are beyond reach, or for impossible turns.
         """
         return start_pose(self.mechanism, self.motion, self.limits, self.reference, self.solver.deadline)
 
@@ -220,7 +220,7 @@ class Problem:
         return self
 
     def reference_over(self, duration_s: float) -> Reference | None:
-        """Return the reference of a motion of a duration [s]; one that is tracked in a free duration is stretched to it."""
+        """Return the reference for a duration [s]; a reference tracked in a free duration is stretched to it."""
         if self.reference is None or self.motion.kind != "track" or self.motion.duration_s is not None:
             return self.reference
         return self.reference.stretched(duration_s / self.reference.period_s)
@@ -258,8 +258,8 @@ class Problem:
 
     @property
     def not_honoured(self) -> tuple[str, ...]:
-        """Phrases on what plans neglect of the model; they say so if it makes plans wrong."""
-        false = "left out of the plan, which makes it false: "
+        """Phrases on the parts of the model that plans neglect; each states if this makes plans wrong."""
+        false = "neglected, which makes the plan wrong: "
         return tuple(f"{false if one.falsifies else ''}{one.text}" for one in audit(self.mechanism.model))
 
     def to_dict(self) -> dict:
@@ -312,7 +312,7 @@ class Problem:
         jerk += [bool(self.limits.site_jerk), bool(np.any(np.isfinite(self.limits.jerk)))]
         consistency.check_motion(self.motion, self.objective, self.reference)
         others = {"[reference]": self.reference, "[robust]": self.robust.corners, "[guess]": self.guess}
-        # Along a path the joints' jerk is not that of the only coordinate.
+        # Along a path the joints' jerk differs from that of the only coordinate.
         others |= {"minimize 'jerk'": self.objective.has("jerk")}
         bent = self.path is not None and len(self.path.curve.corners) > 0
         others |= {"limit or cost on jerk along rounded corners or a spline, but along a line or an arc": bent and any(jerk)}

@@ -1,4 +1,4 @@
-"""Motions that are given: references that a plan follows, and a user's initial guess.
+"""Given motions: references that a plan follows, and a user's initial guess.
 
 A guess is a table of positions at equidistant times, or a saved plan's motion.
 """
@@ -71,7 +71,7 @@ def is_whole(number: float) -> bool:
 
 
 def reference_of(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarray) -> tuple[Reference, list[str]]:
-    """Return the reference of a [reference] table, and the note on a spline that the table leaves open.
+    """Return the reference of a [reference] table, and a note if the table does not name its spline.
 
     Raises:
         ProblemError: for a table that is neither a sinusoid nor rows, or both.
@@ -83,7 +83,7 @@ def reference_of(section: ReferenceSection, mechanism: Mechanism, ranges: np.nda
             key for key in ("position_deg", "position_m", "at", "body_deg", "period_s", "spline") if getattr(section, key)
         ]
         if rows:
-            raise ProblemError(f"reference.{rows[0]} belongs to a table of rows: give reference.file or reference.time_s")
+            raise ProblemError(f"reference.{rows[0]} belongs to a table of rows: add reference.file or reference.time_s")
         if section.frequency_hz is None:
             raise ProblemError(
                 "[reference] needs reference.frequency_hz, a positive number, for a sinusoid, or rows: reference.file or"
@@ -112,7 +112,7 @@ def sine_of(section: ReferenceSection, mechanism: Mechanism) -> Sine:
         for index, joint in zip(mechanism.independent.tolist(), mechanism.independent_joints, strict=True):
             value = found.get(index, default)
             if value is None:
-                raise ProblemError(f"reference.{key}_{joint.unit} names no value for joint {joint.name}")
+                raise ProblemError(f"reference.{key}_{joint.unit} has no value for joint {joint.name}")
             result.append(joint.read(value))
         return np.array(result)
 
@@ -148,7 +148,7 @@ def guess_of(
     place = resolve_path(section.plan, folder)
     if not os.path.isdir(place):
         where = "the working folder" if folder is None else f"'{folder}', the problem file's, or the working folder"
-        raise ProblemError(f"guess.plan '{section.plan}' is not a folder in {where}; it is where a plan was saved")
+        raise ProblemError(f"guess.plan '{section.plan}' is not a folder in {where}; it must be the folder of a saved plan")
     return read_trajectory(place / "trajectory.npz"), place.resolve()
 
 
@@ -160,8 +160,8 @@ def _guessed_path(section: GuessSection, mechanism: Mechanism) -> GuessedPath | 
     columns = []
     for index, joint in zip(mechanism.independent.tolist(), mechanism.independent_joints, strict=True):
         if index not in paths:
-            raise ProblemError(f"guess.path_{joint.unit} names no list of positions for joint {joint.name}")
+            raise ProblemError(f"guess.path_{joint.unit} has no list of positions for joint {joint.name}")
         columns.append([joint.read(value) for value in paths[index]])
     if len({len(column) for column in columns}) > 1:
-        raise ProblemError("guess.path_deg has equally many positions for every independent joint")
+        raise ProblemError("guess.path_deg must have the same number of positions for every independent joint")
     return GuessedPath(path=np.array(columns).T, duration_s=section.duration_s)

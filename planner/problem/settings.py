@@ -2,9 +2,8 @@
 
 Values are checked at construction, by the definitions of the keys of problem files.
 
-Illegal values are refused in one line that names the key of problem files. Values of joints stand in a table of joint =
-value under a key that carries the unit. If a motion is stated in other joints than the driven ones, these become
-independent.
+Illegal values are refused in one line that names the key of problem files. Values of joints are in a table of joint = value
+under a key with the unit. If a motion names other joints than the driven ones, these become independent.
 """
 
 import json
@@ -34,11 +33,11 @@ from linkplan.planner.problem.keys.reading import read
 from linkplan.planner.problem.keys.section import Section
 from linkplan.planner.problem.keys.sections import MeshSection, SolverSection, TrackingSection
 
-# The default of a field that __post_init__ sets: readers of the field find its type, and never None.
+# The default of a field that __post_init__ sets; readers of the field never find it.
 DERIVED: Any = None
 # Keys with tables of joint = value in [motion], its waypoints and [reference].
 _STATES = ("start", "goal", "start_speed", "goal_speed", "at", "speed", "amplitude", "bias", "position")
-# The control period [s] of a model whose timestep is no longer; else a period is one timestep: the model runs as it is.
+# The default control period [s]; if the model's timestep is longer, the period is one timestep.
 DEFAULT_PERIOD_S = 1e-4
 # Control periods in which the whole effort limit reaches a default LQR error from rest. With 4, 13 of 400 light machines
 # with default imperfections chatter between their limits; with 5 none does, and 6 leaves a reserve.
@@ -116,8 +115,8 @@ def joint_values(section: Section, key: str, table_name: str, mechanism: Mechani
 def other_coordinates(tables: Mapping[str, dict], mechanism: Mechanism) -> list[str] | None:
     """Return the joints that a motion names and that should be independent; None to keep the mechanism's coordinates.
 
-    The coordinates are kept if the motion names all independent joints, if mechanism.independent is given, or if it names
-    more joints than there are degrees of freedom, because it is then unclear which of them follow from the loops.
+    The coordinates are kept if the motion names all independent joints, or if mechanism.independent is given. They are also
+    kept if the motion names more joints than there are degrees of freedom, because the dependent ones are then unknown.
 
     Args:
         tables: tables of a problem file.
@@ -183,7 +182,7 @@ class SolverSettings(SolverSection, frozen=True, eq=False):
     """The [solver] of a problem, with what its search sets: the number of iterations and the time."""
 
     max_iterations: int | None = None  # None: enough for a hard problem
-    deadline: Deadline = NO_DEADLINE  # of all solves; certificates have a later one
+    deadline: Deadline = NO_DEADLINE  # the deadline of all solves; certificates have a later one
 
     def __post_init__(self) -> None:
         _decode(self, SolverSection, "solver")
@@ -197,7 +196,7 @@ class SolverSettings(SolverSection, frozen=True, eq=False):
 
     @property
     def judging_deadline(self) -> Deadline:
-        """The deadline of poses and contacts along motions; it is late, so that a found motion is not lost."""
+        """The deadline of poses and contacts along motions, which is later so that a found motion is not lost."""
         return self.deadline.later_by(self.max_time_s)
 
     def begun(self) -> "SolverSettings":
@@ -240,7 +239,7 @@ class Tracking(TrackingSection, frozen=True, eq=False):
             return np.full(len(names), given, dtype=float)
         if set(given) != set(names):
             raise ProblemError(
-                f"tracking.{key} has a value for each independent joint ({', '.join(names) or 'none'}), got"
+                f"tracking.{key} must have a value for each independent joint ({', '.join(names) or 'none'}), got"
                 f" {', '.join(given) or 'none'}"
             )
         return np.array([given[name] for name in names], dtype=float)
@@ -262,8 +261,9 @@ class Tracking(TrackingSection, frozen=True, eq=False):
     ) -> "Tracking":
         """Return these settings with an LQR error for every joint.
 
-        An error that is None becomes the default, or what `LQR_RESPONSE_PERIODS` control periods at full effort reach from
-        rest, if that is more. Smaller errors ask for a loop that is faster than the sampling: a light machine chatters.
+        An error that is None becomes the default or, if that is larger, the error that full effort reaches from rest in
+        `LQR_RESPONSE_PERIODS` control periods. Smaller errors would need a loop that is faster than the sampling, and a
+        light machine would chatter.
 
         Args:
             joints: the independent joints (n,).

@@ -1,4 +1,4 @@
-"""Tasks in space: points and angles at which sites and bodies start or end, and regions in which they stay.
+"""Tasks in space: points and angles at which sites and bodies start or end, and regions within which they stay.
 
 Each limit is on one quantity of a site at p (3,) [m] in the world's frame: n . p for a box's coordinate (n an axis) and for
 a wall (n its normal), or the distance from a polyline for a tube. A limit on a body is on its angle
@@ -238,12 +238,12 @@ def pose_at(
         points: the sites' places, then the bodies' angles.
         where: their keys, as for `tasks_of`.
         mechanism: the mechanism.
-        ranges: of all joints (n_q, 2), which are kept.
-        limits: on sites and bodies, which are kept if possible.
-        begin: a closed pose (n_q,) to begin from.
+        ranges: of all joints (n_q, 2), which the pose satisfies.
+        limits: on sites and bodies, which the pose satisfies if possible.
+        begin: a closed pose (n_q,), the start of the search.
 
     Raises:
-        ProblemError: when no such pose is found; it names the nearest place and its distance.
+        ProblemError: if no such pose is found, with the nearest place and its distance.
     """
     sites, bodies = ([p for p in points if isinstance(p, of)] for of in (SitePoint, BodyAngle))
     targets = SiteTargets(
@@ -265,8 +265,8 @@ def pose_at(
     active = int(np.sum(mechanism.actuated))
     if not rows:
         raise ProblemError(
-            f"{key_of(points, where)} does not constrain the motion: the named coordinates of"
-            f" {', '.join(p.label.partition(' ')[2] for p in points)} do not move"
+            f"{key_of(points, where)} has no effect: the named coordinates of"
+            f" {', '.join(p.label.partition(' ')[2] for p in points)} cannot move"
         )
     s = found.pose[mechanism.independent]
     return s, rows if len(rows) < active else ()
@@ -340,7 +340,7 @@ def _limits(one: dict, where: str) -> list[tuple[str, float, float, dict[str, An
     if isinstance(found, Wall):
         normal, length = np.array(found.normal), float(np.linalg.norm(found.normal))
         if length < _MIN_LENGTH:
-            raise ProblemError(f"{where}.normal points to the free side and is not zero, got {one['normal']!r}")
+            raise ProblemError(f"{where}.normal must not be zero and must point to the allowed side, got {one['normal']!r}")
         shape = {"normal": normal / length, "origin": float(normal @ np.array(found.at)) / length}
         return [("wall", 0.0, np.inf, shape)]
     if isinstance(found, Tube):
@@ -348,7 +348,7 @@ def _limits(one: dict, where: str) -> list[tuple[str, float, float, dict[str, An
         short = np.flatnonzero(np.linalg.norm(np.diff(along, axis=0), axis=1) < _MIN_LENGTH)
         if len(short):
             again = one["along"][int(short[0])]
-            raise ProblemError(f"{where}.along has distinct consecutive points, got {again!r} twice in a row")
+            raise ProblemError(f"{where}.along must have distinct consecutive points, got {again!r} twice in a row")
         return [("tube", 0.0, found.radius_m, {"along": along})]
     given = {axis: getattr(found, axis) for axis in AXES if getattr(found, axis) is not None}
     bounds = {axis: interval(ends, f"{where}.{axis}") for axis, ends in given.items()}

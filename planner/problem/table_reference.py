@@ -18,7 +18,7 @@ from linkplan.planner.problem.keys.motion import ReferenceSection
 from linkplan.planner.problem.settings import frozen, joint_values
 from linkplan.planner.problem.sites import AXES, key_of, pose_at, tasks_of
 
-# Ends of a table that differ by less than this share of its span are equal: files round to six digits or more.
+# Ends of a table that differ by less than this share of its span count as equal, because files are rounded.
 _EQUAL_ENDS = 1e-6
 
 
@@ -72,7 +72,7 @@ def reference_rows(columns: dict[str, np.ndarray], what: str, mechanism: Mechani
     """Return the keys of [reference] with the columns of a CSV file.
 
     Raises:
-        ProblemError: for a column that is no time, joint, site or body.
+        ProblemError: for a column that is not a time, joint, site or body.
     """
     if "time_s" not in columns:
         raise ProblemError(f"{what} needs a column time_s; its columns are {', '.join(columns)}")
@@ -112,10 +112,10 @@ def spline_of(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarra
     Args:
         section: with `time_s`.
         mechanism: whose independent joints the rows determine.
-        ranges: of all joints (n_q, 2), which poses of sites' places keep.
+        ranges: of all joints (n_q, 2), which poses from sites' places satisfy.
 
     Raises:
-        ProblemError: for times that do not increase, rows that do not fit them, or ends that are not those of a period.
+        ProblemError: for times that do not increase, a different number of rows, or ends that are not those of a period.
     """
     import scipy
 
@@ -127,7 +127,7 @@ def spline_of(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarra
         worst = int(np.argmax(np.abs(s[-1] - s[0])))
         joint = mechanism.independent_joints[worst]
         raise ProblemError(
-            f"reference.spline 'periodic' ends where it begins (or give reference.period_s), got {joint.name} ="
+            f"reference.spline 'periodic' must end where it begins (or give reference.period_s), got {joint.name} ="
             f" {joint.text(s[0, worst], 6)} first and {joint.text(s[-1, worst], 6)} {joint.unit} last"
         )
     if ends == "periodic":
@@ -144,11 +144,11 @@ def times_of(time_s: Sequence[float], where: str) -> np.ndarray:
     """
     time = np.array(time_s, dtype=float)
     if len(time) > MAX_INTERVALS:
-        raise ProblemError(f"{where}.time_s has at most {MAX_INTERVALS} rows, got {len(time)}")
+        raise ProblemError(f"{where}.time_s must have at most {MAX_INTERVALS} rows, got {len(time)}")
     back = np.flatnonzero(np.diff(time) <= 0)
     if len(back):
         k = int(back[0])
-        raise ProblemError(f"{where}.time_s increases from row to row, got {time[k + 1]:g} after {time[k]:g} s")
+        raise ProblemError(f"{where}.time_s must increase from row to row, got {time[k + 1]:g} after {time[k]:g} s")
     return time - time[0]
 
 
@@ -161,7 +161,9 @@ def with_period(time: np.ndarray, rows: np.ndarray, period_s: float | None, wher
     if period_s is None:
         return time, rows
     if not period_s > time[-1]:
-        raise ProblemError(f"{where}.period_s is after the last row, at {time[-1]:g} s from the first, got {period_s:g}")
+        raise ProblemError(
+            f"{where}.period_s must be larger than the last row's time, {time[-1]:g} s from the first, got {period_s:g}"
+        )
     return np.append(time, period_s), np.vstack([rows, rows[:1]])
 
 
@@ -182,7 +184,7 @@ def _positions(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarr
             raise ProblemError(f"reference has {n_rows} times in time_s and as many values of {name}, got {len(values)}")
     if rows and (section.at or section.body_deg):
         one = "at" if section.at else "body_deg"
-        raise ProblemError(f"reference.{one} and reference.position_deg both say where the motion is; keep one")
+        raise ProblemError(f"reference.{one} and reference.position_deg both give the motion; keep one")
     if section.at or section.body_deg:
         return _poses(section, mechanism, ranges, n_rows)
     independent = ", ".join(joint.name for joint in mechanism.independent_joints)
@@ -190,12 +192,12 @@ def _positions(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarr
         if index not in rows:
             joint = mechanism.joints[index]
             raise ProblemError(
-                f"reference.position_{joint.unit} names every independent joint ({independent}), and not {joint.name}; or"
-                " reference.at names sites, or reference.body_deg bodies"
+                f"reference.position_{joint.unit} must name every independent joint ({independent}); {joint.name} is"
+                " missing; or use reference.at for sites, reference.body_deg for bodies"
             )
     others = [mechanism.joints[index].name for index in rows if index not in mechanism.independent]
     if others:
-        raise ProblemError(f"reference.position_deg of joint {others[0]}: it follows from {independent}; name those alone")
+        raise ProblemError(f"reference.position_deg of joint {others[0]}: it follows from {independent}; name only these")
     pairs = zip(mechanism.independent.tolist(), mechanism.independent_joints, strict=True)
     return np.array([[joint.read(value) for value in rows[index]] for index, joint in pairs]).T
 
@@ -210,8 +212,8 @@ def _poses(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarray, 
         s, open_rows = pose_at(tasks, f"reference.{{}} (row {k + 1})", mechanism, ranges, (), begin)
         if open_rows:
             raise ProblemError(
-                f"{key_of(tasks, 'reference.{}')} leaves freedoms of '{mechanism.name}' open, which has {mechanism.dof}:"
-                " name more coordinates"
+                f"{key_of(tasks, 'reference.{}')} leaves some of the {mechanism.dof} degrees of freedom of"
+                f" '{mechanism.name}' open: name more coordinates"
             )
         begin = close_at(mechanism, s)
         found.append(s)

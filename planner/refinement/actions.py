@@ -33,14 +33,14 @@ class ReadSwitches:
     """Read the switch times from the motion and solve for them as unknowns."""
 
     def apply(self, state: RefinementState) -> RefinementState:
-        """Return the state with switch times, or the same one where they make it no better."""
+        """Return the state with switch times, or the same state if they do not improve it."""
         found = state.iterate.found
         better = settle_switch_times(state.case, found, position_rows=state.position_rows)
         counted = replace(state, readings=state.readings + 1)
         if better.solution is found.solution:
             return replace(counted, ended=state.finished)
         everything = better.fixed is not None and better.fixed.everything
-        # With everything held, halving removes an overrun: it has its full number of rounds.
+        # If everything is fixed on arcs, halving removes an overrun, so the number of rounds starts again.
         counted = replace(counted, rounds=state.rounds + 1, read_in=state.rounds if everything else state.read_in)
         return observed(counted, certify_iterate(state.asked, better))
 
@@ -50,11 +50,11 @@ class ImposeRanges:
     """Impose the states' ranges at every instant, by rows on Bernstein coefficients, on the same mesh."""
 
     def apply(self, state: RefinementState) -> RefinementState:
-        """Return the state with ranges imposed. If that leads to no motion, return one that never imposes them again."""
+        """Return the state with ranges imposed. If this leads to no motion, return a state that never imposes them again."""
         rows = replace(state, position_rows=True)
         what = "state limits imposed at every instant"
         found = _solved_on(rows, np.zeros(state.iterate.n_intervals, dtype=bool), what)
-        if found is None:  # the error of this mesh leaves the range; a finer one keeps it
+        if found is None:  # the overrun is an error of this mesh, which a finer mesh removes
             return replace(state, rows_lost=True, rounds=state.rounds + 1)
         if state.target.switches:
             found = settle_switch_times(state.case, replace(found, fixed=None), position_rows=True)
@@ -68,7 +68,7 @@ class RaiseDegree:
     scheme: str
 
     def apply(self, state: RefinementState) -> RefinementState:
-        """Return the state with the scheme; where no motion is found, one that does not pass is halved instead."""
+        """Return the state with the scheme; if no motion is found, a motion that does not pass is halved instead."""
         higher = replace(state, case=with_scheme(state.case, self.scheme))
         after = _after(higher, np.zeros(state.iterate.n_intervals, dtype=bool), f"higher degree, {self.scheme}")
         lost = after.ended and after.iterate is state.iterate and not state.iterate.passed
@@ -103,10 +103,10 @@ class Tighten:
 
 @dataclass(frozen=True, slots=True)
 class Loosen:
-    """Solve with the limits as asked, at first on the mesh of the best motion, later halved where they were overrun."""
+    """Solve with the problem's own limits, first on the mesh of the best motion, later halved where they were overrun."""
 
     def apply(self, state: RefinementState) -> RefinementState:
-        """Return the state with the limits as asked."""
+        """Return the state with the problem's own limits."""
         best, loose = state.best.found, state.loosened
         asked = with_scheme(state.asked, best.solution.transcribed.scheme.name)
         coarse = best if loose is None else loose.found
@@ -146,7 +146,7 @@ class ReleaseArcs:
         boundaries = interval_breaks(best.solution)[best.mesh.boundaries()]
         switch_times = ends[1:-1][~np.isin(ends[1:-1], boundaries)]
         mesh, durations = mesh_with_switches(boundaries, switch_times, state.asked.problem.mesh.intervals)
-        what = "arcs against their limits released"
+        what = "arcs with multipliers of the wrong sign released"
         found = attempt(finest, finest.start_from(best.motion), mesh, durations, what, warm=True, fixed=fixed)
         counted = replace(state, case=finest, releases=state.releases + 1, rounds=state.rounds + 1)
         if found is None:
@@ -184,7 +184,7 @@ def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate
     mesh, start = halved(coarse.mesh, marked), case.start_from(coarse.motion)
 
     def alike(finer: Iterate) -> bool:
-        # Objectives on two meshes that are no further apart than a millionth belong to the same motion.
+        # Objectives on two meshes that differ by at most a millionth belong to the same motion.
         change = abs(finer.solution.objective - coarse.solution.objective)
         return change <= 1e-6 * abs(coarse.solution.objective)
 
@@ -206,12 +206,12 @@ def _solved_on(state: RefinementState, marked: np.ndarray, what: str) -> Iterate
 
 @dataclass(frozen=True, eq=False, slots=True)
 class ReduceEffortOverrun:
-    """Halve the marked intervals (n,) of the best motion, and change it as little as the finer mesh asks for."""
+    """Halve the marked intervals (n,) of the best motion, and correct it with the least change on the finer mesh."""
 
     marked: np.ndarray
 
     def apply(self, state: RefinementState) -> RefinementState:
-        """Return the state with the motion as its best one, if it passes and needs less beyond its effort limits."""
+        """Return the state with the motion as its best one, if it passes and its effort overrun is smaller."""
         best = state.best
         coarse, counted = best.found, replace(state, restored=state.restored + 1, ended=True)
         if state.asked.problem.solver.deadline.passed:

@@ -39,7 +39,7 @@ class PiecewiseMotion(Protocol):
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class RefinementTarget:
-    """The known form of the best motion, and the accuracy that is asked for.
+    """The known form of the best motion, and the required accuracy.
 
     Attributes:
         effort_limit: (n_u, 2).
@@ -47,9 +47,9 @@ class RefinementTarget:
         bang_bang: efforts are at their limits wherever no other limit binds; arcs can be very short.
         continuous_efforts: efforts pass from one limit to the other without a jump, possibly within one interval.
         strictness: the certificate's tolerance of the integrated state, divided by the tolerance of the refinement.
-        tolerance_given: the user asked for that tolerance.
+        tolerance_given: the user set this tolerance.
         objective_tolerance: the largest relative change of the objective from mesh to mesh; None if it is not checked.
-        objective_tolerance_given: the user asked for that, too; if not, it is kept where that is cheap.
+        objective_tolerance_given: the user set this tolerance, too; otherwise it is satisfied only if that is cheap.
         kinks_at_limits: the motion is smooth where no limit binds, so the integration error alone measures the mesh.
         enclosed: limits on power and pin force hold at every instant, by rows on Bernstein coefficients.
         has_boundary_layers: the motion has thin layers; the error falls only once the mesh resolves them.
@@ -116,7 +116,7 @@ class RefinementSettings(Protocol):
 class Case(Protocol):
     """A problem that can be refined.
 
-    Its motions are a `PiecewiseMotion` of a type of its own, as its starts and its certificates are.
+    Its motions are a `PiecewiseMotion` of its own type; its starts and certificates also have their own types.
     """
 
     @property
@@ -126,7 +126,7 @@ class Case(Protocol):
 
     @property
     def target(self) -> RefinementTarget:
-        """The known form of its best motion, and the accuracy that is asked for."""
+        """The known form of its best motion, and the required accuracy."""
         ...
 
     def transcribe(
@@ -169,9 +169,9 @@ def with_scheme(case: Any, name: str) -> Any:
 
 
 def error_report(certificate: Any, **found: Any) -> ErrorReport:
-    """Return the errors that a certificate with `margins` and `growth` shows, and what its client found: the other fields.
+    """Return the errors that a certificate with `margins` and `growth` shows, and the client's findings (other fields).
 
-    A residual and an effort overrun that the client does not have are zero.
+    A missing residual or effort overrun is zero.
     """
     none = np.zeros(len(certificate.growth))
     over = [margin.overrun for margin in certificate.margins if margin.of.facts.tightened is not None]
@@ -186,7 +186,7 @@ def error_report(certificate: Any, **found: Any) -> ErrorReport:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Iterate:
-    """The motion and solution of one solve; `fixed` are the efforts and path quantities held along its arcs, or None."""
+    """The motion and solution of one solve; `fixed` are the efforts and path quantities fixed along its arcs, or None."""
 
     motion: Any  # a `PiecewiseMotion` of the case's own type
     solution: Solution
@@ -220,17 +220,17 @@ def attempt(
     """Solve once, note it in the history, and return the iterate; None if there is no motion or no time is left.
 
     Args:
-        case: what is solved.
-        start: the motion to begin from, as its client has them.
+        case: the problem.
+        start: the motion to begin from, of the client's type.
         mesh: intervals.
         durations: (n_segments,) [s] of the mesh's segments in the start.
-        what: the words on this solve in history and progress.
+        what: the name of this solve in history and progress.
         warm: as of `linkplan.planner.solvers.solve.build_solver`.
         close: likewise.
         adaptive: likewise.
-        position_rows: whether ranges are kept between the nodes by constraint rows, or of which independent coordinates.
-        bang_efforts: (n_segments, n_u) efforts held over whole segments, NaN where they are free.
-        fixed: what refinement holds along arcs; in place of `bang_efforts`.
+        position_rows: whether rows enforce ranges between the nodes, or the independent coordinates with such rows.
+        bang_efforts: (n_segments, n_u) efforts fixed over whole segments, NaN where they are free.
+        fixed: quantities that the refinement fixes along arcs; replaces `bang_efforts`.
     """
     settings = case.problem
     if settings.solver.deadline.passed:
@@ -241,7 +241,7 @@ def attempt(
         transcribed = case.transcribe(
             start, mesh, durations, position_rows=position_rows, bang_efforts=efforts, constrained_paths=paths
         )
-    except (AssemblyError, OutOfTimeError):  # the loops of the start open between the instants at which it was sampled
+    except (AssemblyError, OutOfTimeError):  # the loops of the start open between its samples
         return None
     solution = solve(transcribed, settings.solver, warm=warm, close=close, adaptive=adaptive)
     add_step(step_of(what, transcribed, solution))
@@ -252,7 +252,7 @@ def attempt(
 
 
 def _attempted(what: str, scheme: str, mesh: Mesh) -> str:
-    """Return the progress line of a solve that begins, with the objective of the previous one."""
+    """Return the progress line of a new solve, with the objective of the previous one."""
     segments = f"{mesh.n_segments} segments" if mesh.n_segments > 1 else "1 segment"
     steps = recorded()
     last = steps[-1] if steps else None
@@ -262,7 +262,7 @@ def _attempted(what: str, scheme: str, mesh: Mesh) -> str:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class CertifiedIterate:
-    """An iterate, its certificate, and the errors that this shows; None without a certificate."""
+    """An iterate, its certificate, and the errors that the certificate shows; None without a certificate."""
 
     found: Iterate
     certificate: Any  # of the case's own type, or None
@@ -297,7 +297,7 @@ def certify_iterate(case: Case, found: Iterate) -> CertifiedIterate:
 
 
 def share_gained(before: float, after: float) -> float:
-    """Return by how much an objective, of either sign, fell as a share of the later one's size."""
+    """Return the decrease of an objective, of either sign, as a share of the later one's magnitude."""
     return (before - after) / max(abs(after), np.finfo(float).tiny)
 
 

@@ -1,11 +1,11 @@
-"""Constrained arcs: where a motion along path limits enters and leaves them, and which segments are held on them.
+"""Constrained arcs: where a motion enters and leaves path limits, and the segments that are fixed on them.
 
-On a constrained arc a limit on power or on a dependent joint's speed binds, and the effort is inside its own limit. A
-program with rows at nodes alone gains by leaving the limit between the nodes, most of all next to a switch. If the limit is
-held at every node of a segment, nothing can be gained there, and the switch times converge.
+On a constrained arc a limit on power or on a dependent joint's speed is active, and the effort is within its own limit. A
+program with rows only at nodes gains by leaving the limit between the nodes, most of all next to a switch. If the limit is
+fixed at every node of a segment, nothing can be gained there, and the switch times converge.
 
-A solver that holds an effort or a path quantity finds the best motion with it held. The multipliers show whether the limit
-or the holding restricts this motion. The reduced gradient of an effort is the integral of the switching function (Betts
+A solver with a fixed effort or path quantity finds the best motion under this condition. The multipliers show whether the
+limit or the fixing restricts this motion. The reduced gradient of an effort is the integral of the switching function (Betts
 2010, section 4.4). On every interval of a correct arc it has the sign of the limit.
 """
 
@@ -22,27 +22,27 @@ from linkplan.planner.transcription.collocation import Transcribed
 # A coefficient within this share of the span of the limits counts as at its limit, and so does a path quantity within this
 # share of its limit; the solver is exact to 1e-8.
 SHARE_AT_LIMIT = 1e-3
-# This share of a segment, at each of its ends, is left out.
+# This share of a segment, at each of its ends, is ignored.
 SHARE_BESIDE_SWITCHES = 0.15
-# An end of an arc within so many intervals of a switch time is that switch time.
+# An end of an arc within this number of intervals of a switch time is that switch time.
 INTERVALS_TO_SAME_SWITCH = 2.5
-# If coefficients are at a limit and the curve is further from it than this share, the coefficients keep it away. Then
-# the number of samples per interval.
+# If coefficients are at a limit and the curve's distance from it exceeds this share, the coefficients keep the curve away.
+# The second constant is the number of samples per interval.
 SHARE_OFF_LIMIT, SAMPLES_OF_INTERVAL = 1e-7, 33
-# A multiplier of the wrong sign above this share of the largest one is more than rounding.
+# A multiplier of the wrong sign above this share of the largest one is not due to rounding.
 WRONG_SIGN_SHARE = 1e-2
-# A multiplier of an inequality below this share of the largest of an equation is left by the barrier: the limit does not
-# bind.
+# A multiplier of an inequality below this share of the largest one of an equation is due to the barrier: the limit is
+# inactive.
 BINDING_SHARE = 1e-7
-# The kind of quantities whose rate no effort changes at once, as far as known: held, they are constraints of second order.
-# Their multiplier is a measure with impulses at the ends of an arc (Hartl, Sethi and Vickson 1995). A transcription gives
-# values that alternate from interval to interval, so only the sum over the arc has a sign.
+# The kind of quantities whose rate does not depend directly on efforts, as far as known: fixed, they are constraints of
+# second order. Their multiplier is a measure with impulses at the ends of an arc (Hartl, Sethi and Vickson 1995). A
+# transcription gives values that alternate from interval to interval, so only the sum over the arc has a sign.
 _SECOND_ORDER = "path"
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class FixedArcs:
-    """Efforts and path quantities that are held over whole segments.
+    """Efforts and path quantities that are fixed over whole segments.
 
     `efforts` (n_segments, n_u) at their limits, NaN where they are free; `paths` (n_segments, n_path): path quantities at
     their upper limit (1) or lower one (-1), 0 where they are free.
@@ -53,14 +53,15 @@ class FixedArcs:
 
     @property
     def everything(self) -> bool:
-        """True if every segment holds as many quantities as it has efforts, so that only the switch times are unknown."""
+        """True if every segment fixes as many quantities as it has efforts, so that only the switch times are unknown."""
         return bool(np.all(np.isnan(self.efforts).sum(axis=1) == np.count_nonzero(self.paths, axis=1)))
 
 
 def path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     """Return 1 or -1 (n, n_path) where a path quantity is at its upper or lower limit at all nodes, else 0.
 
-    For limits on jerk it is 0: held at all nodes of an interval, they are one equation more than its jerk has coefficients.
+    For limits on jerk it is 0: fixed at all nodes of an interval, they would be one equation more than its jerk has
+    coefficients.
     """
     arcs = _all_path_arcs(transcribed, x)
     arcs[:, list(transcribed.formulation.rows.jerk_path)] = 0
@@ -77,7 +78,7 @@ def _all_path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     rows = _rows(transcribed, x)
     n_f = interval.n_equations + n_path
     values = rows[:, interval.n_own : interval.n_own + m * n_f].reshape(n, m, n_f)[:, :, interval.n_equations :]
-    # Each end of a limit has its own size: 900 W can be the opposite of a million.
+    # Each end of a limit has its own size, because one end may be 900 W and the other a million.
     size = np.where(np.isfinite(limit), np.abs(limit), 0.0)
     slack = SHARE_AT_LIMIT * np.where(size > 0, size, np.abs(values).max(axis=(0, 1))[:, None])
     may = (limit[:, 0] < limit[:, 1]) & np.array([kind != "work" for kind in interval.node_kinds[interval.n_equations :]])
@@ -116,8 +117,8 @@ def own_arcs(transcribed: Transcribed, x: np.ndarray, kinds: tuple[str, ...]) ->
 def off_limit_intervals(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     """Return True (n,) where a limit on Bernstein coefficients keeps a curve away from the limit.
 
-    Coefficients enclose their polynomial: one that touches its limit in an instant may not, by an eighth of its bend. On
-    half the interval it is a quarter of that.
+    Coefficients enclose their polynomial, so a polynomial that touches its limit only at an instant is kept away by an
+    eighth of its bend. On half the interval the distance is a quarter of that.
     """
     off = np.zeros(transcribed.program.mesh.n_intervals, dtype=bool)
     for _, coefficients, limit in _coefficients(transcribed, x):
@@ -138,7 +139,7 @@ def _rows(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
 
 
 def _coefficients(transcribed: Transcribed, x: np.ndarray) -> Iterator[tuple[str, np.ndarray, np.ndarray]]:
-    """Yield what intervals limit by Bernstein coefficients: the kind, the coefficients (n, degree + 1), the limit (2,)."""
+    """Yield the quantities limited by Bernstein coefficients: kind, coefficients (n, degree + 1), limit (2,)."""
     interval = transcribed.program.interval
     what = list(zip(interval.own_kinds, interval.own_items, strict=True))
     limited = sorted({(kind, item) for kind, item in what if kind != "continuity"})
@@ -168,14 +169,14 @@ def arc_ends(arcs: np.ndarray, breaks_s: np.ndarray, switch_times_s: np.ndarray,
 def find_constrained_paths(
     arcs: np.ndarray, breaks_s: np.ndarray, ends_s: np.ndarray, bang_efforts: np.ndarray
 ) -> np.ndarray:
-    """Return 1 or -1 (n_segments, n_path) where a segment holds a path quantity at its upper or lower limit, else 0.
+    """Return 1 or -1 (n_segments, n_path) where a segment fixes a path quantity at its upper or lower limit, else 0.
 
     Args:
         arcs: (n_intervals, n_path) from `path_arcs`.
         breaks_s: (n_intervals + 1,) of that motion [s].
-        ends_s: (n_segments + 1,) [s] of the segments to be.
-        bang_efforts: (n_segments, n_u) efforts that are held, NaN where they are free: no more paths are held than efforts
-            free.
+        ends_s: (n_segments + 1,) [s] of the new segments.
+        bang_efforts: (n_segments, n_u) efforts that are fixed, NaN where they are free; at most as many paths are fixed as
+            efforts are free.
     """
     constrained_paths = np.zeros((len(ends_s) - 1, arcs.shape[1]), dtype=int)
     for k, (begin, end) in enumerate(itertools.pairwise(ends_s)):
@@ -191,14 +192,14 @@ def find_constrained_paths(
 
 
 def arcs_against_their_limits(solution: Solution) -> np.ndarray:
-    """Return the instants (n,) [s], middles of intervals, at which the optimum would leave a held limit."""
+    """Return the instants (n,) [s], middles of intervals, at which the optimum would leave a fixed limit."""
     breaks = interval_breaks(solution)
     wrong = np.hstack(held_wrongly(solution)).any(axis=1)
     return 0.5 * (breaks[1:] + breaks[:-1])[wrong]
 
 
 def limits_bind(solution: Solution) -> bool:
-    """Return True if a limit binds on any unknown or row, or if the solver gave no multipliers."""
+    """Return True if any limit on an unknown or row is active, or if the solver gave no multipliers."""
     rows, unknowns, transcribed = solution.multipliers, solution.bound_multipliers, solution.transcribed
     if rows is None or unknowns is None:
         return True
@@ -215,7 +216,7 @@ def interval_breaks(solution: Solution) -> np.ndarray:
 
 
 def held_wrongly(solution: Solution) -> tuple[np.ndarray, np.ndarray]:
-    """Return True where the optimum would leave a held effort (n, n_u) or path quantity (n, n_path) of an interval."""
+    """Return True where the optimum would leave a fixed effort (n, n_u) or path quantity (n, n_path) of an interval."""
     transcribed, multipliers = solution.transcribed, solution.multipliers
     program, mesh = transcribed.program, transcribed.program.mesh
     efforts = np.zeros((mesh.n_intervals, program.layout.n_u), dtype=bool)
@@ -263,7 +264,7 @@ def path_multipliers(transcribed: Transcribed, multipliers: np.ndarray) -> np.nd
 
 
 def released(solution: Solution) -> tuple[np.ndarray, FixedArcs] | None:
-    """Return the ends (n_segments + 1,) [s] of segments and what to hold on them; None if nothing is held wrongly."""
+    """Return the ends (n_segments + 1,) [s] of segments and the quantities to fix on them; None if no sign is wrong."""
     transcribed, mesh = solution.transcribed, solution.transcribed.program.mesh
     wrong = np.hstack(held_wrongly(solution))
     if not wrong.any():

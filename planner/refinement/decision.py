@@ -47,22 +47,23 @@ from linkplan.planner.refinement.marking import (
 from linkplan.planner.refinement.state import OPTIMAL_CHANGE, Refined, RefinementState, observed
 from linkplan.planner.refinement.switches import is_bang_bang, settle_switch_times
 
-# A boundary layer a ten-thousandth of the motion long takes eight halvings; no refinement of the record took more rounds.
+# A boundary layer of a ten-thousandth of the motion takes eight halvings; no refinement in the benchmarks took more rounds.
 MAX_ROUNDS = 24
-# A mesh that has grown by this factor without passing will not pass by growing on.
+# A mesh that has grown by this factor without passing will not pass by growing further.
 MAX_GROWTH = 120
-# If the user gave no tolerance, a mesh of so many intervals is fine enough. The larger number holds while the objective
-# changes too much for an optimal plan or, if efforts jump inside intervals, by more than this share.
+# Without a user's tolerance, a mesh of this number of intervals is fine enough. The larger number is used while the
+# objective changes too much for an optimal plan or, if efforts jump inside intervals, by more than this share.
 ENOUGH_INTERVALS, ENOUGH_ROUGH_INTERVALS, CHANGE_WORTH_INTERVALS = 100, 200, 1e-4
-# A mesh grows by this factor at most for digits of the objective that the user did not ask for: a solve on such a mesh takes
-# about as many times as long as the first. A second mesh, which tells the error, is always solved.
+# Largest growth of a mesh for digits of the objective that the user did not ask for; the time of a solve grows by about the
+# same factor. A second mesh, which shows the error, is always solved.
 CHEAP_GROWTH = 8
-# Switches are read again at most so often, and wrongly held arcs released.
+# Largest numbers of repeated readings of switches, and of releases of arcs.
 MAX_READINGS, MAX_RELEASES = 3, 3
-# Limits are tightened while the mesh is still halved from so many rounds after the last reading of switches on.
+# From this number of rounds after the last reading of switches on, limits are tightened while the mesh is still halved.
 HALVINGS_BEFORE_TIGHTENING = 4
-# Limits are loosened while tightening costs more than this share of the objective, on at most so many intervals, until so
-# many loosenings in a row gain nothing. After each of them limits are tightened at most so often.
+# Limits are loosened while tightening costs more than this share of the objective, on at most this number of intervals,
+# until this number of loosenings in a row gain nothing. The last constant limits the number of tightenings after each
+# loosening.
 COST_OF_TIGHTENING, MAX_LOOSENED_INTERVALS, MAX_IDLE_LOOSENINGS, TIGHTENINGS_BETWEEN = 1e-6, 240, 2, 2
 # Halving an interval divides its error by a hundred at the usual degree: a large overrun takes three rounds.
 MAX_RESTORATIONS = 6
@@ -97,7 +98,7 @@ def _towards_a_certificate(state: RefinementState) -> Action | None:
 def _beyond_efforts(at: CertifiedIterate) -> np.ndarray:
     """Return the intervals (n,) whose effort overrun is near or above the proof's allowance.
 
-    There are none where every interval keeps the allowance.
+    There are none if no interval exceeds the allowance.
     """
     overrun = np.zeros(at.n_intervals) if at.report is None else at.report.effort_overrun
     return (overrun > MARKED_SHARE) & bool(overrun.max(initial=0.0) > 1.0)
@@ -115,11 +116,11 @@ def _within_efforts(state: RefinementState) -> Action | None:
 
 
 def _towards_a_proof(state: RefinementState) -> Action | None:
-    """Return the action on the best motion if a proof would find that it needs more effort than there is."""
+    """Return the action on the best motion if its effort overrun exceeds the proof's allowance."""
     best = state.best
     if best is None or best.report is None or state.restored >= MAX_RESTORATIONS or (state.restored and state.ended):
         return None
-    # A changed motion is brought well within the allowance: its largest effort may lie between the samples.
+    # A corrected motion must be well within the allowance, because its largest effort may lie between the samples.
     beyond = best.report.effort_overrun > MARKED_SHARE if state.restored else _beyond_efforts(best)
     return ReduceEffortOverrun(beyond) if beyond.any() else None
 
@@ -146,7 +147,7 @@ def _finer(state: RefinementState, over: np.ndarray) -> Action | None:
 
 
 def _towards_the_optimum(state: RefinementState) -> Action | None:
-    """Return the next action on a motion that passes: release arcs that are held too long, and loosen limits."""
+    """Return the next action on a motion that passes: release arcs that are fixed too long, and loosen limits."""
     best = state.best
     if best is None:
         return None
@@ -177,20 +178,20 @@ def _switches_are_open(state: RefinementState) -> bool:
 
 
 def _may_read_better(state: RefinementState) -> bool:
-    """Return True if switches read from a motion that passes may be better: efforts were left free, or bounds were met."""
+    """Return True if switches read from a motion that passes may be better: efforts were free, or bounds were reached."""
     may = state.readings < MAX_READINGS and not state.arcs_known
     return may and is_bang_bang(state.case, state.iterate.found.solution.transcribed)
 
 
 def _inexact(state: RefinementState, over: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the intervals (n,) on which the motion is not exact, and those that the objective alone asks for."""
+    """Return the intervals (n,) on which the motion is not exact, and those that only the objective requires."""
     at, fixed = state.iterate, state.iterate.found.fixed
     inexact, uneven = marked_for(at, state.target.strictness), np.zeros(at.n_intervals, dtype=bool)
     if state.target.enclosed:
         return inexact, uneven if state.settled else uneven_of(at) | state.off_limit_intervals
     inexact |= state.off_limit_intervals
     if at.passed and not state.settled and (fixed is None or not (inexact | over).any()):
-        # If arcs are held between switch times, limits begin and cease to bind at the switch times.
+        # If arcs are fixed between switch times, limits become active and inactive at the switch times.
         uneven = uneven_of(at) if fixed is None else rough_of(at.found.motion)
     return inexact, uneven
 
@@ -198,7 +199,7 @@ def _inexact(state: RefinementState, over: np.ndarray) -> tuple[np.ndarray, np.n
 def _marked(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> np.ndarray:
     """Return the intervals (n,) to halve, of those that are inexact and those on which limits are overrun."""
     at, fixed = state.iterate, state.iterate.found.fixed
-    if state.target.enclosed:  # efforts jump inside intervals: what the certificate needs comes first
+    if state.target.enclosed:  # efforts jump inside intervals: the certificate's requirements come first
         needed = marked_for(at, 1.0)
         return needed if needed.any() or at.report is None else inexact
     if over.any() and _switches_are_open(state):
@@ -210,7 +211,7 @@ def _marked(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> np
 
 
 def _higher_scheme(state: RefinementState, inexact: np.ndarray, over: np.ndarray) -> str | None:
-    """Return the scheme of higher degree that is worth more than a finer mesh, or None."""
+    """Return the scheme of higher degree if it is better than a finer mesh, else None."""
     at = state.iterate
     if state.degree_lost:
         return None
@@ -247,10 +248,10 @@ def refine(case: Case, found: Iterate, *, warm: bool = False) -> Refined | None:
     The certificate may not pass: then the motion is the last one tried.
 
     Args:
-        case: what is refined, with the limits as they are asked.
+        case: the problem, with its own limits.
         found: the first solution.
-        warm: whether finer meshes are solved from next to the coarser one's answer: less exact, but an unstable motion is
-            not lost on the way.
+        warm: whether finer meshes start close to the coarser solution, which is less exact but does not lose an unstable
+            motion.
     """
     state = first_state(case, found, warm=warm)
     while (action := next_action(state)) is not None:
@@ -260,7 +261,7 @@ def refine(case: Case, found: Iterate, *, warm: bool = False) -> Refined | None:
 
 
 def first_state(case: Case, found: Iterate, *, warm: bool) -> RefinementState:
-    """Return the state that a first solution leads to: with switch times as unknowns where efforts jump."""
+    """Return the first state of a solution, with switch times as unknowns where efforts jump."""
     if case.target.switches:
         found = settle_switch_times(case, found)
     at = certify_iterate(case, found)

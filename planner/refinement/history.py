@@ -1,6 +1,6 @@
 """The record of the solves that lead to a plan, and its progress.
 
-A plan is made inside `recording`. Whatever solves calls `add_step` and `progress` there; no function passes a record on.
+A plan is made inside `recording`. Functions that solve call `add_step` and `progress`; the record need not be passed on.
 """
 
 from collections.abc import Callable, Iterator
@@ -26,7 +26,7 @@ def silent(text: str) -> None:
 
 
 class Step(Struct, frozen=True, eq=False, kw_only=True):
-    """One solve on the way to a plan: what was tried, on how many intervals, and what came of it."""
+    """One solve before a plan: its name, its number of intervals, and its result."""
 
     what: str
     scheme: str
@@ -41,7 +41,7 @@ class Step(Struct, frozen=True, eq=False, kw_only=True):
     integration_error: float | None = None  # of a differential equation, as a share of its states' sizes
 
 
-# The steps of the plan that is being made in this thread, and where its progress goes.
+# The steps of the plan being made in this thread, and the receiver of its progress.
 _STEPS: ContextVar[list[Step] | None] = ContextVar("steps", default=None)
 _SAY: ContextVar[Say] = ContextVar("say", default=silent)
 
@@ -64,7 +64,7 @@ def recorded() -> tuple[Step, ...]:
 
 
 def add_step(step: Step) -> None:
-    """Add a step to the record; outside of `recording` it is not kept."""
+    """Add a step to the record; outside of `recording` it is discarded."""
     steps = _STEPS.get()
     if steps is not None:
         steps.append(step)

@@ -1,6 +1,6 @@
 """The choice of a finer mesh, the intervals to halve or a scheme of higher degree; and of tightened limits.
 
-Limits that a motion overran between the nodes are tightened there and by that much.
+Limits that a motion overran between the nodes are tightened there, by the amount of the overrun.
 """
 
 import re
@@ -16,17 +16,17 @@ from linkplan.planner.refinement.case import Case, CertifiedIterate, ErrorReport
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import MAX_DEGREE
 
-# The tightening is this multiple of the overrun and this share of the limit: the next motion keeps the limit at once.
+# The tightening is this multiple of the overrun plus this share of the limit, so that the next motion satisfies the limit.
 _OVERRUN_FACTOR = 1.1
 _MIN_TIGHTENING = 1e-7
-# Up to this share a limit is tightened evenly along the motion. A limit that is tighter on one interval than on its
-# neighbours increases the error of the polynomial at the ends of that interval.
+# Up to this share, a limit is tightened by the same amount along the motion. A limit that is tighter on one interval than on
+# its neighbours increases the error of the polynomial at the ends of that interval.
 _EVEN_TIGHTENING = 2e-5
 # An interval is halved if its error is above this share of its allowance, and above the second share of the worst
 # interval's.
 MARKED_SHARE, SHARE_OF_WORST = 0.5, 0.01
-# If the dynamics are not satisfied, an interval with less than this share of the largest residual only carries on the error
-# of other intervals, and is not halved.
+# If the dynamics are not satisfied, an interval with less than this share of the largest residual only inherits the error of
+# other intervals, and is not halved.
 SHARE_OF_RESIDUAL = 1e-6
 # An overrun between the nodes above this share of the limit is removed by a finer mesh. A smaller one is removed by
 # tightening, which costs about the same share of the objective.
@@ -37,14 +37,14 @@ LARGE_OVERRUN_SHARE = 0.1
 # the median: the motion is smooth there.
 EVEN_SHARE = 0.5
 OUTLIER_FACTOR = 30.0
-# An arc along a limit has at least so many intervals; fewer are its end inside an interval.
+# Least number of intervals of an arc along a limit; fewer are the end of an arc inside an interval.
 INTERVALS_OF_ARC = 3
 # An interval is rough if an effort bends there by at least this share of its largest bend.
 ROUGH_SHARE = 0.01
 
 
 class TightenedRow(NamedTuple):
-    """Which limit a row is of, and how it is tightened."""
+    """The limit of a row, and the way in which it is tightened."""
 
     what: str
     item: int
@@ -59,11 +59,11 @@ class Tightening:
     item: int
     breaks: np.ndarray
     share: np.ndarray
-    upper: bool = True  # of which of the limit's two ends the share is
+    upper: bool = True  # the limit's end to which the share refers
 
 
 def tightened_share(overrun: np.ndarray) -> np.ndarray:
-    """Return the share of itself (n,) by which a limit is tightened on intervals where it is overrun by so much."""
+    """Return the share of itself (n,) by which a limit is tightened on intervals, for overruns there."""
     return np.where(overrun > 0, _OVERRUN_FACTOR * overrun + _MIN_TIGHTENING, 0.0)
 
 
@@ -81,7 +81,7 @@ def tightenings_of(margins: tuple[Margin, ...], breaks_s: np.ndarray) -> tuple[T
 
 
 def evened(tightenings: tuple[Tightening, ...]) -> tuple[Tightening, ...]:
-    """Return tightenings of which little ones are the same all along the motion."""
+    """Return tightenings; small ones become constant along the motion."""
     most = [one.share.max(initial=0.0) for one in tightenings]
     return tuple(
         replace(one, share=np.full_like(one.share, share)) if share <= _EVEN_TIGHTENING else one
@@ -92,9 +92,9 @@ def evened(tightenings: tuple[Tightening, ...]) -> tuple[Tightening, ...]:
 def tightening_over(
     tightenings: tuple[Tightening, ...], rows: list[TightenedRow], path: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray]:
-    """Return a function from breaks (n + 1,) [s] to how much (n, n_path) the bounds `path` (n_path, 2) are tightened.
+    """Return the function from breaks (n + 1,) [s] to the tightening (n, n_path) of the bounds `path` (n_path, 2).
 
-    `rows` say of which limits the first of these quantities are; the others are never tightened.
+    `rows` are the limits of the first of these quantities; the others are never tightened.
     """
     size = np.where(np.isfinite(path), np.where(path == 0, 1.0, np.abs(path)), 0.0)
     size[[column for column, row in enumerate(rows) if row.tightened is Tightened.IN_UNITS]] = 1.0
@@ -154,14 +154,14 @@ def grown(mesh: Mesh, marked: np.ndarray) -> int:
 
 
 def uneven_of(at: CertifiedIterate) -> np.ndarray:
-    """Return the intervals (n,) that determine the objective: next to kinks, and where a limit begins or ceases to bind."""
+    """Return the intervals (n,) that determine the objective: near kinks, and where a limit becomes active or inactive."""
     rough = rough_of(at.found.motion)
     touching = None if at.report is None else at.report.touching
     return rough if touching is None else rough | touching
 
 
 def rough_of(motion: PiecewiseMotion) -> np.ndarray:
-    """Return the intervals (n,) on which the efforts' polynomials bend most in their highest degree: next to kinks."""
+    """Return the intervals (n,) near kinks, on which the efforts' polynomials have the largest highest-degree terms."""
     widths, degree = np.diff(motion.breaks_s), motion.effort.shape[0] - 1
     bend = np.abs(np.diff(motion.effort, n=degree, axis=0)[0]) if degree else np.abs(motion.effort[0])
     size = np.maximum(np.abs(motion.effort).max(axis=(0, 1)), np.finfo(float).tiny)
@@ -184,7 +184,7 @@ def higher_on_arcs(case: Case, at: CertifiedIterate, over: np.ndarray) -> str | 
         return None
     fixed = at.found.fixed
     if case.target.switches and (fixed is None or not np.all(fixed.paths[at.found.mesh.segment[over]].any(axis=1))):
-        return None  # an arc that is not held may end inside an interval, which wants a switch time
+        return None  # an arc that is not fixed may end inside an interval, which requires a switch time
     overrun = at.report.overrun[over]
     even = len(overrun) >= INTERVALS_OF_ARC and overrun.max() <= OUTLIER_FACTOR * float(np.median(overrun))
     return raised(case.problem.mesh) if even or case.problem.mesh.refine == "degree" else None

@@ -6,11 +6,11 @@ import numpy as np
 def perturbation(number: int, along: np.ndarray, span: np.ndarray) -> tuple[np.ndarray, float]:
     """Return an offset (n, k) to add to a motion, in its units, and a factor from 0.5 to 2 on its duration.
 
-    The offset is three half waves of random size, of half the motion's size together, and nothing at the motion's ends.
+    The offset is a sum of three half waves of random size, together half the motion's size, and zero at the motion's ends.
     Every fourth perturbation is larger.
 
     Args:
-        number: which of the perturbations; the seed.
+        number: of the perturbation; the seed.
         along: shares (n,) of the motion, from 0 to 1.
         span: the motion's size (k,) in each coordinate.
     """

@@ -1,4 +1,4 @@
-"""The state of a refinement: what was found so far, the better of two iterates, and the result."""
+"""The state of a refinement: the iterates so far, the better of two iterates, and the result."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -19,7 +19,7 @@ from linkplan.planner.solvers.solve import SOLVER_TOLERANCE, SUCCEEDED
 # The motion of a coarser mesh is kept if it is better than that of a finer one by more than this share, which is above the
 # error of the mesh. The second share holds if the coarser motion is less exact.
 LOST_GAIN, LOST_GAIN_INEXACT = 1e-5, 1e-4
-# The relative change of the objective that counts as none where an enclosure by coefficients keeps the motion off its limit.
+# Relative changes of the objective below this are ignored if an enclosure by coefficients keeps the motion off its limit.
 CHANGE_AT_TOUCHED_LIMIT = 1e-7
 # A relative change of the objective on a finer mesh above this share is reported. With less the mesh is fine enough to stop
 # halving it for the smoothing.
@@ -32,9 +32,9 @@ OPTIMAL_CHANGE = 5e-2
 class Refined(Iterate):
     """An iterate with its certificate, which may not pass.
 
-    `settled` is True if the objective keeps still from mesh to mesh, where that is required. `moved` is its relative change
-    between the last two meshes on which the motion passed, 0 if there is only one. `objective_error` is the objective's
-    relative error as those meshes show it, infinite if there is only one.
+    `settled` is True if the objective no longer changes from mesh to mesh, where that is required. `moved` is its relative
+    change between the last two meshes on which the motion passed, 0 if there is only one. `objective_error` is the
+    objective's relative error estimated from these meshes, infinite if there is only one.
     """
 
     certificate: Any  # of the case's own type
@@ -44,12 +44,12 @@ class Refined(Iterate):
 
     @property
     def arcs_with_wrong_sign(self) -> np.ndarray:
-        """The instants (n,) [s] at which the optimum would leave a held limit; a local optimum has none."""
+        """The instants (n,) [s] at which the optimum would leave a fixed limit; a local optimum has none."""
         return arcs_against_their_limits(self.solution)
 
 
 def better_of(before: CertifiedIterate | None, now: CertifiedIterate, target: RefinementTarget) -> CertifiedIterate:
-    """Return the better of two motions that pass: the later, on a finer mesh, unless that lost what the other had.
+    """Return the better of two motions that pass: the later one, on a finer mesh, unless it is worse.
 
     On a finer mesh more limits bind, and each adds the solver's tolerance to the objective. The coarser motion is kept if it
     is as exact and better by no more than that, unless a tolerance on the objective was asked for.
@@ -70,17 +70,16 @@ def better_of(before: CertifiedIterate | None, now: CertifiedIterate, target: Re
 class RefinementState:
     """The iterates of a refinement and the record of its actions.
 
-    `asked` has the limits as they are asked: every certificate is against them. `case` has the scheme and the tightened
-    limits by now. `iterate` is the last one, `best` the best that passed. `warm` says that finer meshes are solved from
-    next to the coarser one's answer. `position_rows` says that ranges are imposed at every instant, `rows_lost` that
-    this led to no solution, `degree_lost` that a higher degree led to none. `rounds` counts actions, `readings` those
-    that read switches, `read_in` is the round of the last reading. `before` is the objective of the iterate that passed
-    before, `change` its relative change since, `change_before` the one before that, `settled_meshes` the number of meshes
-    without change. `error_falls` says that the last finer mesh erred by less than the one before. `releases` counts
-    releases of arcs. `loosened` is the last iterate with the limits as asked after one had passed within tightened limits,
-    `tightenings` counts those since then, `loosenings_without_gain` the loosenings since the best one improved. `ended`
-    says that the last action led nowhere. `restored` counts meshes on which the best motion was kept, see
-    `ReduceEffortOverrun`.
+    `asked` has the problem's own limits, to which every certificate refers. `case` has the current scheme and tightened
+    limits. `iterate` is the last one, `best` the best that passed. `warm` says that finer meshes start close to the coarser
+    solution. `position_rows` says that ranges are imposed at every instant, `rows_lost` that this led to no solution,
+    `degree_lost` that a higher degree led to none. `rounds` counts actions, `readings` those that read switches, `read_in`
+    is the round of the last reading. `before` is the objective of the iterate that passed before, `change` its relative
+    change since, `change_before` the one before that, `settled_meshes` the number of meshes without change. `error_falls`
+    says that the last finer mesh erred by less than the one before. `releases` counts releases of arcs. `loosened` is the
+    last iterate with the limits as asked after one had passed within tightened limits, `tightenings` counts those since
+    then, `loosenings_without_gain` the loosenings since the best one improved. `ended` says that the last action led
+    nowhere. `restored` counts meshes on which the best motion was kept, see `ReduceEffortOverrun`.
     """
 
     asked: Case
@@ -113,7 +112,7 @@ class RefinementState:
 
     @property
     def objective_tolerance(self) -> float | None:
-        """The largest relative change of the objective; None if the integration error alone counts."""
+        """The largest relative change of the objective; None if only the integration error matters."""
         smooth = self.target.kinks_at_limits and not self.target.enclosed and not limits_bind(self.iterate.found.solution)
         return None if smooth else self.target.objective_tolerance
 
@@ -121,8 +120,8 @@ class RefinementState:
     def settled(self) -> bool:
         """True if the objective no longer changes from mesh to mesh.
 
-        Without a tolerance on it, changes below `REPORTED_CHANGE` count as none. In least time they do not count at all: the
-        switches are read first, which improve the motion more than a finer mesh does.
+        Without a tolerance on it, changes below `REPORTED_CHANGE` count as none. In least time changes are ignored: the
+        switches are read first, because they improve the motion more than a finer mesh.
         """
         if self.objective_tolerance is None:
             return self.target.bang_bang or self.moved <= REPORTED_CHANGE
@@ -130,7 +129,7 @@ class RefinementState:
 
     @property
     def meshes_to_settle(self) -> int:
-        """The number of meshes in a row on which the objective must keep still: on one it can do so by chance."""
+        """The number of meshes in a row on which the objective must not change, because on one it may do so by chance."""
         return 2 if self.iterate.found.fixed is None and not self.target.enclosed else 1
 
     @property
@@ -142,7 +141,7 @@ class RefinementState:
 
     @property
     def off_limit_intervals(self) -> np.ndarray:
-        """The intervals (n,) on which a limit on coefficients keeps a motion of bang arcs away from itself."""
+        """The intervals (n,) on which a limit on coefficients keeps a motion of bang arcs away from the limit."""
         solution = self.iterate.found.solution
         if not (self.target.bang_bang or self.target.enclosed):
             return np.zeros(self.iterate.n_intervals, dtype=bool)
@@ -150,7 +149,7 @@ class RefinementState:
 
     @property
     def arcs_known(self) -> bool:
-        """True if everything is held along arcs and no switch time is at a bound."""
+        """True if everything is fixed along arcs and no switch time is at a bound."""
         fixed = self.iterate.found.fixed
         return fixed is not None and fixed.everything and not at_bounds(self.iterate.found.solution)
 
@@ -174,7 +173,7 @@ class RefinementState:
 
     @property
     def objective_error(self) -> float:
-        """The relative error of the objective by its largest change on the meshes on which it must keep still."""
+        """The relative error of the objective, from its largest change on the meshes on which it must not change."""
         changes = (self.change, self.change_before)[: self.meshes_to_settle]
         return (
             max([self.moved, *(change for change in changes if np.isfinite(change))]) if np.isfinite(changes[0]) else np.inf
@@ -190,9 +189,9 @@ class RefinementState:
 
 
 def observed(state: RefinementState, at: CertifiedIterate, *, tells: bool = True) -> RefinementState:
-    """Return the state after a new iterate; `tells` says that its mesh is finer wherever the objective depends on it."""
-    first = state.rounds <= 1  # the error on the first mesh is too coarse to compare with
-    # An error that a finer mesh leaves at more than half does not fall: each mesh has another motion.
+    """Return the state after a new iterate; `tells` is True if its mesh is finer wherever the objective depends on it."""
+    first = state.rounds <= 1  # the error on the first mesh is too inexact for a comparison
+    # An error that a finer mesh does not halve does not count as falling: each mesh has another motion.
     new = replace(state, iterate=at, error_falls=first or error_of(at) <= 0.5 * error_of(state.iterate))
     if not at.passed:
         return new
@@ -203,11 +202,11 @@ def observed(state: RefinementState, at: CertifiedIterate, *, tells: bool = True
     settled_meshes = state.settled_meshes
     if solved:
         settled_meshes = settled_meshes + 1 if tells and (tolerance is None or change <= tolerance * size) else 0
-    if state.loosened is not None:  # on meshes that err alike the objectives can be compared
+    if state.loosened is not None:  # objectives can be compared on meshes with similar errors
         better = state.best is None or objective < state.best.found.solution.objective
         return replace(new, best=at, loosenings_without_gain=0) if better else new
     new = replace(new, best=better_of(state.best, at, state.target), settled_meshes=settled_meshes)
-    if not solved and tolerance is not None:  # a solver that stopped short says nothing of the objective
+    if not solved and tolerance is not None:  # a solver that stopped early gives no information on the objective
         return new
     change = change / size if size and np.isfinite(change) else state.change
     return replace(new, change=change, change_before=state.change, before=objective)

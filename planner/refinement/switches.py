@@ -23,17 +23,17 @@ from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh, segmented
 
-# Up to this many intervals between two arcs at limits are one smeared switch; more are an arc of their own.
+# Up to this many intervals between two arcs at limits are one smeared switch; more are a separate arc.
 SMEARED_INTERVALS = 3
-# A switch time within this share of half an interval of a phase boundary is that boundary: if arcs can be short (True), or
-# not.
+# A switch time within this share of half an interval of a phase boundary is that boundary; the share depends on whether arcs
+# can be short (True).
 SHARE_BESIDE_OTHERS = {True: 1e-3, False: 0.1}
 # A solve with switch times replaces the last iterate if its objective is at most this share worse: the error of a mesh
 # without switch times.
 MESH_ERROR_SHARE = 1e-4
 # A segment's duration is at its bound if its logarithm is within this share of the range.
 SHARE_AT_BOUND = 1e-3
-# Switch times next to arcs inside the limits settle until the objective gains less than this share.
+# Switch times next to arcs within the limits are solved again until the objective gains less than this share.
 SETTLED_GAIN = 1e-9
 # A duration this close to its bound (relative) counts as at the bound.
 SHARE_AT_GUESS_BOUND = 0.01
@@ -47,13 +47,13 @@ def settle_switch_times(
     *,
     position_rows: bool = False,
 ) -> Iterate:
-    """Return a solution with switch times at its switches, or the same one where switch times make it no better.
+    """Return a solution with switch times at its switches, or the same solution if switch times do not improve it.
 
-    Efforts and path quantities are first held at the limits that the arcs showed, so that only the switch times are unknown.
-    If that is worse than the solution without switch times, the arcs were read wrongly, and nothing is held.
+    Efforts and path quantities are first fixed at the limits of the arcs, so that only the switch times are unknown. If this
+    is worse than the solution without switch times, the arcs were read wrongly, and nothing is fixed.
     """
     no_worse = SETTLED_GAIN if position_rows else MESH_ERROR_SHARE
-    for _ in range(4):  # next to arcs inside the limits switch times settle in so many solves
+    for _ in range(4):  # largest number of solves until switch times next to arcs within the limits settle
         before = found.solution.objective
         boundaries = found.motion.breaks_s[found.mesh.boundaries()]
         switch_times, fixed = _arcs_of(case, found, boundaries)
@@ -65,8 +65,7 @@ def settle_switch_times(
         finer, durations = mesh_with_switches(boundaries, switch_times, case.problem.mesh.intervals)
         for held, what in ((fixed, "switch times as unknowns"), (None, "switch times as unknowns, efforts free")):
             tried = attempt(case, start, finer, durations, what, warm=True, position_rows=position_rows, fixed=held)
-            # If everything is held, nothing can be gained between the nodes: the rest of the difference is the error of the
-            # mesh.
+            # If everything is fixed, nothing can be gained between the nodes: the remaining difference is the mesh error.
             whole = held is not None and held.everything and bool(held.paths.any())
             allowed = MESH_ERROR_SHARE if whole else no_worse
             if tried is not None and len(arcs_against_their_limits(tried.solution)):
@@ -78,21 +77,21 @@ def settle_switch_times(
             break
         settled = better.solution.objective > before - SETTLED_GAIN * abs(before) and not at_bounds(better.solution)
         found = better
-        no_worse = SETTLED_GAIN  # from now on both have switch times, and only a better one replaces the other
+        no_worse = SETTLED_GAIN  # from here on both have switch times, so only a better one replaces the other
         if settled or fixed.everything:
             break
     return found
 
 
 def _arcs_of(case: Case, found: Iterate, boundaries: np.ndarray) -> tuple[np.ndarray, FixedArcs]:
-    """Return the ends (n,) [s] of a solution's arcs between phase boundaries [s], and what is held along them.
+    """Return the ends (n,) [s] of a solution's arcs between phase boundaries [s], and the quantities fixed along them.
 
-    Arcs shorter than an interval are bang arcs where nothing else binds; elsewhere they are rather ends of arcs along a
-    limit.
+    Arcs shorter than an interval are bang arcs if no other limit is active; otherwise they are ends of arcs along a limit.
     """
     motion, transcribed, x, target = found.motion, found.solution.transcribed, found.solution.x, case.target
     on_path = path_arcs(transcribed, x)
-    # Bang arcs end where arcs along a speed limit begin; other efforts bend there, and along a motor's line all do.
+    # Bang arcs end where arcs along a speed limit begin. Other efforts have kinks there; along a motor's line all efforts
+    # do.
     kinds = ("motor", "acceleration", "jerk")
     arcs = own_arcs(transcribed, x, kinds if target.bang_bang else (*kinds, "speed"))
     switch_times = find_switch_times(
@@ -112,13 +111,13 @@ def _arcs_of(case: Case, found: Iterate, boundaries: np.ndarray) -> tuple[np.nda
 
 
 def is_bang_bang(case: Case, transcribed: Transcribed) -> bool:
-    """Return True if all efforts are at their limits: time is the objective, and only effort limits and ranges bind."""
+    """Return True if all efforts are at their limits: time is the objective, and no other limits but ranges are active."""
     interval = transcribed.program.interval
     return case.target.bang_bang and interval.n_path == 0 and {*interval.own_kinds} <= {"continuity", "position"}
 
 
 def _known(transcribed: Transcribed, fixed: FixedArcs) -> bool:
-    """Return True if a program already holds all of these arcs and leaves nothing free."""
+    """Return True if a program already fixes all of these arcs and leaves nothing free."""
     before = transcribed.bang_efforts
     if before is None or before.shape != fixed.efforts.shape or not fixed.everything:
         return False
@@ -133,7 +132,8 @@ def _known(transcribed: Transcribed, fixed: FixedArcs) -> bool:
 def at_bounds(solution: Solution) -> bool:
     """Return True if the duration of a segment is at its bound, so that its ends would move further.
 
-    By factors: a bang may be a millionth of what it might become, and yet far from the least that it might.
+    The comparison is by factors, because a bang arc may be a millionth of its largest possible duration and still far from
+    its bound.
     """
     transcribed, place = solution.transcribed, solution.transcribed.program.layout.durations()
     free = transcribed.lower[place] < transcribed.upper[place]
@@ -147,7 +147,7 @@ def mesh_with_switches(
 ) -> tuple[Mesh, np.ndarray]:
     """Return a mesh with switch times (n_switches,) [s] between phase boundaries [s], and its segments' durations [s].
 
-    It has about `n_intervals`, and at least so many in each segment.
+    It has about `n_intervals`, and a least number in each segment.
     """
     ends = np.sort(np.concatenate([boundaries_s, switch_times_s]))
     phase = np.searchsorted(boundaries_s, ends[:-1], side="right") - 1
@@ -156,7 +156,7 @@ def mesh_with_switches(
 
 
 def bounded_by_guess(solution: Solution, shortest_s: float, longest_s: float) -> str | None:
-    """Return `LONGER` or `SHORTER`, as the motion would be, where a bound is in its way that is not the user's; else None.
+    """Return `LONGER` or `SHORTER`, as the motion would be without a bound that is not the user's; else None.
 
     A free duration is searched between a fiftieth and a hundred times its guess. A motion with switch times has settled near
     them, and None is returned.
@@ -171,7 +171,10 @@ def bounded_by_guess(solution: Solution, shortest_s: float, longest_s: float) ->
     if shortest_s == longest_s or np.any(np.bincount(mesh.phase) > 1):
         return None
     at, lower, upper = solution.x[place], transcribed.lower[place], transcribed.upper[place]
-    free, duration = lower < upper, float(at.sum()) * transcribed.units.time_s  # phases to given instants are not free
+    free, duration = (
+        lower < upper,
+        float(at.sum()) * transcribed.units.time_s,
+    )  # phases up to given instants are not free
     if duration < (1 - SHARE_AT_GUESS_BOUND) * longest_s and np.any(free & (at >= (1 - SHARE_AT_GUESS_BOUND) * upper)):
         return LONGER
     if duration > (1 + SHARE_AT_GUESS_BOUND) * shortest_s and np.any(free & (at <= (1 + SHARE_AT_GUESS_BOUND) * lower)):
@@ -194,10 +197,10 @@ def find_switch_times(
         trajectory: a solution on a fixed mesh.
         limit: (n_u, 2) of the efforts.
         boundaries_s: instants [s] at which the mesh is cut already; its ends by default.
-        on_path: intervals (n,) that follow a path limit: never a smeared switch, however few.
-        short: whether arcs at limits may be shorter than an interval. Where there are limits other than those of effort,
-            what leaves its limit so shortly follows one of them.
-        continuous_efforts: whether efforts have no jumps: what lies between two limits is then an arc, however short.
+        on_path: intervals (n,) along a path limit, which are never a smeared switch.
+        short: whether arcs at limits may be shorter than an interval. With limits other than those of effort, an effort that
+            leaves its limit so shortly is on one of these.
+        continuous_efforts: whether efforts have no jumps; intervals between two limits are then an arc, however short.
 
     A switch inside an interval shows as one smeared interval; its time follows from the impulse, which the smeared
     interval keeps: u_before (t - t_0) + u_after (t_1 - t) = int u dt. So do the two of an arc that is shorter than that.
@@ -231,7 +234,7 @@ def find_switch_times(
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class _Piece:
-    """Successive intervals (n,) on which one effort is at one limit all along, or at none.
+    """Successive intervals (n,) on which one effort is always at the same limit, or at none.
 
     `at_limit`, and `before` and `after` of the pieces beside it, is 1 at the upper limit, -1 at the lower, 0 at none or
     where the mesh is cut. `on_path` says that an interval of it follows a path limit.
@@ -258,13 +261,14 @@ class _Piece:
         if before * after < 0 and continuous_efforts:
             return [[float(breaks[0]), float(breaks[-1])]]
         if before * after < 0 or (short and before + after):
-            # Next to a phase boundary or an end the arc on the other side is shorter than an interval: at the other limit.
+            # Next to a phase boundary or an end, the arc on the other side is shorter than an interval and at the other
+            # limit.
             u_before, u_after = (high, low) if before > 0 or after < 0 else (low, high)
             return [[_switch_time_in(breaks, self.coefficients, u_before, u_after)]]
         return []
 
     def _ends_of_arc(self, low: float, high: float) -> list[list[float]]:
-        """Return the ends of an arc within the limits: its first and last interval may hold a rest of the arcs beside it."""
+        """Return the ends of an arc within the limits; its end intervals may belong partly to neighbouring arcs."""
         found, n = [], len(self.breaks) - 1
         for k, inner, neighbour in ((0, 1, self.before), (n - 1, n - 2, self.after)):
             if neighbour:
@@ -275,7 +279,7 @@ class _Piece:
 
 
 def _switch_time_in(breaks: np.ndarray, coefficients: np.ndarray, u_before: float, u_after: float) -> float:
-    """Return the time in smeared intervals at which a jump between two efforts gives the impulse that they hold."""
+    """Return the time in smeared intervals at which a jump between two efforts has the same impulse."""
     impulse = float(np.sum(coefficients.mean(axis=0) * np.diff(breaks)))
     jump = u_before - u_after
     if jump == 0:
@@ -284,7 +288,7 @@ def _switch_time_in(breaks: np.ndarray, coefficients: np.ndarray, u_before: floa
 
 
 def _pulse_in(breaks: np.ndarray, coefficients: np.ndarray, limits: tuple[float, float]) -> list[float]:
-    """Return when smeared intervals leave the first limit for the other and come back, by their impulse and its middle."""
+    """Return the times at which smeared intervals change to the other limit and back, from their impulse and its middle."""
     widths, missing = np.diff(breaks), limits[0] - coefficients.mean(axis=0)
     lengths = missing * widths / (limits[0] - limits[1])
     length = float(lengths.sum())
@@ -296,7 +300,7 @@ def _pulse_in(breaks: np.ndarray, coefficients: np.ndarray, limits: tuple[float,
 def find_bang_efforts(trajectory: PiecewiseMotion, limit: np.ndarray, switch_times: np.ndarray) -> np.ndarray:
     """Return the efforts (n_switches + 1, n_u) of bang arcs between switch times: a limit, or NaN where they vary.
 
-    Looked at away from the switch times, next to which the fixed mesh smears the switch.
+    Efforts are read away from the switch times, near which the fixed mesh smears the switch.
     """
     ends = np.concatenate([trajectory.breaks_s[:1], switch_times, trajectory.breaks_s[-1:]])
     bang_efforts = np.full((len(ends) - 1, trajectory.effort.shape[2]), np.nan)
@@ -311,7 +315,7 @@ def find_bang_efforts(trajectory: PiecewiseMotion, limit: np.ndarray, switch_tim
 
 
 def _spread(switch_times: list[list[float]], breaks: np.ndarray, boundaries: np.ndarray, share: float) -> np.ndarray:
-    """Return switch times in order, a pulse's together, but for those next to others or to a phase boundary."""
+    """Return switch times in order, a pulse's together, without those close to others or to a phase boundary."""
     apart = 0.5 * float(np.diff(breaks).min())
     kept: list[float] = []
     for together in sorted(switch_times):

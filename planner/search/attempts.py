@@ -1,8 +1,8 @@
 """From one start to a plan: solved, refined until its certificate passes, repaired where it does not.
 
-A tracking motion is solved with a small weight on the squared effort rate first: the motion nearest in position alone
-chatters at the ends of its bang arcs (Fuller's phenomenon), and solvers lose it. Then the weight is removed in steps, down
-to a thousandth of it, on finer meshes.
+A tracking motion is first solved with a small weight on the squared effort rate. Without it, the motion nearest in position
+chatters at the ends of its bang arcs (Fuller's phenomenon), and solvers fail. Then the weight is reduced in steps, down to a
+thousandth, on finer meshes.
 """
 
 from collections.abc import Iterator
@@ -35,9 +35,9 @@ from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import halved
 
-# The weights with which the smoothing of efforts is taken out (continuation).
+# The decreasing weights of the smoothing of efforts (continuation).
 _SMOOTHING_WEIGHTS = tuple(share * SMOOTHING_WEIGHT for share in (1e-1, 1e-2, 1e-3))
-# The mesh of a tracking motion is halved up to so many intervals.
+# The mesh of a tracking motion is halved up to this number of intervals.
 _MAX_INTERVALS = 160
 # An objective below this share of its unit counts as exact tracking: an rms error of 1e-5 of the motion's range.
 _EXACT_TRACKING_SHARE = 1e-10
@@ -58,11 +58,12 @@ def plan_from(
     Args:
         search: the search.
         budget: of the solves.
-        what: the words on the start.
+        what: the name of the start in messages.
         guess: the start.
-        worth: only solutions with an objective below this are refined.
-        least: and of at least this: coarse meshes have false motions that cost far too little.
-        repaired: whether every repair is tried on a motion that does not pass; not before the phase plane's least time.
+        worth: refine only solutions with an objective below this,
+        least: and at least this, because coarse meshes have false motions that cost far too little.
+        repaired: whether every repair is tried on a motion that does not pass; False until the phase plane's least time is
+            known.
     """
     problem = search.within(budget)
     missed = None
@@ -73,21 +74,21 @@ def plan_from(
         if unbounded is not None:
             search.verdicts.append(Plan(problem=search.problem, status="failed", message=unbounded))
             return None
-        # A motion that was found in few iterations is worth more of them where it is refined.
+        # The refinement of a motion that was found in few iterations may take more iterations.
         missed = refined(search, search.within(replace(budget, iterations=None)), found, repaired=repaired)
         if missed.passed:
             return missed
     if missed is None or missed.trajectory is None or missed.certificate is None:
         return missed
     if unavoidable(problem, missed.trajectory, missed.certificate):
-        search.verdicts.append(missed)  # every other motion meets the same contact
+        search.verdicts.append(missed)  # every other motion has the same contact
     return missed
 
 
 def of_several(problem: Problem) -> bool:
-    """True if motions of several motors are refined by `refine_several`, on a mesh and within limits that allow it.
+    """True if motions of several motors are refined by `refine_several`, on a mesh and with limits that allow it.
 
-    One motor that drives several freedoms swings them: its motions are unstable, and ask for more exact meshes.
+    One motor that drives several coordinates swings them; such motions are unstable and need more exact meshes.
     """
     return min(problem.mechanism.n_equations, problem.mechanism.n_u) > 1 and problem.mesh.breaks is None
 
@@ -95,8 +96,9 @@ def of_several(problem: Problem) -> bool:
 def _solved(problem: Problem, guess: Guess, word: str, search: Search) -> Iterator[Iterate]:
     """Yield solutions from a start, the most promising first.
 
-    Where the phase plane's switches are known, efforts are held between them and only the switch times are unknown. If that
-    does not lead to the phase plane's time, the efforts are free; a mesh without switches may come below it by its error.
+    If the phase plane's switches are known, efforts are fixed between them and only the switch times are unknown. If this
+    does not lead to the phase plane's time, the efforts are free; the time on a mesh without switches may be too short by
+    the mesh error.
     """
     if not closes(problem, guess):
         return
@@ -156,7 +158,8 @@ def certified(
     said = f"; on a finer mesh its objective still changed by {100 * moved:.1g} %" if moved > REPORTED_CHANGE else ""
     if len(against):
         said += (
-            f"; the arc at t = {against[0]:.4g} s would rather leave its limit (Pontryagin's principle): not a local optimum"
+            f"; on the arc at t = {against[0]:.4g} s the optimum would leave the limit (Pontryagin's principle): not a"
+            " local optimum"
         )
     if plan.passed:
         plan = replace(plan, message=plan.message + said)
@@ -173,10 +176,10 @@ def without_solving(
 ) -> Plan:
     """Return the plan of a motion that was constructed without a solve: "feasible" if its certificate passes.
 
-    It is "optimal", with the message `best`, if the motion needs exactly the efforts that it carries.
+    It is "optimal", with the message `best`, if its efforts equal those by inverse dynamics.
     """
     certificate = certify(problem, motion)
-    # Efforts that differ by at most this share of the largest effort are the same.
+    # Efforts that differ by at most this share of the largest effort count as equal.
     optimal = best is not None and certificate.dynamics_residual <= 1e-6 * np.abs(motion.effort).max()
     return finished(problem, motion, certificate, objective, best if optimal else said, optimal=optimal)
 
@@ -199,7 +202,7 @@ def from_next_to_it(problem: Problem, found: Iterate) -> Plan | None:
 
 
 def may_be_enclosed(problem: Problem, plan: Plan) -> bool:
-    """True if limits on power or pin force are overrun between the nodes and rows on coefficients may keep them."""
+    """True if limits on power or pin force are overrun between the nodes and rows on coefficients may prevent it."""
     margins = () if plan.certificate is None else plan.certificate.margins
     overrun = any(margin.of.facts.enclosable and not margin.kept for margin in margins)
     return problem.mesh.effort == "polynomial" and overrun and not case_of(problem).enclosed
@@ -233,10 +236,10 @@ def _refined(case: MechanismCase, found: Iterate, *, warm: bool) -> Refined | No
 
 
 def _unsmoothed(case: MechanismCase, first: Iterate, warm: bool) -> tuple[Refined | None, float | None]:
-    """Return a refined tracking motion whose smoothing was taken out, and by what share a finer mesh changed its objective.
+    """Return a refined tracking motion with its smoothing removed, and the relative change of its objective on a finer mesh.
 
-    The weight falls by a tenth from solve to solve. The motion with the least weight that passes once it is refined is
-    returned, and the first one if none passes.
+    The weight falls to a tenth from solve to solve. The result is the motion with the least weight that passes after its
+    refinement, or the first one if none passes.
     """
     nothing = _EXACT_TRACKING_SHARE * first.solution.transcribed.units.objective
     solves = [(case, first)]
@@ -250,7 +253,7 @@ def _unsmoothed(case: MechanismCase, first: Iterate, warm: bool) -> tuple[Refine
         at = _refined(case, found, warm=warm or found is not first)
         if at is not None and at.certificate.passed:
             break
-    if at is None or not at.certificate.passed or of_several(case.asked):  # its meshes are fine enough
+    if at is None or not at.certificate.passed or of_several(case.asked):  # its meshes are already fine enough
         return at, None
     while 2 * at.mesh.n_intervals <= _MAX_INTERVALS and objective_of(at) > nothing:
         solved = _smoothed(case, at, case.smoothing, finer=True)

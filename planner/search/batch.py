@@ -23,7 +23,7 @@ def check_batch(batch: BatchFile) -> str:
         ModelError: when a named mechanism cannot be used.
     """
     digest, last = hashlib.sha256(), None
-    # Ten thousand problems take gigabytes, so each is built, checked and discarded, and built again for planning.
+    # Ten thousand problems take gigabytes, so each is built, checked, discarded, and later built again for planning.
     for case, problem in _problems(batch, batch.case):
         check()
         if problem.mechanism is not last:
@@ -61,7 +61,7 @@ def _problems(batch: BatchFile, cases: Sequence[CaseSection]) -> Iterator[tuple[
             chosen = mechanism is not None and "independent" in mechanism.source and "independent" not in (wanted or {})
             same = mechanism is not None and wanted == asked and not chosen
             problem = Problem.from_tables(f"{name}/{case.name}", tables, folder, mechanism if same else None)
-            problem.start_pose()  # refuses a goal beyond reach before any case is planned
+            problem.start_pose()  # raises for a goal beyond reach before any case is planned
         except ProblemError as error:
             raise ProblemError(f"case '{case.name}': {error}") from error
         asked, mechanism = wanted, problem.mechanism

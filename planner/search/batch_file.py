@@ -47,9 +47,9 @@ def batch_from(tables: dict, folder: Path) -> BatchFile:
     if problem not in PROBLEMS and "\n" not in problem:
         problem = str(resolve_path(problem, folder))
     if ("case" in tables) == ("sweep" in tables):
-        raise ProblemError("a batch has [[case]] tables or a [sweep] table, one of the two")
+        raise ProblemError("a batch must have either [[case]] tables or a [sweep] table")
     if len(asked.case) > MAX_CASES:
-        raise ProblemError(f"a batch has at most {MAX_CASES} cases, got {len(asked.case)}")
+        raise ProblemError(f"a batch must have at most {MAX_CASES} cases, got {len(asked.case)}")
     listed = [(case.name or f"case-{k + 1}", case.set) for k, case in enumerate(asked.case)] or _swept(asked.sweep)
     names = [name for name, _ in listed]
     for name in names:
@@ -74,14 +74,14 @@ def _batch_tables(path: Path) -> dict:
         raise ProblemError(f"batch '{path}'{nearest_source(str(path), ())} is not a file; {legal}")
     tables = read_toml(path, f"batch '{path}'")
     if "motion" in tables and "problem" not in tables:
-        raise ProblemError(f"batch '{path}' is a problem file, which plan takes; {legal}")
+        raise ProblemError(f"batch '{path}' is a problem file, for plan; {legal}")
     if "problem" not in tables:
         raise ProblemError(f"batch '{path}' names no problem; {legal}")
     return tables
 
 
 def _on_disk(name: str) -> str:
-    """Return a name as file systems compare it that ignore case and normal forms of Unicode."""
+    """Return a name as compared by file systems that ignore case and normal forms of Unicode."""
     return unicodedata.normalize("NFC", name).casefold()
 
 
@@ -89,13 +89,13 @@ def _swept(table: dict) -> list[tuple[str, list[str]]]:
     axes = []
     for key, values in _flat(table):
         if not isinstance(values, list) or not values:
-            raise ProblemError(f"sweep.{key} is a list of one or more values, got {values!r}")
+            raise ProblemError(f"sweep.{key} must be a list of one or more values, got {values!r}")
         axes.append([(key, item) for item in values])
     total = 1
     for axis in axes:
         total *= len(axis)
     if total > MAX_CASES:
-        raise ProblemError(f"a batch has at most {MAX_CASES} cases, the sweep makes {total}")
+        raise ProblemError(f"a batch must have at most {MAX_CASES} cases; the sweep has {total}")
     cases = []
     for number, combination in enumerate(itertools.product(*axes)):
         settings = [f"{key}={inline(item)}" for key, item in combination]

@@ -1,12 +1,12 @@
-"""The refinement of motions of several motors: one solve a mesh, until one hardly gains anything.
+"""The refinement of motions of several motors: one solve per mesh, until a mesh hardly improves the objective.
 
-One joint decides the time of a fast motion, and only its jumps of effort matter. They become ends of segments with unknown
-durations, between which efforts are free. Elsewhere the mesh is made finer by as much as the certificate asks for at once.
-What is overrun by less than a finer mesh is worth is removed by tightening. Once the objective has settled, the motion is
-only changed where it needs more effort than a proof allows: to the nearest motion on a finer mesh (`nearest_feasible`).
+One joint determines the time of a fast motion, and only its jumps of effort matter. They become ends of segments with
+unknown durations, between which efforts are free. Elsewhere the mesh is refined in one step by as much as the certificate
+requires. Overruns that cost less than a finer mesh are removed by tightening. Once the objective has settled, the motion
+only changes where it needs more effort than a proof allows: to the nearest motion on a finer mesh (`nearest_feasible`).
 
-The first solves keep a distance from singular poses that nobody asked for, so that no iterate leaves its assembly branch
-(`FIRST_MARGIN`). Finer meshes come nearer, from a motion that is on its branch.
+The first solves keep a distance from singular poses that the problem does not require, so that no iterate leaves its
+assembly branch (`FIRST_MARGIN`). On finer meshes, which start from a motion on its branch, the distance is smaller.
 """
 
 from dataclasses import dataclass, replace
@@ -31,49 +31,53 @@ from linkplan.planner.search.jumps import apart, jumps_of
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, divided, uniform, without_empty
 
-# |det J_z| relative to home that iterates keep at first, and at last where the first one binds and less is asked for. Next
-# to a singular pose no mesh is fine enough, and a tenth of the last one saves a two-thousandth of the time.
+# Least |det J_z| relative to home: of the first solves, and of the last ones if the first bound is active and the problem
+# permits less. Near a singular pose no mesh is fine enough, and a tenth of the last one saves only a two-thousandth of the
+# time.
 FIRST_MARGIN, LAST_MARGIN = 0.05, 0.01
-# The last distance is worth a solve if the multipliers of the first one promise this share of the objective: 2e-3 to 3e-3
-# for legs, which gain 7e-4 to 3e-3, but 6e-5 for an excavator, whose finer meshes near singular poses are not solved.
+# The last distance is tried if the multipliers of the first one predict a gain of this share of the objective. They predict
+# 2e-3 to 3e-3 for legs, which gain 7e-4 to 3e-3, but 6e-5 for an excavator, whose finer meshes near singular poses are not
+# solved.
 _WORTH_COMING_NEARER = 2e-4
-# The transcription of finer meshes, and their intervals as a share of those asked for: with degree 5 they err by less.
+# The transcription of finer meshes, and their number of intervals as a share of the required one, because degree 5 is more
+# exact.
 _FINER_SCHEME, _SHARE_OF_INTERVALS = "radau-5", 0.75
-# The same where products of efforts and speeds or of forces are limited at every instant: along a limit on power an effort
-# is no polynomial. With 0.75, least times and efforts of three problems are 7e-5 to 4e-4 above those of finest meshes.
+# The same share if products of efforts and speeds or of forces are limited at every instant, because along a limit on power
+# an effort is not a polynomial. With 0.75, least times and efforts of three problems are 7e-5 to 4e-4 above those of the
+# finest meshes.
 _SHARE_ALONG_PRODUCTS = 1.5
-# At most so many meshes; the objective has settled once it changes by less than this share. With constant efforts, those of
-# least work, it falls with the length of an interval, and not with a power of it.
+# Largest number of meshes, and the relative change below which the objective has settled. With piecewise constant efforts
+# (least work) its error is only of first order in the interval's length.
 _MAX_MESHES, _SETTLED_CHANGE, _SETTLED_CHANGE_OF_STEPS = 8, 2e-5, 1e-3
-# A finer mesh's objective that is worse by more than this share is that of another motion.
+# If a finer mesh's objective is worse by more than this share, it belongs to another motion.
 _LOST_SHARE = 1e-3
-# The same for the first finer mesh of a given duration: the first mesh costs 0.9 and 1.6 % too little for the excavator, and
-# at most 3e-4 for the other 30 problems of the set.
+# The same for the first finer mesh with a given duration: the objective of the first mesh is 0.9 and 1.6 % too small for the
+# excavator, and at most 3e-4 for the other 30 problems of the set.
 _LOST_SHARE_AT_FIRST = 2e-2
 # A mesh is too coarse with more than this share of the allowed residual, and where a limit is overrun between the nodes by
 # more than this share of itself: less is tightened.
 _MOST_RESIDUAL, _MOST_TIGHTENED = 0.2, 3e-4
-# A mesh's limits are tightened so often; where that does not do, or costs more than settles, the mesh is made finer.
+# The number of times that limits are tightened on a mesh. If this is not enough, or costs too much, the mesh is refined.
 _MAX_TIGHTENINGS = 2
-# A segment that is shorter than this share of a mean interval is removed: its switch times have met, and rounding decides
+# A segment shorter than this share of a mean interval is removed: its switch times have met, and rounding errors determine
 # its accelerations.
 _MET_SHARE = 1e-2
-# A solve that begins at the last mesh's motion takes at most so many iterations, and twice as many in another transcription.
+# Most iterations of a solve that starts from the last mesh's motion; twice as many in another transcription.
 _MOST_ITERATIONS = 150
-# Once a motion passes, further meshes take at most this share of the time: what is left is for changing it, so that it can
-# be proved.
+# Once a motion passes, further meshes take at most this share of the time. The rest is for correcting the motion so that it
+# can be proved.
 _SHARE_OF_MESHES = 2.0 / 3.0
-# The best motion is corrected on at most so many meshes; with corners of [robust] up to five are needed.
+# Most meshes on which the best motion is corrected; with corners of [robust] up to five are needed.
 _MAX_RESTORATIONS = 6
 # A joint is at an end of its range within this share of it.
 _NEAR_RANGE = 1e-3
-# An interval is divided into so many at most, and a mesh has so many times the intervals asked for at most.
+# Most parts of an interval, and the largest factor on the required number of intervals.
 _MAX_PIECES, _MAX_GROWTH = 4, 6
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Way:
-    """The next solve: its case, mesh, segments' durations [s] and words."""
+    """The next solve: its case, mesh, segments' durations [s] and name."""
 
     case: MechanismCase
     mesh: Mesh
@@ -94,20 +98,20 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
     """Return the best motion whose certificate passes, else the last one; None without a certificate.
 
     Args:
-        case: what is refined, with the limits as asked.
+        case: the problem, with its own limits.
         found: a first solution.
     """
     case = at_a_distance(case, found.motion.start_pose)
     at, gain, moved = certify_iterate(case, found), np.inf, 0.0
-    kept: list[_Kept] = []  # the motions that pass, each better than the one before, and then the last one
+    kept: list[_Kept] = []  # the motions that pass, each better than the previous one, then the last motion
     last: _Kept | None = None
     way: _Way | None = _first_way(case, at)
     deadline = case.problem.solver.deadline
-    rows: frozenset[int] = frozenset()  # coordinates whose ranges are kept between nodes: along one, a motion flips
+    rows: frozenset[int] = frozenset()  # coordinates with rows for their ranges between nodes
     after_passing, until, took_s = deadline.within_share(_SHARE_OF_MESHES), deadline, 0.0
     for _ in range(_MAX_MESHES):
         check()
-        if way is None or until.left_s <= took_s:  # a solve on a finer mesh would take as long at least, for nothing
+        if way is None or until.left_s <= took_s:  # a solve on a finer mesh would take at least as long, without benefit
             break
         rows |= along_ranges(case.asked, at.found.motion)
         begun_s = until.left_s
@@ -118,13 +122,13 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
         before, at = at, certify_iterate(case, finer)
         last_gain, gain = gain, share_gained(before.found.solution.objective, finer.solution.objective)
         left = gain
-        if gain > 0 and 0 < last_gain < np.inf and not case.enclosed:  # along powers gains shrink unsteadily
+        if gain > 0 and 0 < last_gain < np.inf and not case.enclosed:  # along limits on power, gains decrease irregularly
             left *= min(1.0, gain / last_gain)
         better = not kept or finer.solution.objective < kept[-1].at.found.solution.objective
         last = _Kept(way.case, at, rows) if better and at.certificate is not None else None
         way = _next_way(way.case, before, at, gain, left) if at.passed or better else None
         if last is not None and at.passed:
-            # Nearer to singular poses the objective changes, and not for the mesh's sake.
+            # Nearer to singular poses the objective also changes, for another reason than the mesh.
             alike = bool(kept) and _margin_of(kept[-1].case) == _margin_of(last.case)
             moved = max(gain, 0.0) if alike else 0.0
             kept.append(last)
@@ -146,8 +150,8 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
 def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -> Iterate | None:
     """Return the solution of the next solve from a motion; None without one by a deadline, or if it is of another motion.
 
-    The barrier follows the iterates where the duration is free. With a given one it falls from a small value, which takes
-    fewer iterations.
+    With a free duration the barrier parameter follows the iterates. With a given duration it decreases from a small value,
+    which takes fewer iterations.
     """
     start, settings = replace(guess_from(coarse.motion), share_of_effort=1.0), way.case.problem.solver
     another = coarse.solution.transcribed.scheme.name != way.case.problem.mesh.scheme
@@ -184,7 +188,7 @@ def at_a_distance(case: MechanismCase, start_pose: np.ndarray) -> MechanismCase:
 def along_ranges(problem: Problem, motion: Trajectory) -> frozenset[int]:
     """Return the independent coordinates with a coefficient of their position at an end of their range or beyond.
 
-    The first and last interval do not count, where a motion begins and ends.
+    The first and last intervals, in which a motion begins and ends, are ignored.
     """
     limit = problem.limits.position[problem.mechanism.independent]
     near = _NEAR_RANGE * np.where(np.isfinite(np.ptp(limit, axis=1)), np.ptp(limit, axis=1), 0.0)
@@ -193,10 +197,10 @@ def along_ranges(problem: Problem, motion: Trajectory) -> frozenset[int]:
 
 
 def _repaired(kept: _Kept) -> CertifiedIterate:
-    """Return a motion that is changed as little as finer meshes ask for, until it is sound, or the last one that passes."""
+    """Return a motion corrected with the least change on finer meshes until it is sound, or the last one that passes."""
     at, problem, margin = kept.at, kept.case.problem, kept.case.asked.limits.singular_margin
     solver = problem.solver.replace(deadline=problem.solver.certificate_deadline)
-    # A margin that nobody asked for may be missed by the error of the mesh.
+    # A margin that the problem does not require may be violated by the mesh error.
     case = _loosened(kept.case, max(margin, 0.5 * problem.limits.singular_margin))
     case = replace(case, problem=replace(case.problem, solver=solver), asked=replace(case.asked, solver=solver))
     asked = replace(case, problem=case.asked)
@@ -210,7 +214,7 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
             case = case.tightened(at.certificate, at.found.motion)
         mesh, durations = _without_met(divided(at.found.mesh, pieces), at.found.durations)
         found = nearest_on(case, at.found, mesh, durations, position_rows=kept.rows)
-        if found is None and not at.passed:  # efforts and other limits that bind together leave no freedom
+        if found is None and not at.passed:  # if efforts and other limits are active together, no freedom is left
             mesh = divided(at.found.mesh, _coarse(case, at))
             way = _Way(kept.case, mesh, at.found.durations, "finer mesh")
             found = _solved(way, at.found, kept.rows, kept.case.problem.solver.deadline)
@@ -237,7 +241,7 @@ def _first_way(case: MechanismCase, at: CertifiedIterate) -> _Way:
 
 
 def _next_way(case: MechanismCase, before: CertifiedIterate, at: CertifiedIterate, gain: float, left: float) -> _Way | None:
-    """Return the next solve after two motions; None where the last one is done, or no finer mesh is allowed.
+    """Return the next solve after two motions; None if the last one is final, or no finer mesh is allowed.
 
     `gain` is the share of the objective that the last mesh gained, `left` what a further one is expected to gain.
     """
@@ -253,7 +257,7 @@ def _next_way(case: MechanismCase, before: CertifiedIterate, at: CertifiedIterat
     if not settled and len(further) and mesh.n_segments + len(further) <= mesh.n_intervals // 3:
         ends = np.concatenate([np.cumsum(durations)[:-1], further])
         ends = np.sort(ends[np.abs(ends[:, None] - boundaries).min(axis=1) > 1e-9 * boundaries[-1]])
-        return _Way(case, *mesh_with_switches(boundaries, ends, mesh.n_intervals, least=1), "further jumps as unknowns")
+        return _Way(case, *mesh_with_switches(boundaries, ends, mesh.n_intervals, least=1), "more jumps as unknowns")
     if not settled and pieces.max() > 1 and pieces.sum() <= _MAX_GROWTH * case.asked.mesh.intervals:
         return _Way(tightened, divided(mesh, pieces), durations, "finer mesh")
     if at.overruns and case.n_tightenings < _MAX_TIGHTENINGS:
@@ -297,7 +301,7 @@ def _at_margin(case: MechanismCase, margin: float) -> MechanismCase:
 
 
 def _loosened(case: MechanismCase, margin: float) -> MechanismCase:
-    """Return a case within the limits as asked, and at this distance from singular poses."""
+    """Return a case with the problem's own limits, and at this distance from singular poses."""
     problem = replace(case.problem, limits=replace(case.asked.limits, singular_margin=margin))
     return replace(case, problem=problem, tightenings=(), n_tightenings=0)
 
@@ -311,15 +315,15 @@ def _margin_of(case: MechanismCase) -> float:
 
 
 def _coarse(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
-    """Return into how many (n,) each interval is divided, by how far its residual and its overruns are too large."""
+    """Return the number of parts (n,) of each interval, from the excess of its residual and overruns."""
     errors = at.report.residual_share / _MOST_RESIDUAL, at.report.overrun / _MOST_TIGHTENED
     return _enough(case, np.maximum(*errors))
 
 
 def _inexact(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
-    """Return into how many (n,) each interval is divided for the certificate and a proof.
+    """Return the number of parts (n,) of each interval that the certificate and a proof require.
 
-    The allowance of efforts is kept by a factor of three: the largest effort may lie between the samples.
+    Efforts must satisfy their allowance by a factor of three, because the largest effort may lie between the samples.
     """
     growth = at.report.growth * (case.target.strictness if case.target.tolerance_given else 1.0)
     too_large = growth.sum() > 0.5 or not np.isfinite(growth.sum())
@@ -328,7 +332,7 @@ def _inexact(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
 
 
 def _enough(case: MechanismCase, worst: np.ndarray) -> np.ndarray:
-    """Return into how many (n,) intervals are divided whose errors are this many times too large."""
+    """Return the number of parts (n,) of intervals whose errors are too large by these factors."""
     finite, scheme = np.nan_to_num(worst, nan=1e30, posinf=1e30), case.problem.mesh.scheme
     order = degree_of(scheme) if scheme[-1].isdigit() else 2
     return np.clip(np.ceil(finite ** (1.0 / order)), 1, _MAX_PIECES).astype(int)

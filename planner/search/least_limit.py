@@ -27,14 +27,14 @@ class LeastLimit:
     trajectory: Trajectory
     mesh: Mesh
     durations: np.ndarray  # (n_segments,) [s]
-    first: float  # the factor on the mesh as given
+    first: float  # the factor on the given mesh
 
 
 def least_limit_of_starts(problem: Problem, guess: Guess) -> LeastLimit | None:
     """Return the least factor on the effort limits from several starts; None if no start led to a motion.
 
-    Further starts are tried while the factor is above 1, three in all: one may lead to a local optimum. Twenty perturbed
-    guesses are tried at most to find them.
+    While the factor is above 1, which may be a local optimum, up to three starts are tried. At most twenty perturbed guesses
+    are tried to find them.
     """
     perturbed = itertools.islice(perturbed_guesses(problem, guess.start_pose), 20)
     every = itertools.chain([guess], (start for _, start in perturbed))
@@ -74,11 +74,10 @@ def least_limit(
     *,
     known: float | None = None,
 ) -> LeastLimit | None:
-    """Return the least factor on the effort limits that admits a motion, or None where none was found.
+    """Return the least factor on the effort limits with which a motion exists, or None if none was found.
 
-    Solved twice: on the mesh as given, then with phase boundaries at the switch times that it showed, where the factor is
-    exact. The result is None if the first factor equals `known`, the factor of another start on such a mesh: it is the same
-    motion.
+    It is solved twice: on the given mesh, then with phase boundaries at the switch times found, where the factor is exact.
+    The result is None if the first factor equals `known`, the factor of another start on such a mesh: it is the same motion.
     """
     limit = problem.limits.effort
     if not np.all(np.isfinite(limit)):
@@ -108,11 +107,11 @@ def least_limit(
         )
         boundaries = best.trajectory.breaks_s[mesh.boundaries()]
         switch_times = find_switch_times(best.trajectory, factor * limit, boundaries)
-        if len(switch_times) == 0 or problem.mechanism.forces is not None:  # forces over time are those of fixed instants
+        if len(switch_times) == 0 or problem.mechanism.forces is not None:  # forces over time have fixed instants
             break
         mesh, durations = mesh_with_switches(boundaries, switch_times, mesh.n_intervals)
         bang_efforts = find_bang_efforts(best.trajectory, factor * limit, np.cumsum(durations)[:-1]) / factor
-        for bound in limit.T:  # as the limits' own numbers, free of rounding
+        for bound in limit.T:  # equal to the limits' own numbers, without rounding
             bang_efforts = np.where(np.isclose(bang_efforts, bound, rtol=1e-9), bound, bang_efforts)
         guess = guess_from(best.trajectory)
     return best

@@ -1,7 +1,7 @@
 """The search for a motion: its methods, and the state that they share.
 
-A method is one way to search for a motion: from a start of its own, or without a solver. Each has a condition, a budget and
-one function. It returns a plan, whether its certificate passes or not, or None if it found no motion.
+A method is one way to search for a motion, from its own start or without a solver. It has a condition, a budget and a
+function. The function returns a plan, whether its certificate passes or not, or None if it found no motion.
 `planner.search.planning` lists the methods and the repairs.
 """
 
@@ -27,7 +27,7 @@ from linkplan.planner.trajectory import Trajectory
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Budget:
-    """The budget of a method: iterations of a solve (None: as many as hard problems take) and a share of the time left."""
+    """The budget of a method: iterations of a solve (None: enough for hard problems) and a share of the remaining time."""
 
     iterations: int | None = None
     share_of_time: float = 1.0
@@ -40,8 +40,8 @@ class Budget:
         return settings.replace(max_iterations=fewer, deadline=settings.deadline.within_share(self.share_of_time))
 
 
-# Budgets: of a first start, and of what is tried after it. Feasible motions need tens of iterations: no random problem of
-# the tests that led to a plan took more than 150.
+# Budgets: of a first start, and of later starts. Feasible motions need tens of iterations; no random problem of the tests
+# with a plan took more than 150.
 FULL_BUDGET, SHORT_BUDGET = Budget(), Budget(iterations=200)
 
 
@@ -53,12 +53,12 @@ class SearchMethod:
     run: "Callable[[Search, Budget], Plan | None]"
     budget: Budget
     tried: "Callable[[Search], bool]" = lambda _: True
-    shares_time: "Callable[[Search], bool]" = lambda _: False  # whether half of the time left is kept for later methods
+    shares_time: "Callable[[Search], bool]" = lambda _: False  # whether half of the time is reserved for later methods
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class KnownMotions:
-    """Certified motions, in the order in which they were found, and the plans that were looked for once."""
+    """Certified motions, in the order in which they were found, and the plans that are searched only once."""
 
     motions: list[Trajectory] = field(default_factory=list)
     sought: dict[str, Plan | None] = field(default_factory=dict)
@@ -68,7 +68,7 @@ class KnownMotions:
         self.motions.append(motion)
 
     def once(self, what: str, look: Callable[[], Plan | None]) -> Plan | None:
-        """Return the plan that `look` finds, which is called once for each `what`; a motion that passes is added."""
+        """Return the plan that `look` finds; it is called once for each `what`, and a motion that passes is added."""
         if what not in self.sought:
             plan = look()
             self.sought[what] = plan
@@ -86,9 +86,9 @@ class KnownMotions:
 class Search:
     """A search for a motion, as every method sees it.
 
-    `methods` are tried in order, `repairs` on a motion whose certificate does not pass. `problem` is as it was asked, with
-    the deadline of the search; `start_pose` (n_q,) is closed. `plans` are the plans of the methods so far, in order. The
-    phase plane's motion, the smooth path and the least factor on the effort limits are computed at their first use.
+    `methods` are tried in order, `repairs` on a motion whose certificate does not pass. `problem` is the given one, with the
+    deadline of the search; `start_pose` (n_q,) is closed. `plans` are the plans of the methods so far, in order. The phase
+    plane's motion, the smooth path and the least factor on the effort limits are computed at their first use.
     """
 
     problem: Problem
@@ -111,13 +111,16 @@ class Search:
 
     @cached_property
     def named_limit(self) -> LeastLimit | None:
-        """The least factor on the effort limits; one above 1 on meshes fine enough for a message. None without a motion."""
+        """The least factor on the effort limits; if above 1, computed on meshes fine enough for a message.
+
+        None without a motion.
+        """
         problem = self.within(SHORT_BUDGET)
         found = least_limit_of_starts(problem, self.smooth)
         return found if found is None or found.factor <= 1.0 else settled_limit(problem, found)
 
     def first_starts(self) -> Iterator[tuple[str, Guess]]:
-        """Yield the user's guess if it closes the loops, then the smooth path, with the words on each."""
+        """Yield the user's guess if it closes the loops, then the smooth path, each with its name."""
         own = users_guess(self.problem, self.start_pose)
         if own is not None:
             yield "the guess given", own
@@ -128,12 +131,12 @@ class Search:
         return Search(problem=problem, start_pose=self.start_pose, methods=self.methods, repairs=self.repairs)
 
     def within(self, budget: Budget) -> Problem:
-        """Return the problem with the settings that a budget allows its solves."""
+        """Return the problem with solver settings within a budget."""
         return replace(self.problem, solver=budget.of(self.problem.solver))
 
     @property
     def deadline(self) -> Deadline:
-        """When the search is to be done."""
+        """The deadline of the search."""
         return self.problem.solver.deadline
 
     @property
@@ -143,7 +146,7 @@ class Search:
 
     @property
     def best(self) -> Plan | None:
-        """The answer so far: a verdict, the last plan that is optimal, or feasible, else the first; None without any."""
+        """The current answer: a verdict, the last optimal plan, the last feasible one, or the first plan; else None."""
         passed = sorted((plan for plan in reversed(self.plans) if plan.passed), key=lambda plan: plan.status != "optimal")
         return next(iter([*self.verdicts, *passed, *self.plans]), None)
 
@@ -154,8 +157,8 @@ class Search:
 
     @property
     def starts_are_worth_it(self) -> bool:
-        """Whether a further start may lead to a motion: no plan passes, and not too many plans have missed."""
-        # After so many motions that were found and do not pass, further starts are not tried.
+        """Whether another start is worth trying: no plan passes, and not too many plans have failed."""
+        # After this number of motions that do not pass, no further starts are tried.
         return not self.solved and len(self.plans) < 2
 
     @property
@@ -165,7 +168,7 @@ class Search:
 
     @property
     def stopped(self) -> str | None:
-        """Why the search stops early: time is up, or a number is not finite; None if it goes on."""
+        """The reason why the search stops early (time, or a number that is not finite); None if it continues."""
         # The search stops if less than this time is left [s]: a solver stops a little before or after its limit.
         if self.deadline.left_s < 0.01:
             return OUT_OF_TIME
@@ -186,7 +189,7 @@ class Repair:
     name: str
     tried: Callable[[Problem, Plan], bool]
     repair: Callable[[Problem, Iterate], Plan | None]
-    always: bool = True  # or only if every repair is to be tried
+    always: bool = True  # or only if every repair is tried
 
 
 def run_search(search: Search) -> Plan | None:
@@ -205,7 +208,7 @@ def run_search(search: Search) -> Plan | None:
     best = search.best
     if best is None:
         return None
-    # The message of a plan without a motion names the time limit already.
+    # The message of a plan without a motion already names the time limit.
     cut = search.stopped == OUT_OF_TIME and best.trajectory is not None
     found = "the best found within" if best.passed else "the search ran out of"
     said = f"; {found} its {search.problem.solver.max_time_s:g} s {OF_TIME}" if cut else ""

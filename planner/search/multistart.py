@@ -1,10 +1,10 @@
-"""Multistart: cheap first solves from several starts, the best few refined, every certified motion a bound.
+"""Multistart: cheap first solves from several starts; the best are refined, and every certified motion is a bound.
 
-Several local optima exist, and no start leads to the best of them for certain. A problem may ask for a number of starts.
+There are several local optima, and no start certainly leads to the best. A problem may set the number of starts.
 With several motors, starts are tried until the best objective was found twice (Boender & Rinnooy Kan, Mathematical
 Programming 37, 1987, have such stopping rules). Their first solves take tens of iterations under three conditions: iterates
-keep a distance from singular poses; a small weight on efforts breaks the ties of joints with time to spare; and, where the
-duration is free, the barrier of every other solve follows the iterates.
+keep a distance from singular poses; a small weight on efforts breaks the ties of joints with slack time; and, if the
+duration is free, the barrier parameter of every other solve follows the iterates.
 """
 
 import contextlib
@@ -31,26 +31,26 @@ from linkplan.planner.search.starts import no_time, of_the_phase_plane
 from linkplan.planner.search.without_solver import slower
 from linkplan.planner.solvers.solve import OF_TIME
 
-# A first solve takes at most so many iterations.
+# Most iterations of a first solve.
 FIRST_ITERATIONS = 200
-# At least and at most so many first solves that lead to a motion, and so many starts in all.
+# Least and largest number of first solves that lead to a motion, and the largest number of starts.
 _FEWEST_FOUND, _MOST_FOUND, _MOST_STARTS = 2, 6, 10
-# Once one has led to a motion, they take at most this share of the time: what is left is for the best one's refinement.
+# After the first motion, first solves take at most this share of the time. The rest is for refining the best one.
 _SHARE_OF_FIRST = 1.0 / 3.0
-# Objectives of first solves that are no further apart than this share are of one motion.
+# Objectives of first solves that differ by at most this share belong to the same motion.
 _ALIKE_SHARE = 1e-3
-# So many of the best motions are refined.
+# Number of the best motions that are refined.
 _MOST_REFINED = 3
-# The factors on the duration of a motion that does not pass, in which one of little effort is sought.
+# Factors on the duration of a motion that does not pass, for the search for a motion of little effort.
 _SLOWER_FACTORS = (1.05, 1.3)
-_TIES = f"; ties between the joints with time to spare are broken by a weight of {TIE_WEIGHT:g} on squared efforts"
-# The factors on the duration of the smooth path from which a free duration is sought.
+_TIES = f"; joints with slack time move smoothly by a weight of {TIE_WEIGHT:g} on squared efforts, which breaks ties"
+# Factors on the duration of the smooth path, as initial guesses of a free duration.
 _STRETCH_FACTORS = (0.7, 1.5, 1.0)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _First:
-    """A first solution, its start's number and words, and its objective without the weight that breaks ties."""
+    """A first solution, its start's number and name, and its objective without the weight that breaks ties."""
 
     number: int
     what: str
@@ -59,7 +59,7 @@ class _First:
 
 
 def from_several_starts(search: Search, budget: Budget) -> Plan | None:
-    """Return the best plan that passes of several starts, else the first that was found; None without a motion."""
+    """Return the best passing plan of several starts, else the first plan found; None without a motion."""
     problem, wanted = search.within(budget), search.problem.solver.starts
     tried, in_time, solved = _first_solutions(search, budget)
     firsts = _different(solved)
@@ -88,7 +88,7 @@ def from_several_starts(search: Search, budget: Budget) -> Plan | None:
         return plans[0] if plans else None
     better = firsts[0].objective
     if not (plans and best is plans[0]) and _cheaper(better, best):
-        return only_feasible(best, f"; a motion with {better:.6g} was found that does not pass its certificate")
+        return only_feasible(best, f"; a motion with {better:.6g} was found, but does not pass its certificate")
     if tried < wanted:
         share = f"in their share of the {problem.solver.max_time_s:g} s {OF_TIME}"
         why = "and the loops open along all others" if in_time else share
@@ -100,7 +100,7 @@ def from_several_starts(search: Search, budget: Budget) -> Plan | None:
 
 
 def _margin_kept(problem: Problem, plan: Plan) -> str:
-    """Return the words on a distance from singular poses that nobody asked for and that the motion meets, or none."""
+    """Return the phrase on an active distance from singular poses that the problem does not require, or ""."""
     ratio = plan.certificate.singularity_ratio if plan.certificate is not None else np.inf
     met = [margin for margin in (FIRST_MARGIN, LAST_MARGIN) if 0.9 * margin <= ratio <= 1.02 * margin]
     if not met or met[0] <= problem.limits.singular_margin:
@@ -109,7 +109,7 @@ def _margin_kept(problem: Problem, plan: Plan) -> str:
 
 
 def _in_more_time(problem: Problem, first: _First) -> Plan | None:
-    """Return the plan of a motion of little effort in more time, which bounds a free duration's cost; None without one."""
+    """Return the plan of a motion of little effort in more time, which bounds the cost of a free duration, or None."""
     if problem.motion.duration_s is not None:
         return None
     motion = first.found.motion
@@ -133,12 +133,13 @@ def _in_more_time(problem: Problem, first: _First) -> Plan | None:
 def _first_solutions(search: Search, budget: Budget) -> tuple[int, bool, list[_First]]:
     """Return the number of starts that were tried, whether they ended before their time did, and their solutions.
 
-    If the problem asks for more than one, so many are tried. Otherwise they end once the best motion was found twice.
+    If the problem sets more than one start, this many are tried. Otherwise the starts end once the best motion was found
+    twice.
     """
     problem, wanted = search.within(budget), search.problem.solver.starts
     case, several, most = _first_case(problem, search.start_pose), of_several(problem), max(wanted, _MOST_STARTS)
     after_first = search.deadline.within_share(_SHARE_OF_FIRST)
-    starts = itertools.islice(_starts(search, budget), 20 * most)  # along some of them the loops open
+    starts = itertools.islice(_starts(search, budget), 20 * most)  # the loops open along some of them
     closed = (start for start in starts if closes(problem, start[1]))
     number, found = 0, list[_First]()
     with contextlib.suppress(OutOfTimeError):
@@ -158,7 +159,7 @@ def _first_solutions(search: Search, budget: Budget) -> tuple[int, bool, list[_F
 
 
 def _enough(found: list[_First]) -> bool:
-    """True if the best of the first solutions was found twice, or if there are as many as are worth it."""
+    """True if the best of the first solutions was found twice, or if there are enough of them."""
     best = min((first.objective for first in found), default=np.inf)
     twice = sum(_alike(first.objective, best) for first in found) > 1
     return len(found) >= _MOST_FOUND or (len(found) >= _FEWEST_FOUND and twice)
@@ -187,7 +188,7 @@ def _in_time(case: MechanismCase, found: list[_First], after_first: Deadline) ->
 
 
 def _cheaper(objective: float, plan: Plan) -> bool:
-    """True if an objective is so much less than a plan's that it is of another motion."""
+    """True if an objective is so much less than a plan's that it belongs to another motion."""
     assert plan.objective is not None
     return share_gained(plan.objective, objective) > _ALIKE_SHARE
 
@@ -197,7 +198,7 @@ def _alike(one: float, other: float) -> bool:
 
 
 def _starts(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
-    """Yield starts, each with the words for messages, the most promising first."""
+    """Yield starts, each with its name for messages, the most promising first."""
     problem, perturbed = search.problem, perturbed_guesses(search.problem, search.start_pose)
     if not of_several(problem):
         yield from search.first_starts()

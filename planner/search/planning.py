@@ -1,7 +1,7 @@
-"""From a planning problem to a certified plan: attempts, then the reason if none gives a motion; a plan's robustness.
+"""From a planning problem to a certified plan: attempts, then the reason if there is no motion; the price of robustness.
 
-The three tables below are the whole strategy, in order. A method is tried if its condition holds, within its budget. The
-first plan that passes ends the search, unless the phase plane knows a motion that may be better. Repairs are applied to a
+The three tables below are the complete strategy, in order. A method is tried within its budget if its condition holds. The
+first plan that passes ends the search, unless the phase plane knows a possibly better motion. Repairs are applied to a
 motion whose certificate fails, before the next method. Diagnoses give the reason why there is no motion, and never return
 one. A new method is one function, `(Search, Budget) -> Plan | None`, and one row.
 """
@@ -35,12 +35,12 @@ _DETAIL = "objective_as_modelled"
 
 
 def _leaves_time_to_wait(search: Search) -> bool:
-    """True if several driven freedoms may wait: the first start of a swing-up may use up all the time in refinement."""
+    """True if several driven coordinates may rest: the refinement of a swing-up's first start may use up all the time."""
     return search.problem.mechanism.dof > 1 and waiting.may_wait(search)
 
 
 def _is_worth_a_start(search: Search) -> bool:
-    """True if the first starts are tried one after another: not for several motors, whose own search has tried them."""
+    """True if the first starts are tried one after another; False for several motors, whose own search has tried them."""
     return starts.one_start_is_worth_it(search) and not of_several(search.problem)
 
 
@@ -63,7 +63,7 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
         budget=Budget(share_of_time=0.7),
     ),
     SearchMethod(
-        name="the guess given, then a smooth path",
+        name="the user's guess, then a smooth path",
         tried=_is_worth_a_start,
         run=starts.from_first_starts,
         budget=FULL_BUDGET,
@@ -76,7 +76,7 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
         budget=SHORT_BUDGET,
     ),
     SearchMethod(
-        name="the cheapest legs of the phase plane, where meshes over time led to false motions",
+        name="the cheapest legs of the phase plane, if meshes over time led to false motions",
         tried=lambda search: bool(search.plans) and _legs_may_help(search),
         run=without_solver.from_legs,
         budget=SHORT_BUDGET,
@@ -115,7 +115,7 @@ REPAIRS: tuple[Repair, ...] = (
         repair=attempts.enclosed,
     ),
     Repair(
-        name="finer meshes begun next to the coarser one's answer",
+        name="finer meshes started near the coarser solution",
         tried=lambda _problem, plan: attempts.unsound(plan),
         repair=attempts.from_next_to_it,
         always=False,
@@ -148,16 +148,16 @@ def plan_motion(
 
     Args:
         problem: the problem; `solver.max_time_s` limits the whole of planning.
-        say: called with a line of progress from time to time.
+        say: called with lines on the progress.
         methods: the attempts, in order.
         diagnoses: the searches for the reason why there is no motion, in order; the last one has a reason for every problem.
 
     Raises:
-        ProblemError: when start, goal or reference contradict the mechanism.
+        ProblemError: if start, goal or reference contradict the mechanism.
     """
     plans: list[Plan] = []
     with ONE_THREAD, recording(_with_the_best(say, plans)):
-        begun = replace(problem, solver=problem.solver.begun())  # after any wait for another thread
+        begun = replace(problem, solver=problem.solver.begun())  # the deadline starts after any wait for another thread
         try:
             plan = _planned(begun, methods, diagnoses, plans)
         except OutOfTimeError:
@@ -172,7 +172,7 @@ def search_for(
     """Return the search for a problem's motion, whose plans are appended to `plans`.
 
     Raises:
-        ProblemError: when its start contradicts the mechanism.
+        ProblemError: if its start contradicts the mechanism.
     """
     plans = [] if plans is None else plans
     return Search(problem=problem, start_pose=problem.start_pose(), methods=methods, repairs=REPAIRS, plans=plans)
@@ -182,7 +182,7 @@ def _planned(problem: Problem, methods: Sequence[SearchMethod], diagnoses: Seque
     """Return the plan of a problem with a deadline; plans of the methods are appended to `plans`.
 
     Raises:
-        OutOfTimeError: when the deadline passes before anything is known.
+        OutOfTimeError: if the deadline passes before any result.
     """
     if problem.motion.kind == "track":
         return plan_prescribed(problem, problem.start_pose())
@@ -238,7 +238,7 @@ def _with_the_best(say: Say, plans: Sequence[Plan]) -> Say:
 
 def _diagnosed(search: Search, diagnoses: Sequence[Diagnosis]) -> Plan:
     """Return the plan with the reason why no motion was found."""
-    progress("no motion found; looking for the limit that forbids one")
+    progress("no motion found; searching for the limit that forbids one")
     with contextlib.suppress(OutOfTimeError):
         return next(plan for diagnosis in diagnoses if (plan := diagnosis(search)) is not None)
     return reasons.nothing_found(search)
@@ -287,7 +287,7 @@ def price_of(plan: Plan, say: Callable[[str], None] = silent) -> Price | None:
     cheaper = plan_motion(nominal, say)
     if cheaper.trajectory is None or cheaper.objective is None or plan.objective is None:
         return None
-    # The plan itself is a motion of the nominal machine, so the nominal optimum cannot be dearer.
+    # The plan itself is a motion of the nominal machine, so the nominal optimum cannot cost more.
     return _price(plan, min(cheaper.objective, plan.objective))
 
 
@@ -306,5 +306,5 @@ def saved_price(plan: Plan) -> Price | None:
 
 def _price(plan: Plan, nominal: float) -> Price:
     objective = plan.problem.objective
-    assert plan.objective is not None  # that of a motion that passes
+    assert plan.objective is not None  # the price of a motion that passes
     return Price(objective=plan.objective, nominal=nominal, unit=objective.unit, name=objective.name)

@@ -1,8 +1,8 @@
-"""Before any solving: is the problem within what the mechanism can do at all, and is there a plain contradiction in it?
+"""Checks before any solve: contradictions in the problem, and demands that the mechanism cannot satisfy.
 
 A motion of one degree of freedom that begins at speed loses the most energy under full effort against it (Bobrow, Dubowsky &
-Gibson, Int. J. Robotics Research 4, 1985). Where energy is left at the end of the range, no motion stays within it. Run
-backwards, the same holds for a motion that ends at speed.
+Gibson, Int. J. Robotics Research 4, 1985). If energy remains at the end of the range, no motion stays within the range. In
+reversed time the same is true for a motion that ends at speed.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ from linkplan.planner.problem.sites import Task
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class _End:
-    """An end of a reach: its words, position, speed, whether time runs on from it (1) or back (-1), and the other end."""
+    """An end of a reach: its name, position, speed, the direction of time from it (1 or -1), and the other end."""
 
     name: str
     position: float
@@ -40,7 +40,7 @@ class _End:
 
 
 def no_way_to_stop(problem: Problem) -> str | None:
-    """Return the sentence on a speed at start or goal that no effort stops or gives within the joint's range, or None."""
+    """Return the sentence on a speed at start or goal that no effort can stop or reach within the joint's range, or None."""
     motion, mechanism = problem.motion, problem.mechanism
     if mechanism.dof != 1 or motion.kind != "reach" or motion.goal_is_free or not np.all(np.isfinite(problem.limits.effort)):
         return None
@@ -73,7 +73,7 @@ def _beyond_the_range(problem: Problem, end: _End) -> str | None:
         s, poses, at, ahead = s[::-1], poses[::-1], len(s) - 1, -1
     plane = plane_of(problem, s, poses, problem.limits.effort)
     w = plane.leg(at, 0.5 * end.speed**2, ahead, -ahead, backwards=end.along < 0)
-    # The share of the squared speed that must be left there is a hundred times the error of the quadrature.
+    # The share of the squared speed that must remain there is a hundred times the error of the quadrature.
     if len(w) < len(s) or w[-1] < 1e-4 * w[0]:
         return None
     passed = int(np.argmin(np.abs(s - end.other)))
@@ -89,13 +89,13 @@ def _beyond_the_range(problem: Problem, end: _End) -> str | None:
     )
 
 
-# Poses on the only way may exceed a limit by this share of the quantity's size: smaller overruns are left to the solver and
-# the certificate.
+# Poses on the only path may exceed a limit by this share of the quantity's size; the solver and the certificate decide on
+# smaller overruns.
 ONLY_WAY_SLACK = 1e-6
 
 
 def plain_contradiction(problem: Problem) -> str | None:
-    """Return the sentence on a limit that no motion can keep, found without solving, or None."""
+    """Return the sentence on a limit that no motion can satisfy, found without solving, or None."""
     looks = (
         _speed_at_an_end,
         _branches_on_the_way,
@@ -135,14 +135,14 @@ def _mean_speed(problem: Problem) -> str | None:
             shortest = (motion.goal[column] - motion.start[column]) / bound if bound else np.inf
             return (
                 f"infeasible: joint {joint.name} would have to move at {joint.text(mean, 4)} {joint.unit}/s on average"
-                f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.text(bound, 4)} {joint.unit}/s;"
-                f" that limit alone asks for {shortest:.4g} s"
+                f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.text(bound, 4)} {joint.unit}/s; this"
+                f" limit alone requires {shortest:.4g} s"
             )
     return None
 
 
 def _branches_on_the_way(problem: Problem) -> str | None:
-    """Return the sentence on a pose at which the loops lose rank between start and goal of a single freedom, or None."""
+    """Return the sentence on a pose from start to goal at which the loops of one degree of freedom lose rank, or None."""
     mechanism, motion = problem.mechanism, problem.motion
     if mechanism.dof != 1 or motion.start is None or motion.goal is None:
         return None
@@ -163,7 +163,7 @@ def _branches_on_the_way(problem: Problem) -> str | None:
 
 
 def _pose_beyond(problem: Problem) -> str | None:
-    """Return the sentence on a limit that a pose of start, goal or a waypoint overruns, or one on the only way; or None."""
+    """Return the sentence on a limit that start, goal, a waypoint or a pose on the only path overruns, or None."""
     limits = [limit for limit in limits_of(problem) if limit.facts.of_position]
     for when, pose, open_at in _known_poses(problem) if limits else ():
         sentence = sentence_beyond(problem, limits, pose[None], when, POSE_SLACK, open_at)
@@ -174,7 +174,7 @@ def _pose_beyond(problem: Problem) -> str | None:
 
 
 def _known_poses(problem: Problem) -> Iterator[tuple[str, np.ndarray, tuple[Task, ...] | None]]:
-    """Yield the words on start, goal and waypoints, their closed poses, and the tasks that an open pose keeps."""
+    """Yield the names of start, goal and waypoints, their closed poses, and the tasks that an open pose satisfies."""
     mechanism, motion = problem.mechanism, problem.motion
     if motion.start is not None:
         yield "at the start", close_at(mechanism, motion.start), None
@@ -204,7 +204,7 @@ def sentence_beyond(
         problem: the problem.
         limits: on poses.
         poses: closed.
-        when: the words on a single pose; None for poses on the only way.
+        when: the phrase on a single pose; None for poses on the only path.
         slack: the allowed overrun as a share of the limited quantity's size.
         tasks: of an open pose, whose other coordinates are guessed; None if the poses are known.
     """
@@ -215,7 +215,7 @@ def sentence_beyond(
             continue
         low, high = measured.bounds
         nearest = np.clip(measured.values, low, high)
-        finite = np.isfinite(measured.values)  # what is not is no proof; the motion's certificate names it
+        finite = np.isfinite(measured.values)  # NaN is no proof; the motion's certificate names it
         off = np.abs(np.where(finite, measured.values, 0.0) - np.where(finite, nearest, 0.0))
         k = int(np.argmax(off))
         size = measured.pose_size or measured.size or abs(nearest[k]) or 1.0
@@ -230,7 +230,7 @@ def sentence_beyond(
 
 
 def _where(problem: Problem, pose: np.ndarray) -> str:
-    """Return the words on a pose (n_q,) on the only way."""
+    """Return the phrase on a pose (n_q,) on the only path."""
     (crank,), (driven,) = problem.mechanism.independent_joints, problem.mechanism.independent
     return (
         f"where {crank.name} = {crank.text(float(pose[driven]), 4)} {crank.unit}, between start and goal, where every motion"
@@ -240,14 +240,14 @@ def _where(problem: Problem, pose: np.ndarray) -> str:
 
 @functools.lru_cache(maxsize=4)
 def only_way(problem: Problem) -> np.ndarray | None:
-    """Return poses (n, n_q) between start and goal of a single freedom, all of which every motion passes; None elsewhere."""
+    """Return poses (n, n_q) that every motion of one degree of freedom passes from start to goal; None for others."""
     mechanism, motion = problem.mechanism, problem.motion
     if mechanism.dof != 1 or motion.start is None or motion.goal is None or motion.goal_is_free:
         return None
     try:
         between = np.linspace(motion.start, motion.goal, 401)
         return follow(mechanism, between, close_at(mechanism, motion.start), problem.solver.deadline)
-    except AssemblyError:  # the loops open on the way, which another check reports
+    except AssemblyError:  # the loops open on the path, which another check reports
         return None
 
 
@@ -266,7 +266,8 @@ def _beyond_ctrl(problem: Problem) -> str | None:
             actuator = mechanism.actuators[j]
             low, high = actuator.control_lower, actuator.control_upper
             nearest_ctrl = least if least > high else most
-            # Where all of its range is beyond a clamp of its force, a servo gives the clamp: is that within the limits?
+            # If its whole range is beyond a clamp of its force, a servo gives the clamped force, which may be within the
+            # limits.
             clamp = actuator.upper if (most < low) == (actuator.gain > 0) else actuator.lower
             given = problem.limits.effort[j, 0] <= clamp <= problem.limits.effort[j, 1]
             if actuator.limits_control and (least > high or most < low) and not given:

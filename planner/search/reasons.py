@@ -1,6 +1,7 @@
 """Diagnoses: functions that return a plan with a reason why a problem has no motion, or None if their reason does not apply.
 
-None of them returns a motion. They compute how far limits would have to be relaxed, on motions planned without them.
+None of them returns a motion. They compute by how much limits would have to be relaxed, from motions planned without these
+limits.
 """
 
 from dataclasses import dataclass, replace
@@ -26,7 +27,7 @@ from linkplan.planner.search.solving import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, fi
 from linkplan.planner.search.starts import enough_time, least_time_plan, no_time, shortest_motion
 from linkplan.planner.solvers.solve import INVALID, why_stopped
 
-# A duration below this share of the shortest motion's is surely infeasible: least times found are local, but within
+# A duration below this share of the shortest motion's is certainly infeasible, because local least times are within
 # percents.
 _INFEASIBLE_DURATION_SHARE = 0.1
 
@@ -64,14 +65,14 @@ def share_sentence(problem: Problem, factor: float, motion: Guess, *, at_all: bo
         problem: with one degree of freedom.
         factor: on all effort limits.
         motion: the motion with that factor.
-        at_all: no motion of any duration keeps the limits; the sentence then names the pose that this one barely passes.
+        at_all: no motion of any duration satisfies the limits; the sentence then names the pose that this one barely passes.
     """
     (joint,) = problem.mechanism.independent_joints
     time = np.linspace(0.0, motion.duration_s, 2001)[1:-1]
-    # The motion rests at both ends; 2 % of the duration there are not searched.
+    # The motion rests at both ends, so 2 % of the duration at each end are excluded.
     velocity, ends = motion.velocity(time)[:, 0], 0.02 * motion.duration_s
     speed, inside = np.abs(velocity), (time > ends) & (time < motion.duration_s - ends)
-    # The critical pose is one that the motion barely passes: its speed is least there, and it does not turn back.
+    # At the critical pose, which the motion barely passes, its speed is least and does not change its sign.
     least = np.concatenate([[False], speed[1:-1] <= np.minimum(speed[:-2], speed[2:]), [False]])
     passing = inside & least & (np.gradient(np.sign(velocity)) == 0)
     at = int(np.argmin(np.where(passing if passing.any() else inside, speed, np.inf)))
@@ -106,7 +107,7 @@ def far_too_short(search: Search) -> tuple[str, dict[str, float]] | None:
     """
     problem, asked = search.problem, longest(search.problem)
     path = path_effort(problem, search.smooth) if _may_be_too_short(problem) else None
-    # Efforts of inertia grow with the square of the pace.
+    # Inertial efforts grow with the square of the speed.
     if path is None or path.inertial_factor < 1 / _INFEASIBLE_DURATION_SHARE**2:
         return None
     shortest, about = _shortest(search)
@@ -136,7 +137,7 @@ def _shortest(search: Search) -> tuple[float | None, str]:
 
 
 def path_effort(problem: Problem, guess: Guess) -> PathEffort | None:
-    """Return the largest effort that a path needs relative to its limit, and undriven efforts; None if loops open."""
+    """Return the largest effort of a path relative to its limit, and the undriven efforts; None if the loops open."""
     mechanism, limit = problem.mechanism, problem.limits.effort
     try:
         time, q = even_poses(problem, guess)
@@ -148,7 +149,7 @@ def path_effort(problem: Problem, guess: Guess) -> PathEffort | None:
     missed = tau - np.einsum("ksu,ku->ks", maps, effort)
     held = least_effort(demanded(mechanism, q, 0 * v, 0 * a, time)[0], maps)
     bound = np.where(effort > 0, np.maximum(limit[:, 1], 0.0), np.minimum(limit[:, 0], 0.0))
-    widest = np.abs(limit).max(axis=1)  # the scale if an actuator gives nothing in the needed direction
+    widest = np.abs(limit).max(axis=1)  # the scale if an actuator has no effort in the needed direction
     factors = np.abs(effort) / np.where(bound == 0, widest, np.abs(bound))
     inertial = np.abs(effort - held) / widest
     at, column = np.unravel_index(int(np.argmax(factors)), factors.shape)
@@ -163,12 +164,12 @@ def path_effort(problem: Problem, guess: Guess) -> PathEffort | None:
     k, row = np.unravel_index(int(np.argmax(np.abs(missed))), missed.shape)
     if abs(missed[k, row]) > 1e-6 * np.abs(effort).max():
         joint = mechanism.independent_joints[row]
-        sentence += f", and no actuator gives the {missed[k, row]:.4g} {joint.si_units[1]} on {joint.name}"
+        sentence += f", and no actuator can give the {missed[k, row]:.4g} {joint.si_units[1]} needed on {joint.name}"
     return PathEffort(factor=float(factors.max()), inertial_factor=float(inertial.max()), sentence=sentence)
 
 
 def contradicted(search: Search) -> Plan | None:
-    """Return the plan that names a limit which no motion can keep, if this is clear without solving."""
+    """Return the plan that names a limit that no motion can satisfy, if this is clear without solving."""
     problem = search.problem
     sentence = plain_contradiction(problem)
     if sentence is None:
@@ -185,7 +186,7 @@ def too_short(search: Search) -> Plan | None:
 
 
 def less_than_least_time(search: Search) -> Plan | None:
-    """Return the plan that says that a duration is below the least time, to which the phase plane leads."""
+    """Return the plan that says that a duration is below the least time, which the phase plane's motion gives."""
     if not no_time(search):
         return None
     known = least_time_plan(search, SHORT_BUDGET)
@@ -218,7 +219,7 @@ def _extras_not_finite(search: Search) -> list[str]:
 
 
 def one_limit(search: Search) -> Plan | None:
-    """Return the plan that names the limit without which there is a motion, and the least feasible value of it."""
+    """Return the plan that names the limit without which there is a motion, and its least feasible value."""
     return _first_without(search, relaxed_kinds(search.problem))
 
 
@@ -235,12 +236,15 @@ def efforts_contradicted(search: Search) -> Plan | None:
 
 
 def efforts_without_proof(search: Search) -> Plan | None:
-    """Return the plan that names the least efforts found, for problems with swings that no start has tried."""
+    """Return the plan that names the least efforts found, for problems with untried swings."""
     over = _over(search)
     if over is None or not may_swing(search.problem):
         return None
     sentence, _ = effort_sentence(search.problem, over)
-    return _failed(search, f"no motion was found; on the motion of least effort found, {sentence}; this is no proof")
+    return _failed(
+        search,
+        f"no motion was found; on the found motion of least effort, {sentence}; this is no proof",
+    )
 
 
 def efforts(search: Search) -> Plan | None:
@@ -253,7 +257,7 @@ def efforts(search: Search) -> Plan | None:
 
 
 def efforts_without_other_limits(search: Search) -> Plan | None:
-    """Return the plan that names the efforts that are missing even without the other limits."""
+    """Return the plan that names the efforts that are insufficient even without the other limits."""
     problem = search.within(SHORT_BUDGET)
     kinds, bare = relaxed_kinds(problem), problem
     if not kinds:
@@ -287,7 +291,7 @@ def efforts_by_the_phase_plane(search: Search) -> Plan | None:
 
 def nothing_found(search: Search) -> Plan:
     """Return the plan that says that neither a motion nor a reason was found."""
-    stopped = solver_stopped(search)  # while looking for a reason
+    stopped = solver_stopped(search)  # during the search for a reason
     if stopped is not None:
         return stopped
     if unknown := _extras_not_finite(search):
@@ -306,7 +310,7 @@ def _needs_of_smooth_path(search: Search) -> str:
 
 
 def _over(search: Search) -> LeastLimit | None:
-    """Return the least limit where it is more than the one asked for."""
+    """Return the least limit if it is larger than the problem's."""
     least = search.named_limit
     return least if least is not None and least.factor > 1.0 else None
 
@@ -317,7 +321,7 @@ def _first_without(search: Search, kinds: list[type[Limit]]) -> Plan | None:
 
 
 def _without(search: Search, kind: type[Limit]) -> Plan | None:
-    """Return the plan that says by how much a motion planned without a limit violates it; None if it keeps the limit."""
+    """Return the plan that says by how much a motion planned without a limit violates it; None if it satisfies the limit."""
     problem, guess = search.within(SHORT_BUDGET), search.smooth
     mesh, durations = first_mesh(problem, guess)
     word = f"without limits on {kind.key}"
@@ -326,14 +330,14 @@ def _without(search: Search, kind: type[Limit]) -> Plan | None:
         return None
     motion = found.motion
     if kind in relaxed_kinds(problem) and violation(kind, problem, motion) is not None:
-        progress(f"looking for the least limit on {kind.key} that admits a motion")
+        progress(f"searching for the least limit on {kind.key} with which there is a motion")
         motion = least_relaxation(problem, kind, motion, mesh, found.durations)
     sentence = violation(kind, problem, motion)
     return None if sentence is None else _infeasible(search, f"infeasible: {sentence}", {})
 
 
 def _infeasible(search: Search, sentence: str, details: dict[str, float], *, shortest: bool = True) -> Plan:
-    """Return the plan that says that no motion keeps the limits.
+    """Return the plan that says that no motion satisfies the limits.
 
     If a motion of at most the given duration is known, the problem is not proved infeasible and the status is "failed".
     """

@@ -4,9 +4,9 @@
     for goal in goals:
         plan = planner.plan(replace(problem, motion=replace(problem.motion, goal=goal)))
 
-Payload, boundary states, waypoints, limits, durations, references and weights are numbers of a program and need no new one.
-A problem is planned from the beginning if its structure differs (mechanism, kind, objective terms, mesh, which limits are
-finite), or if the warm solve gives no optimal plan by the usual checks (certificate, contacts, tolerance).
+Payload, boundary states, waypoints, limits, durations, references and weights are parameters of a program; they need no new
+program. A problem is planned from the beginning if its structure differs (mechanism, kind, objective terms, mesh, which
+limits are finite), or if the warm solve gives no optimal plan by the usual checks (certificate, contacts, tolerance).
 
 At the rate of control, a motion follows from the last plan by a few Newton steps, with error bounds.
 """
@@ -120,7 +120,7 @@ class Replanner:
         self._solver: Solver | None = None
         self._program: Program | None = None
         self._conditions: Conditions | None = None
-        self._optimum: Optimum | None = None  # of the last program at its `start`; None until it is computed
+        self._optimum: Optimum | None = None  # of the last program at its `start`; None until computed
 
     def __reduce__(self) -> tuple:
         return Replanner, ()
@@ -173,7 +173,7 @@ class Replanner:
             if kept is None:
                 return None
             solver, last = kept
-            if self._optimum is None:  # once after a plan from the beginning
+            if self._optimum is None:  # once after each plan from the beginning
                 last = self._keep_optimum(run_solver(solver, last))
             if self._optimum is None:
                 return None
@@ -224,8 +224,8 @@ class Replanner:
             step = step_of("constraints tightened" if recorded() else "solved again", solution.transcribed, solution)
             add_step(structs.replace(step, integration_error_deg=certificate.integration_error_deg))
             if not case.error_report(certificate).overruns or case.n_tightenings == 2:
-                break  # a motion that overruns its limits still is planned anew
-            # Tightening starts anew, because the kept program's own tightening belongs to another motion.
+                break  # a motion that still overruns its limits is planned from the beginning
+            # Tightening starts again from zero, because the kept program's tightening belongs to another motion.
             case = case.tightened(certificate, trajectory)
             assert self._solver is not None  # of the first solution
             assert self._last is not None
@@ -241,7 +241,7 @@ class Replanner:
 
     def _keep(self, problem: Problem, solved: Transcribed) -> None:
         if not is_program_of(solved, problem):
-            return  # e.g. its motion was kept away from another limit
+            return  # for example because its motion is away from another limit
         self._last, self._key, self._optimum = solved, structure(problem), None
         self._held_at = None if solved.bang_efforts is None else problem.limits.effort
         if solved.program is not self._program:

@@ -1,6 +1,6 @@
 """Plans of a site that follows a path exactly, with the path's parameter as the motion's only coordinate.
 
-The mechanism guided along the path has one freedom and all drives. Its plan is a plan like any other; every limit and
+The mechanism guided along the path has one degree of freedom and all drives. It is planned like any other; every limit and
 objective applies. Its motion and efforts are then those of the mechanism itself.
 """
 
@@ -24,12 +24,12 @@ from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
-# Intervals of the guided mechanism's mesh for each of the mechanism's own: which drive is at its limit changes often along a
-# path, and the program of one freedom is small. Excess of the least time over that of an independent path parameterisation,
-# with 1, 2 and 3: of a five-bar's polyline with two corners 5e-4, 1.5e-4 and 1e-4, of a line below 1e-7 each.
+# Factor on the number of intervals for the guided mechanism: the drive at its limit changes often along a path, and the
+# program of one degree of freedom is small. With 1, 2 and 3, least times exceed those of an independent path
+# parameterisation by 5e-4, 1.5e-4 and 1e-4 for a five-bar's polyline with two corners, and by less than 1e-7 for a line.
 _MORE_INTERVALS = 3
-# Pieces of an interval on which the joints' motion is a polynomial, if a limit is on jerk: on fifteen intervals, one piece
-# each misses the third derivative by 2e-7, and has jumps of acceleration of 1e-7.
+# Polynomial pieces of the joints' motion per interval, if there is a limit on jerk. With one piece on each of fifteen
+# intervals, the third derivative has errors of 2e-7 and the acceleration jumps of 1e-7.
 _PIECES_FOR_JERK = 3
 
 
@@ -48,7 +48,7 @@ def plan_along_path(problem: Problem, start_pose: np.ndarray, plan_of: Callable[
 
 
 def _guided_problem(problem: Problem, mechanism: GuidedMechanism) -> Problem:
-    """Return the problem of the guided mechanism: from rest at the path's begin to rest at its end."""
+    """Return the problem of the guided mechanism: from rest at the path's beginning to rest at its end."""
     limits, ends = problem.limits, np.array([[0.0, mechanism.curve.length]])
     rows = dict.fromkeys(OF_JOINTS, free_bounds(1)) | {"position": ends}
     longer = {name: np.vstack([getattr(limits, name), row]) for name, row in rows.items()}

@@ -1,7 +1,7 @@
-"""One solve of a mechanism's problem from a guess, which every method begins with: its mesh, and free durations.
+"""The first solve of every method, from a guess: its mesh, and free durations.
 
-The first mesh is as fine as the problem asks for, and fine enough for the swings of a start. Motions whose free duration is
-bounded by their guess are solved again with longer ones, unbounded ones are reported.
+The mesh has the problem's number of intervals, or more for a guess with swings. If the guess bounds a free duration, the
+motion is solved again with a longer one; an unbounded duration is reported.
 """
 
 import itertools
@@ -19,14 +19,14 @@ from linkplan.planner.transcription.mesh import Mesh, broken, segmented, uniform
 
 # The smallest number of intervals for each swing of a guess.
 INTERVALS_PER_SWING = 40
-# A duration longer than that of the phase plane's motion by this factor is long enough: the error of its grid is a
-# thousandth, and a hundredth along speed limits.
+# A duration longer than that of the phase plane's motion by this factor is feasible: the grid's error is a thousandth, or a
+# hundredth along speed limits.
 GRID_ERROR_FACTOR, GRID_ERROR_FACTOR_AT_SPEED_LIMIT = 1.001, 1.01
 
 
 def solve_from(
     problem: Problem,
-    guess: Any,  # a `Guess`: the case's own starts
+    guess: Any,  # a `Guess`
     mesh: Mesh,
     durations: np.ndarray,
     what: str,
@@ -36,7 +36,7 @@ def solve_from(
 ) -> Iterate | None:
     """Solve a problem once and return the iterate; None without a motion. `attempt` describes the arguments.
 
-    A guess along which the loops do not close leads to none.
+    It is also None if the loops do not close along the guess.
     """
     if not closes(problem, guess):
         return None
@@ -56,8 +56,8 @@ def first_mesh(problem: Problem, guess: Guess) -> tuple[Mesh, np.ndarray]:
 def graded_mesh(guess: Guess, switch_times_s: np.ndarray, n_intervals: int) -> tuple[Mesh, np.ndarray]:
     """Return a mesh with switch times (n_switches,) [s] within a guess's phases, and its segments' durations [s].
 
-    The mesh is finer where the guess is fast: near a singular pose a motion covers in a hundredth of its time what takes
-    half of it elsewhere. Every interval has an equal share of time, way and change of speed together.
+    The mesh is finer where the guess is fast, because near a singular pose a motion may cover half of its path in a
+    hundredth of its time. Every interval has an equal share of the sum of time, path and change of speed.
     """
     boundaries = np.array([0.0, guess.duration_s]) if guess.boundaries_s is None else guess.boundaries_s
     ends = np.sort(np.concatenate([boundaries, switch_times_s]))
@@ -68,7 +68,7 @@ def graded_mesh(guess: Guess, switch_times_s: np.ndarray, n_intervals: int) -> t
 
 
 def _pace(guess: Guess, times: np.ndarray) -> np.ndarray:
-    """Return the shares (n - 1,) of a guess between its samples: of time, way and change of speed together."""
+    """Return the shares (n - 1,) of a guess between its samples, in the sum of time, path and change of speed."""
     position, velocity = guess.position(times), guess.velocity(times)
     pace = np.diff(times)[:, None] / guess.duration_s
     for values in (position, velocity):
@@ -82,7 +82,7 @@ def _spread(times: np.ndarray, progress: np.ndarray, ends: np.ndarray, boundarie
     at_ends = np.interp(ends, times, progress)
     fraction, segment = [], []
     for k, (begin, end) in enumerate(itertools.pairwise(at_ends)):
-        count = max(3, int(np.round(end - begin)))  # at least three a segment, as in `segmented`
+        count = max(3, int(np.round(end - begin)))  # at least three per segment, as in `segmented`
         breaks = np.interp(np.linspace(begin, end, count + 1), progress, times)
         breaks[[0, -1]] = ends[k], ends[k + 1]
         fraction.append(np.diff(breaks) / (ends[k + 1] - ends[k]))
@@ -92,7 +92,7 @@ def _spread(times: np.ndarray, progress: np.ndarray, ends: np.ndarray, boundarie
 
 
 def with_longer_durations(problem: Problem, found: Iterate) -> tuple[Iterate, str | None]:
-    """Return a solution that no guessed duration holds back, and the sentence on one without end, or None."""
+    """Return a solution that is not bounded by the guessed duration, and the sentence on an unbounded duration, or None."""
     unbounded, longer = unbounded_duration(problem, found.solution), found.motion.duration_s
     for _ in range(2):
         if unbounded is None:
@@ -104,16 +104,16 @@ def with_longer_durations(problem: Problem, found: Iterate) -> tuple[Iterate, st
         further = solve_from(problem, start, found.mesh, duration * shares / shares.sum(), "from a longer motion")
         if further is None:
             break
-        # An objective that one step lowers to a thousandth falls for ever: the duration is unbounded.
+        # If one step lowers the objective to a thousandth, it falls without limit: the duration is unbounded.
         falls = further.solution.objective < 1e-3 * found.solution.objective and problem.motion.max_duration_s is None
         found, unbounded = further, unbounded if falls else unbounded_duration(problem, further.solution)
     return found, unbounded
 
 
 def unbounded_duration(problem: Problem, solution: Solution) -> str | None:
-    """Return the sentence on a free duration that grew to the end of what its guess allows; None elsewhere.
+    """Return the sentence on a free duration that grew to the bound due to its guess, or None.
 
-    That end is a hundred times the guess and not the user's: there the objective still falls, and no best motion is found.
+    This bound is a hundred times the guess and not the user's. The objective still falls there, so there is no best motion.
     """
     motion, transcribed = problem.motion, solution.transcribed
     if motion.duration_s is not None or bounded_by_guess(solution, 0.0, motion.max_duration_s or np.inf) != LONGER:
@@ -125,7 +125,7 @@ def unbounded_duration(problem: Problem, solution: Solution) -> str | None:
 
 
 def longest(problem: Problem) -> float:
-    """Return the longest that a motion may take [s]."""
+    """Return the largest duration of a motion [s]."""
     return problem.motion.duration_s or problem.motion.max_duration_s or np.inf
 
 

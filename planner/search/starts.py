@@ -1,11 +1,11 @@
 """Methods that begin anew: the user's guess, the smooth path, the phase plane, and swings.
 
-The motion of least time is looked for once, and shared by methods and diagnoses.
+The motion of least time is searched once, and shared by methods and diagnoses.
 
-A method keeps a distance from singular poses that was not asked for. Near a dead centre the needed effort vanishes, so
-there is no optimum: the cost falls as the margin shrinks, down to a motion that leaves the branch. A crank that turns fully
-may pass a pose that is nearly singular: a coarse mesh steps over it onto the other branch. In both cases solvers are lost,
-and within a margin they find the best motion.
+One method keeps a distance from singular poses that the problem does not require. Near a dead centre the needed effort
+vanishes, so there is no optimum: the cost falls as the margin shrinks, down to a motion that leaves the branch. A crank that
+turns continuously may pass a nearly singular pose; a coarse mesh then steps over it onto the other branch. In both cases
+solvers fail without a margin and find the best motion within it.
 """
 
 from collections.abc import Iterator
@@ -33,9 +33,9 @@ from linkplan.planner.search.solving import (
 )
 from linkplan.planner.search.without_solver import legs_plan
 
-# The words on the least-time plan from the phase plane's motion, among the known motions.
+# The name, among the known motions, of the least-time plan from the phase plane's motion.
 PHASE_PLANE_LEAST_TIME = "least time from the phase plane"
-# A solution that costs less than the cheapest legs by more than this share is no motion between the nodes of its mesh.
+# A solution that costs less than the cheapest legs by more than this share violates the dynamics between its nodes.
 _FALSE_SHARE = 0.1
 
 
@@ -45,7 +45,7 @@ def one_start_is_worth_it(search: Search) -> bool:
 
 
 def other_limits(problem: Problem) -> bool:
-    """True if a problem has limits that the phase plane leaves out: a motion may be slow because of them."""
+    """True if a problem has limits that the phase plane ignores and that may slow down a motion."""
     return any(not limit.facts.in_phase_plane for limit in limits_of(problem))
 
 
@@ -59,8 +59,8 @@ def phase_plane_may_help(search: Search) -> bool:
 def no_time(search: Search) -> bool:
     """True if the phase plane shows that the given time is too short for any motion.
 
-    Its motion on a grid is late, the more so if it swings. The certified least time decides; it is compared to the printed
-    digits.
+    Its motion on a grid is too slow, especially with swings. So the certified least time decides; it is compared to the
+    printed digits.
     """
     quickest, asked = search.quickest, longest(search.problem)
     if quickest is None or quickest.boundaries_s is not None or asked >= quickest.duration_s:
@@ -80,9 +80,9 @@ def enough_time(search: Search) -> bool:
 
 
 def _swings_may_be_better(search: Search) -> bool:
-    """True if a plan between start and goal meets its effort limits, and the motion of least time swings."""
+    """True if a plan between start and goal reaches its effort limits, and the motion of least time swings."""
     problem = search.problem
-    # A limit is met within a thousandth.
+    # A limit is reached within a thousandth.
     weak = np.any(search.best.certificate.peak_effort > 0.999 * np.abs(problem.limits.effort).max(axis=1))
     if problem.solver.starts > 1 or problem.guess is not None or not weak or not phase_plane_applies(problem):
         return False
@@ -90,12 +90,12 @@ def _swings_may_be_better(search: Search) -> bool:
 
 
 def from_first_starts(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that the user's guess leads to, or else the smoothest path."""
+    """Return the plan from the user's guess, or else from the smoothest path."""
     return _first_of(search, budget, search.first_starts(), repaired=not search.only_time_counts)
 
 
 def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that the phase plane's motion leads to; where a plan passes already, only a better one.
+    """Return the plan from the phase plane's motion; if a plan already passes, only a better one.
 
     The first start is the motion of least time if it swings and the objective is not time.
     """
@@ -111,7 +111,7 @@ def from_the_phase_plane(search: Search, budget: Budget) -> Plan | None:
 
 
 def of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
-    """Yield the starts that the phase plane's motion leads to, with the words on each."""
+    """Yield the starts from the phase plane's motion, each with its name."""
     problem, quickest = search.problem, search.quickest
     assert quickest is not None  # where the phase plane applies
     cheap = _cheapest(search)
@@ -150,16 +150,16 @@ def along_limits(search: Search, _: Budget) -> Plan | None:
     if motion is None or not (problem.motion.min_duration_s or 0.0) <= motion.duration_s <= longest(problem):
         return None
     if not other_limits(problem) and search.quickest is not None and not _as_quick(search, motion.duration_s):
-        return None  # a motion that turns back is quicker
+        return None  # a motion that reverses is quicker
     said = f"motion of {motion.duration_s:.6g} s, integrated along its limits"
-    best = f"time-optimal {said}: the quickest that turns back only where it must"
+    best = f"time-optimal {said}: the quickest motion with reversals only where necessary"
     objective = problem.objective.weight("time") * motion.duration_s
     plan = replace(without_solving(problem, motion, objective, said, best=best), read_scheme=LEGS_SCHEME)
     return plan if plan.passed else None
 
 
 def _cheapest(search: Search) -> Guess | None:
-    """Return dynamic programming's motion to one goal in more than the phase plane's least time; None where it has none."""
+    """Return dynamic programming's motion to one goal in more than the phase plane's least time; None if there is none."""
     problem, motion = search.problem, search.problem.motion
     if motion.duration_s is None or motion.waypoints or not enough_time(search):
         return None
@@ -168,7 +168,7 @@ def _cheapest(search: Search) -> Guess | None:
 
 
 def from_swings(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan that a swing away from the goal, or beyond it, leads to."""
+    """Return the plan from a swing away from the goal, or beyond it."""
     swings = swinging_guesses(search.problem, search.start_pose)
     return _first_of(search, budget, (("a swing", swing) for swing in swings))
 
@@ -176,7 +176,7 @@ def from_swings(search: Search, budget: Budget) -> Plan | None:
 def _first_of(
     search: Search, budget: Budget, starts: Iterator[tuple[str, Guess]], *, repaired: bool = True, least: float = -np.inf
 ) -> Plan | None:
-    """Return the first plan that passes, or the last that was found; those before it are kept among the search's plans."""
+    """Return the first plan that passes, or the last one found; earlier plans are added to the search's plans."""
     missed = None
     for what, guess in search.deadline.take(starts):
         if missed is not None:
@@ -190,7 +190,7 @@ def _first_of(
 
 
 def judged_by_the_phase_plane(search: Search) -> tuple[bool, Guess | None]:
-    """Return whether the phase plane shows that no motion is quicker than the least-time plan, and a quicker one or None."""
+    """Return True if by the phase plane no motion is quicker than the least-time plan, and a quicker plan or None."""
     problem = search.problem
     if not search.only_time_counts or problem.mechanism.dof > 1 or other_limits(problem):
         return False, None
@@ -206,11 +206,11 @@ def _as_quick(search: Search, duration_s: float) -> bool:
 
 
 def _better_plan(search: Search, budget: Budget) -> Plan | None:
-    """Return a plan that the phase plane's motion leads to and that is better than the one found; None without one."""
+    """Return a better plan from the phase plane's motion than the plan found; None without one."""
     if search.only_time_counts:
         _, guess = judged_by_the_phase_plane(search)
     else:
-        assert search.quickest is not None  # a swing of it may be better
+        assert search.quickest is not None  # a swing may be better
         guess = _cheapest(search) or phase_plane_guess(search.problem, search.quickest)
     known = search.best.objective
     # A motion on the first mesh is refined only if it is better than this share of the best known objective.
@@ -227,7 +227,7 @@ def least_time_motion(search: Search, budget: Budget) -> Guess | None:
 
 
 def with_switch_times(plan: Plan) -> Guess:
-    """Return a plan's motion as a guess that knows the switch times of its mesh."""
+    """Return a plan's motion as a guess with the switch times of its mesh."""
     trajectory = plan.require_motion("start from")
     guess = guess_from(trajectory)
     if plan.solved is None or plan.solved.program.mesh.n_phases > 1:
@@ -237,7 +237,7 @@ def with_switch_times(plan: Plan) -> Guess:
 
 
 def least_time_plan(search: Search, budget: Budget) -> Plan | None:
-    """Return the plan of least time that the phase plane's motion leads to, solved for once; None without one."""
+    """Return the plan of least time from the phase plane's motion, solved only once; None without one."""
 
     def look() -> Plan | None:
         assert search.quickest is not None  # where the phase plane applies
@@ -261,23 +261,23 @@ def may_near_singular(search: Search) -> bool:
 
 
 def at_a_distance(search: Search, budget: Budget) -> Plan | None:
-    """Return the best plan that keeps a margin to singular poses; None if no method finds one.
+    """Return the best plan with a margin to singular poses; None if no method finds one.
 
-    One that is optimal within the margin is "feasible" where it is next to it.
+    If the margin is active, its status is "feasible".
     """
     problem = search.within(budget)
     way = only_way(problem)
     if way is None:
         return None
-    # The least |det J_z| relative to home: a quarter of it may lose the motion, more of it costs more. All poses between
-    # start and goal keep half of what they have.
+    # The least |det J_z| relative to home. With a quarter of it solves may fail, a larger margin costs more. Start and goal
+    # limit it: it is at most half of the least value on the path between them.
     margin = min(0.02, 0.5 * float(singularity_ratios(problem, way).min()))
     limits = replace(problem.limits, singular_margin=margin)
     plan = run_search(search.of_another(replace(problem, limits=limits)))
     if plan is None or not plan.passed:
         return None
     found = replace(plan, problem=search.problem)
-    # A margin is met within a hundredth of it.
+    # A margin is active within a hundredth of it.
     if plan.status == "feasible" or plan.certificate.singularity_ratio > 1.01 * margin:
         return found
     why = f"; it keeps a distance from singular poses, {margin:.3g} of that at home; a motion nearer to them may cost less"
@@ -285,10 +285,10 @@ def at_a_distance(search: Search, budget: Budget) -> Plan | None:
 
 
 def shortest_motion(search: Search) -> Plan | None:
-    """Return the certified plan of least time within a reach's limits; None where it was not found."""
-    if not np.all(np.isfinite(search.problem.limits.effort)):  # no time is the least then, and none may be asked for
+    """Return the certified plan of least time within a reach's limits; None if it was not found."""
+    if not np.all(np.isfinite(search.problem.limits.effort)):  # then there is no least time
         return None
-    if search.problem.mechanism.forces is not None:  # which are known over the motion's own time
+    if search.problem.mechanism.forces is not None:  # forces over time have fixed instants
         return None
     plan = search.known.sought.get(PHASE_PLANE_LEAST_TIME)
     if plan is None or not plan.passed:
@@ -297,15 +297,15 @@ def shortest_motion(search: Search) -> Plan | None:
 
 
 def _in_least_time(problem: Problem) -> Problem:
-    """Return the problem of least time. Efforts constant over intervals, as least work has them, would be late."""
+    """Return the problem of least time. Efforts that are constant over intervals, as for least work, would be slower."""
     motion = replace(problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
     mesh = problem.mesh.replace(effort="polynomial")
     return replace(problem, objective="time", motion=motion, mesh=mesh, guess=None)
 
 
 def _by_every_method(search: Search) -> Plan | None:
-    # The share of the remaining time for the motion of least time; the search that uses it needs the rest.
+    # The share of the remaining time for the motion of least time; the rest is for the search that uses it.
     free = _in_least_time(search.within(replace(FULL_BUDGET, share_of_time=0.5)))
-    progress("looking for the shortest feasible duration")
+    progress("searching for the shortest feasible duration")
     with recording():
         return run_search(search.of_another(free))

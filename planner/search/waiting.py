@@ -1,6 +1,6 @@
-"""The method of waiting: the motion of least time, or a little more, with a rest before or after it.
+"""The method of waiting: the motion of least time, or a slightly slower one, with a rest before or after it.
 
-If the given duration is longer and start or goal can be held at rest, such a motion and a rest are a feasible motion.
+It is feasible if the given duration is longer and start or goal can be held at rest.
 """
 
 import itertools
@@ -18,7 +18,7 @@ from linkplan.planner.search.solving import solve_from
 from linkplan.planner.search.starts import shortest_motion
 from linkplan.planner.search.without_solver import held, joined
 
-# Terms of an objective that a rest adds to by its effort and its length alone.
+# Terms of an objective to which a rest contributes only by its effort and its length.
 _STILL_TERMS = {"time", "effort", "copper_loss"}
 
 
@@ -31,9 +31,9 @@ def may_wait(search: Search) -> bool:
 
 
 def from_waiting(search: Search, budget: Budget) -> Plan | None:
-    """Return the cheapest plan of a rest and a known motion beside it; None where no certificate of one passes.
+    """Return the cheapest plan of a known motion and a rest; None if no certificate of one passes.
 
-    The least-time motion is known, and one that takes a little longer and costs far less.
+    The known motions are that of least time, and a slightly slower one that costs far less.
     """
     quick = shortest_motion(search) if set(search.problem.objective.weights) <= _STILL_TERMS else None
     if quick is None:
@@ -56,7 +56,7 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
             whole = joined(motion, holding.lasting(wait), first=end == "start")
             said = (
                 f"motion of {asked:.6g} s: a motion of {motion.duration_s:.6g} s and a rest of {wait:.4g} s"
-                f" {'before' if end == 'start' else 'after'} it; that longer motions are no better was not shown"
+                f" {'before' if end == 'start' else 'after'} it; it is not shown that longer motions are no better"
             )
             wholes.append((objective_value(problem, whole)[0], whole, said))
     for objective, whole, said in sorted(wholes, key=lambda one: one[0]):
@@ -67,11 +67,11 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
 
 
 def _a_little_longer(search: Search, budget: Budget, quick: Plan) -> Plan | None:
-    """Return the plan of the best motion in a twentieth more than the least time, or as asked; None if it does not pass."""
+    """Return the plan of the best motion in 1.05 times the least time, or in the given time; None if it does not pass."""
     motion, asked = quick.require_motion("lengthen"), search.problem.motion.duration_s
     duration = min(1.05 * motion.duration_s, asked or np.inf)
     problem = search.within(budget)
-    # In the transcription that the least-time motion's certificate passed with.
+    # In the transcription with which the least-time motion's certificate passed.
     mesh = problem.mesh.replace(scheme=quick.solved.scheme.name, refine="intervals")
     problem = replace(problem, guess=None, mesh=mesh, motion=replace(problem.motion, duration_s=duration))
     start, mesh = stretched(guess_from(motion), duration), quick.solved.program.mesh

@@ -1,7 +1,7 @@
 """Motions without a solver: the smooth path itself, rests at start or goal, and the cheapest legs of the phase plane.
 
-Large robots with a drive for each freedom move along almost any slow path. The solver may still run out of time on their
-programs of ten thousand unknowns, or stall next to an optimum that no digit of the objective shows.
+Large robots with a drive for each degree of freedom can move along almost any slow path. The solver may still run out of
+time on their programs of ten thousand unknowns, or stall near an optimum without any visible change of the objective.
 """
 
 import contextlib
@@ -31,13 +31,13 @@ from linkplan.planner.search.solving import first_mesh, longest
 from linkplan.planner.solvers.solve import OUT_OF_TIME
 from linkplan.planner.trajectory import Trajectory
 
-# The factors on the least duration of the smooth path in which it is tried if the duration is free: slow motions keep limits
-# on speed, acceleration and power.
+# Factors on the least duration of the smooth path, tried if the duration is free; slow motions satisfy limits on speed,
+# acceleration and power.
 _LONGER_FACTORS = (1.0, 2.0, 4.0, 8.0)
-# The factors on the duration of a motion that does not pass, with which it is tried again.
+# Factors on the duration with which a motion that does not pass is tried again.
 _SLOWER_FACTORS = (1.001, 1.003, 1.01, 1.03)
 # The words on a rest that costs something.
-NOT_SHOWN = "; that no motion costs less was not shown"
+NOT_SHOWN = "; it is not shown that no motion costs less"
 
 
 def along_smooth_path(search: Search) -> Plan | None:
@@ -51,7 +51,7 @@ def along_smooth_path(search: Search) -> Plan | None:
     asked = search.problem
     if asked.motion.kind != "reach" or search.verdicts:
         return None
-    # A search that is out of time has this motion at hand, however late the solver's first iteration let it end.
+    # The later deadline ensures that a search that ran out of time still has this motion.
     problem = replace(asked, solver=asked.solver.replace(deadline=Deadline().within(asked.solver.max_time_s)))
     for factor in _LONGER_FACTORS if asked.motion.duration_s is None else (1.0,):
         guess = stretched(search.smooth, factor * search.smooth.duration_s)
@@ -65,7 +65,7 @@ def along_smooth_path(search: Search) -> Plan | None:
             motion = motion_along(problem, guess, mesh.breaks(durations))
             within = f" within {asked.solver.max_time_s:g} s" if search.stopped == OUT_OF_TIME else ""
             along = f"motion of {motion.duration_s:.6g} s along the smooth path, which satisfies every limit"
-            said = f"{along}; the solver found no better one{within}"
+            said = f"{along}; the solver found no better motion{within}"
             plan = without_solving(problem, motion, objective_value(problem, motion)[0], said)
             if plan.passed:
                 return plan
@@ -75,7 +75,7 @@ def along_smooth_path(search: Search) -> Plan | None:
 def at_rest(search: Search) -> Plan | None:
     """Return the plan that rests at the start, for a reach that ends there (`Motion.stays`); None if a rest is no answer.
 
-    It is "optimal" where it costs nothing. Elsewhere a motion may cost less: a swing may spare effort against a weight.
+    It is "optimal" if it costs nothing. Otherwise a motion may cost less, because a swing can save holding effort.
     """
     problem, motion = search.problem, search.problem.motion
     duration = motion.duration_s or motion.min_duration_s
@@ -95,9 +95,9 @@ def at_rest(search: Search) -> Plan | None:
 
 
 def slower(problem: Problem, motions: Iterable[Trajectory]) -> Plan | None:
-    """Return the plan of the first motion that passes and can be proved if it is a little slower; None without one.
+    """Return the plan of the first slightly slower motion that passes and can be proved; None without one.
 
-    A motion that overruns its limits by as much as a mesh errs needs less effort and speed if it takes longer.
+    A motion that overruns its limits by the mesh error needs less effort and speed if it takes longer.
     """
     problem = replace(problem, solver=problem.solver.replace(deadline=problem.solver.judging_deadline))
     for motion, factor in itertools.product(motions, _SLOWER_FACTORS):
@@ -115,7 +115,7 @@ def slower(problem: Problem, motions: Iterable[Trajectory]) -> Plan | None:
 
 
 def _is_carried(problem: Problem, guess: Guess) -> bool:
-    """Tell if the actuators carry a guess within their limits at its samples."""
+    """True if the actuators can produce a guess within their limits, at its samples."""
     times, poses = even_poses(problem, guess)
     v, a = guess.velocity(times), guess.acceleration(times)
     effort, missing = needed_effort(problem.mechanism, poses, v, a, times)
@@ -133,7 +133,7 @@ def from_legs(search: Search, _: Budget) -> Plan | None:
 
 
 def legs_plan(search: Search) -> Plan | None:
-    """Return the plan of the cheapest legs of the phase plane and of a rest, looked for once; None without one."""
+    """Return the plan of the cheapest legs of the phase plane and of a rest, searched only once; None without one."""
     return search.known.once("the cheapest legs", lambda: _of_legs(search)) if legs_apply(search.problem) else None
 
 
@@ -156,7 +156,7 @@ def _of_legs(search: Search) -> Plan | None:
             motion = joined(motion, holdings[end].lasting(wait), first=end == "start")
             rest = f", {wait:.4g} s of it a rest at the {end}"
         along = f"motion of {asked:.6g} s along the cheapest legs of the phase plane{rest}"
-        said = f"{along}; that others cost no less was not shown"
+        said = f"{along}; it is not shown that other motions cost no less"
         plan = without_solving(problem, motion, objective_value(problem, motion)[0], said)
         if plan.passed:
             break
@@ -164,7 +164,7 @@ def _of_legs(search: Search) -> Plan | None:
 
 
 def joined(motion: Trajectory, rest: Trajectory, *, first: bool) -> Trajectory:
-    """Return a trajectory with a rest, of constants, before or after it, exactly where it begins or ends."""
+    """Return a trajectory with a rest (constants) before or after it, exactly at its beginning or end."""
     at = {"position": motion.position[0, 0] if first else motion.position[-1, -1]}
     parts = {}
     for name in ("position", "velocity", "effort"):
@@ -177,10 +177,10 @@ def joined(motion: Trajectory, rest: Trajectory, *, first: bool) -> Trajectory:
 
 
 def held(problem: Problem, end: str) -> Holding | None:
-    """Return what holds start or goal, at rest there; None where no efforts within their limits do."""
+    """Return the efforts that hold start or goal at rest; None if no efforts within their limits do."""
     motion = problem.motion
     if end == "goal" and motion.goal_is_free:
-        return None  # where it ends is not known
+        return None  # the final pose is unknown
     if problem.mechanism.forces is not None:
         return None  # no constant efforts hold it
     speed = getattr(motion, f"{end}_speed")

@@ -16,16 +16,15 @@ shrink by about the same ratio Theta, so the error after the last step d is boun
 in the largest scaled unknown or row multiplier, if the ratio does not grow (Deuflhard, Newton Methods for Nonlinear
 Problems, 2004, section 2.1).
 
-A motion that is optimal on one mesh misses the rows of a finer mesh by the error of the first. Optimizing again takes as
-many iterations as the first time, and may not end where limits bind all along. Feasibility alone takes one to three
-quadratic programs of least change in the efforts (`nearest_feasible`),
+A motion that is optimal on one mesh violates the rows of a finer mesh by the error of the first mesh. Optimizing again takes
+as many iterations as the first time, and may not converge if limits are active all along. Feasibility alone takes one to
+three quadratic programs of least change in the efforts (`nearest_feasible`),
 
     min 1/2 d^T W d  subject to  lower <= (x + d, g + J d) <= upper
 
-(Nocedal and Wright, Numerical Optimization, 2006, section 18.1: the restoration of an SQP method). W is large for efforts
-and durations: these change where the motion has to, and the states follow. PIQP solves the programs: its proximal terms
-admit rows that say the same twice (Schwan, Jiang, Kuhn and Jones, PIQP: a proximal interior-point quadratic programming
-solver, 2023).
+(Nocedal and Wright, Numerical Optimization, 2006, section 18.1: the restoration of an SQP method). W is small for states and
+large for efforts and durations, so these change as little as possible. PIQP solves the programs: its proximal terms permit
+redundant rows (Schwan, Jiang, Kuhn and Jones, PIQP: a proximal interior-point quadratic programming solver, 2023).
 """
 
 import time
@@ -46,10 +45,10 @@ _BOUND_SLACK = 1e-9
 _NEGLIGIBLE_STEP = 1e-11
 # The status of a solution that is feasible, as IPOPT names it; nothing is minimized.
 FEASIBLE = "Feasible_Point_Found"
-# The squared costs of changes, scaled: little for states and algebraic unknowns, much for efforts and durations. With costs
-# of 1e-6 and 1, the solver of quadratic programs does not converge where limits on jerk bind all along.
+# The weights of squared scaled changes: small for states and algebraic unknowns, large for efforts and durations. With
+# weights of 1e-6 and 1, the solver of quadratic programs does not converge if limits on jerk are active all along.
 _COST_OF_STATES, _COST_OF_EFFORTS = 1e-2, 1e4
-# At most so many quadratic programs to the nearest feasible point; motions of 2 to 10 motors take up to 3.
+# Largest number of quadratic programs to the nearest feasible point; motions of 2 to 10 motors take up to 3.
 _MOST_PROGRAMS = 12
 _PIQP = {"eps_abs": 0.1 * SOLVER_TOLERANCE, "eps_rel": 0.0, "max_iter": 100, "verbose": False}
 # Steps diverge once the violation is this factor times the first one, or a small one.
@@ -85,7 +84,7 @@ class Conditions:
     """A program's optimality conditions as functions of x, p and the rows' multipliers.
 
     `slopes` gives grad f (n,), g (n_rows,) and K; `gaps` gives grad f + J^T lambda (n,) and g (n_rows,). `rows` and
-    `columns` are the places of K's values, column by column.
+    `columns` are the indices of K's nonzeros, column by column.
     """
 
     slopes: ca.Function
@@ -163,7 +162,7 @@ def newton_step(conditions: Conditions, last: Transcribed, optimum: Optimum, ask
             break
     there, pushes = np.concatenate([x, g]), np.concatenate([np.where(free, 0.0, -slope), rows])
     ratio = sizes[-1] / sizes[-2] if sizes[-2] > _NEGLIGIBLE_STEP else 0.0
-    # Steps that shrink more slowly than by a half give no reliable bound.
+    # Steps that shrink by less than a factor of two give no reliable bound.
     sure = ratio < 0.5 and np.array_equal(_changed(sides, there, pushes, lower, upper), sides)
     return NewtonStep(
         optimum=Optimum(x=np.clip(x, asked.lower, asked.upper), rows=rows, bounds=pushes[:n]),
@@ -201,7 +200,7 @@ def _factors(conditions: Conditions, K: np.ndarray, kept: np.ndarray):
 
 
 def _sides(value, multiplier, lower, upper, new_lower, new_upper) -> np.ndarray:
-    """Return the active bounds at an optimum: 1 the upper, -1 the lower, 0 none; fixed values count as at their upper."""
+    """Return the active bounds at an optimum: 1 upper, -1 lower, 0 none; for fixed values the upper."""
     above, below = multiplier > upper - value, -multiplier > value - lower
     return np.where(new_lower == new_upper, 1, np.where(above, 1, np.where(below, -1, 0)))
 
@@ -219,7 +218,7 @@ def _violation(value: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float
 
 
 def nearest_feasible(transcribed: Transcribed, x: np.ndarray, deadline: Deadline = NO_DEADLINE) -> Solution:
-    """Return the feasible point near unknowns x (n,), or a solution that has not converged, as by a deadline."""
+    """Return the feasible point near unknowns x (n,), or a solution that has not converged, for example by a deadline."""
     begin, program, p = time.perf_counter(), transcribed.program, transcribed.parameters
     lower = np.concatenate([transcribed.lower, transcribed.row_lower])
     upper = np.concatenate([transcribed.upper, transcribed.row_upper])
@@ -240,7 +239,7 @@ def nearest_feasible(transcribed: Transcribed, x: np.ndarray, deadline: Deadline
             shapes = {"h": cost.sparsity(), "a": jacobian[limited, :].sparsity()}
             step_of = ca.conic("step", "piqp", shapes, {"piqp": _PIQP, "error_on_fail": False})
         (low, low_rows), (high, high_rows) = ((of[: len(x)], of[len(x) :][limited]) for of in (lower - here, upper - here))
-        # Whether the solver reached its tolerance does not matter: the violation at the next point tells.
+        # The solver's own status is ignored: the violation at the next point decides.
         found = step_of(h=cost, g=0.0, a=jacobian[limited, :], lbx=low, ubx=high, lba=low_rows, uba=high_rows)
         x, steps = np.clip(x + np.array(found["x"]).ravel(), transcribed.lower, transcribed.upper), steps + 1
     return Solution(

@@ -20,7 +20,7 @@ from linkplan.planner.transcription.program import Program
 # Feasibility and optimality of the scaled program; the certificate checks the motion itself.
 SOLVER_TOLERANCE = 1e-10
 MAX_ITERATIONS = 500
-# The most iterations of a solve that is tried again.
+# Largest number of iterations of a solve that is repeated after a failure.
 _ITERATIONS_AGAIN = 100
 # IPOPT's statuses.
 SUCCEEDED = "Solve_Succeeded"
@@ -31,7 +31,7 @@ INVALID = "Invalid_Number_Detected"
 
 # The hint at the end of messages on time limits.
 OF_TIME = "(solver.max_time_s)"
-# Interpreting this many nodes times iterations takes as long as compiling; measured on four-bars: 0.06 ms each and 0.26 s.
+# Interpreting this number of nodes times iterations takes as long as compiling: 0.06 ms each against 0.26 s on four-bars.
 _COMPILING_COST = 4000
 # The fewest iterations before a solve is restarted with compiled functions.
 _MIN_PATIENCE_ITERATIONS = 20
@@ -41,7 +41,7 @@ def why_stopped(status: str, max_time_s: float) -> str | None:
     """Return a phrase on a solver that stopped without a result on the problem; None for other statuses."""
     return {
         OUT_OF_TIME: f"the solver ran out of its {max_time_s:g} s {OF_TIME}",
-        INVALID: "the dynamics, a cost or a limit gave a number that is not finite (NaN), or the solver could not begin",
+        INVALID: "the dynamics, a cost or a limit is not finite (NaN), or the solver could not start",
     }.get(status)
 
 
@@ -93,7 +93,7 @@ def build_solver(
         settings: limits on iterations and time.
         warm: the starting point is close to a solution.
         close: the starting point is a solution on another mesh. With `warm` too, it is accurate to almost the last digit.
-        adaptive: the barrier follows the iterates, and does not only fall.
+        adaptive: the barrier parameter follows the iterates and may also increase.
 
     Raises:
         ProblemError: when the solver cannot be set up for the program.
@@ -121,7 +121,7 @@ def _ipopt(
         "ipopt.acceptable_constr_viol_tol": acceptable,
         "ipopt.acceptable_compl_inf_tol": acceptable,
         "ipopt.max_iter": iterations,
-        # IPOPT counts the time of all threads, the callback only this thread's. IPOPT requires a positive limit.
+        # Enforced by the callback: IPOPT would count the time of all threads. IPOPT requires a positive limit.
         "ipopt.max_cpu_time": max(1e-3, left_s * threading.active_count()),
         # Limits are hard: IPOPT must not relax them by its default of 1e-8.
         "ipopt.bound_relax_factor": 0.0,
@@ -131,30 +131,32 @@ def _ipopt(
         "hess_lag": functions["hess_lag"],
         # All derivatives are given; CasADi would look for others in compiled functions.
         "no_nlp_grad": True,
-        # NaN leads to a status; CasADi's warnings about it are not needed.
+        # NaN gives a status, so CasADi's warnings about it are not needed.
         "show_eval_warnings": False,
         "calc_lam_p": False,
     }
     if adaptive:
         options["ipopt.mu_strategy"] = "adaptive"
     if program.mesh.n_intervals >= 200 or program.layout.n_s > 1:
-        # MUMPS' matching of rows to columns takes time quadratic in the intervals: at 2,000, three quarters of a solve.
-        # With several freedoms it costs more than it gains on every mesh; small programs of one keep it for better pivots.
+        # MUMPS' matching of rows to columns takes a time quadratic in the number of intervals: with 2,000, three quarters of
+        # a solve. With several degrees of freedom it costs more than it gains on every mesh; small programs of one degree of
+        # freedom use it for better pivots.
         options["ipopt.mumps_permuting_scaling"] = 0
     if adaptive and close:
-        # Near a solution the filter's safeguard, a barrier that only falls, takes a hundred iterations in place of forty.
+        # Near a solution, the filter's safeguard (a barrier that only decreases) takes a hundred iterations instead of
+        # forty.
         options["ipopt.adaptive_mu_globalization"] = "never-monotone-mode"
     if not (warm or close):
         return _Ipopt(functions["nlp"], options, settings)
-    # Initial barriers without multipliers: close to a solution; at a solution on another mesh, from which a larger barrier
-    # leads away; and at a solution that hardly changes. For motions that slide along a limit, the last needs 9 to 40
-    # iterations instead of 33 to more than 500.
+    # Initial barriers without multipliers: close to a solution; at a solution on another mesh, where a larger barrier would
+    # lead away; and at a solution that hardly changes. For motions along a limit, the last needs 9 to 40 iterations instead
+    # of 33 to more than 500.
     barrier = 1e-6 if close else 1e-4
     near = options | {"ipopt.mu_init": 1e-9 if warm and close else barrier}
     near |= {f"ipopt.{push}": 0.01 * barrier for push in ("bound_push", "bound_frac")}
     pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
-    # With multipliers a barrier of 1e-6 needs four iterations, 1e-4 five; with a smaller one, changes of the active limits
-    # take twice as many.
+    # With multipliers, a barrier of 1e-6 needs four iterations and 1e-4 five; with a smaller one, changes of the active
+    # limits take twice as many.
     again = options | {"ipopt.warm_start_init_point": "yes", "ipopt.mu_init": 1e-6}
     again |= {f"ipopt.warm_start_{push}": 1e-9 for push in pushes}
     return _WarmIpopt(functions["nlp"], near, again, settings)
@@ -238,12 +240,12 @@ def solve(
     close: bool = False,
     adaptive: bool = False,
 ) -> Solution:
-    """Return the solver's result, started as in `build_solver`; a problem without a solution raises nothing.
+    """Return the solver's result, started as in `build_solver`; there is no error for a problem without a solution.
 
     A long solve with interpreted functions is restarted with compiled ones, which take the same iterations in less time.
 
-    Next to a solution the filter may refuse all but tiny steps, and rounding decides whether it does. A solve that runs out
-    of iterations is therefore tried again with a barrier that follows the iterates.
+    Near a solution the filter may refuse all but tiny steps, depending on rounding errors. A solve that runs out of
+    iterations is therefore repeated with a barrier that follows the iterates.
     """
     settings = settings or SolverSettings()
     first = _patience(transcribed, settings)
@@ -262,7 +264,7 @@ def solve(
 
 
 def _patience(transcribed: Transcribed, settings: SolverSettings) -> int | None:
-    """Return the iterations after which compiling is cheaper than continuing interpreted; None if compiling is no option."""
+    """Return the number of iterations after which compiling is cheaper than interpreting; None if it is impossible."""
     interval = transcribed.program.interval
     if interval.compiled or settings.compile != "auto" or compiler() is None:
         return None
@@ -295,7 +297,7 @@ def run_solver(solver: Solver, transcribed: Transcribed, *, build_s: float = 0.0
                 lbg=transcribed.row_lower,
                 ubg=transcribed.row_upper,
             )
-        except RuntimeError:  # contradictory bounds, or NaN
+        except RuntimeError:  # for example contradictory bounds, or NaN
             result = None
     if result is None:
         result, stats = {"x": transcribed.start, "f": np.nan}, {"success": False, "return_status": INVALID, "iter_count": 0}

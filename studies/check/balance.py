@@ -1,7 +1,7 @@
 """Poses in balance along a path of `linkplan check`, where weight, springs and constant forces need no effort.
 
-t(s) = Gamma^T (g - springs - forces) is the effort on the swept coordinate that holds it. It is zero in balance, which is
-stable where dt/ds > 0.
+t(s) = Gamma^T (g - springs - forces) is the effort that holds the swept coordinate. A pose with t = 0 is in balance, stable
+if dt/ds > 0.
 """
 
 from dataclasses import dataclass
@@ -16,8 +16,8 @@ from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.sign_change import sign_change
 
-# An effort at a root of less than this share of the largest beside it is zero; at a pole, where it changes its sign by
-# infinity, it is not.
+# An effort is zero at a root if it is less than this share of the largest effort nearby. This excludes poles, at which the
+# effort changes its sign through infinity.
 _ZERO_SHARE = 1e-6
 
 
@@ -42,7 +42,7 @@ def balances(mechanism: Mechanism, poses: np.ndarray, needed: np.ndarray, coordi
     found: dict[float, Balance] = {}
     for k in np.flatnonzero(needed[:-1] * needed[1:] <= 0):
         ends, (low, high) = np.abs(needed[k : k + 2]), poses[k : k + 2, mechanism.independent]
-        if not ROUNDING_SHARE * largest < ends.max():  # along a whole stretch nothing is needed
+        if not ROUNDING_SHARE * largest < ends.max():  # no effort is needed on a whole interval
             continue
 
         def effort(share: Any, low: np.ndarray = low, high: np.ndarray = high, begin: np.ndarray = poses[k]) -> float:

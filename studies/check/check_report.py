@@ -21,7 +21,7 @@ class Column:
     head: str
     unit: str
     values: np.ndarray
-    scale: float  # the largest value of its kind along the path, to tell rounding errors
+    scale: float  # the largest value of its kind along the path; values far below it are rounding errors
 
     @property
     def is_constant(self) -> bool:
@@ -43,10 +43,10 @@ class Column:
 
 
 def path_blocks(path: KinematicLoopPath, *, brief: bool = False) -> list[Block]:
-    """Return the table of a path, the constant quantities, and the poses at which the weight cannot be held.
+    """Return the table of a path, the constant quantities, and the poses at which the actuators cannot hold the weight.
 
-    A brief document has only the table with the quantities of the swept coordinate, its actuators and the closures. It is
-    empty if none of them changes.
+    A brief document has only the table with the quantities of the swept coordinate, its actuators and the closures. The
+    document is empty if none of them changes.
     """
     columns = quantities(path, _own_names(path, path.coordinate) if brief and path.coordinate is not None else None)
     table = _table(path, columns, f"along {path.title}, at rest")
@@ -59,9 +59,7 @@ def path_blocks(path: KinematicLoopPath, *, brief: bool = False) -> list[Block]:
     if not acts(path).all():
         constant.append("all other ratios 0")
     hold = "hold and force include" if path.mechanism.actuators else "force includes"
-    weight = Text(
-        text=f"'weight alone' omits the springs; {hold} weight, springs and constant forces, with everything at rest"
-    )
+    weight = Text(text=f"'weight alone' omits springs; {hold} weight, springs and constant forces, at rest")
     same = [Facts(rows=[("the same at every pose", ", ".join(constant))])] if constant else []
     return [*table, weight, *same, *_site_table(path), *_body_table(path), *sentences]
 
@@ -118,7 +116,7 @@ def _scale(values: np.ndarray) -> float:
 def quantities(path: KinematicLoopPath, names: AbstractSet[str] | None = None) -> list[Column]:
     """Return the quantities of the table; with `names`, of joints and actuators only those with these names.
 
-    The inertia at an actuator has a column of its own if it differs from that of every coordinate.
+    The inertia at an actuator has its own column if it differs from the inertia of every coordinate.
     """
     found, joints = [], _same_inertia(path)
     for quantity in QUANTITIES:
@@ -138,7 +136,7 @@ def quantities(path: KinematicLoopPath, names: AbstractSet[str] | None = None) -
 
 
 def _same_inertia(path: KinematicLoopPath) -> dict[str, str]:
-    """Return the coordinate of the same inertia as an actuator feels, for each actuator with one, by name."""
+    """Return, by actuator name, the coordinate whose inertia equals the inertia at the actuator, if there is one."""
     own, felt = path.own_inertia, path.reflected_inertia
     with np.errstate(invalid="ignore"):
         same = np.all(np.abs(felt[:, None, :] - own[:, :, None]) <= ROUNDING_SHARE * own[:, :, None], axis=0)
@@ -159,13 +157,13 @@ def balance_sentences(path: KinematicLoopPath) -> list[str]:
         return []
     joint = path.mechanism.independent_joints[path.coordinate]
     at = [f"{joint.text(one.position, 5)} {joint.unit} ({'' if one.stable else 'un'}stable)" for one in path.balances]
-    return [f"in balance, without effort on {joint.name}, at {joint.name} = {', '.join(at)}"]
+    return [f"{joint.name} is in balance, without effort, at {', '.join(at)}"]
 
 
 def weight_sentences(path: KinematicLoopPath, *, changing: bool = False) -> list[str]:
     """Return a sentence for each actuator whose limit does not hold weight and springs at some pose of a path.
 
-    With `changing`, actuators whose effort is the same at all poses are left out.
+    With `changing`, actuators whose effort is the same at all poses are omitted.
     """
     said = []
     for j, actuator in enumerate(path.mechanism.actuators):
@@ -184,8 +182,8 @@ def weight_sentences(path: KinematicLoopPath, *, changing: bool = False) -> list
 def unheld_sentences(path: KinematicLoopPath, *, changing: bool = False) -> list[str]:
     """Return a sentence for each coordinate that no effort of the actuators holds still at some pose of a path.
 
-    With `changing`, coordinates whose missing effort is the same at all poses are left out. Rods that spin about their own
-    axis are always left out: their missing effort is a rounding error.
+    With `changing`, coordinates whose missing effort is the same at all poses are omitted. Rods that spin about their own
+    axis are always omitted: their missing effort is a rounding error.
     """
     said, least = [], ROUNDING_SHARE * _scale(path.gravity_effort)
     for i, joint in enumerate(path.mechanism.independent_joints):

@@ -1,4 +1,4 @@
-"""The findings of `linkplan check` on contacts: contacts that make a plan false are problems, the others are notes."""
+"""The findings of `linkplan check` on contacts. Contacts that invalidate a plan are problems, the others are notes."""
 
 from collections.abc import Sequence
 
@@ -31,7 +31,7 @@ def contact_findings(
     Args:
         mechanism: with the geoms.
         pairs: geoms that collide at some of the poses within reach.
-        sweeps: the numbers of checked poses within each coordinate's reach, one after the other.
+        sweeps: the number of checked poses within the reach of each coordinate.
         path: a problem's motion; if None, the mechanism alone is checked and every contact is a problem.
         treatment: the problem's `contacts`, "refuse" or "note".
     """
@@ -44,8 +44,8 @@ def contact_findings(
             for pair in pairs
             if pair not in pads
         ], [
-            f"geoms {' and '.join(pair.geoms)} meet towards an end of the reach, as a gripper's pads or a stop do, up to"
-            f" {1e3 * pair.depth_m:.2g} mm deep: a motion ends before they meet"
+            f"geoms {' and '.join(pair.geoms)} touch near an end of the reach, like a gripper's pads or a stop, up to"
+            f" {1e3 * pair.depth_m:.2g} mm deep: keep motions away from this end"
             for pair in pads
         ]
     way = np.arange(float(len(path.poses)))
@@ -62,7 +62,7 @@ def contact_findings(
             continue
         said = _on_the_way(mechanism, meeting, path, position_at)
         if treatment == "note":
-            notes.append(f"{said}: contact forces are not planned for")
+            notes.append(f"{said}: plans have no contact forces")
         else:
             problems.append(f'{said}: a plan through it is refused unless limits.contacts = "note"')
     for pair in pairs:
@@ -72,7 +72,7 @@ def contact_findings(
 
 
 def _meet_at_an_end(pair: ContactPair, sweeps: Sequence[int]) -> bool:
-    """Tell if two links meet towards one end of reaches only, and stay apart before it."""
+    """Tell if two links touch only near one end of reaches."""
     meets = np.zeros(sum(sweeps), dtype=bool)
     meets[list(pair.poses)] = True
     for of_one in np.split(meets, np.cumsum(sweeps)[:-1]):

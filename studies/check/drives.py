@@ -1,4 +1,4 @@
-"""The findings of `linkplan check` on drives: actuators that act in one direction only, or are much weaker than others."""
+"""The findings of `linkplan check` on drives, such as actuators that act in one direction only or are far too weak."""
 
 import json
 
@@ -19,18 +19,18 @@ from linkplan.models.tree.passive import is_gas_spring
 
 
 def drivable(mechanism: Mechanism) -> np.ndarray:
-    """Return a mask (n_s,) of the freedoms that a drive could move: all but the spins of rods in loops."""
+    """Return a mask (n_s,) of the degrees of freedom that a drive could move: all but the spins of rods in loops."""
     return ~np.isin(mechanism.independent, mechanism.passive_dofs) | ~in_loops(mechanism)
 
 
 def joints_to_drive(mechanism: Mechanism) -> list[str]:
-    """Return the names of joints on which motors would fix the pose, one for each freedom but spins of rods and a base's.
+    """Return the names of joints whose motors would fix the pose: one per degree of freedom, except rods' spins and a base.
 
     The joints nearest to the ground whose positions fix the pose come first: drives are usually there. Joints that follow
     others by a coupling, such as the slides of a rolling knee, come last.
     """
     model = mechanism.model
-    many = model.body_jntnum[model.jnt_bodyid] > 1  # one slide alone may be a lift
+    many = model.body_jntnum[model.jnt_bodyid] > 1  # a single slide may be a lift
     base = {joint_label(model, k) for k in floating_joints(model) if many[k]}
     moved = drivable(mechanism) & np.array([joint.name not in base for joint in mechanism.independent_joints], dtype=bool)
     if not moved.any():
@@ -51,10 +51,10 @@ def joints_to_drive(mechanism: Mechanism) -> list[str]:
 def motors_hint(mechanism: Mechanism) -> str:
     """Return a phrase on how a mechanism without actuators gets motors."""
     if not drivable(mechanism).any():
-        return "its loops leave no joint free to move, except rods that spin about their own axes"
+        return "its loops lock all joints, except rods that spin about their own axes"
     names = json.dumps(joints_to_drive(mechanism), ensure_ascii=False)
     if names == "[]":
-        return "none of its joints is a hinge or slide, on which mechanism.drive puts a motor"
+        return "none of its joints is a hinge or slide, and mechanism.drive puts motors only on these"
     return f"mechanism.drive = {names} puts motors on joints that fix its pose, within their effort limits"
 
 
@@ -66,7 +66,7 @@ def _depth(parents: np.ndarray, body: int) -> int:
 
 
 def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
-    """Return the sentence on an independent joint that actuators push to one side only and that nothing returns, or None.
+    """Return the sentence on a joint that actuators push in one direction only and that nothing returns, or None.
 
     A weight returns the joint if its effort is more than 1 % of the largest actuator effort.
     """
@@ -87,10 +87,10 @@ def pushed_one_way(mechanism: Mechanism, column: int) -> str | None:
         for a, found in acting
     )
     return (
-        f"joint {joint.name} moves freely: no actuator is on it{'' if damped else ', nothing damps it'}, no spring or weight"
-        f" brings it back; {pushes}"
+        f"joint {joint.name} moves freely: no actuator is on it{'' if damped else ', nothing damps it'}, no spring or"
+        f" weight returns it; {pushes}"
         if all(a.joint != index for a, _ in acting)
-        else f"joint {joint.name} moves freely: {pushes}, and no spring or weight brings it back"
+        else f"joint {joint.name} moves freely: {pushes}, and no spring or weight returns it"
     )
 
 
@@ -105,11 +105,11 @@ def undriven(mechanism: Mechanism, column: int, *, steerable: bool) -> tuple[str
     """Return the sentence on an independent joint without an actuator, and True if it is a fault."""
     joint = mechanism.independent_joints[column]
     coasts = mechanism.independent[column] in mechanism.coasting_dofs
-    ends = "; if a motion gives no goal for it, it coasts on its momentum" if coasts else ""
+    ends = "; without a goal in the motion, it coasts on its momentum" if coasts else ""
     if steerable:
-        return f"joint {joint.name} has no actuator: it is moved through the others only (underactuated){ends}", False
+        return f"joint {joint.name} has no actuator: only the other joints move it (underactuated){ends}", False
     if column in sprung_freedoms(mechanism):
-        return f"joint {joint.name} has no actuator and the others do not move it: springs hold it", False
+        return f"joint {joint.name} has no actuator and the other joints do not move it: springs hold it", False
     said = "" if is_damped(mechanism, mechanism.home, column) else " and nothing damps it"
     return f"joint {joint.name} moves freely: no actuator drives it{said}{ends}", True
 
@@ -130,7 +130,7 @@ def range_words(joint: Joint) -> str:
 def outside_at_home(mechanism: Mechanism) -> list[str]:
     """Return a sentence on each joint that is outside its range at home."""
     return [
-        f"joint {joint.name} stands at {joint.text(x)} {joint.unit} at home, outside its range {range_words(joint)}"
+        f"joint {joint.name} is at {joint.text(x)} {joint.unit} at home, outside its range {range_words(joint)}"
         for joint, x in zip(mechanism.joints, mechanism.home, strict=True)
         if not joint.lower - RANGE_ROUNDING <= x <= joint.upper + RANGE_ROUNDING
     ]
@@ -159,9 +159,9 @@ def pressed_joints(mechanism: Mechanism) -> list[tuple[Joint, float]]:
 
 
 def sprung_stops(mechanism: Mechanism) -> list[tuple[Joint, float]]:
-    """Return the joints, with their stops [rad or m], that are off their stops at home but rest on them.
+    """Return the joints that are off their stops at home but would come to rest on them, with the stops [rad or m].
 
-    Their equilibrium of weight and springs, with the other joints at home, lies beyond their range.
+    Their equilibrium of weight and springs, with the other joints at home, is outside their range.
     """
     sprung, home = sprung_freedoms(mechanism), mechanism.home[mechanism.independent]
     others = {column: float(x) for column, x in enumerate(home) if column not in sprung}
@@ -171,7 +171,7 @@ def sprung_stops(mechanism: Mechanism) -> list[tuple[Joint, float]]:
 
 
 def pressed_stops(mechanism: Mechanism) -> list[str]:
-    """Return the sentences on joints that weight and springs press onto their stops, at home or from it."""
+    """Return the sentences on joints that weight and springs press onto their stops, at home or starting from home."""
     pressed, sprung = pressed_joints(mechanism), sprung_stops(mechanism)
     sentences = [stop_sentence(pressed, "at home")] if pressed else []
     return [*sentences, *([stop_sentence(sprung, "at rest")] if sprung else [])]
@@ -186,8 +186,8 @@ def feeble_drives(mechanism: Mechanism) -> list[str]:
         for actuator, own in largest:
             if strongest is not None and np.isfinite(most) and 0 < own < 1e-3 * most:
                 said.append(
-                    f"actuator {actuator.name} adds almost nothing on joint {joint.name}: {own:.3g} {joint.si_units[1]}"
-                    f" at its limit at home, against {most:.3g} of {strongest.name}"
+                    f"actuator {actuator.name} has almost no effect on joint {joint.name}: at home at most {own:.3g}"
+                    f" {joint.si_units[1]}, compared with {most:.3g} of {strongest.name}"
                 )
     return said
 
@@ -208,10 +208,11 @@ def _ends(ends: np.ndarray) -> str:
 
 
 def steerable_columns(mechanism: Mechanism) -> np.ndarray:
-    """Return a mask (n_s,) of the independent coordinates that the actuators together control next to home.
+    """Return a mask (n_s,) of the independent coordinates that the actuators together control near home.
 
-    They are those within the controllable space of the motion linearised at home under the effort nearest to the holding
-    effort: the range of [B, A B, A^2 B, ...] with time in units of the fastest mode (Kailath, Linear Systems, 1980, 2.3).
+    These are the coordinates in the controllable subspace of the dynamics linearised at home under the effort nearest to the
+    holding effort. The subspace is the range of [B, A B, A^2 B, ...], with time in units of the fastest mode (Kailath,
+    Linear Systems, 1980, 2.3).
     """
     n_s, still = mechanism.dof, np.zeros(mechanism.dof)
     dynamics, pose = mechanism.dynamics, mechanism.home
@@ -232,8 +233,8 @@ def steerable_columns(mechanism: Mechanism) -> np.ndarray:
 def _krylov_space(A: np.ndarray, B: np.ndarray, rounding: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the left singular vectors (n, r) and singular values (r,) of [B, A B, ..., A^(n-1) B].
 
-    If the first blocks span everything, by singular values above `rounding`, they are enough. Of the matrix, at most
-    n_u + 2 n columns are in memory: L of its LQ factorisation has the same singular values and left singular vectors.
+    The blocks end when they span everything, by singular values above `rounding`. At most n_u + 2 n columns of the matrix
+    are in memory, because the factor L of its LQ factorisation has the same singular values and left singular vectors.
     """
     n, lower, block, reduced = len(A), np.empty((len(A), 0)), B, False
     for _ in range(n):

@@ -1,4 +1,4 @@
-"""Poses that the actuators hold with effort to both sides: what a linear feedback loop about a pose needs."""
+"""Poses that the actuators hold with an effort between their limits, as a linear feedback loop about a pose requires."""
 
 import numpy as np
 
@@ -23,11 +23,12 @@ def held_pose(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the closed pose (n_q,) at independent positions (n_s,) [rad or m], and the effort (n_u,) that holds it.
 
-    Coordinates on springs, without an actuator, take the positions at which they rest where no effort holds them as given.
+    If no effort holds coordinates on springs without an actuator in the given positions, they take their equilibrium
+    positions.
 
     Raises:
-        LinkplanError: if the mechanism has no actuator, if its loops do not close, or if no effort inside the limits
-            (n_u, 2) holds the pose.
+        LinkplanError: if the mechanism has no actuator, its loops do not close, or no effort within the limits (n_u, 2)
+            holds the pose.
     """
     require_actuated(mechanism)
     position = np.atleast_1d(position)
@@ -64,7 +65,7 @@ def _held(mechanism: Mechanism, position: np.ndarray) -> tuple[np.ndarray, np.nd
 
 
 def why_no_loop(mechanism: Mechanism, positions: np.ndarray, effort_limit: np.ndarray) -> str | None:
-    """Return the reason why none of the positions (n, n_s) has a feedback loop that gains are found for; None if one has."""
+    """Return the reason why gains can be found at none of the positions (n, n_s), or None if they can at one."""
     why = None
     for position in positions:
         try:

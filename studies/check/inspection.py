@@ -39,12 +39,12 @@ from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, thin
 from linkplan.studies.check.softness import massless_findings, softness_note, units_notes
 from linkplan.studies.check.tendon_ranges import coincident_sites, tendon_findings
 
-# Poses at which contacts are looked for; a robot of a hundred bodies takes 1 ms for each.
+# Number of poses checked for contacts; a robot of a hundred bodies takes 1 ms per pose.
 _MOST_CONTACT_POSES = 6000
 
 
 class PoseReport(Struct, frozen=True, kw_only=True, eq=False):
-    """The mechanism at one pose: inertia (n_s, n_s), efforts that hold the weight and everything, and the effort map.
+    """The mechanism at one pose: inertia (n_s, n_s), holding efforts without and with all forces, and the effort map.
 
     Efforts are on the independent joints, by name; the map is by actuator and joint.
     """
@@ -60,8 +60,9 @@ class PoseReport(Struct, frozen=True, kw_only=True, eq=False):
 class Inspection(Struct, frozen=True, kw_only=True, eq=False):
     """The findings of `check`; `problems` are sentences, empty for a mechanism without faults.
 
-    The gaps are the largest at home: "m" of points and slides, "rad" of angles, hinges and tendons. `branch` has the
-    determinants of J_z's blocks at home. A reach has both ends, `reach_ends` what ends it. `contacts` are pairs of geoms.
+    The gaps are the largest at home: "m" for points and slides, "rad" for angles, hinges and tendons. `branch` has the
+    determinants of J_z's blocks at home. A reach has both ends; `reach_ends` says what ends it. `contacts` are pairs of
+    geoms.
     """
 
     name: str = field(name="model")
@@ -152,7 +153,7 @@ def inspect(
 
 
 def _reach_values(mechanism: Mechanism, reaches: Sequence[Reach]) -> dict[str, Any]:
-    """Return the ends of each independent joint's reach, and the special poses of hinges."""
+    """Return the ends of each independent joint's reach, and the singular poses and turning points along it."""
     reached = list(zip(mechanism.independent_joints, reaches, strict=True))
     hinges = [(joint, can) for joint, can in reached if joint.kind == "hinge"]
     ends = {joint.name: (joint.shown(can.lower.position), joint.shown(can.upper.position)) for joint, can in reached}
@@ -167,7 +168,7 @@ def _reach_values(mechanism: Mechanism, reaches: Sequence[Reach]) -> dict[str, A
 
 
 def _by_kind(name: str, mechanism: Mechanism, pose: np.ndarray) -> dict[str, Any]:
-    """Return a pose as `name`_deg of the hinges and `name`_m of the slides."""
+    """Return a pose as two tables: `name`_deg for the hinges and `name`_m for the slides."""
     return {f"{name}_{unit}": positions for unit, positions in shown_by_unit(mechanism.joints, pose).items()}
 
 
@@ -190,7 +191,7 @@ def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:
     try:
         pose = close_at(mechanism, s)
     except AssemblyError as error:
-        raise ProblemError(f"the pose asked for is beyond reach: {error}") from error
+        raise ProblemError(f"the requested pose is beyond reach: {error}") from error
     dynamics, still = mechanism.dynamics, np.zeros(mechanism.dof)
     names = [joint.name for joint in mechanism.independent_joints]
     weight, held = dynamics.gravity_effort(pose), dynamics.inverse_dynamics(pose, still, still)
@@ -228,7 +229,7 @@ def _open_loops(mechanism: Mechanism) -> str:
 
 
 def _findings(mechanism: Mechanism, reaches: tuple[Reach, ...]) -> tuple[list[str], list[str]]:
-    """Return the problems, and the notes on facts that are no faults, each a sentence."""
+    """Return the problems, and notes on findings that are not faults, each a sentence."""
     problems, notes = _home_findings(mechanism)
     reached = np.abs(np.array(mechanism.dynamics.effort_map(mechanism.home))).max(axis=1, initial=0.0)
     driven = {
@@ -272,7 +273,7 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
     problems, notes = [], []
     if mechanism.home_gap_m > OPEN_M:
         problems.append(f"loop {_open_loops(mechanism)} at the model's reference pose: the simulator closes it abruptly")
-        notes.append(f"a pose that closes it, to write into the model: {keyframe_of(mechanism.coordinates, mechanism.home)}")
+        notes.append(f"this keyframe in the model closes it: {keyframe_of(mechanism.coordinates, mechanism.home)}")
     problems += outside_at_home(mechanism)
     for ball, angle in zip(mechanism.balls, ball_angles(mechanism, mechanism.home[None])[0], strict=True):
         if angle > ball.largest + RANGE_ROUNDING and ball.largest:
@@ -290,8 +291,8 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
     named = [name for k in range(mechanism.model.nkey) if (name := mechanism.model.key(k).name)]
     if named and "home" not in named and not mechanism.source.keys() & {"home_deg", "home_m"}:
         notes.append(
-            f"home is the reference pose, because none of the model's keyframes ({', '.join(named)}) is named home;"
-            " mechanism.home_deg chooses another pose"
+            f"home is the reference pose, because none of the model's keyframes ({', '.join(named)}) is named home; use"
+            " mechanism.home_deg or mechanism.keyframe for another pose"
         )
     return problems, [*mechanism.notes, *notes] if mechanism.selection else [*notes, *mechanism.notes]
 
@@ -299,7 +300,7 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
 def _stop_note(mechanism: Mechanism, can: Reach, *, upper: bool) -> str | None:
     """Return the sentence on another joint that ends a reach; None if no other joint does.
 
-    The coordinate's own range is named unless it has none, or ends within 1 % of the stop.
+    It names the coordinate's own range, unless there is none or it ends within 1 % of the stop.
     """
     end, pose = (can.upper, can.poses[-1]) if upper else (can.lower, can.poses[0])
     index = int(mechanism.independent[can.coordinate])
@@ -312,14 +313,14 @@ def _stop_note(mechanism: Mechanism, can: Reach, *, upper: bool) -> str | None:
     if not np.isfinite([joint.lower, joint.upper]).any() or distance <= 0.01 * (joint.upper - joint.lower):
         return stop
     if other.kind == "slide" and joint.kind == "hinge":
-        return f"{stop}, a stroke's end inside {joint.name}'s own range {range_words(joint)}"
+        return f"{stop}, within {joint.name}'s own range {range_words(joint)}"
     if _moves_with_others(mechanism, pose, end.joint, can.coordinate):
         return f"{stop} while the other coordinates stay at home ({joint.name}'s own range: {range_words(joint)})"
     return f"{stop} ({joint.name}'s own range: {range_words(joint)})"
 
 
 def _moves_with_others(mechanism: Mechanism, pose: np.ndarray, joint: int, column: int) -> bool:
-    """Tell if a joint also moves with other coordinates, except passive ones, so that they can move it off its stop."""
+    """Tell if a joint also moves with other coordinates (except passive ones), which can then move it off its stop."""
     rates = np.abs(np.array(mechanism.dynamics.velocity_map(pose))[joint])
     free = ~mechanism.actuated
     return bool(np.any(np.delete(rates * ~free, column) > ROUNDING_SHARE * rates.max()))
@@ -337,25 +338,25 @@ def _singular_notes(mechanism: Mechanism, can: Reach) -> list[str]:
             )
             continue
         branches = (
-            "A single motion passes this pose, so the mechanism keeps its branch"
+            "Only one motion passes this pose, so the mechanism stays on its branch"
             if position in can.single
             else "The mechanism may change to another branch there"
         )
         said.append(
-            f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}, for every choice of"
-            f" coordinate. {branches}; the loop forces grow without bound"
+            f"{at}: the closure's rank falls from {len(mechanism.dependent)} to {branching[position]}, for any choice of"
+            f" coordinate. {branches}; the loop forces become infinite"
         )
     return said
 
 
 def _toggle_notes(mechanism: Mechanism, can: Reach) -> list[str]:
-    """Return the sentence on a coordinate's toggle poses, if any: the first four turning points of each dependent joint."""
+    """Return the sentence on a coordinate's toggle poses, if any: up to four turning points of each dependent joint."""
     joint = mechanism.joints[mechanism.independent[can.coordinate]]
     turn = np.inf if can.period is None else can.period
     by_joint: dict[int, list[float]] = {}
     for other, position in toggles(
         mechanism, can.coordinate
-    ):  # for a joint that turns fully: each pose once in a period, to a microradian
+    ):  # for a joint that turns continuously: each pose once per period, to a microradian
         found = by_joint.setdefault(other, [])
         known = [abs((position - one + turn / 2) % turn - turn / 2) if np.isfinite(turn) else np.inf for one in found]
         if min(known, default=np.inf) > 1e-6:

@@ -36,7 +36,7 @@ def inspection_blocks(found: Inspection) -> list[Block]:
 
 
 def headline(mechanism: Mechanism, most: int) -> Text:
-    """Return the line on a mechanism's freedoms, with the names of at most `most` independent joints."""
+    """Return the line on a mechanism's degrees of freedom, with the names of at most `most` independent joints."""
     independent = listed([joint.name for joint in mechanism.independent_joints], most)
     freedoms = f"{counted(mechanism.dof, 'degree')} of freedom"
     return Text(text=f"{mechanism.name}: {freedoms} ({independent} independent of {counted(mechanism.n_q, 'joint')})")
@@ -57,7 +57,7 @@ def _facts(found: Inspection) -> Facts:
 
 
 def reach_table(found: Inspection, reaches: Sequence[Reach], more: str = "") -> Table:
-    """Return the table of coordinates' reaches; `more` ends its title."""
+    """Return the table of coordinates' reaches; `more` is appended to its title."""
     heads = ["coordinate", "from", "to", "unit", "what ends it below", "above"]
     rows = [
         [
@@ -107,4 +107,4 @@ def _poses(found: Inspection) -> list[Table]:
         positions = [float(joint.text(joint.read(pose[joint.name]), 17)) for joint in mechanism.joints]
         ratios = [ratio for column in point.effort_map.values() for ratio in column.values()]
         rows.append([*positions, *upper, *point.gravity_effort.values(), *point.holding_effort.values(), *ratios])
-    return [table_of("At the poses asked for", heads, rows)]
+    return [table_of("At the requested poses", heads, rows)]

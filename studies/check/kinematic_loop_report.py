@@ -37,7 +37,7 @@ from linkplan.studies.check.spring_ratios import spring_motion
 class Sweep:
     """A mechanism along a path of n poses (n, n_q).
 
-    `coordinate` is the independent joint that is swept over its reach while the others stay at home, None along a problem's
+    `coordinate` is the independent joint that moves over its reach while the others stay at home; None along a problem's
     motion.
     """
 
@@ -64,11 +64,11 @@ class KinematicLoopPath(Sweep):
     reduced_inertia: np.ndarray  # (n, n_s, n_s)
     ratio: np.ndarray  # (n, n_s, n_u) effort on a coordinate per effort of an actuator
     rates: np.ndarray  # (n, n_q, n_s) every joint's speed per speed of a coordinate
-    reflected_inertia: np.ndarray  # (n, n_u), others free; infinite if the actuator moves nothing, nan if M_r is singular
+    reflected_inertia: np.ndarray  # (n, n_u), others free; infinite without motion, nan if M_r is singular
     gravity_effort: np.ndarray  # (n, n_s) that holds the weight
     holding_effort: np.ndarray  # (n, n_u) least effort of the actuators that holds weight and springs
-    unheld_effort: np.ndarray  # (n, n_s) effort that no effort of the actuators provides
-    available_effort: np.ndarray  # (n, n_s, 2) least and largest effort on each coordinate alone, by the actuators' limits
+    unheld_effort: np.ndarray  # (n, n_s) missing part of the holding effort, which the actuators cannot provide
+    available_effort: np.ndarray  # (n, n_s, 2) least and largest effort on each coordinate within the actuators' limits
     limit: np.ndarray  # (n_u, 2) of the actuators' efforts
     singularity: np.ndarray  # (n,) least determinant of J_z's blocks relative to home; 0 at a singular pose
     closure_force: np.ndarray  # (n, n_closures) [N] norm of each closure's force while weight and springs are held
@@ -103,7 +103,7 @@ def measure(
     time_s: np.ndarray | None = None,
     limit: np.ndarray | None = None,
 ) -> KinematicLoopPath:
-    """Return the report along closed poses (n, n_q). `limit` (n_u, 2) is the actuators' own by default."""
+    """Return the report along closed poses (n, n_q). By default, `limit` (n_u, 2) are the actuators' own limits."""
     dynamics, limit = mechanism.dynamics, mechanism.effort_limit if limit is None else limit
     still = np.zeros((len(poses), mechanism.dof))
     ratio = sampled(dynamics.effort_map, poses)
@@ -141,14 +141,14 @@ def measure(
 
 @functools.lru_cache(maxsize=16)
 def _at_rest(dynamics: ReducedDynamics) -> ca.Function:
-    """Return q -> the generalised effort (n_s,) that holds a pose, eight times faster than the inverse dynamics."""
+    """Return q -> the generalised effort (n_s,) that holds a pose, 8 times as fast as inverse dynamics."""
     inverse = dynamics.inverse_dynamics
     q, still = ca.SX.sym("q", inverse.size1_in(0)), ca.SX.zeros(inverse.size1_in(1))
     return ca.Function("at_rest", [q], [ca.densify(inverse(q, still, still))])
 
 
 def measured(of: Sweep) -> KinematicLoopPath:
-    """Return the report along a path, unless the path is a report itself."""
+    """Return the report along a path; a path that already is a report is returned unchanged."""
     return of if isinstance(of, KinematicLoopPath) else measure(of.mechanism, of.poses, of.title, coordinate=of.coordinate)
 
 
@@ -158,7 +158,7 @@ def reach_sweeps(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[Sweep,
     for can in reaches:
         column = can.coordinate
         if not mechanism.actuated[column]:
-            continue  # a rod that spins about its axis changes nothing
+            continue  # the spin of a rod about its axis changes nothing
         name = mechanism.joints[mechanism.independent[column]].name
         others = ", the other coordinates at home" if mechanism.dof > 1 else ""
         poses = thinned(swept(mechanism, can), most_poses(mechanism))
@@ -167,17 +167,17 @@ def reach_sweeps(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[Sweep,
 
 
 def room_for_poses(mechanism: Mechanism) -> int:
-    """Return the number of poses of each path with which a record has a million numbers, about ten megabytes in JSON."""
+    """Return the number of poses per path for which a record has a million numbers, about ten megabytes in JSON."""
     return 1_000_000 // (mechanism.dof**2 * (mechanism.n_q + mechanism.dof + mechanism.n_u))
 
 
 def has_whole_records(mechanism: Mechanism) -> bool:
-    """Tell if the record of a path has every coordinate; beyond some 25 there is room for the path's own only."""
+    """Tell if the record of a path has every coordinate; beyond about 25 coordinates it only has the path's own."""
     return room_for_poses(mechanism) >= 25
 
 
 def most_poses(mechanism: Mechanism) -> int:
-    """Return the number of poses of a coordinate's path that a record has room for: all, up to seven coordinates."""
+    """Return the number of poses of a coordinate's path that fit into a record: all, for up to seven coordinates."""
     return max(25, room_for_poses(mechanism))
 
 
@@ -187,7 +187,7 @@ def thinned(poses: np.ndarray, most: int) -> np.ndarray:
 
 
 def swept(mechanism: Mechanism, can: Reach) -> np.ndarray:
-    """Return the poses of a reach; without stops, one period of a hinge, or a slide's travel by the extent to both sides."""
+    """Return the poses of a reach; without stops, of one period of a hinge, or of a slide by the extent to both sides."""
     index = mechanism.independent[can.coordinate]
     if can.period is not None:
         turns = can.period / turn_of(mechanism, can.coordinate)
@@ -201,7 +201,7 @@ def swept(mechanism: Mechanism, can: Reach) -> np.ndarray:
 
 
 def _finer(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
-    """Return poses with equally many poses inserted between each two, to have at least `GUESS_SAMPLES` poses."""
+    """Return at least `GUESS_SAMPLES` poses, with the same number of poses inserted between each two."""
     parts = int(np.ceil((GUESS_SAMPLES - 1) / max(1, len(poses) - 1)))
     if parts == 1:
         return poses
@@ -210,7 +210,7 @@ def _finer(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
     gaps = [one + shares * (other - one) for one, other in pairwise(places)]
     try:
         between = follow(mechanism, np.concatenate(gaps), poses[0]).reshape(len(gaps), parts - 1, -1)
-    except (AssemblyError, ValueError):  # next to a singular pose, or the reach is a point
+    except (AssemblyError, ValueError):  # near a singular pose, or if the reach is a single point
         between = [_followed(mechanism, gap, one) for gap, one in zip(gaps, poses, strict=False)]
     rows = [row for one, inside in zip(poses, between, strict=False) for row in (one, *inside)]
     return np.array([*rows, poses[-1]])
@@ -249,7 +249,7 @@ def inertia_notes(path: Sweep) -> list[str]:
     at = where([joints[i] for i in of], path.positions[k, of])
     return [
         f"singular inertia at {at}, in {len(singular)} of {len(path.poses)} poses along {path.title}:"
-        f" {singular_inertia_text(joints, inertia[k])} there, and no effort fixes their acceleration"
+        f" {singular_inertia_text(joints, inertia[k])} there, so no effort determines their acceleration"
     ]
 
 
@@ -269,7 +269,7 @@ def _reflected(ratio: np.ndarray, inertia: np.ndarray) -> np.ndarray:
 
 
 def _available(ratio: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """Return the least and the largest effort (n, n_s, 2) on each coordinate by actuators within their limits (n_u, 2)."""
+    """Return the least and largest effort (n, n_s, 2) on each coordinate by actuators within their limits (n_u, 2)."""
     pushes = np.abs(ratio) > ROUNDING_SHARE * np.abs(ratio).max(axis=(0, 1), initial=0.0)
     return effort_box(np.where(pushes, ratio, 0.0).transpose(0, 2, 1), limit)
 

@@ -17,9 +17,9 @@ from linkplan.studies.output.figure_spec import FigureSpec, one_screen
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.quantities import Quantity
 
-# With more coordinates, the paths of a page are folded, and the plots of a path show its own coordinate only.
+# With more coordinates, the paths of a page are collapsed, and the plots of a path show only its own coordinate.
 MAX_COORDINATES_DRAWN = 6
-# The coordinates in the figure of a mechanism. A mechanism with no more has a figure for each, too. The page has all.
+# Number of coordinates in the figure of a mechanism. If there are not more, each also has its own figure. The page has all.
 MAX_FIGURES = 3
 
 
@@ -56,7 +56,7 @@ def inspection_figure(found: Inspection) -> FigureSpec:
         rows[-1] += [_marked(plot, mechanism, can) for plot in plots_of_reach]
     names = [mechanism.joints[mechanism.independent[can.coordinate]].name for can in reaches]
     others = "" if mechanism.dof == 1 else f": {' then '.join(names)} each over its reach, the other coordinates at home"
-    columns = 2 if len(rows) <= 1 else min(4, max(map(len, rows)))  # the panels of a coordinate begin a row
+    columns = 2 if len(rows) <= 1 else min(4, max(map(len, rows)))  # the panels of each coordinate begin a new row
     panels = [panel for row in rows for panel in (*row, *[None] * (-len(row) % columns))]
     size = one_screen(len(panels), columns, (5.3, 3.6))
     return FigureSpec(panels=panels, title=f"{mechanism.name}{others}", columns=columns, panel_in=size)
@@ -74,7 +74,7 @@ def _marked(plot: Plot, mechanism: Mechanism, can: Reach) -> Callable[..., None]
 
 
 def _drawn_poses(mechanism: Mechanism, can: Reach) -> np.ndarray:
-    """Return five poses of a reach or, for a joint that turns fully, of 0.8 periods from home, and the home pose."""
+    """Return five poses over a reach (over 0.8 periods from home of a joint that turns continuously), and the home pose."""
     poses = can.poses
     if can.period is not None:
         travel = poses[:, mechanism.independent[can.coordinate]] - can.home
@@ -83,7 +83,7 @@ def _drawn_poses(mechanism: Mechanism, can: Reach) -> np.ndarray:
 
 
 def over(path: KinematicLoopPath) -> tuple[Axis, np.ndarray]:
-    """Return the horizontal axis of a path and its values (n,): the coordinate, or the time of a motion."""
+    """Return the label and values (n,) of a path's horizontal axis: the coordinate, or the time of a motion."""
     if path.coordinate is None and path.time_s is not None:
         return Axis(label="time of the path", unit="s") if path.mechanism.dof > 1 else TIME, path.time_s
     column = path.coordinate or 0
@@ -92,7 +92,7 @@ def over(path: KinematicLoopPath) -> tuple[Axis, np.ndarray]:
 
 
 def rising_order(x: np.ndarray) -> np.ndarray:
-    """Return the order (n,) in which the values of a path rise."""
+    """Return the indices (n,) that sort the values of a path."""
     return np.arange(len(x)) if np.all(np.diff(x) > 0) else np.argsort(x, kind="stable")
 
 
@@ -129,9 +129,9 @@ def _spans_much(lines: Sequence[Line]) -> bool:
 
 
 def inner_ends(lines: Sequence[Line]) -> tuple[float, float] | None:
-    """Return the ends of an axis for the inner 90 % of the values if the whole range is three times as high; else None.
+    """Return the ends of an axis for the inner 90 % of the values if the whole range is three times as high; otherwise None.
 
-    Quantities grow without bound next to a singular pose. The whole range would press the rest of the line flat.
+    Quantities become infinite at a singular pose. With the whole range, the rest of the line would look flat.
     """
     if len({line.unit for line in lines}) != 1:
         return None
@@ -157,7 +157,7 @@ def mark_turning(axes, mechanism: Mechanism, can: Reach) -> None:
         ("a joint turns back", GREY, [position for _, position in toggles(mechanism, can.coordinate)]),
     ):
         for position in positions:
-            if left <= joint.shown(position) <= right:  # only one turn of a joint is drawn
+            if left <= joint.shown(position) <= right:  # only one turn of a joint is plotted
                 label = None if words in labelled else words
                 axes.axvline(joint.shown(position), color=colour, linestyle=":", linewidth=1.2, label=label)
                 labelled.add(words)

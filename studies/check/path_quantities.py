@@ -18,7 +18,7 @@ from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts
 from linkplan.studies.check.spring_ratios import sprung_tendons
 from linkplan.studies.output.quantities import Curve, Quantity, curves_of
 
-# The keys of the record of fields of a `KinematicLoopPath` with other names.
+# Fields of a `KinematicLoopPath` that have other names in the record.
 _KEYS = {
     "rates": "joint_rate",
     "ratio": "transmission_ratio",
@@ -82,7 +82,7 @@ PLOTS = {
     "Motion ratio of springs": "d length / d coordinate",
 }
 _FOLLOWERS, _RATIO, _INERTIA, _FELT, _HELD, _LIMITED, _SINGULAR, _FORCE, _SPRINGS = PLOTS
-LOG_PLOTS = (_INERTIA, _FELT)  # logarithmic where they change by much
+LOG_PLOTS = (_INERTIA, _FELT)  # logarithmic if they change by a large factor
 REACH_PLOTS = (_FOLLOWERS, _INERTIA, _HELD)  # those in the figure of a mechanism's reach
 _JOINT, _MOTOR = ("coordinate",), ("actuator",)
 RATIO = Quantity(
@@ -152,7 +152,7 @@ def shown_curves(path: KinematicLoopPath, quantity: Quantity, columns: Sequence[
 
 
 def path_figures(path: KinematicLoopPath) -> PathFigures:
-    """Return a path by names; beyond the size of a record (`has_whole_records`) with its own coordinate alone."""
+    """Return the record of a path; if it is too large (`has_whole_records`), only with the path's own coordinate."""
     mechanism, own = path.mechanism, path.coordinate
     of = list(range(mechanism.dof)) if own is None or has_whole_records(mechanism) else [own]
     joint = mechanism.independent_joints[own or 0]

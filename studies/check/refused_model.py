@@ -12,10 +12,10 @@ REFUSED = (InertiaError, LockedError, UnassembledError)
 
 
 class RefusedModel(Struct, frozen=True, kw_only=True, eq=False):
-    """A report on a model that cannot be loaded, with the text that repairs it, if it is known.
+    """A report on a model that cannot be loaded, with the text that repairs it if it is known.
 
-    `dof_gained_without` has by part the degrees of freedom that a locked model has without it; `gap_m`, `keyframe` and the
-    home are those of a model that is not assembled.
+    For a locked model, `dof_gained_without` has the degrees of freedom that it gains without each part. `gap_m`, `keyframe`
+    and the home are those of a model that is not assembled.
     """
 
     name: str
@@ -31,11 +31,11 @@ class RefusedModel(Struct, frozen=True, kw_only=True, eq=False):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """There are no notes: the text explains the problem."""
+        """No notes, because the problem's text explains everything."""
         return ()
 
     def summary(self) -> list[Block]:
-        """Return the findings, which are few."""
+        """Return all findings, because there are only a few."""
         return self.blocks()
 
     def blocks(self) -> list[Block]:

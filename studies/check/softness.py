@@ -6,8 +6,8 @@ a + R f = -K d r (MuJoCo, "Constraint model") gives the gap
     r = R f / (K d),
 
 with R = A (1 - d) / d, A the inertia of the row, K from `solref` and the impedance d(r) from `solimp`. Plans have closed
-loops; therefore a tracked plan differs by the gap. A coupling's gap r is in units of its first joint; the gaps here are
-those of `Closure`, in metres of the joint that moves less.
+loops, so a tracked plan differs from the plan by the gap. MuJoCo's gap r of a coupling is in units of its first joint; the
+gaps here are those of `Closure`, in metres of the joint that moves less.
 """
 
 from collections.abc import Iterator
@@ -35,7 +35,7 @@ from linkplan.models.tree.passive import simulated_gas_springs
 NOTED_GAP_SHARE = 1e-4
 # The key of a problem file, and the argument of `load_mechanism`, that makes every closure as stiff as possible.
 STIFF_KEY = 'mechanism.solref = "stiff"'
-# More gravity [m/s2] than on any planet: the model's lengths are in millimetres (9810) or centimetres (981).
+# Gravity [m/s2] above that of any planet: the model's lengths are in millimetres (9810) or centimetres (981).
 _MOST_GRAVITY_M_S2 = 100.0
 
 
@@ -43,8 +43,8 @@ _MOST_GRAVITY_M_S2 = 100.0
 class SoftClosure:
     """The gap of a closure at home [m]: while the weight is held, and with one actuator at its limit.
 
-    `stiff_gap_m` is the larger gap with `stiff_solref` and the stiffest impedance, the stiffest setting for the timestep.
-    `turned` is a soft coupling's attributes written the other way round, which that setting does too.
+    `stiff_gap_m` is the larger gap with `stiff_solref` and the stiffest impedance that the timestep permits. `turned` are
+    the attributes of a soft coupling with its joints swapped; the stiff setting swaps them too.
     """
 
     name: str
@@ -72,7 +72,7 @@ def soft_closures(mechanism: Mechanism, share: float = NOTED_GAP_SHARE) -> tuple
         held, pushed = (law.gap_m(force) for force in (weight.forces[k], most))
         least = stiff_time_constant_s(model)
         slope = abs(float(model.eq_data[index, 1])) if index in couplings else 1.0
-        # Of a coupling written the other way round, the row's unit is a_1 times as large and the force as much smaller.
+        # For a coupling with swapped joints, the row's unit is a_1 times as large and the force a_1 times as small.
         stiff = replace(
             law,
             scale=law.scale * slope,
@@ -96,7 +96,7 @@ def soft_closures(mechanism: Mechanism, share: float = NOTED_GAP_SHARE) -> tuple
 
 
 def _turned(model: mujoco.MjModel, index: int) -> str:
-    """Return the attributes of a linear coupling written the other way round."""
+    """Return the attributes of a linear coupling with its two joints swapped."""
     of_joints = int(model.eq_type[index]) == int(mujoco.mjtEq.mjEQ_JOINT)
     kind, named = ("joint", model.joint) if of_joints else ("tendon", model.tendon)
     first, second = (named(int(one[index])).name for one in (model.eq_obj2id, model.eq_obj1id))
@@ -106,7 +106,7 @@ def _turned(model: mujoco.MjModel, index: int) -> str:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ClosureLaw:
-    """A constraint's law at rest: A of its rows, K, solimp, and the gap [m] of one unit of its rows."""
+    """A constraint's law at rest: A of its rows, K, solimp, and the gap [m] per unit of its rows."""
 
     inertia: float
     stiffness: float
@@ -120,10 +120,10 @@ class ClosureLaw:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class LoadedClosures:
-    """The active closures under a load: name, equality and law of each, and the sizes of their constraint forces.
+    """The active closures under a load: name, equality and law of each, and the magnitudes of their constraint forces.
 
-    A weld is two of them: its lengths, and its angles, one radian of which counts as the mechanism's extent. `actuator` is
-    the one that makes the load, if a single one does.
+    A weld counts as two closures: its lengths, and its angles, of which one radian counts as the mechanism's extent.
+    `actuator` is the actuator that causes the load, if it is a single one.
     """
 
     laws: list[tuple[str, int, ClosureLaw]]
@@ -176,7 +176,7 @@ def _joint_efforts(mechanism: Mechanism, pose: np.ndarray, effort: np.ndarray) -
 
 
 def _closure_laws(mechanism: Mechanism, data: mujoco.MjData) -> Iterator[tuple[str, int, np.ndarray, ClosureLaw]]:
-    """Yield name, equality, rows among the equality rows, and law of each active closure; a weld's angles apart."""
+    """Yield name, equality, rows among the equality rows, and law of each active closure; a weld's angles are separate."""
     model, owner = mechanism.model, np.array(data.efc_id[: data.ne])
     scales = {closure.index: closure.scale for closure in mechanism.closures if closure.kind in ("joint", "tendon")}
     for name, index in {closure.name: closure.index for closure in mechanism.closures}.items():
@@ -199,7 +199,7 @@ def weight_load(mechanism: Mechanism) -> LoadedClosures:
 
 
 def _loads(mechanism: Mechanism) -> list[LoadedClosures]:
-    """Return the closures at home: while the weight is held, then under each actuator alone at each limit."""
+    """Yield the closures at home: while the weight is held, then under each actuator alone at each of its limits."""
     home, still, loads = mechanism.home, np.zeros(mechanism.dof), [weight_load(mechanism)]
     for j, actuator in enumerate(mechanism.actuators):
         for end in (actuator.lower, actuator.upper):
@@ -245,10 +245,8 @@ def gap_sentence(mechanism: Mechanism, gap_m: float, gap_rad: float = 0.0, error
     """
     angles = f"angles that closures tie are off by up to {gap_rad:.3g} rad" if gap_rad > NOTED_GAP_SHARE else ""
     stiff = "solref" in mechanism.source
-    remedy = (
-        "only a shorter timestep makes them stiffer" if stiff else f"{STIFF_KEY} makes them as stiff as the timestep admits"
-    )
-    means = f"{error}; plans and predictions are of closed loops; {remedy}"
+    remedy = "only a shorter timestep permits more" if stiff else f"{STIFF_KEY} makes them as stiff as the timestep permits"
+    means = f"{error}; plans and predictions assume closed loops; {remedy}"
     if not gap_m > NOTED_GAP_SHARE * mechanism.extent_m:
         return f"soft closures: in MuJoCo {angles}{means}" if angles else None
     share = 100 * gap_m / mechanism.extent_m
@@ -256,7 +254,7 @@ def gap_sentence(mechanism: Mechanism, gap_m: float, gap_rad: float = 0.0, error
     extent = 1e3 * mechanism.extent_m
     size = f"{extent:.3g}" if extent < 100 else f"{extent:.0f}"
     return (
-        f"soft closures: MuJoCo's loops gape by up to {1e3 * gap_m:.3g} mm, {percent} % of the mechanism's"
+        f"soft closures: MuJoCo's loops open by up to {1e3 * gap_m:.3g} mm, {percent} % of the mechanism's"
         f" {size} mm{f', and {angles}' if angles else ''}{means}"
     )
 
@@ -265,7 +263,7 @@ def softness_error(mechanism: Mechanism, pose: np.ndarray) -> str:
     """Return the largest difference of a dependent joint in simulated poses (n, n_q) from its value with closed loops."""
     worst, closed = {"deg": (0.0, ""), "m": (0.0, "")}, mechanism.home
     for q in pose[np.unique(np.linspace(0, len(pose) - 1, num=101).astype(int))]:
-        try:  # starts at the last closed pose: a pose with wide gaps is no good start
+        try:  # starts at the last closed pose, because a pose with wide gaps is a bad initial guess
             closed = follow(mechanism, q[mechanism.independent][None], closed)[0]
         except AssemblyError:  # loops with gaps can reach positions that closed loops cannot
             continue
@@ -279,7 +277,7 @@ def softness_error(mechanism: Mechanism, pose: np.ndarray) -> str:
 def softness_note(mechanism: Mechanism) -> str | None:
     """Return the sentence on a mechanism's soft closures; None if every closure gap is small.
 
-    The law holds for small gaps: gaps above 1 % of the extent are reported as "more than" that. A stiffer setting is
+    The law is valid for small gaps; gaps above 1 % of the extent are reported as "more than" that. A stiffer setting is
     proposed if it at least halves the gap.
     """
     soft = soft_closures(mechanism)
@@ -301,12 +299,12 @@ def softness_note(mechanism: Mechanism) -> str | None:
         return f"{why}; {STIFF_KEY} or {worst.turned} closes it"
     text = f"in MuJoCo loop {worst.name}{also} opens by {gaps} (solref {solref})"
     if worst.stiff_gap_m > 0.5 * worst.gap_m:
-        return f"{text}; a shorter timestep would admit a stiffer loop"
+        return f"{text}; a shorter timestep would permit a stiffer loop"
     return f"{text}; {STIFF_KEY} leaves {gap_text(worst.stiff_gap_m)}"
 
 
 def massless_findings(mechanism: Mechanism) -> list[str]:
-    """Return a sentence on every body with less than a millionth of the heaviest mass, in a mechanism with closures.
+    """Return a sentence on every body with less than a millionth of the largest mass, in a mechanism with closures.
 
     MuJoCo scales the stiffness of a closure by the inertia of its bodies. A body without mass makes the closure soft.
     """
@@ -331,5 +329,5 @@ def units_notes(mechanism: Mechanism) -> list[str]:
         return []
     return [
         f"gravity is {gravity:.4g} m/s2 and the moving bodies span {mechanism.extent_m:.3g} m: units are m, kg, s and N;"
-        " a model in millimetres has to be converted"
+        " convert a model in millimetres"
     ]

@@ -1,4 +1,4 @@
-"""Lengths and motion ratios of springs between points along a path: d length / d coordinate, by MuJoCo's tendons."""
+"""Lengths and motion ratios (d length / d coordinate) of springs between points along a path, by MuJoCo's tendons."""
 
 import mujoco
 import numpy as np
@@ -9,7 +9,7 @@ from linkplan.models.tree.tendons import tendon_label
 
 
 def sprung_tendons(model: mujoco.MjModel) -> dict[str, int]:
-    """Return the tendons with a spring, a damper or a gas spring along them, by name."""
+    """Return the tendons with a spring, a damper or a gas spring, by name."""
     springs = [
         model.tendon_stiffness[t] or model.tendon_damping[t] or np.any(model.tendon_stiffnesspoly[t])
         for t in range(model.ntendon)

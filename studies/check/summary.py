@@ -1,4 +1,4 @@
-"""The findings of `linkplan check` in at most thirty lines: what the mechanism is, what is wrong, what to do next."""
+"""The findings of `linkplan check` in at most thirty lines: the mechanism, its problems, the next step."""
 
 from collections.abc import Iterable, Sequence
 
@@ -12,14 +12,14 @@ from linkplan.studies.check.inspection_blocks import headline, reach_table
 from linkplan.studies.output.document import Block, Facts, Text
 from linkplan.studies.output.text import by_kind, limits_text
 
-# So many problems, coordinates and notes at most: with two lines on what to do next the summary fits on a screen.
+# Largest numbers of problems, coordinates and notes: the summary, with two lines on the next step, fits on a screen.
 MOST_PROBLEMS, MOST_COORDINATES, MOST_NOTES = 7, 8, 4
-# A sentence of the summary is cut at this length; it stays on three lines of a narrow terminal.
+# A sentence of the summary is cut at this length, so that it takes at most three lines of a narrow terminal.
 _MOST_CHARACTERS = 240
 
 
 def summary_blocks(found: Inspection) -> list[Block]:
-    """Return the summary, which leaves lines for what to do next."""
+    """Return the summary, which leaves room for lines on the next step."""
     mechanism = found.mechanism
     problems = grouped(mechanism, found.problems)
     verdict: list[Block] = [
@@ -39,7 +39,7 @@ def summary_blocks(found: Inspection) -> list[Block]:
 
 
 def grouped(mechanism: Mechanism, sentences: Iterable[str]) -> list[str]:
-    """Return one sentence of each kind, with the number of the others; those of a kind differ in names and numbers alone."""
+    """Return one sentence of each kind, with the number of the others; a kind is the same but for names and numbers."""
     said = []
     for alike in by_kind(sentences, _names(mechanism)):
         more = f" (and {len(alike) - 1} more of this kind)" if len(alike) > 1 else ""
@@ -65,16 +65,16 @@ def _names(mechanism: Mechanism) -> set[str]:
 
 
 def _first(sentences: Sequence[str], most: int, what: str) -> list[str]:
-    """Return the first sentences, and one on how many are left out."""
+    """Return the first sentences, and one that states how many were omitted."""
     if len(sentences) <= most:
         return list(sentences)
     return [*sentences[: most - 1], f"{len(sentences) - most + 1} more kinds of {what}"]
 
 
 def _reaches(found: Inspection) -> list[Block]:
-    """Return the table of the first coordinates' reach; a floating base and rods' spins are left out."""
+    """Return the table of the first coordinates' reach, without a floating base and rods' spins."""
     mechanism, floating = found.mechanism, floating_columns(found.mechanism)
     grounded = [can for can in found.reaches if can.coordinate not in floating]
     of = [can for can in grounded if mechanism.actuated[can.coordinate]]
-    more = f"; of {len(of)} coordinates the first {MOST_COORDINATES}" if len(of) > MOST_COORDINATES else ""
+    more = f"; the first {MOST_COORDINATES} of {len(of)} coordinates" if len(of) > MOST_COORDINATES else ""
     return [reach_table(found, of[:MOST_COORDINATES], more)] if of else []

@@ -16,7 +16,7 @@ _PULLS = ("stiffness", "stiffnesspoly", "damping", "dampingpoly", "armature", "f
 
 
 def tendon_findings(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[list[str], list[str]]:
-    """Return the sentences on tendons outside their ranges at home, and on positions within reach at the end of a range.
+    """Return the sentences on tendons outside their ranges at home, and on positions in the reach at which a range ends.
 
     Args:
         mechanism: with its tendons' limits.
@@ -28,8 +28,8 @@ def tendon_findings(mechanism: Mechanism, reaches: Sequence[Reach]) -> tuple[lis
         said = f"[{tendon.low:g}, {tendon.high:g}] {tendon.unit}".rstrip()
         if not tendon.low <= here <= tendon.high:
             problems.append(
-                f"tendon {tendon.name} has the length {here:.4g} at home, outside its range {said}: mechanism.home_deg names"
-                " another pose, which linkplan.new looks for by itself"
+                f"tendon {tendon.name} has the length {here:.4g} at home, outside its range {said}: set another pose by"
+                " mechanism.home_deg, or let linkplan.new find one"
             )
             continue
         for can in reaches:
@@ -55,7 +55,7 @@ def coincident_sites(mechanism: Mechanism) -> list[str]:
                 names = " and ".join(model.site(site).name or f"site {site}" for site in (one, other))
                 said.append(
                     f"tendon {tendon_label(model, tendon)} has no length between {names}, which coincide at home: its force"
-                    " has no direction there (a plan takes none, the simulator the world's x axis); choose another home"
+                    " has no direction there (plans assume no force, the simulator the world's x axis); choose another home"
                     " pose, or move one of the sites"
                 )
     return said

@@ -1,4 +1,4 @@
-"""The whole result of `linkplan check`: the inspection of a mechanism, and the loop report along its motion or reach."""
+"""The complete result of `linkplan check`: the inspection of a mechanism, and the loop report along its motion or reach."""
 
 from collections.abc import Iterable, Sequence
 from functools import cached_property
@@ -41,11 +41,11 @@ class WholeCheck(Inspection, frozen=True, kw_only=True, eq=False, dict=True):
     def paths(self) -> Iterable[KinematicLoopPath]:
         """The loop report along the motion, or along each sweep; a summary of many coordinates needs none.
 
-        A report has the square of the number of coordinates in each of its poses: those of many coordinates are not kept.
+        The size of a report grows with the square of the number of coordinates, so reports of many coordinates are not kept.
         """
         return map(measured, self.sweeps) if self.brief else self._few_paths
 
-    @cached_property  # hence dict=True: the paths are measured once, when they are asked for
+    @cached_property  # hence dict=True: the paths are measured once, at first use
     def _few_paths(self) -> tuple[KinematicLoopPath, ...]:
         return tuple(map(measured, self.sweeps))
 
@@ -56,7 +56,7 @@ class WholeCheck(Inspection, frozen=True, kw_only=True, eq=False, dict=True):
 
     @property
     def with_paths(self) -> "WholeCheck":
-        """The check with the figures of every path, which take the time and the memory to measure them."""
+        """The check with the quantities along every path, whose measurement takes time and memory."""
         return replace(self, along=[path_figures(path) for path in self.paths])
 
     def blocks(self) -> list[Block]:
@@ -65,13 +65,13 @@ class WholeCheck(Inspection, frozen=True, kw_only=True, eq=False, dict=True):
         paths = [block for path in self.paths for block in path_blocks(path, brief=brief)]
         rest = "all of them" if has_whole_records(self.mechanism) else "every pose"
         left_out = (
-            f"for each of the {len(self.sweeps)} coordinates, the tables above have only its own quantities that change"
-            f" along its reach, at rest; the JSON record has {rest}"
+            f"the table of each of the {len(self.sweeps)} coordinates above has only its own quantities that change along"
+            f" its reach, at rest; the JSON record has {rest}"
         )
         return [*inspection_blocks(self), *paths, *([Text(text=left_out)] if brief else [])]
 
     def summary(self) -> list[Block]:
-        """Return the findings in less than thirty lines; first the notes on actuators too weak for weight and springs."""
+        """Return the findings in at most thirty lines; first the notes on actuators too weak for weight and springs."""
         weak = [] if self.brief else [text for path in self.paths for text in weight_sentences(path)]
         return summary_blocks(replace(self, notes=(*weak, *self.notes)))
 

@@ -1,1 +1,1 @@
-"""The command line: arguments in, studies run, results printed and written, an exit code out."""
+"""The command line: parse arguments, run a study, print and write its result, return an exit code."""

@@ -1,4 +1,4 @@
-"""The command `check`, which also names the command to go on with."""
+"""The command `check`, which also names the next command."""
 
 import argparse
 import shlex
@@ -36,7 +36,7 @@ def _what_is_next(found: "CheckResult", arguments: argparse.Namespace) -> "list[
     of_problem = is_problem(arguments.subject)
     if mechanism is None:
         known = bool(found.home) and not of_problem
-        return [Facts(rows=[("next", f"linkplan new {subject} -o problem.toml begins at that pose")])] if known else []
+        return [Facts(rows=[("next", f"linkplan new {subject} -o problem.toml starts from that pose")])] if known else []
     if mechanism.n_u == 0 and not found.joints_to_drive:
         further = f"linkplan check {subject}, with an actuator that a plan can use in the model's <actuator>"
     elif mechanism.n_u == 0:

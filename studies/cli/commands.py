@@ -1,4 +1,4 @@
-"""The commands: each calls the public function of its name with its options, and shows or writes the result."""
+"""The commands. Each calls the public function with the same name, and prints or writes the result."""
 
 import argparse
 import contextlib
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from linkplan.plans import Plan
     from linkplan.results import Result
 
-# Options for further files in a result's folder.
+# Options that write additional files into a result's folder.
 _WITH_OUTPUT = {"report": "report.html", "parquet": "tables as Parquet", "jumps": "both sides of jumps"}
 # Options that select a part of a model: keys of [mechanism].
 _SELECTION = ("keep", "fix_base", "lock", "keyframe", "drive")
@@ -28,7 +28,7 @@ _SELECTION = ("keep", "fix_base", "lock", "keyframe", "drive")
 
 @contextlib.contextmanager
 def naming(option: str) -> Iterator[None]:
-    """Put the name of an option before the text of a refusal of its value."""
+    """Prefix errors about an option's value with the option's name."""
     try:
         yield
     except (PlanFileError, ProblemError) as error:
@@ -40,13 +40,13 @@ def output_folder(arguments: argparse.Namespace) -> Path | None:
     if arguments.output is None:
         for option, what in _WITH_OUTPUT.items():
             if getattr(arguments, option, False):
-                raise ProblemError(f"--{option} writes {what} into the folder of -o, which is not given; add -o DIR")
+                raise ProblemError(f"--{option} writes {what} into the folder of -o; add -o DIR")
         return None
     return folder_asked(arguments)
 
 
 def folder_asked(arguments: argparse.Namespace) -> Path:
-    """Return the folder of -o, which can be written."""
+    """Return the folder of -o after a check that it can be written."""
     if not arguments.output:
         raise ProblemError("-o takes a folder, got an empty name")
     from linkplan.paths import folder_to_write, require_parquet
@@ -75,7 +75,7 @@ def new_file(arguments: argparse.Namespace) -> Path | None:
 
 
 def source_asked(arguments: argparse.Namespace, name: str, parameters: Container[str]) -> "Source":
-    """Return a source with the options that say how it is read; a function's own `parameters` are left to it."""
+    """Return a source with the options for reading it, except those that the function takes as its own `parameters`."""
     from linkplan.inputs import Source
 
     selection = {key: getattr(arguments, key, None) for key in _SELECTION if key not in parameters}
@@ -88,13 +88,13 @@ def source_asked(arguments: argparse.Namespace, name: str, parameters: Container
 
 
 def answered(arguments: argparse.Namespace, result: "Result | Plan | Rendered | Exported") -> ExitCode:
-    """Show a result and return its exit code: 1 if its answer is no."""
+    """Print a result and return its exit code: 1 if the result is negative."""
     show(arguments, result.to_dict, result.blocks)
     return DONE if result.passed else NO
 
 
 def called(arguments: argparse.Namespace, say: Progress | None, **further: object):
-    """Return what the public function of a command's name returns for its options."""
+    """Call the public function with the command's name and options, and return its result."""
     function = getattr(linkplan, arguments.command)
     parameters = inspect.signature(function).parameters
     given = {name: getattr(arguments, name) for name in parameters if hasattr(arguments, name)} | further
@@ -108,7 +108,7 @@ def called(arguments: argparse.Namespace, say: Progress | None, **further: objec
 
 
 def run_study(arguments: argparse.Namespace) -> int:
-    """Run a study whose result is saved, drawn and shown as every other; 1 if its answer is no."""
+    """Run a study, and save, draw and print its result; return 1 if the result is negative."""
     target, say = output_folder(arguments), progress(arguments)
     result = called(arguments, say)
     if target is not None:
@@ -137,7 +137,7 @@ def run_prove(arguments: argparse.Namespace) -> int:
 
 
 def run_batch(arguments: argparse.Namespace) -> int:
-    """Plan the cases of a batch file, or continue to; 1 if one of them has no plan."""
+    """Plan the cases of a batch file, or continue an interrupted batch; 1 if one of them has no plan."""
     target, say = output_folder(arguments), progress(arguments)
     result = called(arguments, say, folder=target)
     if target is not None:
@@ -184,7 +184,7 @@ def run_report(arguments: argparse.Namespace) -> int:
 
 
 def run_explore(arguments: argparse.Namespace) -> int:
-    """Serve the page of a problem's sliders until Ctrl-C."""
+    """Serve the page with a problem's sliders until Ctrl-C."""
 
     def tell(error: BaseException) -> None:
         refuse("explore", saved_fault_report(error))
@@ -192,7 +192,7 @@ def run_explore(arguments: argparse.Namespace) -> int:
     page = called(arguments, progress(arguments), path=new_file(arguments), tell=tell)
     said = {"problem": page.name, "address": page.address}
     show(arguments, said, f"open {page.address} in a browser; Ctrl-C ends")
-    flush_streams()  # the address is read while the command runs
+    flush_streams()  # flushed, because the user needs the address while the command runs
     page.serve()
     return DONE
 

@@ -1,6 +1,6 @@
-"""The command `completion`: shtab writes the script of each shell from the parser.
+"""The command `completion`: shtab generates the script of each shell from the parser.
 
-The script is static: a completion starts no Python. With argcomplete, every completion would run linkplan.
+The script is static, so a completion does not start Python; with argcomplete every completion would run linkplan.
 """
 
 import argparse
@@ -11,7 +11,7 @@ from linkplan.studies.cli.command_line import SHELLS, build_parser
 from linkplan.studies.cli.exit_codes import DONE
 from linkplan.studies.cli.printing import show
 
-# The words and the file name patterns that an argument accepts, by its name in the help.
+# The words and file name patterns that an argument accepts, by the argument's name in the help.
 _TAKES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
     "MODEL": ((*MODELS, *PROBLEMS), ("*.xml", "*.mjcf", "*.toml")),
     "MODEL-or-PROBLEM": ((*MODELS, *PROBLEMS), ("*.xml", "*.mjcf", "*.toml")),

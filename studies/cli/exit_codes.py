@@ -1,4 +1,4 @@
-"""Exit codes of the command line, and errors that a command's input did not cause: too little memory, unexpected errors."""
+"""Exit codes of the command line, and errors that do not come from a command's input: out of memory, internal errors."""
 
 import errno
 import sys
@@ -8,7 +8,7 @@ from linkplan.models.errors import one_line
 
 # Phrases by which libraries report too little memory; the types of their errors differ.
 _WORDS = ("failed to map segment", "bad_alloc", "cannot allocate memory", "could not allocate", "unable to allocate")
-# A command that a signal ended has the sum of this and the signal's number: 130 for Ctrl-C, 143 for SIGTERM.
+# The exit code of a command ended by a signal is this plus the signal's number: 130 for Ctrl-C, 143 for SIGTERM.
 SIGNAL_BASE = 128
 
 
@@ -26,9 +26,9 @@ def saved_fault_report(error: BaseException) -> str:
     from importlib.metadata import version
 
     if is_of_memory(error):
-        what = "there is not enough memory for it"
+        what = "not enough memory"
     else:
-        what = f"a fault of linkplan's own ({type(error).__name__}: {one_line(error)[:200]})"
+        what = f"an internal error of linkplan ({type(error).__name__}: {one_line(error)[:200]})"
     said = "".join(traceback.format_exception(error)).encode("utf-8", "backslashreplace")
     about = f"linkplan {version('linkplan')}, Python {sys.version}\narguments: {sys.argv[1:]!r}\n\n"
     head = about.encode("utf-8", "backslashreplace")
@@ -37,7 +37,7 @@ def saved_fault_report(error: BaseException) -> str:
             file.write(head + said)
     except OSError:
         return what
-    return f"{what}; please send '{file.name}' to linkplan's makers"
+    return f"{what}; please send '{file.name}' to linkplan's developers"
 
 
 class ExitCode(IntEnum):

@@ -22,7 +22,7 @@ from linkplan.studies.cli.command_line import POSITIONAL, build_parser
 from linkplan.studies.cli.exit_codes import BAD_INPUT, DONE, NO, SIGNAL_BASE, is_of_memory, saved_fault_report
 from linkplan.studies.cli.printing import delivered, flush_streams, keep_closed_streams_closed, put, quiet, refuse, show
 
-# Commands that have a module of their own; the others share one.
+# Commands with a module of their own; the others are in `commands.py`.
 _ALONE = ("check", "completion")
 
 
@@ -30,7 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run a command and return its exit code.
 
     Args:
-        argv: the arguments; by default those of the process, which ends afterwards.
+        argv: the arguments; by default those of the process, which then ends after the command.
     """
     if argv is None:
         keep_closed_streams_closed()
@@ -56,7 +56,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         code = _interrupted(command, target, before)
         if argv is None:
             flush_streams()
-            # After an interrupt in `exec`, for example while a dataclass is made, Python would end itself by SIGINT.
+            # Without this, an interrupt during `exec` (for example in `dataclass`) would make Python end itself by SIGINT.
             os._exit(code)
     if argv is None:
         flush_streams()
@@ -94,14 +94,14 @@ def _with_own_figures() -> None:
 
 
 def _refuse_unusable_date() -> None:
-    """Refuse a SOURCE_DATE_EPOCH that is no time: NumPy and matplotlib fail on it when they are loaded."""
+    """Refuse an invalid SOURCE_DATE_EPOCH, because NumPy and matplotlib fail on it during their import."""
     text = os.environ.get("SOURCE_DATE_EPOCH")
     if text is None:
         return
     try:
         datetime.fromtimestamp(int(text), UTC)
     except (ValueError, OverflowError, OSError):
-        asked = "the environment variable SOURCE_DATE_EPOCH is a time in whole seconds since 1970"
+        asked = "the environment variable SOURCE_DATE_EPOCH must be a time in whole seconds since 1970"
         raise ProblemError(f"{asked}, got '{shown(text, 60)}'; unset it or correct it") from None
 
 
@@ -121,7 +121,7 @@ def _run(arguments: argparse.Namespace) -> int:
             code = NO
         finally:
             quiet(arguments)
-        # With -o the folder is the result: a failure to print does not matter.
+        # With -o the folder is the result, so a failure to print does not change the exit code.
         saved = getattr(arguments, "output", None) is not None and not arguments.json
         return code if saved else delivered(arguments.command, getattr(arguments, "lost", None), code)
     except LinkplanError as error:
@@ -135,8 +135,8 @@ def _run(arguments: argparse.Namespace) -> int:
         what = "the result cannot be written" if error.filename is None else f"'{error.filename}' cannot be read or written"
         refuse(arguments.command, one_line(f"{what}: {error.strerror or error}"))
         return BAD_INPUT
-    except (Exception, SystemExit) as error:  # SystemExit: a library tried to end the process
-        check()  # some libraries turn an interrupt during their import into another error
+    except (Exception, SystemExit) as error:  # SystemExit: raised by a library
+        check()  # some libraries replace an interrupt during their import by another error
         return unforeseen(arguments.command, error)
 
 
@@ -144,11 +144,11 @@ def _interrupted(command: str, target: str | None, before: str | None) -> int:
     """Print the state of an interrupted command's result, and return the exit code; `before` as in `main`."""
     what, result, parts = "nothing was written", _result_at(target), f"{(target or '').rstrip('/')}.unfinished"
     if result not in (None, before):
-        what = f"the result is in '{target}', whole"
+        what = f"the complete result is in '{target}'"
     elif command in ("experiment", "batch") and target and os.path.isdir(parts):
-        what = f"what is done is in '{parts}', and the same command goes on from it"
+        what = f"the finished part is in '{parts}'; run the same command again to continue"
     elif command == "explore":
-        what = "the page is no longer served; problem files that it saved stay"
+        what = "the page is no longer served; the problem files that it saved remain"
     refuse(command, f"interrupted; {what}")
     return SIGNAL_BASE + (ended_by() or signal.SIGINT)
 
@@ -163,7 +163,7 @@ def _result_at(target: str | None) -> str | None:
 
 
 def by_option(arguments: argparse.Namespace, text: str) -> str:
-    """Return a refusal that begins with the name of a parameter with the option of that name in its place."""
+    """Return an error message with the option's name in place of the parameter's name at its beginning."""
     name = re.match(r"(\w+)(?= (?!')|[:,]|$)", text)
     if name is None or name[1] in POSITIONAL or not hasattr(arguments, name[1]):
         return text
@@ -171,11 +171,11 @@ def by_option(arguments: argparse.Namespace, text: str) -> str:
 
 
 def unforeseen(command: str, error: BaseException) -> int:
-    """Print one line on an error of linkplan itself, with the file of the fault report; return the exit code."""
+    """Print one line on an internal error, with the name of the fault report's file; return the exit code."""
     try:
         text = saved_fault_report(error)
-    except Exception:  # without memory nothing can be loaded or written
-        text = "there is not enough memory for it"
+    except Exception:  # without memory no fault report can be written
+        text = "not enough memory"
     refuse(command, text)
     return BAD_INPUT
 

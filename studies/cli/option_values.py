@@ -1,4 +1,4 @@
-"""Values of options: text becomes the value of the public function's parameter. This file has no heavy imports."""
+"""Conversion of an option's text to the value of the public function's parameter. This file has no heavy imports."""
 
 import argparse
 import math
@@ -8,7 +8,7 @@ from linkplan.names import TRACKERS
 
 
 class Tabled(argparse.Action):
-    """An option NAME=VALUE that may be given again: a table of its values, one for each name; None without it."""
+    """A repeatable option NAME=VALUE. Its value is a table with one entry per name, or None if the option is not given."""
 
     def __call__(
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option_string: str | None = None
@@ -18,20 +18,20 @@ class Tabled(argparse.Action):
         name, value = values
         table = getattr(namespace, self.dest) or {}
         if name in table:
-            raise argparse.ArgumentError(self, f"names joint {name} twice; it takes one value for a joint")
+            raise argparse.ArgumentError(self, f"names joint {name} twice; give one value per joint")
         setattr(namespace, self.dest, {**table, name: value})
 
 
 def names(text: str) -> tuple[str, ...]:
-    """Return names with commas between them."""
+    """Return the names in a comma-separated text."""
     found = tuple(name.strip() for name in text.split(","))
     if not all(found):
-        raise argparse.ArgumentTypeError(f"takes names with commas between them, got '{text}'")
+        raise argparse.ArgumentTypeError(f"takes names separated by commas, got '{text}'")
     return found
 
 
 def trackers(text: str) -> tuple[str, ...]:
-    """Return trackers' names; "all" are all built-in ones."""
+    """Return the names of trackers; "all" means all built-in trackers."""
     if text.strip() == "all":
         return TRACKERS
     found = tuple(name.strip() for name in text.split(",") if name.strip())
@@ -41,15 +41,15 @@ def trackers(text: str) -> tuple[str, ...]:
 
 
 def numbers(text: str) -> list[float]:
-    """Return numbers with commas between them."""
+    """Return the numbers in a comma-separated text."""
     try:
         return [float(part) for part in text.split(",")]
     except ValueError:
-        raise argparse.ArgumentTypeError(f"takes numbers with commas between them, got '{text}'") from None
+        raise argparse.ArgumentTypeError(f"takes numbers separated by commas, got '{text}'") from None
 
 
 def frequencies(text: str) -> list[float]:
-    """Return frequencies [Hz]: numbers with commas between them, or LOW:HIGH:N, N of them in equal ratios."""
+    """Return frequencies [Hz]: comma-separated numbers, or LOW:HIGH:N for N frequencies with equal ratios."""
     if ":" not in text:
         return numbers(text)
     try:
@@ -63,17 +63,19 @@ def frequencies(text: str) -> list[float]:
 
 
 def pose(text: str) -> dict[str, float] | float:
-    """Return a pose, JOINT=VALUE with commas between them; or a number, of the only joint."""
+    """Return a pose: comma-separated JOINT=VALUE pairs, or a single number for the only joint."""
     found: dict[str, float] = {}
     for part in text.split(","):
         name, equals, value = part.rpartition("=")
         number = _number(value)
         if not equals and "," not in text and math.isfinite(number):
             return number
-        if not name.strip() or not math.isfinite(number):  # 'O=1,5': a comma separates joints and is no decimal point
-            raise argparse.ArgumentTypeError(f"takes JOINT=VALUE, with commas between joints, got '{text}'")
+        if not name.strip() or not math.isfinite(number):  # 'O=1,5': a comma separates joints and is not a decimal point
+            raise argparse.ArgumentTypeError(f"takes JOINT=VALUE, separated by commas, got '{text}'")
         if name.strip() in found:
-            raise argparse.ArgumentTypeError(f"names joint {name.strip()} twice in '{text}'; decimals have a point")
+            raise argparse.ArgumentTypeError(
+                f"names joint {name.strip()} twice in '{text}'; use a decimal point, not a comma"
+            )
         found[name.strip()] = number
     return found
 
@@ -101,7 +103,7 @@ def size(text: str) -> tuple[int, int]:
     try:
         width, height = (int(part) for part in text.lower().split("x"))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"is WIDTHxHEIGHT in pixels, as 800x600, got '{text}'") from None
+        raise argparse.ArgumentTypeError(f"takes WIDTHxHEIGHT in pixels, such as 800x600, got '{text}'") from None
     return width, height
 
 

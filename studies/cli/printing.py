@@ -1,8 +1,8 @@
 """Printing: a result on stdout, messages and progress on stderr. This file has no heavy imports.
 
-Streams may be closed, on a full disk, or in another encoding. A failure to print never ends a command. If the result itself
-could not be printed, `arguments.lost` is the reason. Progress is plain lines, or on a terminal one line that is updated with
-the seconds.
+A stream may be closed, on a full disk, or in another encoding. A failure to print never ends a command. If the result could
+not be printed, `arguments.lost` is the reason. Progress is plain lines, or on a terminal one line that is updated with the
+seconds.
 """
 
 import argparse
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from linkplan.studies.output.document import Block
 
 
-# ECMA-48, "Select graphic rendition": written here, because a refusal may be one for want of memory.
+# ECMA-48, "Select graphic rendition". Constants, because a message about lack of memory must not load a library.
 _RED, _PLAIN = "\x1b[31m", "\x1b[0m"
 
 
@@ -59,7 +59,7 @@ def put(stream: TextIO | None, text: str) -> OSError | None:
 
 
 def _live(drawn: Callable[[], "Text"]) -> "Live":
-    """Return the line of a terminal that shows what `drawn` returns."""
+    """Return a terminal line that is updated from `drawn`."""
     from rich.live import Live
 
     from linkplan.studies.output.terminal import console_of
@@ -170,7 +170,7 @@ def show(
 
 
 def _in_brief(blocks: "Sequence[Block]") -> "list[Block]":
-    """Return a document with its brief rows and, if it has some, a note on the option that prints every row."""
+    """Return a document with only its brief rows and, if rows were omitted, a note on the option that prints every row."""
     from linkplan.studies.output.document import Text
     from linkplan.studies.output.text import in_brief
 
@@ -181,7 +181,7 @@ def _in_brief(blocks: "Sequence[Block]") -> "list[Block]":
 
 
 def quiet(arguments: argparse.Namespace) -> None:
-    """End the display of a command's progress, if it has one."""
+    """End the progress display of a command, if there is one."""
     display = getattr(arguments, "progress", None)
     if display is not None:
         display.close()

@@ -1,4 +1,4 @@
-"""`linkplan track` and `compare`: trackers side by side on one plan.
+"""`linkplan track` and `compare`: runs of trackers on one plan, compared.
 
 In: a plan and trackers. Out: runs in MuJoCo with the modelled and with a changed mechanism, metrics and figures.
 """

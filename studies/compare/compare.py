@@ -1,4 +1,4 @@
-"""The study behind `linkplan compare` and `track`: trackers on one plan, with the modelled and a changed mechanism."""
+"""The study of `linkplan compare` and `track`: trackers on one plan, with the modelled and with a changed mechanism."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
@@ -26,7 +26,7 @@ from linkplan.studies.compare.user_tracker import TrackerLike, users_tracker
 
 # Fewest control periods in a motion. With fewer, tracking errors depend on sampling more than on the tracker.
 _MIN_CONTROL_PERIODS = 10
-# Most control instants, whose log takes a gigabyte, and most simulator steps, which take an hour.
+# Most control instants (a log of a gigabyte) and most simulator steps (an hour).
 _MAX_INSTANTS, _MAX_STEPS = 2e6, 1e8
 
 
@@ -50,8 +50,8 @@ class Comparison:
     nominal: dict[str, Rollout]
     mismatch: Mismatch | None = None
     mismatched: dict[str, Rollout] = field(default_factory=dict)
-    title: str = "nominal"  # of the first group of runs
-    stem: str = "nominal"  # of the first group's file names
+    title: str = "nominal"  # the title of the first group of runs
+    stem: str = "nominal"  # the beginning of the first group's file names
     run_time: dict[str, RunTime] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
 
@@ -72,7 +72,7 @@ def mismatch_of(plan: Plan, mass_factor: float, delay_periods: float) -> Mismatc
 
 
 def delay_of(value: object, key: str) -> float:
-    """Return a delay [control periods], checked; a refusal names the key."""
+    """Return a delay [control periods] after a check; an error names the key."""
     kind: Any = Delay
     return read(kind, to_toml_types(value), key)
 
@@ -87,16 +87,17 @@ def tracking_reference(plan: Plan) -> SampledReference:
     duration = settings.duration_s or trajectory.duration_s
     if trajectory.duration_s < _MIN_CONTROL_PERIODS * settings.period_s:
         raise ProblemError(
-            f"tracking.period_s = {settings.period_s:g} s leaves fewer than {_MIN_CONTROL_PERIODS} control instants in a"
-            f" motion of {trajectory.duration_s:.4g} s; at most {trajectory.duration_s / _MIN_CONTROL_PERIODS:.2g} s"
+            f"tracking.period_s = {settings.period_s:g} s gives fewer than {_MIN_CONTROL_PERIODS} control instants in a"
+            f" motion of {trajectory.duration_s:.4g} s; it must be at most"
+            f" {trajectory.duration_s / _MIN_CONTROL_PERIODS:.2g} s"
         )
     instants = duration / settings.period_s
     steps = instants * max(1.0, settings.period_s / float(plan.problem.mechanism.model.opt.timestep))
     for many, what, most in ((instants, "control instants", _MAX_INSTANTS), (steps, "simulator steps", _MAX_STEPS)):
         if many > most:
             raise ProblemError(
-                f"tracking over {duration:g} s with tracking.period_s = {settings.period_s:g} s has {many:.3g} {what};"
-                f" at most {most:g} are run"
+                f"tracking over {duration:g} s with tracking.period_s = {settings.period_s:g} s has {many:.3g} {what}; the"
+                f" limit is {most:g}"
             )
     return sample(plan.problem.mechanism, trajectory, settings.period_s, duration)
 
@@ -150,7 +151,7 @@ def compare(
 ) -> Comparison:
     """Return several trackers' runs on a plan, with the nominal model and with a mismatch.
 
-    A tracker that has no gain for the mechanism is left out, if another has one.
+    A tracker that has no gain for the mechanism is omitted, if another tracker has one.
 
     Raises:
         ProblemError: for an unknown tracker, equal names, or no tracker.
@@ -222,7 +223,7 @@ def run_figures(plan: Plan, rollout: Rollout) -> dict:
 
 
 def error_figures(mechanism: Mechanism, error: np.ndarray) -> dict[str, float]:
-    """Return rms, largest and final size of errors (n, n_s) [rad or m], of hinges in degrees and of slides in metres."""
+    """Return the rms, largest and final value of errors (n, n_s) [rad or m], in degrees for hinges, in metres for slides."""
     record = {}
     for unit, (which, factor) in actuated_by_unit(mechanism).items():
         size = factor * np.linalg.norm(error[:, which], axis=1)
@@ -232,7 +233,7 @@ def error_figures(mechanism: Mechanism, error: np.ndarray) -> dict[str, float]:
 
 
 def actuated_by_unit(mechanism: Mechanism) -> dict[str, tuple[np.ndarray, float]]:
-    """Return a mask (n_s,) of the controllable independent joints for each of their units, and the unit's factor from SI."""
+    """Return for each unit its factor from SI and the mask (n_s,) of the controllable independent joints with this unit."""
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     units = {"deg": (hinge & mechanism.actuated, 180 / np.pi), "m": (~hinge & mechanism.actuated, 1.0)}
     return {unit: found for unit, found in units.items() if np.any(found[0])}

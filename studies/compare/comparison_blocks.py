@@ -15,7 +15,7 @@ from linkplan.studies.output.figure_spec import FigureSpec, one_screen, side_by_
 from linkplan.studies.output.lines import TIME, Line, overlaid_width, plots, tracker_colour
 from linkplan.studies.output.text import brief_rows
 
-# The peak efforts of more actuators have a table of their own.
+# With more actuators, their peak efforts have a separate table.
 MAX_PEAK_COLUMNS = 3
 
 
@@ -106,7 +106,7 @@ def _peak_table(comparison: Comparison, title: str, runs: Mapping[str, Rollout])
 
 
 def joint_plots(comparison: Comparison, runs: Mapping[str, Rollout], chosen: Sequence[int]) -> list[Plot]:
-    """Return the plots of the motion and the error of independent joints, by their number."""
+    """Return the plots of the motion and the error of independent joints, by joint index."""
     joints, longest, found = comparison.plan.problem.mechanism.independent_joints, _longest(runs), []
     for k in chosen:
         joint = joints[k]
@@ -133,7 +133,7 @@ def follower_plots(comparison: Comparison, runs: Mapping[str, Rollout]) -> list[
 
 
 def effort_plots(comparison: Comparison, runs: Mapping[str, Rollout], pushed: Sequence[int]) -> list[Plot]:
-    """Return the plots of the effort of actuators, by their number."""
+    """Return the plots of the effort of actuators, by actuator index."""
     actuators, limits, found = comparison.plan.problem.mechanism.actuators, _longest(runs).effort_limit, []
     for j in pushed:
         ends = (float(limits[j][0]), float(limits[j][1]))

@@ -14,8 +14,8 @@ from linkplan.studies.compare.run_time import RunTime
 class ComparisonFigures(Struct, frozen=True, kw_only=True, eq=False, omit_defaults=True):
     """Errors in deg or m, efforts, share at the limits and closure gap of each tracker's run on one plan.
 
-    `loop` has the simulator's conditions. `mismatch` has the same for the runs with a mismatch. `tracker` is that of
-    `track`, `sample` the machine of an experiment that ran again, `document` the rows of the source document's experiment.
+    `loop` has the simulator's settings. `mismatch` has the same for the runs with a mismatch. `tracker` is the tracker of
+    `track`, `sample` the repeated sample of an experiment, and `document` the rows of the source document's experiment.
     """
 
     case: str

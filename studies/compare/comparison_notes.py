@@ -13,7 +13,7 @@ from linkplan.studies.check.holding import why_no_loop
 from linkplan.studies.check.softness import gap_sentence, softness_error
 from linkplan.studies.compare.compare import Comparison, actuated_by_unit, error_figures
 
-# Below this travel [deg or m], a motion stands still, and an error has no travel to be compared with.
+# With less travel [deg or m] a motion is at rest, so errors cannot be compared with its travel.
 _STANDS_STILL = 1e-9
 
 
@@ -45,7 +45,7 @@ def _gap_share(plan: Plan, rollout: Rollout) -> float:
 
 
 def comparison_notes(comparison: Comparison) -> list[str]:
-    """Return the sentences on trackers left out, on runs that ended early, on default gains, and on the nominal runs."""
+    """Return the sentences on omitted trackers, on runs that ended early, on default gains, and on the nominal runs."""
     runs = sorted(comparison.nominal.items(), key=lambda item: -_gap_share(comparison.plan, item[1]))
     pushed = [note for _, run in runs if (note := contact_note(comparison.plan, run)) is not None]
     found = [(name, note) for name, run in runs if (note := gap_note(comparison.plan, run)) is not None]
@@ -66,7 +66,7 @@ def ended_early(comparison: Comparison) -> list[str]:
 
 
 def default_gains(comparison: Comparison) -> list[str]:
-    """Return the sentence on PD gains that the problem does not give, if PD runs with them."""
+    """Return the sentence on default PD gains, if a tracker runs with them."""
     problem = comparison.plan.problem
     tracking, given = problem.tracking, problem.to_dict().get("tracking", {})
     run = [name for name in ("pd", "pd+ff") if name in comparison.nominal]
@@ -78,7 +78,7 @@ def default_gains(comparison: Comparison) -> list[str]:
     positions = comparison.plan.trajectory.position_at(time)
     why = why_no_loop(problem.mechanism, positions, problem.limits.actuators_effort)
     if why is not None:
-        return [f"{ran}; choose them in [tracking]: there is no linear loop to tune, because {why}"]
+        return [f"{ran}; set gains in [tracking], because `linkplan tune` cannot find them: {why}"]
     return [f"{ran}; `linkplan tune` finds gains for this mechanism"]
 
 
@@ -94,14 +94,14 @@ def lost_notes(comparison: Comparison) -> list[str]:
         if lost:
             said = ", ".join(f"{name} by {error:.3g} {unit}" for name, error in lost.items())
             notes.append(
-                f"the motion, which travels {travel:.3g} {unit}, is not followed: the largest errors are {said};"
-                " 'stable' only means that a run stays finite, without a limit cycle between the effort limits"
+                f"the motion, which travels {travel:.3g} {unit}, is not followed: the largest errors are {said}; 'stable'"
+                " only means that a run stays finite and does not oscillate between the effort limits"
             )
     return notes
 
 
 def servo_note(mechanism: Mechanism) -> str | None:
-    """Return the sentence on servos whose damping leaves less than half of an effort's acceleration in a step, or None."""
+    """Return the sentence on servos whose damping more than halves an effort's acceleration in a step, or None."""
     shares = shares_in_a_step(mechanism)
     column = int(np.argmin(shares))
     if shares[column] > 0.5:

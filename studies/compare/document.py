@@ -23,7 +23,7 @@ DocumentRuns = dict[tuple[str, float, float], Rollout]
 
 
 def is_the_documents(plan: Plan) -> bool:
-    """Return True if a plan is the document's experiment: its sinusoid, tracked exactly, on the knee without a payload."""
+    """Return True if a plan is the document's experiment: its sinusoid, followed exactly, on the knee without a payload."""
     problem = plan.problem
     tracked = problem.motion.kind == "track" and isinstance(problem.reference, Sine)
     unloaded = problem.mechanism.payload is None and problem.mechanism.forces is None
@@ -39,7 +39,7 @@ def document_runs(plan: Plan, say: Callable[[str], None]) -> DocumentRuns:
         plan: of the document's sinusoid.
         say: called with lines on the progress.
     """
-    assert isinstance(plan.problem.reference, Sine)  # the document's
+    assert isinstance(plan.problem.reference, Sine)  # the period of the document
     kp, kd = (float(gain[0]) for gain in plan.problem.tracking.gains(plan.problem.mechanism.independent_joints))
     gains = tuple(dict.fromkeys((*DOCUMENT_GAINS, (kp, kd))))
     return _printed_runs(plan.problem.reference, gains, say) | _corrected_runs(plan, gains, say)

@@ -7,24 +7,24 @@ from linkplan.models.poses.along import sampled
 from linkplan.models.poses.felt_inertia import felt_inertia
 from linkplan.planner.problem.settings import Tracking
 
-# Of a longer motion, about as many poses are asked for their inertia.
+# The inertia of a longer motion is computed at about this many poses.
 _MOST_POSES = 64
 
 
 def unit_effort(effort_limit: np.ndarray, effort: np.ndarray) -> np.ndarray:
-    """Return the efforts (n_u,) [N.m or N] of unit cost: the limits (n_u, 2), else `effort` (n_u,), at least 1."""
+    """Return the efforts (n_u,) [N.m or N] of unit cost: the limits (n_u, 2) or else `effort` (n_u,), at least 1."""
     limit = np.abs(np.asarray(effort_limit, dtype=float)).max(axis=1)
     return np.where(np.isfinite(limit), limit, np.maximum(effort, 1.0))
 
 
 def scaled(settings: Tracking, mechanism: Mechanism, pose: np.ndarray, unit: np.ndarray) -> Tracking:
-    """Return settings with every LQR error set, by the acceleration under efforts `unit` (n_u,) at poses (n, n_q)."""
+    """Return settings with every LQR error set, from the accelerations under efforts `unit` (n_u,) at poses (n, n_q)."""
     pose = pose[:: -(-len(pose) // _MOST_POSES)]
     n, n_s, n_u = len(pose), mechanism.dof, mechanism.n_u
     outputs = mechanism.dynamics.linearisation.map(n)(pose.T, np.zeros((n_s, n)), np.zeros((n_u, n)))
     by_effort = np.array(outputs[2]).reshape(n_s, n, n_u).transpose(1, 0, 2)
     reached = np.abs(by_effort) @ unit
-    # Behind a soft loop, an effort at first moves little more than its own link.
+    # Behind a soft loop, an effort initially accelerates little more than its own link.
     effort = np.abs(sampled(mechanism.dynamics.reduced_inertia, pose) @ by_effort) @ unit
     felt = np.array([felt_inertia(mechanism, at) for at in pose])
     most = np.where(mechanism.actuated, np.maximum(reached, effort / felt).max(axis=0), 0.0)

@@ -1,4 +1,4 @@
-"""A run in a tracker's result: its log by names of joints and actuators, in degrees or metres, as a plan's samples."""
+"""A run in a tracker's result: its log by names of joints and actuators, in degrees or metres, like a plan's samples."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class NamedRun(Rollout):
 
     @property
     def error_deg(self) -> dict[str, np.ndarray]:
-        """The position errors (n,) [deg or m] of the independent joints by name, desired less actual."""
+        """The position errors (n,) [deg or m] of the independent joints by name: desired minus actual."""
         return shown_by_name(self.mechanism.independent_joints, self.error_rad)
 
     @property
@@ -50,7 +50,7 @@ class NamedRun(Rollout):
 
     @property
     def effort(self) -> dict[str, np.ndarray]:
-        """The applied efforts (n,) [N.m or N] by actuator, the mean of each control period."""
+        """The applied efforts (n,) [N.m or N] by actuator, averaged over each control period."""
         return {one.name: values for one, values in zip(self.mechanism.actuators, self.applied.T, strict=True)}
 
     def to_frame(self) -> pandas.DataFrame:

@@ -18,9 +18,9 @@ class RunTime(Struct, frozen=True, kw_only=True):
     """A tracker's cost in a control period; None if unknown, for a tracker that is not built in.
 
     `remembered`: numbers kept from one period to the next. `stored`: numbers stored for each control instant of the plan
-    (reference, gains). `operations`: floating-point operations of the law. `operations_at_limit`: the same if efforts are
-    predicted to reach a limit, without the iterations of the quadratic program. `median_us` and `percentile90_us` [us]:
-    measured times of this implementation for one state.
+    (reference, gains). `operations`: floating-point operations of the law. `operations_at_limit`: the same if predicted
+    efforts reach a limit, without the iterations of the quadratic program. `median_us` and `percentile90_us` [us]: measured
+    times of this implementation for one state.
     """
 
     remembered: int

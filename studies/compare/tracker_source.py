@@ -1,4 +1,4 @@
-"""The source files of a user's tracker, which results depend on, and their hash. The files are not executed."""
+"""The source files of a user's tracker, on which results depend, and their hash. The files are not executed."""
 
 import ast
 import contextlib
@@ -75,11 +75,11 @@ def source_hash(text: str) -> str:
 def object_hash(given: object) -> str:
     """Return the hash of a tracker given as an object: of its source text, its values, or its name if both are unknown.
 
-    It tells a changed tracker when an unfinished experiment is continued, as far as Python knows the object.
+    It detects a changed tracker when an unfinished experiment is continued, as far as Python can tell.
     """
     digest = hashlib.sha256()
     for look in (lambda: inspect.getsource(_maker_of(given)), lambda: pickle.dumps(given), lambda: repr(_maker_of(given))):
-        with contextlib.suppress(Exception):  # a user's object may refuse anything
+        with contextlib.suppress(Exception):  # a user's object may raise any error
             text = look()
             digest.update(text if isinstance(text, bytes) else text.encode())
     return digest.hexdigest()

@@ -20,7 +20,7 @@ from linkplan.studies.output.document import Block, Report, Section, Text
 from linkplan.studies.output.plan_sections import group_of, plan_sections
 from linkplan.studies.output.report_file import report_of
 
-# With more joints or actuators, those with the largest errors and efforts are shown and the others are folded.
+# With more joints or actuators, those with the largest errors and efforts are shown and the others are collapsed.
 _MAX_JOINTS_SHOWN = 6
 
 
@@ -69,7 +69,7 @@ def _run(run: Rollout, frames: np.ndarray) -> Run:
 
 
 def _over_time(comparison: Comparison, title: str, runs: Mapping[str, Rollout]) -> list[Section]:
-    """Return the plots over time: joints and actuators with the largest figures, and the others in a folded section."""
+    """Return the plots over time of the joints and actuators with the largest errors and efforts, the others collapsed."""
     mechanism = comparison.plan.problem.mechanism
     chosen, pushed = largest(runs.values(), _MAX_JOINTS_SHOWN)
     others = [k for k in range(mechanism.dof) if k not in chosen], [j for j in range(mechanism.n_u) if j not in pushed]
@@ -86,9 +86,9 @@ def _left_out(mechanism: Mechanism, joints: list[int], actuators: list[int]) -> 
     if not joints and not actuators:
         return []
     said = (
-        f"Drawn are the {mechanism.dof - len(joints)} of {mechanism.dof} joints with the largest errors and the"
-        f" {mechanism.n_u - len(actuators)} of {mechanism.n_u} actuators with the largest efforts; the others are in the"
-        " folded section below."
+        f"The plots show the {mechanism.dof - len(joints)} of {mechanism.dof} joints with the largest errors and the"
+        f" {mechanism.n_u - len(actuators)} of {mechanism.n_u} actuators with the largest efforts; the section below shows"
+        " the others."
     )
     return [Text(text=said, tone="note")]
 

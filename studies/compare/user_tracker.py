@@ -23,13 +23,13 @@ from linkplan.studies.compare.tracker_source import ENTRY_POINTS, add_cwd_to_pat
 # A built-in name, a law, or a function from the reference to a law.
 TrackerLike = str | AnyTracker | Callable[[SampledReference], AnyTracker]
 
-# Characters of a user's object or error that a message quotes.
+# Number of characters of a user's object or error that a message quotes.
 _QUOTED_CHARACTERS = 300
 # Longest name of a tracker: it is part of file names, which have at most 255 bytes.
 _LONGEST_NAME = 50
-# What a tracker for one state defines, as messages say it.
+# The method that a tracker for one state defines, for messages.
 _LAW = "effort(k, position_rad, velocity_rad_s)"
-# Contents of the trackers' modules at import: the files may change during a long-lived process.
+# Contents of the trackers' modules at import, because the files may change during a long process.
 _loaded_from: dict[str, bytes] = {}
 
 
@@ -114,10 +114,10 @@ def _object_of(module: str, name: str) -> Any:
 
 
 def name_of(given: object) -> str:
-    """Return the name in an experiment of a tracker given as an object, a class or a function: "own:" and its own name.
+    """Return the name that an experiment gives to an object, a class or a function: "own:" and its own name.
 
     Raises:
-        ProblemError: if it is none of these, or its name has characters that no name may have.
+        ProblemError: if it is none of these, or its name has invalid characters.
     """
     if not (isinstance(given, type) or callable(given) or _is_law(given)):
         raise ProblemError(
@@ -126,12 +126,14 @@ def name_of(given: object) -> str:
     names = [getattr(given, key, None) for key in ("name", "__name__")]
     name = next((one for one in names if isinstance(one, str) and one.strip()), type(given).__name__)
     if not name.isprintable() or len(name) > _LONGEST_NAME:
-        raise ProblemError(f"a tracker's name has at most {_LONGEST_NAME} printable characters, got {_text_of(name)!r}")
+        raise ProblemError(
+            f"a tracker's name must have at most {_LONGEST_NAME} printable characters, got {_text_of(name)!r}"
+        )
     return f"own:{name}"
 
 
 def refuse_unpicklable(given: Mapping[str, TrackerLike]) -> None:
-    """Refuse trackers, by name, that other processes cannot be given.
+    """Refuse trackers, by name, that cannot be sent to other processes.
 
     Raises:
         ProblemError: with the name of the first one that cannot be pickled.
@@ -147,7 +149,7 @@ def refuse_unpicklable(given: Mapping[str, TrackerLike]) -> None:
 
 
 def trackers_loaded(asked: Sequence[TrackerLike]) -> list[TrackerLike]:
-    """Return trackers with those that text names loaded.
+    """Return trackers; those given by name are loaded.
 
     Raises:
         ProblemError: for an unknown tracker.
@@ -188,7 +190,7 @@ class CheckedMemory:
         with users_code(self.name, "cannot start"):
             memory = np.asarray(self.law.start(n))
         if memory.ndim != 2 or len(memory) != n:
-            raise ProblemError(f"tracker '{self.name}' starts with a memory of shape ({n}, any), got {memory.shape}")
+            raise ProblemError(f"tracker '{self.name}' must start with a memory of shape ({n}, any), got {memory.shape}")
         return memory
 
     def step(
@@ -203,7 +205,7 @@ class CheckedMemory:
             given, after = self.law.step(k, position_rad, velocity_rad_s, memory)
             after = np.asarray(after)
         if after.shape != memory.shape:
-            raise ProblemError(f"tracker '{self.name}' returns a memory of shape {memory.shape}, got {after.shape}")
+            raise ProblemError(f"tracker '{self.name}' must return a memory of shape {memory.shape}, got {after.shape}")
         return _checked(given, self.name, position_rad.shape[:-1], self.actuators), after
 
 
@@ -216,8 +218,7 @@ def _checked(given: object, name: str, states: tuple[int, ...], actuators: tuple
     if effort is None or effort.shape != wanted:
         got = _text_of(given) if effort is None else f"shape {effort.shape}"
         raise ProblemError(
-            f"tracker '{name}' gives an array of one effort for each actuator ({', '.join(actuators)}),"
-            f" shape {wanted}, got {got}"
+            f"tracker '{name}' must return one effort for each actuator ({', '.join(actuators)}), shape {wanted}, got {got}"
         )
     return effort
 
@@ -255,15 +256,15 @@ def users_tracker(asked: object, mechanism: Mechanism, reference: SampledReferen
             law = asked(reference)
         if not _is_law(law):
             raise ProblemError(
-                f"a function that is given as a tracker returns an object with a name and {_LAW}, '{made_by}' returned"
+                f"a function given as a tracker must return an object with a name and {_LAW}; '{made_by}' returned"
                 f" {_text_of(law)}"
             )
     with users_code(made_by, "cannot be used"):
         name, batched, remembers = getattr(law, "name", None), bool(getattr(law, "batched", False)), not _has(law, "effort")
     if not isinstance(name, str) or not name.strip() or not name.isprintable() or len(name) > _LONGEST_NAME:
         raise ProblemError(
-            f"a tracker's name has at most {_LONGEST_NAME} printable characters, for tables, figures and files; tracker"
-            f" '{made_by}' has {_text_of(name)!r}"
+            f"a tracker's name must have at most {_LONGEST_NAME} printable characters, for tables, figures and files; that"
+            f" of '{made_by}' is {_text_of(name)!r}"
         )
     actuators = tuple(actuator.name for actuator in mechanism.actuators)
     if remembers:

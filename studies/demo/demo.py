@@ -47,7 +47,7 @@ ANGLES_DEG = (-49.07, -20.0, 3.6, 30.0, 56.27)
 
 Say = Callable[[str], None]
 Sections = list[Section]
-STORY = "knee-reach"  # the plan that the page tells
+STORY = "knee-reach"  # the main plan of the page
 
 
 def demo(target: Path, say: Say) -> tuple[dict, list[Block]]:
@@ -60,7 +60,7 @@ def demo(target: Path, say: Say) -> tuple[dict, list[Block]]:
 
     write_whole(target, write, "demo.json")
     minutes = (time.monotonic() - begin) / 60
-    end = f"{minutes:.1f} minutes; everything is in {target}/; open {target}/{PAGE} in a browser"
+    end = f"finished in {minutes:.1f} minutes; the results are in {target}/; open {target}/{PAGE} in a browser"
     return outcome | {"folder": str(target)}, [*outcome.pop("blocks"), Text(text=end)]
 
 
@@ -84,13 +84,15 @@ def _write(place: Path, say: Say) -> dict:
 
 
 def _story(plans: dict[str, Plan], compared: dict[str, Sections], loops: list[Sections]) -> Sections:
-    """Return the open sections of the page: one motion of one mechanism, how it is tracked, and its feedback loop."""
+    """Return the open sections of the page: one motion of one mechanism, its tracking, and its feedback loop."""
     plan = plans[STORY]
     intro = Text(
         text=(
-            "The Optimus knee is a four-bar linkage: a motor at O turns the crank, and the shank hangs on the crank. The"
+            "The Optimus knee is a four-bar linkage: a motor at O turns the crank, and the shank is attached to the crank."
+            " The"
             " plan swings the shank from bent to straight with the least effort, within the motor's limit. Below, trackers"
-            " follow it in MuJoCo, and the feedback loop of the first gains is analysed. Folded sections hold the rest."
+            " follow it in MuJoCo, and the feedback loop with the first gains is analysed. The other studies are in"
+            " collapsed sections."
         )
     )
     first, *rest = plan_sections(plan)
@@ -106,7 +108,7 @@ def _story(plans: dict[str, Plan], compared: dict[str, Sections], loops: list[Se
 
 
 def _further(plans: dict[str, Plan], compared: dict[str, Sections], loops: list[Sections], checks: Sections) -> Sections:
-    """Return the folded sections of the other plans, comparisons and loops, and of the checks."""
+    """Return the collapsed sections of the other plans, comparisons and loops, and of the checks."""
     found = []
     for name in PLANNED:
         if name != STORY:
@@ -120,7 +122,7 @@ def _appendix(document: list[Block]) -> Section:
     explained = Text(
         text=(
             "The knee comes from a document with a MuJoCo model and an experiment: a sinusoid under PD with two gain sets."
-            " In the printed model the loop is open at the start pose, the links touch one another, and a joint stop forbids"
+            " In the printed model the loop is open at the start pose, the links touch one another, and a joint stop blocks"
             " a part of the sinusoid. The corrected model is optimus-knee. KD = 10 every 0.1 ms is unstable on both models,"
             " because the sampled damping exceeds its limit of about 2 J / T."
         )

@@ -1,4 +1,4 @@
-"""Small animations for the pages: `python -m linkplan.studies.demo.draw_animations` plans, tracks and draws each.
+"""Small animations for the documents: `python -m linkplan.studies.demo.draw_animations` plans, tracks and draws each.
 
 Each is a GIF that plays forwards and backwards: knee-reach.gif for the README, and one with the name of each built-in
 mechanism for docs/mechanisms.md.
@@ -16,10 +16,10 @@ from linkplan.studies.render.gl import GL, find_gl
 from linkplan.studies.render.render import render
 from linkplan.studies.render.settings import RenderSettings
 
-# The largest files: the first picture of the README, and each small picture.
+# Size limits of the files: the first picture of the README, and each small picture.
 LARGE_BYTES, SMALL_BYTES = 600_000, 300_000
 _LARGE, _SMALL = (480, 320), (320, 240)
-# PD alone diverges on the cart; elsewhere its error makes the plan's ghost visible.
+# PD diverges on the cart; on the other mechanisms its error makes the plan's ghost visible.
 _TRACKER = {"cart-pole-swing-up": "lqr", "five-bar-swing-up": "lqr"}
 
 
@@ -41,7 +41,7 @@ def main() -> int:
     """Write every animation of the gallery."""
     gl = find_gl(None)
     if gl.name is None:
-        raise LinkplanError(f"the gallery is drawn by MuJoCo, which finds no OpenGL ({gl.why_not})")
+        raise LinkplanError(f"MuJoCo draws the gallery, but finds no OpenGL ({gl.why_not})")
     for name in SHOWN:
         plan = plan_motion(load_problem(name)).require()
         drawn = [(FOLDER / f"{plan.problem.mechanism.name}.gif", _SMALL, SMALL_BYTES)]

@@ -18,7 +18,7 @@ _INDEPENDENT, _DEPENDENT, _GAP = "#0b7a3b", "#b8860b", "#c0392b"
 
 
 def cut_loop_figure(path: Path, turned_deg: float = -14.0) -> float:
-    """Draw the knee closed, and as a tree in which only the independent joint is turned; return the gap at its pin [m]."""
+    """Draw the closed knee, and the cut knee with only the independent joint turned; return the gap at its pin [m]."""
     mechanism = load_mechanism("optimus-knee")
     opened = mechanism.home.copy()
     opened[mechanism.independent] += np.radians(turned_deg)
@@ -40,7 +40,7 @@ def cut_loop_figure(path: Path, turned_deg: float = -14.0) -> float:
 
 
 def _mark_joints(axis, mechanism: Mechanism, pose: np.ndarray) -> None:
-    """Mark the joints, independent ones filled, by their names; MuJoCo's joints are the planner's here."""
+    """Mark the joints with their names, the independent ones filled; MuJoCo's joints equal the planner's here."""
     right, up = view(mechanism.model)
     places, turns = body_frames(mechanism, pose[None])
     for k, joint in enumerate(mechanism.joints):

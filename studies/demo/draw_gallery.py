@@ -22,13 +22,13 @@ SHOWN = (
     "gripper-close",
     "cart-pole-swing-up",
 )
-FOLDER = Path(__file__).resolve().parent.parent / "gallery"  # studies/gallery: the package is reached by links
+FOLDER = Path(__file__).resolve().parent.parent / "gallery"  # the package consists of links
 
 
 def gallery_figure(plan: Plan, path: Path) -> None:
     """Draw a plan's mechanism at nine instants spread evenly over its motion, the last one opaque."""
     trajectory, mechanism = plan.trajectory, plan.problem.mechanism
-    # The loops are followed in small steps; every fortieth pose is drawn.
+    # The loops are solved in small steps; every fortieth pose is drawn.
     time = np.linspace(0.0, trajectory.duration_s, 8 * 40 + 1)
     poses = follow(mechanism, trajectory.position_at(time), trajectory.start_pose)
     with page(path, size=(4.6, 4.2)) as axes:

@@ -16,10 +16,10 @@ from linkplan.studies.output.figure import BLUE, GREEN, GREY, ORANGE, PURPLE, dr
 from linkplan.studies.output.figure_spec import FigureSpec, Panel
 
 PICTURE = FOLDER / "margins.png"
-# The gains of docs/tutorial.md's `linkplan tune`, and the angle of O at which the page looks.
+# The gains that `linkplan tune` finds in docs/tutorial.md, and the angle of O on the page.
 TUNED = Tracking(kp=1039.4, kd=24.312, period_s=1e-3, delay_periods=1)
 ANGLE_DEG = 56.27
-# The changed loops have this share of the gain margin [dB] and of the delay margin.
+# The changed loops use this share of the gain margin [dB] and of the delay margin.
 _MARGIN_SHARE = 0.97
 _STEP_S = 0.25
 _BANDWIDTH_DB = -3.0103
@@ -53,7 +53,7 @@ def _loop(mechanism: Mechanism, settings: Tracking) -> BodePoint:
 
 
 def _step(name: str, mechanism: Mechanism, settings: Tracking, colour: int, look: str) -> Series:
-    """Return the response of the joint's angle to a step of its reference [deg]: a step of kp in the command."""
+    """Return the response of the joint's angle to a step of its reference [deg], which is a step of kp in the command."""
     system = _loop(mechanism, settings).sampled.system(closed=True)
     time = np.arange(0.0, _STEP_S, settings.period_s)
     angle = settings.kp * control.step_response(system, time).outputs[0].reshape(-1)
@@ -87,7 +87,7 @@ def _draw_gain(axis, entry: BodePoint, frequency_hz: np.ndarray) -> None:
 
 
 def _draw_phase(axis, entry: BodePoint, frequency_hz: np.ndarray) -> None:
-    """Draw the phase of the open loop, with its phase margin, and with as much more delay as the delay margin."""
+    """Draw the phase of the open loop with its phase margin, and the phase with the delay margin as additional delay."""
     phase = _phase_deg(entry.sampled.response("loop", frequency_hz, entry.channel).phase_deg)
     late = phase - 360.0 * frequency_hz * entry.delay_margin_s
     series = [

@@ -1,4 +1,4 @@
-"""The page's server: on 127.0.0.1, for addresses with the token only; requests of other hosts and origins are refused."""
+"""The page's server on 127.0.0.1. It refuses addresses without the token, and requests of other hosts and origins."""
 
 import json
 import secrets
@@ -11,7 +11,7 @@ from linkplan.models.errors import LinkplanError, one_line
 from linkplan.studies.explore.session import Save, Session
 from linkplan.studies.output.report_file import document_json, report_html
 
-# Largest body of a request [bytes]: the values of some hundred sliders.
+# Largest body of a request [bytes]: enough for about a hundred sliders.
 _MAX_BODY_BYTES = 100_000
 
 
@@ -24,13 +24,13 @@ class Server(ThreadingHTTPServer):
     def __init__(
         self, session: Session, save: Save, port: int = 0, tell: Callable[[BaseException], None] = lambda _: None
     ) -> None:
-        """Make the server; `tell` is told of errors that are no refusals."""
+        """Make the server; `tell` is called with unexpected errors."""
         self.session, self.save, self.tell, self.token = session, save, tell, secrets.token_urlsafe(16)
         ThreadingHTTPServer.__init__(self, ("127.0.0.1", port), _Handler)
 
     @property
     def hosts(self) -> tuple[str, str]:
-        """The hosts that a browser on this machine names."""
+        """The values of the Host header that a browser on this machine sends."""
         return f"127.0.0.1:{self.server_port}", f"localhost:{self.server_port}"
 
     @property
@@ -39,13 +39,13 @@ class Server(ThreadingHTTPServer):
         return f"http://{self.hosts[0]}/{self.token}/"
 
     def handle_error(self, request: object, client_address: object) -> None:  # noqa: ARG002
-        """Say nothing of a browser that has gone; tell of another error."""
+        """Ignore a closed connection; report any other error."""
         error = sys.exception()
         if error is not None and not isinstance(error, ConnectionError | TimeoutError):
             self.tell(error)
 
     def answer(self, path: str, asked: Mapping) -> tuple[str, bytes]:
-        """Return the type and the content at a path below the token."""
+        """Return the status, the type and the content of a path below the token."""
         session = self.session
         if path == "plan":
             document, said = session.report(asked.get("values", {}), asked.get("objective"), asked.get("tracker"))
@@ -99,7 +99,7 @@ class _Handler(BaseHTTPRequestHandler):
             return 200, "application/json", _json({"refused": one_line(error)})
         except Exception as error:
             self.server.tell(error)
-            return 500, "text/plain", b"a fault of linkplan's own; its terminal says more\n"
+            return 500, "text/plain", b"an internal error of linkplan; see its terminal\n"
 
     def _send(self, code: int, kind: str, content: bytes) -> None:
         self.send_response(code)
@@ -110,7 +110,7 @@ class _Handler(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
     def log_message(self, format: str, *args: object) -> None:  # noqa: A002
-        """Write nothing: stderr is for the command's own lines."""
+        """Write nothing, because stderr is for the command's own lines."""
 
 
 def _json(value: object) -> bytes:

@@ -31,15 +31,15 @@ from linkplan.studies.output.report_file import report_of
 OBJECTIVES = ("effort", "time", "work")
 # Writes the problem file of a problem and returns its path.
 Save = Callable[[Problem], str]
-# Sliders of duration and payload go from a quarter to four times of what the problem has, those of gains farther.
+# Sliders of duration and payload go from a quarter to four times the problem's value; those of gains go further.
 _SLIDER_FACTOR, _GAIN_FACTOR = 4.0, 16.0
-# Sliders end this share of their length before the loop opens, where rounding decides if it closes.
+# Sliders end this share of their length before the pose at which the loop opens, where rounding decides if it closes.
 _INSIDE_SHARE = 2e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Slider:
-    """A number that the page varies: its key, label, unit, range and present value."""
+    """A number that the page varies: its key, label, unit, range and current value."""
 
     key: str
     label: str
@@ -64,7 +64,7 @@ class Session:
     def __post_init__(self) -> None:
         if self.first.motion.kind != "reach":
             raise ProblemError(
-                f"explore takes a reach, a motion from a start to a goal, got a {self.first.motion.kind} motion"
+                f"explore needs a reach, a motion from a start to a goal, got a {self.first.motion.kind} motion"
             )
         self.current = self.first
 
@@ -115,7 +115,7 @@ class Session:
         """Return the problem at values of the sliders by key.
 
         Raises:
-            LinkplanError: for an unknown key, a value outside its slider, or values that make no problem.
+            LinkplanError: for an unknown key, a value outside its slider, or values that do not form a valid problem.
         """
         known = {slider.key: slider for slider in self.sliders()}
         settings: dict[str, object] = {}
@@ -124,7 +124,7 @@ class Session:
                 raise ProblemError(f"unknown slider '{key}'; sliders are {', '.join(known)}")
             value, slider = number(given, key), known[key]
             if not slider.low <= value <= slider.high:
-                raise ProblemError(f"{key} is from {slider.low:g} to {slider.high:g} {slider.unit}, got {value:g}")
+                raise ProblemError(f"{key} must be from {slider.low:g} to {slider.high:g} {slider.unit}, got {value:g}")
             settings |= self._setting(key, value, slider)
         if objective is not None:
             settings["objective.minimize"] = objective
@@ -133,7 +133,7 @@ class Session:
         return self.first.with_settings(settings)
 
     def described(self) -> Problem:
-        """Return the last planned problem; if it is not the first, its description says so, in place of the first's."""
+        """Return the last planned problem; if it differs from the first one, its description says so."""
         first, last = self.first.to_dict(), self.current.to_dict()
         if last == first:
             return self.current
@@ -159,7 +159,7 @@ class Session:
         end = key.partition("_")[0]
         if end not in ("start", "goal") or value == slider.value:
             return {f"motion.{key}": value}
-        # The file may also name positions of dependent joints. They belong to the old value of the slider and are left out.
+        # The file may also have positions of dependent joints. They belong to the old value of the slider and are omitted.
         motion, joints = self.first.to_dict()["motion"], self.first.mechanism.independent_joints
         tables = {unit: motion.get(f"{end}_{unit}", {}) for unit in ("deg", "m")}
         own = {unit: {joint.name: of[joint.name] for joint in joints if joint.name in of} for unit, of in tables.items()}
@@ -175,7 +175,7 @@ class Session:
             tracker: None for the session's own.
 
         Raises:
-            LinkplanError: if the values make no problem, or the tracker is unknown.
+            LinkplanError: if the values do not form a valid problem, or the tracker is unknown.
         """
         tracker = self.tracker if tracker is None else choose("tracker", tracker, TRACKERS, ProblemError)
         with self.lock:
@@ -200,9 +200,10 @@ def _tracked(plan: Plan, tracker: str) -> Report:
 
 
 def _range(problem: Problem, end: str, column: int, value: float) -> tuple[float, float]:
-    """Return the ends of a coordinate's slider: its reach, or half a period or half a metre about a value without an end.
+    """Return the ends of a coordinate's slider: its reach, or without an end half a period or half a metre about its value.
 
-    The reach of one of several freedoms is that from the pose at this end of the motion, the other coordinates as they are.
+    With several degrees of freedom, the reach is that of the pose at this end of the motion, with the other coordinates
+    fixed.
     """
     mechanism = problem.mechanism
     joint = mechanism.independent_joints[column]
@@ -229,7 +230,7 @@ def _pose_at(problem: Problem, end: str) -> np.ndarray | None:
 
 
 def _closed_until(mechanism: Mechanism, pose: np.ndarray, column: int, far: float) -> float:
-    """Return the position of a coordinate towards `far` up to which the loops close within the ranges of all joints."""
+    """Return the position nearest to `far` up to which the loops close within the ranges of all joints."""
     target = pose[mechanism.independent].copy()
     target[column] = far
     ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.joints])

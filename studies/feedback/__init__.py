@@ -1,4 +1,4 @@
 """Feedback loops: their frequency responses and margins, and gains that reach a bandwidth.
 
-In: a problem or model, a tracker, requirements. Out: what `linkplan bode` and `linkplan tune` answer.
+In: a problem or model, a tracker, requirements. Out: the results of `linkplan bode` and `linkplan tune`.
 """

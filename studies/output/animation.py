@@ -58,7 +58,7 @@ def animation(
         ghosts: other runs at the same instants, by name.
         sites: indices of the MuJoCo sites whose paths are drawn, by name.
         period: of a periodic motion [s].
-        unit: of `time_s`, if it is another quantity than time.
+        unit: of `time_s`, if it is not a time.
     """
     right, up = view(mechanism.model)
     drawing = drawing_of(mechanism, poses, (right, up))
@@ -90,7 +90,7 @@ def animation(
 
 
 def _labels(drawing: Drawing, poses: np.ndarray, places: Mapping[str, np.ndarray]) -> list[tuple[str, list]]:
-    """Return the names of joints, cut pins and named sites with their positions; one name at one place appears once."""
+    """Return the names of joints, cut pins and named sites with their positions; a name appears once at each place."""
     mechanism = drawing.mechanism
     named = [(name, at @ drawing.frame.T) for name, at in named_pins(mechanism, poses)]
     found: dict[tuple, tuple[str, list]] = {}

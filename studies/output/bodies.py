@@ -1,4 +1,4 @@
-"""The bodies of an animation: pins, solid shapes and sites, flat in the mechanism's plane or in space."""
+"""The bodies of an animation: pins, solid shapes and sites, in the mechanism's plane or in space."""
 
 import functools
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ _FLAT_SHARE = 1e-6
 class Drawing:
     """How a mechanism is drawn: `frame` has the directions as rows, two in a plane or all three in space.
 
-    `turns` (n_body, 3, 3) are the bodies' rotations to which flat shapes belong. `still` (n_body,) marks bodies at rest.
+    `turns` (n_body, 3, 3) are the bodies' rotations for which flat shapes are drawn. `still` (n_body,) marks bodies at rest.
     """
 
     mechanism: Mechanism
@@ -99,7 +99,7 @@ def _places(drawing: Drawing, root: int, places: np.ndarray, turns: np.ndarray) 
 
 
 def _flattened(drawing: Drawing, body: int, points: np.ndarray) -> np.ndarray:
-    """Return points (n, 3) of a body's frame in the frame that the drawing places: (n, 2) in a plane."""
+    """Return points (n, 3) of a body's frame in the drawing's frame; in a plane, (n, 2)."""
     return points @ (drawing.frame @ drawing.turns[body]).T if drawing.flat else points
 
 
@@ -112,7 +112,7 @@ def _shape(drawing: Drawing, solid: Solid) -> Shape:
 
 @functools.lru_cache(maxsize=1024)
 def _faces(solid: Solid) -> list[list[int]]:
-    """Return the faces of a solid, which every animation of a page draws."""
+    """Return the faces of a solid, the same for all animations of a page."""
     return faces(solid.points)
 
 
@@ -125,7 +125,7 @@ def _at_home(mechanism: Mechanism) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _sites(drawing: Drawing, root: int) -> list[tuple[str, Numbers]]:
-    """Return the sites of a body that are apart from its pins."""
+    """Return the sites of a body that do not coincide with its pins."""
     mechanism = drawing.mechanism
     places, turns, anchors = _at_home(mechanism)
     found = []
@@ -137,7 +137,7 @@ def _sites(drawing: Drawing, root: int) -> list[tuple[str, Numbers]]:
 
 
 def _depth(drawing: Drawing, own: list[Solid], pins: np.ndarray) -> float:
-    """Return how near a body is to the eye: the mean over its shapes, or over its pins [m]."""
+    """Return the depth of a body, which is larger near the eye: the mean over its shapes, or over its pins [m]."""
     if not drawing.flat:
         return 0.0
     towards = np.cross(*drawing.frame)

@@ -1,4 +1,4 @@
-"""The colours of bodies, the same in figures, pages and films: a model's own, else those of a series."""
+"""The colours of bodies, the same in figures, pages and films: a model's own, otherwise those of a series."""
 
 import mujoco
 import numpy as np
@@ -8,7 +8,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.solids import visible_geoms
 from linkplan.studies.output.figure import SERIES
 
-# Beyond the seven colours of lines: bodies are told apart by their shapes, too. The page has the same (`BODY_COLOURS`).
+# More than the seven colours of lines, because bodies also differ in shape. The page has the same (`BODY_COLOURS`).
 BODY_SERIES = (*SERIES, "#5b6ee1", "#8a9a00", "#c0392b")
 PAYLOAD = to_rgba("#8d8273")  # the page has the same (`--payload`)
 _GROUND = (0.35, 0.35, 0.35, 1.0)
@@ -21,9 +21,9 @@ def plain_geoms(model: mujoco.MjModel) -> np.ndarray:
 
 
 def body_colours(mechanism: Mechanism) -> dict[int, tuple[float, ...]]:
-    """Return the rgba of each body: that of its first visible coloured geom, else of a series; the ground is grey.
+    """Return the rgba of each body: that of its first visible coloured geom, otherwise from a series; the ground is grey.
 
-    Bodies that are welded together have the colour of the first.
+    Bodies that are welded together have the same colour.
     """
     model = mechanism.model
     coloured = visible_geoms(model) & ~plain_geoms(model) & (model.geom_matid < 0)
@@ -43,7 +43,7 @@ def body_colours(mechanism: Mechanism) -> dict[int, tuple[float, ...]]:
 
 
 def colour_name(rgba: tuple[float, ...]) -> str:
-    """Return a colour as a page knows it: "c0" to "c9" of its series, which differ in the dark, else as "#rrggbb"."""
+    """Return a colour for a page: "c0" to "c9" of its series (which depends on dark mode), otherwise "#rrggbb"."""
     for k, one in enumerate(BODY_SERIES):
         if np.abs(np.subtract(rgba[:3], to_rgba(one)[:3])).max() < 0.02:
             return f"c{k}"

@@ -1,4 +1,4 @@
-"""A certificate as a checklist: every limit with its worst value and the instant of that value."""
+"""A certificate as a checklist: every limit with its worst value and the instant of this value."""
 
 import numpy as np
 from msgspec.structs import replace
@@ -19,7 +19,7 @@ from linkplan.studies.output.document import Checklist, Item
 from linkplan.studies.output.draw_plan import LEAST_SHOWN
 from linkplan.studies.output.numbers import significant
 
-# Efforts that differ by less than this share of the largest are the same.
+# Efforts that differ by less than this share of the largest count as equal.
 _SAME_SHARE = 1e-6
 # The first words of the certificate's sentence on the velocity. The verdict also uses the integrated velocity, so the
 # residual alone does not decide it.
@@ -27,7 +27,7 @@ _NOT_ITS_VELOCITY = "the planned velocity is not"
 
 
 def certificate_list(plan: Plan, group: str = "") -> Checklist:
-    """Return the checklist of the certificate of a plan with a motion; its instants move the cursor of `group`."""
+    """Return the certificate's checklist of a plan with a motion; its instants move the cursor of `group`."""
     certificate = plan.certificate
     assert certificate is not None  # of a motion
     items = [
@@ -47,7 +47,7 @@ def _efforts(plan: Plan) -> list[Item]:
         values, (low, high) = efforts[:, j], plan.problem.limits.effort[j]
         inside = np.minimum(values - low, high - values)
         at = int(np.argmax(np.abs(values)))
-        if np.isfinite(inside).any():  # of an effort that stays at its limit the first instant
+        if np.isfinite(inside).any():  # for an effort that stays at its limit, the first instant
             at = int(np.argmax(inside <= inside.min() + _SAME_SHARE * np.abs(values).max()))
         limit = high if high - values[at] <= values[at] - low else low
         over = inside.min() < 0 and plan.certificate.effort_excess > 0

@@ -11,10 +11,10 @@ from msgspec import Struct
 
 from linkplan.studies.output.numbers import significant
 
-Numbers = Sequence[float | None]  # None where there is no value
-# The end of the name of dots that were measured of the line with the name before it: they share its entry of the legend.
+Numbers = Sequence[float | None]  # None for a missing value
+# The suffix of the name of measured dots. They share the legend entry of the line whose name precedes the suffix.
 MEASURED = ", measured"
-# The colours of causes that raise a figure, lower it, or act together with others; the same in all charts.
+# The colours of causes that increase a figure, decrease it, or interact with others; the same in all charts.
 RAISING_COLOUR, LOWERING_COLOUR, TOTAL_COLOUR = 1, 0, 5
 
 Cell = bool | int | float | str | None
@@ -27,7 +27,7 @@ def _same_length(what: str, values: Sequence, of: str, others: Sequence) -> None
 
 
 class Text(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
-    """A paragraph. `tone` is "plain", "good", "bad" or "note". `brief` stands for it in a summary, "" for nothing."""
+    """A paragraph. `tone` is "plain", "good", "bad" or "note". `brief` replaces it in a summary; "" omits it."""
 
     text: str
     tone: str = "plain"
@@ -35,7 +35,7 @@ class Text(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, e
 
 
 class Facts(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
-    """Short facts: (label, value with its unit). `brief` has those of a summary, if they are fewer."""
+    """Short facts: (label, value with its unit). `brief` has the facts for a summary, if they are fewer."""
 
     rows: Sequence[tuple[str, str]]
     brief: Sequence[tuple[str, str]] | None = None
@@ -69,7 +69,7 @@ def table_of(
     Args:
         title: of the table; it may be empty.
         heads: like "phase margin [deg]", or (head, unit) for the name of a part of a model, which may have brackets.
-        rows: of cells; numbers are rounded, and those that are not finite are left out.
+        rows: of cells; numbers are rounded, and numbers that are not finite become None.
         digits: significant digits of numbers.
         brief: the rows of a summary, if they are fewer.
     """
@@ -120,8 +120,8 @@ class Axis(Struct, frozen=True, kw_only=True, eq=False):
 class Series(Struct, frozen=True, kw_only=True, eq=False):
     """A line over the x of a plot or over its own x, or a curve in a plane. `colour` counts from 0.
 
-    `look` is "line", "dash", "dots", "points", or "steps", in which a value holds until the next x; for a curve also
-    "cross", "star" or "area" (filled, closed). Without a colour, the line has the colour of text. A line without a name has
+    `look` is "line", "dash", "dots", "points", or "steps", in which a value remains until the next x; for a curve also
+    "cross", "star" or "area" (filled, closed). Without a colour, the line has the text's colour. A line without a name has
     no entry in the legend.
     """
 
@@ -177,7 +177,7 @@ class Heat(Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Plane(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, eq=False):
-    """Curves through points of their own in a plane: a phase plane, a Nyquist curve, a map of gains.
+    """Curves in a plane, each with its own points: a phase plane, a Nyquist curve, a map of gains.
 
     `track` is the index of the curve along which a dot moves with the cursor of `group`, at `track_times` (n,).
     `equal` gives both axes one scale.
@@ -211,7 +211,7 @@ class Span(Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Bar(Struct, frozen=True, kw_only=True, eq=False):
-    """A line of a bar chart: its name, its parts below one another, and a note at its end."""
+    """A row of a bar chart: its name, its parts one below the other, and a note at its end."""
 
     label: str
     spans: Sequence[Span]
@@ -232,7 +232,7 @@ class Bars(Struct, tag_field="kind", tag=str.lower, frozen=True, kw_only=True, e
 class Shape(Struct, frozen=True, kw_only=True, eq=False):
     """A convex shape in the frame of its body: points, flat, thickened by `radius` [m].
 
-    In a plane the points are the corners of its outline in their order. In space, `faces` are the indices of each face's
+    In a plane the points are the corners of its outline, in order. In space, `faces` are the indices of each face's
     corners, counterclockwise seen from outside. `look` is "geom", "payload" or "arm".
     """
 
@@ -243,7 +243,7 @@ class Shape(Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Body(Struct, frozen=True, kw_only=True, eq=False):
-    """A body of an animation: its pins at every frame, flat: (n_frames, n_pins * dimension) [m], and its shapes.
+    """A body of an animation: its pins at every frame, flattened to (n_frames, n_pins * dimension) [m], and its shapes.
 
     `places` has the body's frame at every frame of the animation, or once for a body at rest: position [m], then cosine and
     sine of its angle in a plane, or its quaternion in space. Bodies of larger `depth` [m] are nearer to the eye.
@@ -284,7 +284,7 @@ class Drive(Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Ghost(Struct, frozen=True, kw_only=True, eq=False):
-    """The same bodies in another motion on the same frames, such as a tracked one, and the actuators in that motion."""
+    """The same bodies at the same frames in another motion, such as a tracked one, and the actuators in this motion."""
 
     name: str
     bodies: Sequence[Body]
@@ -327,7 +327,7 @@ Block = Text | Facts | Table | Checklist | Plot | Plane | Bars | Animation | Cod
 class Section(Struct, frozen=True, kw_only=True, eq=False):
     """Blocks under a title. A section of `depth` 2 belongs to the last section of depth 1.
 
-    A folded section opens on demand, together with the deeper sections after it.
+    A collapsed section opens on demand, together with the deeper sections after it.
     """
 
     title: str

@@ -18,9 +18,9 @@ from linkplan.studies.output.body_colours import PAYLOAD, body_colours, hex_of
 from linkplan.studies.output.figure import GREY, PIN_NAME, SERIES, outside_legend
 from linkplan.studies.output.numbers import direction_name
 
-# A larger legend would leave no space for the lines.
+# With more entries the legend would leave no space for the lines.
 _MAX_LEGEND_ENTRIES = 12
-# The names of more pins stand in a column beside the drawing.
+# The names of more pins are in a column beside the drawing.
 _MAX_NAMES_AT_PINS = 6
 
 
@@ -79,7 +79,7 @@ def name_pins(axes, mechanism: Mechanism, pose: np.ndarray) -> None:
         x, y = at
         axes.plot([x], [y], marker="o", color="black", markerfacecolor="white", markersize=3.2, linestyle="", zorder=4)
         words = listed([name for name in names if name], 2)
-        if len(found) > _MAX_NAMES_AT_PINS:  # names at the pins would cover one another
+        if len(found) > _MAX_NAMES_AT_PINS:  # names at the pins would overlap
             axes.annotate(words, (x, y), xytext=(1.02, (k + 0.5) / len(found)), fontsize=7, zorder=5, **beside)
         else:
             look = {"textcoords": "offset points", "fontsize": 7.5, "zorder": 5, "gid": PIN_NAME}
@@ -116,7 +116,7 @@ def _draw_stick(axes, stick: Stick, k: int, colour: str, alpha: float, layer: fl
 def draw_sites(axes, plan: Plan) -> None:
     """Draw the paths of the sites that a problem names, with the forbidden regions shaded.
 
-    The mechanism is pale at start and end. A point is shaded if it is forbidden at every depth of the path.
+    The mechanism is pale at start and end. A point is shaded if it is forbidden at all depths of the path.
     """
     mechanism, motion = plan.problem.mechanism, plan.trajectory
     q = follow(mechanism, motion.position_at(motion.dense_times()), motion.start_pose)

@@ -19,14 +19,15 @@ from linkplan.studies.output.figure_spec import FigureSpec, side_by_side
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.pin_forces import pin_forces
 
-# A position [rad or m], a speed [per second] or an effort [N.m or N] that is never larger is zero: the rest is rounding.
+# A position [rad or m], speed [per second] or effort [N.m or N] that is never larger is zero: it consists of rounding
+# errors.
 LEAST_SHOWN = 1e-9
 
 
 def drawn_motion(plan: Plan) -> Samples:
     """Return a plan's motion at instants spread over every interval: 12 steps each, but 300 to 700 steps in all.
 
-    At a jump in effort there is an instant on each side. Efforts that are never larger than rounding are zero.
+    At a jump in effort there is an instant on each side. Efforts that consist of rounding errors are zero.
 
     Raises:
         AssemblyError: if the kinematic loops do not close along the motion.
@@ -36,7 +37,7 @@ def drawn_motion(plan: Plan) -> Samples:
     trajectory = replace(trajectory, effort=np.where(np.abs(u).max(axis=(0, 1)) > LEAST_SHOWN, u, 0.0))
     n = len(trajectory.breaks_s) - 1
     points = np.linspace(0.0, 1.0, int(np.clip(max(12, 300 // n), 1, max(2, 700 // n))) + 1)
-    points[-1] = 1.0 - 1e-12  # still on this interval
+    points[-1] = 1.0 - 1e-12  # the side of the jump that belongs to this interval
     time = trajectory.times_at(points)
     q = follow(plan.problem.mechanism, trajectory.position_at(time), trajectory.start_pose)
     return Samples(problem=plan.problem, trajectory=trajectory, points=points, time=time, q=q)
@@ -50,7 +51,7 @@ def plan_figure(plan: Plan) -> FigureSpec:
     poses = motion.q[np.linspace(0, len(motion.q) - 1, 5).astype(int)]
 
     def mechanism(axes) -> None:
-        from linkplan.studies.output.draw_bodies import draw_poses, draw_sites  # they load matplotlib
+        from linkplan.studies.output.draw_bodies import draw_poses, draw_sites  # these modules load matplotlib
 
         if plan.problem.sites:
             draw_sites(axes, plan)
@@ -62,7 +63,7 @@ def plan_figure(plan: Plan) -> FigureSpec:
 
 
 def time_plots(plan: Plan, motion: Samples, group: str = "", period: float | None = None) -> dict[str, list[Plot]]:
-    """Return the plots of a plan's motion over time, by what they show."""
+    """Return the plots of a plan's motion over time, by the quantity that they show."""
     mechanism, limits, time = plan.problem.mechanism, plan.problem.limits, motion.time
     independent, dependent = list(mechanism.independent), list(mechanism.dependent)
     reference = plan.problem.reference_over(time[-1] - time[0])
@@ -116,7 +117,7 @@ def time_plots(plan: Plan, motion: Samples, group: str = "", period: float | Non
 
 
 def force_plots(plan: Plan, motion: Samples, group: str = "", period: float | None = None) -> list[Plot]:
-    """Return the plots of the forces in every pin: in cut pins, which the closures hold, and in the pins of the tree."""
+    """Return the plots of the forces in every pin: in cut pins (closures) and in the pins of the tree."""
     mechanism, limits = plan.problem.mechanism, plan.problem.limits.closure_force
     cut = [
         Line(name=name, values=motion.closure_forces[:, c], unit="N", limits=(-np.inf, float(limits[c])))
@@ -135,7 +136,7 @@ def force_plots(plan: Plan, motion: Samples, group: str = "", period: float | No
 
 
 def _applied(mechanism: Mechanism, motion: Samples) -> list[Line]:
-    """Return the components of the forces over time that are not zero throughout."""
+    """Return the components of the forces over time that are not always zero."""
     if mechanism.forces is None:
         return []
     heads = [f"{site} {axis}" for site in mechanism.forces.sites for axis in AXES]

@@ -53,7 +53,7 @@ def _finite(end: float) -> float | None:
 def _drawn(places: list, k: int, frame: np.ndarray) -> Mark | None:
     """Return the k-th mark of an actuator over all frames; None for an arc whose axis lies in the plane of the drawing."""
     shape, parts = places[0][k][0], [marks[k][1] for marks in places]
-    if shape == "line":  # a tendon has two points more where it touches a geom: elsewhere its last point is repeated
+    if shape == "line":  # a tendon has two more points while it touches a geom; otherwise its last point is repeated
         most = max(len(part) for part in parts)
         lines = np.array([np.pad(part, ((0, most - len(part)), (0, 0)), mode="edge") for part in parts]) @ frame.T
         return Mark(shape=shape, at=rounded(lines.reshape(len(lines), -1)), axis=[])

@@ -1,4 +1,4 @@
-"""Where an actuator's effort acts at a pose: arcs about axes, arrows along axes, tendons as lines."""
+"""The marks of an actuator's effort at a pose: arcs about axes, arrows along axes, tendons as lines."""
 
 import mujoco
 import numpy as np
@@ -43,7 +43,7 @@ def _on_joint(model: mujoco.MjModel, data: mujoco.MjData, joint: int, gear: np.n
     if kind == SLIDE:
         return [("arrow", np.array(data.xipos[body]), np.sign(gear[0]) * axis)]
     turned = np.array(data.xmat[body]).reshape(3, 3)
-    wrench = gear if gear[3:].any() else np.concatenate([np.zeros(3), gear[:3]])  # a ball's gear is a moment
+    wrench = gear if gear[3:].any() else np.concatenate([np.zeros(3), gear[:3]])  # the gear of a ball joint is a moment
     return _wrench(anchor, turned, wrench)
 
 

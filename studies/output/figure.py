@@ -40,7 +40,7 @@ _STYLE = {
     "legend.framealpha": 0.85,
     "lines.linewidth": 1.6,
 }
-# The steps between matplotlib's ticks overflow at larger values, as in a diverged run.
+# The steps between matplotlib's ticks overflow at larger values, which a diverged run can have.
 _LARGEST_DRAWN = 1e100
 _STYLES = {
     "line": {"linestyle": "-"},
@@ -52,25 +52,25 @@ _STYLES = {
     "cross": {"linestyle": "", "marker": "x", "markersize": 6},
     "star": {"linestyle": "", "marker": "*", "markersize": 13, "markeredgecolor": BLACK},
 }
-# Letters of a figure's title on an inch of its width.
+# Letters of a figure's title per inch of its width.
 _TITLE_LETTERS_PER_INCH = 10
-# Letters of a panel's title and of its legend on an inch of its width.
+# Letters of a panel's title and of its legend per inch of its width.
 _PANEL_LETTERS_PER_INCH, _LEGEND_LETTERS_PER_INCH = 12, 15
 # The gap [pt] between a column's head and the title below it.
 _HEAD_GAP_PT = 6
 # Letters of a bar's label on a line, letters of labels and of notes on an inch, and the least width of bars [inch].
 _BAR_LABEL_LETTERS, _LABEL_LETTERS_PER_INCH, _NOTE_LETTERS_PER_INCH, _LEAST_BARS_IN = 32, 12, 16, 1.5
-# The name of annotations that may move around their pin, and the offsets [pt] of those places.
+# The group id of annotations that may move around their pin, and the offsets [pt] of the possible places.
 PIN_NAME = "name of a pin"
 _AROUND_PIN = ((5, 5), (5, -11), (-14, 5), (-14, -11), (-4, 10), (-4, -16), (9, -3), (-20, -3))
-# The share of a bar's place that its spans take.
+# The share of a bar's row that its spans fill.
 _BAR_SHARE = 0.76
-# The share of an axis below a limit in which the limit's name has room.
+# The share of an axis that the name of a limit needs below its line.
 _ROOM_BELOW_LIMIT = 0.2
 
 
 class ShownFigure(Figure):
-    """A figure that a notebook shows as it is, without pyplot and its choice of a backend."""
+    """A figure that a notebook shows without pyplot and its choice of a backend."""
 
     def _repr_png_(self) -> bytes:
         picture = BytesIO()
@@ -81,7 +81,7 @@ class ShownFigure(Figure):
 @contextmanager
 def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, float] = (8.0, 5.0), **layout) -> Iterator:
     """Yield a figure's axes (rows, columns); when the block ends, save the figure at `path` if it is given."""
-    with matplotlib.rc_context(), np.errstate(over="ignore", invalid="ignore"):  # the ticks of a diverged run
+    with matplotlib.rc_context(), np.errstate(over="ignore", invalid="ignore"):  # warnings about the ticks of a diverged run
         matplotlib.rcdefaults()  # without the user's settings, which may need TeX
         matplotlib.rcParams.update(_STYLE)  # pyright: ignore[reportCallIssue, reportArgumentType]  its keys are text
         # A figure without pyplot needs no screen and leaves nothing open.
@@ -103,9 +103,9 @@ def page(path: Path | None, rows: int = 1, columns: int = 1, size: tuple[float, 
 
 
 def _lay_out(figure: Figure) -> None:
-    """Place axes and texts, once and for all: a figure that has a layout engine is laid out again when it is saved.
+    """Place axes and texts, and remove the layout engine, which would lay out the figure again when it is saved.
 
-    Axes of equal units become narrower or lower while they are placed, and take their places at the second time.
+    The layout runs twice, because axes of equal units become narrower or lower in the first run.
     """
     equal = any(axes.get_aspect() != "auto" for axes in figure.axes)
     for _ in range(2 if equal else 1):
@@ -115,7 +115,7 @@ def _lay_out(figure: Figure) -> None:
 
 
 def separate_names(figure: Figure) -> None:
-    """Move each name at a pin to the first of eight places around it at which it lies on no other name."""
+    """Move each name at a pin to the first of eight places around the pin at which it overlaps no other name."""
     names = [text for text in figure.findobj(Annotation) if text.get_gid() == PIN_NAME]
     renderer = FigureCanvasAgg(figure).get_renderer() if names else None
     taken: dict[int, list[Bbox]] = {}
@@ -137,7 +137,7 @@ def _area(box: Bbox | None) -> float:
 
 
 def _few_ticks(axes) -> None:
-    """Widen an axis of a constant, and give a logarithmic axis of few decades more numbers than its powers of ten."""
+    """Widen an axis with constant data, and label a logarithmic axis of few decades with more numbers than powers of ten."""
     for axis in (axes.xaxis, axes.yaxis):
         low, high = sorted(axis.get_view_interval())
         size = max(abs(low), abs(high))
@@ -148,7 +148,7 @@ def _few_ticks(axes) -> None:
 
 
 def _number_log_axis(axis, low: float, high: float) -> None:
-    """Label an axis with less than three powers of ten at 1, 2 and 5; if that is less than three, at round numbers."""
+    """Label an axis with less than three powers of ten at 1, 2 and 5; if these are less than three, at round numbers."""
     digits, decades = np.array([1, 2, 5]), 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
     if np.sum((decades >= low) & (decades <= high)) >= 3:
         return
@@ -163,7 +163,7 @@ def _number_log_axis(axis, low: float, high: float) -> None:
 
 
 def wrapped(text: str, most: int) -> str:
-    """Return a title in lines of about equal length, of at most `most` letters."""
+    """Return a title in lines of about equal length, each with at most `most` letters."""
     lines = -(-len(text) // most)
     return textwrap.fill(text, min(most, len(text) // lines + 8))
 
@@ -211,7 +211,7 @@ def figure_of(spec: FigureSpec, path: Path | None = None) -> Figure:
             lines = wrapped(head, int(_TITLE_LETTERS_PER_INCH * panel_in[0]))
             axis.annotate(lines, (0.5, 1.0), xycoords="axes fraction", weight="bold", **place)
         figure = axes.flat[0].figure
-        figure.set_size_inches(size[0], max(size[1], float(heads_in.sum()) + 1.2 * rows))  # titles leave room for curves
+        figure.set_size_inches(size[0], max(size[1], float(heads_in.sum()) + 1.2 * rows))  # space for titles and curves
         if title:
             figure.suptitle(wrapped(title, int(_TITLE_LETTERS_PER_INCH * size[0])), fontsize=11)
     return figure
@@ -224,7 +224,7 @@ def save_figures(figures: Iterable[tuple[str, FigureSpec]], place: Path) -> None
 
 
 def _width_of(panel: Panel, width_in: float) -> float:
-    """Return the width [inch] of a panel's axes: bars have labels at their left and notes at their right."""
+    """Return the width [inch] of a panel's axes; bars need space for labels at their left and notes at their right."""
     if not isinstance(panel, Bars):
         return width_in
     lines = [line for row in panel.rows for line in _bar_label(row.label).splitlines()]
@@ -287,7 +287,7 @@ def draw_plane(axis, plane: Plane) -> None:
 
 
 def draw_bars(axis, bars: Bars) -> None:
-    """Draw bars below one another, with their notes at the right edge."""
+    """Draw bars one below the other, with their notes at the right edge."""
     shown = set()
     for k, row in enumerate(bars.rows):
         height = _BAR_SHARE / max(1, len(row.spans))
@@ -334,7 +334,7 @@ def _draw_limits(axis, plot: Plot) -> None:
         place = {"xycoords": axis.get_yaxis_transform(), "ha": "right", "va": "top" if below else "bottom"}
         place |= {"xytext": (0, -3 if below else 0), "textcoords": "offset points"}
         text = axis.annotate(f"{limit.name} {limit.value:.4g}", (0.995, limit.value), color="#595959", fontsize=7, **place)
-        text.set_path_effects([withStroke(linewidth=2.5, foreground="white")])  # read before curves, too
+        text.set_path_effects([withStroke(linewidth=2.5, foreground="white")])  # in front of curves
 
 
 def _set_axes(axis, *both: Axis) -> None:

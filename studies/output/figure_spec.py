@@ -1,4 +1,4 @@
-"""A figure as a value: its panels, title and size. `output/figure.py` draws it; this file does not load matplotlib."""
+"""The specification of a figure: panels, title and size. `output/figure.py` draws it; this file does not load matplotlib."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from itertools import chain, zip_longest
 
 from linkplan.studies.output.document import Bars, Block, Plane, Plot
 
-# A panel: a block of a document, a function of an Axes for what only one study draws, or None for an empty place.
+# A panel: a block of a document, a function of an Axes for a drawing of a single study, or None for an empty place.
 Panel = Plot | Plane | Bars | Callable[..., None] | None
 
 

@@ -1,4 +1,4 @@
-"""The facts beside the animation of a plan: peak effort and its limit, the least other margin, duration, objective."""
+"""The facts shown beside the animation of a plan: peak effort and its limit, least other margin, duration, objective."""
 
 import numpy as np
 
@@ -12,11 +12,11 @@ def verdict_sentence(plan: Plan) -> str:
     """Return the verdict of a plan in one sentence."""
     if plan.certificate is None or not plan.passed:
         return plan.message
-    return f"{plan.message}; every limit is satisfied at and between the nodes"
+    return f"{plan.message}; every limit is satisfied at the nodes and between them"
 
 
 def lead_facts(plan: Plan, motion: Samples) -> Facts:
-    """Return the facts of a plan with a motion that its reader looks for first."""
+    """Return the main facts of a plan with a motion."""
     problem, digits = plan.problem, objective_digits(plan)
     rows = [_peak_effort(plan, motion), least_margin(plan)]
     rows.append(("duration", f"{figure(plan.trajectory.duration_s, digits)} s"))

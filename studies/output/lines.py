@@ -11,7 +11,7 @@ from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.studies.output.document import Axis, DrawnLimit, Plot, Series
 from linkplan.studies.output.numbers import drawn_rows, rounded, rounded_times
 
-# More lines of one unit are divided among several plots.
+# More lines with the same unit are divided among several plots.
 _MAX_LINES_PER_PLOT = 9
 # The usual width of a line [px], and the share of a plot's height within which two lines are drawn as one.
 _USUAL_WIDTH, _HIDING_SHARE = 1.6, 0.005
@@ -25,13 +25,13 @@ class LineStyle(TypedDict):
 
 
 def line_style(index: int) -> LineStyle:
-    """Return look and colour of line `index` of a plot: six colours, first with full lines, then with dashed ones."""
+    """Return the look and colour of line `index` of a plot: six colours, first with solid lines, then with dashed lines."""
     looks, n_colours = ("line", "dash", "dashdot"), 6
     return {"look": looks[index // n_colours % len(looks)], "colour": index % n_colours}
 
 
 def tracker_colour(tracker: str, other: int) -> int:
-    """Return the index of a tracker's colour, the same everywhere; `other` for a tracker that is not built in."""
+    """Return the index of a tracker's colour, the same in all figures; `other` for a tracker that is not built in."""
     return BUILT_IN[tracker].colour if tracker in BUILT_IN else other % 7
 
 
@@ -124,7 +124,7 @@ def _title(title: str, units: Sequence[str], drawn: Sequence[Line], lines: Seque
 def _limits(lines: Sequence[Line], values: np.ndarray) -> list[DrawnLimit]:
     """Return the limits of lines; limits that several lines share appear once.
 
-    A limit of more than twice the largest value of each of its lines is left out: it would press the lines flat.
+    A limit of more than twice the largest value of each of its lines is omitted, because it would make the lines look flat.
     """
     named: dict[float, list[str]] = {}
     near: set[float] = set()

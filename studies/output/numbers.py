@@ -1,4 +1,4 @@
-"""Numbers on a page: curves thinned to the resolution of a screen, values rounded, names of a drawing's directions."""
+"""Numbers on a page: curves thinned to screen resolution, rounded values, names of a drawing's directions."""
 
 import math
 from itertools import pairwise
@@ -6,9 +6,9 @@ from itertools import pairwise
 import numpy as np
 
 _AXES = ("x", "y", "z")
-# Samples of a line: about half the width of a screen in pixels.
+# Number of samples of a line: about half the width of a screen in pixels.
 MAX_SAMPLES = 800
-# A smaller range of values, as a share of the largest, may be rounding errors: it is not resolved.
+# A smaller range of values, as a share of the largest, may be due to rounding and is not resolved.
 _LEAST_SPAN_SHARE = 1e-4
 
 
@@ -28,9 +28,8 @@ def significant(value: float | None, digits: int = 4) -> float | None:
 def rounded(values: np.ndarray, *, log: bool = False, digits: int = 5) -> list:
     """Return values (n,) or (n, m) as lists, rounded.
 
-    The digits are counted from the largest value or, of values (n,) that hardly change, from ten times their range. With
-    `log`, every value has four significant digits of its own. Values that are not finite or, with `log`, not positive
-    become None.
+    The digits are counted from the largest value, or from ten times the range of values (n,) that hardly change. With `log`,
+    every value has four significant digits. Values that are not finite or, with `log`, not positive become None.
     """
     values = np.asarray(values, dtype=float)
     if log:
@@ -57,10 +56,10 @@ def rounded_times(values: np.ndarray) -> list:
 
 
 def drawn_rows(columns: np.ndarray, most: int = MAX_SAMPLES) -> np.ndarray:
-    """Return the indices of the drawn rows of columns (n, k): all up to `most`, else `most / 2` even ones and the peaks.
+    """Return the indices of the rows to draw of columns (n, k): at most `most`, or `most / 2` evenly spaced and the peaks.
 
-    Between two even rows, each column keeps the row furthest from the straight line between them if the distance is more
-    than 1 % of the column's range. Therefore a peak of one sample is still drawn.
+    Between two of these rows, each column keeps the row furthest from the straight line between them, if the distance is
+    more than 1 % of the column's range. A peak of a single sample is therefore drawn.
     """
     columns = np.asarray(columns, dtype=float)
     n = len(columns)

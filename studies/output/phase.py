@@ -39,7 +39,7 @@ def phase_plane(plan: Plan, motion: Samples, group: str, period: float | None) -
 
 
 def _limit_curves(plan: Plan, motion: Samples, most: float) -> list[tuple[str, np.ndarray, np.ndarray, str, int]]:
-    """Return curves: name, positions, speeds (signed), look, colour; none if the grid cannot cover the motion."""
+    """Return the limit curves (name, positions, signed speeds, look, colour); none if the grid cannot cover the motion."""
     problem = plan.problem
     s = motion.q[:, problem.mechanism.independent[0]]
     places = np.array([s[0], s.max(), s.min(), s[-1]])
@@ -66,7 +66,7 @@ def _limit_curves(plan: Plan, motion: Samples, most: float) -> list[tuple[str, n
 
 
 def _speed_limits(grid: PhaseGrid, s: np.ndarray, most: float) -> list:
-    """Return the curves of the largest speeds from which full effort keeps the joints' speed limits, if there are any."""
+    """Return the curves of the largest speeds from which full effort can satisfy the joints' speed limits, if any."""
     near = (grid.s >= s.min()) & (grid.s <= s.max())
     found = []
     for way in (1, -1):

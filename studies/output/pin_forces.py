@@ -1,7 +1,7 @@
-"""The force in every pin of a mechanism along a motion: what each jointed body and its parent exert on each other.
+"""The force in every pin of a mechanism along a motion, which each jointed body and its parent exert on each other.
 
-In a copy of the model every such body gets three slides that never move. What inverse dynamics needs on these slides is the
-force through the body's joints, with everything that passes them: closures, tendons, actuators at sites.
+In a copy of the model every such body gets three slides that never move. The efforts on these slides by inverse dynamics are
+the force through the body's joints, including that of closures, tendons and actuators at sites.
 """
 
 from collections.abc import Sequence
@@ -17,18 +17,17 @@ from linkplan.models.selected_model import whole_spec
 from linkplan.models.tree.coordinates import SLIDE, joint_label
 from linkplan.models.tree.passive import simulated_gas_springs
 
-# The step [s] of the central difference for MuJoCo's accelerations of ball joints, whose coordinates are not its own.
+# The step [s] of the central difference for the accelerations of ball joints, for which MuJoCo uses other coordinates.
 _DIFFERENCE_STEP_S = 1e-6
 
 
 def pin_forces(
     mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray, u: np.ndarray, *forces: np.ndarray
 ) -> dict[str, np.ndarray]:
-    """Return the size (n,) [N] of the force in every pin of the tree, by the names of the joints that share the pin.
+    """Return the magnitude (n,) [N] of the force in every pin of the tree, by the names of the joints that share the pin.
 
-    The force along the axis of a slide is no load of its guide and does not count. Where loops are overconstrained, the
-    forces of their closures have the least norm. A body with more than three freedoms of its own, a free base among them,
-    stands on no pin.
+    The force along the axis of a slide does not load its guide and is omitted. The closure forces of overconstrained loops
+    are those of least norm. A body with more than three degrees of freedom of its own, such as a free base, has no pin.
 
     Args:
         mechanism: the mechanism.
@@ -36,7 +35,7 @@ def pin_forces(
         v: speeds (n, n_s) of the independent joints.
         a: accelerations (n, n_s) of the independent joints.
         u: efforts (n, n_u) of the actuators.
-        forces: those of `Mechanism.forces_at`; without them, forces over time do not act.
+        forces: those of `Mechanism.forces_at`; without them, forces over time are omitted.
     """
     model, pins = _with_slides(mechanism)
     first = np.array([model.body_dofadr[body] + model.body_dofnum[body] - 3 for body in pins], dtype=int)
@@ -76,10 +75,10 @@ def _with_slides(mechanism: Mechanism) -> tuple[mujoco.MjModel, dict[int, str]]:
     """Return the model with three slides at the end of every jointed body, and the names of its pins by body."""
     names: dict[int, list[str]] = {}
     for joint, body in enumerate(mechanism.model.jnt_bodyid.tolist()):
-        if mechanism.model.body_dofnum[body] <= 3:  # MuJoCo gives a body at most six, and three are added
+        if mechanism.model.body_dofnum[body] <= 3:  # MuJoCo allows at most six joints per body, and three are added
             names.setdefault(body, []).append(joint_label(mechanism.model, joint))
     spec = whole_spec(mechanism)
-    for key in list(spec.keys):  # their qpos would be too short
+    for key in list(spec.keys):  # keyframes, whose qpos would be too short
         spec.delete(key)
     bodies = list(spec.bodies)
     for body in names:
@@ -121,7 +120,7 @@ def _terms(
 
 
 def _across_slides(model: mujoco.MjModel, body: int, axes: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """Return forces (n, 3) without their parts along the body's own slides; `axes` (n, n_joints, 3) are in the world."""
+    """Return forces (n, 3) without components along the body's own slides; `axes` (n, n_joints, 3) are in the world."""
     joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body] - 3)
     slides = [joint for joint in joints if int(model.jnt_type[joint]) == SLIDE]
     along = axes[:, slides].transpose(0, 2, 1)

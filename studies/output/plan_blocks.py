@@ -1,6 +1,6 @@
 """A plan as a document: its verdict, its figures, the solves before it, its certificate.
 
-Figures are printed with the digits that are known of them.
+Figures are printed with their known digits.
 """
 
 from collections.abc import Iterable, Iterator, Sequence
@@ -21,7 +21,7 @@ from linkplan.studies.output.document import Axis, Block, Facts, Plane, Series, 
 from linkplan.studies.output.numbers import drawn_rows, rounded
 from linkplan.studies.output.text import brief_rows, checks, limits_text, notes_of
 
-# Solvers stop at a relative 1e-8. A certificate passes at a relative error of at most about 1e-3.
+# Solvers stop at a relative error of 1e-8. A certificate passes if the relative error is at most about 1e-3.
 _MAX_DIGITS, _MIN_DIGITS = 8, 3
 _TITLES = {
     "refuted": "Refuted: the motion violates these",
@@ -67,7 +67,7 @@ def figure(value: float, digits: int) -> str:
 
 
 def radius_figure(radius: float | None) -> str:
-    """Return the radius of a sampled loop's pole; near the unit circle as the distance from it, such as "1-2.3e-05"."""
+    """Return the radius of a sampled loop's pole as text; near the unit circle as its distance, such as "1-2.3e-05"."""
     if radius is None:
         return "-"
     beyond = radius - 1.0
@@ -103,8 +103,8 @@ def plan_blocks(plan: Plan) -> list[Block]:
     blocks += [_facts(plan), *([replace(solves(plan), brief=[])] if len(plan.history) > 1 else [])]
     if certificate.integration_restarts:
         text = (
-            "the motion is unstable: a small error grows more than ten thousandfold along it, so that only feedback can"
-            f" follow it; the integration was restarted {certificate.integration_restarts} time(s)"
+            "the motion is unstable: small errors grow more than ten thousandfold, so only feedback can follow it; the"
+            f" integration was restarted {certificate.integration_restarts} time(s)"
         )
         blocks.append(Text(text=text))
     table = replace(checks(certificate_list(plan)), brief=[])
@@ -116,7 +116,7 @@ def plan_blocks(plan: Plan) -> list[Block]:
 
 
 def _demands(plan: Plan) -> list[Block]:
-    """Return the table of what the motion demands of each actuator; none off its loops, as the certificate says."""
+    """Return the table of the motion's demands on each actuator; none if the loops are open (see the certificate)."""
     try:
         return [demand_table(plan)]
     except AssemblyError:
@@ -131,7 +131,7 @@ def demand_table(plan: Plan) -> Table:
 
 
 def demand_blocks(plan: Plan, group: str) -> list[Block]:
-    """Return the table of demands, and the chart of each actuator's effort over its speed with what limits it."""
+    """Return the table of demands, and the chart of each actuator's effort over its speed with its limits."""
     problem, motion = plan.problem, plan.require_motion("draw")
     time = motion.dense_times(20)
     speed, effort, _ = operating_points(problem, motion, time)
@@ -194,13 +194,13 @@ def _verdict(plan: Plan, certificate: Certificate) -> Text:
 
 
 def names_in(plan: Plan) -> list[str]:
-    """Return the names in the rows of a plan that differ in names alone."""
+    """Return the names in the rows of a plan that differ only in names."""
     mechanism = plan.problem.mechanism
     return [*(a.name for a in mechanism.actuators), *(j.name for j in mechanism.joints), *mechanism.closure_names]
 
 
 def _facts(plan: Plan) -> Facts:
-    """Return the facts of a plan; in brief, with the actuator alone whose peak is the largest share of its limit."""
+    """Return the facts of a plan; in brief, only with the actuator whose peak is the largest share of its limit."""
     rows, actuators = facts(plan), plan.problem.mechanism.actuators
     split = len(rows) - len(actuators)
     first, efforts = rows[:split], rows[split:]
@@ -238,19 +238,19 @@ def solves(plan: Plan) -> Table:
 
 
 def least_margin(plan: Plan) -> tuple[str, str]:
-    """Return the margin that is least as a share of its limit, efforts apart, with its place and instant."""
+    """Return the margin that is the smallest share of its limit, except efforts, with its place and instant."""
     share, words, at = min(_margins(plan), default=(None, "no other limit", ""))
     return "least margin besides efforts", words + ("" if share is None else f" ({100 * share:.3g} %)") + at
 
 
 def _margins(plan: Plan) -> Iterator[tuple[float, str, str]]:
-    """Yield every margin as a share of its limit or range, in words, and the words on its instant."""
+    """Yield every margin as a share of its limit or range, its text, and the text on its instant."""
     for one in plan.certificate.margins:
         yield one.share, f"{one.left:.4g} {one.unit}".rstrip() + f" to {one.bound}", f", at {one.time_s:.4g} s"
 
 
 def proof_blocks(proof: Proof | None, names: Iterable[str] = ()) -> list[Block]:
-    """Return a proof's verdict and its findings by answer, in brief by these names; nothing without a proof."""
+    """Return a proof's verdict and its findings by answer, in brief grouped by these names; nothing without a proof."""
     if proof is None:
         return []
     blocks: list[Block] = [Text(text=f"proof: {proof.sentence()}", tone="good" if proof.complete else "plain")]
@@ -280,5 +280,5 @@ def _table(title: str, findings: Sequence[Finding], names: Iterable[str]) -> Tab
 
 
 def _digits(value: float | None) -> str | None:
-    """Return nine digits; the smallest numbers that balls round up to are zero."""
+    """Return a number with nine digits; zero for the smallest numbers, which balls produce by rounding up."""
     return None if value is None else "0" if abs(value) < np.finfo(float).tiny else f"{value:.9g}"

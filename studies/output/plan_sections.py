@@ -93,7 +93,7 @@ def _animation(plan: Plan, group: str, period: float | None) -> Block:
     mechanism = problem.mechanism
     dense = trajectory.dense_times()
     shown = np.linspace(trajectory.breaks_s[0], trajectory.breaks_s[-1], frames_of(mechanism))
-    shown[-1] = dense[-1]  # the end of a periodic motion, which would else be mapped to its start
+    shown[-1] = dense[-1]  # the end of a periodic motion, which would otherwise be mapped to its start
     every, back = np.unique(np.concatenate([dense, shown]), return_inverse=True)
     poses = follow(mechanism, trajectory.position_at(every), trajectory.start_pose)[back[len(dense) :]]
     return animation(
@@ -145,13 +145,13 @@ def _problem(plan: Plan) -> list[Block]:
         tables, names = _without_folders(_without_none(plain_record(plan.problem.source)))
         text = file_text(tables, plan.problem.extras)
     except ProblemError as error:
-        return [Text(text=f"The problem has no form as a file: {error}", tone="note")]
-    beside = f"# Needs {' and '.join(names)} in its own folder.\n" if names else ""
+        return [Text(text=f"The problem cannot be written as a file: {error}", tone="note")]
+    beside = f"# Needs {' and '.join(names)} in its folder.\n" if names else ""
     return [Code(title="The problem as a file", text=beside + text)]
 
 
 def _without_folders(tables: dict) -> tuple[dict, list[str]]:
-    """Return a problem's tables with the names alone of the files that they name by absolute paths, and these names."""
+    """Return a problem's tables with file names in place of absolute paths, and these names."""
     found, names = dict(tables), []
     for section, key in (("mechanism", "model"), ("reference", "plan")):
         path = Path(found.get(section, {}).get(key, ""))

@@ -1,6 +1,6 @@
 """The HTML file of a report: template, style and program of `page/`, uPlot and the document, all in one file.
 
-The page fetches nothing: its content security policy allows its own scripts by their hashes, and no address.
+The page fetches nothing: its content security policy allows its own scripts by their hashes, and no network address.
 """
 
 import base64
@@ -21,7 +21,7 @@ from linkplan.studies.output.document import Report, Section
 
 # Each script uses only those before it.
 _PROGRAM = ("dom", "cursor", "theme", "plot", "plane", "bars", "shapes", "animation", "player", "blocks", "main")
-# A file with these words is a report, which a new one may replace.
+# A file with these words is a report, and a new report may replace it.
 PAGE_MARK = '<meta name="generator" content="linkplan">'
 # The height of a page in a notebook.
 _SHOWN_HEIGHT_PX = 640
@@ -33,7 +33,7 @@ def document_json(report: Report) -> bytes:
 
 
 def report_html(report: Report, served: str = "") -> str:
-    """Return the HTML of a report; `served` is a further program for a page that its own server answers.
+    """Return the HTML of a report; `served` is an additional program for a page with its own server.
 
     The page contains the document as JSON with "<" escaped, so that no name can end a script. The page shows it as text.
     """
@@ -64,12 +64,12 @@ def _hash(text: str) -> str:
 
 
 class WrittenPage(type(Path())):
-    """The path of a report, which a notebook shows as its page."""
+    """The path of a report; a notebook shows its page."""
 
     __slots__ = ()
 
     def _repr_html_(self) -> str | None:
-        if self.suffix != ".html" or not self.is_file():  # the path's parents, or a page that was moved
+        if self.suffix != ".html" or not self.is_file():  # derived paths such as parents, or a page that was moved
             return None
         text = html.escape(self.read_text(encoding="utf-8"))
         return f'<iframe srcdoc="{text}" title="{html.escape(self.name)}" width="100%" height="{_SHOWN_HEIGHT_PX}"></iframe>'
@@ -102,12 +102,12 @@ def read_document(path: Path) -> Report:
     Raises:
         PlanFileError: if the file is not a document, or a block lacks a value or has a value of another type.
     """
-    return read_record(path, Report, MAX_FILE_BYTES)  # a robot with forty joints has ten megabytes
+    return read_record(path, Report, MAX_FILE_BYTES)  # the document of a robot with forty joints has ten megabytes
 
 
 def report_of(title: str, verdict: str, passed: bool | None, sections: Sequence[Section]) -> Report:
     """Return a report with the versions of this installation."""
     first = verdict.split(maxsplit=1)[0] if verdict.strip() else ""
-    if re.fullmatch(r"[a-z]+[,:;]?", first):  # a word, and not the name of an actuator, a joint or a problem
+    if re.fullmatch(r"[a-z]+[,:;]?", first):  # not the name of an actuator, a joint or a problem
         verdict = verdict[:1].upper() + verdict[1:]
     return Report(title=title, verdict=verdict, passed=passed, versions=versions(), sections=list(sections))

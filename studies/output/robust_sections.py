@@ -17,7 +17,7 @@ def robust_section(plan: Plan, motion: Samples, group: str, period: float | None
     if not corners and not reserve:
         return None
     price = saved_price(plan)
-    said = "the price is not known: the plan was saved without it" if price is None else price.sentence()
+    said = "unknown, because the plan was saved without it" if price is None else price.sentence()
     blocks: list[Block] = [Facts(rows=_facts(plan)), Text(text=f"{said[:1].upper()}{said[1:]}.")]
     if corners:
         blocks += [_table(plan), *_efforts(plan, motion, group, period)]
@@ -34,7 +34,7 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
             problem.mechanism.actuators, problem.limits.effort, problem.limits.actuators_effort, strict=True
         ):
             said = f"{low:.5g} to {high:.5g} {actuator.unit}, of {least:.5g} to {most:.5g}"
-            rows.append((f"what the plan may use of {actuator.name}", said))
+            rows.append((f"limits of the plan for {actuator.name}", said))
     for name, (low, high) in (("payload", robust.payload_factor), ("torque constant", robust.torque_constant_factor)):
         if low != high or low != 1:
             rows.append((f"factor on the {name}", f"{low:g} to {high:g}"))
@@ -66,7 +66,7 @@ def _table(plan: Plan) -> Table:
 
 
 def _efforts(plan: Plan, motion: Samples, group: str, period: float | None) -> list[Plot]:
-    """Return the plots of the effort that every corner and the model need of each actuator."""
+    """Return the plots of the effort of each actuator, for every corner and the nominal model."""
     problem, mechanism = plan.problem, plan.problem.mechanism
     corners = problem.robust.corners
     found = []
@@ -78,6 +78,6 @@ def _efforts(plan: Plan, motion: Samples, group: str, period: float | None) -> l
             Line(name=corner.description, values=np.asarray(motion.corner_efforts[:, item, j]), unit=unit, limits=bounds)
             for item, corner in enumerate(corners)
         ]
-        title = f"What each machine needs of {actuator.name} for the motion"
+        title = f"Effort of {actuator.name} that each machine needs for the motion"
         found += plots(title, "effort", TIME, motion.time, [*lines, nominal], group=group, period=period)
     return found

@@ -16,7 +16,7 @@ _TONES = {"good": "green", "bad": "red", "note": "yellow"}
 _VERDICTS = {"NO": "red", "infeasible": "red", "failed": "red", "optimal": "green", "passed": "green"}
 # Longer words are broken.
 _LONGEST_WORD_LETTERS = 36
-# The columns between two columns of a table.
+# The number of blanks between two columns of a table.
 _GAP_LETTERS = 2
 
 
@@ -27,7 +27,7 @@ def console_of(stream: TextIO) -> Console:
 
 
 def drawn(stream: TextIO, blocks: Sequence[Block]) -> str:
-    """Return a document as it is written on a terminal, with its control sequences."""
+    """Return a document as text for a terminal, with control sequences."""
     console = console_of(stream)
     with console.capture() as written:
         below_text = False
@@ -45,7 +45,7 @@ def drawn(stream: TextIO, blocks: Sequence[Block]) -> str:
 
 
 def _parts(block: Table, width: int) -> list[Drawn | Words]:
-    """Return a table in as many parts as fit into a width side by side; each part has the first column.
+    """Return a table divided into parts that fit into a width; each part has the first column.
 
     An empty line follows each part.
     """
@@ -65,7 +65,7 @@ def _parts(block: Table, width: int) -> list[Drawn | Words]:
         one = Drawn(box=box.SIMPLE_HEAD, show_edge=False, pad_edge=False, padding=(0, 1), collapse_padding=True)
         for k, w in zip(part, widths, strict=True):
             left = to_the_left(k, cells[k]) or max(map(len, cells[k]), default=0) > w
-            head = heads[k] if len(heads[k]) <= w else heads[k].replace(" [", "\n[")  # a unit is never folded
+            head = heads[k] if len(heads[k]) <= w else heads[k].replace(" [", "\n[")  # a unit is never wrapped
             one.add_column(Words(head), justify="left" if left else "right", width=w, overflow="fold", vertical="top")
         for row in zip(*(cells[k] for k in part), strict=True):
             one.add_row(*(Words(text, style=_VERDICTS.get(text, "")) for text in row))
@@ -74,7 +74,7 @@ def _parts(block: Table, width: int) -> list[Drawn | Words]:
 
 
 def _least(head: str, cells: Sequence[str]) -> int:
-    """Return the least width of a column: that of its short cells, and of the words of its head and of its long cells."""
+    """Return the least width of a column: that of its short cells, and of single words in its head and its long cells."""
     title, bracket, unit = head.partition(" [")
     words = [*title.split(), bracket[1:] + unit]
     words += [word for text in cells if len(text) > SENTENCE_LETTERS for word in text.split()]

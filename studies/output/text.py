@@ -1,4 +1,4 @@
-"""A document as plain text, whole or in brief, for pipes, files and `print`, and as HTML for notebooks, names escaped."""
+"""A document as plain text, complete or in brief, for pipes, files and `print`, and as HTML for notebooks."""
 
 import math
 import re
@@ -11,12 +11,12 @@ from linkplan.studies.output.document import Block, Checklist, Code, Facts, Tabl
 
 # Digits of a document's numbers, which are rounded already.
 ROUNDED_DIGITS = 9
-# Of more rows of a kind, a summary has the worst one. A mechanism of four joints is shown whole.
+# Of more rows of a kind, a summary shows only the worst. A mechanism of four joints is shown completely.
 MOST_OF_A_KIND = 4
 
 
 def text_of(blocks: Sequence[Block]) -> str:
-    """Return the blocks that have a text; plots and animations have none. A blank line is next to tables."""
+    """Return the text of the blocks; plots and animations have none. Blank lines separate tables."""
     text, below_table = "", True
     for block in blocks:
         if not (lines := _lines(block)):
@@ -49,7 +49,7 @@ def checks(block: Checklist) -> Table:
     return Table(title=block.title, columns=[*columns, ("at", "s")], rows=rows)
 
 
-# A longer cell is a sentence: its column is aligned to the left, and it is folded on a narrow terminal.
+# A longer cell is a sentence: its column is aligned to the left and wraps on a narrow terminal.
 SENTENCE_LETTERS = 24
 _GAP = "  "
 
@@ -69,7 +69,7 @@ def cell_text(cell: object, digits: int = 4) -> str:
 
 
 def limits_text(low: float, high: float, unit: str, before: str = "") -> str:
-    """Return limits as text: "-5 to 5 N.m" behind the words `before`, or "no limit" alone."""
+    """Return limits as text: the words `before` and "-5 to 5 N.m", or only "no limit"."""
     return "no limit" if low == -math.inf and high == math.inf else f"{before}{low:g} to {high:g} {unit}"
 
 
@@ -79,7 +79,7 @@ def to_the_left(column: int, cells: Sequence[str]) -> bool:
 
 
 def table(head: Sequence[str], rows: Sequence[Sequence[object]], digits: int = 4) -> str:
-    """Return rows under a head in aligned columns, as wide as they are; numbers have `digits` significant digits."""
+    """Return rows under a head in aligned columns, without wrapping; numbers have `digits` significant digits."""
     columns = [[title, *(cell_text(row[k], digits) for row in rows)] for k, title in enumerate(head)]
     for k, column in enumerate(columns):
         width, left = max(map(len, column)), to_the_left(k, column[1:])
@@ -89,7 +89,7 @@ def table(head: Sequence[str], rows: Sequence[Sequence[object]], digits: int = 4
 
 
 def in_brief(blocks: Iterable[Block]) -> list[Block]:
-    """Return a document with what is brief of its texts, facts and tables."""
+    """Return a document with the brief forms of its texts, facts and tables."""
     found = []
     for block in blocks:
         if not isinstance(block, Text | Facts | Table) or block.brief is None:
@@ -102,10 +102,10 @@ def in_brief(blocks: Iterable[Block]) -> list[Block]:
 
 
 def brief_rows(rows: Sequence[Sequence], margins: Sequence, units: Sequence[str], names: Iterable[str]) -> list | None:
-    """Return rows with the worst one alone of each larger kind, or None if no kind is larger than `MOST_OF_A_KIND`.
+    """Return rows with only the worst one of each kind above `MOST_OF_A_KIND`, or None if there is no such kind.
 
     Args:
-        rows: each with its label first. Rows of a kind have one unit, and their labels differ in names alone.
+        rows: each with its label first. Rows of a kind have the same unit, and their labels differ only in names.
         margins: of the rows (n,); the worst row has the least margin.
         units: of the rows (n,).
         names: of the model's parts.
@@ -125,7 +125,7 @@ def brief_rows(rows: Sequence[Sequence], margins: Sequence, units: Sequence[str]
 
 
 def notes_of(sentences: Iterable[str], names: Iterable[str]) -> list[Text]:
-    """Return notes; in brief, the first one alone of each larger kind, with the number of the others."""
+    """Return notes; in brief, only the first one of each larger kind, with the number of the others."""
     notes = []
     for first, *others in by_kind(sentences, names):
         few = len(others) < MOST_OF_A_KIND
@@ -136,7 +136,7 @@ def notes_of(sentences: Iterable[str], names: Iterable[str]) -> list[Text]:
 
 
 def by_kind(sentences: Iterable[str], names: Iterable[str]) -> list[list[str]]:
-    """Return the sentences of each kind, in the order of the first ones."""
+    """Return the sentences grouped by kind, in the order of the first of each."""
     pattern, kinds = pattern_of(names), {}
     for sentence in sentences:
         kinds.setdefault(kind_of(sentence, pattern), []).append(sentence)
@@ -144,12 +144,12 @@ def by_kind(sentences: Iterable[str], names: Iterable[str]) -> list[list[str]]:
 
 
 def kind_of(sentence: str, names: re.Pattern | None) -> str:
-    """Return a sentence without the names and numbers in which those of a kind differ."""
+    """Return a sentence without names and numbers, in which sentences of a kind differ."""
     return re.sub(r"(geom )?-?\d[\d.e+-]*", "_", sentence if names is None else names.sub("_", sentence))
 
 
 def pattern_of(names: Iterable[str]) -> re.Pattern | None:
-    """Return the pattern of any of the names as a whole word, the longest first; None without a name."""
+    """Return the pattern that matches any of the names as a whole word, the longest first; None without a name."""
     known = sorted({re.escape(name) for name in names if name}, key=len, reverse=True)
     return re.compile(rf"(?<![\w-])(?:{'|'.join(known)})(?![\w])") if known else None
 
@@ -158,7 +158,7 @@ _TONES = {"good": "color:#116b3a", "bad": "color:#b3261e;font-weight:600", "note
 
 
 def html_of(blocks: Sequence[Block]) -> str:
-    """Return the blocks that have a text as HTML; plots and animations have none."""
+    """Return the text of the blocks as HTML, with names escaped; plots and animations have none."""
     return "<div>" + "".join(map(_html, blocks)) + "</div>"
 
 

@@ -9,14 +9,14 @@
     print(linkplan.compare(plan))
 
 Every name is loaded when it is first used: `import linkplan` itself loads no solver, no simulator and no plots. Names with
-`_deg` are in degrees, everything else is in SI units. Invalid input raises a `LinkplanError` with one sentence: the
-argument, the legal values, and the given value. Progress is logged under the name "linkplan" and passed to `progress`, if
-it is given.
+`_deg` are in degrees, everything else is in SI units. Invalid input raises a `LinkplanError`; its message states the
+argument, the legal values, and the given value. Progress is logged under the name "linkplan" and passed to `progress`, if it
+is given.
 """
 
 import importlib
 
-TYPE_CHECKING = False  # like that of typing, which takes as long to load as everything else here
+TYPE_CHECKING = False  # replaces typing.TYPE_CHECKING: the import of typing takes as long as all other imports here
 if TYPE_CHECKING:  # for editors and type checkers; `_MODULES` below has the same names at run time
     from linkplan.batches import batch as batch
     from linkplan.controllers.trackers.tracker import Tracker as Tracker
@@ -53,8 +53,8 @@ if TYPE_CHECKING:  # for editors and type checkers; `_MODULES` below has the sam
 
     __version__: str
 
-# The public names by their modules, loaded when a name is first used (PEP 562). No module of this package has a public name,
-# because its import would replace that name by the module.
+# The public names by their modules, loaded when a name is first used (PEP 562). No module of this package has the name of a
+# public object, because importing the module would replace the object.
 _MODULES = {
     "linkplan.controllers.trackers.tracker": ("Tracker",),
     "linkplan.decompositions": ("decompose",),

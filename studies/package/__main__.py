@@ -1,7 +1,7 @@
 """`python -m linkplan` and the script `linkplan`: the command line.
 
-Signal handlers are set first, before the imports, so that a signal always ends a command with exit code 130, 143 or 129 and
-a line. Only the start of Python itself, some hundredths of a second, comes before.
+Signal handlers are set before the imports, so that a signal always ends a command with one line and exit code 130, 143 or
+129. Only the start of Python itself, a few hundredths of a second, is not covered.
 """
 
 import atexit
@@ -19,10 +19,10 @@ def main() -> int:
         # Ignored signals stay ignored, as with nohup.
         if number is not None and signal.getsignal(number) is not signal.SIG_IGN:
             signal.signal(number, _end)
-    # Imports make many objects and no garbage: with the default threshold of 700, collection took a tenth of the time.
+    # Imports create many objects and no garbage: with the default threshold of 700, collection took a tenth of the time.
     gc.set_threshold(100_000, 50, 100)
-    # Matrices have tens of rows: numpy's second thread takes longer to be woken and waited for than the products take, and
-    # sums do not depend on the number of processors. Loops over machines and cases have threads and processes of their own.
+    # One thread: for matrices with tens of rows, waking numpy's second thread takes longer than the product, and sums would
+    # depend on the number of processors. Loops over machines and cases have threads and processes of their own.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     codes: list[int] = []
     atexit.register(_leave, codes)  # the first registered function is called last
@@ -35,8 +35,8 @@ def main() -> int:
 def _leave(codes: list[int]) -> None:
     """End the process of a command after all threads and all other exit handlers.
 
-    Everything is flushed and closed then. Python would free every object, which for casadi and mujoco takes a quarter of the
-    time to load them; the operating system frees everything at once.
+    At that point everything is flushed and closed. Otherwise Python would free every object, which for casadi and mujoco
+    takes a quarter of their loading time.
     """
     if codes:
         os._exit(codes[0])

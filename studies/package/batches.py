@@ -1,4 +1,4 @@
-"""`batch`: many variations of one problem, each planned from the solution of the one before it."""
+"""`batch`: many variations of one problem, each planned from the previous solution."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ def batch(
         cases: the path of a batch file, or its table: `problem` (a built-in name or a problem file), `set` (settings for all
             cases), and either `sweep`, lists of values by dotted key whose combinations are the cases, or `case`, a list of
             tables with `name` and `set`. Keys have their units in their names. `problem` may be a `Problem`.
-        folder: for the plans, written whole. Finished parts are kept next to it, and the same call continues from them.
+        folder: for the plans, written completely or not at all. Finished parts are kept next to it, and the same call
+            continues from them.
         workers: number of processes; more than one needs `if __name__ == "__main__":` in the caller's module.
         cluster: the address of a Dask scheduler, whose workers share the work.
         parquet: whether every plan also has a trajectory.parquet.
@@ -61,13 +62,16 @@ def batch(
 
 
 def _text_of(problem: Problem) -> str:
-    """Return a problem as the text of its file, which workers can read.
+    """Return a problem as the text of a problem file, which workers can read.
 
     Raises:
-        ProblemError: for a problem with costs or limits as expressions, which no file has.
+        ProblemError: for a problem with costs or limits given as expressions, which a file cannot contain.
     """
     if problem.extras:
-        raise ProblemError(f"a batch plans problems as files have them, and '{problem.name}' has costs or limits of its own")
+        raise ProblemError(
+            f"a batch needs problems that a file can contain; '{problem.name}' has costs or limits given as Python"
+            " expressions"
+        )
     return problem.to_toml()
 
 

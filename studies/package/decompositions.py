@@ -39,7 +39,7 @@ def decompose(
     (docs/choose-a-tracker.md).
 
     Args:
-        plan: with a motion; or its problem, or the name or path of either.
+        plan: a plan with a motion, a problem, or the name or path of either.
         trackers: built-in names, or functions of the sampled reference that return a law.
         imperfections: the table [imperfections] of a problem file; by default that of the problem or, without one, the
             default table (docs/experiments.md).

@@ -56,10 +56,10 @@ def experiment(
     """Return trackers' metrics on many imperfect machines in MuJoCo, with 95 % confidence intervals.
 
     Args:
-        plan: with a motion; or its problem, which is planned when results are missing, or the name or path of either.
-        trackers: built-in names, and your own: as objects, classes or functions as for `track`, as "module:object", or by
-            the name that an installed package gives them. The results call an object "own:" and its name. With several
-            workers an object must be picklable.
+        plan: a plan with a motion; a problem, which is planned if results are missing; or the name or path of either.
+        trackers: built-in names, or your own trackers: objects, classes or functions as for `track`, "module:object", or a
+            name that an installed package defines. In the results, an object has the name "own:" plus its own name. With
+            several workers an object must be picklable.
         samples: number of machines; for a grid, the levels determine it.
         imperfections: the table [imperfections] of a problem file; by default that of the problem or, without one, the
             default table (docs/experiments.md).
@@ -69,7 +69,8 @@ def experiment(
         levels: of each random imperfection in a grid.
         tube_deg: a run succeeds if every hinge stays within this angle of the path.
         tube_m: likewise, for slides.
-        folder: for the results, written whole. Finished parts are kept next to it, and the same call continues from them.
+        folder: for the results, written completely or not at all. Finished parts are kept next to it, and the same call
+            continues from them.
         workers: number of processes; more than one needs `if __name__ == "__main__":` in the caller's module.
         cluster: the address of a Dask scheduler, whose workers share the work.
         threads: of the simulator for each worker; 0 for an equal share of the cores.
@@ -158,7 +159,7 @@ class ExperimentResult(Result):
         return outcome_blocks(self.outcome)
 
     def document(self) -> Report:
-        """Return the report; with a folder, it has the commands that run samples again."""
+        """Return the report; if a folder was given, it contains the commands that run samples again."""
         from linkplan.studies.variations.experiment.experiment_sections import experiment_report
 
         return experiment_report(self.outcome, None if self.folder is None else functools.partial(sample_again, self.folder))

@@ -39,11 +39,11 @@ def new(
     Args:
         model: a built-in name, or the path of an MJCF or URDF file.
         path: of the new problem file; no file is written without it.
-        keep: of a larger robot, names of the bodies or joints that are read, see `load_mechanism`; likewise the next three.
-        fix_base: whether what lies between the world and the kept bodies is locked.
+        keep: names of the bodies or joints of a larger robot to read. This and the next three are as in `load_mechanism`.
+        fix_base: whether the joints between the world and the kept bodies are locked.
         lock: positions of joints that do not move, in degrees on hinges and in metres on slides.
         keyframe: the model's keyframe that gives the home pose.
-        drive: names of joints that get a motor, within their effort limits, where the model has no actuators.
+        drive: names of joints that get a motor, within their effort limits, if the model has no actuators.
         progress: called with lines on the progress.
 
     Raises:
@@ -66,7 +66,9 @@ def new(
     selected = {key: to_toml_types(value) for key, value in asked.items() if value}
     _, sections, _ = replace(source, selection={**source.selection, **selected}).tables()
     if further := sections.keys() - {"mechanism"}:
-        raise ProblemError(f"new takes settings of mechanism and writes the other sections, got {', '.join(further)}")
+        raise ProblemError(
+            f"new takes settings of [mechanism] only, because it writes the other sections; got {', '.join(further)}"
+        )
     found = first_motion(sections["mechanism"], listener(progress))
     tables = file_tables(found, source.name, target)
     text = first_text(found, tables, first_steps("problem.toml" if target is None else target.name))
@@ -89,7 +91,7 @@ def new(
 
 
 class NewRecord(Struct, frozen=True, eq=False, kw_only=True):
-    """What was found: the `file` or None, its `tables`, `notes` on the model, and `why` no motion was found, else empty."""
+    """The record of `new`: `file` or None, its `tables`, `notes` on the model, and in `why` the reason for no motion."""
 
     file: str | None
     planned: bool
@@ -120,7 +122,7 @@ class NewProblem(Shown):
 
     @property
     def verdict(self) -> str:
-        """The word on the plan, with the reason if there is none."""
+        """The status of the plan, or the reason why there is none."""
         return "planned" if self.planned else f"NOT planned: {self.struct.why}"
 
     def blocks(self) -> list[Block]:

@@ -40,20 +40,20 @@ def tune(
     at_m: Poses = (),
     progress: Progress | None = None,
 ) -> TuneResult:
-    """Return gains that meet the requirements at the worst pose, or the nearest ones with the reason why none do.
+    """Return gains that meet the requirements at the worst pose, or the nearest gains with the reason why none meet them.
 
-    With several degrees of freedom every joint has PD gains of its own, found one loop at a time with the others closed.
+    With several degrees of freedom every joint has its own PD gains, found one loop at a time with the others closed.
 
     Args:
-        subject: a mechanism with an actuator, a `Problem` of one, or the name or path of either.
+        subject: a mechanism with an actuator, a `Problem`, or the name or path of either.
         bandwidth_hz: least bandwidth of every joint's loop [Hz]: the first frequency at which the complementary
             sensitivity is below -3 dB.
         phase_margin_deg: least phase margin [deg].
-        sensitivity_peak: the largest sensitivity; by default any.
+        sensitivity_peak: the largest allowed peak of the sensitivity; by default there is no limit.
         settling_s: the longest time [s] in which an error settles to 2 %; by default 5 over the bandwidth.
         damping_ratio: the least damping ratio of the closed loop's poles.
-        stiffness: the least stiffness at rest [N.m/rad or N/m] of every joint; by default a joint settles within 5 %
-            of a small step of its reference, although weight and springs pull it away.
+        stiffness: the least stiffness at rest [N.m/rad or N/m] of every joint; by default so that a joint settles within 5 %
+            of a small step of its reference, in spite of weight and springs.
         tracker: a linear feedback law: "pd", "pd+ff" or "lqr". The other trackers have no frequency response.
         period_s: control period [s], as for `bode`.
         delay_periods: computing delay in control periods, as for `bode`.
@@ -91,14 +91,14 @@ def tune(
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class TuneResult(MechanismResult):
-    """Gains for requirements. `str(result)` is the report; `to_dict()` has every value, with units in the names."""
+    """The gains found by `tune`. `str(result)` is the report; `to_dict()` has every value, with units in the names."""
 
     record_name = "tune"
     tuning: Tuning
 
     @property
     def found(self) -> bool:
-        """Whether the gains meet the requirements at every pose; if not, they are the nearest ones."""
+        """Whether the gains meet the requirements at every pose; otherwise they are the nearest ones."""
         return self.tuning.found
 
     @property
@@ -116,7 +116,7 @@ class TuneResult(MechanismResult):
         yield "tune", tune_report.tune_figure(self.tuning)
 
     def blocks(self) -> list[Block]:
-        """Return the gains and what they reach at every pose."""
+        """Return the gains and the margins that they reach at every pose."""
         return tune_report.tune_blocks(self.tuning)
 
     def document(self) -> Report:

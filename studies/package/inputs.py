@@ -24,10 +24,10 @@ from linkplan.reporting import Listener
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Source:
-    """A mechanism, a problem or a saved plan by its name or path, and how it is read.
+    """The name or path of a mechanism, a problem or a saved plan, with options for reading it.
 
-    `settings` are "section.key=value"; `selection` are keys of [mechanism], which replace those of a file; with `anyway` a
-    saved plan is read that does not pass its certificate. A command line makes it from its options.
+    `settings` are "section.key=value". `selection` are keys of [mechanism], which replace those of a file. With `anyway` a
+    saved plan is read even if it does not pass its certificate. The command line makes a `Source` from its options.
     """
 
     name: str
@@ -57,7 +57,7 @@ class Source:
         if not asked:
             return name, tables, folder
         if isinstance(section.get("lock"), dict) and isinstance(asked.get("lock"), dict):
-            asked["lock"] = section["lock"] | asked["lock"]  # the locks of a selection come beside those of a file
+            asked["lock"] = section["lock"] | asked["lock"]  # the locks of a selection are added to those of a file
         tables["mechanism"] = {**section, **asked}
         return name, tables, folder
 
@@ -109,13 +109,13 @@ def read_subject(subject: Subject) -> tuple[Mechanism, Problem | None, dict]:
 
 
 def note_forces(mechanism: Mechanism, say: Listener, where: str) -> None:
-    """Pass a note that forces over time, which belong to a motion, do not act in a study of poses or a model."""
+    """Pass a note that forces over time belong to a motion, and are omitted in a study of poses or of a model."""
     if mechanism.forces is not None:
-        say.keep(f"force_over_time on {', '.join(mechanism.forces.sites)} does not act {where}")
+        say.keep(f"force_over_time on {', '.join(mechanism.forces.sites)} is omitted {where}")
 
 
 def plan_of(plan: PlanLike, say: Listener, doing: str) -> Plan:
-    """Return a plan with a motion: a plan, a saved one by its folder, or that of a problem, made now; `doing` says what for.
+    """Return a plan with a motion: as given, saved in a folder, or computed for a problem. `doing` is its use.
 
     Raises:
         InfeasibleError: if it has no motion; the error has the plan.
@@ -143,7 +143,7 @@ def given_problem(problem: object) -> Problem:
 
 
 def problem_of(plan: PlanLike) -> Problem | None:
-    """Return the problem that is to be planned; None for a plan, also a saved one.
+    """Return the problem to be planned; None for a plan or a saved plan.
 
     Raises:
         LinkplanError: if the problem cannot be read, or there is neither a problem nor a folder.
@@ -164,7 +164,9 @@ def problem_of(plan: PlanLike) -> Problem | None:
 def _saved_plan(source: Source, say: Listener) -> Plan:
     for setting in source.settings:
         if not setting.startswith(("tracking.", "imperfections.")):
-            raise ProblemError(f"set {setting}: a saved plan is fixed; only tracking.* and imperfections.* can be set on it")
+            raise ProblemError(
+                f"set {setting}: a saved plan cannot be changed; only tracking.* and imperfections.* can be set for it"
+            )
     plan, note = read_plan(source.name, source.settings, anyway=source.anyway), unchecked(source.name)
     if note is not None:
         say.keep(note)
@@ -182,7 +184,7 @@ def _set_all(tables: Tables, settings: Sequence[str]) -> None:
 
 
 def _refuse_no_model(source: str) -> None:
-    """Refuse a source that is neither a built-in name nor a file nor MJCF text, and a saved plan."""
+    """Refuse a saved plan, and a source that is neither a built-in name nor a file nor MJCF text."""
     if source in MODELS or "<" in source:
         return
     refuse_saved_plan(source, "model", "give the file of its problem, an MJCF file, or a built-in name (linkplan list)")
@@ -197,16 +199,16 @@ def is_problem(name: str | Path) -> bool:
 
 
 def with_motion(plan: object, doing: str) -> Plan:
-    """Return a plan if it has a motion; `doing` says what for.
+    """Return a plan if it has a motion. `doing` is its use.
 
     Raises:
         InfeasibleError: if it has no motion; the error has the plan.
-        ProblemError: if it is no plan.
+        ProblemError: if it is not a plan.
     """
     if not isinstance(plan, Plan):
-        raise ProblemError(f"a Plan is needed to {doing}, or a problem or the name of one, got {plan!r}")
+        raise ProblemError(f"to {doing}, give a Plan, a problem, or the name of either, got {plan!r}")
     if plan.trajectory is None:
-        raise InfeasibleError(f"nothing to {doing}, the plan has no motion: {plan.message}", plan)
+        raise InfeasibleError(f"cannot {doing}: the plan has no motion: {plan.message}", plan)
     return plan
 
 
@@ -224,17 +226,17 @@ def with_imperfections(problem: Problem, imperfections: Mapping | None) -> Probl
 
 
 def listed(trackers: object, legal: str) -> Sequence:
-    """Return trackers if they are a list; `legal` says of what."""
+    """Return trackers if they are a list; `legal` describes its entries in the error message."""
     if isinstance(trackers, str) or not isinstance(trackers, Sequence):
         raise ProblemError(f"trackers are a list of {legal}, got {trackers!r}")
     return trackers
 
 
 def tracking_table(own: Mapping, tracking: object) -> dict:
-    """Return a table [tracking] with other settings in place of its own.
+    """Return a table [tracking] with some of its settings replaced.
 
     Raises:
-        ProblemError: if the settings are no table.
+        ProblemError: if the settings are not a table.
     """
     if tracking is not None and not isinstance(tracking, Mapping):
         raise ProblemError(f"tracking is a table of key = value, got {tracking!r}")
@@ -244,7 +246,7 @@ def tracking_table(own: Mapping, tracking: object) -> dict:
 def poses_of(mechanism: Mechanism, at_deg: object, at_m: object = ()) -> list[dict[str, float]]:
     """Return poses as positions [rad or m] by joint name; `at_deg` and `at_m` are lists of tables of joint = value.
 
-    For one degree of freedom a pose may be a number alone.
+    For one degree of freedom a pose may be a single number.
 
     If both are given, tables at the same index belong to one pose.
 
@@ -254,7 +256,7 @@ def poses_of(mechanism: Mechanism, at_deg: object, at_m: object = ()) -> list[di
     lists = {key: _tables(key, value, mechanism) for key, value in (("at_deg", at_deg), ("at_m", at_m))}
     if lists["at_deg"] and lists["at_m"] and len(lists["at_deg"]) != len(lists["at_m"]):
         raise ProblemError(
-            f"at_deg and at_m have a table each for every pose, got {len(lists['at_deg'])} and {len(lists['at_m'])}"
+            f"at_deg and at_m must have the same number of poses, got {len(lists['at_deg'])} and {len(lists['at_m'])}"
         )
     poses = []
     for k in range(max(map(len, lists.values()))):
@@ -266,17 +268,20 @@ def poses_of(mechanism: Mechanism, at_deg: object, at_m: object = ()) -> list[di
 
 
 def numbers(values: object, key: str, *, positive: bool = False) -> list[float]:
-    """Return one number or several as a list; `key` names them in refusals.
+    """Return one or several numbers as a list; `key` names them in error messages.
 
     Raises:
-        ProblemError: for something else, or a number that is not positive if it should be.
+        ProblemError: for anything else, or for a number that must be positive and is not.
     """
     given = to_toml_types(values)
     return [number(value, key, positive=positive) for value in (given if isinstance(given, list) else [given])]
 
 
 def _tables(key: str, value: object, mechanism: Mechanism) -> list[dict]:
-    """Return a list of tables. A single table is a list of one; a number is the value of the only independent joint."""
+    """Return a list of tables.
+
+    A single table becomes a list of one; a number is the position of the only independent joint.
+    """
     value = [value] if isinstance(value, Mapping) else value
     value = list(value) if isinstance(value, Sequence) and not isinstance(value, str) else value
     if isinstance(value, list) and mechanism.dof == 1:

@@ -81,15 +81,15 @@ def bode(
         at_deg: poses to analyse, each the independent hinges' angles [deg] by joint name, or a number for the only joint; by
             default five over the problem's motion, seven over the reach, or home with several degrees of freedom.
         at_m: likewise, for slides [m].
-        from_effort: inputs of a plant: names of actuators, or of driven joints for the total effort on the joint.
-        to_position: its outputs: names of joints; "foot.z" for a site's coordinate in the world; "body.shank" for the angle
-            of a body that turns about one axis.
+        from_effort: inputs of the plant: names of actuators, or of driven joints for the total effort on the joint.
+        to_position: outputs of the plant: names of joints; "foot.z" for a site's coordinate in the world; "body.shank" for
+            the angle of a body that turns about one axis.
         measure: whether responses are measured in MuJoCo, by a sinestream.
         frequency_hz: frequencies to measure [Hz], below half the sampling rate; by default twenty around the crossover,
             or around a plant's resonances.
         amplitude_deg: of the test signal's motion at the joint, in degrees (metres on a slide); by default small.
         map: whether the stable gains are mapped over all positions and tried in MuJoCo next to the stability boundary.
-        large: whether signals past the effort limit are measured, beside the describing function.
+        large: whether signals beyond the effort limit are measured and compared with the describing function.
         along: whether the tracked motion of the problem is analysed: margins at frozen instants, Floquet multipliers.
         progress: called with lines on the progress.
 
@@ -108,7 +108,7 @@ def bode(
     mechanism, problem, settings, limit = loop_of(subject, tracking, given)
     note_forces(mechanism, say, "at the poses of bode, but along the motion (along)")
     if along and problem is None:
-        raise ProblemError("along needs a problem, for its motion; a model has none")
+        raise ProblemError("along needs a problem with a motion, got a model")
     for name, is_asked in (("map", map), ("large", large)):
         if is_asked:
             refuse_several_freedoms(mechanism, name)
@@ -133,16 +133,21 @@ def bode(
 
 
 def _asks_for_plant(efforts: object, positions: object, others: Mapping[str, bool]) -> bool:
-    """Tell if a plant is asked for; refuse a half of it, or together with studies of a loop."""
+    """Tell if a plant is asked for.
+
+    Refuse an input without output or the reverse, and a plant together with studies of a loop.
+    """
     for name, value in (("from_effort", efforts), ("to_position", positions)):
         if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(one, str) for one in value):
             raise ProblemError(f"{name} is a list of names, got {value!r}")
     if bool(efforts) != bool(positions):
         given, missing = ("from_effort", "to_position") if efforts else ("to_position", "from_effort")
-        raise ProblemError(f"{given} names one side of a plant; give the other side, too ({missing})")
+        raise ProblemError(f"{given} also needs {missing}: a plant has inputs and outputs")
     for name, is_asked in others.items():
         if efforts and is_asked:
-            raise ProblemError(f"{name} is about the loop of a tracker, and a plant from inputs to outputs has none")
+            raise ProblemError(
+                f"{name} analyses the loop of a tracker; it cannot be combined with from_effort and to_position"
+            )
     return bool(efforts)
 
 
@@ -167,7 +172,7 @@ def loop_of(
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class BodeResult(MechanismResult):
-    """A loop's frequency response; its study has the further ones that were asked for: `map`, `large` and `along`."""
+    """A loop's frequency response, with the additional studies `map`, `large` and `along` if they were asked for."""
 
     record_name = "bode"
     study: BodeStudy
@@ -190,9 +195,9 @@ class BodeResult(MechanismResult):
     def lti(self, pose: str | None = None, *, closed: bool = False) -> control.StateSpace:
         """Return the sampled loop at a pose as python-control's state space, with its period as `dt` [s].
 
-        The open loop is broken at the actuators: from commands u (n_u,) [N.m or N] to the law's output K x (n_u,) of the
-        linearised plant. The closed loop goes from commands added to the law's to the state x = (s, s') (2 n_s,) [rad or m,
-        and per second], with past commands as further states.
+        The open loop is cut at the actuators: it maps commands u (n_u,) [N.m or N] to the law's output K x (n_u,) of the
+        linearised plant. The closed loop maps commands, added to the law's, to the state x = (s, s') (2 n_s,) [rad or m, and
+        per second]. Past commands are further states.
 
         Args:
             pose: one of `poses`; by default the first one.
@@ -223,7 +228,7 @@ class BodeResult(MechanismResult):
         if measured:
             if quantity not in entry.responses:
                 known = ", ".join(entry.responses) or "none"
-                raise ProblemError(f"no '{quantity}' was measured at {entry.point.name}; measured: {known}")
+                raise ProblemError(f"'{quantity}' was not measured at {entry.point.name}; measured: {known}")
             return entry.responses[quantity].frd()
         frequency_hz = frequency_grid(self.study.law.timing.period_s)[:-1]  # below the Nyquist frequency
         return entry.sampled.response(quantity, frequency_hz, entry.channel).frd()

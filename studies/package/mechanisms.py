@@ -54,20 +54,20 @@ def load_mechanism(
         independent: names of the independent joints; by default the driven joints.
         payload: a rigid body welded on: a built-in name ("shank"), or a table with `body`, `mass_kg`, `com_m` (3 numbers
             in the body's frame) and, if it is known, `inertia_kgm2` (3 moments about its centre of mass).
-        solref: "stiff" for the stiffest closures in simulation that the model's timestep admits; by default those of the
+        solref: "stiff" for the stiffest closures in simulation that the model's timestep permits; by default those of the
             model.
-        closure_tolerance_m: a motion that opens the loops by less than this [m] counts as free, because only rounding in the
-            file forbids it; by default a micrometre, or a hundred thousandth of a small mechanism.
+        closure_tolerance_m: a motion that opens the loops by less than this [m] counts as free, because only rounded numbers
+            in the file prevent it; by default 1e-6 m, or 1e-5 of a small mechanism's size.
         friction_transition_deg_s: the speed v_0 of the dry friction f tanh(v / v_0); by default 2. For slides and tendons,
             this speed in rad/s is multiplied by the mechanism's extent.
-        keep: names of bodies or joints: of a larger robot, only these bodies are read, with what hangs on them, the chains
-            that close loops over them, and the bodies between them and the world. `notes` names what was dropped.
-        fix_base: True locks what lies between the world and the kept bodies, and a base that no actuator moves.
-        lock: positions by name of joints that do not move, in degrees on hinges and in metres on slides.
+        keep: names of bodies or joints of a larger robot. Only these bodies are read, with everything attached to them, the
+            chains that close loops with them, and the bodies between them and the world. `notes` names what was dropped.
+        fix_base: True locks the joints between the world and the kept bodies, and a base without actuators.
+        lock: positions of joints to lock, by name: degrees for hinges, metres for slides.
         keyframe: the model's keyframe that gives the home pose and the pose of a fixed base; by default "home".
         exclude_contacts: pairs of names of bodies whose geoms pass through each other.
-        drive: names of joints that get a motor, within the effort limit that the joint has; a URDF often names none.
-        lock_spin: names of ball joints of rods that do not spin about their own line: universal joints take their places.
+        drive: names of joints that get a motor, within the joint's effort limit; many URDFs define no motors.
+        lock_spin: names of ball joints of rods that must not spin about their own line; each becomes a universal joint.
         force: constant forces (3,) [N] in the world's axes by site: a load on a foot, a weight on a hook.
         gear: gears of motors by actuator, in place of the model's: the motor's position over that of its joint.
         rotor_inertia: inertia of the motors' rotors [kg m2, or kg] by actuator, before the gear.
@@ -102,8 +102,8 @@ def load_mechanism(
 def check(subject: Subject, *, at_deg: Poses = (), at_m: Poses = ()) -> CheckResult:
     """Return the report on a mechanism before planning, along the motion of a problem if one is given.
 
-    A model that is locked or not assembled has a report, too, with the reason in `problems`. For a problem file that cannot
-    be planned, the report is on its mechanism, with the reason in `notes`.
+    A model that is locked or not assembled also has a report, with the reason in `problems`. If a problem file cannot be
+    planned, the report is about its mechanism, with the reason in `notes`.
 
     Args:
         subject: a mechanism, a `Problem`, or the name or path of either.
@@ -147,7 +147,7 @@ class CheckResult(Result):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """Further facts that are no faults, each a sentence."""
+        """Findings that are not faults, each a sentence."""
         return self.found.notes
 
     @property
@@ -167,7 +167,7 @@ class CheckResult(Result):
 
     @property
     def joints_to_drive(self) -> tuple[str, ...]:
-        """The joints that motors could drive, of a mechanism without an actuator."""
+        """For a mechanism without an actuator, the joints that motors could drive."""
         from linkplan.studies.check.drives import joints_to_drive
 
         return () if self.mechanism is None or self.mechanism.n_u else tuple(joints_to_drive(self.mechanism))
@@ -179,7 +179,7 @@ class CheckResult(Result):
 
     @property
     def struct(self) -> Struct:
-        """The findings, with the paths measured."""
+        """The findings and the quantities along each path."""
         return getattr(self.found, "with_paths", self.found)
 
     def blocks(self) -> list[Block]:
@@ -187,7 +187,7 @@ class CheckResult(Result):
         return self.found.blocks()
 
     def summary(self) -> list[Block]:
-        """Return the findings in less than thirty lines."""
+        """Return a summary of the findings in at most thirty lines."""
         return self.found.summary()
 
     def document(self) -> Report:
@@ -197,7 +197,7 @@ class CheckResult(Result):
         return check_report(self.found)
 
     def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
-        """Yield the mechanism over its reach, and along each path; nothing of a model that is not a valid mechanism."""
+        """Yield the figures over the reach and along each path; none if the model is not a valid mechanism."""
         from linkplan.studies.check.path_plots import MAX_FIGURES, inspection_figure, path_figure
 
         if isinstance(self.found, RefusedModel):
@@ -207,7 +207,7 @@ class CheckResult(Result):
             yield f"loop-{number}", path_figure(path, self.found.reaches)
 
     def write_files(self, place: Path, *, parquet: bool) -> None:
-        """Write the model as it was read if it is not the file's."""
+        """Write the model as it was read, if it differs from the file."""
         from linkplan.models.model_text import urdf_root
         from linkplan.models.selected_model import whole_model_text
 

@@ -1,4 +1,4 @@
-"""`size`: which motor of a list does a problem's motion, behind which gear, and by what margin."""
+"""`size`: which motors of a list, behind which gears, can drive a problem's motion, and with what margins."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ def size(
     rest_s: float = 0.0,
     progress: Progress | None = None,
 ) -> SizeResult:
-    """Return the motors of a list that do a problem's motion, behind each of their gears, by what margin, the best first.
+    """Return the margins of each motor of a list, with each of its gears, for a problem's motion; the best comes first.
 
-    The problem is planned with each motor and gear: its peak effort, torque-speed line and rotor take the place of the
-    actuator's own (docs/motors.md). A motor does if the plan passes its certificate and its rms effort is within its limit.
+    The problem is planned with each motor and gear: its peak effort, torque-speed line and rotor replace those of the
+    actuator (docs/motors.md). A motor suffices if the plan passes its certificate and the rms effort is within its limit.
 
     Args:
         problem: a problem, or the name or path of one.
-        motors: the path of a TOML file with [[motor]] tables, or of a CSV file with a motor in a row; or a list of tables
+        motors: the path of a TOML file with [[motor]] tables, or of a CSV file with one motor per row; or a list of tables
             with `name`, `peak_effort` [N.m or N], `rms_effort`, `stall_effort` and `no_load_speed_deg_s` or `_m_s`,
             `rotor_inertia` [kg m2 or kg], `gears`, a list of ratios, `torque_constant` and `resistance_ohm`.
-        actuator: the one that gets the motors; needed if there are several. The others keep their limits.
-        rest_s: the rest without effort after each motion [s], over which the rms effort is taken, too.
+        actuator: the actuator to size; needed if there are several. The others keep their limits.
+        rest_s: the rest without effort after each motion [s]; the rms effort is taken over motion and rest.
         progress: called with lines on the progress.
 
     Raises:
@@ -58,14 +58,17 @@ def size(
         listed = read_motors(path_of(motors, "motors"))
     rest = number(rest_s, "rest_s", at_least_zero=True)
     if rest and (asked.motion.kind == "periodic" or (asked.reference is not None and asked.reference.periodic)):
-        raise ProblemError(f"rest_s is the rest after a motion that ends, and {asked.name} repeats itself; got {rest:g} s")
+        raise ProblemError(f"rest_s must be 0 for a periodic motion such as {asked.name}, got {rest:g} s")
     sizing, plan = size_motors(asked, actuator_of(asked, actuator), listed, rest, listener(progress))
     return SizeResult(sizing=sizing, plan=plan)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class SizeResult(Result):
-    """Sized motors, the best first. `str(result)` is the table; `to_dict()` has every value; `plan` is that of the best."""
+    """The sized motors, the best first.
+
+    `str(result)` is the table; `to_dict()` has every value; `plan` is that of the best motor.
+    """
 
     record_name = "size"
 
@@ -74,11 +77,11 @@ class SizeResult(Result):
 
     @property
     def passed(self) -> bool:
-        """Whether a motor does."""
+        """Whether any motor suffices."""
         return self.sizing.found
 
     def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
-        """Yield size, efforts over speeds with the motors' limits, if a motion is known."""
+        """Yield size, the chart of efforts over speeds with the motors' limits, if a motion is known."""
         if any(one.curve is not None for one in self.sizing.motors):
             yield "size", sizing_figure(self.sizing)
 

@@ -1,4 +1,4 @@
-"""The legal names of arguments, in modules that load quickly, and the schema of problem files."""
+"""The legal names of arguments, from modules that load quickly, and the schema of problem files."""
 
 from linkplan.controllers.controls import KEYS_TEXT
 from linkplan.controllers.trackers.names import LINEAR, TRACKERS

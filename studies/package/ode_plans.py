@@ -79,17 +79,17 @@ class OdePlan(ode_planned.OdePlan, Shown):
 
     @classmethod
     def of(cls, plan: ode_planned.OdePlan) -> OdePlan:
-        """Return the planner's solution with these members."""
+        """Return the planner's solution as this class."""
         return cls(**{field.name: getattr(plan, field.name) for field in fields(plan)})
 
     def sample(self, time_s: np.ndarray | None = None) -> dict[str, np.ndarray]:
-        """Return columns (n,) by name: time [s], states and efforts, at times (n,) [s] or ten in each interval.
+        """Return columns (n,) by name: time [s], states and efforts, at times (n,) [s], by default ten per interval.
 
         Raises:
             LinkplanError: if there is no motion, or a time is not within it.
         """
         if self.trajectory is None:
-            raise LinkplanError(f"no motion to sample: {self.message}")
+            raise LinkplanError(f"cannot sample: there is no motion: {self.message}")
         end_s = self.trajectory.duration_s
         time = self.trajectory.dense_times() if time_s is None else np.atleast_1d(planned.asked_times(time_s, end_s))
         columns = {"time [s]": time}
@@ -130,7 +130,7 @@ class OdePlan(ode_planned.OdePlan, Shown):
         return drawn(path, lambda: FigureSpec(panels=panels, title=title, panel_in=(7.0, 2.7)))
 
     def save(self, folder: str | Path) -> Path:
-        """Write the solution as a folder, whole or not at all, and return its path: ode.json, trajectory.csv, plan.png.
+        """Write the solution as a folder, completely or not at all, and return its path: ode.json, trajectory.csv, plan.png.
 
         Raises:
             LinkplanError: if there is no motion, the folder has other files, or it cannot be written.

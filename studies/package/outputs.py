@@ -84,16 +84,17 @@ def render(
     """Write a film or picture of a plan's motion as tracked in MuJoCo, with the plan as a ghost; return what was written.
 
     Args:
-        plan: with a motion; or its problem, or the name or path of either.
+        plan: a plan with a motion, a problem, or the name or path of either.
         path: of the file: .mp4, .gif or .png.
         tracker: a built-in name.
-        slow: how many times slower than real; by default a film of a few seconds.
-        fps: frames a second.
+        slow: how many times slower than real time; by default the film lasts a few seconds.
+        fps: frames per second.
         size_px: width and height [px].
-        camera: the name of a camera of the model, or "azimuth/elevation" in degrees; by default the mechanism's plane.
+        camera: the name of a camera of the model, or "azimuth/elevation" in degrees; by default facing the mechanism's
+            plane.
         at_s: the instant [s] of a picture; by default a picture shows several.
         instants: how many instants a picture shows.
-        there_and_back: whether a film is added backwards, so that it repeats without a jump.
+        there_and_back: whether the film then plays backwards, so that it repeats without a jump.
         mujoco_gl: "egl", "osmesa" or "glfw"; by default one that works. Without any, Matplotlib draws.
         progress: called with lines on the progress.
 
@@ -170,12 +171,12 @@ def export(
         plan: with a motion; or its problem, or the name or path of either; for "c" also a model.
         path: of the new file; for "c" of a folder, whose older code is replaced.
         to: "keyframes", "mjcf", "ros", "mat", "csv", "parquet" or "c". Angles are in radians, except in "csv" and "parquet",
-            whose columns have their units in their heads.
+            whose column names state the units.
         joints: for "ros", and for a model in C: the output joints as coordinates; by default the independent joints.
         tracker: for "c": the law of a plan: "pd", "pd+ff", "lqr" or "gs-pd+ff".
         sizes: for a model in C: whether flash and stack are measured even if the code is long and compiles for minutes.
-        tolerance: for the law of a plan in C: rows of its tables are left out while efforts and gains stay within this share
-            of their largest values; by default there is a row at every control instant.
+        tolerance: for the law of a plan in C: rows of its tables are omitted where interpolation changes efforts and gains
+            by at most this share of their largest values; by default there is a row at every control instant.
         every_s: the time between samples [s]; by default ten in each interval of the mesh.
         progress: called with lines on the progress.
 
@@ -192,17 +193,17 @@ def export(
     say, names = listener(progress), list(joints)
     if to in FOLDER_FORMATS:
         if every_s is not None:
-            raise ProblemError("every_s is for files of samples; a law in C has the instants of tracking.period_s")
+            raise ProblemError("every_s applies to files of samples; a law in C has a row at every tracking.period_s")
         return _exported_c(plan, path, names, tracker, sizes, tolerance, say)
     for key, given in (("tolerance", tolerance), ("sizes", sizes)):
         if given:
-            raise ProblemError(f"{key} is for code in C, got to = '{to}'")
+            raise ProblemError(f"{key} applies to C code only, got to = '{to}'")
     from linkplan.planner.files.single_file import write_new
     from linkplan.studies.handover.export.export import FileRecord, exported
 
     place = file_to_write(path)
     if isinstance(plan, Mechanism):
-        raise ProblemError(f"a plan is written as '{to}'; a model only as 'c'")
+        raise ProblemError(f"'{to}' needs a plan; a model can only be exported as 'c'")
     answer = plan_of(plan, say, "export")
     if to in ("keyframes", "mjcf"):
         note_forces(answer.problem.mechanism, say, "in the exported model")
@@ -214,7 +215,10 @@ def export(
 
 @dataclasses.dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class Exported(Shown):
-    """What `export` wrote: its `path`, and whether the plan passes. `struct` is its record; export.json is that of C."""
+    """What `export` wrote: its `path`, and whether the plan passes.
+
+    `struct` is the record, for C code that of export.json.
+    """
 
     path: Path
     passed: bool
@@ -249,9 +253,9 @@ def _exported_c(
         from linkplan.studies.handover.export.law_tables import law_tables
 
         if joints:
-            raise ProblemError("joints is for ros, and for a model in C; a plan's law has the plan's own coordinates")
+            raise ProblemError("joints applies to ros and to a model in C; a plan's law has the plan's coordinates")
         if sizes:
-            raise ProblemError("sizes is for a model in C; a law's flash and stack are measured anyway")
+            raise ProblemError("sizes applies to a model in C; flash and stack of a law are always measured")
         plan = plan_of(asked, say, "export")
         tables, passed = law_tables(plan, tracker, tolerance or 0.0), plan.passed
         made = functools.partial(write_law, tables, plan=plan.problem.name)
@@ -261,7 +265,7 @@ def _exported_c(
         from linkplan.studies.handover.export.output_joints import with_outputs
 
         if tolerance is not None:
-            raise ProblemError("tolerance is for the tables of a plan's law in C; a model's code has none")
+            raise ProblemError("tolerance applies to the tables of a plan's law in C; a model's code has no tables")
         mechanism, _ = subject_of(cast(Subject, subject))
         note_forces(mechanism, say, "in the exported model")
         code = model_code(with_outputs(mechanism, joints) if joints else mechanism)
@@ -277,7 +281,7 @@ def _exported_c(
 
 
 def _plan_in(subject: PlanLike | Subject) -> PlanLike | None:
-    """Return a subject that is a plan, saved or to be made; None for a model."""
+    """Return the plan of a subject, read or computed; None for a model."""
     if isinstance(subject, Source | str | Path):
         source = source_of(subject)
         return source if source.is_problem or os.path.isdir(source.name) else None

@@ -21,19 +21,19 @@ def path_of(value: object, key: str) -> Path:
         ProblemError: with the name of the argument, if it is neither text nor a path, or if no file can have this path.
     """
     if not isinstance(value, str | os.PathLike) or not isinstance(os.fspath(value), str):
-        raise ProblemError(f"{key} is a path, a text or a pathlib.Path, got {value!r}")
+        raise ProblemError(f"{key} must be a path, as text or pathlib.Path, got {value!r}")
     text = os.fspath(value)
     try:
         parts = [os.fsencode(part) for part in Path(text).parts]
     except UnicodeEncodeError as error:
         raise ProblemError(f"{key} must be a path, got {text!r}") from error
     if not text or "\0" in text or any(len(part) > 255 for part in parts):
-        raise ProblemError(f"{key} is a path whose names have 1 to 255 bytes, none of them zero, got {text!r}")
+        raise ProblemError(f"{key} must be a path whose names have 1 to 255 bytes without null bytes, got {text!r}")
     return Path(text)
 
 
 def folder_to_write(value: object, record: str) -> Path:
-    """Return a folder for a result with a record of a name, which could be written now.
+    """Return the folder for a result with a record of this name, after a check that it can be written.
 
     Raises:
         LinkplanError: if it cannot be written, or holds something else.
@@ -46,7 +46,7 @@ def folder_to_write(value: object, record: str) -> Path:
 
 
 def file_to_write(value: object) -> Path:
-    """Return a path at which a new file could be written now.
+    """Return the path of a new file, after a check that it can be written.
 
     Raises:
         LinkplanError: if it cannot be written, or there is a file.
@@ -59,7 +59,7 @@ def file_to_write(value: object) -> Path:
 
 
 def require_parquet(what: str) -> None:
-    """Refuse what needs Parquet, if its package is not installed."""
+    """Raise an error if the package for Parquet is not installed."""
     from linkplan.models.extras import load_extra
 
     load_extra("pyarrow.parquet", what)
@@ -92,7 +92,7 @@ def result_identity(folder: Path) -> str | None:
 
 
 def drawn(path: object, make: "Callable[[], FigureSpec]") -> "Figure":
-    """Return a figure that is made after the path is checked, saved at a path if one is given.
+    """Check the path, make the figure, save it at the path if one is given, and return it.
 
     Raises:
         LinkplanError: if the path is invalid, the file cannot be written, or its suffix is not that of a picture.

@@ -32,21 +32,21 @@ if TYPE_CHECKING:
     from linkplan.planner.proof.prove import Proof
     from linkplan.studies.output.document import Block, Report
 
-# Without `prove`, a plan is proved if that takes at most this share of the plan's time, or this many seconds.
+# Without `prove`, a plan is proved if the proof takes at most this share of the planning time, or this many seconds.
 _PROOF_SHARE, _PROOF_SECONDS = 0.25, 1.0
-PROVING = "proving the limits, then looking for the model's own motion for at most a minute"
+PROVING = "proving the limits, then that the model has a motion near the plan (at most a minute)"
 
 
 def plan(problem: Problem | Source | str | Path, progress: Progress | None = None, *, prove: bool = False) -> Plan:
     """Return the plan of a problem; without a motion, its `message` has the reason.
 
-    With a reserve or ranges the nominal machine is planned too, for the price of robustness. The motion is proved if that
-    takes little time beside planning; the result is the plan's `proof`.
+    If the problem has a reserve or ranges, the nominal machine is planned too, to state the price of robustness. The motion
+    is proved if the proof takes little time compared with planning; the result is the plan's `proof`.
 
     Args:
         problem: a `Problem`, a built-in name or the path of a problem file.
         progress: called with lines on the progress.
-        prove: whether its motion is proved, whatever it takes.
+        prove: whether the motion is proved, however long it takes.
 
     Raises:
         LinkplanError: if the problem is invalid.
@@ -62,7 +62,7 @@ def plan(problem: Problem | Source | str | Path, progress: Progress | None = Non
 
 
 def _proved(plan: planned.Plan, asked: bool, seconds: float, say: Listener) -> planned.Plan:
-    """Return a plan with its proof, if it is asked for or costs little beside the plan's own processor time [s]."""
+    """Return a plan with its proof, if the proof is asked for or takes little of the plan's processor time [s]."""
     if plan.trajectory is None or not (plan.passed or asked):
         return plan
     if asked:
@@ -80,7 +80,7 @@ def prove(plan: PlanLike, *, existence: bool = True, progress: Progress | None =
 
     Args:
         plan: with a motion; or its problem, or the name or path of either. A saved motion need not pass its certificate.
-        existence: whether a motion of the model near the plan is looked for, too, for at most a minute.
+        existence: whether to prove, in at most a minute, that the model has a motion near the plan.
         progress: called with lines on the progress.
 
     Raises:
@@ -94,7 +94,7 @@ def prove(plan: PlanLike, *, existence: bool = True, progress: Progress | None =
     if isinstance(plan, Source | str | Path) and Path(source_of(plan).name).is_dir():
         source = source_of(plan)
         if source.settings:
-            raise ProblemError(f"set {source.settings[0]}: a saved plan is fixed; it is proved as it is")
+            raise ProblemError(f"set {source.settings[0]}: a saved plan cannot be changed")
         answer = with_motion(plan_folder.read_to_prove(source.name), "prove")
     else:
         answer = plan_of(plan, say, "prove")
@@ -147,8 +147,8 @@ def read_plan(
     Args:
         folder: of the plan.
         anyway: whether a plan that does not pass its certificate is returned, with status "failed", instead of refused.
-        extra_costs: those of the plan. Files do not contain them: without them the objective is not checked, and the plan
-            has a note on it.
+        extra_costs: the extra costs of the plan, which files do not contain. Without them the objective is not checked, and
+            the plan has a note on it.
         extra_limits: likewise, the limits.
 
     Raises:
@@ -202,10 +202,10 @@ class Planner:
     def step(self, problem: Problem | str | Path) -> NextMotion | None:
         """Return a motion by a few Newton steps from the last plan, for replanning at the rate of control.
 
-        A step takes a quarter of the time of `plan`, the same in every call but the first. The motion is not certified, but
+        A step takes a quarter of the time of `plan`, except in the first call. The motion is not certified, but
         has bounds on its error. The next step starts from it. Returns None if the problem differs from the last one in more
-        than numbers, or if that was planned without a program, as least times along limits on power, pin force or speed are;
-        then call `plan`.
+        than numbers. It also returns None if the last plan was found without a program, such as a least time along limits on
+        power, pin force or speed. Then call `plan`.
 
         Raises:
             LinkplanError: if the problem is invalid.
@@ -216,8 +216,8 @@ class Planner:
 class Plan(planned.Plan, Reported):
     """A certified motion, or the reason why there is none. `str(plan)` is its report; `to_dict()` has every value.
 
-    Times are in seconds from the motion's start. It is the planner's plan; its own members need files, figures and reports,
-    which the planner cannot import.
+    Times are in seconds from the motion's start. This class adds to the planner's `Plan` the members that need files,
+    figures and reports, which the planner cannot import.
 
     Example::
 
@@ -229,7 +229,7 @@ class Plan(planned.Plan, Reported):
 
     @classmethod
     def of(cls, plan: planned.Plan) -> Plan:
-        """Return the planner's plan with these members."""
+        """Return the planner's plan as this class."""
         return cls(**{field.name: getattr(plan, field.name) for field in fields(plan)})
 
     def plot(self, path: str | Path | None = None) -> Figure:
@@ -244,7 +244,7 @@ class Plan(planned.Plan, Reported):
         return drawn(path, lambda: plan_figure(self))
 
     def save(self, folder: str | Path, *, jumps: bool = False, parquet: bool = False, report: bool = False) -> Path:
-        """Write the plan as a folder, whole or not at all, and return its path: plan.json, trajectory.npz, .csv, plan.png.
+        """Write the plan's folder, completely or not at all, and return its path: plan.json, trajectory.npz, .csv, plan.png.
 
         Args:
             folder: an older plan in it is replaced.
@@ -284,5 +284,5 @@ class Plan(planned.Plan, Reported):
 
     @property
     def struct(self) -> PlanRecord:
-        """The record of plan.json; with a reserve or ranges it has the price of robustness, too."""
+        """The record of plan.json; with a reserve or ranges it also has the price of robustness."""
         return structs.replace(plan_folder.record_of(self), price=saved_price(self) or UNSET)

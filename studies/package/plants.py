@@ -1,4 +1,4 @@
-"""What `bode` returns for a plant from chosen inputs to chosen outputs."""
+"""The result of `bode` for a plant from chosen inputs to chosen outputs."""
 
 from __future__ import annotations
 

@@ -20,13 +20,13 @@ class Listener:
         self._progress = progress
 
     def __call__(self, text: str) -> None:
-        """Pass a line on the present work."""
+        """Pass a line on the current work."""
         LOG.info(text)
         if self._progress is not None:
             self._progress(text)
 
     def keep(self, text: str) -> None:
-        """Pass a note, which a terminal keeps: by the caller's own `keep`, if it has one."""
+        """Pass a note that stays on a terminal, by the caller's `keep` if it has this method."""
         LOG.warning(text)
         if self._progress is not None:
             getattr(self._progress, "keep", self._progress)(text)
@@ -39,5 +39,5 @@ def listener(progress: Progress | None) -> Listener:
         ProblemError: if `progress` is not callable.
     """
     if progress is not None and not callable(progress):
-        raise ProblemError(f"progress is a function of one line of text, got {progress!r}")
+        raise ProblemError(f"progress must be a function of one line of text, got {progress!r}")
     return progress if isinstance(progress, Listener) else Listener(progress)

@@ -1,4 +1,4 @@
-"""What all results share: `str(result)` is the text, `to_dict()` the JSON, `save` the folder and `report` the page."""
+"""The members of all results: `str(result)` is the text, `to_dict()` the JSON, `save` the folder, `report` the page."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 
 class Shown(ABC):
-    """What has a struct and blocks; its JSON, its text and what a notebook shows follow.
+    """An object with a struct and blocks, from which its JSON, its text and its display in a notebook follow.
 
-    A base class in place of a function for each member, so that all are shown in the same way.
+    It is a base class, so that all results are shown in the same way.
     """
 
     __slots__ = ()
@@ -56,7 +56,7 @@ class Shown(ABC):
 
 
 class Reported(Shown):
-    """What has a report, too."""
+    """An object that also has a report."""
 
     __slots__ = ()
 
@@ -80,13 +80,14 @@ class Result(Reported):
 
     __slots__ = ()
     record_name = ""
-    """The name of the record in a saved folder, without ".json"; empty for a result that its function writes."""
+    """The name of the record in a saved folder, without ".json"; empty for a result that the study's function writes
+    itself."""
     has_parquet = False
-    """Whether its tables are written as Parquet, too."""
+    """Whether the tables can also be written as Parquet."""
 
     @property
     def passed(self) -> bool:
-        """Whether the answer is yes: a command then ends with exit code 0."""
+        """Whether the result is positive; a command then ends with exit code 0."""
         return True
 
     @property
@@ -98,7 +99,7 @@ class Result(Reported):
         """Return one of the result's tables as a pandas table, with units in the columns' names and digits as shown.
 
         Args:
-            table: its title or the beginning of it, or its place among the result's tables.
+            table: its title or the beginning of the title, or its index among the result's tables.
 
         Raises:
             MissingPackageError: if pandas is not installed.
@@ -137,10 +138,10 @@ class Result(Reported):
         del place, parquet
 
     def save(self, folder: str | Path, *, report: bool = False, parquet: bool = False) -> Path:
-        """Write the record, tables, figures and the document into a folder, whole or not at all, and return its path.
+        """Write the record, tables, figures and the document into a folder, completely or not at all, and return its path.
 
-        Runs have a table each: `nominal-pd.csv` and `.npz` have a row for each control instant, with units in the heads;
-        `mismatch-pd.csv` has the same for the mismatch.
+        Each run has its own table: `nominal-pd.csv` and `.npz` have a row for each control instant, with units in the column
+        names; `mismatch-pd.csv` is the same for the mismatch.
 
         Args:
             folder: an older result of the same kind in it is replaced.
@@ -156,10 +157,10 @@ class Result(Reported):
 
         if parquet and not self.has_parquet:
             raise LinkplanError(
-                f"parquet is for the tables of track, compare and transfer; a {type(self).__name__} has none"
+                f"parquet applies to the tables of track, compare and transfer; a {type(self).__name__} has no such table"
             )
         if not self.record_name:
-            raise LinkplanError("this result is only saved while it is computed: pass a folder to its function")
+            raise LinkplanError("this result can only be saved while it is computed: pass a folder to its function")
         target, record = path_of(folder, "folder"), f"{self.record_name}.json"
 
         def write(place: Path) -> None:

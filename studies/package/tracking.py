@@ -45,16 +45,16 @@ def track(
     """Return one tracker's run on a plan in MuJoCo, or on a machine of an experiment.
 
     Args:
-        plan: with a motion; or its problem, or the name or path of either. With `sample`, an experiment's folder.
+        plan: a plan with a motion, a problem, or the name or path of either. With `sample`, an experiment's folder.
         tracker: "pd", "pd+ff", "lqr", "lqi", "gs-pd+ff", "ct" or "mpc"; or a `Tracker`: an object with a `name` and
             `effort(k, position_rad, velocity_rad_s)`; or a function of the sampled reference that returns a tracker. The
             reference has `period_s`, and at the control instants `time_s` (n,), `position_rad`, `velocity_rad_s` (n, n_s),
-            `pose_rad` (n, n_q) and the needed `effort` (n, n_u) [N.m or N]; slides are in m and m/s. `effort` of a tracker
-            returns efforts (n_u,) at instant k for the measured position and velocity (n_s,) of the independent joints;
-            the loop adds saturation, sampling and delay. Or "module:object", or an installed package's name of one.
-        sample: the sample of the experiment whose machine runs again as it was.
-        mass_factor: on mass and inertia of the payload in the simulator, or of all moving bodies without a payload.
-        delay_periods: further control periods (also a fraction) before a command acts, in addition to those of the problem.
+            `pose_rad` (n, n_q) and the needed `effort` (n, n_u) [N.m or N]; slides are in m and m/s. A tracker's `effort`
+            returns efforts (n_u,) at instant k for the measured position and velocity (n_s,) of the independent joints; the
+            loop adds saturation, sampling and delay. Also "module:object", or the name of a tracker of an installed package.
+        sample: the sample of the experiment to run again, with identical results.
+        mass_factor: factor on mass and inertia of the payload in the simulator, or of all moving bodies without a payload.
+        delay_periods: additional delay of commands in control periods, which may be a fraction.
         tracking: settings that replace the problem's: kp, kd, period_s, delay_periods, duration_s, lqr_position_deg, ...
         progress: called with lines on the progress.
 
@@ -68,7 +68,7 @@ def track(
     say = listener(progress)
     if sample is not None:
         if not isinstance(plan, Source | str | Path):
-            raise ProblemError(f"with sample, plan is the folder of an experiment, got {plan!r}")
+            raise ProblemError(f"with sample, plan must be the folder of an experiment, got {plan!r}")
         source = source_of(plan)
         given = {
             "set": source.settings,
@@ -78,7 +78,7 @@ def track(
             "tracking": tracking is not None,
         }
         if named := [name for name, is_given in given.items() if is_given]:
-            raise ProblemError(f"{', '.join(named)}: not with sample, which runs a machine of an experiment again as it was")
+            raise ProblemError(f"{', '.join(named)} cannot be combined with sample, which repeats a run of an experiment")
         return _replayed(source.name, tracker, sample)
     factor, delay = _checked(mass_factor, delay_periods)
     asked = trackers_loaded([tracker])[0]
@@ -121,8 +121,9 @@ def compare(
     Args:
         plan: with a motion; or its problem, or the name or path of either.
         trackers: each as for `track`, with different names.
-        mass_factor: of the mismatch, on mass and inertia of the payload, or of all moving bodies without a payload.
-        delay_periods: of the mismatch, further control periods of delay. With a factor of 1 and no delay there is none.
+        mass_factor: of the mismatch, factor on mass and inertia of the payload, or of all moving bodies without a payload.
+        delay_periods: of the mismatch, additional control periods of delay. With a factor of 1 and no delay there is
+            no mismatch.
         tracking: settings that replace the problem's, as for `track`.
         progress: called with lines on the progress.
 
@@ -162,7 +163,8 @@ def _to_track(plan: PlanLike, tracking: object, say: Listener) -> Plan:
 class TrackingResult(Result):
     """Trackers' runs on one plan. `str(result)` is the table; `to_dict()` has every value, with units in the names.
 
-    `document_runs` are the runs of the source document's experiment by (model, KP, KD), if the plan is that.
+    `document_runs` are the runs of the source document's experiment by (model, KP, KD), if the plan is the document's
+    sinusoid.
     """
 
     has_parquet = True

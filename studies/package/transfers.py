@@ -1,4 +1,4 @@
-"""`transfer`: efforts, inertia, friction and gains carried between motors and output joints across a linkage."""
+"""`transfer`: efforts, inertia, friction and gains converted between motors and output joints of a linkage."""
 
 from __future__ import annotations
 
@@ -45,28 +45,28 @@ def transfer(
     along: PlanLike | None = None,
     progress: Progress | None = None,
 ) -> TransferResult:
-    """Return the transfer table of output joints: what the motors and the joints are to each other across the linkage.
+    """Return the transfer table of output joints, which relates motors and joints of a linkage.
 
-    Motor velocity = G joint velocity, joint effort = G^T motor effort, so that motor power is joint power. A motor's
+    Motor velocity = G joint velocity, joint effort = G^T motor effort, so motor power equals joint power. A motor's
     position is its gear times its joint's position, as MuJoCo's actuator length. Radians, metres and SI units throughout.
 
     Args:
         subject: a mechanism, a `Problem`, or the name or path of either, in any coordinates. A problem gives the effort
             limits and the motors' top speeds.
         joints: one to three output joints, which determine the motors. Other independent coordinates rest at home.
-        tolerance: the error allowed for linear interpolation in the table, as a share of each quantity's largest size.
+        tolerance: the allowed error of linear interpolation in the table, as a share of each quantity's largest value.
         range_deg: [low, high] [deg] of an output hinge; by default its whole reach.
         range_m: likewise, of a slide [m].
         motor_speed: the motors' top speeds [rad/s or m/s], one for all or one each.
-        joint_kp: joints' stiffness [N.m/rad or N/m] to be given by the motors, one for all or one each.
+        joint_kp: joints' stiffness [N.m/rad or N/m] to convert to the motors, one for all or one each.
         joint_kd: joints' damping [N.m.s/rad or N.s/m], likewise.
-        motor_kp: motors' stiffness to be carried to the joints.
+        motor_kp: motors' stiffness to convert to the joints.
         motor_kd: motors' damping, likewise.
-        along: a plan of the same model, or its path, along whose motion the errors of models without loops are stated.
+        along: a plan of the same model, or its path; the errors of models without loops are computed along its motion.
         progress: called with lines on the progress.
 
     Raises:
-        LinkplanError: if the joints cannot be coordinates at home, such as at a dead centre, or a value is invalid.
+        LinkplanError: if the joints cannot be coordinates at home, for example at a dead centre, or a value is invalid.
 
     Example::
 
@@ -77,7 +77,7 @@ def transfer(
         raise ProblemError(f"joints are a list of names, got {joints!r}")
     mechanism, problem = subject_of(subject)
     say = listener(progress)
-    note_forces(mechanism, say, "in the table, whose efforts are those at rest without it")
+    note_forces(mechanism, say, "in the table, whose efforts are those at rest")
     gains = {"joint_kp": joint_kp, "joint_kd": joint_kd, "motor_kp": motor_kp, "motor_kd": motor_kd}
     ends = {}
     for key, table in (("range_deg", range_deg), ("range_m", range_m)):
@@ -112,12 +112,12 @@ class TransferResult(MechanismResult):
 
     @property
     def kept(self) -> bool:
-        """Whether the table keeps the interpolation error that was asked for."""
+        """Whether the table's interpolation error is within the tolerance."""
         return self.figures.kept
 
     @property
     def passed(self) -> bool:
-        """Whether the table keeps the interpolation error."""
+        """Whether the table's interpolation error is within the tolerance."""
         return self.kept
 
     @property
@@ -126,7 +126,7 @@ class TransferResult(MechanismResult):
         return arrays_of(self.found)
 
     def at(self, name: str, positions_rad: Rows) -> np.ndarray:
-        """Return a quantity of the table by linear interpolation, NaN off the map.
+        """Return a quantity of the table by linear interpolation; NaN outside the map.
 
         Args:
             name: "motor_position", "ratio" (G), "ratio_slope", "inertia", "armature", "damping", "friction" or "gravity".
@@ -138,7 +138,7 @@ class TransferResult(MechanismResult):
 
     @property
     def serial_mjcf(self) -> str:
-        """The serial equivalent as MJCF: the model without the loops, whose joints carry what the linkage reflects.
+        """Return the serial equivalent as MJCF: the model without loops, with the linkage's reflected inertia and losses.
 
         Raises:
             LinkplanError: if the linkage has none, with the reason.
@@ -147,9 +147,9 @@ class TransferResult(MechanismResult):
 
     @property
     def serial_urdf(self) -> str:
-        """The serial equivalent as URDF; where the ratio is constant it has a transmission.
+        """Return the serial equivalent as URDF, with a transmission if the ratio is constant.
 
-        What it cannot express is in `to_dict()["serial_urdf"]`.
+        `to_dict()["serial_urdf"]` lists what a URDF cannot express.
 
         Raises:
             LinkplanError: if the linkage has none, with the reason.
@@ -165,20 +165,20 @@ class TransferResult(MechanismResult):
 
         Args:
             time_s: instants (n,) [s].
-            position_rad: output positions (n, n_joints) [rad, or m of slides], interpolated by a spline of the fifth degree.
+            position_rad: output positions (n, n_joints) [rad, or m for slides], interpolated by a spline of degree five.
 
         Returns:
-            Arrays (n, n_joints): "effort" that the motion needs, and the errors of the "static map" (a tree without anything
-            reflected), of the "serial equivalent", and of the "serial with table".
+            Arrays (n, n_joints): the "effort" that the motion needs, and the errors of the "static map" (a tree without
+            reflected quantities), the "serial equivalent", and the "serial with table".
         """
         table, serial = self.found.table, self._serial()
         found = errors_along(table, serial.model, serial.rest, motion_of_samples(table.outputs, time_s, position_rad))
         return {"effort": found.effort, **found.named()}
 
     def rest_effort(self, position_rad: Rows, velocity_rad_s: Rows, acceleration_rad_s2: Rows) -> np.ndarray:
-        """Return what the serial equivalent lacks: efforts (n, n_joints) to subtract from those on its joints, in N.m or N.
+        """Return the efforts (n, n_joints) [N.m or N] to subtract from those of the serial equivalent's joints.
 
-        It is interpolated in the table, NaN off the map.
+        They are interpolated in the table; NaN outside the map.
 
         Args:
             position_rad: of the output joints (n, n_joints) [rad, or m of slides].

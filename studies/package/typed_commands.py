@@ -1,11 +1,11 @@
-"""Commands to type that pages and problem files name."""
+"""Commands that pages and problem files tell the user to type."""
 
 import shlex
 from pathlib import Path
 
 
 def sample_again(folder: Path, tracker: str, sample: int) -> str:
-    """Return the command that runs a tracker's sample of an experiment again."""
+    """Return the command that repeats a tracker's run on a sample of an experiment."""
     place = f"sample-{sample}-{tracker}"
     return f"linkplan track {shlex.quote(str(folder))} --sample {sample} --tracker {tracker} --report -o {place}"
 

@@ -35,7 +35,7 @@ def view(
     Args:
         plan: with a motion; or its problem, or the name or path of either.
         tracker: a built-in name.
-        slow: how many times slower than real.
+        slow: how many times slower than real time.
         seconds: the window closes after this time; by default when you close it.
         progress: called with lines on the progress.
 
@@ -82,13 +82,13 @@ def explore(
     tell: Callable[[BaseException], None] = lambda _: None,
     progress: Progress | None = None,
 ) -> Exploration:
-    """Return a page with sliders for a problem; its plan and tracking result follow them. `serve` answers its requests.
+    """Return a page with sliders for a problem, which update its plan and tracking result. `serve` answers its requests.
 
     Args:
-        subject: a `Problem`, or the name or path of one; or a mechanism or its name, of which a first motion is looked for.
+        subject: a `Problem`, or its name or path; or a mechanism or its name, for which a first motion is searched.
         path: of the problem file that the page's button writes; it must not exist yet. By default problem.toml.
         port: of 127.0.0.1; 0 for a free one.
-        tell: called with errors of requests that are no refusals.
+        tell: called with unexpected errors of requests.
         progress: called with lines on the progress.
 
     Raises:
@@ -157,7 +157,7 @@ def _problem(subject: Subject, say: Listener) -> Problem:
 
 @dataclass(eq=False, kw_only=True)
 class SavedProblem:
-    """The problem file of a page. Mutable: it keeps what it wrote, which alone it replaces."""
+    """The problem file of a page. Mutable: it remembers what it wrote, because it replaces nothing else."""
 
     place: Path
     written: bytes | None = None
@@ -167,7 +167,7 @@ class SavedProblem:
         """Write the file, and return its path.
 
         Raises:
-            PlanFileError: if the file is there and is not as this page wrote it.
+            PlanFileError: if the file exists and differs from what this page wrote.
         """
         from linkplan.planner.files.single_file import write_again, write_new
 

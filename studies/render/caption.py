@@ -13,7 +13,7 @@ from linkplan.studies.render.shapes import load_colour
 
 # The smallest legible height of letters [px].
 _MIN_LETTERS_PX = 11
-# The lines of further efforts are left out.
+# The lines of further efforts are omitted.
 _MAX_EFFORT_LINES = 6
 INK = (30, 30, 30)
 

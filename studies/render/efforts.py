@@ -1,4 +1,4 @@
-"""Efforts as arrows: an arc about a driven hinge, a straight arrow along a slide or a force, a tendon in the load's colour.
+"""Drawings of efforts: an arc about a driven hinge, an arrow along a slide or a force, a tendon in the load's colour.
 
 The angle of an arc, the length of an arrow and the colour show the effort as a share of its limit.
 """
@@ -17,12 +17,12 @@ _ARROW_LENGTH, _SHAFT_RADIUS, _EYE_OFFSET = 0.45, 0.012, 0.06
 _HEAD_LENGTH, _HEAD_RADIUS, _HEAD_PARTS = 0.085, 0.028, 18
 # The head takes at most this share of a short arrow, and is thinner in proportion.
 _MAX_HEAD_SHARE = 0.75
-# A smaller share of the limit is not drawn: the arrow would only have a head.
+# A smaller share of the limit is not drawn, because the arrow would only have a head.
 _MIN_DRAWN_SHARE = 0.02
 
 
 def load_shares(effort: np.ndarray, limit: np.ndarray, peak: np.ndarray) -> np.ndarray:
-    """Return each effort (..., n_u) as a share of the limit of its sign, or of its peak if it has no limit.
+    """Return each effort (..., n_u) as a share of the limit with its sign or, without a limit, of its peak.
 
     Args:
         effort: [N.m or N].

@@ -12,7 +12,7 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.extras import load_extra
 from linkplan.planner.files.single_file import MADE_BY
 
-# With 64 colours thin rods change their hue. With 128 a file is a tenth larger.
+# With 64 colours thin rods change their hue; with 128 a file is a tenth larger.
 _PALETTE_COLOURS = 96
 
 
@@ -46,7 +46,7 @@ def write_mp4(path: Path, images: Iterable[np.ndarray], fps: float) -> None:
                     "libx264", rate=rate, options={"crf": "18", "preset": "medium"}
                 )  # visually lossless
                 stream.height, stream.width = image.shape[:2]
-                stream.pix_fmt = "yuv420p"  # the format that browsers play
+                stream.pix_fmt = "yuv420p"  # the pixel format that browsers play
             film.mux(stream.encode(av.VideoFrame.from_ndarray(image, format="rgb24")))
         if stream is not None:
             film.mux(stream.encode())
@@ -81,16 +81,16 @@ def write_gif(path: Path, images: Iterable[np.ndarray], n: int, fps: float, pale
         duration=[10 * int(one) for one in np.diff(ends)],
         loop=0,
         comment=MADE_BY.encode(),
-        optimize=True,  # unchanged pixels are left out of the next frame
+        optimize=True,  # unchanged pixels are omitted from the next frame
         disposal=1,
     )
 
 
 def _palette(images: Sequence[np.ndarray]) -> Image.Image:
-    """Return the colours of images (height, width, 3): a rare colour, such as that of a thin rod, keeps a place among them.
+    """Return a palette of images (height, width, 3) that keeps rare colours, such as that of a thin rod.
 
-    Median cut alone gives nearly all places to the many shades of the background. Here a colour of n pixels counts as the
-    cube root of n, and k-means then moves each place to the middle of its colours.
+    Median cut alone assigns nearly all entries to the many shades of the background. Here a colour of n pixels counts as the
+    cube root of n, and k-means then moves each entry to the mean of its colours.
     """
     pixels = np.concatenate([image.reshape(-1, 3) for image in images])
     cells = (pixels >> 2).astype(np.int64) @ (1 << 12, 1 << 6, 1)  # cells of 4 levels a side

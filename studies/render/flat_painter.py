@@ -60,7 +60,7 @@ class FlatPainter:
         axes.add_collection(LineCollection(lines, linewidths=widths, colors=colours, capstyle="round", zorder=2.5 + layer))
 
     def _add_geoms(self, axes, figure: Figure, layer: int) -> None:
-        """Draw the outlines of the geoms, those that are far first and all behind the skeleton."""
+        """Draw the outlines of the geoms from far to near, all behind the skeleton."""
         mechanism = self.mechanism
         data, colours = mujoco.MjData(mechanism.model), body_colours(mechanism)
         place_bodies(mechanism.model, data, figure.qpos)

@@ -11,7 +11,7 @@ from linkplan.models.tree.coordinates import BALL, FREE, SLIDE
 
 # Free margins: at both sides as a share of the picture's width, and at the bottom, for a line of text, of its height.
 SIDE_MARGIN, FOOT_MARGIN = 0.05, 0.07
-# A planar mechanism is seen from a little above, to give an impression of depth.
+# A planar mechanism is seen slightly from above, to give an impression of depth.
 _TILT_DEG = 10.0
 
 
@@ -54,7 +54,7 @@ def own_direction(model: mujoco.MjModel) -> tuple[float, float]:
     azimuth = float(np.arctan2(-right[0], right[1])) + np.pi if abs(sight[2]) > 1 - 1e-9 else np.arctan2(sight[1], sight[0])
     if abs(sight[2]) < 0.5:
         elevation -= float(np.radians(_TILT_DEG))
-    else:  # a vertical view is tilted to the side
+    else:  # vertical hinges: the view is tilted to the side
         elevation += float(np.copysign(np.radians(2 * _TILT_DEG), -sight[2]))
     return float(azimuth), elevation
 

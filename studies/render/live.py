@@ -35,7 +35,7 @@ def run_maker(plan: Plan) -> Callable[[Controls], Shown]:
 
 
 def with_gains(tracking: Tracking, kp_factor: float, kd_factor: float) -> Tracking:
-    """Return settings with multiplied gains; for LQR, the position and velocity errors of weight 1, all set, are divided."""
+    """Return settings with multiplied gains; for LQR, the position and velocity errors of unit cost are divided instead."""
 
     def times(gain, factor: float):
         return {name: factor * one for name, one in gain.items()} if isinstance(gain, Mapping) else factor * gain
@@ -70,7 +70,7 @@ def shown(motion: TrackedMotion, words: Callable[[int], Rows]) -> Shown:
 
 
 def aim(plan: Plan, tracker: str) -> Callable[[mujoco.MjvCamera], None]:
-    """Return the function that points MuJoCo's camera at the whole of a plan's motion."""
+    """Return the function that points MuJoCo's camera at a plan's whole motion."""
     motion = tracked_motion(plan, tracker)
     model = motion.mechanism.model
     direction = own_direction(model)

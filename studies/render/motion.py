@@ -53,7 +53,7 @@ def tracked_motion(plan: Plan, tracker: str, reference: SampledReference | None 
     run = track(plan, tracker, None, reference)
     kept = int(np.sum(np.cumprod(np.isfinite(run.pose_rad).all(axis=1))))
     if kept < 2:
-        raise ProblemError(f"the run with {tracker} diverges at once: there is no motion to draw")
+        raise ProblemError(f"the run with {tracker} diverges in the first step: there is no motion to draw")
     effort, limit = run.applied[:kept], np.array(run.effort_limit)
     return TrackedMotion(
         mechanism=plan.problem.mechanism,
@@ -87,8 +87,8 @@ def frame_times(duration_s: float, slow: float, fps: float, *, repeats: bool = F
     many = duration_s / step
     if many > MAX_FILM_FRAMES:
         raise ProblemError(
-            f"a motion of {duration_s:.4g} s, {slow:g} times slower at {fps:g} frames a second, has {many:.0f} frames;"
-            f" at most {MAX_FILM_FRAMES} are drawn"
+            f"a motion of {duration_s:.4g} s, {slow:g} times slower at {fps:g} frames per second, has {many:.0f} frames;"
+            f" the limit is {MAX_FILM_FRAMES}"
         )
     if repeats:
         n = max(1, round(many))

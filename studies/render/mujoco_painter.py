@@ -21,7 +21,7 @@ _MOVING = int(mujoco.mjtCatBit.mjCAT_DYNAMIC)
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class MujocoPainter:
-    """Draws scenes with one camera. `mujoco_painter` makes it and frees its OpenGL."""
+    """Draws scenes with one camera. `mujoco_painter` creates it and frees its OpenGL context."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -30,7 +30,7 @@ class MujocoPainter:
     camera: mujoco.MjvCamera
     option: mujoco.MjvOption
     size: tuple[int, int]
-    ground_is_seen: bool  # the ground has geoms of its own
+    ground_is_seen: bool  # the ground has its own geoms
 
     def paint(self, picture: Scene) -> np.ndarray:
         """Return a scene as an image (height, width, 3) of bytes."""
@@ -64,7 +64,7 @@ class MujocoPainter:
         box = mujoco.mjtGeom.mjGEOM_BOX
         mujoco.mjv_initGeom(geom, box, np.array([wide, wide, 1e-3 * far]), place, turned.ravel(), np.ones(4, np.float32))
         geom.emission, geom.specular, geom.reflectance = 1.0, 0.0, 0.0
-        geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)  # decoration casts no shadow
+        geom.category = int(mujoco.mjtCatBit.mjCAT_DECOR)  # no shadow
         self.scene.ngeom += 1
 
 
@@ -79,7 +79,7 @@ def mujoco_painter(
         gl: the name of the OpenGL.
         size: of the pictures, width and height.
         eye: the camera, or the index of one of the model's cameras.
-        points: all visible points (n, 3) [m]; a floor far from them is left out.
+        points: all visible points (n, 3) [m]; a floor far from them is not drawn.
     """
     model = copy.copy(model)
     model.geom_group[far_planes(model, points)] = mujoco.mjNGROUP - 1  # a group that is not drawn
@@ -98,7 +98,7 @@ def mujoco_painter(
         context.make_current()
         try:
             drawn = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100)
-        except mujoco.FatalError as error:  # a software renderer without memory for its buffers
+        except mujoco.FatalError as error:  # for example a software renderer without memory for its buffers
             raise LinkplanError(f"MuJoCo's renderer cannot draw here: {one_line(error)}") from error
         try:
             mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, drawn)

@@ -24,7 +24,7 @@ from linkplan.studies.render.motion import TrackedMotion, frame_times, own_slown
 from linkplan.studies.render.scenes import Scene, all_points, coloured_model, film_scenes, stroboscopic_scene
 from linkplan.studies.render.settings import SUFFIXES, RenderSettings
 
-# A notebook keeps the film that it shows, a third larger than the file.
+# Largest file that a notebook embeds, in which it becomes a third larger.
 _LARGEST_SHOWN_BYTES = 30_000_000
 
 Paint = Callable[[Scene], np.ndarray]
@@ -48,13 +48,13 @@ class RenderedFile(Struct, frozen=True, kw_only=True):
 
     @property
     def sentence(self) -> str:
-        """What was written, as a sentence."""
+        """A sentence on the written file."""
         width, height = self.size
         text = f"{self.file}: {width}x{height}, drawn by {self.drawn_by}"
         if self.length_s is not None:
             text = (
-                f"{self.file}: {self.frames} frames of {width}x{height}, {self.length_s:.3g} s at {self.fps:g} frames/s, the"
-                f" motion's {self.motion_s:.4g} s {self.slow:g} times slower, drawn by {self.drawn_by}"
+                f"{self.file}: {self.frames} frames of {width}x{height}, {self.length_s:.3g} s at {self.fps:g} frames/s:"
+                f" {self.motion_s:.4g} s of motion, {self.slow:g} times slower, drawn by {self.drawn_by}"
             )
         return text if self.stable else f"{text}; the run with {self.tracker} is unstable"
 
@@ -71,7 +71,7 @@ class RenderedFile(Struct, frozen=True, kw_only=True):
 
 
 def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callable[[str], None] = silent) -> RenderedFile:
-    """Draw a plan's tracked motion into a file, which is written whole or not at all.
+    """Draw a plan's tracked motion into a file, which is written completely or not at all.
 
     Args:
         plan: with a motion.
@@ -85,7 +85,7 @@ def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callab
     slow = own_slowness(motion.duration_s) if settings.slow is None else settings.slow
     times = frame_times(motion.duration_s, slow, settings.fps, repeats=motion.repeats)  # raises before anything is drawn
     if gl.name is None:
-        say(f"no OpenGL to draw with ({gl.why_not}): the skeleton is drawn flat, by Matplotlib")
+        say(f"no OpenGL is available ({gl.why_not}): Matplotlib draws the skeleton in two dimensions")
     if settings.suffix != ".png":
         say(f"tracked by {settings.tracker}; {motion.duration_s:.4g} s of motion, shown {slow:g} times slower")
     with _painter(motion, camera, settings, gl) as paint:
@@ -140,7 +140,7 @@ def picture(motion: TrackedMotion, camera: Camera, settings: RenderSettings, pai
     if settings.at_s is not None:
         end = float(motion.time_s[-1])
         if settings.at_s > end + float(motion.time_s[-1] - motion.time_s[-2]):
-            raise ProblemError(f"the run ends at {end:.4g} s; there is no picture of it at {settings.at_s:g} s")
+            raise ProblemError(f"the run ends at {end:.4g} s; a picture at {settings.at_s:g} s is not possible")
         k = motion.index_at(settings.at_s)
         image = paint(film_scenes(motion, np.array([k]), camera.direction)[0])
         return written(image, frame_lines(motion, k, 1.0), _foot(motion, ghost=True))
@@ -178,7 +178,7 @@ def _write_film(
         shown = np.unique(instants)
         some = shown[np.linspace(0, len(shown) - 1, min(len(shown), 7)).astype(int)]
         loads = np.abs(motion.shares[shown]).max(axis=1, initial=0.0)
-        some = np.append(some, shown[np.argmax(loads)])  # with the red of an effort at its limit
+        some = np.append(some, shown[np.argmax(loads)])  # frames that also contain the red of an effort at its limit
         write_gif(place, reported(), n, settings.fps, list(images(some)))
 
     write_file_whole(path, write, SUFFIXES)

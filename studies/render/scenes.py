@@ -29,14 +29,14 @@ class Figure:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Scene:
-    """One picture: figures, the main one last, and efforts as shapes."""
+    """The content of one picture: figures, the main one last, and efforts as shapes."""
 
     figures: tuple[Figure, ...]
     efforts: tuple[RenderedShape, ...]
 
 
 def coloured_model(mechanism: Mechanism) -> mujoco.MjModel:
-    """Return a mechanism's model to draw: geoms without a colour have that of their body, and the headlight is brighter.
+    """Return the model for drawing: geoms without a colour get their body's colour, and the headlight is brighter.
 
     With MuJoCo's own headlight, models without lights are nearly black.
     """
@@ -66,7 +66,7 @@ def skeletons(mechanism: Mechanism, poses: np.ndarray) -> list[tuple[RenderedSha
 def beside_geoms(
     mechanism: Mechanism, poses: np.ndarray, colours: dict[int, tuple[float, ...]]
 ) -> list[tuple[RenderedShape, ...]]:
-    """Return solids that are no geoms of the model, the payload and arms to sites, at each of the poses (n, n_q)."""
+    """Return the solids that are not geoms of the model (payload, arms to sites) at each of the poses (n, n_q)."""
     shown = [solid for solid in solids(mechanism) if solid.kind != "geom"]
     places, turns = body_frames(mechanism, poses)
     found = []
@@ -103,7 +103,7 @@ def film_scenes(motion: TrackedMotion, instants: np.ndarray, direction: tuple[fl
 
 
 def stroboscopic_scene(motion: TrackedMotion, instants: np.ndarray, direction: tuple[float, float]) -> Scene:
-    """Return several instants (n,) of a motion in one picture, earlier ones fainter, with the efforts of the last."""
+    """Return several instants (n,) of a motion in one picture, earlier ones fainter, with the last efforts."""
     mechanism = motion.mechanism
     ground = ground_pins(mechanism)
     alphas = [0.12 + 0.33 * k / max(1, len(instants) - 1) for k in range(len(instants) - 1)] + [1.0]
@@ -145,8 +145,8 @@ def place_bodies(model: mujoco.MjModel, data: mujoco.MjData, qpos: np.ndarray) -
 def all_points(motion: TrackedMotion, direction: tuple[float, float]) -> np.ndarray:
     """Return points (n, 3) [m] around everything visible in a motion's pictures, tracked and planned.
 
-    These are pins, geoms, tendons, and the largest efforts, seen along an azimuth and elevation [rad], at 60 instants. Fixed
-    geoms within 80 % of the moving parts' extent are included; others are cut off at 12 % of the extent.
+    These are points of pins, geoms, tendons and the largest efforts, seen along an azimuth and elevation [rad], at 60
+    instants. Fixed geoms within 80 % of the moving parts' extent are included; others are cut off at 12 % of the extent.
     """
     mechanism, model = motion.mechanism, motion.mechanism.model
     instants = np.unique(np.linspace(0, len(motion.time_s) - 1, num=60).astype(int))
@@ -179,7 +179,7 @@ def all_points(motion: TrackedMotion, direction: tuple[float, float]) -> np.ndar
 
 
 def bounded_geoms(model: mujoco.MjModel) -> np.ndarray:
-    """Return the mask (n_geom,) of bounded geoms: not planes and height fields."""
+    """Return the mask (n_geom,) of bounded geoms, which excludes planes and height fields."""
     return ~np.isin(model.geom_type, (int(mujoco.mjtGeom.mjGEOM_PLANE), int(mujoco.mjtGeom.mjGEOM_HFIELD)))
 
 

@@ -15,7 +15,7 @@ class RenderSettings:
 
     `slow` is the slowness, None for a film of a few seconds; `size` is width and height [px]; `camera` is the name of a
     camera of the model or "azimuth/elevation" in degrees, None for the default; `at_s` is the instant [s] of a picture, None
-    for `instants` of them; `there_and_back` adds the film backwards, so that it repeats without a jump.
+    for `instants` of them; with `there_and_back` the film then plays backwards, so that it repeats without a jump.
     """
 
     suffix: str
@@ -32,28 +32,30 @@ class RenderSettings:
         if self.suffix == ".mp4":
             load_extra("av", "an .mp4")
         if self.slow is not None and not (math.isfinite(self.slow) and self.slow > 0):
-            raise ProblemError(f"slow, how many times slower than real, is a positive number, got {self.slow:g}")
+            raise ProblemError(f"slow must be a positive number, how many times slower than real time, got {self.slow:g}")
         # A GIF counts time in hundredths of a second, in 16 bits; browsers slow down frames of less than two hundredths.
         least, most = 0.01, 50.0 if self.suffix == ".gif" else 240.0
         if not (math.isfinite(self.fps) and least <= self.fps <= most):
-            raise ProblemError(f"fps, frames a second of a {self.suffix}, is from {least:g} to {most:g}, got {self.fps:g}")
+            raise ProblemError(
+                f"fps, frames per second of a {self.suffix}, must be from {least:g} to {most:g}, got {self.fps:g}"
+            )
         self._check_size()
         self._check_instants()
 
     def _check_size(self) -> None:
-        smallest, largest = 64, 4096  # OpenGL draws no larger pictures
+        smallest, largest = 64, 4096  # the largest pictures of OpenGL
         got = f"{self.size[0]}x{self.size[1]}"
         if not all(smallest <= side <= largest for side in self.size):
-            raise ProblemError(f"size is a width and a height from {smallest} to {largest} pixels, got {got}")
+            raise ProblemError(f"size must be a width and a height from {smallest} to {largest} pixels, got {got}")
         if self.suffix == ".mp4" and any(side % 2 for side in self.size):
-            raise ProblemError(f"an MP4's width and height are even, got {got}")
+            raise ProblemError(f"an MP4's width and height must be even, got {got}")
 
     def _check_instants(self) -> None:
         if self.suffix != ".png" and self.at_s is not None:
-            raise ProblemError(f"an instant is a picture's, in a .png; the file ends in {self.suffix}")
+            raise ProblemError(f"at_s is for pictures (.png); the file ends in {self.suffix}")
         if self.suffix == ".png" and self.there_and_back:
-            raise ProblemError("there and back is a film's, in an .mp4 or .gif; the file ends in .png")
+            raise ProblemError("there_and_back is for films (.mp4 or .gif); the file ends in .png")
         if self.at_s is not None and not (math.isfinite(self.at_s) and self.at_s >= 0):
-            raise ProblemError(f"the instant of a picture is a time from 0 on in seconds, got {self.at_s:g}")
+            raise ProblemError(f"at_s must be a time of at least 0 s, got {self.at_s:g}")
         if not 1 <= self.instants <= 40:
-            raise ProblemError(f"instants in one picture are 1 to 40, got {self.instants}")
+            raise ProblemError(f"instants must be from 1 to 40, got {self.instants}")

@@ -39,7 +39,7 @@ def folder_report(folder: Path, again: Callable[[Path, str, int], str] | None = 
     if (folder / EXPERIMENT).is_file():
         return experiment_report(saved_outcome(folder), None if again is None else functools.partial(again, folder))
     raise PlanFileError(
-        f"'{folder}' has no result of linkplan with a {DOCUMENT}; version 1.0 wrote none: run the command again"
+        f"'{folder}' has no {DOCUMENT} of a linkplan result; version 1.0 did not write this file: run the command again"
     )
 
 
@@ -51,6 +51,6 @@ def saved_plan(folder: Path) -> Plan:
     """
     plan, note = read_plan(folder, anyway=True), unchecked(folder)
     proof = read_plan_record(folder).proof
-    if proof is not None:  # a record is not trusted
+    if proof is not None:  # the saved certificate is not trusted
         plan = plan.with_proof(existence=OWN_MOTION in str(proof.get("proved")))
     return plan if note is None else replace(plan, problem=replace(plan.problem, notes=(*plan.problem.notes, note)))

@@ -187,11 +187,11 @@ def judged(
     new = out.is_dir() and identity(content(out)) != identity(before)
     if code not in (LEGAL[way], 0) or (code == 0 and not new):
         wrong.append(f"exit code {code}, {said[-300:]}")
-    if "Traceback" in said or "fault of linkplan's own" in said:
+    if "Traceback" in said or "internal error of linkplan" in said:
         wrong.append(f"a traceback: {said[-600:]}")
     if "interrupted" in said:
         unfinished = (root / "out.unfinished").is_dir()
-        true = f"in '{out.name}', whole" if new else "the same command goes on" if unfinished else "nothing was written"
+        true = f"in '{out.name}', whole" if new else "run the same command again" if unfinished else "nothing was written"
         wrong += [] if true in said else [f"untrue: {said[-300:]}"]
     check_target(out, command.record)  # what the next run begins with
     wrong += faults(out, before, command.record)

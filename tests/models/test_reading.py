@@ -124,7 +124,7 @@ def test_a_model_named_mjcf_finds_its_files(tmp_path):
     (tmp_path / "wood.png").write_bytes(ONE_PIXEL)
     name, model, (note,) = compile_model(file)
     assert (name, model.ngeom, model.ntex) == ("arm", 1, 1)
-    assert note.startswith("files that are not there are left out with what they draw: shell.stl")
+    assert note.startswith("missing files are ignored, with everything that uses them: shell.stl")
     file.write_text('<mujoco><include file="other.mjcf"/></mujoco>')
     with pytest.raises(ModelError, match=r"does not parse: .*other\.mjcf.*; model files are named \.xml or \.urdf$"):
         compile_model(file)
@@ -170,7 +170,7 @@ def test_contact_pairs_with_a_floor_of_another_file_are_left_out_and_named(tmp_p
     file.write_text(f"<mujoco><worldbody>{body}</worldbody>{pair}</mujoco>")
     _, model, notes = compile_model(file)
     assert (model.npair, model.nexclude) == (0, 1)
-    assert notes[0].endswith("geoms or bodies of other files are left out: floor, terrain")
+    assert notes[0].endswith("geoms or bodies of other files are ignored: floor, terrain")
 
 
 def test_attributes_of_an_older_mujoco_are_left_out_and_named(tmp_path):

@@ -163,8 +163,8 @@ def test_notes_name_what_was_locked_and_dropped():
     notes = " | ".join(linkplan.load_mechanism(ROBOT, keep=["left crank"], fix_base=True).notes)
     assert "locked: base at home; left hip at 0 deg" in notes
     assert "dropped with the locked joints: actuator left hip" in notes
-    assert "dropped with all that hangs on them (5 bodies, 5.8 kg): right thigh, arm" in notes
-    assert "left out are the world's floor" in notes
+    assert "dropped with everything attached to them (5 bodies, 5.8 kg): right thigh, arm" in notes
+    assert "without the world's floor" in notes
 
 
 def test_the_selected_model_s_text_is_the_same_machine_to_the_last_digit():

@@ -86,7 +86,7 @@ def test_a_mesh_of_a_package_that_is_not_found_is_left_out_and_said(tmp_path):
     shape = '<collision><geometry><mesh filename="package:///link.stl"/></geometry></collision></link>'
     (tmp_path / "leg.urdf").write_text(urdf().replace('<link name="base"/>', '<link name="base">' + shape))
     (note,) = [note for note in load_mechanism(tmp_path / "leg.urdf").notes if "link.stl" in note]
-    assert "left out" in note
+    assert "ignored" in note
     assert 'meshdir="FOLDER"' in note
 
 
@@ -114,13 +114,13 @@ def test_a_mesh_of_a_package_is_found_above_the_folder_of_the_urdf(package, tmp_
         (
             "link.stl",
             b"solid link\n" + bytes(90),
-            "MuJoCo does not read (it reads binary .stl, .obj, .msh) are left out: link.stl",
+            "MuJoCo does not read (it reads binary .stl, .obj, .msh) are ignored: link.stl",
         ),
         ("link.stl", bytes(84), "does not read"),
         (
             "link.obj",
             b"version https://git-lfs.github.com/spec/v1\n",
-            "Git LFS pointers are left out: link.obj; git lfs pull",
+            "Git LFS pointers are ignored: link.obj; git lfs pull",
         ),
     ],
     ids=["text", "no triangles", "a pointer"],

@@ -109,7 +109,7 @@ def test_missing_meshes_are_left_out_and_named(tmp_path):
     text = robot(FOUR_BAR.replace(link("crank"), link("crank", visual=visual)), FRAMES)
     mechanism = linkplan.load_mechanism(written(tmp_path, text, YAML))
     assert_four_bar(mechanism)
-    assert any(note.startswith("meshes that are not there are left out: shell.stl") for note in mechanism.notes)
+    assert any(note.startswith("missing meshes are ignored: shell.stl") for note in mechanism.notes)
 
 
 def test_joints_become_balls_and_universal_joints(tmp_path):
@@ -186,9 +186,9 @@ def test_what_other_simulators_read_is_left_out_and_named(tmp_path):
     assert_four_bar(mechanism)
     assert mechanism.model.ngeom == 1
     assert {
-        "shapes without size are left out: of crank",
-        "meshes that MuJoCo does not read (it reads binary .stl, .obj, .msh) are left out: shell.dae",
-        "transmissions of joints that are not there, or do not move, are left out: lidar",
+        "shapes without size are ignored: of crank",
+        "meshes that MuJoCo does not read (it reads binary .stl, .obj, .msh) are ignored: shell.dae",
+        "transmissions of missing or immovable joints are ignored: lidar",
     } <= set(mechanism.notes)
 
 
@@ -327,7 +327,7 @@ def test_a_loop_joint_that_closes_no_loop_is_refused_by_name_and_attribute(old, 
 def test_what_is_not_read_of_a_loop_joint_is_named():
     loop = LOOP_JOINT.replace("<axis", '<limit lower="0"/><axis').replace('rpy="0 0 0"/><link2', 'rpx="1"/><link2')
     mechanism = linkplan.load_mechanism(robot(FOUR_BAR, loop))
-    assert "left out of loop_joint 'B': <limit>, rpx of <link1>" in mechanism.notes
+    assert "ignored in loop_joint 'B': <limit>, rpx of <link1>" in mechanism.notes
 
 
 def test_the_length_of_a_loop_joints_axis_does_not_matter():

@@ -67,10 +67,10 @@ def test_an_expression_that_is_no_scalar_of_the_motion_is_refused_in_one_line(kn
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"name": ""}, "name is a word that can be shown, got ''"),
+        ({"name": ""}, "name must be printable text, got ''"),
         ({"name": "x" * 101}, "at most 100 characters, got 101"),
-        ({"expression": 3}, "expression is a function of an instant, got 3"),
-        ({"unit": 3}, "unit is a word, got 3"),
+        ({"expression": 3}, "expression must be a function of an instant, got 3"),
+        ({"unit": 3}, "unit must be text, got 3"),
         ({"upper": np.inf}, "needs lower < upper, one of them finite"),
         ({"lower": 2.0}, "needs lower < upper, one of them finite, got lower = 2 and upper = 1"),
         ({"upper": "1"}, "upper is a number, got '1'"),
@@ -94,10 +94,10 @@ def test_a_cost_s_weight_is_a_positive_number(weight):
         ({"extra_limits": LIMIT}, "extra_limits is a list of linkplan.ExtraLimit"),
         ({"extra_limits": [COST]}, "extra_limits is a list of linkplan.ExtraLimit"),
         ({"extra_costs": [LIMIT]}, "extra_costs is a list of linkplan.ExtraCost"),
-        ({"extra_limits": [LIMIT, LIMIT]}, "names that differ, got 'wide' more than once"),
+        ({"extra_limits": [LIMIT, LIMIT]}, "different names, got 'wide' more than once"),
         ({"extra_costs": [ExtraCost(name="effort", expression=angle)]}, "the name of a term of objective.minimize"),
-        ({"extra_costs": [], "minimize": {}}, "objective.minimize names at least one of"),
-        ({"minimize": {}}, "objective.minimize names at least one of"),
+        ({"extra_costs": [], "minimize": {}}, "objective.minimize must name at least one of"),
+        ({"minimize": {}}, "objective.minimize must name at least one of"),
     ],
 )
 def test_lists_that_cannot_be_are_refused_in_one_line(knee, given, said):
@@ -124,7 +124,7 @@ def test_a_problem_whose_expressions_are_functions_of_a_module_goes_to_another_p
 def test_a_problem_as_a_file_says_what_it_is_without(knee):
     text = Problem.reach(knee, **REACH, extra_limits=[LIMIT], extra_costs=[COST]).to_toml()
     first, rest = text.split("\n", 1)
-    assert first == "# Without the extra limit 'wide' and the extra cost 'bend': a problem file holds no Python."
+    assert first == "# Without the extra limit 'wide' and the extra cost 'bend': a problem file cannot contain Python code."
     assert rest == Problem.reach(knee, **REACH).to_toml()
 
 
@@ -149,8 +149,8 @@ def test_a_saved_plan_that_is_read_without_its_extras_says_so(saved):
     plan, folder = saved
     again = linkplan.read_plan(folder)
     note = (
-        "read without the extra limit 'wide' and the extra cost 'bend', Python that the files do not hold: nothing here was"
-        " checked against it"
+        "read without the extra limit 'wide' and the extra cost 'bend', Python code that the files do not contain, which was"
+        " therefore not checked"
     )
     assert (again.status, again.objective) == ("optimal", plan.objective)
     assert note in again.problem.notes
@@ -182,5 +182,7 @@ def test_a_plan_of_extra_costs_alone_is_read_with_them_or_refused_in_a_line(knee
     cost = ExtraCost(name="own effort", expression=lambda at: at.effort["act_O"] ** 2)
     linkplan.plan(Problem.reach(knee, **REACH, minimize={}, extra_costs=[cost])).require().save(tmp_path / "plan")
     assert linkplan.read_plan(tmp_path / "plan", extra_costs=[cost]).status == "optimal"
-    with pytest.raises(PlanFileError, match="planned with the extra cost 'own effort', Python that the files do not hold"):
+    with pytest.raises(
+        PlanFileError, match="planned with the extra cost 'own effort', Python code that the files do not contain"
+    ):
         linkplan.read_plan(tmp_path / "plan")

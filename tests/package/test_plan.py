@@ -50,7 +50,7 @@ def test_a_plan_without_a_motion_says_why_and_is_not_let_through(impossible):
     assert refused.value.plan is impossible
     assert str(refused.value) == impossible.message
     for use in (impossible.sample, impossible.plot, lambda: impossible.save("nowhere"), lambda: linkplan.track(impossible)):
-        with pytest.raises(LinkplanError, match=r"nothing to .*, the plan has no motion: infeasible"):
+        with pytest.raises(LinkplanError, match=r"cannot .*: the plan has no motion: infeasible"):
             use()
 
 
@@ -233,7 +233,7 @@ def test_what_is_no_problem_is_refused(problem):
 
 
 def test_progress_that_cannot_be_called_is_refused_before_any_work(plan):
-    with pytest.raises(ProblemError, match=r"progress is a function of one line of text, got 'loud'"):
+    with pytest.raises(ProblemError, match=r"progress must be a function of one line of text, got 'loud'"):
         linkplan.plan(plan.problem, "loud")
 
 

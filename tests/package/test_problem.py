@@ -240,7 +240,7 @@ def test_a_builder_refuses_in_the_words_in_which_a_file_is_refused(knee, kind, a
         (lambda: linkplan.load_mechanism("optimus-knee", home_deg={"O": 85}), AssemblyError, "does not close"),
         (lambda: linkplan.load_mechanism("optimus-knee", home_m={"O": 0.1}), ProblemError, "mechanism.home_deg, not home_m"),
         (lambda: linkplan.load_mechanism("optimus-knee", independent=["K"]), ModelError, "joints are O, A, C"),
-        (lambda: linkplan.Problem.reach("optimus-knee", **REACH, name=""), ProblemError, "name is a word"),
+        (lambda: linkplan.Problem.reach("optimus-knee", **REACH, name=""), ProblemError, "name must have"),
         (lambda: linkplan.Problem.hold("optimus-knee", goal=1), ProblemError, "unknown argument 'goal' of hold"),
         (lambda: linkplan.Problem.from_file("knee-reach", {"duration_s": 1}), ProblemError, "section.key=value"),
         (lambda: linkplan.Problem.from_file("knee-reach", ["a=1"]), ProblemError, "settings are a table"),

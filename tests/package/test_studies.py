@@ -151,14 +151,14 @@ class Nameless:
             lambda plan: linkplan.track(plan, 7),
             f"a tracker is one of {', '.join(TRACKERS)}, an object with a name and effort",
         ),
-        (lambda plan: linkplan.track(plan, lambda reference: None), "returns an object with a name and effort"),  # noqa: ARG005
-        (lambda plan: linkplan.track(plan, Nameless()), "a tracker's name has at most 50 printable characters"),
+        (lambda plan: linkplan.track(plan, lambda reference: None), "must return an object with a name"),  # noqa: ARG005
+        (lambda plan: linkplan.track(plan, Nameless()), "a tracker's name must have at most 50 printable characters"),
         (lambda plan: linkplan.track(plan, Idle(value=[0.0, 0.0])), "shape (1,), got shape (2,)"),
-        (lambda plan: linkplan.track(plan, Idle(value="much")), "tracker 'idle' gives an array of one effort"),
+        (lambda plan: linkplan.track(plan, Idle(value="much")), "tracker 'idle' must return one effort"),
         (lambda plan: linkplan.track(plan, mass_factor=0), "mass_factor is a positive number, got 0"),
         (lambda plan: linkplan.track(plan, delay_periods=2000), "delay_periods is from 0 to 1000, got 2000"),
         (lambda plan: linkplan.track(plan, tracking={"kp": "much"}), "tracking.kp is a number of at least 0"),
-        (lambda plan: linkplan.track(plan.problem.mechanism), "a Plan is needed to track"),
+        (lambda plan: linkplan.track(plan.problem.mechanism), "to track, give a Plan"),
         (lambda plan: linkplan.compare(plan, "lqr"), "trackers are a list"),
         (lambda plan: linkplan.compare(plan, []), "got none"),
         (lambda plan: linkplan.compare(plan, ["lqr", "lqr"]), "trackers with different names, got lqr, lqr"),
@@ -179,7 +179,7 @@ def test_a_check_has_findings_text_record_and_figure(subject, tmp_path):
 
 
 def test_a_result_without_tables_is_not_saved_as_parquet(tmp_path):
-    with pytest.raises(LinkplanError, match=r"parquet is for the tables of .*; a CheckResult has none"):
+    with pytest.raises(LinkplanError, match=r"parquet applies to the tables of .*; a CheckResult has no such table"):
         linkplan.check("five-bar").save(tmp_path / "checked", parquet=True)
     assert list(tmp_path.iterdir()) == []
 
@@ -227,7 +227,10 @@ def test_a_loops_response_is_measured_and_drawn(problem, tmp_path):
         (lambda: linkplan.check("optimus-knee", at_m=[{"O": 0.1}]), "use poses[0].at_deg, not at_m"),
         (lambda: linkplan.bode("optimus-knee", frequency_hz=[1, 6000]), "Nyquist"),
         (lambda: linkplan.tune("optimus-knee", bandwidth_hz=-5), "bandwidth_hz is a positive number, got -5"),
-        (lambda: linkplan.tune("five-bar", bandwidth_hz=5, tracker="lqr"), "one degree of freedom, and 'five-bar' has 2"),
+        (
+            lambda: linkplan.tune("five-bar", bandwidth_hz=5, tracker="lqr"),
+            "one degree of freedom only, and 'five-bar' has 2",
+        ),
     ],
 )
 def test_a_study_refuses_in_one_sentence(use, words):

@@ -67,8 +67,8 @@ class ImperfectionsSection(Section, frozen=True):
         "time constant of the loop constraint in MuJoCo's solref; at least two simulator steps", "s", 1e-9
     )
     loop_damping_ratio: Any = quantity("damping ratio of the loop constraint", "", 0.001, 1000.0)
-    push_body: Any = name_of("the body that a push's force acts on")
-    push_joint: Any = name_of("the joint that a push's effort acts on")
+    push_body: Any = name_of("the body on which a push's force acts")
+    push_joint: Any = name_of("the joint on which a push's effort acts")
 
 
 _FIELDS = {field.name: field.type.__metadata__[0].extra.get("quantity") for field in fields(ImperfectionsSection)}

@@ -26,8 +26,8 @@ class Key:
     """A key of a section and its description.
 
     `section` is "" for tables, "motion" for its keys, or a path to nested keys: "motion.waypoints[]", "motors.NAME".
-    `default` is the value of a key that is left out, None if there is no single value; `default_words` describe it in both
-    cases. A `required` key has neither.
+    `default` is the value of an omitted key, None if there is no single value; `default_words` describe it in both cases. A
+    `required` key has neither.
     """
 
     section: str
@@ -84,7 +84,7 @@ def _inside(bare: Any, about: dict, how: str = "") -> Iterator[tuple[type[Sectio
 
 
 def _range(kind: Any) -> str:
-    """Return the range of a number as text; "" if it only excludes typing errors."""
+    """Return the range of a number as text; "" if the range only excludes typing errors."""
     bare, about = without_metadata(kind)
     if get_origin(bare) in (Union, types.UnionType):
         return next(filter(None, map(_range, get_args(bare))), "")
@@ -94,8 +94,8 @@ def _range(kind: Any) -> str:
 def json_schema(file: str = "problem") -> dict[str, Any]:
     """Return the JSON Schema of a problem file, of a batch file ("batch") or of a list of motors ("motors").
 
-    A schema cannot express everything. The reader alone checks names of joints, actuators, closures, sites and bodies,
-    low < high, and which keys go together.
+    A schema cannot express everything. Only the reader checks names of joints, actuators, closures, sites and bodies, low <
+    high, and combinations of keys.
     """
     (whole, *_), parts = msgspec.json.schema_components((FILES[file], *SITE_LIMITS), ref_template="#/$defs/{name}")
     name = whole["$ref"].rpartition("/")[2]

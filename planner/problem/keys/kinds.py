@@ -8,9 +8,9 @@ from msgspec import Meta
 from linkplan.models.catalogue import PAYLOADS
 from linkplan.planner.transcription.scheme_names import EFFORTS, MAX_DEGREE, MAX_INTERVALS, NAMES
 
-# No quantity of a mechanism is larger in SI units or degrees.
+# Larger numbers, in SI units or degrees, are typing errors.
 MAX_NUMBER = 1e15
-# Angles beyond this many turns are typing errors; following the loops through them would take minutes.
+# Angles beyond this many turns are typing errors; solving the loops along them would take minutes.
 MAX_TURNS = 100
 # Each waypoint at a free time needs a segment of three or more intervals.
 MAX_WAYPOINTS = 1000
@@ -33,8 +33,8 @@ BREAKS = (
 # Largest mass, length and moment of inertia of a payload, in SI units.
 MAX_PAYLOAD = 1e12
 
-# Raises for an unknown name; takes the kind of object ("joint", "actuator", "site", "body", "closure"), the name and its
-# table's key.
+# A function that raises for an unknown name, of the kind of object ("joint", "actuator", "site", "body", "closure"), the
+# name and its table's key.
 Known = Callable[[str, str, str], None]
 
 Number = Annotated[float, Meta(ge=-MAX_NUMBER, le=MAX_NUMBER)]
@@ -81,7 +81,7 @@ Term = Literal["effort", "time", "tracking", "work", "copper_loss", "effort_rate
 
 if TYPE_CHECKING:
     Scheme = PayloadName = EffortForm = str
-else:  # their words are defined elsewhere
+else:  # their texts are defined elsewhere
     _SCHEMES = f"schemes are {', '.join(NAMES[:4])}, radau-1 to radau-{MAX_DEGREE} and gauss-1 to gauss-{MAX_DEGREE}"
     Scheme = Annotated[Literal[NAMES], Meta(extra={"choices": _SCHEMES})]
     PayloadName = Literal[(*PAYLOADS, "none")]
@@ -109,7 +109,7 @@ Coordinates = Annotated[
     dict[Axis, Number],
     Meta(
         min_length=1,
-        extra={"said": "a table of those coordinates that matter, such as { x = 0.1, z = 0.2 }"},
+        extra={"said": "a table of some coordinates, such as { x = 0.1, z = 0.2 }"},
         extra_json_schema={"propertyNames": {"enum": list(get_args(Axis))}},
     ),
 ]

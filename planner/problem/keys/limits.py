@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     import numpy as np
 
     Rows = np.ndarray
-else:  # keys load without NumPy
+else:  # keys are loaded without NumPy
     Rows = Any
 ByName = Mapping[str, float]
-# The default of rows: readers of a field find its type, and never None.
+# The default of rows before construction; readers of a field never find it.
 UNLIMITED: Any = None
 
 
@@ -37,14 +37,14 @@ class Box(Section, frozen=True):
 
 
 class Wall(Section, frozen=True):
-    """A plane that a site stays on one side of."""
+    """A plane; a site stays on one of its sides."""
 
-    normal: kinds.Point = required("points to the side that is free")
+    normal: kinds.Point = required("points to the allowed side")
     at: kinds.Point = required("a point of the wall", "m")
 
 
 class Tube(Section, frozen=True):
-    """A polyline that a site stays near to."""
+    """A polyline to which a site stays near."""
 
     along: kinds.Corners = required("the corners of the polyline", "m")
     radius_m: kinds.Positive = required("the largest distance of the site from the polyline", "m")
@@ -61,7 +61,7 @@ _SITES = Meta(extra={"of": "site = limits", "noun": "site"})
 
 
 _Shapes = Annotated[dict[str, SiteLimitTable | list[SiteLimitTable]], _SITES]
-_OWN, _ALL, _ENDS = "the model's own", "dependent joints too", "a number for both ways, or [low, high]"
+_OWN, _ALL, _ENDS = "the model's own", "dependent joints too", "a number for both directions, or [low, high]"
 _NO_JUMPS = "accelerations then have no jumps, not even from rest"
 
 
@@ -107,7 +107,7 @@ class LimitValues:
         Rows, KeyOf("closure_force", "closure", kinds.ClosureLimits, "the largest force on a closure's pin", "N")
     ] = UNLIMITED
     reserve: Annotated[
-        float, KeyOf("reserve", "", kinds.Margin, "the share of every effort limit that a plan leaves to feedback")
+        float, KeyOf("reserve", "", kinds.Margin, "the share of every effort limit that is reserved for feedback")
     ] = 0.0
     singular_margin: Annotated[
         float,
@@ -133,7 +133,7 @@ class LimitValues:
             "contacts",
             "",
             kinds.Contacts,
-            "refuse a plan along which geoms collide, or note it and plan without contact forces",
+            "refuse a plan in which geoms collide, or note the collision and ignore contact forces",
         ),
     ] = "refuse"
     unhonoured: Annotated[
@@ -142,7 +142,7 @@ class LimitValues:
             "unhonoured",
             "",
             kinds.Contacts,
-            "refuse a model with forces that plans neglect, or note them and plan without them",
+            "refuse a model with forces that plans neglect, or note these forces and plan without them",
         ),
     ] = "refuse"
 
@@ -198,7 +198,7 @@ _ONE = msgspec.field(default_factory=functools.partial(list, (1.0, 1.0)))
 
 
 class RobustSection(Section, frozen=True):
-    """Ranges of machines, at every corner of which one motion keeps all effort limits."""
+    """Ranges of machines; one motion satisfies all effort limits at each of their corners."""
 
     payload_factor: kinds.Interval = key(
         "[low, high] of the factor on the payload's mass and inertia", "", "[1, 1]", default=_ONE

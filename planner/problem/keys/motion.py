@@ -36,7 +36,8 @@ class MotionSection(Section, frozen=True):
     """The motion: start, goal, waypoints and duration."""
 
     kind: kinds.Kind = required(
-        "from start to goal; at rest at the start; back to its first state; exactly the reference; or a site on its path"
+        "from start to goal; at rest at the start; back to the initial state; exactly along the reference; or with a site"
+        " on its path"
     )
     start_deg: kinds.Angles = by_joint("hinges' angles at the start", "deg", _OPEN)
     start_at: kinds.Places = by_name(f"sites' places at the start, {_PLACES}", "m", "by the joints")
@@ -82,7 +83,7 @@ class ReferenceSection(Section, frozen=True):
     at: kinds.PlaceColumns = by_name("sites' coordinates in every row, in place of joints", "m", "none")
     body_deg: kinds.BodyPaths = by_name("bodies' angles in every row, in place of joints or beside `at`", "deg", "none")
     period_s: kinds.Positive = key(
-        "the time after which the first row follows the last", "s", "the last row is the first one again, or no period"
+        "the time after which the first row follows the last", "s", "none; the last row must equal the first to repeat"
     )
     spline: kinds.Spline = key(
         "of the cubic spline through the rows: periodic, clamped (at rest at both ends) or natural (no acceleration there)",
@@ -100,11 +101,11 @@ class ForceSection(Section, frozen=True):
 
     file: str = key("a CSV file with a column time_s and columns of sites' forces (foot_x_N, foot_z_N)", "", "none")
     time_s: kinds.Path = key("the rows' times, in place of a file", "s", "none")
-    on: kinds.ForceColumns = by_name("sites' forces in every row; a direction that is left out has none", "N", "none")
+    on: kinds.ForceColumns = by_name("sites' forces in every row; omitted directions have no force", "N", "none")
     period_s: kinds.Positive = key(
         "the time after which the first row follows the last",
         "s",
-        "of a periodic motion the last row, which is the first one again; of others none, and the last row is held",
+        "for a periodic motion the last row, which must equal the first; otherwise none, and the last row is held",
     )
     interpolation: kinds.Interpolation = key("between the rows: linear, or the cubic spline through them", default="linear")
 
@@ -122,7 +123,7 @@ class PathSection(Section, frozen=True):
         "of the curve through the points: polyline with rounded corners, natural cubic spline, or the arc through three",
         default="polyline",
     )
-    blend_m: kinds.Positive = key("the distance from a polyline's corners at which they begin to be rounded", "m", "none")
+    blend_m: kinds.Positive = key("the distance from a polyline's corners at which their rounding begins", "m", "none")
 
 
 _PATH_ONE_OF = [{"required": [key]} for key in ("points", "file")]

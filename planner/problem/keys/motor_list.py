@@ -1,4 +1,4 @@
-"""The sections of a file of motors, from which `linkplan size` chooses: what a maker's data sheet says of each."""
+"""The sections of a file of motors for `linkplan size`: each motor's values from its data sheet."""
 
 from typing import Annotated
 
@@ -16,12 +16,12 @@ _MOTORS = Meta(min_length=1, max_length=1000, extra={"said": "a list of 1 to 100
 class CandidateMotor(Motor, frozen=True, kw_only=True):
     """A motor that may drive an actuator: efforts, speeds and rotor are its own, before its gear."""
 
-    name: Annotated[str, _NAME] = required("names it in tables")
+    name: Annotated[str, _NAME] = required("the name for tables")
     peak_effort: kinds.Positive = key("the largest effort at any instant", "N.m, N", "its stall effort")
-    rms_effort: kinds.Positive = key("the largest rms effort over the motion, which warms it", "N.m, N", "any")
+    rms_effort: kinds.Positive = key("the largest rms effort over the motion, which its temperature allows", "N.m, N", "any")
     rotor_inertia: kinds.AtLeastZero = key("of its rotor", "kg m2, kg", "0, with a note")
     gears: Annotated[list[kinds.Positive], _GEARS] = key(
-        "the gear ratios to try: its position over that of the joint", "1, rad/m", "the model's own"
+        "the gear ratios to try: motor position over joint position", "1, rad/m", "the model's own"
     )
 
 

@@ -1,6 +1,6 @@
 """Conversion of a file's tables to typed sections, or a refusal in one line: the key, the legal values, and the value.
 
-msgspec's messages name no keys. It gives a path but not the part that is wrong ("Expected `float | array`, got `str` - at
+msgspec's messages name no keys. They have a path but not the part that is wrong ("Expected `float | array`, got `str` - at
 `$.a[...]`"). So the module walks through a refused value by its type, down to the part that msgspec refuses.
 
 Names from other programs and plain speech are answered with the keys that they stand for.
@@ -24,7 +24,7 @@ KEYS: Mapping[str, tuple[str, ...]] = {
     name: getattr(kind, "__struct_fields__", ()) for name, kind in _FIELDS.items() if name != "description"
 }
 Read = TypeVar("Read")
-# If a synonym stands for several keys, the one that the table has is suggested.
+# If a synonym has several keys, the one that belongs to the table is suggested.
 SYNONYMS: Mapping[str, tuple[str, ...]] = {
     "torque": ("effort",),
     "force": ("effort", "closure_force"),
@@ -49,7 +49,7 @@ SYNONYMS: Mapping[str, tuple[str, ...]] = {
     "delay": ("delay_periods",),
 }
 # Keys of earlier versions, and instructions.
-REMOVED_KEYS = {"solver.name": "linkplan solves with IPOPT, and this key is gone: delete it"}
+REMOVED_KEYS = {"solver.name": "linkplan always uses IPOPT; this key was removed: delete it"}
 # Attributes of msgspec's `Meta` that bound a number or the length of a list.
 _BOUNDS = ("ge", "gt", "le", "lt", "max_length")
 
@@ -78,8 +78,11 @@ def read(
     try:
         return msgspec.convert(value, kind)
     except UnicodeEncodeError as refused:
-        raise error(f"{where} holds what is no text") from refused
-    except (msgspec.ValidationError, AttributeError) as refused:  # AttributeError: an object that only resembles a table
+        raise error(f"{where} contains something that is not text") from refused
+    except (
+        msgspec.ValidationError,
+        AttributeError,
+    ) as refused:  # AttributeError: an object resembles a table
         raise error(fault(kind, value, where, known) or f"{where}: {refused}") from refused
 
 
@@ -111,7 +114,7 @@ def refuse_unknown_keys(tables: Mapping[str, object]) -> None:
 
 
 def suggestion(asked: str, legal: Iterable[str]) -> str:
-    """Return " (did you mean 'x'?)" for the legal name that a synonym stands for or that is closest; "" if none is close."""
+    """Return " (did you mean 'x'?)" for the name of a synonym or the closest legal name; "" if none is close."""
     legal = list(legal)
     synonyms = (name for name in SYNONYMS.get(str(asked).casefold(), ()) if name in legal)
     match = next(synonyms, None) or closest(asked, legal)
@@ -141,7 +144,7 @@ def fault(kind: Any, value: object, where: str, known: Known | None = None) -> s
 
 
 def unknown_key(kind: Any, value: object, where: str) -> str | None:
-    """Return a message on a section that is no table or has an unknown key; None if there is no fault."""
+    """Return a message on a section that is not a table or has an unknown key; None if there is no fault."""
     bare = without_metadata(kind)[0]
     if bare is str:
         return fault(kind, value, where)
@@ -160,7 +163,7 @@ def unknown_key(kind: Any, value: object, where: str) -> str | None:
             return f"unknown key '{path}'{why}; keys are {', '.join(legal)}"
         if key not in legal:
             homes = [f"[{field.name}]" for field in msgspec.structs.fields(bare) if key in _keys(field.type)]
-            why = f": it is a key of {' or '.join(homes)}" if homes else suggestion(key, legal)
+            why = f": it belongs to {' or '.join(homes)}" if homes else suggestion(key, legal)
             return f"unknown table or key '{key}'{why}; legal are {', '.join(legal)}"
     return None
 
@@ -231,7 +234,7 @@ def _is_valid(kind: Any, value: object) -> bool:
 
 
 def _union_fault(kind: Any, bare: Any, value: object, where: str, known: Known | None) -> str | None:
-    """Return a message on a value that fits none of several types: with the type that it resembles, or with all."""
+    """Return a message on a value that has none of several types; it names the most similar type, or all of them."""
     for one in get_args(bare):
         inner = without_metadata(one)[0]
         container = get_origin(inner) or inner
@@ -265,7 +268,7 @@ def _section_fault(kind: type[msgspec.Struct], value: object, where: str, known:
         if field.required and field.name not in value:
             inner = without_metadata(field.type)[0]
             is_section = _is_section(inner)
-            missing = f"{path[field.name]} is missing; it is {words(field.type)}"
+            missing = f"{path[field.name]} is missing; it must be {words(field.type)}"
             return fault(inner, {}, path[field.name], known) if is_section else missing
     return None
 

@@ -2,7 +2,7 @@
 
     range_deg: Ranges = by_joint("hinges' ranges", "deg", "the model's own")
 
-A key of hinges in degrees (`by_joint`) declares its twin of slides in metres, range_m, too.
+A key of hinges in degrees (`by_joint`) also declares its twin for slides in metres, range_m.
 """
 
 import functools
@@ -13,16 +13,16 @@ from msgspec import NODEFAULT, Meta, Struct, structs
 
 from linkplan.planner.problem.keys import kinds
 
-# The value of a key that is left out and has no single default. No type admits it, so no file can contain it.
+# The value of an omitted key without a single default. It has no legal type, so no file can contain it.
 ABSENT: Any = None
-# Words of a key of hinges, and of its twin of slides; kinds likewise.
+# Words for a key of hinges, and for its twin of slides; likewise for kinds.
 _WORDS = (("hinge", "slide"), ("angle", "position"))
 _KINDS = ((kinds.Angles, kinds.Numbers), (kinds.HomeAngles, kinds.HomeLengths))
 
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Key:
-    """A key's description, which stands in place of its default in a section.
+    """A key's description, which a section has in place of the key's default.
 
     Args:
         meaning: a phrase.
@@ -64,7 +64,7 @@ by_joint: Any = functools.partial(_Key, default={}, twin=())
 
 
 class _Declared(type(Struct)):
-    """Makes a struct of a section whose defaults are descriptions of keys."""
+    """Creates the struct of a section whose defaults are descriptions of keys."""
 
     def __new__(cls, name: str, bases: tuple[type, ...], namespace: dict[str, Any], **options: Any) -> type:
         asked = namespace.get("__annotations__") or namespace.get("__annotate_func__", lambda _: {})(1)
@@ -93,10 +93,10 @@ class Section(Struct, metaclass=_Declared, frozen=True, forbid_unknown_fields=Tr
 
 @dataclass(frozen=True, eq=False, slots=True)
 class KeyOf:
-    """The key of a field of a dataclass, in SI and by index, from whose fields a section follows (`section_of`).
+    """The key of a dataclass field. The field has values in SI by index; `section_of` derives the section from such fields.
 
     Args:
-        name: of the key; of values by joint in degrees that of hinges, which declares that of slides, too.
+        name: of the key; for values by joint in degrees, the key of hinges, which also declares that of slides.
         by: what the key's table has values for: actuator, joint, closure, site, body; "" for a key with one value.
         kind: of its value in a file.
         meaning: a phrase.
@@ -124,7 +124,7 @@ def section_of(declared: type, name: str, doc: str) -> type[Section]:
         otherwise, default = (said.otherwise, {}) if said.by else ("", field.default)
         namespace["__annotations__"][said.name] = said.kind
         namespace[said.name] = key(said.meaning, said.unit, otherwise, default, () if said.by == "joint" else None)
-    made: Any = _Declared  # the type checker expects a metaclass to return an instance of its caller's
+    made: Any = _Declared  # the type checker expects a metaclass to return an instance of the calling class
     return made(name, (Section,), namespace, frozen=True)
 
 
@@ -136,7 +136,7 @@ FORMS = "a number, a range [low, high], { uniform = [low, high] } or { normal = 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """A quantity that can be wrong: its unit, its range, and what has it.
+    """A quantity that can be wrong: its unit, its range, and its owner.
 
     `of` is "" for the whole machine, "hinge" or "slide" (independent joints of that kind), "joint" (any), "actuator" or
     "body".

@@ -15,7 +15,7 @@ from linkplan.planner.problem.keys.limits import LimitsSection, MotorTable, Robu
 from linkplan.planner.problem.keys.motion import ForceTable, MotionSection, PathTable, ReferenceTable
 from linkplan.planner.problem.keys.section import Section, by_joint, by_name, key, required
 
-# Each case has a folder with its name, next to the JSON records of results: so names have no separators, wildcards or
+# Each case has a folder with its name, next to the JSON records of results. So names have no separators, wildcards or
 # unprintable characters, and do not end in .json.
 _FOLDER_NAME = Meta(
     pattern=r"""^(?!.*\.[jJ][sS][oO][nN]$)[^./\\:*?"<>|\x00-\x1f\x7f][^/\\:*?"<>|\x00-\x1f\x7f]*$""",
@@ -63,11 +63,11 @@ class MechanismSection(Section, frozen=True):
         otherwise="the driven joints, or those that the motion names",
     )
     keep: kinds.Kept = key(
-        "bodies or joints: of a larger robot, only these are read, with what hangs on them and the loops over them",
+        "bodies or joints of a larger robot: only these are read, with everything attached to them and their loops",
         otherwise="the whole model",
     )
     fix_base: Annotated[bool, _SWITCH] = key(
-        "whether what lies between the world and the kept bodies is locked, and a base that nothing drives",
+        "whether the joints between the world and the kept bodies are locked, and a base without actuators",
         otherwise="false",
     )
     lock: kinds.Locks = by_name("positions of joints that do not move", "deg, m on slides", "none")
@@ -96,7 +96,7 @@ class MechanismSection(Section, frozen=True):
     closure_tolerance_m: kinds.Positive = key(
         "the largest gap of a loop that counts as rounding of the model", "m", "by the mechanism's size"
     )
-    solref: kinds.Softness = key("closures as stiff in simulation as the timestep admits", "", "the model's own")
+    solref: kinds.Softness = key("closures as stiff in simulation as the timestep permits", "", "the model's own")
     friction_transition_deg_s: kinds.Positive = key(
         "the speed v_0 of dry friction f tanh(v / v_0); for slides and tendons as many rad/s times the mechanism's size",
         "deg/s",
@@ -132,7 +132,7 @@ class MeshSection(Section, frozen=True):
         otherwise="polynomial; for least work constant, or linear if limits.effort_rate is given",
         default="polynomial",
     )
-    tolerance_deg: kinds.Tolerance = key("of the integrated state", "deg", "1e-6 while the mesh stays small")
+    tolerance_deg: kinds.Tolerance = key("tolerance of the integrated state", "deg", "1e-6 while the mesh stays small")
     refine: kinds.Refine = key(
         "the refinement of a mesh that is too coarse", otherwise="both; intervals if a scheme is named", default="both"
     )
@@ -148,10 +148,10 @@ class SolverSection(Section, frozen=True):
     max_time_s: kinds.SolveTime = key(
         "limit on the processor time of a whole plan: search, refinement, certificate", "s", default=600.0
     )
-    starts: kinds.Starts = key("number of motions to start from; the best answer is kept", default=1)
+    starts: kinds.Starts = key("number of initial guesses; the best answer is kept", default=1)
 
 
-_MORE_IF_LIGHT = "or more: what six control periods at the whole limit reach from rest"
+_MORE_IF_LIGHT = "or, if larger, the error reached from rest in six control periods at the effort limit"
 
 
 class TrackingSection(Section, frozen=True):
@@ -165,22 +165,22 @@ class TrackingSection(Section, frozen=True):
     delay_periods: kinds.Delay = key(
         "control periods from a measurement to its effort, a whole number in tracking", default=0
     )
-    duration_s: kinds.Duration = key("the duration of the run", "s", "the plan's own, and a rest")
+    duration_s: kinds.Duration = key("the duration of the run", "s", "the plan's own, plus a rest")
     lqr_position_deg: kinds.LqrError | kinds.LqrErrors = key(
-        "a hinge's position error with the weight of the whole effort limit, for all or by joint",
+        "a hinge's position error with the same weight as the whole effort limit, for all or by joint",
         "deg",
         f"1, {_MORE_IF_LIGHT}",
         twin=(("1,", "0.01,"),),
     )
     lqr_velocity_deg_s: kinds.LqrError | kinds.LqrErrors = key(
-        "a hinge's speed error with that weight", "deg/s", f"100, {_MORE_IF_LIGHT}", twin=(("100", "1"),)
+        "a hinge's speed error with the same weight", "deg/s", f"100, {_MORE_IF_LIGHT}", twin=(("100", "1"),)
     )
     bandwidth_hz: kinds.Positive = key("natural frequency of the errors under ct and gs-pd+ff", "Hz", default=20.0)
     damping_ratio: kinds.Positive = key("damping ratio of the errors under ct and gs-pd+ff", default=1.0)
     integral_time_s: kinds.Positive = key(
         "lqi: time in which a position error's integral gains the weight of the error", "s", default=0.05
     )
-    horizon_s: kinds.Positive = key("mpc: the horizon over which efforts keep their limits", "s", default=0.1)
+    horizon_s: kinds.Positive = key("mpc: the horizon over which efforts satisfy their limits", "s", default=0.1)
 
 
 class ProblemFile(Section, frozen=True, kw_only=True):
@@ -195,7 +195,9 @@ class ProblemFile(Section, frozen=True, kw_only=True):
     objective: ObjectiveSection = key("what to minimise", otherwise="by the kind of motion", default=ObjectiveSection())
     limits: LimitsSection = key("limits at every instant", otherwise="the model's own", default=LimitsSection())
     robust: RobustSection = key(
-        "machines for which one motion keeps every effort limit", otherwise="the nominal machine", default=RobustSection()
+        "machines for which one motion satisfies every effort limit",
+        otherwise="the nominal machine",
+        default=RobustSection(),
     )
     motors: Annotated[dict[str, MotorTable], _MOTORS] = by_name(
         "the motor behind an actuator, by the actuator's name",
@@ -207,7 +209,7 @@ class ProblemFile(Section, frozen=True, kw_only=True):
     tracking: TrackingSection = key("the plan's tracking", otherwise="PD", default=TrackingSection())
     imperfections: ImperfectionsSection = key(
         "imperfections of the machines that an experiment simulates",
-        otherwise="those of a careful build",
+        otherwise="those of a carefully built machine",
         default=ImperfectionsSection(),
     )
 

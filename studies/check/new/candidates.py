@@ -1,4 +1,4 @@
-"""Motions that may be a mechanism's first: starts and goals within its reach on a clear way, and their tables."""
+"""Candidates for a mechanism's first motion: starts and goals within its reach with a clear path between them."""
 
 import itertools
 from collections import Counter
@@ -27,9 +27,9 @@ from linkplan.studies.check.new.hanging import (
 )
 from linkplan.studies.check.new.pace import critical_gains, is_large, many_hang, moderate_duration
 
-# The shares of the largest first motion that are tried.
+# Sizes of first motions that are tried, as shares of the largest one.
 _SHARES, _SMALL_FIRST = (1.0, 0.5, 0.25, 0.1), (0.25, 0.1, 0.5, 1.0)
-# The mesh where each digit costs seconds: half of what a certificate allows.
+# The mesh tolerance of large mechanisms, where each digit costs seconds: half of what a certificate allows.
 _COARSE_MESH = {"intervals": 20, "tolerance_deg": 5e-3}
 
 
@@ -38,14 +38,15 @@ def motions_of_all_homes(
 ) -> Iterator[tuple[Mechanism, dict[str, dict]]]:
     """Yield mechanisms and the tables of their motions: from home, and from the gravity equilibrium of undriven joints.
 
-    A home that is no equilibrium comes last: a motion from rest there starts with a fall. Where every way from these is
-    shut, motions begin in the middle of the joints' reach. What shuts the other motions' ways is counted in `obstacles`.
+    A home that is no equilibrium comes last, because a motion from rest there starts with a fall. If every path from these
+    poses is blocked, motions begin in the middle of the joints' reach. `obstacles` counts the obstacles of the other
+    motions.
     """
     other, some = at_gravity_equilibrium(mechanism), False
     homes = [mechanism] if other is None else [other, mechanism]
     for home in homes if not is_equilibrium(mechanism, mechanism.home) else reversed(homes):
         if home is other:
-            say("from where hangs what no actuator moves")
+            say("from the pose in which undriven joints hang")
         for tables in _candidates(home, say, obstacles):
             some = True
             yield home, tables
@@ -58,14 +59,14 @@ def motions_of_all_homes(
 def _in_mid_reach(mechanism: Mechanism) -> Mechanism | None:
     """Return a mechanism whose home has the driven joints in the middle of their reach; None if its loops open there.
 
-    If home is outside the range of a tendon or of a servo's ctrl, the middle of the positions within these ranges is taken.
+    If home is outside the range of a tendon or of a servo's ctrl, the middle of the positions within these ranges is used.
     """
     middle = mechanism.home[mechanism.independent].copy()
     for column in driven_columns(mechanism):
         can = reach(mechanism, int(column))
         positions = can.poses[:, mechanism.independent[column]]
         within = tendons_kept(mechanism, can.poses)
-        moved = within[:, within.any(axis=0)]  # a tendon that is outside its range all along is another coordinate's
+        moved = within[:, within.any(axis=0)]  # a tendon that is always outside its range depends on another coordinate
         kept = np.flatnonzero(moved.all(axis=1) & servos_hold(mechanism, can.poses, column))
         if 0 < len(kept) < len(positions):
             longest = max(np.split(kept, np.flatnonzero(np.diff(kept) > 1) + 1), key=len)
@@ -81,9 +82,9 @@ def _in_mid_reach(mechanism: Mechanism) -> Mechanism | None:
 
 
 def _candidates(mechanism: Mechanism, say: Say, obstacles: Counter[str]) -> Iterator[dict[str, dict]]:
-    """Yield the tables of motions with a clear straight way: of all driven coordinates, then of one, larger ones first.
+    """Yield the tables of motions with a clear straight path: of all driven coordinates, then of one, larger ones first.
 
-    There is one motion of each kind and size. The reason that forbids a motion often forbids its mirror image, too.
+    There is one motion of each kind and size, because an obstacle of a motion often also blocks its mirror image.
     """
     driven = driven_columns(mechanism).tolist()
     alone = [[column] for column in driven] if len(driven) > 1 else []
@@ -105,11 +106,11 @@ def _candidates(mechanism: Mechanism, say: Say, obstacles: Counter[str]) -> Iter
 
 
 def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: int) -> dict[str, dict] | str:
-    """Return the problem's tables for a motion of some coordinates by a share of their range, or what obstructs it.
+    """Return the problem's tables for a motion of some coordinates by a share of their range, or its obstacle.
 
     `moved` are the indices of these coordinates; `side` is 1 for the longer side of the reach, -1 for the shorter one.
 
-    Joints that move together move less: more than two share the motion of two.
+    If more than two joints move together, each moves less.
     """
     start, goal = _ends(mechanism, share * min(1.0, 2 / len(moved)), side)
     rest = np.setdiff1d(np.arange(mechanism.dof), moved)
@@ -128,7 +129,7 @@ def _clear_motion(mechanism: Mechanism, moved: list[int], share: float, side: in
     except LinkplanError as error:
         return one_line(error)
     tables["motion"]["duration_s"] = duration
-    if slow:  # with least effort, slow motions dip to where the weight is light, on other ways than the clear one
+    if slow:  # with least effort, slow motions leave the clear path for poses that need less holding effort
         tables |= {"objective": {"minimize": "effort_rate"}, "mesh": dict(_COARSE_MESH)}
     tables["tracking"] = critical_gains(mechanism, problem, duration)
     return tables
@@ -140,10 +141,12 @@ def tables_at_home(mechanism: Mechanism) -> dict[str, dict]:
 
 
 def _ends(mechanism: Mechanism, share: float, side: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return a start and a goal (n_s,): home, moved off the ends of the reach, and a motion from it to one side.
+    """Return a start and a goal (n_s,).
 
-    Side 1 is the longer side of the reach, -1 the shorter one. The motion is a share of the reach to that side, or of 60
-    degrees for a hinge or what its gear drives and 40 % of the mechanism's extent for a slide.
+    The start is home, moved away from the ends of the reach; the goal is on one side of it.
+
+    Side 1 is the longer side of the reach, -1 the shorter one. The motion is a share of the reach to that side. Without an
+    end, it is a share of 60 degrees for a hinge (after its gear) or of 40 % of the mechanism's extent for a slide.
     """
     start = mechanism.home[mechanism.independent].copy()
     goal = start.copy()
@@ -160,7 +163,7 @@ def _ends(mechanism: Mechanism, share: float, side: int) -> tuple[np.ndarray, np
 
 
 def _interval(can: Reach, home: float) -> tuple[float, float]:
-    """Return the part of a reach around home without singular poses, less a tenth at each end."""
+    """Return the part of a reach around home without singular poses and without a tenth at each end."""
     low, high = can.lower.position, can.upper.position
     low = max([low, *(x for x in can.singular if x < home)])
     high = min([high, *(x for x in can.singular if x > home)])
@@ -180,9 +183,10 @@ def _rounded(joint: Joint, position: float, low: float, high: float) -> float:
 def _tables(mechanism: Mechanism, start: np.ndarray, goal: np.ndarray) -> dict[str, dict]:
     """Return a problem's tables: from rest to rest with least effort, or least effort rate.
 
-    With several hanging joints, the motion of least effort waits near the lowest pose, and many motions have nearly the same
-    cost: the solver takes hundreds of iterations. With springs in series with the drives, its efforts jump at start and goal
-    and let the springs ring. The motion of least effort rate stays near the holding efforts.
+    Least effort rate is for two kinds of mechanisms; its motion stays near the holding efforts. With several hanging joints,
+    the motion of least effort waits near the lowest pose and many motions have nearly the same cost, so the solver takes
+    hundreds of iterations. With springs in series with the drives, the least efforts jump at start and goal and excite the
+    springs.
     """
     motion: dict = {"kind": "reach"}
     driven = driven_columns(mechanism)

@@ -42,12 +42,12 @@ from linkplan.studies.check.new.pace import is_large
 from linkplan.studies.check.softness import STIFF_KEY
 from linkplan.studies.check.summary import grouped
 
-# Keys of the [mechanism] table that a change sets, and the sentence on it.
+# Keys of the [mechanism] table that a change sets, and its sentence.
 Change = tuple[dict[str, object], str]
 
 
 def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str, ...]]:
-    """Return a model's mechanism with what a first motion changes of it, and a sentence on each change.
+    """Return a model's mechanism with the changes for a first motion, and a sentence on each change.
 
     Args:
         table: the [mechanism] table.
@@ -66,18 +66,18 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
             table = {**table, **keys}
             mechanism = _assembled(table, mechanism)
             notes.append(note)
-    # MuJoCo scales the stiffness of a loop by the inertia of its bodies: links without mass let go of what they hold.
+    # MuJoCo scales the stiffness of a loop by the inertia of its bodies, so links without mass do not hold a loop.
     if "solref" not in table and home_gap(mechanism) > SOFT_GAP:
         mechanism = _assembled({**table, "solref": STIFF}, mechanism)
         notes.append(
-            "in simulation, the model's loops would open by more than 1 % of its size, or 0.01 rad, under its weight:"
-            f" they are made as stiff as its timestep permits ({STIFF_KEY}) and open by {home_gap(mechanism):.1g} of its"
+            "in simulation, the model's loops would open by more than 1 % of its size, or 0.01 rad, under its weight: they"
+            f" are made as stiff as the timestep permits ({STIFF_KEY}) and open by {home_gap(mechanism):.1g} of its"
             " size or rad"
         )
     if moved := sorted(mechanism.source.keys() & {"home_deg", "home_m"} - table.keys()):
         notes.append(
-            "the loops are open or singular at the model's own pose: home is the nearest closed pose that was found, on one"
-            f" of the branches that meet there ({' and '.join(f'mechanism.{key}' for key in moved)})"
+            "the loops are open or singular at the model's own pose: home is the nearest closed pose found, on one of the"
+            f" branches that meet there ({' and '.join(f'mechanism.{key}' for key in moved)})"
         )
     return mechanism, (*notes, *mechanism.faults)
 
@@ -110,7 +110,7 @@ def _filters_left_out(mechanism: Mechanism, table: Mapping[str, object]) -> Chan
     if not named:
         return None
     return {"drive": [*driven, *named]}, (
-        "filters of actuators are ignored, in simulation too, since plans do not have their states:"
+        "filters of actuators are ignored, in simulation too, because plans do not model their states:"
         f" {', '.join(named.values())}"
         f" (mechanism.drive: {', '.join(named)})"
     )
@@ -129,17 +129,17 @@ def _friction_widened(mechanism: Mechanism, table: Mapping[str, object]) -> Chan
     # error doubles.
     default, wide = float(np.degrees(mechanism.friction_transition)), 10.0
     return {"friction_transition_deg_s": wide}, (
-        f"dry friction reaches its full value at about {wide:g} deg/s instead of {default:g}, because large mechanisms would"
-        " need fine meshes: plans have too little of it on slow joints (mechanism.friction_transition_deg_s)"
+        f"dry friction reaches its full value at about {wide:g} deg/s instead of {default:g}, to avoid fine meshes: plans"
+        " have too little friction on slow joints (mechanism.friction_transition_deg_s)"
     )
 
 
 def _locked(
     find: Callable[[Mechanism], dict[str, float]], why: str, mechanism: Mechanism, table: Mapping[str, object]
 ) -> Change | None:
-    """Return the locks of joints [deg or m] that `find` finds beside those that a table has; None without any."""
+    """Return the locks of joints [deg or m] that `find` adds to those of a table; None if it adds none."""
     found = _with_coupled(mechanism, find(mechanism) if _moves(mechanism) else {})
-    locks = {name: round(place, 9) + 0.0 for name, place in found.items()}  # homes are assembled to 1e-15
+    locks = {name: round(place, 9) + 0.0 for name, place in found.items()}  # a home pose is assembled to 1e-15
     if not locks:
         return None
     given, said = table.get("lock"), ", ".join(f"{name} = {value:g}" for name, value in locks.items())
@@ -148,7 +148,7 @@ def _locked(
 
 
 def _with_coupled(mechanism: Mechanism, locks: dict[str, float]) -> dict[str, float]:
-    """Return locks of joints with those of the joints that couplings move with them, which rest at home too [deg or m]."""
+    """Return locks [deg or m] of joints and of the joints coupled to them, which also rest at home."""
     model, found = mechanism.model, dict(locks)
     couplings = np.flatnonzero((model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_obj2id >= 0) & model.eq_active0)
     tied = [{joint_label(model, int(j)) for j in (model.eq_obj1id[k], model.eq_obj2id[k])} for k in couplings]
@@ -170,9 +170,10 @@ def with_exclusions(table: Mapping[str, object], pairs: Sequence[list[str]]) -> 
 
 
 def raised_limits(mechanism: Mechanism) -> dict[str, list[float]]:
-    """Return effort limits [N.m or N] by actuator, for those that are too weak to hold the weight at home.
+    """Return raised effort limits [N.m or N] by actuator, for those that are too weak to hold the weight at home.
 
-    Actuators with the same limits are the same motor, or the same default of an exporter: their limits are raised together.
+    Actuators with the same limits are probably the same motor, or have an exporter's default, so their limits are raised
+    together.
     """
     still = np.zeros((1, mechanism.dof))
     hold = effort_within(*demanded(mechanism, mechanism.home[None], still, still), 1e9 * mechanism.effort_limit)[0]
@@ -190,7 +191,7 @@ def raised_limits(mechanism: Mechanism) -> dict[str, list[float]]:
 
 
 def raised_notes(mechanism: Mechanism, tables: Mapping[str, Mapping]) -> list[str]:
-    """Return a sentence on the effort limits of a problem's tables that are larger than the model's, if there are some."""
+    """Return a sentence on the effort limits of a problem's tables that are larger than the model's, if there are any."""
     limits = tables.get("limits", {}).get("effort", {})
     if not limits:
         return []
@@ -207,18 +208,18 @@ def raised_notes(mechanism: Mechanism, tables: Mapping[str, Mapping]) -> list[st
 
 @functools.lru_cache(maxsize=4)
 def left_out(mechanism: Mechanism) -> tuple[str, ...]:
-    """Return the forces in a model that plans neglect, each as a phrase."""
+    """Return the forces of a model that plans neglect, each as a phrase."""
     return tuple(element.text for element in audit(mechanism.model) if element.falsifies)
 
 
 def left_out_notes(mechanism: Mechanism) -> list[str]:
-    """Return a sentence on the forces that a first motion is planned without, if there are some."""
+    """Return a sentence on the forces that a first motion neglects, if there are any."""
     forces = left_out(mechanism)
     said = f"{len(forces)} forces" if len(forces) > 1 else "forces"
     what = "; ".join(grouped(mechanism, forces)[:3])
     return [
         f"plans neglect {said} that act in the simulation: {what}"
-        ' (limits.unhonoured = "note"; by default such a problem is refused)'
+        ' (limits.unhonoured = "note"; the default is to refuse such a problem)'
     ] * bool(forces)
 
 
@@ -228,7 +229,7 @@ def overlapping_bodies(contacts: Iterable[Contact]) -> list[list[str]]:
 
 
 def _not_on_ground(contacts: Iterable[Contact | ContactPair]) -> list[list[str]]:
-    """Return the pairs of bodies of contacts, without those that touch the ground in one of them."""
+    """Return the pairs of bodies in contact, without pairs in contact with the ground."""
     pairs: dict[tuple[str, str], bool] = {}
     for contact in contacts:
         pairs[contact.bodies] = pairs.get(contact.bodies, False) or contact.on_ground
@@ -246,8 +247,8 @@ def overlap_sentence(pairs: Sequence[Sequence[str]]) -> str:
 def _assembled(table: Mapping[str, object], before: Mechanism | None = None) -> Mechanism:
     """Return a model's mechanism, assembled at the nearest closed pose if the model's pose is open.
 
-    The search for that pose is not repeated if `before`, the mechanism without the last change, was assembled there and
-    the change leaves its joints.
+    The search for that pose is skipped if `before`, the mechanism without the last change, was assembled there and the
+    change does not concern its joints.
     """
     tables = {"mechanism": dict(table)}
     if before is not None and (home := _home_found(table, before)):
@@ -268,7 +269,7 @@ def _assembled(table: Mapping[str, object], before: Mechanism | None = None) -> 
 
 
 def _home_found(table: Mapping[str, object], before: Mechanism) -> dict[str, object]:
-    """Return the home before a change, for [mechanism] tables without one, without joints that the table locks."""
+    """Return the home before a change, without the joints that the [mechanism] table locks; for tables without a home."""
     locked = table.get("lock")
     names = set(locked) if isinstance(locked, Mapping) else set()
     homes = {key: before.source[key] for key in ("home_deg", "home_m") if key in before.source and key not in table}
@@ -278,32 +279,32 @@ def _home_found(table: Mapping[str, object], before: Mechanism) -> dict[str, obj
     return {key: home for key, home in left.items() if home}
 
 
-# In this order: what is fixed and locked decides what overlaps and how large the mechanism is.
+# The order matters: fixed and locked parts determine which links overlap and the mechanism's size.
 _CHANGES: tuple[Callable[[Mechanism, Mapping[str, object]], Change | None], ...] = (
     _filters_left_out,
-    functools.partial(_locked, fixed_by_range, "the ranges of these joints have no width: they are locked there ({locks})"),
+    functools.partial(_locked, fixed_by_range, "joints with ranges of zero width are locked ({locks})"),
     functools.partial(
         _locked,
         pressed,
-        "weight and springs press joints onto their stops: they are locked there ({locks}); motions that leave the stops"
+        "joints that weight and springs press onto their stops are locked there ({locks}); motions that leave the stops"
         " need another model",
     ),
     functools.partial(
         _locked,
         dropped,
-        "undriven joints would fall onto their stops or into a contact, whose forces plans do not have: they are locked at"
-        " home ({locks}); motions in which they fall need another model",
+        "undriven joints that would fall onto their stops or into a contact are locked at home ({locks}), because plans"
+        " have no contact forces; motions in which they fall need another model",
     ),
     functools.partial(
         _locked,
         held_by_friction,
-        "dry friction holds undriven joints: they are locked in place ({locks}); motions that slide them need another model",
+        "undriven joints that dry friction holds are locked in place ({locks}); motions that slide them need another model",
     ),
     _ball_rods_locked,
     functools.partial(
         _locked,
         spins,
-        "rods or wheels can spin freely while all else rests: a hinge of each is locked ({locks})",
+        "rods or wheels can spin freely while everything else rests: one hinge of each is locked ({locks})",
     ),
     _overlaps_excluded,
     _friction_widened,

@@ -1,4 +1,4 @@
-"""What shuts the straight way from a motion's start to its goal, and why no motion was found or is sought, in words."""
+"""Obstacles on the straight path from a motion's start to its goal, and the reasons why no motion was found or searched."""
 
 import numpy as np
 
@@ -29,13 +29,13 @@ from linkplan.studies.check.summary import grouped
 
 
 def obstacle_on_way(problem: Problem) -> str | None:
-    """Return what shuts the straight way from start to goal at one of 61 poses; None if it is clear.
+    """Return the obstacle on the straight path from start to goal, checked at 61 poses; None if the path is clear.
 
-    On a clear way the loops close, the ranges are kept, det J_z stays above a quarter of its value at home, no geoms
-    collide, and the actuators can hold every pose, if they act on all coordinates.
+    On a clear path the loops close, the joints stay within their ranges, det J_z stays above a quarter of its value at home,
+    no geoms collide, and the actuators can hold every pose if they act on all coordinates.
     """
     mechanism, start, goal = problem.mechanism, problem.motion.start, problem.motion.goal
-    assert start is not None  # a reach has both
+    assert start is not None  # a reach has both ends
     assert goal is not None
     shares = np.linspace(0.0, 1.0, 61)
 
@@ -67,25 +67,28 @@ def obstacle_on_way(problem: Problem) -> str | None:
 
 
 def why_stuck(mechanism: Mechanism) -> str:
-    """Return why the driven joints cannot leave home; if a joint is outside its range at home, that joint is named."""
+    """Return the reason why the driven joints cannot leave home; it names a joint that is outside its range at home."""
     for sentence in outside_at_home(mechanism):
-        return f"{sentence}; mechanism.home_deg and home_m name another pose"
+        return f"{sentence}; set another pose by mechanism.home_deg and home_m"
     return "the joints cannot leave home"
 
 
 def why_not(answer: Plan, within_s: float | None) -> str:
-    """Return why an answer is no motion: its message, or what the last one fails if time [s] was up; and what hangs."""
+    """Return the reason why no motion was found: the plan's message, or after the time [s] the last plan's first failure."""
     mechanism, said = answer.problem.mechanism, answer.message
     if within_s is not None:
         failures = () if answer.certificate is None else answer.certificate.failures
-        last = f"; of the last one, {failures[0]}" if failures else ""
-        said = f"no motion was found within {within_s:g} s of work{last}; planning it without that bound may find one"
+        last = f"; the last one failed: {failures[0]}" if failures else ""
+        said = (
+            f"no motion was found within {within_s:g} s of processor time{last}; `linkplan plan`, without this bound, may"
+            " find one"
+        )
     coasting = np.flatnonzero(np.isin(mechanism.independent, mechanism.coasting_dofs)).tolist()
     loose = sorted({*hanging_columns(mechanism), *coasting})
-    lock = lock_at_home(mechanism, loose)  # with what `new` has locked, which goes with it
+    lock = lock_at_home(mechanism, loose)  # including the joints that `new` has locked
     names = listed([mechanism.independent_joints[k].name for k in loose], 8)
-    remedy = f"{lock} holds them" if lock else f"start and goal are to be poses at which {names} hang at rest"
-    return f"{said}; nothing drives these joints, which swing or coast as the others move: {remedy}" if loose else said
+    remedy = f"{lock} holds them" if lock else f"start and goal must be poses in which {names} hang at rest"
+    return f"{said}; these joints have no actuator and swing or coast when others move: {remedy}" if loose else said
 
 
 def tendons_kept(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
@@ -110,7 +113,7 @@ def servos_hold(mechanism: Mechanism, poses: np.ndarray, column: int) -> np.ndar
 def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
     """Return the sentence on an actuator that cannot hold the weight at one of the poses (n, n_q), or None.
 
-    Nothing is said of a weight on coordinates that no actuator moves.
+    Coordinates that no actuator moves are ignored.
     """
     mechanism, still = problem.mechanism, np.zeros((len(poses), problem.mechanism.dof))
     (tau, maps), limit = demanded(mechanism, poses, still, still), problem.limits.effort
@@ -128,8 +131,8 @@ def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
 
 
 def refuse_undriven(mechanism: Mechanism) -> None:
-    """Refuse a mechanism that nothing moves, or whose ball joints may not turn; the text names the remedy."""
-    joint = mechanism.joints[0]  # the first joint is on the world, where drives usually are
+    """Refuse a mechanism that no actuator moves, or whose ball joints may not turn; the message names the remedy."""
+    joint = mechanism.joints[0]  # the first joint is attached to the world, where drives usually are
     force = "100" if joint.kind == "slide" else "10"
     line = f'<actuator><motor name="act_{joint.name}" joint="{joint.name}" ctrlrange="-{force} {force}"/></actuator>'
     if joint.chart is None and joint.name not in [mechanism.model.joint(j).name for j in range(mechanism.model.njnt)]:
@@ -144,8 +147,8 @@ def refuse_undriven(mechanism: Mechanism) -> None:
     if mechanism.n_u == 0:
         unusable = "".join(f"; {text}" for text in grouped(mechanism, (item.text for item in audit(mechanism.model))))
         raise ProblemError(
-            f"mechanism '{mechanism.name}' has no usable actuator, so that nothing moves it; {motors_hint(mechanism)};"
-            f" or add for example {line} to its model, with the effort that the drive has{unusable}"
+            f"mechanism '{mechanism.name}' has no usable actuator; {motors_hint(mechanism)}; or add for example {line} to"
+            f" its model, with the drive's effort limit{unusable}"
         )
     if not len(driven_columns(mechanism)):
         raise ProblemError(f"the actuators of mechanism '{mechanism.name}' move none of its joints at home; add {line}")

@@ -1,4 +1,4 @@
-"""A first motion of a mechanism: start and goal within its reach, away from singular poses and contacts, with a plan."""
+"""A first motion of a mechanism: start, goal and plan within its reach, away from singular poses and contacts."""
 
 from collections import Counter
 from collections.abc import Mapping
@@ -36,9 +36,9 @@ from linkplan.studies.check.new.clear_way import refuse_undriven, why_not
 from linkplan.studies.check.new.loop_gap import SOFT_GAP, SOFT_IN_MOTION, planned_gap, travel
 from linkplan.studies.check.new.pace import critical_gains, is_large
 
-# Processor time [s] for all motions, and the least time that a motion gets.
+# Processor time [s] for all motions, and the least time for each motion.
 _TIME_BUDGET_S, _MIN_SOLVE_S = 40.0, 1.0
-# A large robot's smooth path is mostly a motion itself, and most others are found at once from it.
+# A large robot's smooth path is usually feasible, and most other motions are found quickly from it.
 _SMOOTH: tuple[SearchMethod, ...] = (
     SearchMethod(
         name="the smooth path itself",
@@ -48,12 +48,12 @@ _SMOOTH: tuple[SearchMethod, ...] = (
     ),
     SearchMethod(name="a smooth path", tried=lambda search: not search.solved, run=from_first_starts, budget=SHORT_BUDGET),
 )
-_IN_BRIEF = (solver_stopped, nothing_found)  # another motion is tried next: why one was not found does not matter yet
+_IN_BRIEF = (solver_stopped, nothing_found)  # no diagnosis: another motion is tried next
 _OTHER_HOME = (
-    "the motion begins at another home than the model's, where undriven joints hang at rest or the driven ones are in the"
+    "the motion starts from another home than the model's, in which undriven joints hang at rest or driven ones are in the"
     " middle of their reach (mechanism.home_deg, home_m)"
 )
-_SHUT = "every straight way from home is shut: by a singular pose, a joint's range, a contact or too great a weight"
+_SHUT = "every straight path from home is blocked by a singular pose, a joint's range, a contact or too large a weight"
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -64,7 +64,7 @@ class FirstMotion:
     tables: dict[str, dict]
     plan: Plan | None
     why: str  # the reason why there is no plan, else ""
-    changes: tuple[str, ...]  # sentences on what was changed of the model
+    changes: tuple[str, ...]  # a sentence on each change of the model
 
     @property
     def description(self) -> str:
@@ -83,13 +83,13 @@ class FirstMotion:
 
     @property
     def notes(self) -> list[str]:
-        """A sentence on each change of the model, and on each contact by construction that the motion ignores."""
+        """A sentence on each change of the model, and on each overlap by construction that the motion ignores."""
         certificate = None if self.plan is None else self.plan.certificate
         return [*self.changed, *(() if certificate is None else contact_notes(certificate.contacts))]
 
     @property
     def planned(self) -> bool:
-        """Whether a motion was found that passes its certificate."""
+        """Whether a motion that passes its certificate was found."""
         return self.plan is not None and self.plan.passed
 
 
@@ -100,7 +100,7 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
     Each motion gets at most half of the remaining time budget; at first, all motions are tried for a short time.
 
     Args:
-        table: the [mechanism] table: its model, a built-in name or a path to an MJCF file, and what is selected of it.
+        table: the [mechanism] table: its model (a built-in name or a path to an MJCF file) and the selected part of it.
         say: called with lines on the progress.
 
     Raises:
@@ -132,27 +132,30 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
             except LinkplanError as error:
                 found = replace(found, mechanism=moving, tables=tables, plan=None, why=one_line(error))
                 continue
-            late = OF_TIME in answer.message or left - deadline.left_s > 0.95 * limit  # planning stops a little before it
+            late = OF_TIME in answer.message or left - deadline.left_s > 0.95 * limit  # planning stops early
             why = "" if answer.passed else why_not(answer, _TIME_BUDGET_S if late else None)
             said = changes if moving is mechanism else (*changes, _OTHER_HOME)
             found = replace(found, mechanism=moving, tables=tables, plan=answer, why=why, changes=said)
             if found.planned:
                 return _stiffened(_without_contacts(_with_brief_search(found, answer, left - deadline.left_s), answer))
     if not tried and obstacles and found.why == _SHUT:
-        found = replace(found, why=f"every straight way from home is shut; most often, {obstacles.most_common(1)[0][0]}")
+        found = replace(
+            found,
+            why=f"every straight path from home is blocked; the most frequent reason: {obstacles.most_common(1)[0][0]}",
+        )
     return found
 
 
 def _first_try_s(mechanism: Mechanism) -> float:
-    """Return the time [s] of a first try: an easy motion needs no more."""
+    """Return the time [s] of a first try, which is enough for an easy motion."""
     return (0.125 if is_large(mechanism) else 0.3) * _TIME_BUDGET_S
 
 
 def _with_brief_search(found: FirstMotion, plan: Plan, took_s: float) -> FirstMotion:
-    """Return a first motion whose problem does not search for longer than a first try, if a smooth path is its plan.
+    """Limit the planning time of a first motion's problem to that of a first try, if its plan is the smooth path.
 
-    For a large robot, whose smooth path is tried first, the limit is at least twice the time [s] that this took: with less,
-    its certificate may not be reached.
+    For a large robot, whose smooth path is tried first, the limit is at least twice the time [s] that this took. Otherwise
+    planning might end before the certificate.
     """
     if plan.solved is not None:
         return found
@@ -160,15 +163,15 @@ def _with_brief_search(found: FirstMotion, plan: Plan, took_s: float) -> FirstMo
     if is_large(found.mechanism):
         limit = max(limit, float(np.ceil(2 * took_s)))
     note = (
-        f"the smooth path satisfies every limit: planning searches for a better motion for {limit:g} s of work and no longer"
-        " (solver.max_time_s)"
+        f"the smooth path satisfies every limit: planning searches for a better motion for at most {limit:g} s of processor"
+        " time (solver.max_time_s)"
     )
     tables = found.tables | {"solver": {"max_time_s": limit}}
     return replace(found, tables=tables, changes=(*found.changes, note))
 
 
 def _without_contacts(found: FirstMotion, plan: Plan) -> FirstMotion:
-    """Return a first motion without the contacts of links that overlap by construction, which no plan contains."""
+    """Return a first motion without the contacts of links that overlap by construction; plans have no contact forces."""
     pairs = overlapping_bodies(() if plan.certificate is None else plan.certificate.contacts)
     if not pairs or plan.certificate is None:
         return found
@@ -186,7 +189,7 @@ def _stiffened(found: FirstMotion) -> FirstMotion:
 
 
 def _with_table(found: FirstMotion, plan: Plan, table: dict, note: str) -> FirstMotion:
-    """Return a first motion with another [mechanism] table, for which its plan holds too, and a note on the change."""
+    """Return a first motion with another [mechanism] table, with which its plan remains valid, and a note on the change."""
     tables = found.tables | {"mechanism": table}
     mechanism = mechanism_from_tables(tables)
     problem = Problem.from_tables(mechanism.name, tables, mechanism=mechanism)

@@ -1,7 +1,8 @@
 """Gravity equilibria of undriven joints: start and goal poses for a mechanism with fewer actuators than coordinates.
 
-The drives hold their coordinates. The pose of least potential energy of the others is a stable equilibrium. A motion between
-two such poses that is slow compared with the swings of the hanging joints needs little more than the holding effort.
+The drives hold their coordinates; the pose of least potential energy of the other coordinates is a stable equilibrium. A
+motion between two such poses needs little more than the holding effort, if it is slow compared with the swings of the
+hanging joints.
 """
 
 from collections.abc import Mapping, Sequence
@@ -29,7 +30,7 @@ def driven_columns(mechanism: Mechanism) -> np.ndarray:
 
 
 def rests_by_itself(mechanism: Mechanism, column: int) -> bool:
-    """Tell if a coordinate is passive, coasts or is held by springs, so that a motion does not name it."""
+    """Tell if a coordinate is passive, coasts or is held by springs, so that a motion need not name it."""
     return not mechanism.actuated[column] or column in sprung_freedoms(mechanism)
 
 
@@ -45,10 +46,10 @@ def driven_at_home(mechanism: Mechanism) -> dict[int, float]:
 
 
 def at_gravity_equilibrium(mechanism: Mechanism) -> Mechanism | None:
-    """Return a mechanism whose home is the gravity equilibrium of its undriven joints; None if home is."""
+    """Return a mechanism whose home is the gravity equilibrium of its undriven joints; None if its home already is."""
     if not hanging_columns(mechanism):
         return None
-    off = 1e-3  # [rad or m], from an unstable equilibrium; where the energy is flat, the search ends where it begins
+    off = 1e-3  # [rad or m], step away from an unstable equilibrium; if the energy is flat, the search ends where it begins
     pose = hanging_pose(mechanism, mechanism.home + off, driven_at_home(mechanism))
     same = 2 * off if is_equilibrium(mechanism, mechanism.home) else 1e-6
     if pose is None or np.abs(pose - mechanism.home).max() < same:
@@ -95,12 +96,12 @@ def resting_positions(mechanism: Mechanism, s: np.ndarray, near: np.ndarray) -> 
         rest[column] = _rounded(mechanism.independent_joints[column], float(pose[mechanism.independent[column]]))
     if pose is None or not is_equilibrium(mechanism, close_at(mechanism, rest, near)):
         lock = lock_at_home(mechanism, hanging)
-        raise AssemblyError(f"undriven joints do not hang at rest on the way{lock and f'; {lock} holds them'}")
+        raise AssemblyError(f"undriven joints have no equilibrium on the path{lock and f'; {lock} holds them'}")
     return rest
 
 
 def lock_at_home(mechanism: Mechanism, columns: Sequence[int]) -> str:
-    """Return the key that locks coordinates at home, beside what is locked already; "" if none of them can be locked."""
+    """Return the key that locks coordinates at home, including existing locks; "" if none of them can be locked."""
     home = mechanism.home[mechanism.independent]
     places = [(mechanism.independent_joints[k], float(home[k])) for k in columns]
     locked = [(joint, x) for joint, x in places if joint.chart is None]

@@ -16,7 +16,8 @@ from linkplan.models.tree.joints import unit_steps
 from linkplan.studies.check.drives import pressed_joints, sprung_stops
 from linkplan.studies.check.new.hanging import driven_at_home, hanging_columns, is_equilibrium, least_energy_pose
 
-# What holds this multiple of the weight at home holds in motion too: the rest moves the machine, or withstands its motion.
+# An effort of this multiple of the holding effort at home also suffices in motion: the rest accelerates the joints, or
+# resists the motion of others.
 HOLD_MULTIPLE = 2.0
 
 
@@ -29,7 +30,7 @@ def pressed(mechanism: Mechanism) -> dict[str, float]:
 def fixed_by_range(mechanism: Mechanism) -> dict[str, float]:
     """Return the midpoint [deg or m] of each range of zero width by joint: some authors fix joints this way.
 
-    Such a range spans a thousandth of a radian or of the mechanism's size at most. Joints of loops are left as they are.
+    Such a range is at most a thousandth of a radian or of the mechanism's size wide. Joints of loops are not locked.
     """
     columns = np.flatnonzero(~in_loops(mechanism))
     joints = [mechanism.joints[index] for index in mechanism.independent[columns].tolist()]
@@ -41,7 +42,7 @@ def fixed_by_range(mechanism: Mechanism) -> dict[str, float]:
 def held_by_friction(mechanism: Mechanism) -> dict[str, float]:
     """Return the home positions [deg or m] of the undriven joints that dry friction holds over their whole reach, by name.
 
-    Half of it holds weight and springs; the other half holds against a motion of the others.
+    Half of the friction must hold weight and springs; the other half resists the motion of other joints.
     """
     found: dict[str, float] = {}
     for column in hanging_columns(mechanism):
@@ -59,7 +60,7 @@ def held_by_friction(mechanism: Mechanism) -> dict[str, float]:
 def dropped(mechanism: Mechanism) -> dict[str, float]:
     """Return the home positions [deg or m] of the undriven joints that weight drops onto stops or into contact, by name.
 
-    An example is the boom of a hopper, which stands on its foot: without the ground's force, no pose of it is at rest.
+    An example is the boom of a hopper that stands on its foot: without the ground's force it has no pose at rest.
     """
     home, found = mechanism.home, {}
     hanging = hanging_columns(mechanism)
@@ -89,7 +90,7 @@ def spins(mechanism: Mechanism) -> dict[str, float]:
 
 
 def _is_wheel(mechanism: Mechanism, column: int) -> bool:
-    """Tell if what hangs on a hinge in no loop is balanced to a hundredth of its radius of gyration, as an idle wheel is."""
+    """Tell if the bodies on a hinge outside loops are balanced like a wheel, to a hundredth of their radius of gyration."""
     model, joint = mechanism.model, mechanism.independent_joints[column]
     number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, joint.name)
     if number < 0 or joint.kind != "hinge" or in_loops(mechanism)[column]:
@@ -107,7 +108,7 @@ def _passive_columns(mechanism: Mechanism) -> list[int]:
 def rods_on_balls(mechanism: Mechanism) -> list[str]:
     """Return the ball joints of rods that spin about their own lines and whose spins can be locked, by name.
 
-    The coordinate of a rod's spin may be an angle of another ball joint: what turns is read from the bodies.
+    The coordinate of a rod's spin may be an angle of another ball joint, so the bodies determine which rod spins.
     """
     model, found = mechanism.model, []
     lines = {j: rod_line(model, j) for j in range(model.njnt) if spin_refusal(model, j) is None}
@@ -126,7 +127,7 @@ def rods_on_balls(mechanism: Mechanism) -> list[str]:
 
 
 def _is_spin(mechanism: Mechanism, column: int) -> bool:
-    """Tell if the bodies that an independent coordinate of a loop moves at home all turn about one line, as one rod.
+    """Tell if all bodies that an independent coordinate of a loop moves at home turn about one line, like a single rod.
 
     Bodies of less than a thousandth of the moving mass, as the crosses of universal joints, do not count.
     """
@@ -143,5 +144,5 @@ def _is_spin(mechanism: Mechanism, column: int) -> bool:
     heavy = twists[moves & (model.body_mass > 1e-3 * model.body_mass[moves].sum())]
     speed, turn = heavy[0, :3], heavy[0, 3:]
     same = np.abs(heavy - heavy[0]).max() < ROUNDING_SHARE * np.abs(heavy).max()
-    about = abs(float(speed @ turn)) <= ROUNDING_SHARE * np.linalg.norm(turn) * np.linalg.norm(speed)  # and not along it
+    about = abs(float(speed @ turn)) <= ROUNDING_SHARE * np.linalg.norm(turn) * np.linalg.norm(speed)  # no sliding
     return bool(same and about and turn.any())

@@ -9,12 +9,12 @@ from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.check.softness import STIFF_KEY, loaded_closures, weight_load
 
-# A larger gap is another mechanism than the planned one: a share of the mechanism's extent or an angle [rad] at rest, and a
-# share of the travel in a motion.
+# With a larger gap the simulated mechanism differs from the planned one. At rest the gap is a share of the mechanism's
+# extent or an angle [rad], in a motion a share of the travel.
 SOFT_GAP = 0.01
 SOFT_IN_MOTION = (
     "in simulation, the motion's efforts would open the model's loops by more than 1 % of the joints' travel: they are made"
-    f" as stiff as its timestep permits ({STIFF_KEY})"
+    f" as stiff as the timestep permits ({STIFF_KEY})"
 )
 
 
@@ -43,7 +43,7 @@ def planned_gap(plan: Plan) -> float:
 def travel(plan: Plan) -> float:
     """Return the largest travel of an independent joint along a plan: an angle [rad], or a slide's share of the extent.
 
-    For a motor behind a gear or screw it is about that of what it drives.
+    For a motor behind a gear or screw it is approximately the travel of the driven part.
     """
     mechanism, position = plan.problem.mechanism, plan.require_motion("measure").position
     unit = unit_steps(mechanism.independent_joints, mechanism.extent_m) * travel_scales(mechanism)

@@ -11,7 +11,7 @@ from linkplan.studies.check.new.hanging import GRAVITY_M_S2, driven_columns, han
 
 
 def moderate_duration(problem: Problem) -> tuple[float, bool]:
-    """Return a duration [s] in two digits, and True if only the model's own simulation makes it that long.
+    """Return a duration [s] with two digits, and True if only the simulation of the model makes it that long.
 
     It is some times the shortest one on a smooth path, so that the efforts are moderate.
 
@@ -22,22 +22,23 @@ def moderate_duration(problem: Problem) -> tuple[float, bool]:
     shortest = first_guess(problem, problem.start_pose()).duration_s
     swing = 2 * np.pi * np.sqrt(mechanism.extent_m / GRAVITY_M_S2)
     least = 2 * swing if hanging_columns(mechanism) else 0.1
-    longer = 4 if sprung_freedoms(mechanism) else 2  # quick motions let undriven springs ring
+    longer = 4 if sprung_freedoms(mechanism) else 2  # fast motions excite undriven springs
     followed = _eight_cycles(_fastest_feedback(problem))
     moderate = max(longer * shortest, least)
     return float(f"{max(moderate, followed):.2g}"), followed > moderate
 
 
 def _eight_cycles(given: float) -> float:
-    """Return the duration [s] of eight cycles of a frequency [rad/s], or the frequency of eight cycles in a duration."""
+    """Return the duration [s] of eight cycles of a frequency [rad/s], or the frequency with eight cycles in a duration."""
     return 8 * 2 * np.pi / given
 
 
 def _fastest_feedback(problem: Problem) -> float:
-    """Return the largest natural frequency [rad/s] of tracking errors that the model's own simulation admits.
+    """Return the largest natural frequency [rad/s] of tracking errors that the simulation of the model permits.
 
-    A PD law sampled with period T is stable up to about kd = 2 J / T: a fifth of that gives omega = 0.2 / T. A soft closure
-    with time constant tau (solref, at least two timesteps) has the natural frequency 1 / tau: twice that is followed.
+    A PD law sampled with period T is stable up to about kd = 2 J / T; a fifth of that gives omega = 0.2 / T. A soft closure
+    with time constant tau (solref, at least two timesteps) has the natural frequency 1 / tau; twice that frequency is
+    allowed.
     """
     mechanism = problem.mechanism
     time_constants = [2 * float(mechanism.model.opt.timestep)]
@@ -50,7 +51,7 @@ def _fastest_feedback(problem: Problem) -> float:
 def critical_gains(mechanism: Mechanism, problem: Problem, duration: float) -> dict:
     """Return PD gains for a duration: critically damped with the inertia at the start, zero for undriven coordinates.
 
-    The natural frequency has eight cycles in the duration, or fewer if the simulation admits no feedback that quick.
+    The natural frequency has eight cycles in the duration, or fewer if the simulation does not permit such fast feedback.
     """
     inertia = felt_inertia(mechanism, problem.start_pose())
     inertia = np.where(np.isin(np.arange(mechanism.dof), driven_columns(mechanism)), inertia, 0.0)
@@ -62,10 +63,10 @@ def critical_gains(mechanism: Mechanism, problem: Problem, duration: float) -> d
 
 
 def is_large(mechanism: Mechanism) -> bool:
-    """Tell if a mechanism has the size of a robot's leg, or loops solved by all rows: each digit then costs seconds."""
+    """Tell if a mechanism is as large as a robot's leg, or has loops solved by all rows. Each digit then costs seconds."""
     return mechanism.n_q > 10 or mechanism.dof > 5 or bool(mechanism.projected)
 
 
 def many_hang(mechanism: Mechanism) -> bool:
-    """Tell if several joints hang, so that a motion excites several swings at once."""
+    """Tell if several joints hang, so that a motion excites several pendulum modes."""
     return len(hanging_columns(mechanism)) > 1

@@ -12,7 +12,7 @@ from linkplan.planner.files.tables import inline
 from linkplan.planner.problem.keys.key_table import key_table
 from linkplan.studies.check.new.first_motion import FirstMotion
 
-# The largest width of lines, and the column of the comments after values.
+# The largest width of lines, and the column in which comments after values begin.
 _LINE_WIDTH, _COMMENT_COLUMN = 100, 44
 _HEAD = """\
 # Keys that end in _deg are in degrees, those of slides (_m) in metres, all else is SI. Keys that
@@ -55,10 +55,10 @@ def file_tables(found: FirstMotion, model: str, target: Path | None) -> dict[str
 
 
 def first_text(found: FirstMotion, tables: dict[str, dict], steps: tuple[str, str]) -> str:
-    """Return the commented text of a first motion's file; `steps` are how to plan it and how to track the plan."""
+    """Return the commented text of a first motion's file; `steps` are the commands that plan it and track the plan."""
     plans, tracks = steps
     begin = [
-        plans.ljust(42) + "plans it, certifies it between the nodes and saves it",
+        plans.ljust(42) + "plans the motion, certifies it between the nodes and saves it",
         tracks.ljust(42) + "tracks it in MuJoCo by PD, PD + feedforward and LQR",
         "",
         *(line for note in found.changed for line in [*textwrap.wrap(f"CHANGED: {note}", 98), ""]),

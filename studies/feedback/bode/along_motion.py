@@ -1,4 +1,4 @@
-"""The study behind `linkplan bode --along`: the frozen feedback loop along a plan, and Floquet multipliers if periodic."""
+"""The study of `linkplan bode --along`: the frozen feedback loop along a plan, and Floquet multipliers if periodic."""
 
 import functools
 from collections.abc import Callable

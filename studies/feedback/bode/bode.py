@@ -1,4 +1,4 @@
-"""The study behind `linkplan bode`: a tracker's loop at several poses, predicted and measured, and the worst case."""
+"""The study of `linkplan bode`: a tracker's loop at several poses, predicted and measured, and the worst case."""
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
@@ -39,15 +39,15 @@ from linkplan.studies.feedback.frequency.response import Response, largest_devia
 from linkplan.studies.feedback.frequency.sinestream import measure
 from linkplan.studies.feedback.frequency.trial import MAX_TRIAL_PERIODS, settle_trials
 
-# Default poses as shares of the reach: five evenly, and one close to each end, where gains are extreme. The end itself may
-# be singular.
+# Default poses as shares of the reach: five evenly spaced, and one close to each end, where gains are extreme. The end
+# itself may be singular.
 REACH_SHARES = (0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99)
 SCAN_POSITIONS = 41
-# A worst pose closer than this share of the line to a chosen pose is that pose.
+# A worst pose closer to a chosen pose than this share of the line counts as the chosen pose.
 SAME_POSE_SHARE = 1e-3
 # Trial periods of loops with contacts. A simulated contact takes about ten times the time.
 _CONTACT_TRIAL_PERIODS = 4_000
-# The margins whose least values over a line are stated, and the responses whose measured deviation is.
+# The margins whose least values over a line are reported, and the responses whose measured deviation is reported.
 LEAST_MARGINS = ("gain_margin_db", "gain_reduction_margin_db", "phase_margin_deg", "disk_margin", "bandwidth_hz")
 CLOSED_LOOPS = ("complementary", "reference")
 
@@ -273,7 +273,7 @@ def _message(points: Sequence[BodePoint], disputed: Sequence[str], loop: str) ->
         return f"unstable at {where} ({len(bad)} of {counted}): {loop}{dispute}"
     if disputed:
         return (
-            f"stable by the sampled model and not in MuJoCo at {'; '.join(disputed)} ({len(disputed)} of {counted}), because"
+            f"stable by the sampled model but not in MuJoCo at {'; '.join(disputed)} ({len(disputed)} of {counted}), because"
             f" the model omits soft closures, contacts and limits: {loop}"
         )
     text = f"stable at {f'all {counted}' if count > 1 else 'the pose'}: {loop}"
@@ -298,7 +298,10 @@ def _predicted(
 
 
 def _settles(loops: Sequence[FeedbackLoop], in_contact: np.ndarray, effort_limit: np.ndarray) -> np.ndarray:
-    """Return True for each loop (n,) that settles in MuJoCo. Loops in contact never come to rest: their trial is short."""
+    """Return True for each loop (n,) that settles in MuJoCo.
+
+    Loops in contact never come to rest, so their trial is short.
+    """
     settles = np.zeros(len(loops), dtype=bool)
     for chosen, periods in ((~in_contact, MAX_TRIAL_PERIODS), (in_contact, _CONTACT_TRIAL_PERIODS)):
         if chosen.any():

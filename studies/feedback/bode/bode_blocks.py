@@ -44,8 +44,8 @@ def summary(study: BodeStudy) -> list[Block]:
     if len(study.mechanism.channels) > 1:
         names = ", ".join(study.mechanism.independent_joints[k].name for k in study.mechanism.channels)
         text = (
-            f"each loop is broken at the effort on its coordinate ({names}), made by"
-            f" {', '.join(actuator.name for actuator in study.mechanism.actuators)} together; the others' loops are closed"
+            f"each loop is opened at the total effort on its coordinate ({names}) of"
+            f" {', '.join(actuator.name for actuator in study.mechanism.actuators)}; the other loops are closed"
         )
         blocks.append(Text(text=text))
     scans = [Text(text=_worst_of(study, scan)) for scan in study.scans]
@@ -63,7 +63,7 @@ def _measured(study: BodeStudy) -> list[tuple[str, str]]:
         return []
     why = "an unstable feedback loop holds no operating point"
     if any(point.stable for point in study.points):
-        why = "contacts push at the poses where the feedback loop is stable"
+        why = "there are contacts at the poses at which the feedback loop is stable"
     return [("not measured", why)]
 
 
@@ -94,7 +94,7 @@ def _margins(study: BodeStudy) -> Table:
 
 
 def _plant(study: BodeStudy) -> list[Table]:
-    """Return the table of the plants' modes, where joints move along that no actuator drives."""
+    """Return the table of the plants' modes, if undriven joints move along."""
     heads, rows = ["loop", "to", "anti-resonances [Hz]", "damping", "resonances [Hz]", "damping"], []
     for entry in study.points:
         for joint, modes in (entry.plant or {}).items():
@@ -104,13 +104,13 @@ def _plant(study: BodeStudy) -> list[Table]:
 
 
 def _less_gain_is_nearer(m: Margins) -> bool:
-    """Tell if less gain loses the stability before more gain does. The record has the margin anyway."""
+    """Tell if a lower gain loses stability before a higher gain does. The record always has the margin."""
     less, more = m.gain_reduction_margin_db, m.gain_margin_db
     return less is not None and (more is None or less < more)
 
 
 def _is_pulled_away(m: Margins) -> bool:
-    """Tell if a small step settles farther from its reference than `tune` allows. The record has the response anyway."""
+    """Tell if a small step settles farther from its reference than `tune` allows. The record always has the response."""
     return m.response_at_rest is not None and abs(1.0 - m.response_at_rest) > 1.0 - LEAST_RESPONSE_AT_REST
 
 
@@ -186,7 +186,10 @@ def responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> dic
                 (f"{entry.point.name}, measured", response.frequency_hz, measured_phase(response, frequency, deg), dots)
             )
             less_db, less_deg = response.against(entry.predicted[quantity])
-            for off, less in ((off_db, less_db), (off_deg, less_deg)):  # a line through coherent ones, a dot for each
+            for off, less in (
+                (off_db, less_db),
+                (off_deg, less_deg),
+            ):  # a line through coherent ones, and their dots
                 coherent = np.where(response.coherence > LEAST_COHERENCE, less, np.nan)
                 off += [(entry.point.name, response.frequency_hz, coherent, look), ("", response.frequency_hz, less, dots)]
         limits = {"gain": [limit], "phase": [DrawnLimit(name="phase", value=-180.0)] if quantity == "loop" else []}
@@ -275,7 +278,7 @@ def nyquist(study: BodeStudy, entries: Sequence[BodePoint]) -> Plane:
     if stable:
         least_margin, k = min(stable)
         alpha = min(least_margin, 1.999)
-        disk = 1.0 / (0.5 + turn / alpha) - 1.0  # the disk that L does not enter: |S - 1/2| = 1 / alpha
+        disk = 1.0 / (0.5 + turn / alpha) - 1.0  # the disk outside of which L stays: |S - 1/2| = 1 / alpha
         least = entries[k]
         gain = least.disk_gain_margin_db or np.inf
         phase = least.disk_phase_margin_deg
@@ -286,7 +289,7 @@ def nyquist(study: BodeStudy, entries: Sequence[BodePoint]) -> Plane:
         gain = entry.sampled.gains("loop", grid, entry.channel)
         # The plane has the part of every curve that is closest to the origin.
         half_width = max(half_width, 1.3 * min(float(np.abs(gain).min()), _MAX_NYQUIST_GAIN))
-        gain = np.where(np.abs(gain) < _MAX_NYQUIST_GAIN, gain, np.nan)  # no straight line across a resonance
+        gain = np.where(np.abs(gain) < _MAX_NYQUIST_GAIN, gain, np.nan)  # no straight line through a resonance
         curves.append(Series(name=_name(entry), x=rounded(gain.real), y=rounded(gain.imag), **line_style(k)))
         if "loop" in entry.responses:
             points = entry.responses["loop"].gain
@@ -317,7 +320,7 @@ def margins_along(study: BodeStudy, scan: Scan, name: str) -> list[Plot | Plane]
         Line(name="disk phase margin", values=scan.column("disk_phase_margin_deg"), unit="deg"),
     ]
     known = np.concatenate([line.values for line in margins])
-    highest = float(np.max(known[np.isfinite(known)], initial=0.0))  # none is known of a loop that is unstable everywhere
+    highest = float(np.max(known[np.isfinite(known)], initial=0.0))  # a loop that is unstable everywhere has none
     lost = np.array([0.0 if not bounds.stable else np.nan for bounds in scan.margins])
     if np.isfinite(lost).any():
         margins.append(Line(name="unstable", values=lost, unit="deg", look="points", colour=4))

@@ -14,7 +14,7 @@ from linkplan.studies.output.report_file import report_of
 def bode_figures(study: BodeStudy) -> Iterator[tuple[str, FigureSpec]]:
     """Yield the figures of a study by their names: "bode", "nyquist", "sensitivity" and "margins".
 
-    Where joints move along that no actuator drives, "plant" has the plant to the loop's joint and to those.
+    If undriven joints move along, "plant" has the plant to the loop's joint and to these joints.
     """
     joints, title = study.mechanism.independent_joints, f"{study.mechanism.name}, {study.law.name}: {study.loop_name}"
     channels = study.mechanism.channels

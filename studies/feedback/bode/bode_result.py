@@ -22,10 +22,10 @@ from linkplan.studies.feedback.frequency.stability_map import StabilityMap
 class BodePoint(Margins, frozen=True, kw_only=True, eq=False):
     """The loop of one joint at one pose: its predicted margins, its stability trial in MuJoCo and its measured responses.
 
-    A subclass of the sampled loop's margins, so that these are keys of the loop in the JSON. `measured` and `predicted` hold
-    the responses of `feedback_loops.QUANTITIES` at the same frequencies, and "plant to JOINT" to each joint that only moves
-    along. Both are empty for an unstable loop, and if no measurement was requested. `plant` has the modes of the plant to
-    the loop's joint and to those that only move along, where there are any.
+    It is a subclass of the sampled loop's margins, so that the JSON has them as keys of the loop. `measured` and `predicted`
+    hold the responses of `feedback_loops.QUANTITIES` at the same frequencies, and "plant to JOINT" to each joint that only
+    moves along. Both are empty for an unstable loop, and if no measurement was requested. `plant` has the modes of the plant
+    to the loop's joint and to those that only move along, where there are any.
     """
 
     broken_at: str
@@ -79,9 +79,9 @@ class MapStudy(StabilityMap, frozen=True, kw_only=True, eq=False):
     """A stability map about a study's `gains` kp and kd, which are stable up to the longest control period [s].
 
     `critical_kd`: at each pose the stable kd, `least` to `largest` (null if no kd is too large), at the study's kp, and
-    whether MuJoCo settles just below and above the largest. `as_predicted` of the `tried_count` tried gains are like the
-    model. `critical` (n, 2) are the stable kd with NaN if there is none.
-    `longest_period_s` is None if the gains are unstable at any period, and infinite if they are stable at any period.
+    whether MuJoCo settles just below and above the largest. For `as_predicted` of the `tried_count` tried gains, MuJoCo
+    agrees with the model. `critical` (n, 2) are the stable kd with NaN if there is none. `longest_period_s` is None if the
+    gains are unstable at any period, and infinite if they are stable at any period.
     """
 
     critical_kd: Sequence[dict[str, float | bool | None]]
@@ -125,8 +125,8 @@ class BodeStudy(Struct, frozen=True, kw_only=True, eq=False, omit_defaults=True)
 
     It is stable if the sampled loop is stable at every pose, by the model and in MuJoCo; at the `disputed` poses the two
     differ. `worst` has the worst margins by joint. `measurement` has the method, the largest difference between measured and
-    predicted closed loops at coherent frequencies, and the simulator's settings. `map`, `large` and `along` are further
-    studies that were asked for.
+    predicted closed loops at coherent frequencies, and the simulator's settings. `map`, `large` and `along` are additional
+    studies, if they were requested.
     """
 
     mechanism_name: str = field(name="mechanism")

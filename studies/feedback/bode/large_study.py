@@ -1,4 +1,4 @@
-"""The study behind `linkplan bode --large`: a feedback loop beyond its effort limit, and the feasible amplitudes."""
+"""The study of `linkplan bode --large`: a feedback loop beyond its effort limit, and the feasible amplitudes."""
 
 from collections.abc import Callable
 
@@ -25,7 +25,7 @@ def large_study(study: BodeStudy, limits: Limits | None, say: Callable[[str], No
     """
     stable = [entry for entry in study.points if entry.stable and entry.channel == 0]
     if not stable:
-        raise LinkplanError("a response past the effort limit needs a stable feedback loop, and none of the poses has one")
+        raise LinkplanError("a response beyond the effort limit needs a stable feedback loop, but none of the poses has one")
     entry = stable[len(stable) // 2]
     curve = feasible_curve(
         entry.point,

@@ -1,4 +1,4 @@
-"""The study behind `linkplan bode --map`: stable gains at all poses, checked in MuJoCo, and the longest control period."""
+"""The study of `linkplan bode --map`: stable gains at all poses, checked in MuJoCo, and the longest control period."""
 
 from collections.abc import Callable
 
@@ -39,7 +39,7 @@ def map_study(study: BodeStudy, say: Callable[[str], None] = silent) -> MapStudy
     def largest(x: float) -> float:
         try:
             return critical_kd(point_at(x), own_kp, law.timing)[1]
-        except LinkplanError:  # poses between two held ones may not be held
+        except LinkplanError:  # a pose between two poses that can be held need not be one
             return np.inf
 
     if len(positions) > 1:

@@ -13,7 +13,7 @@ from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput
 from linkplan.studies.feedback.frequency.response import Response
 from linkplan.studies.feedback.frequency.transfer_function import TransferFunction
 
-# The largest uncertainty of a measured gain that counts and is drawn, as a share of the gain: others had not settled.
+# Measured gains with a larger uncertainty, as a share of the gain, had not settled; they do not count and are not drawn.
 LARGEST_UNCERTAINTY = 0.01
 
 
@@ -35,10 +35,11 @@ class PlantCurve(Struct, frozen=True, kw_only=True, eq=False):
 class PlantResponse(PlantModes, frozen=True, kw_only=True, eq=False):
     """The response from one input to one output: poles, zeros and curve of the continuous plant, and its measurement.
 
-    Poles and zeros that cancel are left out. `integrators` counts poles at zero, below zero it counts zeros there;
-    `low_frequency_gain` is the limit of s^integrators G, and `gain_at_rest` that of G, None if it is infinite. `moves` is
-    False if the input does not move the output at all; there are then no poles, and no curve. `right_half_plane_zeros`
-    make it non-minimum-phase. `measured` is compared with `sampled`, the response with hold, delay and MuJoCo's steps.
+    Poles and zeros that cancel are omitted. `integrators` is the number of poles at zero, or minus the number of zeros
+    there; `low_frequency_gain` is the limit of s^integrators G, and `gain_at_rest` that of G, None if it is infinite.
+    `moves` is False if the input does not move the output at all; there are then no poles, and no curve.
+    `right_half_plane_zeros` make it non-minimum-phase. `measured` is compared with `sampled`, the response with hold, delay
+    and MuJoCo's steps.
     """
 
     unit: str
@@ -75,8 +76,8 @@ class PlantStudy(Struct, frozen=True, kw_only=True, eq=False):
     """The plant from efforts to positions at several poses.
 
     `measurement` has the method, the largest difference between measured and predicted responses at coherent frequencies,
-    and the simulator's settings; gains that had not settled do not count. `caveats` say at which poses nothing was
-    measured, or with what uncertainty, and why.
+    and the simulator's settings; gains that had not settled do not count. `caveats` state the poses at which nothing was
+    measured, or the uncertainty, with the reason.
     """
 
     mechanism_name: str = field(name="mechanism")

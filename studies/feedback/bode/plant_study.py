@@ -1,4 +1,4 @@
-"""The study behind `bode` with inputs and outputs: the plant from efforts to positions, predicted and measured."""
+"""The study of `bode` with inputs and outputs: the plant from efforts to positions, predicted and measured."""
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -48,14 +48,14 @@ from linkplan.studies.feedback.frequency.response import Response, largest_devia
 from linkplan.studies.feedback.frequency.transfer_function import TransferFunction, in_right_half_plane
 from linkplan.studies.feedback.frequency.trial import settle_trials
 
-# A response is drawn from this many decades below its slowest root to this many above its fastest.
+# Number of decades drawn below a response's slowest root and above its fastest root.
 _DRAWN_DECADES = 1.0
-# Frequencies of a curve, evenly spaced, and beside each resonance and anti-resonance, whose tips are narrow.
+# Number of frequencies of a curve: evenly spaced, and near each resonance and anti-resonance, whose peaks are narrow.
 _EVEN_POINTS, _POINTS_BESIDE, _BESIDE_SHARES = 260, 12, (1e-4, 0.1)
 # Default frequencies: their number, from a third of the lowest mode to three times the highest, at most this range.
 _MEASURED_POINTS, _MEASURED_BEYOND, _MEASURED_RANGE, _MEASURED_MODES = 20, 3.0, 300.0, 10
 _LEAST_DAMPING = 1e-3
-# Simulator steps of all simulations together, some minutes, and the cycles that each of them takes.
+# Largest number of simulator steps of all simulations together (some minutes), and the cycles of each simulation.
 _MOST_STEPS, _LEAST_CYCLES = 2_000_000, 5.0
 # The highest default frequency as a share of the sampling rate, and the centre for a plant without modes.
 _HIGHEST_SHARE, _CENTRE_SHARE = 0.45, 0.05
@@ -111,7 +111,7 @@ def plant_study(
             if at is None:
                 at = plant_frequencies(transfers, chosen.timing, len(kept) * mechanism.n_u)
             taken = measure_plants(list(kept.values()), ins, moved, at, effort_limit, setup, say)
-            # Outputs that do not move at a pose are measured as noise.
+            # An output that does not move at a pose would only be measured as noise.
             measured = {
                 i: {name: one for name, one in of.items() if transfers[i][name].gain}
                 for i, of in zip(kept, taken.responses, strict=True)
@@ -162,7 +162,7 @@ def _ports(
 ) -> tuple[tuple[PlantInput, ...], tuple[PlantOutput, ...]]:
     for what, names in (("from_effort", efforts), ("to_position", outputs)):
         if not names or len(set(names)) < len(names):
-            raise LinkplanError(f"{what} names one or more, each once, got {', '.join(names) or 'none'}")
+            raise LinkplanError(f"{what} must name one or more, each once, got {', '.join(names) or 'none'}")
     return (
         tuple(plant_input(mechanism, name, "from_effort") for name in efforts),
         tuple(plant_output(mechanism, name, "to_position") for name in outputs),
@@ -204,7 +204,7 @@ def _caveats(
     """Yield the reason why nothing is measured at a pose, or how many gains there had not settled."""
     for i, (point, one) in enumerate(zip(points, held, strict=True)):
         if in_contact[i]:
-            yield f"not measured at {point.name}: contacts push there"
+            yield f"not measured at {point.name}: there are contacts"
         elif one is None:
             yield f"not measured at {point.name}: neither the loop of {law} nor the plant by itself settles in MuJoCo"
         else:
@@ -212,8 +212,8 @@ def _caveats(
             if not all(known):
                 decay_s = decay_time_s(one[1])
                 yield (
-                    f"{known.count(False)} of {len(known)} measured gains at {point.name} had not settled and are not drawn:"
-                    f" what holds the plant decays in {decay_s:.3g} s; other gains or another tracker may damp more"
+                    f"{known.count(False)} of {len(known)} measured gains at {point.name} had not settled and are not"
+                    f" drawn: oscillations decay in {decay_s:.3g} s; other gains or another tracker may damp more"
                 )
 
 
@@ -291,9 +291,9 @@ def _curve_frequencies(transfers: Sequence[TransferFunction], period_s: float) -
 def plant_frequencies(transfers: Sequence[Mapping[str, TransferFunction]], timing: Sampling, n_rows: int) -> np.ndarray:
     """Return twenty frequencies [Hz] around the modes of all responses, or else around their other roots.
 
-    They start higher where so many rows of simulations would take long.
+    They start higher if so many rows of simulations would take long.
 
-    Damped modes are measured too, up to ten: where an undamped one swings, no effort is needed and none is measured.
+    Up to ten damped modes are measured too. At an undamped mode no effort is needed, so none can be measured.
     """
     roots = np.concatenate([np.concatenate([one.poles, one.zeros]) for found in transfers for one in found.values()])
     some = roots[roots.imag > 0]

@@ -1,4 +1,4 @@
-"""Sentences on a plant: its verdict, its unstable poles, its zeros in the right half plane, its modes, its measurement."""
+"""Sentences on a plant: verdict, unstable poles, zeros in the right half plane, modes, measurement."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -40,9 +40,9 @@ def plant_notes(points: Sequence[PlantPoint]) -> Iterator[str]:
         if zeros:
             nearest, where = min(zeros)
             yield (
-                f"{name} is non-minimum-phase{_at([at for _, at in zeros], points)}: a loop of this output crosses over"
-                f" below about {nearest / (4 * np.pi):.3g} Hz, half the nearest zero in the right half plane,"
-                f" {nearest:.4g} rad/s{_of(where, points)}"
+                f"{name} is non-minimum-phase{_at([at for _, at in zeros], points)}: a loop of this output should cross over"
+                f" below about {nearest / (4 * np.pi):.3g} Hz, half the nearest zero in the right half plane, {nearest:.4g}"
+                f" rad/s{_of(where, points)}"
             )
     poles = [
         (_size(pole), point.point.name)
@@ -53,8 +53,9 @@ def plant_notes(points: Sequence[PlantPoint]) -> Iterator[str]:
     if poles:
         fastest, where = max(poles)
         yield (
-            f"the plant is unstable by itself{_at([at for _, at in poles], points)}: a loop that holds it crosses over above"
-            f" about {fastest / np.pi:.3g} Hz, twice the fastest unstable pole, {fastest:.4g} rad/s{_of(where, points)}"
+            f"the plant is unstable by itself{_at([at for _, at in poles], points)}: a loop that stabilises it should cross"
+            f" over above about {fastest / np.pi:.3g} Hz, twice the fastest unstable pole, {fastest:.4g}"
+            f" rad/s{_of(where, points)}"
         )
 
 
@@ -74,13 +75,13 @@ def modes_text(modes: Sequence[Mode]) -> tuple[str, str]:
 
 
 def agreement_text(measurement: Mapping[str, Any], db: str, deg: str, mechanism: Mechanism) -> str:
-    """Return how far measured responses are from the prediction, by keys of a measurement, and how they were measured."""
+    """Return the deviation of measured responses from the prediction, by keys of a measurement, and the method."""
     c, solref = measurement, ", ".join(f"{x[0]:g} {x[1]:g}" for x in measurement["solref"]) or "none"
     how = f"sinestream, {c['simulated_steps']} steps of {c['timestep_s']:g} s in MuJoCo {c['mujoco']}, {c['integrator']}"
     text = f"differ from the prediction by at most {c[db]:.2g} dB and {c[deg]:.2g} deg"
     text += f" ({how}, closure constraints' solref {solref})"
     if any(frictions_of(mechanism.model)):
-        text += "; dry friction, which the prediction leaves out, damps small motions: a larger test signal comes closer"
+        text += "; dry friction, which the prediction omits, damps small motions: use a larger test signal"
     return text
 
 

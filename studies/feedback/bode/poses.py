@@ -59,7 +59,7 @@ def loop_poses(
         wrong = [name for name in pose if name not in names]
         if wrong:
             plural = "s" * (len(names) > 1)
-            raise ProblemError(f"a pose names the independent joint{plural} {', '.join(names)}; {wrong[0]} follows")
+            raise ProblemError(f"a pose names the independent joint{plural} {', '.join(names)}; {wrong[0]} is dependent")
         check_asked_pose(mechanism, pose)
     return LoopPoses(positions=np.array([[{**home, **pose}[name] for name in names] for pose in asked]))
 
@@ -76,12 +76,12 @@ def _over_reach(mechanism: Mechanism, problem: Problem | None, effort_limit: np.
     else:
         low, high = inner_reach(mechanism, 0)
         shares = (np.array(REACH_SHARES) - REACH_SHARES[0]) / (REACH_SHARES[-1] - REACH_SHARES[0])
-        if periodic:  # there are no ends: the same number of poses, evenly over a period
+        if periodic:  # a full turn has no ends: the same number of poses, evenly spaced over a period
             high, shares = high - (high - low) / len(shares), np.linspace(0.0, 1.0, len(shares))
     tried = np.linspace(low, high, 81)
     held = _are_held(mechanism, tried[:, None], effort_limit)
     positions = low + shares * (high - low)
-    if held.any() and not held.all():  # if none can be held, the caller's `operating_point` gives the reason
+    if held.any() and not held.all():  # if none can be held, `operating_point` raises the reason later
         kept, unheld = tried[held], tried[~held]
         positions = kept[(shares * (len(kept) - 1)).round().astype(int)]
         note = (
@@ -119,7 +119,7 @@ def _along_motion(mechanism: Mechanism, problem: Problem | None, effort_limit: n
     time = np.linspace(0.0, guess.duration_s, 61)
     path = guess.position(time)
     held = _are_held(mechanism, path, effort_limit)
-    if not held.any():  # the caller's `operating_point` gives the reason
+    if not held.any():  # `operating_point` raises the reason later
         return LoopPoses(positions=path[:1])
     kept = np.flatnonzero(held)
     positions = path[kept[np.linspace(0, len(kept) - 1, _DEFAULT_POSES).round().astype(int)]]

@@ -113,7 +113,7 @@ def stability(found: Margins | None) -> float:
 
 
 def scan_line(mechanism: Mechanism, line: PoseLine, law: SampledLaw, channel: int, count: int) -> Scan | None:
-    """Return the margins of a coordinate's loop along a line, where efforts hold the mechanism; None if nowhere.
+    """Return the margins of a coordinate's loop along a line, at positions that efforts can hold; None if there are none.
 
     `count` parameters are evenly spaced. The others are the local minima of `stability` and, if all loops are stable, of
     the gain and the phase margin.
@@ -156,7 +156,7 @@ def bounds_text(bounds: Margins) -> str:
 def judge_of(
     mechanism: Mechanism, line: PoseLine, law: SampledLaw, channels: Sequence[int]
 ) -> Callable[[float], list[Margins]]:
-    """Return the function from a line's parameter to the margins of the channels' loops; none where no effort holds it."""
+    """Return the function from a line's parameter to the margins of the channels' loops; None where no effort holds it."""
     inside = reduced_limits(law.effort_limit)
 
     @functools.cache

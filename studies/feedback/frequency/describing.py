@@ -33,7 +33,7 @@ class LargeSignals(Struct, frozen=True, kw_only=True, eq=False):
 
     `multiples` (m,): amplitude of the command without a limit, divided by `room`, the distance to the limit [N.m or N].
     `measured` and `predicted` (n, m): Y / R, also in dB. `command` (n, m): amplitude of the measured command [N.m or N].
-    `describing` (n, m): size of the measured ratio of applied to commanded effort. `describing_predicted` (n, m):
+    `describing` (n, m): magnitude of the measured ratio of applied to commanded effort. `describing_predicted` (n, m):
     python-control's describing function at that command. `saturated` (n, m): share of instants at a limit. `feasible`: rows
     of the curve of feasible amplitudes, `curve`.
     """
@@ -123,7 +123,7 @@ def large_signals(
     per_motion = np.abs(loop.gains(quantity, frequency) / loop.gains("plant", frequency))
     sizes = np.asarray(multiples, dtype=float)[:, None] * room / per_motion
     limited = sizes if farthest is None else np.minimum(sizes, farthest)
-    setup = Setup(longest_s=3.0)  # a saturated loop may never settle
+    setup = Setup(longest_s=3.0)  # a limit, because a saturated loop may never settle
     same = [loop] * len(sizes)
     taken = measure(same, frequency, effort_limit, setup, excitations=(quantity,), say=say, amplitudes=limited)
     responses = [one[quantity] for one in taken.responses]

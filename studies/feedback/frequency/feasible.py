@@ -89,7 +89,7 @@ def _highest(mechanism: Mechanism, point: OperatingPoint, a: float, effort_limit
                 return f"effort of {mechanism.actuators[past[0]].name}"
         return None
 
-    grid = np.geomspace(1e-3, 1e7, 60)  # Hz, beyond any mechanism's motion on both sides
+    grid = np.geomspace(1e-3, 1e7, 60)  # Hz, wider than the motions of any mechanism
     good = 0.0
     for frequency in grid:
         if (reason := broken(frequency)) is not None:

@@ -6,8 +6,8 @@ G is the transfer function from commands to the state. Continuous, without hold 
 z = e^(j w T): G = (z I - A)^-1 (B z^-d + B_late z^-d-1). The sensitivity is S = (I + K G)^-1. The loop of coordinate i is
 broken at the effort on i while the other loops are closed. With efforts tau = E u on the coordinates this loop is
 1 / (E S E^-1)_ii - 1 (Skogestad & Postlethwaite, Multivariable Feedback Control, 2005, 3.2). A mechanism of one degree of
-freedom has a single loop, broken at its actuator. Passive spins, which move nothing else, have no loop, and the poles of
-their own do not count.
+freedom has a single loop, broken at its actuator. Passive spins, which move nothing else, have no loop, and their poles are
+ignored.
 """
 
 import functools
@@ -51,7 +51,8 @@ QUANTITIES = {
 class OperatingPoint:
     """A closed pose (n_q,) with its velocity (n_s,) and effort `hold` (n_u,): at rest, or an instant of a motion.
 
-    `told` are the independent joints in its name. `forces` are those over time at its instant, see `Mechanism.forces_at`.
+    `told` are the independent joints that its name states. `forces` are those over time at its instant, see
+    `Mechanism.forces_at`.
     """
 
     mechanism: Mechanism
@@ -68,7 +69,7 @@ class OperatingPoint:
 
     @property
     def name(self) -> str:
-        """The positions of the joints that tell it apart, as text."""
+        """The positions of the joints that distinguish it from other points, as text."""
         return self._places(self.told)
 
     @property
@@ -248,7 +249,7 @@ class FeedbackLoop:
     def gains(self, quantity: str, frequency_hz: np.ndarray, channel: int = 0, output: int | None = None) -> np.ndarray:
         """Return the complex gains (n,) of one of `QUANTITIES` at frequencies (n,) [Hz], for coordinate `channel`.
 
-        `output` is the coordinate to which the plant is meant; by default `channel` itself.
+        `output` is the output coordinate of the plant; by default `channel`.
         """
         n_s = self.point.mechanism.dof
         joint, (read, push) = channel, channel_effort(self.point, channel)
@@ -285,7 +286,7 @@ class FeedbackLoop:
         A, B = (matrix[n_s:] for matrix in self.point.linearised())
         w = omega[:, None, None]
         resists = -(w**2) * np.eye(n_s) - A[:, :n_s] - 1j * w * A[:, n_s:]
-        along = np.setdiff1d(np.arange(n_s), self.point.mechanism.channels)  # coordinates that only move along
+        along = np.setdiff1d(np.arange(n_s), self.point.mechanism.channels)  # coordinates without a loop
         given = np.concatenate([np.broadcast_to(B, (len(w), *B.shape)), -resists[:, :, along]], axis=2)
         needed = np.linalg.pinv(given) @ resists[:, :, joint, None]
         ahead = 0.0 if self.kind == CONTINUOUS else 0.5 * self.timing.period_s
@@ -371,7 +372,7 @@ def broken_at(mechanism: Mechanism, channel: int) -> str:
 
 
 def outputs_of(mechanism: Mechanism, channel: int) -> tuple[int, ...]:
-    """Return the coordinates that a loop's plant is shown to: its own, and those that only move along."""
+    """Return the output coordinates of a loop's plant: its own, and those that only move along."""
     along = np.setdiff1d(np.flatnonzero(mechanism.actuated), mechanism.channels)
     return (channel, *along.tolist())
 

@@ -26,7 +26,7 @@ from linkplan.studies.feedback.frequency.simulated_loops import SimulatedLoops
 _MAX_GROWTH = 1e50
 # A disturbance is visible above this share of its largest size, far above rounding.
 _VISIBLE_SHARE = 1e-6
-# Zeros have the logarithm of this size.
+# Zeros are replaced by this value before taking logarithms.
 _LEAST_SIZE = 1e-300
 
 
@@ -65,7 +65,7 @@ def linear_law(tracker: AnyTracker) -> StateFeedback:
 
 
 def frozen_radii(mechanism: Mechanism, reference: SampledReference, gains: np.ndarray, timing: Sampling) -> np.ndarray:
-    """Return the largest pole's size (n,) of the loop frozen at every control instant, with gains K (n, n_u, 2 n_s)."""
+    """Return the largest pole's magnitude (n,) of the loop frozen at every control instant, with gains K (n, n_u, 2 n_s)."""
     return spectral_radius(_closed_along(mechanism, reference, gains, timing))
 
 
@@ -142,7 +142,7 @@ def floquet(
 
 
 def _steady(mechanism, reference: SampledReference, gains: np.ndarray, timing: Sampling, effort_limit):
-    """Return a cycle of the motion that gains without feedforward settle on, and the commands (memory, n_u) before it."""
+    """Return a cycle of the motion to which gains without feedforward converge, and the commands (memory, n_u) before it."""
     n = reference.n
     batch = SimulatedLoops(
         mechanism,
@@ -170,7 +170,7 @@ def _steady(mechanism, reference: SampledReference, gains: np.ndarray, timing: S
 
 
 def _signals(reference: SampledReference, forward: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Return the reference states (n, 1, 2 n_s) and the efforts (n, 1, n_u) that are fed forward, zero without `forward`."""
+    """Return the reference states (n, 1, 2 n_s) and feedforward efforts (n, 1, n_u), zero without `forward`."""
     along = np.concatenate([reference.position_rad, reference.velocity_rad_s], axis=1)
     return along[:, None], reference.effort[:, None] * forward
 

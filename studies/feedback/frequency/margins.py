@@ -31,10 +31,10 @@ _MAX_STEPS_PER_PERIOD = 200
 class Margins(Struct, frozen=True, kw_only=True, eq=False):
     """Margins of one feedback loop. A figure is None if it is infinite or if the loop is unstable.
 
-    If the open loop has several gain crossovers, `crossover_hz` is the crossover with the smallest phase margin, which is
-    the stated one; `other_crossovers_hz` are the others in rising order. The delay margin of a sampled loop comes from its
-    poles in fine simulator steps, see `delay_margin`. A loop simulated in one step per period has up to half a period less
-    delay than the same loop in finer steps.
+    If the open loop has several gain crossovers, `crossover_hz` is the one with the smallest phase margin;
+    `other_crossovers_hz` are the others in ascending order. The delay margin of a sampled loop comes from its poles in fine
+    simulator steps, see `delay_margin`. A loop simulated in one step per period has up to half a period less delay than the
+    same loop in finer steps.
     """
 
     stable: bool
@@ -47,16 +47,16 @@ class Margins(Struct, frozen=True, kw_only=True, eq=False):
     disk_phase_margin_deg: float | None = None
     crossover_hz: float | None = None
     other_crossovers_hz: tuple[float, ...] = ()
-    bandwidth_hz: float | None = None  # 0 where the response at rest is below -3 dB already
+    bandwidth_hz: float | None = None  # 0 if the response at rest is already below -3 dB
     response_at_rest: float | None = None  # the joint's share of a small step of its reference: complementary sensitivity
-    stiffness_at_rest: float | None = None  # steady effort on the joint over the error that it causes [N.m/rad or N/m]
+    stiffness_at_rest: float | None = None  # steady effort on the joint divided by the error that it causes [N.m/rad or N/m]
     resonance_db: float | None = None  # the complementary sensitivity's peak over its value at rest
     resonance_hz: float | None = None
     sensitivity_peak: float | None = None
     sensitivity_peak_hz: float | None = None
-    spectral_radius: float | None = None  # of the sampled closed loop; below one is stable
-    settling_s: float | None = None  # to 2 % of an error, of the sampled closed loop's slowest pole
-    damping_ratio: float | None = None  # least, of its poles below half the Nyquist frequency
+    spectral_radius: float | None = None  # of the sampled closed loop; stable if below one
+    settling_s: float | None = None  # to 2 % of an error, by the sampled closed loop's slowest pole
+    damping_ratio: float | None = None  # the least damping ratio of its poles below half the Nyquist frequency
 
 
 def frequency_grid(period_s: float) -> np.ndarray:
@@ -138,7 +138,8 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
     # A sampled gain is real at the Nyquist frequency: this phase crossing lies on the grid's last point.
     if radius is not None and gain[-1].real < 0:
         gm = np.append(gm, 1.0 / abs(gain[-1].real))
-    # Less gain does not hold the weight where the gain at rest is finite and negative. A double integrator's is infinite.
+    # If the gain at rest is finite and negative, a lower gain does not hold the weight. A double integrator's gain is
+    # infinite.
     still = at(0.1 * frequency[0])
     if still.real < 0 and abs(still) < 2 * abs(gain[0]):
         gm = np.append(gm, 1.0 / abs(still))
@@ -188,7 +189,7 @@ def _roots(
 
 def _peak(frequency: np.ndarray, values: np.ndarray, function: Callable[[float], float]) -> tuple[float, float]:
     """Return the frequency [Hz] of a function's largest value, and the value, refined from values (n,) on a grid."""
-    high = values > 0.5 * values.max()  # the grid meets even a narrow peak at half its height or more
+    high = values > 0.5 * values.max()  # the grid has a point at half the height or more of even a narrow peak
     places = refined_minima(lambda x: -function(float(np.exp(x))), np.log(frequency), np.where(high, -values, np.inf))
     k = int(np.argmax(values))
     peaks = [(float(values[k]), float(frequency[k])), *((function(float(f)), float(f)) for f in np.exp(places))]
@@ -203,7 +204,7 @@ def _finite(value: float) -> float | None:
 def bandwidth(closed: np.ndarray, frequency_hz: np.ndarray) -> float | None:
     """Return the first frequency [Hz] at which a closed loop's response is below -3 dB, 0 if it begins there, or None.
 
-    The reference counts, not the response at rest: weight that pulls a joint away from its reference is no bandwidth.
+    It is relative to the reference, not to the response at rest, which weight can change.
     """
     drop = 20 * np.log10(np.abs(closed)) + 3.0
     below = np.flatnonzero(drop < 0)

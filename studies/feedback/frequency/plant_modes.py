@@ -1,7 +1,7 @@
 """Resonances and anti-resonances of a plant: from an effort to positions, about an operating point.
 
 Resonances are the poles of the plant with its open loops, x' = A x + B u. Anti-resonances are the zeros of one output
-(`transfer_function`): at such a frequency the effort moves the other coordinates, and the output stands still.
+(`transfer_function`): at such a frequency the effort moves the other coordinates, and the output does not move.
 """
 
 import numpy as np
@@ -10,7 +10,7 @@ from msgspec import Struct
 from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, channel_effort, outputs_of
 from linkplan.studies.feedback.frequency.transfer_function import TransferFunction, transfer_function
 
-# A damping ratio below this is zero but for rounding.
+# A damping ratio below this is zero except for rounding.
 _NO_DAMPING = 1e-9
 
 
@@ -38,9 +38,9 @@ def plant_modes(point: OperatingPoint, channel: int) -> dict[str, PlantModes]:
 
 
 def plant_transfer(point: OperatingPoint, push: np.ndarray, row: np.ndarray) -> TransferFunction:
-    """Return the transfer function from efforts `push` (n_u,) times an input to the output `row` (n_s,) times s.
+    """Return the transfer function from a scalar input, which gives efforts `push` (n_u,) per unit, to the output `row` @ s.
 
-    Passive and coasting coordinates belong to it only where the output depends on them.
+    Passive and coasting coordinates are included only if the output depends on them.
     """
     A, B, C = plant_matrices(point, push[:, None], row[None])
     return transfer_function(A, B[:, 0], C[0])

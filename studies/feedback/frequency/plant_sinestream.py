@@ -6,7 +6,7 @@ For each actuator there is one set of simulations, in which the test signal is a
     Y = G U,   G = Y U^-1
 
 (Pintelon & Schoukens, System Identification, 2012). With one actuator G is the ratio of position to command. The loop that
-holds the plant at its point does not change G, because U are the commands with what the loop adds.
+holds the plant at its point does not change G, because U are the commands including the loop's part.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,7 +28,7 @@ from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput, g
 from linkplan.studies.feedback.frequency.simulated_loops import Excitation, ExcitedLoops
 from linkplan.studies.feedback.frequency.sinestream import refuse_many, settled_phasors
 
-# Signals smaller than this share of the largest of their kind need not settle: their errors change G as little.
+# Signals smaller than this share of the largest of their kind need not settle, because their errors hardly change G.
 _SMALL_SHARE = 1e-3
 # A response settles to 1e-4 within this many time constants of its slowest pole. A measurement waits that long if all its
 # simulations together then take at most this time [s]; otherwise it waits as long as measurements of loops do.
@@ -47,7 +47,7 @@ def measure_plants(
     """Return the responses from inputs to outputs, by `pair_name`, of the plants in stable loops of one mechanism.
 
     Args:
-        loops: sampled, with their points; gains of zero leave a plant to itself.
+        loops: sampled, with their points; with zero gains the plant is measured in open loop.
         inputs: efforts.
         outputs: positions that some actuator moves.
         frequency_hz: (n,), moved so that a period has whole samples.

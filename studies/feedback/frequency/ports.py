@@ -17,7 +17,7 @@ from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.problem.sites import AXES, angles_of, places_of, turning_body
 from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint
 
-# A slope below this, from unit steps to unit steps, is rounding of the assembly: the output stands at a dead centre.
+# A slope below this, in unit steps per unit step, is a rounding error of the assembly: the output is at a dead centre.
 _ZERO_SLOPE = 1e-10
 # The prefix of an output that is the angle of a body.
 _OF_BODY = "body."
@@ -69,7 +69,8 @@ def plant_input(mechanism: Mechanism, name: str, what: str) -> PlantInput:
         return PlantInput(name=name, unit=mechanism.actuators[k].unit, push=lambda _: push)
     if name not in joints:
         raise LinkplanError(
-            f"{what} names an effort, of actuators ({', '.join(actuators)}) or on driven joints ({', '.join(joints)}); got"
+            f"{what} must name an effort of an actuator ({', '.join(actuators)}) or on a driven joint"
+            f" ({', '.join(joints)}); got"
             f" '{name}'{nearest(name, [*actuators, *joints])}"
         )
     channels, i = list(mechanism.channels), joints.index(name)
@@ -120,8 +121,9 @@ def plant_output(mechanism: Mechanism, name: str, what: str) -> PlantOutput:
             name=name, unit="rad", at_poses=lambda q: angles_of(mechanism, body, q), slopes=of_joints(sigma, "rad")
         )
     legal = [*joints, *(f"{site}.{axis}" for site in sites for axis in AXES)]
-    of_sites = f", coordinates of sites ({', '.join(sites)}) as {sites[0]}.x," if sites else ""
+    of_sites = f", a coordinate of a site ({', '.join(sites)}) such as {sites[0]}.x," if sites else ""
     raise LinkplanError(
-        f"{what} names a position: of joints ({', '.join(joints)}){of_sites} or angles of bodies as {_OF_BODY}NAME; got"
+        f"{what} must name a position of a joint ({', '.join(joints)}){of_sites} or the angle of a body as {_OF_BODY}NAME;"
+        " got"
         f" '{name}'{nearest(name, legal)}"
     )

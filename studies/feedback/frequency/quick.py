@@ -16,7 +16,7 @@ from linkplan.studies.feedback.frequency.rest import rest_response
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class QuickMargins:
-    """Figures (n,) of n gains, as in `Margins`; the bandwidth of T [Hz] is infinite where T stays above -3 dB."""
+    """Figures (n,) of n gains, as in `Margins`; the bandwidth of T [Hz] is infinite if T stays above -3 dB."""
 
     radius: np.ndarray
     phase_margin_deg: np.ndarray

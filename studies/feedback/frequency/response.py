@@ -11,7 +11,7 @@ from linkplan.planner.files.structs import NOT_READ, Beside
 if TYPE_CHECKING:
     import control
 
-# Responses of less coherence are measured badly.
+# Measured responses with less coherence are not reliable.
 LEAST_COHERENCE = 0.99
 _COLUMNS = ("uncertainty", "coherence", "distortion", "residual", "saturated")
 
@@ -85,7 +85,7 @@ def largest_deviation(
 ) -> tuple[float | None, float | None]:
     """Return the largest differences [dB] and [deg] of measured responses to their predictions.
 
-    Only coherent gains count whose uncertainty is at most `largest_uncertainty`, a share of their size.
+    Only coherent gains whose uncertainty is at most `largest_uncertainty`, a share of their size, are included.
     """
     db, deg = [], []
     for response in responses:

@@ -1,18 +1,18 @@
-"""Feedback loops at rest: the answer to a small step of the reference, and the stiffness against a steady effort.
+"""Feedback loops at rest: the response to a small step of the reference, and the stiffness against a steady effort.
 
 About an operating point at rest, with gains K on the positions' errors, A of the accelerations by the positions and B by the
 efforts, small steps r of the reference and steady efforts d on the coordinates move the mechanism until
 
     (B K - A) s = B K r + M^-1 d
 
-so weight and springs (A) weaken or strengthen what the gains hold.
+so weight and springs (A) reduce or increase the stiffness of the gains.
 """
 
 import numpy as np
 
 from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, channel_effort
 
-# A joint is held well that settles this near to a small step of its reference, though weight or springs pull it away.
+# A joint must settle this near to a small step of its reference, in spite of weight and springs.
 LEAST_RESPONSE_AT_REST = 0.95
 
 
@@ -21,7 +21,7 @@ def rest_response(point: OperatingPoint, gains: np.ndarray, channel: int) -> tup
 
     The loops of the other coordinates are closed. The response is the complementary sensitivity at frequency zero: 0.95
     means that the joint settles at 95 % of a small step. The stiffness [N.m/rad or N/m] is a steady effort on the coordinate
-    over the steady error that it causes, while the other coordinates are free to give way. Both are meaningless for an
+    over the steady error that it causes, while the other coordinates are free to move. Both are meaningless for an
     unstable loop.
     """
     n_s, actuated = point.mechanism.dof, np.flatnonzero(point.mechanism.actuated).tolist()
@@ -43,7 +43,7 @@ def passive_stiffness(point: OperatingPoint) -> np.ndarray:
 
 
 def _inverses(matrices: np.ndarray) -> np.ndarray:
-    """Return the inverses of matrices (n, m, m), infinite for one that is singular: nothing holds the mechanism there."""
+    """Return the inverses of matrices (n, m, m), infinite for a singular one, with which nothing holds the mechanism."""
     regular = np.abs(np.linalg.det(matrices)) > 0.0
     found = np.full(matrices.shape, np.inf)
     found[regular] = np.linalg.inv(matrices[regular])

@@ -83,7 +83,7 @@ class SimulatedLoops:
         self._stepper.under_way(np.broadcast_to(under_way, (timing.memory, n, mechanism.n_u)))
 
     def state(self) -> np.ndarray:
-        """Return the present x = (s, v) (n, 2 n_s); NaN for simulations that have ended."""
+        """Return the current x = (s, v) (n, 2 n_s); NaN for simulations that have ended."""
         stepper = self._stepper
         q, v = states_of(stepper)
         x = np.concatenate([q[:, stepper.independent], v], axis=1)

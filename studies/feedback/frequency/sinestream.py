@@ -210,7 +210,7 @@ def _simulate(
         for i in range(n)
     ]
     longest = int(np.ceil(setup.longest_s / sinusoids.period_s))
-    said_after = 1_000_000 // excited.simulations.timing.substeps  # simulator steps take alike, periods do not
+    said_after = 1_000_000 // excited.simulations.timing.substeps  # steps take equal time, periods do not
     active, k, simulated_periods = np.arange(n), 0, 0
     while active.size:
         signal, rate, forward = sinusoids.sampled(np.arange(k, k + _CHECK_PERIODS)[:, None], active)
@@ -233,7 +233,7 @@ class _Estimate:
     def __init__(self, *, floor: np.ndarray, p: int, N: int, begin: int, pole: float) -> None:
         self._floor = np.maximum(floor, 1e-300)
         self.window = N * -(-_MIN_WINDOW_PERIODS // N)
-        # Harmonics above half the sampling rate alias, also onto the fundamental: leave them out.
+        # Harmonics above half the sampling rate would alias, also onto the fundamental, so they are omitted.
         orders = np.array([h for h in range(1, _DISTORTION_ORDER + 1) if h == 1 or 2 * h * p < N])
         self._waves = np.exp(-2j * np.pi / N * ((np.arange(self.window)[:, None] * p * orders) % N))
         self._begin = begin
@@ -281,7 +281,7 @@ class _Estimate:
         first = np.maximum(0.5 * np.abs(fundamental[1:]) ** 2, 1e-300)
         overtones = 0.5 * np.sum(np.abs(harmonics[1:, 1:]) ** 2, axis=1)
         rest = np.clip(power - first - overtones, 0.0, None)
-        seen = ~(np.abs(fundamental[1:]) < self._floor[1:])  # what diverged has no coherence
+        seen = ~(np.abs(fundamental[1:]) < self._floor[1:])  # a diverged simulation has no coherence
         self.quality = np.array(
             [
                 np.clip(first / power, 0.0, 1.0).min(where=seen, initial=1.0),

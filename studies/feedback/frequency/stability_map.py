@@ -18,7 +18,7 @@ from linkplan.studies.feedback.frequency.quick import quick_loops
 from linkplan.studies.feedback.frequency.trial import settle_trials
 from linkplan.studies.feedback.frequency.worst import last_good
 
-# Points along each axis of the grid that the boundary is drawn from.
+# Points along each axis of the grid from which the boundary is drawn.
 _BORDER_GRID_POINTS = 240
 # Relative tolerance of a bisected stability boundary.
 _BORDER_TOLERANCE = 1e-6
@@ -106,7 +106,7 @@ def longest_period(
 ) -> tuple[float | None, OperatingPoint | None]:
     """Return the longest control period [s] at which PD is stable at every point, and the point that limits it.
 
-    The period is None if PD is unstable at any, and infinite if it is stable at any.
+    The period is None if PD is unstable at every period, and infinite if it is stable at every period.
 
     Args:
         points: operating points of one mechanism.

@@ -9,7 +9,7 @@ eigenvalues of the zero dynamics, the motion under the input that keeps the outp
 
 (Isidori, Nonlinear Control Systems, 1995, 4.3). They are the finite eigenvalues of the pencil [[A, b], [c, 0]] - s [[1, 0],
 [0, 0]] (Emami-Naeini & Van Dooren, Automatica 18, 1982). The pencil also has r + 1 infinite eigenvalues, which rounding
-makes finite: of the size eps^(-1 / (r + 1)), so 1400 times the poles' where springs pass the force on (r = 4).
+makes finite: of the size eps^(-1 / (r + 1)), so 1400 times that of the poles if springs transmit the force (r = 4).
 """
 
 from dataclasses import dataclass
@@ -17,14 +17,14 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-# A Markov parameter c A^k b below this share of the product of its factors' norms is rounding, and counts as zero.
+# A Markov parameter c A^k b below this share of the product of its factors' norms is a rounding error and counts as zero.
 _ROUNDING_SHARE = 1e-10
 # Zeros beyond this many times the fastest pole are infinite: they change the response by 1e-4 at most.
 _INFINITE_SHARE = 1e4
-# Poles and zeros below this share of the fastest pole are at the origin; rounding splits a pair there by 1e-8. So are those
-# below this rate, a period of a week: a mechanism in neutral equilibrium has no faster pole.
+# Poles and zeros below this share of the fastest pole are at the origin; rounding splits a pair there by 1e-8. Those below
+# this rate (a period of a week) are too, because a mechanism in neutral equilibrium has no faster pole.
 _ORIGIN_SHARE, _ORIGIN_RAD_S = 1e-7, 1e-5
-# Poles and zeros that are this near, as a share of their size, cancel: the effort does not excite the mode.
+# Poles and zeros with a smaller distance, as a share of their size, cancel: the effort does not excite the mode.
 _CANCELLING_SHARE = 1e-6
 # A root is in the right half plane if its real part is above this share of its size.
 _RIGHT_SHARE = 1e-6
@@ -43,12 +43,12 @@ class TransferFunction:
 
     @property
     def relative_degree(self) -> int:
-        """The number of poles less that of zeros: at high frequencies the gain falls by 20 dB per decade for each."""
+        """The number of poles minus that of zeros; at high frequencies the gain falls by 20 dB per decade for each."""
         return len(self.poles) - len(self.zeros)
 
     @property
     def integrators(self) -> int:
-        """The number of poles at the origin; below zero, that of zeros there."""
+        """The number of poles at the origin, or minus the number of zeros there."""
         return int(np.sum(self.poles == 0)) - int(np.sum(self.zeros == 0))
 
     @property
@@ -139,7 +139,7 @@ def _order_at_zero(A: np.ndarray, b: np.ndarray, c: np.ndarray, n_poles: int) ->
 
 
 def _product(s: np.ndarray, zeros: np.ndarray, poles: np.ndarray) -> np.ndarray:
-    """Return the product of (s - z) over that of (s - p), the factors in turn: neither product alone may overflow."""
+    """Return the product of (s - z) over that of (s - p), with alternating factors so that neither product overflows."""
     found = np.ones(len(s), dtype=complex)
     for k in range(max(len(zeros), len(poles))):
         found = found * (s - zeros[k] if k < len(zeros) else 1.0) / (s - poles[k] if k < len(poles) else 1.0)
@@ -147,7 +147,7 @@ def _product(s: np.ndarray, zeros: np.ndarray, poles: np.ndarray) -> np.ndarray:
 
 
 def _without(some: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return values that have no equal among others, by rising size."""
+    """Return the values that are not among `others`, by ascending size."""
     left, kept = list(others), []
     for value in some:
         near = [k for k, other in enumerate(left) if abs(other - value) <= _CANCELLING_SHARE * abs(value)]

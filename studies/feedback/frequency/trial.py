@@ -10,13 +10,13 @@ from linkplan.studies.feedback.frequency.simulated_loops import simulated
 
 # Initial velocity [rad/s or m/s], far above the simulator's rounding of 1e-11.
 _KICK_VELOCITY = 1e-3
-# Share of the distance to the effort limits that the kick's command may take, so that growth shows before saturation.
+# Share of the distance to the effort limits that the kick's command may use, so that growth is visible before saturation.
 _KICK_EFFORT_SHARE = 1e-3
 # A loop is decided when its speed has grown or decayed by this factor. At the end of the time the trend decides.
 _DECISIVE_FACTOR = 300.0
 # A speed of this many kicks is growth; the command is then still well inside the limits.
 _GROWTH_FACTOR = 100.0
-# At rest this far [rad; on a slide, share of the extent] from where it is held, a loop has fallen; soft ones sink a third.
+# A loop at rest this far [rad; on a slide, share of the extent] from its pose has fallen; soft loops sink by a third of it.
 _FALL_DISTANCE = 0.1
 MAX_TRIAL_PERIODS = 40_000
 
@@ -52,7 +52,7 @@ def settle_trials(
         decisive = (np.abs(change) > np.log(_DECISIVE_FACTOR)) | ~np.isfinite(change)
         # A loop may decay or grow within the first check interval: compare with the kick itself.
         decayed = speed[active] < kick[active] / _DECISIVE_FACTOR
-        # Soft loops sink under the weight at first, faster than the kick. What does not fall again has grown.
+        # Soft loops initially sink under the weight, faster than the kick. A speed that does not fall again has grown.
         falls = np.min(history[-5:], axis=0) < np.min(history[:-5], axis=0, initial=np.inf)
         grown = ~(speed[active] < _GROWTH_FACTOR * kick[active]) & ~falls[active]
         finished = decisive | decayed | grown | (batch.periods >= most_periods)

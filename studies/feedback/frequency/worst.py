@@ -1,4 +1,4 @@
-"""Where a function of one variable is worst: its local minima, and the last argument before something breaks."""
+"""The worst points of a function of one variable: its local minima, and the last argument before it fails."""
 
 from collections.abc import Callable
 from typing import TypeVar

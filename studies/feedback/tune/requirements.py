@@ -1,4 +1,4 @@
-"""Judged gains: the loop of every joint at every pose, with the others closed, and what it lacks of the requirements."""
+"""Evaluated gains: the loop of every joint at every pose, with the others closed, and its shortfall."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -42,18 +42,18 @@ class Requirements(Struct, frozen=True, kw_only=True, eq=False):
 
     @property
     def largest_peak(self) -> float:
-        """The largest peak of |S|, infinite if any is wanted."""
+        """The largest allowed peak of |S|; infinite without a requirement."""
         return np.inf if self.sensitivity_peak is None else self.sensitivity_peak
 
     def __post_init__(self) -> None:
         if not 0 <= self.phase_margin_deg < 180:
-            raise LinkplanError(f"the wanted phase margin is from 0 to 180 degrees, got {self.phase_margin_deg:g}")
+            raise LinkplanError(f"the required phase margin must be from 0 to 180 degrees, got {self.phase_margin_deg:g}")
         if not self.largest_peak > 1:
             raise LinkplanError(f"the required peak of the sensitivity must be above 1, got {self.sensitivity_peak:g}")
         if np.isnan(self.settling_s):
             force_setattr(self, "settling_s", SETTLING_CYCLES / self.bandwidth_hz)
         if not 0 <= self.damping_ratio <= 1:
-            raise LinkplanError(f"the damping ratio is from 0 to 1, got {self.damping_ratio:g}")
+            raise LinkplanError(f"the damping ratio must be from 0 to 1, got {self.damping_ratio:g}")
         if self.stiffness is not None:
             force_setattr(self, "response_at_rest", None)
 
@@ -69,8 +69,8 @@ class Requirements(Struct, frozen=True, kw_only=True, eq=False):
 class JudgedLoop(Margins, frozen=True, kw_only=True, eq=False):
     """The margins of the loop of one joint at one pose, with the other joints' loops closed.
 
-    A subclass, so that the margins are keys of the loop in the JSON. The position is that of the only joint with a loop;
-    with several there are the positions of all by name, and `joint`, the loop's own.
+    It is a subclass of the margins, so that the JSON has them as keys of the loop. The position is that of the only joint
+    with a loop; with several loops there are the positions of all joints by name, and `joint` is the loop's own.
     """
 
     joint: str | UnsetType = UNSET
@@ -102,7 +102,7 @@ class EvaluatedGains:
         return value, self.loops[index]
 
     def farthest_at_rest(self) -> JudgedLoop:
-        """Return the loop that settles farthest from a step of its reference."""
+        """Return the loop that settles farthest from its reference after a step."""
         return max(self.loops, key=lambda loop: abs(1.0 - (loop.response_at_rest or 0.0)))
 
 
@@ -123,7 +123,7 @@ def _judged(point: OperatingPoint, channel: int, law: SampledLaw) -> JudgedLoop:
 
 
 def _place(point: OperatingPoint, channel: int) -> dict[str, Any]:
-    """Return where a loop is judged: the position of a single joint, or the joint of the loop and all positions."""
+    """Return the place of a loop: the position of a single joint, or the joint of the loop and all positions."""
     joints, channels = point.mechanism.independent_joints, list(point.mechanism.channels)
     own = joints[channel]
     if len(channels) == 1:
@@ -135,7 +135,7 @@ def _place(point: OperatingPoint, channel: int) -> dict[str, Any]:
 def shortfall(found: Margins | QuickMargins, wanted: Requirements, timing: Sampling, reserve: float = 1.0) -> np.ndarray:
     """Return the largest relative shortfall (n,) of margins of stable loops, one or n: negative with a reserve.
 
-    `reserve` is a factor on the requirements. A shortfall without a number is `UNSTABLE_SHORTFALL`.
+    `reserve` is a factor on the requirements. If it is not a number, it is `UNSTABLE_SHORTFALL`.
     """
     band, phase = (np.inf if x is None else x for x in (found.bandwidth_hz, found.phase_margin_deg))
     with np.errstate(divide="ignore", invalid="ignore"):

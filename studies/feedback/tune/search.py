@@ -18,29 +18,29 @@ from linkplan.studies.feedback.tune.requirements import UNSTABLE_SHORTFALL, Requ
 _NATURAL_FREQUENCY_RANGE = (0.08, 4.0)
 _DAMPING_RATIO_RANGE = (0.15, 8.0)
 _GRID_LEVELS = 4
-# The least share of kd^2 that the velocity weight of an LQR causes: with less, it would be a number without an effect.
+# The least share of kd^2 due to the velocity weight of an LQR; with less, the weight would have no effect.
 _LEAST_EXTRA_DAMPING = 0.01
 # The search uses approximate margins, so it requires this factor more than the user.
 _SEARCH_RESERVE = 1.005
-# Rounds of searching gains: with the worst poses of a line added (at most two were needed in practice), and through the
-# joints of several freedoms, each joint's gains again with the others' last ones.
+# Number of rounds: with the worst poses of a line added (at most two were needed in practice), and over the joints of
+# several degrees of freedom, where each joint's gains are searched again with the latest gains of the others.
 MAX_ROUNDS = 5
 
 
 def found_gains(
     points: Sequence[OperatingPoint], wanted: Requirements, law: SampledLaw, say: Callable[[str], None]
 ) -> SampledLaw:
-    """Return the law with the gains that fall short least at the points, and damp least among those that meet all.
+    """Return the law with the least shortfall at the points or, among those without, the least damping gain.
 
-    Several joints first get gains of the same natural frequency and damping ratio, each for its own inertia. Where these
-    fall short, one joint's gains are searched at a time, with the loops of the others closed, in a few rounds through the
-    joints (sequential loop closing, Skogestad & Postlethwaite, Multivariable Feedback Control, 2005, 10.6).
+    Several joints first get gains of the same natural frequency and damping ratio, each for its own inertia. If these fall
+    short, one joint's gains are searched at a time, with the loops of the others closed, in a few rounds over the joints
+    (sequential loop closing, Skogestad & Postlethwaite, Multivariable Feedback Control, 2005, 10.6).
     """
     mechanism = points[0].mechanism
     channels, joints = mechanism.channels, mechanism.independent_joints
     if len(channels) == 1:
         return _refined(points, wanted, law, channels, say)
-    zeros = {joint.name: 0.0 for joint in joints}  # spins have no gains
+    zeros = {joint.name: 0.0 for joint in joints}  # passive spins have no gains
     first = replace(law, settings=law.settings.replace(kp=zeros, kd=zeros))
     best = evaluated(points, wanted, _refined(points, wanted, first, channels, say))
     law = best.law
@@ -73,7 +73,7 @@ def _refined(
     best: tuple[float, float, SampledLaw] | None = None
     several = law.by_errors or len(points[0].mechanism.channels) > 1
     # Grid points along each axis: fewer for LQR, which solves a Riccati equation for every candidate and pose, and for
-    # several joints, whose loops are all judged for every candidate.
+    # several joints, whose loops are all evaluated for every candidate.
     count = 9 if several else 17
     for level in range(_GRID_LEVELS):
         say(f"gains, grid {level + 1} of {_GRID_LEVELS}" + ("" if best is None else f", shortfall {best[0]:.3g}"))
@@ -136,7 +136,8 @@ def _with_weights(points, settings: Tracking, channel: int, inertia: float, omeg
     """
     kp, kd, joint = inertia * omega**2, 2 * damping * inertia * omega, points[0].mechanism.independent_joints[channel]
     limit = _effort_weight(points, channel)
-    # A velocity weight raises LQR's kd above sqrt(2 J kp). Where a smaller kd is asked, it is raised by half a percent.
+    # A velocity weight increases LQR's kd above sqrt(2 J kp). If a smaller kd is required, the result is half a percent
+    # above it.
     extra = max(kd**2 - 2 * inertia * kp, _LEAST_EXTRA_DAMPING * 2 * inertia * kp)
     position, velocity = (float(np.clip(joint.shown(x), *LQR_ERRORS)) for x in (limit / kp, limit / np.sqrt(extra)))
     return settings.replace(**{f"lqr_position_{joint.unit}": position, f"lqr_velocity_{joint.unit}_s": velocity})

@@ -64,8 +64,8 @@ def tune(
     mechanism, timing = points[0].mechanism, law.timing
     if law.by_errors and len(mechanism.channels) > 1:
         raise LinkplanError(
-            f"tune finds LQR weights for one degree of freedom, and '{mechanism.name}' has {len(mechanism.channels)}: pd and"
-            " pd+ff get gains for each joint, and bode shows the margins of given LQR weights"
+            f"tune finds LQR weights for one degree of freedom only, and '{mechanism.name}' has {len(mechanism.channels)}:"
+            " use pd or pd+ff, which have gains for each joint; bode shows the margins of given LQR weights"
         )
     if wanted.bandwidth_hz >= timing.nyquist_hz:
         raise LinkplanError(
@@ -113,7 +113,7 @@ def tune(
 
 
 def _allowed_by_springs(points: Sequence[OperatingPoint]) -> list[str]:
-    """Return a sentence for each driven joint that stands still at some frequency, because others swing behind it."""
+    """Return a sentence for each driven joint that does not move at some frequency, because joints behind it swing."""
     mechanism, found = points[0].mechanism, []
     for channel in mechanism.channels:
         name = mechanism.independent_joints[channel].name
@@ -121,15 +121,14 @@ def _allowed_by_springs(points: Sequence[OperatingPoint]) -> list[str]:
         if modes and len(outputs_of(mechanism, channel)) > 1:
             lowest = min(modes, key=lambda mode: mode.frequency_hz)
             found.append(
-                f"whatever the gains, joints that move along with {name} swing at {lowest.frequency_hz:.4g} Hz with a"
-                f" damping ratio of {lowest.damping_ratio:.2g} while {name} stands still, and follow it only below that"
-                " frequency"
+                f"with any gains, joints that move along with {name} swing at {lowest.frequency_hz:.4g} Hz with a damping"
+                f" ratio of {lowest.damping_ratio:.2g} while {name} does not move, and follow it only below this frequency"
             )
     return found
 
 
 def _along(points: Sequence[OperatingPoint], added: Sequence[OperatingPoint]) -> list[OperatingPoint]:
-    """Return points with others added: in the order of the position of a single freedom, else at the end."""
+    """Return points with others added: sorted by position for one degree of freedom, else at the end."""
     every = [*points, *added]
     return sorted(every, key=lambda point: float(point.state[0])) if points[0].mechanism.dof == 1 else every
 
@@ -184,7 +183,7 @@ def _reason(wanted: Requirements, best: EvaluatedGains) -> str:
     """Return the requirements that the best gains violate, as text."""
     unstable = [loop.point.name for loop in best.loops if not loop.stable]
     if unstable:
-        return f"no gains near that bandwidth are stable at {unstable[0]}"
+        return f"no gains near this bandwidth are stable at {unstable[0]}"
     violated = []
     for name, words, unit, limit in (
         ("bandwidth_hz", "a bandwidth of", " Hz", wanted.bandwidth_hz),

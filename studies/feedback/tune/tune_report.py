@@ -43,7 +43,7 @@ def gain_lines(tuning: Tuning) -> list[tuple[str, str]]:
         lines.append((f"at the motor {motor.actuator}, {motor.ratio_text()}", f"{motor.gains_text()}{over}"))
     alone = {motor.actuator for motor in tuning.motors}
     if shared := [actuator.name for actuator in tuning.mechanism.actuators if actuator.name not in alone]:
-        text = "no gains of its own, because it moves several joints; linkplan transfer has the gains as matrices"
+        text = "no gains of its own, because it moves several joints; linkplan transfer gives the gains as matrices"
         lines.append((f"at the motor {' and '.join(shared)}", text))
     return lines
 
@@ -58,7 +58,7 @@ def places(tuning: Tuning, loops: Sequence[JudgedLoop]) -> tuple[np.ndarray, str
 
 
 def tune_plots(tuning: Tuning, loops: Sequence[JudgedLoop], of: str) -> list[Plot]:
-    """Return the plots of one joint's margins over the position or the pose, with the requirements; `of` ends the titles."""
+    """Return the plots of one joint's margins over the position or the pose, with the requirements; titles end with `of`."""
     (at, place, unit), wanted = places(tuning, loops), tuning.wanted
     order, found = np.argsort(at), []
     margins = [loops[k] for k in order.tolist()]
@@ -131,12 +131,12 @@ def tune_blocks(tuning: Tuning) -> list[Block]:
             *tune_plots(tuning, loops, "" if len(joints) == 1 else f", loop of {joint.name}"),
         ]
     if len(joints) > 1:
-        blocks.append(Text(text="settling and damping belong to the poles that all loops share"))
+        blocks.append(Text(text="settling time and damping ratio are those of the poles that all loops share"))
     return blocks if tuning.note is None else [*blocks, Text(text=tuning.note, tone="note")]
 
 
 def _worst(tuning: Tuning) -> Table:
-    """Return what was asked, the worst value over all loops and poses, and where it is."""
+    """Return the requirements, the worst values over all loops and poses, and their places."""
     best, wanted = tuning.best, tuning.wanted
     farthest, (stiffness, softest) = best.farthest_at_rest(), best.worst("stiffness_at_rest")
     unit = tuning.mechanism.independent_joints[softest.channel].gain_units[0]
@@ -176,7 +176,7 @@ def _table(loops: Sequence[JudgedLoop], joint: Joint, several: bool) -> Table:
     heads += ["stable", "bandwidth -3 dB [Hz]", "phase margin [deg]", "gain margin [dB]", "peak of |S|"]
     heads += ["settling [s]", "damping", "response at rest", f"stiffness [{joint.gain_units[0]}]"]
     of = f", the loop of {joint.name}, the others closed" if several else ""
-    return table_of(f"At every position looked at{of}", heads, rows)
+    return table_of(f"At every analysed position{of}", heads, rows)
 
 
 def tune_report(found: Tuning) -> Report:

@@ -1,4 +1,4 @@
-"""The result of `linkplan tune`, whose fields are the record `tune.json`: gains, and what they reach at every pose."""
+"""The result of `linkplan tune`, whose fields are the record `tune.json`: gains, and their margins at every pose."""
 
 from typing import Any
 
@@ -37,7 +37,7 @@ class MotorGains(Struct, frozen=True, kw_only=True, eq=False):
 
     @property
     def is_constant(self) -> bool:
-        """True if the transmission has the same ratio at all poses, so that one pair of gains serves them all."""
+        """True if the transmission has the same ratio at all poses, so that one pair of gains is valid for all of them."""
         return self.ratio is not None
 
     def gains_text(self) -> str:
@@ -105,7 +105,7 @@ def tracking_values(best: EvaluatedGains, mechanism: Mechanism) -> dict[str, Any
 def gains_by_motor(best: EvaluatedGains, mechanism: Mechanism) -> tuple[MotorGains, ...]:
     """Return the motors' gains that give the joints' gains, K_o = G^T K_m G at every pose, for motors of one joint each.
 
-    A motor that moves with several joints is left out: no gains of its own give their loops.
+    A motor that moves with several joints is omitted, because it has no gains of its own.
     """
     joints = tuned_joints(mechanism)
     poses = np.array([loop.point.pose for loop in best.loops if loop.channel == mechanism.channels[0]])

@@ -1,4 +1,4 @@
-"""A mechanism's C code as a folder, with its cost: operations, error in float, flash and stack where compilers exist."""
+"""A mechanism's C code as a folder, with its cost: operations, error in float and, if compilers exist, flash and stack."""
 
 import re
 import shutil
@@ -23,15 +23,15 @@ from linkplan.studies.handover.export.c_operations import in_single_precision, o
 from linkplan.studies.handover.export.c_text import write_texts
 from linkplan.studies.output.document import Block, Text, table_of
 
-# States at which the error of single precision is measured, and the factor from what was seen to what is stated.
+# Number of states at which the error of single precision is measured, and the factor from the measured to the stated error.
 _FLOAT_STATES, _FLOAT_MARGIN = 2000, 4.0
-# The compilers that flash and stack are measured with, where they are installed: names and options.
+# The compilers (names and options) for measuring flash and stack, if they are installed.
 COMPILERS = {
     "gcc": ["-O2"],
     "arm-none-eabi-gcc": ["-O2", "-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d16"],
 }
 # A compiler needs a second for a linkage, ten for the 30,000 operations of two legs, and minutes for a whole robot. Longer
-# code is measured when that is asked for. Where the derivatives make it longer, it is measured without them.
+# code is measured only on request. If only the derivatives make it longer, it is measured without them.
 _COMPILE_SECONDS, MOST_MEASURED_OPERATIONS = 120, 8_000
 
 
@@ -44,7 +44,7 @@ class FunctionCost(Struct, frozen=True, kw_only=True):
 
 
 class ObjectSize(Struct, frozen=True, kw_only=True):
-    """Flash, RAM and largest stack frame of the object code by one compiler, for numbers of a kind: "double" or "float"."""
+    """Flash, RAM and largest stack frame of one compiler's object code, for "double" or "float" numbers."""
 
     compiler: str
     real: str
@@ -54,7 +54,7 @@ class ObjectSize(Struct, frozen=True, kw_only=True):
 
 
 class ModelRecord(Struct, frozen=True, kw_only=True):
-    """The record of a model in C. `sizes` are empty if they are not measured, or are those without some functions."""
+    """The record of a model in C. `sizes` is empty if nothing was measured; it may exclude some functions."""
 
     mechanism: str
     format: str = "c"
@@ -77,7 +77,7 @@ class ModelRecord(Struct, frozen=True, kw_only=True):
 def costs(code: ModelCode) -> list[FunctionCost]:
     """Return each function's operations by kind, and the bound on its error in float as a share of its largest value.
 
-    Functions of more than 10,000 operations are evaluated at fewer of the states, at least at a quarter of them.
+    Functions of more than 10,000 operations are evaluated at fewer states, at least at a quarter of them.
     """
     every = random_states(code.mechanism, _FLOAT_STATES, seed=2)
     found = []
@@ -97,7 +97,7 @@ def costs(code: ModelCode) -> list[FunctionCost]:
 
 
 def write_model(code: ModelCode, place: Path, *, compiled: bool | None = None) -> ModelRecord:
-    """Write header, source, test and CMake file into a folder, and return what the code costs.
+    """Write header, source, test and CMake file into a folder, and return the cost of the code.
 
     `compiled` says whether sizes are measured; by default those of code that compiles within seconds.
     """
@@ -129,7 +129,7 @@ def write_model(code: ModelCode, place: Path, *, compiled: bool | None = None) -
 def sizes(place: Path, source: str, upper: str, flags: Sequence[str] = ()) -> list[ObjectSize]:
     """Return flash and largest stack frame [bytes] of a source file, by compiler and precision; empty without a compiler.
 
-    `flags` are further options of the compilers.
+    `flags` are additional compiler options.
     """
     found = []
     for compiler, options in COMPILERS.items():
@@ -162,7 +162,7 @@ def size_blocks(measured: Sequence[ObjectSize], without: Sequence[str] = ()) -> 
     """Return the sizes of object code `without` some functions, or a note that there are none, as blocks."""
     if not measured:
         text = "flash and stack are not measured: neither gcc nor arm-none-eabi-gcc is installed, or the code is too long"
-        return [Text(text=f"{text} (the option sizes measures it, in up to minutes)", tone="note")]
+        return [Text(text=f"{text} (use the option sizes to measure it, which may take minutes)", tone="note")]
     rows = [[row.compiler, row.real, row.flash_bytes, row.stack_bytes] for row in measured]
     title = f"Object code, without {', '.join(without)}" if without else "Object code"
     return [table_of(title, ["compiler", "numbers", "flash [byte]", "largest stack frame [byte]"], rows)]

@@ -76,7 +76,7 @@ def _header(tables: LawTables) -> str:
     ]
     begins = "repeats after each period" if tables.periodic else "holds the start before the motion and the goal after it"
     about = [
-        f"The control law '{tables.tracker}' of a plan of {mechanism.name}, in {len(tables.time_s)} rows of tables.",
+        f"The control law '{tables.tracker}' of a plan of {mechanism.name}, as tables of {len(tables.time_s)} rows.",
         "",
         "effort = feedforward + gains (reference - state), state = (position, velocity) of the independent joints.",
         f"The law {begins}. It has no state and does not",
@@ -203,7 +203,7 @@ def _law_code(tables: LawTables, real: str) -> str:
 
 
 def _limited_code(tables: LawTables, real: str) -> str:
-    """Return the C function that cuts efforts to the drives' limits."""
+    """Return the C function that limits efforts to the drives' limits."""
     n_u = tables.gains.shape[1]
     return f"""int {tables.prefix}_limited({real} effort[{n_u}])
 {{
@@ -222,7 +222,7 @@ def _limited_code(tables: LawTables, real: str) -> str:
 
 
 def _test(tables: LawTables) -> str:
-    """Return a C program that compares the law with its value in Python; its exit code is 1 if it is off."""
+    """Return a C program that compares the law with its value in Python; its exit code is 1 if they differ."""
     prefix, upper, real = tables.prefix, tables.prefix.upper(), f"{tables.prefix}_real"
     random, n_u, end = np.random.default_rng(1), tables.gains.shape[1], float(tables.time_s[-1])
     # at the control instants, where efforts jump between rows, and before and after the motion

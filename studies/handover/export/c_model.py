@@ -20,15 +20,16 @@ from linkplan.studies.handover.export.c_text import (
     tests_text,
 )
 
-# Most Newton steps of a closure. A stride of two degrees needs three; from home to the end of a range needs some thirty.
+# Most Newton steps of a call of `close`. A stride of two degrees needs three; from home to the end of a range needs about
+# 30.
 MAX_NEWTON_STEPS = 200
-# The function that a controller rarely needs, and that is longer than all others together.
+# A function that a controller rarely needs and that is longer than all others together.
 DERIVATIVES = "inverse_dynamics_derivatives"
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ModelCode:
-    """The C functions of a mechanism: those of its interface, and two behind `close` that its loops of Newton call."""
+    """The C functions of a mechanism: those of its interface, and two that the Newton iterations of `close` call."""
 
     mechanism: Mechanism
     prefix: str
@@ -59,7 +60,7 @@ def model_code(mechanism: Mechanism) -> ModelCode:
     slopes = ca.jtimes(effort, q, gamma), ca.jacobian(effort, v)
     step, _, determinants = dynamics.closure_step(q)
     phi = dynamics.closure(q)
-    size = ca.sum1(ca.fabs(phi)) if phi.numel() else ca.SX(0)  # not the largest: C's fmax leaves out what is no number
+    size = ca.sum1(ca.fabs(phi)) if phi.numel() else ca.SX(0)  # a sum and not the largest, because C's fmax ignores NaN
     inner = [
         function_of(
             f"{prefix}_closure_step",
@@ -96,7 +97,7 @@ def model_code(mechanism: Mechanism) -> ModelCode:
 
 
 def header_text(code: ModelCode, about: Sequence[str]) -> str:
-    """Return the header: conventions, units, and the declaration of every function; `about` are further lines."""
+    """Return the header: conventions, units, and the declaration of every function; `about` are additional lines."""
     mechanism, upper = code.mechanism, code.prefix.upper()
     joints = [f"  q[{k}] {joint.name} [{joint.si_units[0]}]" for k, joint in enumerate(mechanism.joints)]
     joints += [
@@ -110,7 +111,7 @@ def header_text(code: ModelCode, about: Sequence[str]) -> str:
         "q: positions of all joints, s: of the independent ones, v = ds/dt, a = dv/dt, u: efforts of the actuators.",
         "Matrices are stored row by row. Arrays must not overlap. SI units. No memory is allocated and there is no state.",
         f"Numbers are double, or float where {upper}_FLOAT is defined (for this header and the source file).",
-        f"{code.prefix}_{DERIVATIVES} is left out where {upper}_WITHOUT_DERIVATIVES is defined.",
+        f"{code.prefix}_{DERIVATIVES} is omitted if {upper}_WITHOUT_DERIVATIVES is defined.",
         "",
         *joints,
         "",
@@ -160,7 +161,7 @@ def source_text(code: ModelCode) -> str:
 
 
 def test_text(code: ModelCode) -> str:
-    """Return a C program that compares every function with the test vector; its exit code is 1 if one is off."""
+    """Return a C program that compares every function with the test vector; its exit code is 1 if one differs."""
     states = random_states(code.mechanism, 16, seed=1)
     return tests_text(code.prefix, code.real, code.interface, code.mechanism.independent, states)
 
@@ -171,7 +172,7 @@ def random_states(mechanism: Mechanism, n: int, seed: int) -> dict[str, np.ndarr
     unit = unit_steps(mechanism.independent_joints, mechanism.extent_m)
     ranges = np.array([(joint.lower, joint.upper) for joint in mechanism.independent_joints])
     poses = np.empty((0, mechanism.n_q))
-    while len(poses) < n:  # inside a fifth of a radian, drawn again where the loops open on the way from home
+    while len(poses) < n:  # within a fifth of a radian, drawn again if the loops open on the path from home
         s = home + 0.2 * unit * random.uniform(-1, 1, (n - len(poses), mechanism.dof))
         s = np.clip(s, np.minimum(ranges[:, 0], home), np.maximum(ranges[:, 1], home))
         found = advance_all(mechanism, np.tile(mechanism.home, (len(s), 1)), s)
@@ -193,10 +194,10 @@ def _close_prototype(code: ModelCode) -> str:
 def _close_text(code: ModelCode) -> str:
     """Return the C function that closes the loops: a continuation in strides, each closed by Newton's method.
 
-    A stride is taken if its first Newton step is at most half a radian or metre, each further one at most a quarter of the
-    one before (Deuflhard, Newton Methods for Nonlinear Problems, 2011, 5.1.3), and no determinant of a block of J_z changes
-    sign: it is then on its branch. Otherwise it is halved. Newton ends at a step below the root of the precision: the error
-    after it is rounding.
+    A stride is accepted under three conditions. Its first Newton step is at most half a radian or metre, each further step
+    is at most a quarter of the previous one (Deuflhard, Newton Methods for Nonlinear Problems, 2011, 5.1.3), and no
+    determinant of a block of J_z changes its sign, so the branch is the same. Otherwise the stride is halved. Newton's
+    method ends at a step below the square root of the precision; the remaining error is due to rounding.
     """
     mechanism, prefix, real, upper = code.mechanism, code.prefix, code.real, code.prefix.upper()
     n_s, n_q = mechanism.dof, mechanism.n_q
@@ -263,4 +264,4 @@ def _close_text(code: ModelCode) -> str:
 
 
 def _passive(mechanism: Mechanism, k: int) -> str:
-    return ", spins freely: any constant will do" if mechanism.independent[k] in mechanism.passive_dofs else ""
+    return ", spins freely: any constant works" if mechanism.independent[k] in mechanism.passive_dofs else ""

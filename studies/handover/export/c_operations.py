@@ -1,6 +1,6 @@
-"""What a CasADi function costs: its operations by kind, and the error of its evaluation in single precision.
+"""The cost of a CasADi function: its operations by kind, and the error of its evaluation in single precision.
 
-The function's instructions are carried out one by one on arrays of float32, so the error needs no compiler.
+The function's instructions are executed one by one on arrays of float32, so no compiler is needed.
 """
 
 from collections import Counter

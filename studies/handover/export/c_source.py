@@ -1,4 +1,4 @@
-"""C99 functions from CasADi's: it generates the arithmetic, and gets readable arguments and a precision here.
+"""C99 functions from CasADi's: CasADi generates the arithmetic; this file adds readable arguments and a precision.
 
 CasADi's CodeGenerator writes a function of pointers to pointers with a work vector. An SX function needs neither: its body
 is assignments to local variables. The body is kept, `arg[i][k]` and `res[i][k]` become elements of named arrays. Constants
@@ -14,12 +14,12 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
-# CasADi's helpers that a body may call, as C functions of the precision.
+# CasADi's helpers that a body may call, as C functions of the chosen precision.
 _HELPERS = {
     "casadi_sq": "static inline {real} casadi_sq({real} x) {{ return x * x; }}",
     "casadi_sign": "static inline {real} casadi_sign({real} x) {{ return ({real})((x > 0) - (x < 0)); }}",
 }
-# Those that C99 has itself.
+# CasADi's helpers that C99 has itself.
 _OF_C99 = re.compile(r"\bcasadi_(fabs|fmin|fmax|log1p|expm1|hypot)\b")
 _CALL = re.compile(r"\b(a?(?:sin|cos|tan)h?|atan2|sqrt|fabs|fmin|fmax|exp|expm1|log|log1p|hypot|pow|floor|ceil|erf)\(")
 _BODY = re.compile(r"static int casadi_f\d+\([^)]*\) \{\n(.*?)  return 0;\n\}", re.DOTALL)
@@ -69,7 +69,7 @@ class CFunction:
 def function_of(
     name: str, about: str, inputs: Sequence[tuple[str, ca.SX]], outputs: Sequence[tuple[str, ca.SX]]
 ) -> CFunction:
-    """Return the C function of named expressions, which compute common parts once; matrices are stored row by row."""
+    """Return the C function of named expressions; it computes common parts once and stores matrices row by row."""
     arguments, results = [x for _, x in inputs], [ca.densify(y).T for _, y in outputs]
     function = ca.Function(name, arguments, ca.cse(results))
     return CFunction(
@@ -86,8 +86,8 @@ def helpers(text: str, real: str) -> str:
 def identifier(name: str, first: str = "linkplan") -> str:
     """Return a name as a C identifier after a first word, which is the prefix of identifiers, files and CMake targets.
 
-    With "linkplan" first it is no target of CMake's (test, all, install), no header of C's (math.h) and no keyword. Letters
-    that ASCII lacks are replaced by a checksum of the name.
+    With the first word "linkplan", the identifier is not a CMake target (test, all, install), a C header (math.h) or a
+    keyword. A checksum of the name replaces letters that ASCII lacks.
     """
     letters = unicodedata.normalize("NFKD", name)
     plain = [letter for letter in letters if letter.isascii()]

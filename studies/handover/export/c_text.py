@@ -17,12 +17,12 @@ MATH = """#include <math.h>
 #endif
 """
 _LINE_NUMBERS = 4
-# What stands for no limit, within the range of single precision.
+# The number for "no limit", within the range of single precision.
 NO_LIMIT = 1e30
 
 
 def block_comment(lines: Sequence[str]) -> str:
-    """Return lines as a comment; names of models cannot end it."""
+    """Return lines as a comment that names of models cannot end."""
     text = "\n".join(f"   {line.replace('*/', '* /')}".rstrip() for line in lines)
     return f"/* {text.strip()} */"
 
@@ -64,7 +64,7 @@ def limit_macros(prefix: str, kind: str, names: Sequence[str], limits: np.ndarra
 
 
 def bounded(limits: np.ndarray) -> np.ndarray:
-    """Return limits with `NO_LIMIT` in place of infinity, which C99 has no number for."""
+    """Return limits with `NO_LIMIT` in place of infinity, for which C99 has no number."""
     return np.clip(limits, -NO_LIMIT, NO_LIMIT)
 
 
@@ -157,7 +157,7 @@ def write_texts(place: Path, prefix: str, header: str, source: str, test: str) -
 
 def cmake_text(prefix: str) -> str:
     """Return a CMakeLists.txt of a static library, one for float, and their tests."""
-    # A suffix after "-" is in no C identifier, so a target of one model is never that of another, such as NAME_test.
+    # A C identifier has no "-", so a target with this suffix is never that of another model, such as NAME_test.
     upper = prefix.upper()
     lines = ["cmake_minimum_required(VERSION 3.10)", f"project({prefix} C)", "set(CMAKE_C_STANDARD 99)", "enable_testing()"]
     for suffix, flag in (("", None), ("-float", f"{upper}_FLOAT")):

@@ -44,9 +44,9 @@ def exported(plan: Plan, to: str, every_s: float | None = None, joints: Sequence
     """
     choose("format", to, FORMATS, ProblemError)
     if plan.trajectory is None:
-        raise LinkplanError(f"nothing to export, the plan has no motion: {plan.message}")
+        raise LinkplanError(f"cannot export: the plan has no motion: {plan.message}")
     if joints and to != "ros":
-        raise ProblemError(f"only the format ros takes a choice of joints, got {to}")
+        raise ProblemError(f"joints applies to the format ros only, got {to}")
     samples = exported_samples(plan, every_s)
     return joint_trajectory_text(samples, joints).encode("utf-8") if joints else _WRITERS[to](samples)
 

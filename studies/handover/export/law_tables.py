@@ -1,8 +1,8 @@
 """A plan's control law as tables: rows of reference, feedforward and gains over time, interpolated between the rows.
 
 Every law here is u = u_ff(t) + K(t) (x_ref(t) - x) with x = (s, v): PD and PD with feedforward, gain-scheduled PD, LQR.
-A row stands at every control instant, so there the law is the tracker's. Before a motion and after it, a row holds the
-start and the goal at rest. A periodic motion has the rows of one period.
+There is a row at every control instant, at which the law equals the tracker. Additional rows hold the start before the
+motion and the goal after it. A periodic motion has the rows of one period.
 """
 
 import hashlib
@@ -22,9 +22,9 @@ from linkplan.studies.compare.compare import build_tracker, lqr_settings, tracki
 from linkplan.studies.feedback.frequency.floquet import linear_law
 from linkplan.studies.handover.export.c_source import identifier
 
-# A controller's flash rarely holds more; the file would have 100 megabytes of text.
+# Larger tables rarely fit into a controller's flash; the file would have 100 megabytes of text.
 _MAX_NUMBERS = 4_000_000
-# A time this close to a row's, as a share of the control period, is the row's: rounding of t in single precision.
+# A time this close to a row, as a share of the control period, counts as the row's time (rounding in single precision).
 ROW_SHARE = 1e-3
 
 
@@ -97,14 +97,14 @@ def law_tables(plan: Plan, tracker: str, tolerance: float = 0.0) -> LawTables:
     Args:
         plan: with a motion.
         tracker: one of `formats.C_TRACKERS`.
-        tolerance: rows are left out while at every control instant the efforts of the reference and the gains stay within
-            this share of their largest values; 0 keeps a row at every control instant.
+        tolerance: rows are omitted as long as the reference's efforts and the gains change at no control instant by more
+            than this share of their largest values; 0 keeps a row at every control instant.
 
     Raises:
         ProblemError: for an invalid tolerance, or tables that would be too large.
     """
     if not 0 <= tolerance < 1:
-        raise ProblemError(f"the tolerance of a law's tables is a share from 0 to below 1, got {tolerance:g}")
+        raise ProblemError(f"tolerance must be a share from 0 to below 1, got {tolerance:g}")
     mechanism, trajectory, plan = plan.problem.mechanism, plan.require_motion("export"), _over_the_motion(plan)
     run = tracking_reference(plan)
     law = linear_law(build_tracker(tracker, plan, run))
@@ -154,9 +154,9 @@ def arrays_of(tables: LawTables) -> Mapping[str, np.ndarray]:
 
 
 def _over_the_motion(plan: Plan) -> Plan:
-    """Return the plan with a run over the whole motion, whose control period divides the period of a cyclic motion.
+    """Return the plan with a run over the whole motion; its control period divides the period of a cyclic motion.
 
-    The LQR's errors of unit cost are those of the plan's own run.
+    The LQR's errors of unit cost are those of the plan's original run.
     """
     run, trajectory = tracking_reference(plan), plan.require_motion("export")
     settings, duration = lqr_settings(plan, run), trajectory.duration_s
@@ -171,12 +171,12 @@ def _over_the_motion(plan: Plan) -> Plan:
 def _rows(mechanism: Mechanism, plan: Plan, run: SampledReference) -> tuple[SampledReference, np.ndarray]:
     """Return the reference at all rows, and the rows' times (n,) [s]: control instants, and the motion's end.
 
-    The reference has a held row more at each end unless the motion is periodic.
+    Unless the motion is periodic, the reference has an additional held row at each end.
     """
     trajectory = plan.require_motion("export")
     whole = int(np.floor(trajectory.duration_s / run.period_s + ROW_SHARE))
     moving = sample(mechanism, trajectory, run.period_s, (whole + 1) * run.period_s)
-    if trajectory.periodic:  # its last row is the first one, a period later
+    if trajectory.periodic:  # its last row equals the first one, a period later
         return moving, np.append(moving.time_s[:-1], trajectory.duration_s)
     ends = trajectory.position_at(trajectory.breaks_s[[0, -1]])
     poses = np.array([trajectory.start_pose, follow(mechanism, ends[1:], moving.pose_rad[-1])[0]])
@@ -224,7 +224,7 @@ def _thinned(tables: LawTables, tolerance: float, size: np.ndarray) -> LawTables
 
 
 def _fits(tables: LawTables, begin: int, end: int, tolerance: float, size: np.ndarray) -> bool:
-    """Return whether the rows between two others may be left out."""
+    """Return True if the rows between two others may be omitted."""
     inner = np.arange(begin + 1, end)
     step = float(tables.time_s[end] - tables.time_s[begin])
     share = (tables.time_s[inner] - tables.time_s[begin]) / step

@@ -11,7 +11,7 @@ def with_outputs(mechanism: Mechanism, names: Sequence[str]) -> Mechanism:
     """Return a mechanism at the same home with output joints among its independent coordinates.
 
     Raises:
-        ModelError: for an unknown joint, or joints that cannot be coordinates at home, such as at a dead centre.
+        ModelError: for an unknown joint, or joints that cannot be coordinates at home, for example at a dead centre.
     """
     if not names or len(set(names)) < len(names):
         raise ProblemError(f"output joints are one or more different joints, got {', '.join(names) or 'none'}")

@@ -15,8 +15,8 @@ def joint_trajectory_text(samples: ExportedSamples, joints: Sequence[str] = ()) 
     """Return the YAML of a trajectory_msgs/msg/JointTrajectory: the independent joints, in radians or metres.
 
     `effort` of a joint is the actuators' effort on that coordinate, Gamma^T B u [N.m or N]. For a motor on the joint it is
-    its torque times its gear. With `joints`, these output joints stand in place of the independent ones: there are as many
-    as degrees of freedom, rods' passive spins aside, and the power of their efforts is that of the actuators.
+    its torque times its gear. With `joints`, these output joints replace the independent ones. Their number is that of the
+    degrees of freedom without rods' passive spins, and the power of their efforts equals that of the actuators.
 
     Raises:
         LinkplanError: if the joints cannot be the mechanism's coordinates.
@@ -25,7 +25,7 @@ def joint_trajectory_text(samples: ExportedSamples, joints: Sequence[str] = ()) 
     if joints:
         shown = [mechanism.joint_index(name, ProblemError) for name in joints]
         if len(joints) > mechanism.dof:
-            raise ProblemError(f"joints are {mechanism.dof}, one for each degree of freedom, got {len(joints)}")
+            raise ProblemError(f"joints must be {mechanism.dof}, one for each degree of freedom, got {len(joints)}")
         coordinates = checked_outputs(with_outputs(mechanism, joints), joints)
     else:
         shown, coordinates = mechanism.independent.tolist(), mechanism
@@ -67,7 +67,8 @@ def checked_outputs(outputs: Mechanism, joints: Sequence[str]) -> Mechanism:
     if others:
         asked = outputs.dof - len(set(passive) - set(joints))
         raise ProblemError(
-            f"joints are {asked}, one for each degree of freedom, got {len(joints)}; {', '.join(others)} would be left out"
+            f"joints must be {asked}, one for each degree of freedom, got {len(joints)}; {', '.join(others)} would be"
+            " omitted"
         )
     return outputs
 

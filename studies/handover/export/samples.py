@@ -11,7 +11,7 @@ from linkplan.models.poses.along import accelerations, sampled
 from linkplan.models.poses.controls import needed_controls
 from linkplan.planner.plan.plan import MotionTable, Plan, motion_table
 
-# So many keyframes have about a gigabyte.
+# This many keyframes take about a gigabyte.
 _MAX_SAMPLES = 1_000_000
 
 
@@ -75,12 +75,14 @@ def exported_samples(plan: Plan, every_s: float | None = None) -> ExportedSample
     mechanism, trajectory = plan.problem.mechanism, plan.trajectory
     begin, duration = float(trajectory.breaks_s[0]), trajectory.duration_s
     if every_s is not None and not (np.isfinite(every_s) and 0 < every_s <= duration):
-        raise ProblemError(f"the time between samples is above 0 and at most the motion's {duration:.6g} s, got {every_s:g}")
+        raise ProblemError(f"every_s must be above 0 and at most the motion's duration of {duration:.6g} s, got {every_s:g}")
     if every_s is not None and duration / every_s > _MAX_SAMPLES:
-        raise ProblemError(f"at most {_MAX_SAMPLES} samples are written, {duration:.6g} s every {every_s:g} s are more")
+        raise ProblemError(
+            f"at most {_MAX_SAMPLES} samples are written; {duration:.6g} s with every_s = {every_s:g} s would be more"
+        )
     time = None
     if every_s is not None:
-        # a last step below a thousandth of the others is a rounding error
+        # a last step below a thousandth of the others is due to rounding
         time = begin + np.append(np.arange(0.0, duration - 1e-3 * every_s, every_s), duration)
     table = motion_table(plan.problem, plan.require_motion("export"), time)
     joints = mechanism.joints

@@ -55,20 +55,21 @@ _ALL = (
         "effort_corner_{1}_{0}"),
     _of("joint", "speed_alone", _per(0, "/s"), "largest speed of each joint while the others rest"),
     _of("joint", "speed_box", _per(0, "/s"), "largest speed of each joint in any motion"),
-    _of("motor motor", "motor_kp", _per(1), "motor stiffness that gives the joints the stiffness asked for"),
-    _of("motor motor", "motor_kd", _per(1, ".s"), "motor damping that gives the joints the damping asked for"),
+    _of("motor motor", "motor_kp", _per(1), "motor stiffness that gives the joints the requested stiffness"),
+    _of("motor motor", "motor_kd", _per(1, ".s"), "motor damping that gives the joints the requested damping"),
     _of("joint joint", "joint_kp", _per(1), "joint stiffness that the motors' stiffness gives"),
     _of("joint joint", "joint_kd", _per(1, ".s"), "joint damping that the motors' damping gives"),
     _of("joint joint", "inertia_rest", _inertia, "inertia that the serial equivalent lacks"),
     _of("joint joint joint", "inertia_rest_slope", _inertia, "its derivatives by the joint positions, along the last axis",
         "inertia_rest_slope_{}_{}_d_{}"),
-    _of("joint joint", "damping_rest", _per(1, ".s"), "damping that it lacks"),
+    _of("joint joint", "damping_rest", _per(1, ".s"), "damping that the serial equivalent lacks"),
     _of("rubbing joint", "friction_rate", _per(0),
         "rates of the linkage's joints with dry friction, over those of the output joints"),
-    _of("joint", "effort_rest", _per(1), "effort at rest that it lacks: weight, springs and constant forces"),
+    _of("joint", "effort_rest", _per(1),
+        "effort at rest (weight, springs and constant forces) that the serial equivalent lacks"),
     _of("", "status", lambda: "1",
-        "0: on the map; 1: the loops do not close; 2: next to a singular pose; 3: beside the map, for interpolation at"
-        " the edge of the way back; 100 + k: joint k is beyond its range"),
+        "0: on the map; 1: the loops do not close; 2: near a singular pose; 3: outside the map, for interpolation at"
+        " the edge of the inverse map; 100 + k: joint k is beyond its range"),
 )  # fmt: skip
 # The quantities by name; joints are in the order of the table's axes, motors in the file's order.
 QUANTITIES = {one.field: one for one in _ALL}
@@ -121,7 +122,7 @@ def columns_of(transfer: Transfer) -> dict[str, np.ndarray]:
 
 
 def inverse_columns(transfer: Transfer) -> dict[str, np.ndarray] | None:
-    """Return the way back, joint positions over motor positions, as columns; None without one."""
+    """Return the inverse map, joint positions over motor positions, as columns; None without one."""
     inverse = transfer.table.inverse
     if inverse is None:
         return None

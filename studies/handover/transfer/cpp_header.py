@@ -136,7 +136,7 @@ _SQUARE = """
 
 
 def cpp_header(transfer: Transfer) -> str:
-    """Return the header: the table of motor positions and G, and the class that interpolates and carries."""
+    """Return the header: the table of motor positions and G, and the class that interpolates and converts."""
     grid, outputs = transfer.table.grid, transfer.outputs
     joints = [
         f"//   joint {k}: {one.name} [{one.si_units[0]}], effort [{one.si_units[1]}]" for k, one in enumerate(outputs.joints)
@@ -166,7 +166,8 @@ def cpp_header(transfer: Transfer) -> str:
     error = f"{grid.errors['ratio']:.2g} of {grid.scale['ratio']:.4g}"
     about = [
         "// The transmission between motors and output joints of a linkage, as a table with linear interpolation.",
-        "// motor velocity = G joint velocity, joint effort = G^T motor effort: motor power is joint power with any table.",
+        "// motor velocity = G joint velocity, joint effort = G^T motor effort: motor power equals joint power with any"
+        " table.",
         f"// Error of G between the nodes: {error}; of the motor positions: {grid.errors['motor_position']:.2g} of"
         f" {grid.scale['motor_position']:.4g}.",
         "// For a ros2_control plugin: joint_to_actuator and actuator_to_joint call these functions in every cycle.",

@@ -15,7 +15,7 @@ from linkplan.studies.output.figure_spec import FigureSpec
 
 
 def write_files(transfer: Transfer, place: Path, *, parquet: bool = False) -> None:
-    """Write tables, serial.xml, serial.urdf, along.csv and transmission.hpp, as far as there are any.
+    """Write tables, serial.xml, serial.urdf, along.csv and transmission.hpp, as far as they exist.
 
     With `parquet`, the tables are written as Parquet too.
     """

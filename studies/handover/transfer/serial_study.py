@@ -16,13 +16,13 @@ from linkplan.studies.handover.export.samples import exported_samples
 from linkplan.studies.output.document import Block, Plot, Text, table_of
 from linkplan.studies.output.lines import TIME, Line, plots
 
-# Samples of a motion from which velocities and accelerations are taken by a spline of the fifth degree.
+# Fewest samples of a motion for its velocities and accelerations by a spline of degree five.
 _FEWEST_SAMPLES = 10
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Serial:
-    """The serial equivalent of a linkage, what it leaves out at the nodes of the table, and its errors along a motion."""
+    """The serial equivalent of a linkage, the quantities that it lacks at the table's nodes, and its errors."""
 
     model: SerialModel
     rest: dict[str, np.ndarray]
@@ -83,7 +83,7 @@ def motion_of_plan(plan: Plan, outputs: OutputMap) -> OutputMotion:
 
 
 def motion_of_samples(outputs: OutputMap, time_s: ArrayLike, position: ArrayLike) -> OutputMotion:
-    """Return the motion through output positions (n, n_o) [rad or m] at times (n,) [s], a spline of the fifth degree.
+    """Return the motion through output positions (n, n_o) [rad or m] at times (n,) [s], a spline of degree five.
 
     Raises:
         ProblemError: for other shapes, fewer than ten samples, or times that do not increase.
@@ -94,37 +94,36 @@ def motion_of_samples(outputs: OutputMap, time_s: ArrayLike, position: ArrayLike
     path = path[:, None] if path.ndim == 1 else path
     if time.ndim != 1 or path.shape != (len(time), len(outputs.joints)) or len(time) < _FEWEST_SAMPLES:
         raise ProblemError(
-            f"a motion has times (n,) and positions (n, {len(outputs.joints)}), n at least {_FEWEST_SAMPLES}; got"
+            f"a motion needs times (n,) and positions (n, {len(outputs.joints)}) with n of at least {_FEWEST_SAMPLES}, got"
             f" {time.shape} and {path.shape}"
         )
     if not (np.isfinite(time).all() and np.isfinite(path).all() and np.all(np.diff(time) > 0)):
-        raise ProblemError("a motion's times increase, and all its numbers are finite")
+        raise ProblemError("a motion's times must increase, and all its numbers must be finite")
     spline = scipy.interpolate.make_interp_spline(time, path, k=5)
     velocity, acceleration = (spline.derivative(k)(time) for k in (1, 2))
     return OutputMotion(time_s=time, position=path, velocity=velocity, acceleration=acceleration)
 
 
 def left_out(serial: Serial) -> list[str]:
-    """Return sentences on what the serial equivalent alone leaves out."""
+    """Return sentences on the properties that the serial equivalent without its table ignores."""
     model, names = serial.model, [joint.name for joint in serial.model.outputs.joints]
     lost = ", ".join(model.removed)
     found = [
         f"the joints {lost} are welded at home: their bodies do not move with {', '.join(names)} and touch nothing",
         "armature and damping are those at home; their change over the range is in the columns *_rest",
         "the Coriolis and centrifugal efforts of the linkage, and its weight and springs away from home, are in *_rest too",
-        "each motor's limits are the box at home; the efforts that the motors give together are a polytope inside it",
+        "each motor's limits are those of the box at home; the motors together can only produce efforts in a polytope"
+        " inside it",
     ]
     if model.rubbing:
-        found.append(
-            "dry friction is that at home of a joint that slides alone; columns friction_rate give it in any motion"
-        )
+        found.append("dry friction is that of each joint moving alone at home; columns friction_rate give it in any motion")
     if len(names) > 1:
         found.append("the linkage's coupling of the joints' accelerations (inertia off the diagonal) is in inertia_rest")
     return found
 
 
 def serial_blocks(serial: Serial | None, note: str) -> list[Block]:
-    """Return the serial equivalent as blocks: what its joints carry, what it leaves out, and its errors along a motion."""
+    """Return the serial equivalent as blocks: its joints' properties, what it ignores, and its errors along a motion."""
     if serial is None:
         return [Text(text=note, tone="note")]
     model = serial.model
@@ -135,7 +134,7 @@ def serial_blocks(serial: Serial | None, note: str) -> list[Block]:
         )
     ]
     heads = ["joint", "unit of effort", "armature", "damping", "dry friction", "least effort", "largest effort"]
-    blocks: list[Block] = [table_of("Serial equivalent: what the joints carry in place of the linkage", heads, rows)]
+    blocks: list[Block] = [table_of("Serial equivalent: the joints' properties that replace the linkage", heads, rows)]
     blocks += [Text(text=f"left out: {text}", tone="note") for text in left_out(serial)]
     return blocks if serial.errors is None else [*blocks, *error_blocks(serial)]
 

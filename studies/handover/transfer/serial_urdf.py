@@ -1,8 +1,8 @@
-"""The serial equivalent as URDF, with <transmission> elements where the linkage has a constant ratio.
+"""The serial equivalent as URDF, with <transmission> elements if the linkage has a constant ratio.
 
-A URDF is a tree of links with joints of one axis. It has no armature, no springs and no coupled limits, and a transmission
-of one joint (SimpleTransmission) carries one number: motor position = reduction (joint position - offset). What it cannot
-express stands as a comment in the file and in the record; the tables have it.
+A URDF is a tree of links with joints of one axis, without armature, springs and coupled limits. A transmission of one joint
+(SimpleTransmission) has one ratio: motor position = reduction (joint position - offset). Comments in the file and the record
+state what a URDF cannot express; the tables contain it.
 """
 
 import itertools
@@ -18,7 +18,7 @@ from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.passive import is_gas_spring
 from linkplan.studies.handover.transfer.study import Transfer
 
-# A ratio that changes by less than this share over the table is constant: what changes is rounding.
+# A ratio that changes by less than this share over the table is constant except for rounding.
 _CONSTANT_SHARE = 1e-6
 _KINDS = {
     mujoco.mjtJoint.mjJNT_HINGE: "revolute",
@@ -26,14 +26,14 @@ _KINDS = {
     mujoco.mjtJoint.mjJNT_FREE: "floating",
 }
 _INTERFACE = "hardware_interface/EffortJointInterface"
-# Where a speed is unknown: the format requires one, and zero would lock the joint in some programs.
+# The speed limit if it is unknown: the format requires one, and zero would lock the joint in some programs.
 _UNKNOWN_SPEED = "1000"
 
 
 def reductions(transfer: Transfer) -> list[tuple[int, float, float]]:
-    """Return the joints' motors: their place among the motors, reduction and offset [rad or m], if the ratios are constant.
+    """Return the joints' motors (index, reduction and offset [rad or m]), if the ratios are constant.
 
-    Empty where G changes over the table, is not square, or couples the joints.
+    The result is empty if G changes over the table, is not square, or couples the joints.
     """
     table = transfer.table
     ratio = table.grid.values["ratio"][table.known]  # (n, n_m, n_o)
@@ -55,14 +55,14 @@ def reductions(transfer: Transfer) -> list[tuple[int, float, float]]:
 
 
 def urdf_notes(transfer: Transfer) -> list[str]:
-    """Return sentences on what the URDF of a serial equivalent lacks beside the MJCF."""
+    """Return sentences on what the URDF of a serial equivalent lacks compared with the MJCF."""
     serial, table = transfer.serial, transfer.table
     model, joints = serial.model.mechanism.model, transfer.outputs.joints
     if _has_ball(model):
         return ["there is none: a URDF has no ball joint"]
     carried = [f"{one.name} {x:.6g} {one.inertia_unit}" for one, x in zip(joints, serial.model.armature, strict=True)]
     armature = ", ".join(carried)
-    found = [f"a URDF has no armature: give the joints {armature} where the simulator takes it"]
+    found = [f"a URDF has no armature: set the joints' armature to {armature} in the simulator"]
     if not reductions(transfer):
         ratio = table.grid.values["ratio"][table.known]
         span = np.ptp(ratio, axis=0).max() / np.abs(ratio).max()
@@ -71,7 +71,7 @@ def urdf_notes(transfer: Transfer) -> list[str]:
             f"no <transmission>, which has one constant ratio: {why}; transmission.hpp and the tables have the ratio"
         )
     if transfer.motor_speed is None or not np.isfinite(_speeds(transfer)).all():
-        found.append(f"speed limits are {_UNKNOWN_SPEED} where no speeds of the motors are given")
+        found.append(f"speed limits are {_UNKNOWN_SPEED} if the motors' speeds are not given")
     lacking = {
         "springs of joints": bool(np.any(model.jnt_stiffness)),
         "gas springs": any(is_gas_spring(model, a) for a in range(model.nactuator)),
@@ -85,7 +85,7 @@ def urdf_notes(transfer: Transfer) -> list[str]:
 
 
 def urdf_text(transfer: Transfer) -> str | None:
-    """Return the serial equivalent as URDF, or None where it has a ball joint, which no URDF has."""
+    """Return the serial equivalent as URDF; None if it has a ball joint, which a URDF cannot have."""
     serial: SerialModel = transfer.serial.model
     model = serial.mechanism.model
     if _has_ball(model):
@@ -146,7 +146,7 @@ def _speeds(transfer: Transfer) -> np.ndarray:
 
 
 def _limits(transfer: Transfer) -> dict[str, tuple[float, float]]:
-    """Return effort and speed of joints by name: of the output joints, and of others that have a motor."""
+    """Return the effort and speed limits by name of the output joints and of other joints with a motor."""
     mechanism = transfer.serial.model.mechanism
     speeds = {one.name: v for one, v in zip(transfer.outputs.joints, _speeds(transfer).tolist(), strict=True)}
     found = {}
@@ -211,7 +211,7 @@ def _inertial(link: ET.Element, position: np.ndarray, turn: np.ndarray, mass: fl
 
 
 def _shape(model: mujoco.MjModel, geom: int) -> list[tuple[str, dict[str, str], float]] | None:
-    """Return a geom as shapes of URDF (tag, sizes, place along its axis), or None where URDF has none."""
+    """Return a geom as URDF shapes (tag, sizes, position along its axis); None if URDF has no such shape."""
     a, b, c = (float(x) for x in model.geom_size[geom])
     kind = mujoco.mjtGeom(model.geom_type[geom])
     if kind == mujoco.mjtGeom.mjGEOM_SPHERE:

@@ -1,4 +1,4 @@
-"""The study behind `linkplan transfer`: a mechanism in the coordinates of its output joints, and its transfer table."""
+"""The study of `linkplan transfer`: a mechanism in the coordinates of its output joints, and its transfer table."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -17,9 +17,9 @@ from linkplan.planner.search.planning import silent
 from linkplan.studies.handover.export.output_joints import with_outputs
 from linkplan.studies.handover.transfer.serial_study import Serial, motion_of_plan, serial_of
 
-# The sentence on the direction of the map, which stands in every result.
+# The sentence on the direction of the map, for every result.
 CONVENTION = "motor velocity = G joint velocity; joint effort = G^T motor effort; so motor power = joint power"
-# The gains that can be carried across: their words, and where they are known.
+# The gains that can be converted: their text, and the side on which they are given.
 GAINS = {
     "joint_kp": "stiffness of the joints",
     "joint_kd": "damping of the joints",
@@ -30,11 +30,11 @@ GAINS = {
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Transfer:
-    """A transfer table, the linkage at home, the motors' effort limits (n_m, 2), and what is carried across.
+    """A transfer table, the linkage at home, the motors' effort limits (n_m, 2), and the converted gains.
 
-    `motor_speed` are the motors' top speeds (n_m,) or None. `gains` have names of `GAINS`: those of joints (n_o,) go to the
-    motors, those of motors (n_m,) to the joints; all in SI.
-    `serial` is the serial equivalent; None if the linkage has none, with the reason in `serial_note`.
+    `motor_speed` are the motors' top speeds (n_m,) or None. `gains` have names of `GAINS`, in SI: gains of joints (n_o,) are
+    converted to the motors, gains of motors (n_m,) to the joints. `serial` is the serial equivalent; None if the linkage has
+    none, with the reason in `serial_note`.
     """
 
     table: TransferTable
@@ -57,7 +57,7 @@ class Transfer:
 
     @property
     def kept(self) -> bool:
-        """True if the table keeps the interpolation error that was asked for."""
+        """True if the table's interpolation error is within the tolerance."""
         return self.error <= self.table.tolerance
 
     @property
@@ -69,7 +69,10 @@ class Transfer:
         text = f"{motors} to {joints}: {size} nodes, interpolation error {self.error:.2g} of each quantity's largest size"
         if self.kept:
             return text
-        return f"{text}, above {self.table.tolerance:g} in the largest table: allow more, or a range without dead centres"
+        return (
+            f"{text}, above the tolerance of {self.table.tolerance:g} in the largest table: use a larger tolerance, or a"
+            " range without dead centres"
+        )
 
 
 def transfer_study(
@@ -94,8 +97,8 @@ def transfer_study(
         problem: gives effort limits and the motors' top speeds; by default the model's limits.
         motor_speeds: top speeds of the table's motors, in the actuators' units; one for all, or one each.
         gains: by their name in `GAINS`, in SI; one for all, or one each.
-        along: a plan of the same model, along whose motion the serial equivalent's errors are stated.
-        say: is told of the progress.
+        along: a plan of the same model; the serial equivalent's errors are computed along its motion.
+        say: called with lines on the progress.
 
     Raises:
         LinkplanError: if the joints cannot be the mechanism's coordinates, or a value is invalid.
@@ -133,7 +136,7 @@ def transfer_study(
 
 
 def carried_gains(transfer: Transfer, ratio: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the gains carried across G (n, n_m, n_o) by name: "motor_kp" (n, n_m, n_m), "joint_kp" (n, n_o, n_o), ..."""
+    """Return the gains converted by G (n, n_m, n_o), by name: "motor_kp" (n, n_m, n_m), "joint_kp" (n, n_o, n_o), ..."""
     found = {}
     for name, gains in transfer.gains.items():
         side, _, letter = name.partition("_")

@@ -34,12 +34,12 @@ def transfer_blocks(transfer: Transfer) -> list[Block]:
 
 
 def notes(transfer: Transfer) -> list[str]:
-    """Return remarks on what the table leaves out, a sentence each."""
+    """Return sentences on what the table omits."""
     table, outputs = transfer.table, transfer.outputs
     mechanism, found = outputs.mechanism, []
     off = int(np.sum(~table.known))
     if off:
-        found.append(f"{off} of {table.known.size} nodes are off the map; the column status says why")
+        found.append(f"{off} of {table.known.size} nodes are outside the map; the column status has the reason")
     if table.inverse is None:
         found.append(f"no table from motor to joint positions: {table.inverse_note}")
     for motor, position in table.dead_centres:
@@ -71,7 +71,7 @@ def _facts(transfer: Transfer) -> list[tuple[str, str]]:
         size = " x ".join(str(len(axis)) for axis in table.inverse.axes)
         error = table.inverse.errors["joint_position"]
         text = f"{size} nodes, error {error:.2g} of the largest position"
-        text += f", answers {100 * table.inverse.answered:.4g} % of {table.inverse.checked} reachable positions"
+        text += f", covers {100 * table.inverse.answered:.4g} % of {table.inverse.checked} reachable positions"
         rows.append(("table from motor to joint positions", text))
     for name, gains in carried_gains(transfer, transfer.home.ratio).items():
         said = [f"{'-'.join(one.names)} {one.values[0]:.5g} {one.unit}" for one in curves(transfer, name, gains)]
@@ -110,7 +110,7 @@ def _error_table(transfer: Transfer):
     grid = transfer.table.grid
     names = [*REFINED, "ratio_slope", "armature", "damping", "friction"]
     rows = [[name, grid.scale[name], grid.errors[name], grid.errors[name] * grid.scale[name]] for name in names]
-    heads = ["quantity", "largest size [SI]", "error, share of it", "error [SI]"]
+    heads = ["quantity", "largest size [SI]", "error, relative", "error [SI]"]
     return table_of(f"Error of linear interpolation, measured at {grid.checked} points between the nodes", heads, rows)
 
 

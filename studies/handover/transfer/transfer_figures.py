@@ -20,7 +20,7 @@ class TransferFigures(Struct, frozen=True, kw_only=True, eq=False):
     """A transfer table in numbers; positions in rad or m, everything in SI, as in the files of the table.
 
     `interpolation_error` is a share of each quantity's largest size, its `scale`. `ends` has the position, reason and margin
-    of both ends of each joint's range. `serial` has what the joints of the serial equivalent carry, what it leaves out, and
+    of both ends of each joint's range. `serial` has the joints' properties of the serial equivalent, what it ignores, and
     its errors along a motion; it and `serial_urdf` are None without a serial equivalent.
     """
 
@@ -114,7 +114,7 @@ def _error_figures(errors: SerialErrors, names: list[str]) -> dict[str, Any]:
 
 
 def _urdf_figures(transfer: Transfer) -> dict[str, Any]:
-    """Return the transmissions of the serial equivalent's URDF, and what it lacks."""
+    """Return the transmissions of the serial equivalent's URDF, and what the URDF lacks."""
     joints, motors = ([one.name for one in of] for of in (transfer.outputs.joints, transfer.outputs.actuators))
     found = [{"joint": name, "motor": motors[motor], "reduction": reduction, "offset": offset}
              for name, (motor, reduction, offset) in zip(joints, reductions(transfer), strict=False)]  # fmt: skip

@@ -23,7 +23,7 @@ def case_row(case: CaseSection, plan: Plan) -> list:
 
 
 def batch_report(rows: Sequence[list], failures: Sequence[str]) -> Report:
-    """Return the report of a batch: how many cases have plans, and the blocks of all."""
+    """Return the report of a batch: the number of cases with a plan, and the blocks of all cases."""
     sections = [Section(title="Cases", blocks=batch_blocks(rows, failures))]
     return report_of("Batch", f"{len(rows) - len(failures)} of {len(rows)} cases planned", not failures, sections)
 

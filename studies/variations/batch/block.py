@@ -22,8 +22,8 @@ from linkplan.planner.search.batch import plan_cases
 from linkplan.studies.variations.batch.batch_blocks import case_row
 from linkplan.studies.variations.tasks.streaming import blocks_of
 
-# A block is a sixteenth of the cases within these bounds. Short blocks spread over workers and are soon redone; long blocks
-# reuse more solutions.
+# A block is a sixteenth of the cases, within these bounds. Short blocks use more workers and are quickly repeated after an
+# interruption; long blocks reuse more solutions.
 _MIN_BLOCK_CASES, _MAX_BLOCK_CASES = 8, 64
 _FILES = ("plan.json", "trajectory.npz", "trajectory.csv", "trajectory.parquet")
 
@@ -80,7 +80,7 @@ def unpacked(path: Path, cases: Sequence[CaseSection], place: Path | None) -> li
         PlanFileError: if the file is damaged, belongs to other cases, or holds an invalid plan.
     """
     if not path.is_file():
-        raise PlanFileError(f"'{path}' is not a file; remove it, and the same command plans its cases again")
+        raise PlanFileError(f"'{path}' is not a file; remove it and run the same command again to plan its cases")
     try:
         answers = msgspec.msgpack.decode(path.read_bytes(), type=list[Planned])
         if [one.name for one in answers] != [case.name for case in cases]:
@@ -89,7 +89,9 @@ def unpacked(path: Path, cases: Sequence[CaseSection], place: Path | None) -> li
             _unpack(answer, place / answer.name)
     except (msgspec.MsgspecError, ValueError, PlanFileError) as error:
         why = one_line(error)
-        raise PlanFileError(f"'{path}' is damaged: {why}; remove it, and the same command plans its cases again") from error
+        raise PlanFileError(
+            f"'{path}' is damaged: {why}; remove it and run the same command again to plan its cases"
+        ) from error
     return answers
 
 

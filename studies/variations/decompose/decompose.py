@@ -31,7 +31,7 @@ from linkplan.studies.variations.decompose.decomposition import Decomposition, S
 from linkplan.studies.variations.decompose.ladder import CAUSES, run_ladder
 from linkplan.studies.variations.experiment.experiment import Settings, experiment_of, imperfections_asked
 
-# Machines that are simulated by default and at most, if something is random. For more, use an experiment.
+# Default and largest number of machines if something is random. For more machines, use an experiment.
 DEFAULT_SAMPLES, MOST_SAMPLES = 16, 1000
 
 

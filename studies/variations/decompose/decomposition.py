@@ -9,7 +9,7 @@ class Shares(Struct, frozen=True, kw_only=True):
     """The parts of one tracker's rms error, in the error's unit, by cause.
 
     The `parts` add up to `rms_error`, and so do the `parts_of_joints` over joints and causes. `rms_of_increment` are the rms
-    values of what each cause adds alone; `rms_error_on_rung` is the rms error after each cause is switched on.
+    values of each cause's increment; `rms_error_on_rung` is the rms error after each cause is switched on.
     """
 
     rms_error: float

@@ -42,7 +42,7 @@ def decomposition_blocks(found: Decomposition) -> list[Block]:
     blocks += decomposition_charts(found)
     blocks.append(Text(text="Each cause stays switched on. The parts add up to the rms error; a negative part reduces it."))
     left_out = [
-        f"{name}, {count} of {n} machines left out: {why}"
+        f"{name}, {count} of {n} machines omitted: {why}"
         for name, one in found.trackers.items()
         for why, count in one.failures.items()
     ]

@@ -1,7 +1,7 @@
 """The steps from the ideal to the real feedback loop: each switches on one more cause of error.
 
 The first steps simulate the rigid kinematic loop with accurately integrated reduced dynamics, the fourth the nominal machine
-in MuJoCo. The last three causes (`SWITCHES`) interact: a payload costs little until it meets an effort limit. All
+in MuJoCo. The last three causes (`SWITCHES`) interact: a payload causes little error until an effort limit is reached. All
 combinations of them are simulated, and the increment of each is its mean over all orders (Shapley, A Value for n-Person
 Games, 1953).
 """
@@ -47,8 +47,8 @@ class Ladder:
     """One tracker's errors on the steps, and the reasons for failed machines.
 
     `errors` (n_steps, t, n, n_s): s_ref - s [rad or m] after each cause is switched on, in the order of `CAUSES`.
-    `increments` (n_steps, t, n, n_s) add up to the last of them: what each cause adds, those of `SWITCHES` in the mean over
-    their orders.
+    `increments` (n_steps, t, n, n_s), one for each cause, add up to the last error; those of `SWITCHES` are means over their
+    orders.
     """
 
     tracker: str
@@ -125,7 +125,7 @@ def _combinations(
 
 
 def _failures(runs: Sequence[tuple[str, "_Found"]], n: int) -> tuple[str | None, ...]:
-    """Return the first reason for which each machine (n,) was lost, with what was switched on then, or None."""
+    """Return the first reason for which each machine (n,) was lost, with the cause switched on at that step, or None."""
     failure: list[str | None] = [None] * n
     for words, (_, failed) in runs:
         for i in range(n):
@@ -136,7 +136,7 @@ def _failures(runs: Sequence[tuple[str, "_Found"]], n: int) -> tuple[str | None,
 
 
 def _mean_increment(name: str, acting: Sequence[str], ran: Mapping[frozenset[str], "_Found"]) -> np.ndarray | float:
-    """Return what a cause adds (t, n or 1, n_s), in the mean over all orders of the acting causes; 0 if it does not act."""
+    """Return a cause's increment (t, n or 1, n_s), the mean over all orders of the acting causes; 0 if it does not act."""
     total: np.ndarray | float = 0.0
     for names in ran:
         if name in acting and name not in names:
@@ -195,7 +195,7 @@ def _rebuilt(experiment: Experiment, asked: TrackerLike, reference: SampledRefer
     if not isinstance(asked, str) and not isinstance(asked, type) and callable(getattr(asked, "effort", None)):
         raise ProblemError(
             "a decomposition also runs at a shorter control period: give a tracker's name, or a function of the sampled"
-            f" reference that returns a law; got a law of one reference, {asked!r}"
+            f" reference that returns a law, instead of a law for one reference; got {asked!r}"
         )
     return build_tracker(asked, experiment.plan, reference)
 

@@ -15,8 +15,8 @@ from linkplan.studies.variations.experiment.laws import law_of
 from linkplan.studies.variations.experiment.metrics import measured, metrics_of
 from linkplan.studies.variations.tasks.streaming import blocks_of
 
-# A worker computes one block at a time, and an interruption loses at most one block. The most samples of a block, and the
-# simulator steps that it has about: some ten seconds.
+# A worker computes one block at a time, and an interruption loses at most one block. The largest number of samples of a
+# block, and its approximate number of simulator steps, which take about ten seconds.
 BLOCK_SAMPLES, BLOCK_STEPS = 128, 2_000_000
 # Largest log of simulations that are stepped together; results do not depend on their number.
 _MAX_LOG_BYTES = 256 << 20
@@ -86,5 +86,5 @@ def replay(experiment: Experiment, tracker: str, sample: int) -> tuple[Rollout, 
         **measured(ensemble, 0, experiment),
     }
     run = rollout_of(plant, ensemble, reference)
-    # Closure gaps computed from the mechanism's model would be wrong for a machine with other link lengths.
+    # The mechanism's model would give wrong closure gaps for a machine with other link lengths.
     return replace(run, gap_m=np.full(len(run.time_s), ensemble.gap_m[0])), record

@@ -55,7 +55,7 @@ def conduct(
     """
     if not (folder / PLAN).is_dir():
         made = plan()
-        experiment_of(made, settings)  # what is refused leaves no folder
+        experiment_of(made, settings)  # checked first, so that a refused experiment leaves no folder
         write_whole(folder / PLAN, lambda place: write_plan(made, place))
     folder = folder.resolve()
     written = _hash_of(folder / PLAN)
@@ -163,7 +163,7 @@ def _wrong_value(results: Mapping[str, np.ndarray], experiment: Experiment, samp
     ]
     for name in metrics_of(experiment.plan.problem.mechanism):
         values = results[name]
-        is_needed = "_error_" in name  # a completed run has all errors, but may lack other metrics
+        is_needed = "_error_" in name  # a completed run has all errors but may lack other metrics
         legal = (values >= 0) | (name == "energy_j") | (np.isnan(values) & ~(ran & is_needed))
         checks.append((name, legal, "a number of at least 0" if is_needed else "0, more, or none"))
     for name, values in experiment.varied_values().items():

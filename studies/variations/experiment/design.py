@@ -30,9 +30,9 @@ def machines_by_design(
 
     Fixed factors are the same in every sample. In a Latin hypercube, each factor's range is divided into intervals of equal
     probability, and each interval has one sample (McKay, Beckman and Conover, Technometrics 21, 1979). The samples are
-    `N_HYPERCUBES` independent hypercubes, whose means tell how certain the mean of all is (Iman & Conover, Communications in
-    Statistics A 9, 1980). A grid has `levels` values of each factor, even from end to end of its range: the central 95 % of
-    a normal distribution.
+    `N_HYPERCUBES` independent hypercubes, whose means give the uncertainty of the overall mean (Iman & Conover,
+    Communications in Statistics A 9, 1980). A grid has `levels` values of each factor, evenly spaced over its range, for a
+    normal distribution over its central 95 %.
 
     Raises:
         ProblemError: for more than `MOST_SAMPLES`, or too few for a sensitivity design.

@@ -9,14 +9,14 @@ from linkplan.studies.output.lines import overlaid_width, tracker_colour
 from linkplan.studies.output.numbers import rounded
 from linkplan.studies.variations.experiment.metrics import Metric
 
-# The first words of the metrics in the figure, in this order; a page folds the distributions of the others.
+# The first words of the metrics in the figure, in this order; on a page the distributions of the others are collapsed.
 SHOWN = ("rms_error", "max_error", "final_error", "peak_effort", "chatter", "saturated_share")
 
 
 def distributions(
     results: Mapping[str, np.ndarray], trackers: Sequence[str], names: Sequence[str], metrics: Mapping[str, Metric]
 ) -> list[Plot]:
-    """Return the distributions of metrics; that of a metric with one value on all machines is left out."""
+    """Return the distributions of metrics, without metrics that have the same value on all machines."""
     found = [_distribution(results, trackers, name, metrics[name]) for name in names]
     return [plot for plot in found if plot is not None]
 

@@ -179,13 +179,13 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     trajectory, tracking = plan.trajectory, problem.tracking
     ends = not trajectory.periodic
     if tracking.duration_s is None and ends:
-        tracking = tracking.replace(duration_s=1.25 * trajectory.duration_s)  # so that errors can settle
+        tracking = tracking.replace(duration_s=1.25 * trajectory.duration_s)  # errors settle while the goal is held
     reference = tracking_reference(replace(plan, problem=replace(problem, tracking=tracking)))
     loop = control_loop(problem)
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
-    passive = ~mechanism.actuated  # uncontrollable
+    passive = ~mechanism.actuated  # joints that cannot be controlled
     middle = np.median(values, axis=0)
-    plant(mechanism, reference, loop, machine_of(section, middle, mechanism, (0,)), 1)  # raises errors early
+    plant(mechanism, reference, loop, machine_of(section, middle, mechanism, (0,)), 1)  # raises errors before the run
     _refuse_late_push(section, values, float(reference.time_s[-1]))
     return Experiment(
         plan=plan,
@@ -223,9 +223,9 @@ def fall_note(experiment: Experiment) -> str | None:
         if not least <= effort <= most:
             unit, limit = actuator.unit, abs(least if effort < least else most)
             return (
-                f"from {end_s:.4g} s on the goal is held, which needs {abs(effort):.3g} {unit} of {actuator.name}, limit"
-                f" {limit:.3g}: with any tracker the mechanism falls from there; tracking.duration_s = {end_s:.4g} ends the"
-                " run before"
+                f"holding the goal from {end_s:.4g} s on needs {abs(effort):.3g} {unit} of {actuator.name}, limit"
+                f" {limit:.3g}: the mechanism falls then with any tracker; tracking.duration_s = {end_s:.4g} ends the run"
+                " before"
             )
     return None
 

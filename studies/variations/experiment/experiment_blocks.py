@@ -70,7 +70,7 @@ def _facts(outcome: ExperimentOutcome) -> Facts:
     rows = [
         ("machines", f"{experiment.n}, the same for every tracker"),
         ("design", f"{settings.design}, seed {settings.seed}"),
-        ("success", f"within {tube_text(experiment)} of the path all the way"),
+        ("success", f"always within {tube_text(experiment)} of the path"),
         ("simulated", f"{reference.period_s * reference.n:.4g} s each, control period {reference.period_s:g} s"),
     ]
     return Facts(rows=rows)
@@ -121,7 +121,10 @@ def pairs(outcome: ExperimentOutcome) -> list[Table]:
         [p.first, p.second, estimated(p.difference), 100 * p.wins.value, _interval(p.wins), _decided(p)]
         for p in outcome.pairs
     ]
-    title = f"Sample by sample, by the {metric.text}: the mean difference, and the share of machines that the first wins"
+    title = (
+        f"Comparison of the {metric.text} sample by sample: mean difference, and share of machines on which the first is"
+        " better"
+    )
     return [table_of(title, [*heads, "the better one"], rows, digits=3)]
 
 
@@ -149,4 +152,4 @@ def worst(outcome: ExperimentOutcome) -> Table:
             cells = [float(results[largest][row]), bool(results["success"][row]), results["failure"][row]]
             rows.append([tracker, sample, *cells])
     heads = ["tracker", "sample", ("largest error", outcome.metrics[largest].unit), "success", "failed"]
-    return table_of("Each tracker's worst machines: failed, or else of the largest error", heads, rows)
+    return table_of("Each tracker's worst machines: failed ones, then those with the largest error", heads, rows)

@@ -31,9 +31,9 @@ def experiment_sections(outcome: ExperimentOutcome, again: Again | None) -> list
         return list(distributions(outcome.population, experiment.settings.trackers, names, metrics))
 
     found = [Section(title=f"Experiment: {experiment.plan.problem.name}", blocks=summary(outcome))]
-    if outcome.distributed:  # else the machines do not have the distributions of the imperfections
+    if outcome.distributed:  # otherwise the machines are not distributed like the imperfections
         found += section("Trackers in pairs", pairs(outcome))
-        found += section("How the figures are distributed", distributed(drawn))
+        found += section("Distributions of the main figures", distributed(drawn))
         found += section("Distributions of the other figures", distributed(others), folded=True)
     found += section("Which imperfection matters most", sensitivity(outcome))
     if outcome.distributed:
@@ -82,7 +82,7 @@ def experiment_report(outcome: ExperimentOutcome, again: Again | None = None) ->
     shares = ", ".join(f"{name} {100 * one.success.value:.3g} %" for name, one in outcome.trackers.items())
     verdict = f"success on {outcome.samples} machines within {tube_text(outcome.experiment)}: {shares}"
     if not outcome.distributed:
-        verdict = f"what matters most for the rms error: {_foremost(outcome)}"
+        verdict = f"largest influence on the rms error: {_foremost(outcome)}"
     sections = [*experiment_sections(outcome, again), *plan_sections(plan)]
     title = f"Trackers of {plan.problem.name} on many machines"
     return report_of(title, verdict, None if best.success.value > 0 or not outcome.distributed else False, sections)

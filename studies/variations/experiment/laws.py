@@ -73,7 +73,8 @@ def unbatched_notes(experiment: Experiment) -> list[str]:
     """Return a line for each user's tracker without batches; refuse trackers that cannot be built."""
     laws = {name: law_of(name, experiment) for name in experiment.settings.trackers if name not in TRACKERS}
     return [
-        f"{name} is evaluated for one state after the other: it has neither batched = True nor start and step"
+        f"{name} is evaluated for one state at a time, which is slower, because it has neither batched = True nor start and"
+        " step"
         for name, law in laws.items()
         if isinstance(law, OneByOne)
     ]

@@ -39,7 +39,7 @@ def metrics_of(mechanism: Mechanism) -> Mapping[str, Metric]:
     }
 
 
-@np.errstate(over="ignore", invalid="ignore")  # the square of a large effort
+@np.errstate(over="ignore", invalid="ignore")  # overflow of the square of a large effort
 def measured(ensemble: Ensemble, i: int, experiment: Experiment) -> dict:
     """Return success, failure and the metrics of simulation i by name; NaN if it was frozen, or if a metric does not apply.
 

@@ -20,8 +20,8 @@ _SUCCESS = Metric(text="share of successes", unit="1", better="more")
 # The definition of importance in each design.
 MEASURES = {
     ONE_AT_A_TIME: "change between the ends of the range, all else in the middle",
-    MORRIS: "mean size of the change across the range (Morris' mu*)",
-    SOBOL: "share of the variance that it has a part in, by itself or with others (total Sobol index)",
+    MORRIS: "mean absolute change across the range (Morris' mu*)",
+    SOBOL: "share of the variance that involves it, alone or with others (total Sobol index)",
 }
 
 
@@ -51,7 +51,7 @@ class MetricInfluence(Struct, frozen=True, kw_only=True, eq=False):
 class Sensitivity(Struct, frozen=True, kw_only=True, eq=False):
     """Influences by tracker and metric, from `groups` of `group_size` machines each.
 
-    `metrics` have text and unit, also of importances: the metric's unit, or 1 for Sobol's shares.
+    `metrics` have the text and the unit of each metric and the unit of its importances (1 for Sobol's shares).
     """
 
     design: str

@@ -1,4 +1,4 @@
-"""A sensitivity as a document: tables and bar charts of what each tracker's figures owe to each imperfection."""
+"""A sensitivity as a document: tables and bar charts of the influence of each imperfection on each tracker's figures."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -37,7 +37,10 @@ def sensitivity_blocks(name: str, study: Sensitivity, seed: int) -> list[Block]:
         blocks += [_importances(study, metric, shown), *sensitivity_charts(study, metric)]
     hidden = len(study.imperfections) - len(shown)
     if hidden:
-        text = f"{hidden} more matter{'s' if hidden == 1 else ''} less for every tracker; the record has them"
+        text = (
+            f"{hidden} more {'has' if hidden == 1 else 'have'} less influence on every tracker; the record has"
+            f" {'it' if hidden == 1 else 'them'}"
+        )
         blocks.append(Text(text=text))
     said = {metric: [_most_important(one[metric], shown) for one in study.trackers.values()] for metric in study.metrics}
     rows = [[metric, *cells] for metric, cells in said.items() if any(cells)]
@@ -59,7 +62,7 @@ def tornado_figure(name: str, study: Sensitivity, metric: str) -> FigureSpec:
     """Return the figure of the imperfections' influences on a metric of a plan's runs."""
     charts, machines = sensitivity_charts(study, metric), study.groups * study.group_size
     text = study.metrics[metric]["text"]
-    title = f"{name}: what the {text} owes to each imperfection ({study.design}, {machines} machines)"
+    title = f"{name}: influence of each imperfection on the {text} ({study.design}, {machines} machines)"
     height_in = 1.4 + 0.33 * len(charts[0].rows)
     return FigureSpec(panels=charts, title=title, columns=2, panel_in=(6.5, height_in))
 
@@ -69,7 +72,7 @@ def sensitivity_charts(study: Sensitivity, metric: str) -> list[Bars]:
     found = []
     for tracker, by_metric in study.trackers.items():
         axis, rows, line = _CHARTS[study.design](study, metric, by_metric[metric], _foremost(study, metric))
-        title = f"{tracker}: what the {study.metrics[metric]['text']} owes to each imperfection"
+        title = f"{tracker}: influence of each imperfection on the {study.metrics[metric]['text']}"
         name = "" if line == 0 else f"all in the middle, {_text(line)}"
         beside = "total" if study.design == SOBOL else f"change [{axis.unit}]"
         found.append(Bars(title=title, axis=axis, rows=rows, line=line, line_name=name, note_name=beside))
@@ -101,7 +104,7 @@ def _importance(effects: Mapping, label: str) -> str | None:
     """Return an importance as text, with the decimals that give the tracker's largest importance two significant digits."""
     effect = effects[label]
     if effect["importance"] is None:
-        return "lost at an end" if None in (effect.get("at_low", 0), effect.get("at_high", 0)) else None
+        return "failed at an end" if None in (effect.get("at_low", 0), effect.get("at_high", 0)) else None
     largest = max(one["importance"] for one in effects.values() if one["importance"] is not None)
     digits = max(0, 1 - math.floor(math.log10(largest))) if largest > 0 else 0
     if digits > 6:
@@ -126,8 +129,8 @@ def _left_out(study: Sensitivity) -> list[Text]:
     for tracker, by_metric in study.trackers.items():
         if by_metric[main].left_out:
             text = (
-                f"{tracker}: {by_metric[main].left_out} of {study.groups} groups are left out of the errors, because"
-                " it failed on one of their machines; the figure 'success' shows the causes of failures"
+                f"{tracker}: {by_metric[main].left_out} of {study.groups} groups are omitted from the errors, because it"
+                " failed on one of their machines; the influences on 'success' show the causes of failures"
             )
             notes.append(Text(text=text, tone="note"))
     return notes
@@ -152,7 +155,7 @@ def _ends(study: Sensitivity, metric: str, found: MetricInfluence, shown: list[s
             for name, value, colour in ends
             if value is not None
         ]
-        lost = [f"lost at the {name} end" for name, value, _ in ends if value is None]
+        lost = [f"failed at the {name} end" for name, value, _ in ends if value is None]
         rows.append(Bar(label=_named(study, label), spans=spans, note=", ".join(lost) or _text(effect["importance"])))
     text = study.metrics[metric]
     return Axis(label=text["text"], unit=text["metric_unit"]), rows, middle
@@ -168,7 +171,7 @@ def _effects(study: Sensitivity, metric: str, found: MetricInfluence, shown: lis
             rows.append(Bar(label=_named(study, label), spans=[], note="unknown"))
             continue
         spans = [
-            Span(name="raises it, from the low to the high end", start=0.0, end=(size + mean) / 2, colour=RAISING_COLOUR),
+            Span(name="increases it, from the low to the high end", start=0.0, end=(size + mean) / 2, colour=RAISING_COLOUR),
             Span(name="lowers it", start=0.0, end=-(size - mean) / 2, colour=LOWERING_COLOUR),
         ]
         rows.append(Bar(label=_named(study, label), spans=spans, note=_with_interval(effect)))

@@ -38,7 +38,7 @@ class Estimate(Struct, frozen=True, kw_only=True):
 _NO_ESTIMATE = Estimate(value=np.nan, interval95=(np.nan, np.nan), n=0)
 
 
-@np.errstate(over="ignore", invalid="ignore")  # diverging loops have huge efforts, and an infinite interval
+@np.errstate(over="ignore", invalid="ignore")  # the huge efforts of diverging loops overflow, and the interval is infinite
 def mean_of(values: np.ndarray, replicate: np.ndarray | None = None) -> Estimate:
     """Return the mean of the finite values among (n,).
 
@@ -74,7 +74,7 @@ def share_of(hits: int, n: int) -> Estimate:
 class Pair(Struct, frozen=True, kw_only=True):
     """Two trackers on the same samples: the mean of first minus second, and the share of samples won by the first.
 
-    A tracker that failed on a sample loses it. Samples on which both failed, and ties, count for neither.
+    A tracker that failed on a sample loses it. Ties and samples on which both failed count for neither.
     """
 
     first: str

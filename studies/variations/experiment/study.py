@@ -109,7 +109,7 @@ def run_experiment(
         PlanFileError: if the folder holds something else, or cannot be written.
         LinkplanError: for a plan that cannot be simulated.
     """
-    load_extra("pyarrow.parquet", "experiment")  # refused before anything is planned
+    load_extra("pyarrow.parquet", "experiment")  # errors are raised before anything is planned
     objects = own or {}
     sources = {name: source_hash(name) for name in settings.trackers if name not in TRACKERS and name not in objects}
     written = {name: object_hash(given) for name, given in objects.items()}
@@ -236,5 +236,5 @@ def read_asked(folder: Path) -> AskedRecord:
         raise PlanFileError(f"'{folder}' holds no experiment: it has no {RECORD}")
     try:
         return read_record(path, ExperimentRecord).asked
-    except ProblemError as error:  # an invalid setting
+    except ProblemError as error:  # for example an invalid setting
         raise PlanFileError(f"'{path}' is not a record that linkplan wrote: {error}") from error

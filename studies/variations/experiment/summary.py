@@ -10,7 +10,7 @@ from linkplan.studies.variations.experiment.experiment import Experiment
 from linkplan.studies.variations.experiment.metrics import Metric
 from linkplan.studies.variations.experiment.statistics import Estimate, Pair, mean_of, pair_of, share_of
 
-# A tracker whose effort varies in total by more than this multiple of the plan's, and once between its limits, chatters.
+# A tracker chatters if its effort's total variation exceeds this multiple of the plan's, and the range of its limits.
 CHATTER_FACTOR = 5.0
 
 
@@ -75,14 +75,14 @@ def summarise(
 
 
 def chatter_notes(experiment: Experiment, summary: Summary) -> list[str]:
-    """Return a sentence on each tracker whose effort varies much more in total than the plan's own."""
+    """Return a sentence on each tracker whose effort has a much larger total variation than the plan's."""
     reference, limit = experiment.reference, experiment.loop.effort_limit
     planned = float(np.abs(np.diff(reference.effort, axis=0)).sum())
     span = float(np.sum(np.where(np.isfinite(limit), np.abs(limit), 0.0)))
     unit = summary.metrics["chatter"].unit
     return [
-        f"{name} chatters: its effort varies by {varied:.3g} {unit} in total, the plan's by {planned:.3g}; its gains are"
-        " too high for this period, delay and encoder"
+        f"{name} chatters: the total variation of its effort is {varied:.3g} {unit}, that of the plan {planned:.3g}; its"
+        " gains are too high for this period, delay and encoder"
         for name, one in summary.trackers.items()
         if (varied := one.means["chatter"].value) > CHATTER_FACTOR * planned + span
     ]

@@ -36,8 +36,8 @@ class Influence:
     `parts` are arrays (d,) that depend on the design. One at a time: the figure "at_low" and "at_high". Morris: the "mean"
     of the signed elementary effects and their standard deviation "spread". Sobol: the "first_order" index and the half
     width of its interval. `middle` is the figure in the middle of all ranges, or the mean of the independent trials.
-    `left_out` of the `groups` groups had no figure. An importance is infinite if a trial at an end of the range has no
-    figure, and NaN if there are too few groups.
+    `left_out` is the number of the `groups` groups without a figure. An importance is infinite if a trial at an end of the
+    range has no figure, and NaN if there are too few groups.
     """
 
     importance: np.ndarray
@@ -108,7 +108,7 @@ def _one_at_a_time(scheme: SamplingScheme, whole: np.ndarray, kept: np.ndarray, 
 
 def _morris(scheme: SamplingScheme, whole: np.ndarray, kept: np.ndarray, seed: int) -> _Found:
     points = scheme.points
-    if scheme.noisy:  # the column of the noise marks where the draw changes
+    if scheme.noisy:  # the column of the noise marks the steps in which the draw changes
         changed = scheme.draws.reshape(scheme.n_groups, scheme.size)
         points = np.column_stack([points, (changed != changed[:, :1]).ravel().astype(float)])
     rows = np.repeat(kept, scheme.size)
@@ -123,7 +123,7 @@ def _morris(scheme: SamplingScheme, whole: np.ndarray, kept: np.ndarray, seed: i
     )
     names = ("mu_star", "mu_star_conf", "mu", "sigma")
     importance, half, mean, spread = (np.array(found[name], dtype=float) for name in names)
-    if scheme.noisy:  # the effect of another draw, not scaled to a range, and without a sign
+    if scheme.noisy:  # the effect of another draw has no sign and is not scaled to a range
         step = MORRIS_LEVELS / (2.0 * (MORRIS_LEVELS - 1))
         for array in (importance, half, spread):
             array[-1] *= step

@@ -1,8 +1,8 @@
 """Designs of trials for a sensitivity analysis: one at a time, Morris' trajectories, and Sobol's matrices.
 
 The trials form groups that are evaluated together: one draw of the noise, one trajectory, or one pair of independent points.
-Noise, if there is any, is the last factor. Within a group, the noise changes in its own step only. Therefore the change in
-another factor's step is not due to the noise.
+Noise, if there is any, is the last factor. Within a group, the noise changes only in its own step, so the change in another
+factor's step is not due to noise.
 """
 
 from dataclasses import dataclass
@@ -58,8 +58,8 @@ class SamplingScheme:
 def scheme_of(design: str, n_factors: int, noisy: bool, samples: int, seed: int) -> SamplingScheme:
     """Return the scheme of a design with as many whole groups as fit into a number of samples.
 
-    One at a time without noise always has one group: the middle and both ends of each factor. Sobol's design has a power of
-    two of groups, because its sequence is balanced then.
+    One at a time without noise always has one group: the middle and both ends of each factor. The number of groups of
+    Sobol's design is a power of two, for which its sequence is balanced.
 
     Raises:
         ProblemError: if there is no factor, or too few samples for enough groups.
@@ -74,7 +74,7 @@ def scheme_of(design: str, n_factors: int, noisy: bool, samples: int, seed: int)
         groups = 1
     elif groups < (least := _MIN_GROUPS[design]):
         raise ProblemError(
-            f"the design '{design}' of {d} imperfections takes at least {least * size} samples, {least} groups of {size};"
+            f"the design '{design}' of {d} imperfections needs at least {least * size} samples, {least} groups of {size};"
             f" got {samples}"
         )
     if design == SOBOL:

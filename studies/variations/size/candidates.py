@@ -17,11 +17,11 @@ from linkplan.planner.problem.keys.reading import read
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import to_toml_types
 
-_LEGAL = "a list of motors is a TOML file with [[motor]] tables, or a CSV file with a column for each key of a motor"
+_LEGAL = "a list of motors must be a TOML file with [[motor]] tables, or a CSV file with a column for each key of a motor"
 
 
 def read_motors(path: Path) -> list[CandidateMotor]:
-    """Return the motors in a TOML file, or in a CSV file with a motor in a row.
+    """Return the motors in a TOML file, or in a CSV file with one motor per row.
 
     Raises:
         ProblemError: if it cannot be read, or has an invalid value.
@@ -43,21 +43,21 @@ def motors_from(tables: Mapping[str, object]) -> list[CandidateMotor]:
     """Return the motors in the tables of a file.
 
     Raises:
-        ProblemError: for an invalid value, a motor without a peak effort, or two motors of one name.
+        ProblemError: for an invalid value, a motor without a peak effort, or two motors with the same name.
     """
     tables = to_toml_types(tables)
     listed = tables.get("motor")
     for k, one in enumerate(listed if isinstance(listed, list) else []):
         if not isinstance(one, dict):
-            raise ProblemError(f"motor[{k}] is a table ([[motor]]), got {shown(repr(one), 60)}")
+            raise ProblemError(f"motor[{k}] must be a table ([[motor]]), got {shown(repr(one), 60)}")
         named = isinstance(one.get("name"), str)
         found = read(CandidateMotor, one, f"motor.{one['name'][:99]}" if named else f"motor[{k}]")
         if found.peak_effort is None and found.stall_effort is None:
-            raise ProblemError(f"motor '{found.name}' has a peak_effort or a stall_effort; got neither")
+            raise ProblemError(f"motor '{found.name}' needs a peak_effort or a stall_effort; got neither")
     motors = read(MotorsFile, tables, "").motor
     twice = [name for name, count in Counter(one.name for one in motors).items() if count > 1]
     if twice:
-        raise ProblemError(f"motors must have different names, and list gears in `gears`; twice: {', '.join(twice)}")
+        raise ProblemError(f"motors must have different names (use `gears` for several gears); repeated: {', '.join(twice)}")
     return motors
 
 
@@ -75,7 +75,7 @@ def _rows(path: Path, what: str) -> list[dict[str, object]]:
 
 
 def _value(key: str, cell: str) -> object:
-    """Return a cell as a number, or for `gears` as numbers; what is neither stays a text, which is refused with its key."""
+    """Return a cell as a number, or for `gears` as numbers; other text stays unchanged and is refused later."""
     try:
         return cell if key == "name" else [float(one) for one in cell.split()] if key == "gears" else float(cell)
     except ValueError:
@@ -83,20 +83,20 @@ def _value(key: str, cell: str) -> object:
 
 
 def actuator_of(problem: Problem, asked: str | None) -> int:
-    """Return the index of the actuator that gets the motors: the one asked for, or the only one.
+    """Return the index of the actuator to size: the given one, or the only one.
 
     Raises:
-        ProblemError: for an unknown name, for several actuators of which none is asked for, or for a servo with a range of
-            ctrl, which another motor would not have.
+        ProblemError: for an unknown name, for several actuators without a name, or for a servo with a ctrlrange, which
+            another motor would not have.
     """
     actuators = problem.mechanism.actuators
     names = [one.name for one in actuators]
     if asked is None and len(names) > 1:
-        raise ProblemError(f"actuator is one of {', '.join(names)}: say which of them gets the motors")
+        raise ProblemError(f"actuator must be one of {', '.join(names)}: name the one to size")
     index = 0 if asked is None else names.index(choose("actuator", asked, names, ProblemError))
     if actuators[index].limits_control:
         raise ProblemError(
-            f"actuator '{names[index]}' is a servo, whose ctrlrange limits its effort too: take a model in which it is a"
+            f"actuator '{names[index]}' is a servo, whose ctrlrange also limits its effort: use a model in which it is a"
             " motor"
         )
     return index
@@ -110,7 +110,7 @@ def gears_of(problem: Problem, index: int, motor: CandidateMotor) -> Sequence[fl
 def with_motor(problem: Problem, index: int, motor: CandidateMotor, gear: float) -> Problem:
     """Return a problem with a motor behind a gear at actuator `index`, in place of the actuator's own limits and motor.
 
-    An actuator whose effort has one sign, as a cable's that only pulls, keeps it.
+    If the actuator's effort has only one sign (a cable that pulls), so has the motor's.
 
     Raises:
         LinkplanError: if the actuator cannot have such a motor.

@@ -19,18 +19,18 @@ from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.trajectory import Trajectory
 from linkplan.studies.variations.size.candidates import with_motor
 
-# The range of rates at which a motion is tried, against its own.
+# The range of factors on the speed at which a motion is tried.
 _LOWEST_RATE, _HIGHEST_RATE = 1e-3, 1e3
-# An rms effort beyond its limit by less than this share is rounding.
+# An rms effort beyond its limit by less than this share is due to rounding.
 _RMS_ROUNDING = 1e-9
 PEAK, RMS, LINE = "peak effort", "rms effort", "torque-speed line"
 
 
 class Loads(Struct, frozen=True, kw_only=True):
-    """What a motion asks of a motor, in its own effort and speed, and the shares of its limits; None without the limit.
+    """A motion's demands on a motor, in its own effort and speed, and as shares of its limits; None without the limit.
 
-    `rms_effort` is over the motion and the rest after it. `needed_rest_s` is the rest that brings it down to its limit, 0 if
-    none is needed; None for a motion that repeats itself.
+    `rms_effort` is over the motion and the rest after it. `needed_rest_s` is the rest that reduces it to its limit, 0 if
+    none is needed; None for a periodic motion.
     """
 
     peak_effort: float
@@ -49,7 +49,7 @@ class Loads(Struct, frozen=True, kw_only=True):
 
 
 class SizedMotor(Struct, frozen=True, kw_only=True):
-    """A motor behind a gear, and what the motion planned with it needs. Efforts and speeds are the motor's own.
+    """A motor behind a gear, with the demands of the motion planned with it. Efforts and speeds are the motor's own.
 
     `margin` is what the most used of its limits, `tightest`, has left, as a share of it; it is negative where that limit
     would have to be larger. `peak_limit` is the effort that plans may use, without the reserve. `loads` are those of the
@@ -91,7 +91,7 @@ class SizedMotor(Struct, frozen=True, kw_only=True):
 def sized_motor(
     problem: Problem, index: int, motor: CandidateMotor, gear: float, rest_s: float, say: Say
 ) -> tuple[SizedMotor, Plan]:
-    """Return a motor behind a gear at actuator `index` of a problem, with the plan of its motion, after which it rests."""
+    """Return a motor behind a gear at actuator `index` of a problem, with the plan of a motion that a rest follows."""
     given = with_motor(problem, index, motor, gear)
     plan, actuator = plan_motion(given, say), given.mechanism.actuators[index]
     motion = plan.trajectory if plan.passed else _prescribed(given)
@@ -101,7 +101,7 @@ def sized_motor(
     reason = "" if plan.passed else plan.message
     if plan.passed and loads is not None and (loads.rms_share or 0.0) > 1.0 + _RMS_ROUNDING:
         need = loads.needed_rest_s
-        rest = f"; with a rest of {rounded_up(need):g} s after each motion it is within it" if need else ""
+        rest = f"; a rest of {rounded_up(need):g} s after each motion would be enough" if need else ""
         reason = (
             f"its rms effort of {loads.rms_effort:.4g} {actuator.unit} is beyond its limit of {motor.rms_effort:.4g}"
             f" {actuator.unit}{rest}"
@@ -138,7 +138,7 @@ def sized_motor(
 
 
 def _prescribed(problem: Problem) -> Trajectory | None:
-    """Return the motion of a problem that prescribes it in a given duration, whatever it needs; else None."""
+    """Return the motion of a problem that prescribes it in a given duration, regardless of limits; else None."""
     given = problem.motion.kind == "track" and problem.motion.duration_s is not None
     return prescribe(problem, problem.start_pose()) if given else None
 
@@ -150,7 +150,7 @@ def _needed_share(plan: Plan) -> dict[str, float]:
 
 
 def _loads(problem: Problem, index: int, motor: CandidateMotor, motion: Trajectory, rest_s: float) -> Loads:
-    """Return what a motion asks of the motor at actuator `index`."""
+    """Return a motion's demands on the motor at actuator `index`."""
     demand, line, share = demands_of(problem, motion)[index], _line(problem, index), None
     if line is not None:
         speed, effort, _ = operating_points(problem, motion, motion.dense_times(20))
@@ -171,7 +171,7 @@ def _loads(problem: Problem, index: int, motor: CandidateMotor, motion: Trajecto
 
 
 def _peak_limit(problem: Problem, index: int) -> float:
-    """Return the largest effort that plans may use of actuator `index`."""
+    """Return the largest effort of actuator `index` in plans."""
     return float(np.abs(problem.limits.effort[index]).max())
 
 
@@ -188,7 +188,7 @@ def _curve(problem: Problem, index: int, motion: Trajectory) -> np.ndarray:
 
 
 def units_behind(problem: Problem, index: int) -> tuple[float, str, str]:
-    """Return the factor from SI to the shown unit of the speed of what an actuator drives, that unit, and its effort's."""
+    """Return the factor from SI to the speed's display unit, this unit, and the effort's unit, behind an actuator's gear."""
     mechanism = problem.mechanism
     joint = mechanism.actuators[index].joint
     turns = joint is not None and mechanism.joints[joint].kind == "hinge"
@@ -202,9 +202,10 @@ def _line(problem: Problem, index: int) -> tuple[float, float] | None:
 
 
 def _rotor(problem: Problem, index: int) -> tuple[float, float]:
-    """Return the rotor's inertia J behind its gear, and its part J b^T M_r^-1 b of what the motor accelerates at the start.
+    """Return the rotor's inertia J behind its gear, and its share J b^T M_r^-1 b of the inertia that the motor accelerates.
 
-    b is the motor's column of Gamma^T B, so that 1 / (b^T M_r^-1 b) is the inertia on the motor's shaft, rotor included.
+    b is the motor's column of Gamma^T B at the start, so 1 / (b^T M_r^-1 b) is the inertia on the motor's shaft with the
+    rotor.
     """
     mechanism, pose = problem.mechanism, problem.start_pose()
     actuator = mechanism.actuators[index]
@@ -217,7 +218,7 @@ def _rotor(problem: Problem, index: int) -> tuple[float, float]:
 def _speed_up(
     problem: Problem, index: int, motor: CandidateMotor, plan: Plan, motion: Trajectory | None, rest_s: float
 ) -> float | None:
-    """Return the highest known factor on the speed of a motion in a given duration; None where none is known.
+    """Return the highest known factor on the speed of a motion in a given duration; None if none is known.
 
     A planned motion is run faster along its own path, with efforts by inverse dynamics; another path may allow more.
     """

@@ -32,7 +32,7 @@ class Sizing(Struct, frozen=True, kw_only=True):
 
     @property
     def found(self) -> bool:
-        """True if a motor does."""
+        """True if a motor suffices."""
         return self.motors[0].does
 
 
@@ -45,7 +45,7 @@ def size_motors(
         problem: whose actuator gets the motors.
         index: of the actuator.
         motors: each is tried behind each of its gears.
-        rest_s: the rest without effort after each motion [s], over which the rms effort is taken, too.
+        rest_s: the rest without effort after each motion [s]; the rms effort is taken over motion and rest.
         say: receives progress.
 
     Raises:
@@ -53,7 +53,7 @@ def size_motors(
     """
     cases = [(motor, gear) for motor in motors for gear in gears_of(problem, index, motor)]
     if len(cases) > MAX_PLANS:
-        raise ProblemError(f"at most {MAX_PLANS} motors with gears are compared, the list has {len(cases)}")
+        raise ProblemError(f"at most {MAX_PLANS} motors with gears can be compared; the list has {len(cases)}")
     firsts = [with_motor(problem, index, motor, gears_of(problem, index, motor)[0]) for motor in motors]
     free = problem.motion.duration_s is None
     best: tuple[SizedMotor, Plan] | None = None
@@ -64,7 +64,7 @@ def size_motors(
         rows.append(one)
         if best is None or place_of(one, free=free) < place_of(best[0], free=free):
             best = one, plan
-    assert best is not None  # a list has motors, and a motor has gears
+    assert best is not None  # never empty: a list has motors, and a motor has gears
     actuator, (_, speed_unit, effort_unit) = problem.mechanism.actuators[index], units_behind(problem, index)
     sizing = Sizing(
         problem=problem.name,
@@ -81,19 +81,19 @@ def size_motors(
 
 
 def place_of(one: SizedMotor, *, free: bool) -> tuple[bool, float, float]:
-    """Return a motor's place in a list: those that do first; then by duration if it is free; then by margin."""
+    """Return a motor's sort key: motors that suffice first, then by duration if it is free, then by margin."""
     duration_s = one.duration_s if one.duration_s is not None else np.inf
     return not one.does, duration_s if free else 0.0, np.inf if one.margin is None else -one.margin
 
 
 def _notes(problem: Problem, index: int, motors: Sequence[CandidateMotor], first: Problem) -> list[str]:
-    """Return notes on what the list lacks, and on what it replaces in the problem and the model."""
+    """Return notes on missing values of the list, and on replaced values of the problem and the model."""
     name, tables = problem.mechanism.actuators[index].name, problem.to_dict()
     weightless = [motor.name for motor in motors if motor.rotor_inertia is None]
     unlimited = [motor.name for motor in motors if motor.rms_effort is None]
     replaced = [f"limits.effort.{name}"] if name in tables.get("limits", {}).get("effort", {}) else []
     replaced += [f"motors.{name}"] if name in tables.get("motors", {}) else []
-    said = [f"a rotor without rotor_inertia counts as weightless: {listed(weightless, 12)}"] if weightless else []
-    said += [f"without rms_effort the rms effort has no limit: {listed(unlimited, 12)}"] if unlimited else []
+    said = [f"motors without rotor_inertia have a rotor inertia of 0: {listed(weightless, 12)}"] if weightless else []
+    said += [f"motors without rms_effort have no limit on the rms effort: {listed(unlimited, 12)}"] if unlimited else []
     said += [f"the list replaces {' and '.join(replaced)}"] if replaced else []
     return said + [note for note in first.mechanism.notes if note not in problem.mechanism.notes]

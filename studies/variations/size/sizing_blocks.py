@@ -12,12 +12,12 @@ from linkplan.studies.output.report_file import report_of
 from linkplan.studies.variations.size.sized_motor import SizedMotor
 from linkplan.studies.variations.size.sizing import Sizing
 
-# More motors in one chart cannot be told apart.
+# More motors in one chart cannot be distinguished.
 _MOST_DRAWN = 4
 
 
 def sizing_blocks(found: Sizing) -> list[Block]:
-    """Return the answer, the table, the reasons of those that do not, the keys of the best one, notes, and the chart."""
+    """Return the answer, the table, the reasons against unsuitable motors, the keys of the best one, notes, the chart."""
     reasons = [Text(text=f"{one.title}: {one.reason}") for one in found.motors if not one.does]
     keys = [Code(title=f"Keys of a problem file with {found.motors[0].title}", text=toml_text(found.motors[0].settings))]
     return [
@@ -31,7 +31,7 @@ def sizing_blocks(found: Sizing) -> list[Block]:
 
 
 def answer(found: Sizing) -> str:
-    """Return a sentence on how many motors do, and on the best one."""
+    """Return a sentence on the number of motors that suffice, and on the best one."""
     best, n, good = found.motors[0], len(found.motors), sum(one.does for one in found.motors)
     if not good:
         return f"none of {n} motors with gears suffices for {found.actuator} in {found.problem}; the nearest is {best.title}"
@@ -43,7 +43,7 @@ def answer(found: Sizing) -> str:
 
 
 def _floor(factor: float) -> str:
-    """Return a factor rounded down to three decimals, which is still reached."""
+    """Return a factor rounded down to three decimals, so that it is feasible."""
     return f"{np.floor(1000 * factor) / 1000:g}"
 
 
@@ -99,11 +99,11 @@ def sizing_charts(found: Sizing) -> list[Plane]:
     speeds = np.concatenate([one.curve[:, 0] for one in drawn.values() if one.curve is not None])
     beside = 0.1 * float(np.ptp(speeds)) or 1.0
     outline = np.linspace(speeds.min() - beside, speeds.max() + beside, 401)
-    # Nearly equal curves lie on one another: the later ones are thinner.
+    # Nearly equal curves overlap, so later ones are thinner.
     curves = [one for k, of in enumerate(drawn.values()) for one in _curves(of, outline, k, 1.2 * (len(drawn) - k))]
     return [
         Plane(
-            title=f"Effort over speed at {found.target}, and what the motors give",
+            title=f"Effort over speed at {found.target}, and the motors' limits",
             x_axis=Axis(label=f"speed of {found.target}", unit=found.target_speed_unit),
             y_axis=Axis(label="effort behind the gear", unit=found.target_effort_unit),
             curves=curves,
@@ -113,7 +113,7 @@ def sizing_charts(found: Sizing) -> list[Plane]:
 
 def _curves(one: SizedMotor, speed: np.ndarray, colour: int, width: float) -> list[Series]:
     """Return a motor's planned efforts, and the least and largest that it gives at speeds (n,)."""
-    assert one.curve is not None  # by the caller
+    assert one.curve is not None  # the caller ensures it
     planned = one.curve[drawn_rows(one.curve)]
     name = f"{one.title} (dashed: its limits)"
     curve = Series(name=name, x=rounded(planned[:, 0]), y=rounded(planned[:, 1]), colour=colour, width=width)

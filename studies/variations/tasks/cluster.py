@@ -30,7 +30,9 @@ def engine_of(workers: int, address: str | None) -> Engine:
     if address is None:
         return processes(workers)
     if workers != 1:
-        raise ProblemError(f"workers are processes of this machine and a cluster has its own; got workers={workers} too")
+        raise ProblemError(
+            f"workers are processes on this machine, but a cluster has its own workers; got workers={workers} too"
+        )
     return cluster(address)
 
 
@@ -67,8 +69,8 @@ def _client(distributed, address: str):
         return distributed.Client(address, timeout=_PATIENCE_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError) as error:
         reason = one_line(error)[:200]
-    # An unconnected client closes itself when it is collected. If that happened while the next client starts, in the thread
-    # of its loop, both would wait for one lock.
+    # An unconnected client closes itself when it is garbage-collected. If this happened in the thread of the next client's
+    # loop while that client starts, both would wait for the same lock.
     gc.collect()
     raise LinkplanError(f"no Dask scheduler answers at '{address}' ({reason}); an address is like tcp://head:8786")
 
@@ -77,7 +79,7 @@ def _refuse_unfit(client, address: str) -> None:
     """Refuse a cluster whose workers lack linkplan."""
     try:
         client.run(versions)
-    except Exception as error:  # any error of a worker without linkplan
+    except Exception as error:  # a worker without linkplan can raise any error
         raise LinkplanError(
             f"workers at {address} cannot run linkplan: {type(error).__name__}: {one_line(error)}"
         ) from error

@@ -1,4 +1,4 @@
-"""Engines that run tasks in this process or in further processes.
+"""Engines that run tasks in this process or in other processes.
 
 An engine is a function of the number of tasks and a progress function; it returns a context with a `Pool`, which has the
 interface of `concurrent.futures`. No result may depend on the engine.
@@ -73,7 +73,7 @@ def processes(workers: int) -> Engine:
                 max_workers=min(workers, n), mp_context=multiprocessing.get_context("spawn"), initializer=_begin
             )
         except (OSError, ImportError, NotImplementedError) as error:  # some containers have no /dev/shm for locks
-            say(f"no further process can be started ({one_line(error)}): this process runs all tasks")
+            say(f"cannot start other processes ({one_line(error)}): this process runs all tasks")
             with serial(n, say) as pool:
                 yield pool
             return

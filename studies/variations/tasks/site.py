@@ -1,4 +1,4 @@
-"""The environment of a task: folder and versions of the submitting process, and no other task in the same process."""
+"""The environment of a task: folder and versions of the submitting process, and one task at a time in a process."""
 
 import contextlib
 import os
@@ -37,7 +37,8 @@ def _refuse_other_versions(expected: Mapping[str, str]) -> None:
     other = [f"{name} {mine.get(name)}, here {version}" for name, version in expected.items() if mine.get(name) != version]
     if other:
         raise LinkplanError(
-            f"a worker on {socket.gethostname()} has {other[0]}; results would differ, install the same there"
+            f"a worker on {socket.gethostname()} has {other[0]}; install the same version there, because results could"
+            " differ"
         )
 
 

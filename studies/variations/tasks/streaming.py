@@ -49,7 +49,7 @@ def streamed(
                 deaths += 1
                 if deaths > _MOST_DEATHS:
                     raise LinkplanError(
-                        f"workers were lost {deaths} times; finished parts are kept, and the command continues from them"
+                        f"workers were lost {deaths} times; finished parts are kept; run the same command again to continue"
                     ) from error
                 say("a worker was lost; its task runs again")
 
@@ -113,7 +113,7 @@ class StreamProgress:
         self._total, self._done, self._things, self._say = total, done, things, say
         self._begin, self._ran = time.monotonic(), 0
         if 0 < done < total:
-            say(f"{done} of {total} {things} are done already")
+            say(f"{done} of {total} {things} are already finished")
 
     def more(self, n: int) -> None:
         """Count n more."""

@@ -126,7 +126,7 @@ def part(folder: Path, task: int, suffix: str) -> Path:
 
 
 def finish(folder: Path, target: Path, write: Callable[[Path], None], record: str) -> None:
-    """Write a result whole by `write(place)`, and remove its parts once it exists, even if a signal arrives meanwhile.
+    """Write a complete result by `write(place)`, and then remove its parts, even if a signal arrives meanwhile.
 
     Raises:
         PlanFileError: if the result cannot be written, or its folder has files of other programs.
@@ -161,7 +161,7 @@ def _remove_empty(*folders: Path) -> None:
 
 
 def remove_left(folder: Path, asked: Mapping) -> None:
-    """Remove the parts of a finished result whose process was killed before it could; parts of other requests stay."""
+    """Remove the parts of a finished result whose process was killed before it did so; parts of other requests remain."""
     with contextlib.suppress(PlanFileError, OSError):
         if folder.is_dir():
             with working(folder, asked, "a result"):

@@ -57,7 +57,7 @@ def test_their_energy_is_the_work_of_their_force_at_rest():
 def test_a_planned_motion_counts_them_and_is_followed_in_mujoco():
     mechanism = load_mechanism(ARM % ("", STRUT + TORSION))
     (strut, torsion) = audit(mechanism.model)
-    assert strut.text.endswith("it has no gain: a passive force, as a gas spring's; plans include it")
+    assert strut.text.endswith("it has no gain: a passive force, such as a gas spring's; plans include it")
     assert not any(one.falsifies for one in (strut, torsion))
     ends = {"start_deg": {"arm": 0.0, "rod": 0.0}, "goal_deg": {"arm": 40.0, "rod": -30.0}}
     plan = plan_motion(Problem.reach(mechanism, **ends, duration_s=0.5)).require()

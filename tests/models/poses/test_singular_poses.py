@@ -68,7 +68,7 @@ def test_three_cranks_in_a_row_lose_rank_where_they_lie_flat_and_do_not_branch(p
     assert len(can.branching) == 2
     assert can.single == (can.singular if alone else ())
     notes = inspect(mechanism, []).notes
-    assert sum("A single motion passes this pose" in note for note in notes) == (2 if alone else 0)
+    assert sum("Only one motion passes this pose" in note for note in notes) == (2 if alone else 0)
     assert sum("may change to another branch" in note for note in notes) == (0 if alone else 2)
     assert other_ways(mechanism) is not alone  # what is said is true
 

@@ -331,8 +331,8 @@ def test_a_collision_is_found_where_the_ball_reaches_the_wall_and_refused_unless
 @pytest.mark.parametrize(
     ("found", "words"),
     [
-        ([meeting(0.25)], "penetrate by up to 1 mm, at t = 0.25 s; contact"),
-        ([meeting(0.25, home_depth_m=2e-3)], "at t = 0.25 s, 2 mm at home; contact"),
+        ([meeting(0.25)], "penetrate by up to 1 mm, at t = 0.25 s; plans"),
+        ([meeting(0.25, home_depth_m=2e-3)], "at t = 0.25 s, 2 mm at home; plans"),
         ([meeting(0.25), meeting(0.5)], "s, and 1 more pair of geoms after them;"),
         ([meeting(0.25), meeting(0.5), meeting(0.7)], "s, and 2 more pairs of geoms after them;"),
     ],

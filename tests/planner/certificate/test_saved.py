@@ -39,12 +39,12 @@ def reach(duration: str = "duration_s = 1.0", *overrides: str) -> Problem:
     ("asked", "lasts", "words"),
     [
         ("duration_s = 2.0", 2.0 * (1 + 0.9e-8), None),
-        ("duration_s = 2.0", 2.0 * (1 + 1.1e-8), "asked for was 2 s"),
+        ("duration_s = 2.0", 2.0 * (1 + 1.1e-8), "instead of 2 s"),
         ("duration_s = 2.0", 2.0 * (1 - 0.9e-8), None),
-        ("duration_s = 2.0", 2.0 * (1 - 1.1e-8), "asked for was 2 s"),
+        ("duration_s = 2.0", 2.0 * (1 - 1.1e-8), "instead of 2 s"),
         ('duration_s = "free"\nmax_duration_s = 3.0\nmin_duration_s = 1.0', 1.5, None),
-        ('duration_s = "free"\nmax_duration_s = 3.0\nmin_duration_s = 1.0', 3.1, "asked for was 1 to 3 s"),
-        ('duration_s = "free"\nmax_duration_s = 3.0\nmin_duration_s = 1.0', 0.9, "asked for was 1 to 3 s"),
+        ('duration_s = "free"\nmax_duration_s = 3.0\nmin_duration_s = 1.0', 3.1, "instead of 1 to 3 s"),
+        ('duration_s = "free"\nmax_duration_s = 3.0\nmin_duration_s = 1.0', 0.9, "instead of 1 to 3 s"),
         ('duration_s = "free"', 1e4, None),
     ],
 )

@@ -307,9 +307,15 @@ def test_a_force_repeats_in_a_periodic_motion():
         ({"on": {"tyres": {"y": PUSH}}}, "unknown site 'tyres' in force_over_time.on (did you mean 'tyre'?)"),
         ({"on": {"tyre": {"y": PUSH[1:]}}}, "force_over_time has 7 times in time_s and as many values of tyre.y, got 6"),
         ({"on": {"tyre": {"u": PUSH}}}, "force_over_time.on.tyre"),
-        ({"time_s": ROWS[::-1]}, "force_over_time.time_s increases from row to row, got 0.33 after 0.4 s"),
-        ({"time_s": 0.5 * ROWS}, "force_over_time.time_s ends at 0.2 s from its first row, before the motion's 0.4 s"),
-        ({"period_s": 0.3}, "force_over_time.period_s is after the last row, at 0.4 s from the first, got 0.3"),
+        ({"time_s": ROWS[::-1]}, "force_over_time.time_s must increase from row to row, got 0.33 after 0.4 s"),
+        (
+            {"time_s": 0.5 * ROWS},
+            "force_over_time.time_s ends at 0.2 s from its first row, before the motion's end at 0.4 s",
+        ),
+        (
+            {"period_s": 0.3},
+            "force_over_time.period_s must be larger than the last row's time, 0.4 s from the first",
+        ),
         ({"interpolation": "quadratic"}, "force_over_time.interpolation"),
         ({"time_s": None}, "[force_over_time] needs force_over_time.file, or force_over_time.time_s"),
         ({"on": {"post": {"y": PUSH}}}, "force_over_time.on.post: the site does not move"),
@@ -337,8 +343,11 @@ def test_a_motion_whose_instants_are_free_is_refused(arguments, words):
 @pytest.mark.parametrize(
     ("forces", "words"),
     [
-        ({"time_s": [0.0, 0.4], "on": {"foot": {"z": [0.0, 9.0]}}}, "ends with the row that it begins with"),
-        ({"time_s": [0.0, 0.3], "on": {"foot": {"z": [0.0, 0.0]}}}, "repeats after 0.3 s; motion.duration_s is a multiple"),
+        ({"time_s": [0.0, 0.4], "on": {"foot": {"z": [0.0, 9.0]}}}, "must equal the first"),
+        (
+            {"time_s": [0.0, 0.3], "on": {"foot": {"z": [0.0, 0.0]}}},
+            "motion.duration_s must be a multiple",
+        ),
     ],
 )
 def test_a_force_of_another_period_than_the_motion_s_is_refused(forces, words):

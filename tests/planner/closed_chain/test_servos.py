@@ -63,7 +63,7 @@ def test_a_ctrl_range_that_forbids_the_motion_is_named():
     softer = SERVO.replace('kp="100"', 'kp="22"').format(reach=0.9)
     plan = body_plan(softer, REACH.replace("0.8", "0.23"), "mesh.intervals=10")
     assert plan.status == "infeasible"
-    assert "the ctrl of s would have to come to" in plan.message
+    assert "the ctrl of s would have to be" in plan.message
     assert "beyond its limit of 0.9" in plan.message
     assert plan.details["shortest_duration_s"] > 0.23
 

@@ -107,7 +107,7 @@ def test_an_immutable_part_of_a_result_is_a_refusal_before_the_work(name, tmp_pa
     if subprocess.run(["chattr", "+i", str(place / name)], check=False, capture_output=True).returncode:
         pytest.skip("this file system or user has no immutable files")
     try:
-        with pytest.raises(PlanFileError, match=r"may not be changed|no permission"):
+        with pytest.raises(PlanFileError, match=r"cannot be changed|no permission"):
             check_target(place)
     finally:
         subprocess.run(["chattr", "-i", str(place / name)], check=True)
@@ -190,7 +190,7 @@ def test_a_file_of_the_users_under_a_name_of_ours_is_not_replaced(tmp_path):
     place = tmp_path / "run"
     write_whole(place, lambda new: write_json(new / "plan.json", {"problem": {}}))
     (place / "case").write_text("mine")
-    with pytest.raises(PlanFileError, match="'case', which linkplan would now write"):
+    with pytest.raises(PlanFileError, match="'case', which linkplan needs to write"):
         write_whole(place, result("new"))
     assert (place / "case").read_text() == "mine"
 

@@ -66,9 +66,9 @@ def test_a_reference_of_another_joint_is_followed_there():
 @pytest.mark.parametrize(
     ("motion", "mechanism", "words"),
     [
-        (AT_C | {"goal_deg": {"O": 40.0}}, {}, ["names no value for joint O"]),
-        (AT_C, {"independent": ["O"]}, ["names no value for joint O", 'mechanism.independent = ["C"]']),
-        (AT_C, {"home_deg": {"O": 61.43327954622908}}, ["names C", "by default it is named in O", "singular at home"]),
+        (AT_C | {"goal_deg": {"O": 40.0}}, {}, ["has no value for the independent joint O"]),
+        (AT_C, {"independent": ["O"]}, ["has no value for the independent joint O", 'mechanism.independent = ["C"]']),
+        (AT_C, {"home_deg": {"O": 61.43327954622908}}, ["names C", "name O instead", "singular at home"]),
     ],
     ids=["start and goal of two joints", "coordinates named by hand", "a dead centre of the joint at home"],
 )

@@ -136,7 +136,7 @@ def write(content: bytes) -> Callable[[Path], Path]:
 FILES: dict[str, tuple[Callable[[Path], str | Path], list[str]]] = {
     "malformed TOML": (write(b"[motion\nkind = 1"), ["is not TOML"]),
     "a key twice": (write(b"[motion]\nkind = 'reach'\nkind = 'track'"), ["is not TOML", "a key is given twice"]),
-    "a key without its table": (write(b"model = 'optimus-knee'"), ["'model': it is a key of [mechanism]"]),
+    "a key without its table": (write(b"model = 'optimus-knee'"), ["'model': it belongs to [mechanism]"]),
     "not UTF-8": (write(b"description = '\xff\xfe'"), ["not UTF-8"]),
     "an empty file": (write(b""), ["mechanism.model"]),
     "no kind": (write(b"[mechanism]\nmodel = 'optimus-knee'"), ["motion.kind is missing", "reach, hold, periodic, track"]),

@@ -75,7 +75,7 @@ def test_a_disk_that_refuses_in_the_midst_of_a_replacement_loses_nothing(tmp_pat
     place = tmp_path / "run"
     write_whole(place, result("old"))
     monkeypatch.setattr(os, "replace", refuse)
-    with pytest.raises(PlanFileError, match="is replaced in part: No space left"):
+    with pytest.raises(PlanFileError, match="is only partly replaced: No space left"):
         write_whole(place, result("new"))
     monkeypatch.undo()
     check_target(place)
@@ -104,7 +104,7 @@ def test_a_link_to_an_earlier_file_is_written_through(tmp_path):
 def test_a_file_of_gigabytes_is_no_report_and_is_not_read_to_its_end(tmp_path):
     with (tmp_path / "report.html").open("wb") as file:
         os.truncate(file.fileno(), 10_000_000_000)
-    with pytest.raises(PlanFileError, match="not linkplan's"):
+    with pytest.raises(PlanFileError, match="not written by linkplan"):
         check_file_target(tmp_path / "report.html", mark=PAGE_MARK)
 
 

@@ -65,7 +65,7 @@ def test_columns_are_read_back_and_missing_words_are_none(tmp_path):
 
 
 def test_a_table_of_other_rows_or_encodings_is_refused(tmp_path):
-    with pytest.raises(PlanFileError, match="2 rows; 3 were asked for"):
+    with pytest.raises(PlanFileError, match="2 rows; 3 were expected"):
         read_table(written(tmp_path / "short.parquet", rows=2), KINDS, 3)
     with pytest.raises(PlanFileError, match="encoded by GZIP, which linkplan does not write"):
         read_table(written(tmp_path / "other.parquet", compression="gzip"), KINDS, 3)

@@ -118,7 +118,7 @@ def test_a_file_of_linkplans_own_is_written_over_and_anothers_is_not(tmp_path):
     write_file_whole(target, lambda path: path.write_bytes(OURS + b"2"), KINDS)
     assert target.read_bytes() == OURS + b"2"
     target.write_bytes(b"holidays")
-    with pytest.raises(PlanFileError, match="not linkplan's"):
+    with pytest.raises(PlanFileError, match="not written by linkplan"):
         check_file_target(target, KINDS)
     assert target.read_bytes() == b"holidays"
 
@@ -137,7 +137,7 @@ def test_the_mark_is_found_wherever_it_stands_in_a_large_file(tmp_path):
     ("name", "words"),
     [
         ("film.avi", "'.avi'"),
-        ("film", "ends in .mp4 or .png"),
+        ("film", "must end in .mp4 or .png"),
         ("there/film.mp4", "no folder"),
         ("folder.mp4", "is a folder"),
     ],

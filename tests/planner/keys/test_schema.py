@@ -274,10 +274,10 @@ def test_an_earlier_schema_is_replaced_and_no_other_file(tmp_path, capsys):
     for place, text in zip(others, ("mine", '{"$schema": "of others"}'), strict=True):
         place.write_text(text, encoding="utf-8")
         assert main(["schema", "-o", str(place)]) == 2
-        assert "is there and not linkplan's" in capsys.readouterr().err
+        assert "exists and was not written by linkplan" in capsys.readouterr().err
         assert place.read_text(encoding="utf-8") == text
     assert main(["schema", "-o", str(tmp_path)]) == 2
-    assert "is a folder; the result is a file" in capsys.readouterr().err
+    assert "is a folder; the result must be a file" in capsys.readouterr().err
     assert main(["schema", "batches"]) == 2
     assert "did you mean 'batch'" in capsys.readouterr().err
     assert main(["schema", "batch", "-o", str(earlier)]) == 0

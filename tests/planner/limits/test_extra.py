@@ -133,7 +133,7 @@ def test_a_motion_that_an_extra_limit_forbids_is_infeasible_and_the_sentence_nam
     limit = ExtraLimit(name="turning", expression=lambda at: at.velocity_rad_s["J"], upper=1.2, unit="rad/s")
     plan = linkplan.plan(Problem.reach(HINGE, **asked, extra_limits=[limit], mesh={"intervals": 10}))
     assert plan.status == "infeasible"
-    assert plan.message.startswith("infeasible: the extra limit 'turning' would have to come to")
+    assert plan.message.startswith("infeasible: the extra limit 'turning' would have to be")
     assert "beyond its limit of 1.2 rad/s; the shortest feasible duration is" in plan.message
     shortest = float(plan.message.removesuffix(" s").rpartition(" ")[2])
     assert shortest == pytest.approx(TURN / 1.2 + 1.2 * HINGE_INERTIA / 4.0, rel=1e-3)

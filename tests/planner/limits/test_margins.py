@@ -76,7 +76,7 @@ def turn(*overrides: str):
 @pytest.mark.parametrize(
     ("limit", "said"),
     [
-        ("[-10.0, 95.0]", "joint J would have to come to 100 deg at t = 1 s, 5 deg beyond its limit of 95 deg"),
+        ("[-10.0, 95.0]", "joint J would have to be 100 deg at t = 1 s, 5 deg beyond its limit of 95 deg"),
         ("[-10.0, 101.0]", None),
     ],
 )
@@ -89,7 +89,7 @@ def test_a_joint_that_would_leave_its_range_is_named_with_the_instant_and_the_ex
     [
         (
             "[-150.0, 500.0]",
-            "the speed of joint J would have to come to -157.1 deg/s at t = 2 s, 7.08 deg/s beyond its limit of -150 deg/s",
+            "the speed of joint J would have to be -157.1 deg/s at t = 2 s, 7.08 deg/s beyond its limit of -150 deg/s",
         ),
         ("158.0", None),
     ],

@@ -80,7 +80,9 @@ def test_a_goal_that_misses_the_angle_is_named_with_its_error_in_degrees():
     moved = replace(plan.problem.motion, goal_at=(replace(goal, angle_rad=goal.angle_rad + np.radians(0.01)),))
     found = certify(replace(plan.problem, motion=moved), plan.trajectory)
     assert found.site_error_m == pytest.approx(np.radians(0.01) * plan.problem.mechanism.extent_m, rel=1e-4)
-    assert any("body shank is 0.01 deg away from where motion.goal_body_deg asks it" in said for said in found.failures)
+    assert any(
+        "body shank is 0.01 deg away from the place that motion.goal_body_deg gives" in said for said in found.failures
+    )
 
 
 @pytest.mark.parametrize(("high", "kept"), [(31.0, True), (29.9, False)])

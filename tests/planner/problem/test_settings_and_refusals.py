@@ -113,7 +113,7 @@ def test_frictions_of_three_joints_have_sixty_four_corners_and_more_are_refused(
         return Robust(viscous_friction=dict.fromkeys(names, (0.1, 0.2)), coulomb_friction=dict.fromkeys(names, (0.1, 0.3)))
 
     assert len(rubbing(3).corners) == 64
-    with pytest.raises(ProblemError, match="256 corners; at most 64"):
+    with pytest.raises(ProblemError, match="256 corners; the limit is 64"):
         rubbing(4)
 
 
@@ -123,10 +123,10 @@ def test_frictions_of_three_joints_have_sixty_four_corners_and_more_are_refused(
 @pytest.mark.parametrize(
     ("asked", "single", "branching", "words"),
     [
-        (-3.0, [-2.0], {}, "no other coordinate passes it"),
-        (-3.0, [2.0], {}, "another joint as mechanism.independent may pass it"),
-        (3.0, [2.0], {}, "no other coordinate passes it"),
-        (3.0, [-2.0], {2.0: 1}, "the mechanism may branch there"),
+        (-3.0, [-2.0], {}, "no choice of coordinate passes it"),
+        (-3.0, [2.0], {}, "with another joint as mechanism.independent the motion may pass it"),
+        (3.0, [2.0], {}, "no choice of coordinate passes it"),
+        (3.0, [-2.0], {2.0: 1}, "the mechanism may change its branch there"),
     ],
 )
 def test_the_remedy_at_the_end_of_a_reach_is_that_of_the_end_that_is_in_the_way(asked, single, branching, words):
@@ -210,9 +210,9 @@ def test_the_reason_is_that_of_the_end_beyond_which_a_position_lies(monkeypatch,
 def test_a_joint_of_several_is_named_alone():
     five_bar = load_mechanism("five-bar")
     only = five_bar.independent_joints[0].name
-    with pytest.raises(ProblemError, match="which is independent") as refused:
+    with pytest.raises(ProblemError, match="the independent joint") as refused:
         Problem.reach(five_bar, start_deg={only: 0.0}, goal_deg={only: 10.0})
-    assert "plans in what is named" not in str(refused.value)
+    assert "plans in the named joints" not in str(refused.value)
 
 
 # Settings that cannot be used, what sets the same in a problem file (None where no file can say it), words of the answer.

@@ -99,7 +99,9 @@ def test_a_certificate_sees_a_waypoint_that_is_missed():
     found = certify(replace(plan.problem, motion=replace(motion, waypoints=(waypoint,))), plan.trajectory)
     assert not found.passed
     assert found.site_error_m == pytest.approx(1e-4, rel=1e-6)
-    assert any("site foot is 0.0001 m away from where motion.waypoints[0].at asks it" in said for said in found.failures)
+    assert any(
+        "site foot is 0.0001 m away from the place that motion.waypoints[0].at gives" in said for said in found.failures
+    )
     assert any("misses its boundary conditions" in said for said in found.failures)
 
 
@@ -120,7 +122,7 @@ def test_places_on_the_way_are_numbers_of_a_built_program():
 
 REFUSED = [
     ({"at": {"foot": VIA}, "at_deg": {"J1": 3.0}}, ["waypoints[0].at and", "waypoints[0].at_deg", "keep one"]),
-    ({"at": {"base": [0.0, 0.0, 0.0]}}, ["waypoints[0].at", "do not move"]),
+    ({"at": {"base": [0.0, 0.0, 0.0]}}, ["waypoints[0].at", "cannot move"]),
     ({"at": [0.4, 0.0, 0.1]}, ["motion.waypoints[0].at is a table of site"]),
     ({"at_foot": VIA}, ["unknown key 'motion.waypoints[0].at_foot'", "at_deg, at_m, at,"]),
 ]

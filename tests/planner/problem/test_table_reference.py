@@ -112,17 +112,20 @@ def test_the_spline_agrees_with_another_construction():
 
 
 REFUSED = [
-    (("reference.time_s=[0.0, 0.2, 0.2]", ANGLES), "reference.time_s increases from row to row, got 0.2 after 0.2 s"),
+    (("reference.time_s=[0.0, 0.2, 0.2]", ANGLES), "reference.time_s must increase from row to row, got 0.2 after 0.2 s"),
     (("reference.time_s=[0.0, 0.2, 0.3]", ANGLES), "reference has 3 times in time_s and as many values of J, got 4"),
-    ((ANGLES,), "reference.position_deg belongs to a table of rows: give reference.file or reference.time_s"),
+    ((ANGLES,), "reference.position_deg belongs to a table of rows: add reference.file or reference.time_s"),
     (("reference.phase_deg.J=3",), "[reference] needs reference.frequency_hz, a positive number, for a sinusoid, or rows"),
     ((ROWS, ANGLES, "reference.frequency_hz=2"), "reference.time_s and reference.frequency_hz are two references; keep one"),
-    ((ROWS,), "reference.position_deg names every independent joint (J), and not J"),
+    ((ROWS,), "reference.position_deg must name every independent joint (J); J is missing"),
     ((ROWS, "reference.position_m.J=[1, 2, 3, 4]"), "joint 'J' is a hinge; use reference.position_deg"),
-    ((ROWS, ANGLES, "reference.period_s=0.9"), "reference.period_s is after the last row, at 1 s from the first, got 0.9"),
+    (
+        (ROWS, ANGLES, "reference.period_s=0.9"),
+        "reference.period_s must be larger than the last row's time, 1 s from the first",
+    ),
     (
         (ROWS, "reference.position_deg.J=[0, 1, 2, 3]", "reference.spline=periodic"),
-        "reference.spline 'periodic' ends where it begins (or give reference.period_s), got J = 0 first and 3 deg last",
+        "reference.spline 'periodic' must end where it begins (or give reference.period_s), got J = 0 first and 3 deg last",
     ),
     (
         (ROWS, "reference.position_deg.J=[0, 1, 2, 3]", "motion.duration_s=2"),
@@ -143,9 +146,9 @@ def test_a_table_that_cannot_be_followed_is_refused_in_one_line(asked, words):
 
 
 BAD_FILES = [
-    ("time_s,J_deg\n0,1\n0.5,x\n1,2\n", "line 3, has 2 finite numbers, got '0.5,x'"),
-    ("time_s,J_deg\n0,1\n0.5\n1,2\n", "line 3, has 2 finite numbers, got '0.5'"),
-    ("time_s,J_deg\n0,1\n0.5,nan\n1,2\n", "line 3, has 2 finite numbers"),
+    ("time_s,J_deg\n0,1\n0.5,x\n1,2\n", "line 3, must have 2 finite numbers, got '0.5,x'"),
+    ("time_s,J_deg\n0,1\n0.5\n1,2\n", "line 3, must have 2 finite numbers, got '0.5'"),
+    ("time_s,J_deg\n0,1\n0.5,nan\n1,2\n", "line 3, must have 2 finite numbers"),
     ("t,J_deg\n0,1\n1,2\n", "needs a column time_s; its columns are t, J_deg"),
     (
         "time_s,K_deg\n0,1\n1,2\n",

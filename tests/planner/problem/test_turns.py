@@ -158,14 +158,14 @@ def loaded(text: str) -> str:
         (
             replaced(UNCUT, 'motor joint="O"', 'motor joint="C"'),
             {"C": 1},
-            "joint C: it does not turn fully, it reaches from",
+            "joint C: it cannot turn continuously; it reaches from",
         ),
         (GRIPPER, {"crank_r": 1}, "turns"),
-        (replaced(UNCUT, '<joint name="O"/>', '<joint name="O" range="-1 1"/>'), {"O": 1}, "has no range"),
-        (geared(0.5), {"O": 1}, "joint half does not return, it has moved by 180 deg"),
+        (replaced(UNCUT, '<joint name="O"/>', '<joint name="O" range="-1 1"/>'), {"O": 1}, "must have no range"),
+        (geared(0.5), {"O": 1}, "joint half does not return but moves by 180 deg"),
         (geared(1.0, ' stiffness="2"'), {"O": 1}, "a spring on joint half winds up"),
         (loaded(built_in_text("slider-crank")), {"O": 1}, "a spring on joint O winds up"),
-        (geared(1.0, "", SERVO), {"O": 1}, "ctrl of servo servo goes on by 6.283"),
+        (geared(1.0, "", SERVO), {"O": 1}, "ctrl of servo servo by 6.283"),
     ],
 )
 def test_turns_that_cannot_be_are_refused_in_a_line(model, turns, words):
@@ -223,7 +223,7 @@ def test_a_servo_with_a_range_or_a_spring_may_act_on_a_difference_that_returns_a
     for text in (model, sprung):
         problem = linkplan.Problem.periodic(text, turns={"A": n, "B": 1}, duration_s=1.0)
         assert problem.motion.turns.tolist() == [n, 1]
-    with pytest.raises(ProblemError, match="ctrl of servo s goes on by"):
+    with pytest.raises(ProblemError, match="ctrl of servo s by"):
         linkplan.Problem.periodic(model, turns={"A": n, "B": 2}, duration_s=1.0)
 
 

@@ -205,7 +205,7 @@ def test_what_cannot_be_asked_of_the_way_is_refused_in_one_line(case):
 
 @pytest.mark.parametrize("bounds", [("2", "1"), ("1", "1")])
 def test_bounds_on_a_duration_upside_down_are_refused(bounds):
-    with pytest.raises(ProblemError, match="min_duration_s is below"):
+    with pytest.raises(ProblemError, match="min_duration_s must be below"):
         planned("knee-sprint", f"motion.min_duration_s={bounds[0]}", f"motion.max_duration_s={bounds[1]}")
 
 

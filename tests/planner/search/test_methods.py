@@ -131,7 +131,7 @@ def test_a_certificate_ends_with_the_plans_time_and_says_so():
     past = plan.problem.solver.replace(deadline=Deadline().within(-0.5 * plan.problem.solver.max_time_s))
     judged = certify(replace(plan.problem, solver=past), plan.trajectory)
     assert not judged.passed
-    assert any("ran out of the plan's 600 s (solver.max_time_s)" in said for said in judged.failures)
+    assert any("ran out of the plan's time, 600 s (solver.max_time_s)" in said for said in judged.failures)
 
 
 @pytest.mark.parametrize(("share", "left"), [(1.0, 8.0), (0.25, 2.0)])

@@ -82,7 +82,7 @@ def test_a_mean_speed_beyond_its_limit_is_refused_with_the_duration_that_the_lim
     assert (said is not None) is (shortest is not None)
     if shortest is not None:
         assert f"at {goal / duration:.4g} m/s on average over {duration:g} s" in said
-        assert f"speed limit of {0.4 if goal > 0 else -0.2:g} m/s; that limit alone asks for {shortest:g} s" in said
+        assert f"speed limit of {0.4 if goal > 0 else -0.2:g} m/s; this limit alone requires {shortest:g} s" in said
 
 
 @pytest.mark.parametrize(("most", "refused"), [(0.79, True), (0.81, False)])

@@ -263,14 +263,14 @@ def test_a_path_file_is_read_and_kept_in_the_problem(tmp_path):
         ({"path": {"site": "tip", "points": [LINE[0], [0.9, 0.0, 0.0]]}}, "path leaves the reach of site tip at"),
         (
             {"path": {"site": "tip", "points": [[0.9, 0.0, 0.0], LINE[1]]}},
-            "the begin of path.tip = [0.9, 0, 0] m is out of reach",
+            "the beginning of path.tip = [0.9, 0, 0] m is out of reach",
         ),
         ({"path": {"site": "tip", "points": LINE, "shape": "arc"}}, "has three points, got 2"),
         ({"path": {"site": "hand", "points": LINE}}, "unknown site 'hand' in path.site"),
         ({"path": {"site": "tip"}}, "path.points"),
         ({"path": {"site": "tip", "points": LINE, "shape": "spline", "blend_m": 0.01}}, "path.blend_m rounds the corners"),
         ({"path": None}, "motion.kind 'follow' needs a [path]"),
-        ({"goal_deg": {"q1": 1.0}}, "motion.goal_deg does not belong to motion.kind 'follow'"),
+        ({"goal_deg": {"q1": 1.0}}, "motion.goal_deg cannot be set for motion.kind 'follow'"),
         (
             {
                 "robust": {"payload_factor": [0.9, 1.1]},
@@ -278,7 +278,7 @@ def test_a_path_file_is_read_and_kept_in_the_problem(tmp_path):
             },
             "takes no [robust]",
         ),
-        ({"minimize": "jerk", "duration_s": 0.6}, "motion.kind 'follow' takes no minimize 'jerk'"),
+        ({"minimize": "jerk", "duration_s": 0.6}, "motion.kind 'follow' cannot be combined with minimize 'jerk'"),
         (
             {
                 "limits": {"site_jerk_m_s3": {"tip": 40.0}},

@@ -34,7 +34,7 @@ def test_the_smooth_path_answers_where_no_rung_finds_a_motion(smooth):
     assert smooth.status == "feasible", smooth.message
     assert smooth.certificate.passed
     assert "along the smooth path" in smooth.message
-    assert "found no better one" in smooth.message
+    assert "found no better motion" in smooth.message
     best = optimal("five-bar-reach", STRONG)
     assert smooth.trajectory.duration_s == pytest.approx(best.trajectory.duration_s)
     assert smooth.objective > 1.01 * best.objective, "a path that is not optimised costs more"

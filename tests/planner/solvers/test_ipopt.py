@@ -69,7 +69,7 @@ def test_bounds_that_contradict_each_other_end_in_a_status():
 
 @pytest.mark.parametrize("name", ["fatrop", "ipopt", "snopt"])
 def test_a_problem_that_names_its_solver_is_told_that_the_key_is_gone(name):
-    with pytest.raises(ProblemError, match=r"unknown key 'solver\.name': linkplan solves with IPOPT, and this key is gone"):
+    with pytest.raises(ProblemError, match=r"unknown key 'solver\.name': linkplan always uses IPOPT; this key was removed"):
         load_problem("knee-reach", [f"solver.name={name}"])
 
 

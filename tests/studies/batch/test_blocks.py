@@ -119,7 +119,7 @@ def test_a_damaged_block_is_refused(case, answer, tmp_path):
 @pytest.mark.parametrize("content", [b"", b"\x91", b"no answers"])
 def test_a_block_of_other_bytes_is_refused(content, tmp_path):
     (tmp_path / "part.msgpack").write_bytes(content)
-    with pytest.raises(PlanFileError, match=r"part\.msgpack' is damaged: .* remove it, and the same command plans"):
+    with pytest.raises(PlanFileError, match=r"part\.msgpack' is damaged: .* remove it and run the same command again"):
         unpacked(tmp_path / "part.msgpack", CASES, None)
 
 
@@ -202,8 +202,8 @@ def test_a_saved_case_is_a_plan_like_any_other(batch_file, tmp_path, capsys):
     ("text", "words"),
     [
         ("", ["names no problem", "[[case]] or [sweep]"]),
-        ('problem = "knee-reach"', ["[[case]]", "[sweep]", "one of the two"]),
-        (f"{CASE_TABLES}[sweep]\nx = [1]", ["one of the two"]),
+        ('problem = "knee-reach"', ["[[case]]", "[sweep]", "either [[case]] tables or a [sweep] table"]),
+        (f"{CASE_TABLES}[sweep]\nx = [1]", ["either [[case]] tables or a [sweep] table"]),
         ('problem = "knee-reach"\ncases = []', ["'cases'", "did you mean 'case'"]),
         ('problem = "knee-reach"\n[sweep]\nmotion.duration_s = 0.2', ["sweep.motion.duration_s", "one or more values"]),
         (f'problem = "knee-reach"\n[sweep]\na.b = {list(range(200))}\na.c = {list(range(200))}', ["10000", "40000"]),

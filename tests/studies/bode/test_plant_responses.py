@@ -100,8 +100,8 @@ def test_the_trolley_of_a_pole_to_balance_is_non_minimum_phase():
     assert not result.stable
     text = str(result)
     assert "unstable by itself, non-minimum-phase" in text
-    assert f"crosses over below about {zero / (4 * np.pi):.3g} Hz, half the nearest zero" in text
-    assert f"crosses over above about {pole / np.pi:.3g} Hz, twice the fastest" in text
+    assert f"should cross over below about {zero / (4 * np.pi):.3g} Hz, half the nearest zero" in text
+    assert f"should cross over above about {pole / np.pi:.3g} Hz, twice the fastest" in text
     assert text.count("force to load.x is non-minimum-phase") == 0
 
 
@@ -269,16 +269,25 @@ def test_the_plant_is_a_system_of_python_control_with_named_signals():
 
 
 REFUSED = [
-    (["--from-effort", "drve", "--to-position", "motor"], "--from-effort names an effort, of actuators (drive) or"),
-    (["--from-effort", "link", "--to-position", "motor"], "on driven joints (motor); got 'link'"),
+    (["--from-effort", "drve", "--to-position", "motor"], "--from-effort must name an effort of an actuator (drive) or"),
+    (["--from-effort", "link", "--to-position", "motor"], "on a driven joint (motor); got 'link'"),
     (["--from-effort", "drive", "--to-position", "lnk"], "got 'lnk' (did you mean 'link'?)"),
-    (["--from-effort", "drive", "--to-position", "tip.w"], "--to-position names a position: of joints (motor, link), coord"),
+    (
+        ["--from-effort", "drive", "--to-position", "tip.w"],
+        "--to-position must name a position of a joint (motor, link), a coord",
+    ),
     (["--from-effort", "drive", "--to-position", "body.arm"], "unknown body in to_position 'arm'"),
-    (["--from-effort", "drive", "--to-position", "link,link"], "--to-position names one or more, each once, got link, link"),
-    (["--from-effort", "drive"], "--from-effort names one side of a plant; give the other side, too (to_position)"),
-    (["--to-position", "link"], "--to-position names one side of a plant; give the other side, too (from_effort)"),
-    (["--from-effort", "drive", "--to-position", "link", "--map"], "--map is about the loop of a tracker, and a plant"),
-    (["--from-effort", "drive", "--to-position", "link", "--along"], "--along is about the loop of a tracker"),
+    (
+        ["--from-effort", "drive", "--to-position", "link,link"],
+        "--to-position must name one or more, each once, got link, link",
+    ),
+    (["--from-effort", "drive"], "--from-effort also needs to_position"),
+    (["--to-position", "link"], "--to-position also needs from_effort"),
+    (
+        ["--from-effort", "drive", "--to-position", "link", "--map"],
+        "--map analyses the loop of a tracker; it cannot be combined",
+    ),
+    (["--from-effort", "drive", "--to-position", "link", "--along"], "--along analyses the loop of a tracker"),
 ]
 
 

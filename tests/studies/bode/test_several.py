@@ -99,7 +99,7 @@ def test_gains_by_joint_name_every_independent_joint():
     kp, kd = GAINS.gains(mechanism.independent_joints)
     assert dict(zip([j.name for j in mechanism.independent_joints], kp, strict=True)) == {"O1": 30.0, "E1": 8.0}
     assert kd.min() == 0.2
-    with pytest.raises(ProblemError, match=r"tracking.kp has a value for each independent joint \(O1, O2\), got O1"):
+    with pytest.raises(ProblemError, match=r"tracking.kp must have a value for each independent joint \(O1, O2\), got O1"):
         load_problem("five-bar-reach", ["tracking.kp={ O1 = 20 }"])
     problem = load_problem("five-bar-reach", ["tracking.kp={ O1 = 20, O2 = 30 }"])
     assert problem.tracking.gains_text() == "kp = { O1 = 20, O2 = 30 }, kd = 1"
@@ -118,7 +118,7 @@ def test_the_text_says_where_the_loops_are_broken():
     mechanism, point, _ = leg_loop()
     limit = mechanism.effort_limit
     text = text_of(summary(bode_study(mechanism, point.state[:2], GAINS, limit, scanned=0)))
-    assert "each loop is broken at the effort on its coordinate (O1, E1), made by act_O1, act_O2 together" in text
+    assert "each loop is opened at the total effort on its coordinate (O1, E1) of act_O1, act_O2" in text
 
 
 def test_a_loop_that_is_stable_in_the_model_and_not_in_mujoco_is_a_no(monkeypatch):
@@ -128,7 +128,7 @@ def test_a_loop_that_is_stable_in_the_model_and_not_in_mujoco_is_a_no(monkeypatc
     study = bode_study(mechanism, point.state[:2], GAINS, mechanism.effort_limit, scanned=0)
     assert all(entry.stable for entry in study.points)
     assert not study.stable
-    assert study.message.startswith("stable by the sampled model and not in MuJoCo at O1 = ")
+    assert study.message.startswith("stable by the sampled model but not in MuJoCo at O1 = ")
 
 
 def test_poses_are_told_apart_by_the_coordinates_that_differ():
@@ -145,7 +145,7 @@ def test_dry_friction_is_said_to_damp_the_measured_motion(tmp_path):
     arm = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="arm" axis="0 1 0" frictionloss="{}"/>
       <inertial pos="0.5 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body></worldbody>
       <actuator><motor joint="arm" ctrlrange="-20 20"/></actuator></mujoco>"""
-    words, deviations = "a larger test signal comes closer", []
+    words, deviations = "use a larger test signal", []
     for friction, amplitude in ((0.0, None), (0.3, None), (0.3, 0.5)):
         (tmp_path / "arm.xml").write_text(arm.format(friction))
         mechanism = load_mechanism(str(tmp_path / "arm.xml"))
@@ -249,7 +249,7 @@ def test_no_response_is_measured_where_contacts_push():
     assert all(point.stable for point in study().points)  # or nothing would be measured anyway
     assert study().measurement is None
     assert not any(point.responses for point in study().points)
-    assert "not measured: contacts push" in text_of(summary(study()))
+    assert "not measured: there are contacts" in text_of(summary(study()))
 
 
 def test_no_plant_is_measured_where_contacts_push_and_all_of_it_is_predicted():
@@ -257,7 +257,7 @@ def test_no_plant_is_measured_where_contacts_push_and_all_of_it_is_predicted():
     found = linkplan.bode(study().mechanism, at_deg=[10.0, 25.0], kp=2.0, kd=0.02, period_s=2e-3, **ports).study
     assert found.measurement is None
     assert len(found.caveats) == 2
-    assert all(caveat.endswith("contacts push there") for caveat in found.caveats)
+    assert all(caveat.endswith("there are contacts") for caveat in found.caveats)
     assert "contacts of" in found.contacts
     assert all(one.moves and not one.measured for point in found.points for one in point.responses.values())
 

@@ -235,7 +235,7 @@ def test_the_other_branch_has_the_other_sign(ask_json):
     own = ask_json("optimus-knee")[1]
     other = ask_json("optimus-knee", "--set", f"mechanism.home_deg={{ O = 0.0, A = {coupler - crank}, C = {rocker} }}")[1]
     assert own["problems"] == []
-    assert any("joint A stands at -158.1 deg at home, outside its range" in problem for problem in other["problems"])
+    assert any("joint A is at -158.1 deg at home, outside its range" in problem for problem in other["problems"])
     assert own["home_deg"]["A"] - other["home_deg"]["A"] > 90.0
     assert own["branch"][0] * other["branch"][0] < 0
     assert other["along"][0]["singularity_ratio"][0] > 0, "a share of its own home's"
@@ -252,7 +252,7 @@ def test_the_table_tells_weight_alone_from_what_holds_weight_and_springs():
     actuator = mechanism.actuators[0].name
     assert path.ratio[:, 0, 0] * columns[f"hold {actuator}"] == pytest.approx(both, rel=1e-9, abs=1e-12)
     text = text_of(path_blocks(path))
-    assert "'weight alone' omits the springs; hold and force include weight, springs and constant forces" in text
+    assert "'weight alone' omits springs; hold and force include weight, springs and constant forces" in text
 
 
 KEYED = """<mujoco model="keyed"><worldbody><body><joint name="O" axis="0 1 0"/><geom size="0.1"/></body></worldbody>

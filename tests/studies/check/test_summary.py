@@ -119,7 +119,7 @@ def test_pads_that_meet_when_the_gripper_closes_are_no_error(ask_json, tmp_path)
     (tmp_path / "gripper.xml").write_text(GRIPPER, encoding="utf-8")
     code, found = ask_json("check", str(tmp_path / "gripper.xml"))
     assert (code, found["problems"]) == (0, [])
-    assert any("left pad and right pad meet towards an end of the reach" in note for note in found["notes"])
+    assert any("left pad and right pad touch near an end of the reach" in note for note in found["notes"])
 
 
 @pytest.mark.slow
@@ -169,7 +169,7 @@ def test_of_few_coordinates_all_quantities_are_said(wholes):
 def test_of_many_each_has_its_own(wholes):
     text = text_of(wholes[9].blocks())
     assert "the same at every pose" not in text
-    assert "for each of the 9 coordinates, the tables above have only its own quantities" in text
+    assert "the table of each of the 9 coordinates above has only its own quantities" in text
     own = next(part for part in text.split("\n\n") if part.startswith("along the reach of j7"))
     head = own.splitlines()[1]
     assert "weight alone j7 [N.m]" in head

@@ -46,7 +46,7 @@ def test_a_signal_after_the_result_was_written_says_where_it_is(number, ask, tmp
     place = tmp_path / "P"
     code, _, err = ask("plan", "knee-reach", "-o", str(place))
     assert code == CODES[number]
-    assert err.endswith(f"linkplan plan: interrupted; the result is in '{place}', whole\n")
+    assert err.endswith(f"linkplan plan: interrupted; the complete result is in '{place}'\n")
     assert read_plan(place).status == "optimal"
 
 
@@ -145,7 +145,7 @@ def test_an_error_that_cannot_even_be_told_is_a_line(monkeypatch, capsys):
 
     monkeypatch.setattr(program, "saved_fault_report", fails)
     assert program.unforeseen("plan", RuntimeError("x")) == 2
-    assert capsys.readouterr().err == "linkplan plan: there is not enough memory for it\n"
+    assert capsys.readouterr().err == "linkplan plan: not enough memory\n"
 
 
 def test_what_cannot_be_read_is_not_said_to_be_unwritable(monkeypatch, capsys):
@@ -163,7 +163,7 @@ def test_a_date_of_the_surroundings_that_is_none_is_refused_in_one_line(text, mo
     monkeypatch.setenv("SOURCE_DATE_EPOCH", text)
     assert program.main(["list"]) == 2
     said = capsys.readouterr().err
-    assert "SOURCE_DATE_EPOCH is a time in whole seconds since 1970" in said
+    assert "SOURCE_DATE_EPOCH must be a time in whole seconds since 1970" in said
     assert len(said.splitlines()) == 1
 
 

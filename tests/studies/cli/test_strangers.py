@@ -39,8 +39,8 @@ TYPED = [
     (["bode", "planned"], ["model 'planned' is a saved plan; give the file of its problem"]),
     (["batch", "planned"], ["batch 'planned' is a saved plan", "[sweep]"]),
     (["track", "planned/plan.json"], ["a file of the saved plan 'planned'", "name its folder"]),
-    (["batch", "leg.toml"], ["batch 'leg.toml' is a problem file, which plan takes"]),
-    (["plan", "sweep.toml"], ["'sweep.toml' is a batch file, which batch takes"]),
+    (["batch", "leg.toml"], ["batch 'leg.toml' is a problem file, for plan"]),
+    (["plan", "sweep.toml"], ["'sweep.toml' is a batch file, for batch"]),
     # a tracking motion without a reference
     (["plan", "leg.toml", "--set", "motion.kind=track"], ["motion.kind 'track' needs a [reference]"]),
     # units
@@ -83,7 +83,7 @@ def test_check_goes_on_with_a_command_that_finds_a_pose_or_puts_motors(tmp_path,
     flat, floating = tmp_path / "flat.xml", tmp_path / "floating.xml"
     flat.write_text(FLAT_PARALLELOGRAM, encoding="utf-8")
     _, out, _ = ask("check", str(flat))
-    assert f"next: linkplan new {flat} -o problem.toml begins at that pose" in out
+    assert f"next: linkplan new {flat} -o problem.toml starts from that pose" in out
     floating.write_text(
         """<mujoco><worldbody><body><freejoint/><geom size="0.1"/><body pos="0.2 0 0"><joint name="arm" axis="0 1 0"/>
           <geom size="0.05" pos="0.1 0 0"/></body></body></worldbody></mujoco>""",
@@ -116,7 +116,7 @@ def test_new_takes_keys_of_the_mechanism(ask):
     assert "closure_tolerance_m = 2e-06" in out
     code, _, err = ask("new", "five-bar", "--set", "motion.duration_s=2")
     assert code == 2
-    assert "new takes settings of mechanism and writes the other sections, got motion" in err
+    assert "new takes settings of [mechanism] only, because it writes the other sections; got motion" in err
 
 
 # command line, the word that is meant

@@ -79,10 +79,10 @@ def test_errors_by_joint_are_one_for_each_hinge():
     position, _ = Tracking(lqr_position_deg={"arm": 2.0, "wrist": 3.0}).lqr_errors(joints)
     assert np.degrees(position[1:]) == pytest.approx([2.0, 3.0])
     with pytest.raises(
-        ProblemError, match=r"lqr_position_deg has a value for each independent joint \(arm, wrist\), got arm"
+        ProblemError, match=r"lqr_position_deg must have a value for each independent joint \(arm, wrist\), got arm"
     ):
         Tracking(lqr_position_deg={"arm": 2.0}).lqr_errors(joints)
-    with pytest.raises(ProblemError, match=r"lqr_velocity_m_s has a value for each independent joint \(none\), got O"):
+    with pytest.raises(ProblemError, match=r"lqr_velocity_m_s must have a value for each independent joint \(none\), got O"):
         load_problem("knee-reach", ["tracking.lqr_velocity_m_s={ O = 2.0 }"])
 
 

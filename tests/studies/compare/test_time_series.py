@@ -105,7 +105,7 @@ def test_a_soft_loop_is_said_with_its_gap_and_what_it_does_to_the_joints():
     run = comparison.nominal["pd"]
     assert run.gap_m.max() > 1e-4 * comparison.plan.problem.mechanism.extent_m
     (note,) = comparison_notes(comparison)
-    assert note.startswith("pd, soft closures: MuJoCo's loops gape by up to ")
+    assert note.startswith("pd, soft closures: MuJoCo's loops open by up to ")
     assert f"{1e3 * run.gap_m.max():.3g} mm" in note
     assert re.search(r"[A-D] is off by up to [\d.e-]+ deg", note)
     assert 'mechanism.solref = "stiff"' in note

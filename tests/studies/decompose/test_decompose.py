@@ -159,7 +159,7 @@ def test_a_loop_that_is_lost_on_the_way_is_said_with_what_came_in():
     assert lost.machines == 0
     assert "lost after discretisation of the plan was switched on" in next(iter(lost.failures))
     text = text_of(decomposition_blocks(found))
-    assert "pd+ff, 1 of 1 machines left out" in text
+    assert "pd+ff, 1 of 1 machines omitted" in text
     assert "lqr" in text.splitlines()[3]
 
 
@@ -331,7 +331,7 @@ def test_what_cannot_be_is_one_line(ask, words, code, said):
 def test_a_loop_that_is_lost_is_exit_code_one(ask):
     code, out, _ = ask("decompose", "knee-reach", *BRIEF, *HEAVY, "--set", "tracking.kd=1e6")
     assert code == 1
-    assert "left out" in out
+    assert "omitted" in out
 
 
 @pytest.fixture(scope="module")

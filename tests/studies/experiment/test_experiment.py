@@ -230,10 +230,10 @@ def test_a_machine_that_cannot_be_built_is_counted_too(tmp_path):
     [
         ("imperfections.delay=1", "did you mean 'delay_periods'"),
         ("imperfections.coulomb_friction={ K = 1 }", "names 'K'"),
-        ("imperfections.encoder_resolution_m=1e-3", "independent slides, of which the mechanism has none"),
-        ("imperfections.push_effort=1", "a push without a target; name imperfections.push_joint"),
-        ("imperfections.push_body='crank'", "pushed with no force"),
-        ("imperfections.torque_constant_factor=[1.1, 0.9]", "from its low end to its high end"),
+        ("imperfections.encoder_resolution_m=1e-3", "independent slides; the mechanism has none"),
+        ("imperfections.push_effort=1", "needs the target of the push: imperfections.push_joint"),
+        ("imperfections.push_body='crank'", "needs the force of the push"),
+        ("imperfections.torque_constant_factor=[1.1, 0.9]", "must have its low end first"),
     ],
 )
 def test_imperfections_that_cannot_be_are_refused_when_the_problem_is_read(override, said):
@@ -314,7 +314,7 @@ def test_a_tracker_whose_gains_are_too_high_for_its_encoder_is_said_to_chatter(t
     coarse = ("imperfections.encoder_resolution_deg=0.05", SHORT)
     (quiet, loud) = (done(tmp_path / name, overrides=how).notes for name, how in (("a", fine), ("b", coarse)))
     assert not any("chatters" in note for note in quiet)
-    assert any(note.startswith("pd+ff chatters: its effort varies by") for note in loud)
+    assert any(note.startswith("pd+ff chatters: the total variation of its effort is") for note in loud)
 
 
 LIGHT_ANKLE = """

@@ -69,7 +69,7 @@ DAMAGED = {
     "columns in another order": (lambda table: table.select(table.column_names[::-1]), "their order"),
     "numbers in single precision": (retyped("chatter", pa.float32()), "chatter of type float; it is of type double"),
     "samples as numbers": (retyped("sample", pa.float64()), "sample of type double; it is of type int64"),
-    "a row less": (lambda table: table.slice(1), "has 11 rows; 12 were asked for"),
+    "a row less": (lambda table: table.slice(1), "has 11 rows; 12 were expected"),
     "rows in another order": (lambda table: table.take(list(range(ROWS))[::-1]), "column sample is the experiment's"),
     "an unknown tracker": (column("tracker", first("lqr")), "column tracker is pd, pd+ff in turn; row 0 has lqr"),
     "a number that is missing": (column("rms_error_deg", first(None)), "column rms_error_deg lacks 1 values"),
@@ -93,7 +93,7 @@ def test_rows_beyond_those_asked_for_are_refused_before_a_column_is_decoded(fold
     parquet.write_table(table, folder / RESULTS)
     assert (folder / RESULTS).stat().st_size < 100_000
     monkeypatch.setattr(parquet.ParquetFile, "read", lambda *_, **__: pytest.fail("a column was decoded"))
-    with pytest.raises(PlanFileError, match="has 100000 rows; 12 were asked for"):
+    with pytest.raises(PlanFileError, match="has 100000 rows; 12 were expected"):
         saved_outcome(folder)
 
 
@@ -128,7 +128,7 @@ RECORDS = {
     "nothing asked": (lambda said: said.pop("asked"), "missing required field `asked`"),
     "another format": (asked(lambda said: said.update(format=2)), "at `$.asked.format`"),
     "an unknown tracker": (asked(lambda said: said["settings"].update(trackers=["pid"])), "'pid'"),
-    "other samples": (asked(lambda said: said["settings"].update(samples=7)), "has 12 rows; 14 were asked for"),
+    "other samples": (asked(lambda said: said["settings"].update(samples=7)), "has 12 rows; 14 were expected"),
     "another seed": (asked(lambda said: said["settings"].update(seed=1)), "the value by the experiment's seed"),
     "another design": (asked(lambda said: said["settings"].update(design="random")), "design"),
 }

@@ -85,8 +85,9 @@ def test_a_law_that_keeps_something_in_itself_runs_as_one_for_each_machine(laws,
     monkeypatch.setattr(block, "_MAX_LOG_BYTES", 1)  # one simulation at a time
     one = done(laws / "one", say=said.append)
     assert (laws / "one" / RESULTS).read_bytes() == (laws / "many" / RESULTS).read_bytes()
-    assert [text for text in said if "one state after the other" in text] == [
-        f"{OWN[0]} is evaluated for one state after the other: it has neither batched = True nor start and step"
+    assert [text for text in said if "one state at a time" in text] == [
+        f"{OWN[0]} is evaluated for one state at a time, which is slower, because it has neither batched = True nor start"
+        " and step"
     ]
     # The same law with its sum where it belongs, but for machines on which the first gives up.
     at = {name: one.results["tracker"] == name for name in OWN}

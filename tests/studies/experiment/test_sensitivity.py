@@ -135,7 +135,7 @@ def test_failures_are_told_and_success_says_what_they_are_owed_to():
     assert found.trackers["pd+ff"]["rms_error_deg"].left_out > 0
     assert found.trackers["pd+ff"]["success"].left_out == 0
     assert found.ranking("pd+ff", "success")[0] == "link_length_factor.coupler"
-    assert "left out of the errors" in text_of(sensitivity(outcome))
+    assert "omitted from the errors" in text_of(sensitivity(outcome))
 
 
 def test_python_has_it_as_a_value():

@@ -96,12 +96,12 @@ def test_values_are_those_of_the_planned_problem(session):
 def test_what_no_slider_gives_is_refused(session):
     for values, said in (
         ({"goal_deg.A": 1.0}, "unknown slider"),
-        ({"duration_s": 99.0}, r"duration_s is from 0\.04 to 0\.64 s, got 99"),
+        ({"duration_s": 99.0}, r"duration_s must be from 0\.04 to 0\.64 s, got 99"),
         ({"duration_s": "long"}, "duration_s"),
     ):
         with pytest.raises(ProblemError, match=said):
             session.problem_at(values, None)
-    with pytest.raises(ProblemError, match="explore takes a reach"):
+    with pytest.raises(ProblemError, match="explore needs a reach"):
         Session(first=load_problem("knee-sine"))
 
 

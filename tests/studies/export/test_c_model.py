@@ -202,7 +202,7 @@ def test_code_of_a_whole_robot_is_written_and_not_measured(monkeypatch, tmp_path
     monkeypatch.setattr(c_files, "MOST_MEASURED_OPERATIONS", 100)
     record = write_model(code, tmp_path)
     assert record.sizes == []
-    assert "the option sizes measures it" in text_of(record.blocks(tmp_path))
+    assert "use the option sizes to measure it" in text_of(record.blocks(tmp_path))
 
 
 @needs_gcc
@@ -239,7 +239,7 @@ def test_spins_of_rods_are_named_and_are_no_output_joints(tmp_path):
     assert header.count("spins freely") == 2
     assert "s[3] left/toe-roll [rad], effort [N.m]\n" in header
     assert checked_outputs(mechanism, toes) is mechanism
-    with pytest.raises(ProblemError, match=r"joints are 2.*got 1; left/toe-roll would be left out"):
+    with pytest.raises(ProblemError, match=r"joints must be 2.*got 1; left/toe-roll would be omitted"):
         checked_outputs(mechanism, toes[:1])
 
 
@@ -310,12 +310,12 @@ def test_the_command_writes_a_folder_with_its_costs(tmp_path, capsys):
         (["optimus-knee", "--to", "c++"], "unknown format 'c++'"),
         (["knee-reach", "--to", "c", "--tracker", "mpc"], "legal: pd, pd+ff, lqr, gs-pd+ff"),
         (["knee-reach", "--to", "c", "--every-s", "0.1"], "--every-s"),
-        (["knee-reach", "--to", "c", "--joints", "C"], "the plan's own coordinates"),
+        (["knee-reach", "--to", "c", "--joints", "C"], "the plan's coordinates"),
         (["optimus-knee", "--to", "c", "--joints", "Q"], "'Q'"),
-        (["optimus-knee", "--to", "c", "--tolerance", "0.1"], "--tolerance is for the tables of a plan's law"),
-        (["knee-reach", "--to", "c", "--sizes"], "--sizes is for a model"),
-        (["knee-reach", "--to", "csv", "--sizes"], "--sizes is for code in C"),
-        (["knee-reach", "--to", "csv", "--tolerance", "0.1"], "--tolerance is for code in C"),
+        (["optimus-knee", "--to", "c", "--tolerance", "0.1"], "--tolerance applies to the tables of a plan's law"),
+        (["knee-reach", "--to", "c", "--sizes"], "--sizes applies to a model"),
+        (["knee-reach", "--to", "csv", "--sizes"], "--sizes applies to C code only"),
+        (["knee-reach", "--to", "csv", "--tolerance", "0.1"], "--tolerance applies to C code only"),
     ],
 )
 def test_bad_input_is_refused_in_one_line(words, said, tmp_path, capsys):

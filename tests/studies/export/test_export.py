@@ -142,7 +142,7 @@ def test_ros_on_another_joint_has_its_motion_and_the_power_of_the_motor(plan):
 
 @pytest.mark.parametrize(
     ("to", "joints", "said"),
-    [("ros", ["O", "C"], "joints are 1"), ("csv", ["C"], "only the format ros"), ("ros", ["Q"], "'Q'")],
+    [("ros", ["O", "C"], "joints must be 1"), ("csv", ["C"], "the format ros only"), ("ros", ["Q"], "'Q'")],
 )
 def test_output_joints_that_cannot_be_are_refused(plan, to, joints, said):
     with pytest.raises(ProblemError, match=said):
@@ -184,7 +184,7 @@ def test_samples_stand_as_far_apart_as_asked_and_at_the_end(plan):
 
 @pytest.mark.parametrize("every", [0.0, -1.0, float("nan"), float("inf"), 0.2, 1e-9])
 def test_a_time_between_samples_that_is_none_is_refused(plan, every):
-    with pytest.raises(ProblemError, match="samples"):
+    with pytest.raises(ProblemError, match="every_s"):
         exported_samples(plan, every)
 
 

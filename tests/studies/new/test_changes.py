@@ -145,7 +145,7 @@ def test_the_spin_of_a_push_rod_is_locked_and_nothing_else():
     assert before.dof == mechanism.dof == 2
     (locked,) = mechanism.selection.lock
     assert locked.startswith("rod_")
-    assert "a hinge of each is locked" in notes[0]
+    assert "one hinge of each is locked" in notes[0]
 
 
 def test_a_rod_that_swings_about_its_own_line_is_locked_too():
@@ -234,14 +234,14 @@ def test_undriven_joints_are_locked_that_dry_friction_holds_at_any_position(fric
     """The weight of 0.1 kg on an arm of 30 mm needs 0.029 N.m at the most; on the axis it needs none."""
     mechanism, notes = changed_mechanism({"model": CAMERA.format(friction=friction, arm=arm)})
     assert (mechanism.dof, mechanism.source.get("lock")) == ((1, {"tilt": 0.0}) if held else (2, None))
-    assert any("dry friction holds undriven joints" in note for note in notes) == held
+    assert any("undriven joints that dry friction holds" in note for note in notes) == held
 
 
 def test_cylinders_act_without_their_filters():
     ram = ARM.replace("<motor", '<cylinder area="0.1"').format(effort=300.0)
     mechanism, notes = changed_mechanism({"model": ram})
     assert (mechanism.n_u, mechanism.model.na, mechanism.source["drive"]) == (1, 0, ["arm"])
-    assert "since plans do not have their states: drive (mechanism.drive: arm)" in notes[0]
+    assert "because plans do not model their states: drive (mechanism.drive: arm)" in notes[0]
 
 
 def test_what_a_coupling_moves_with_a_locked_joint_is_locked_with_it():

@@ -149,7 +149,7 @@ def test_a_joint_that_cannot_hang_at_rest_on_the_way_is_named_with_its_lock():
         <body pos="0 0 -.3"><joint name="b" axis="0 1 0" range="-.1 .1"/><geom size=".02" pos="0 0 -.3"/></body></body>
         </worldbody><actuator><motor joint="a" ctrlrange="-9 9"/></actuator></mujoco>"""
     )
-    with pytest.raises(AssemblyError, match=r"on the way; mechanism.lock = \{ b = 0 \} holds them"):
+    with pytest.raises(AssemblyError, match=r"on the path; mechanism.lock = \{ b = 0 \} holds them"):
         resting_positions(mechanism, np.array([1.0, 0.0]), mechanism.home)
 
 

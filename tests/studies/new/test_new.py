@@ -250,7 +250,7 @@ def test_a_servo_without_limits_is_not_too_weak_for_a_weight_that_a_spring_holds
 
 def test_a_dependent_joint_that_stands_outside_its_range_is_named_with_it():
     text = built_in_text("slider-crank").replace('ref="0.2"', 'ref="0.2" range="0.3 0.4" limited="true"')
-    assert "joint B stands at 0.2 m at home, outside its range [0.3, 0.4] m; mechanism.home_deg" in begun(text).why
+    assert "joint B is at 0.2 m at home, outside its range [0.3, 0.4] m; set another pose by" in begun(text).why
 
 
 def test_a_joint_outside_its_range_at_home_begins_inside():

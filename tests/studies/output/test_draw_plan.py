@@ -174,7 +174,7 @@ def test_text_and_record_have_both(plan):
     said, certificate = record_of(plan), plan.certificate
     assert said.peak_motor_power_w["M"] == pytest.approx(certificate.peak_motor_power[0])
     assert said.peak_brake_power_w["M"] == pytest.approx(certificate.peak_brake_power[0])
-    (demands,) = (block for block in plan_blocks(plan) if isinstance(block, Table) and "demands" in block.title)
+    (demands,) = (block for block in plan_blocks(plan) if isinstance(block, Table) and "Demands" in block.title)
     shown = dict(zip((head for head, _ in demands.columns), demands.rows[0], strict=True))
     assert shown["power as motor"] == pytest.approx(certificate.peak_motor_power[0], rel=1e-3)
     assert shown["as brake"] == pytest.approx(certificate.peak_brake_power[0], rel=1e-3)

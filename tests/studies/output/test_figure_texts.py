@@ -164,7 +164,7 @@ def test_a_legend_above_bars_with_long_labels_stays_on_the_page():
     names = ("all in the middle, 0.153", "at the low end", "at the high end")
     spans = [Span(name=name, start=0.0, end=0.387 + k, colour=k) for k, name in enumerate(names)]
     rows = [Bar(label="torque_constant_factor.act_O, 0.9412 to 1.059", spans=spans, note="0.00697")] * 2
-    bars = Bars(title="pd+ff: what the rms error owes to each imperfection", axis=Axis(label="error", unit="deg"), rows=rows,
+    bars = Bars(title="pd+ff: influence of each imperfection on the error", axis=Axis(label="error", unit="deg"), rows=rows,
                 line=0.0, line_name="", note_name="")  # fmt: skip
     assert not text_faults(figure_of(FigureSpec(panels=[bars] * 3, columns=2, panel_in=(6.5, 2.4))))
 

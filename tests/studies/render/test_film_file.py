@@ -211,7 +211,7 @@ def test_a_motion_that_repeats_itself_leaves_out_the_end_which_is_the_beginning(
 
 
 def test_too_many_frames_are_refused_with_how_many_there_would_be():
-    with pytest.raises(ProblemError, match=r"2\.?\d*.* s, 1e\+06 times slower .* frames; at most 20000"):
+    with pytest.raises(ProblemError, match=r"2\.?\d*.* s, 1e\+06 times slower .* frames; the limit is 20000"):
         frame_times(2.0, 1e6, 25.0)
 
 
@@ -228,5 +228,5 @@ def test_an_instant_is_the_control_period_that_it_falls_into():
 def test_a_picture_of_an_instant_after_the_run_is_refused_with_its_end():
     motion = waved("optimus-knee")
     asked = RenderSettings(suffix=".png", at_s=99.0)
-    with pytest.raises(ProblemError, match=f"ends at {motion.time_s[-1]:.4g} s; there is no picture of it at 99 s"):
+    with pytest.raises(ProblemError, match=f"ends at {motion.time_s[-1]:.4g} s; a picture at 99 s is not possible"):
         picture(motion, None, asked, None)

@@ -175,7 +175,7 @@ def test_an_end_at_which_the_figure_is_lost_is_said_and_not_drawn():
     )
     (row,) = found.rows
     assert [span.name for span in row.spans] == ["at the low end"]
-    assert row.note == "lost at the high end"
+    assert row.note == "failed at the high end"
 
 
 def test_morris_bars_together_are_the_mean_size_and_their_difference_the_mean():

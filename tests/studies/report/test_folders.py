@@ -44,7 +44,7 @@ def test_the_problem_of_a_page_plans_for_its_receiver_who_has_the_model_beside_i
     (sender / "leg.xml").write_text(model)
     problem = linkplan.Problem.reach(str(sender / "leg.xml"), start_deg={"O": -10}, goal_deg={"O": 10}, duration_s=0.2)
     (code,) = [one for one in blocks(plan_report(linkplan.plan(problem)), Code) if "problem" in one.title]
-    assert "# Needs leg.xml in its own folder." in code.text
+    assert "# Needs leg.xml in its folder." in code.text
     assert str(tmp_path) not in code.text
     (receiver / "leg.xml").write_text(model)
     (receiver / "received.toml").write_text(code.text)
@@ -55,7 +55,7 @@ def test_the_problem_of_a_page_plans_for_its_receiver_who_has_the_model_beside_i
 @pytest.mark.parametrize("name", ["notes.txt", "tune.json"])
 def test_a_folder_of_something_else_or_of_version_1_0_is_refused_in_one_line(name, tmp_path):
     (tmp_path / name).write_text("{}")
-    with pytest.raises(PlanFileError, match=r"has no result of linkplan with a report\.json; version 1\.0 wrote none"):
+    with pytest.raises(PlanFileError, match=r"has no report\.json of a linkplan result; version 1\.0 did not write"):
         folder_report(tmp_path)
 
 
@@ -93,7 +93,7 @@ def test_a_damaged_document_is_refused(case, tmp_path):
 def test_a_file_that_is_no_report_is_not_replaced(tmp_path):
     mine = tmp_path / "mine.html"
     mine.write_text("<p>mine</p>")
-    with pytest.raises(PlanFileError, match="is there and not linkplan's"):
+    with pytest.raises(PlanFileError, match="exists and was not written by linkplan"):
         write_report(plan_report(optimal("knee-reach")), mine)
     assert mine.read_text() == "<p>mine</p>"
 
@@ -107,7 +107,7 @@ def test_an_earlier_report_is_replaced(tmp_path):
 
 def test_a_page_without_a_folder_to_stand_in_is_refused_before_any_work(capsys):
     assert main(["plan", "knee-reach", "--report"]) == 2
-    assert "--report writes report.html into the folder of -o, which is not given" in capsys.readouterr().err
+    assert "--report writes report.html into the folder of -o; add -o DIR" in capsys.readouterr().err
 
 
 def test_the_command_makes_a_page_of_a_plan_s_folder(tmp_path, capsys):

@@ -162,9 +162,9 @@ def test_a_figure_that_never_changes_owes_nothing_to_anything(design):
 @pytest.mark.parametrize(
     ("asked", "said"),
     [
-        (("sobol", 11, False, 200), r"'sobol' of 11 imperfections takes at least 208 samples, 16 groups of 13; got 200"),
-        (("morris", 3, True, 19), r"'morris' of 4 imperfections takes at least 20 samples"),
-        (("one-at-a-time", 3, True, 13), r"takes at least 14 samples, 2 groups of 7"),
+        (("sobol", 11, False, 200), r"'sobol' of 11 imperfections needs at least 208 samples, 16 groups of 13; got 200"),
+        (("morris", 3, True, 19), r"'morris' of 4 imperfections needs at least 20 samples"),
+        (("one-at-a-time", 3, True, 13), r"needs at least 14 samples, 2 groups of 7"),
         (("morris", 0, False, 100), "needs an imperfection with a range"),
     ],
 )

@@ -53,8 +53,8 @@ def test_the_command_says_writes_and_reports_the_same_motors(ask_json, ask, list
         ("big", 4.0, False),
     ]
     assert said["notes"] == [
-        "a rotor without rotor_inertia counts as weightless: direct",
-        "without rms_effort the rms effort has no limit: direct",
+        "motors without rotor_inertia have a rotor inertia of 0: direct",
+        "motors without rms_effort have no limit on the rms effort: direct",
     ]
     code, _, _ = ask("report", str(folder), "-o", str(tmp_path / "page.html"))
     assert code == 0
@@ -96,9 +96,7 @@ def test_no_motor_that_does_is_exit_code_one(ask, tmp_path):
 @pytest.mark.slow
 def test_of_several_actuators_one_gets_the_motors_and_the_others_keep_their_limits():
     motors = [{"name": "M", "peak_effort": 4.0, "rotor_inertia": 1e-4, "gears": [5]}]
-    with pytest.raises(
-        linkplan.LinkplanError, match=r"actuator is one of act_O1, act_O2: say which of them gets the motors"
-    ):
+    with pytest.raises(linkplan.LinkplanError, match=r"actuator must be one of act_O1, act_O2: name the one to size"):
         linkplan.size("five-bar-reach", motors)
     problem = linkplan.Problem.from_file("five-bar-reach")
     found = linkplan.size(problem, motors, actuator="act_O2")
@@ -136,18 +134,18 @@ def _line(stall: float) -> dict[str, float]:
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "motor is missing; it is a list of 1 to 1000 tables ([[motor]])"),
+        ("", "motor is missing; it must be a list of 1 to 1000 tables ([[motor]])"),
         ("motor = []", "motor is a list of 1 to 1000 tables ([[motor]]), got []"),
-        ("motor = [1]", "motor[0] is a table"),
-        ("[[motor]]\npeak_effort = 1", "motor[0].name is missing; it is a name of 1 to 99 letters"),
-        ('[[motor]]\nname = "M"', "motor 'M' has a peak_effort or a stall_effort; got neither"),
+        ("motor = [1]", "motor[0] must be a table"),
+        ("[[motor]]\npeak_effort = 1", "motor[0].name is missing; it must be a name of 1 to 99 letters"),
+        ('[[motor]]\nname = "M"', "motor 'M' needs a peak_effort or a stall_effort; got neither"),
         ('[[motor]]\nname = "M"\npeak = 1', "unknown key 'motor.M.peak' (did you mean 'peak_effort'?)"),
         ('[[motor]]\nname = "M"\npeak_effort = -1', "motor.M.peak_effort is a positive number, got -1"),
         ('[[motor]]\nname = "M"\npeak_effort = 1\ngears = [0]', "motor.M.gears is a positive number, got 0"),
         (2 * '[[motor]]\nname = "M"\npeak_effort = 1\n', "motors must have different names"),
         ('[[motor]]\nname = "M"\nstall_effort = 1', "motor 'M': motors.act_O.stall_effort and motors.act_O.no_load"),
         ('[[motor]]\nname = "M"\nstall_effort = 1\nno_load_speed_m_s = 2', "motor 'M': actuator 'act_O' gives N.m; use"),
-        ('[mechanism]\nmodel = "x"', "is a problem file; a list of motors is a TOML file with [[motor]] tables"),
+        ('[mechanism]\nmodel = "x"', "is a problem file; a list of motors must be a TOML file with [[motor]] tables"),
     ],
 )
 def test_lists_that_cannot_be_are_refused_in_one_line_before_planning(ask, tmp_path, text, said):
@@ -185,14 +183,14 @@ def test_missing_files_servos_and_wrong_subjects_are_refused(tmp_path):
         linkplan.size(7, motors)
     with pytest.raises(linkplan.LinkplanError, match="rest_s is a number of at least 0, got -1"):
         linkplan.size("knee-reach", motors, rest_s=-1)
-    with pytest.raises(linkplan.LinkplanError, match="rest_s is the rest after a motion that ends, and knee-sine-shank"):
+    with pytest.raises(linkplan.LinkplanError, match="rest_s must be 0 for a periodic motion such as knee-sine-shank"):
         linkplan.size("knee-sine-shank", motors, rest_s=1.0)
     servo = HINGE.replace('<motor name="motor" joint="J"', '<position name="motor" joint="J" kp="9"')
     problem = linkplan.Problem.reach(servo, start_deg={"J": 10}, goal_deg={"J": 100}, duration_s=1.5)
     with pytest.raises(linkplan.LinkplanError, match="actuator 'motor' is a servo"):
         linkplan.size(problem, motors)
     many = [{"name": f"M{k}", "peak_effort": 1.0, "gears": [1.0] * 100} for k in range(11)]
-    with pytest.raises(linkplan.LinkplanError, match="at most 1000 motors with gears are compared, the list has 1100"):
+    with pytest.raises(linkplan.LinkplanError, match="at most 1000 motors with gears can be compared; the list has 1100"):
         linkplan.size("knee-reach", many)
 
 

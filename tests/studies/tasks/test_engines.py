@@ -143,7 +143,7 @@ def test_progress_counts_and_says_what_was_done_before():
     progress = StreamProgress(10, 4, "samples", said.append)
     progress.more(3)
     progress.more(3)
-    assert said[0] == "4 of 10 samples are done already"
+    assert said[0] == "4 of 10 samples are already finished"
     assert said[1].startswith("7 of 10 samples, about 0 s left")
     assert said[2] == "10 of 10 samples"
 

@@ -109,8 +109,8 @@ def test_a_linkage_without_a_serial_equivalent_says_why():
     ("time", "path", "said"),
     [
         (np.linspace(0, 1, 20), np.full((20, 2), 3.0), "the table goes"),
-        (np.linspace(0, 1, 5), np.zeros((5, 2)), "n at least 10"),
-        (np.zeros(20), np.zeros((20, 2)), "times increase"),
+        (np.linspace(0, 1, 5), np.zeros((5, 2)), "with n of at least 10"),
+        (np.zeros(20), np.zeros((20, 2)), "times must increase"),
         (np.linspace(0, 1, 20), np.zeros((20, 3)), r"positions \(n, 2\)"),
     ],
 )

@@ -120,7 +120,7 @@ def test_a_problem_gives_effort_limits_and_motor_speeds(capsys):
 def test_a_table_that_misses_its_tolerance_says_so_and_ends_with_1(capsys):
     code, out, _ = ask(capsys, "transfer", "optimus-knee", "--joints", "C", "--tolerance", "1e-9")
     assert code == 1
-    assert "above 1e-09" in out
+    assert "above the tolerance of 1e-09" in out
 
 
 @pytest.mark.parametrize(

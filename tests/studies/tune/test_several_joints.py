@@ -150,7 +150,9 @@ def _toml(value):
 
 
 def test_lqr_weights_of_several_joints_are_refused_with_what_to_use():
-    with pytest.raises(LinkplanError, match=r"LQR weights for one degree of freedom, and 'five-bar' has 2: pd and pd\+ff"):
+    with pytest.raises(
+        LinkplanError, match=r"LQR weights for one degree of freedom only, and 'five-bar' has 2: use pd or pd\+ff"
+    ):
         linkplan.tune("five-bar", bandwidth_hz=5, tracker="lqr")
 
 
