@@ -2,8 +2,9 @@
 
 One joint determines the time of a fast motion, and only its jumps of effort matter. They become ends of segments with
 unknown durations, between which efforts are free. Elsewhere the mesh is refined in one step by as much as the certificate
-requires. Overruns that cost less than a finer mesh are removed by tightening. Once the objective has settled, the motion
-only changes where it needs more effort than a proof allows: to the nearest motion on a finer mesh (`nearest_feasible`).
+requires. Once the objective has settled, the motion only changes where it overruns a limit between the nodes or needs more
+effort than a proof allows: to the nearest motion on a finer mesh (`nearest_feasible`), within limits tightened by the
+overruns.
 
 The first solves keep a distance from singular poses that the problem does not require, so that no iterate leaves its
 assembly branch (`FIRST_MARGIN`). On finer meshes, which start from a motion on its branch, the distance is smaller.
@@ -55,10 +56,8 @@ _LOST_SHARE = 1e-3
 # excavator, and at most 3e-4 for the other 30 problems of the set.
 _LOST_SHARE_AT_FIRST = 2e-2
 # A mesh is too coarse with more than this share of the allowed residual, and where a limit is overrun between the nodes by
-# more than this share of itself: less is tightened.
-_MOST_RESIDUAL, _MOST_TIGHTENED = 0.2, 3e-4
-# The number of times that limits are tightened on a mesh. If this is not enough, or costs too much, the mesh is refined.
-_MAX_TIGHTENINGS = 2
+# more than this share of itself.
+_MOST_RESIDUAL, _MOST_OVERRUN = 0.2, 3e-4
 # A segment shorter than this share of a mean interval is removed: its switch times have met, and rounding errors determine
 # its accelerations.
 _MET_SHARE = 1e-2
@@ -126,7 +125,7 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
             left *= min(1.0, gain / last_gain)
         better = not kept or finer.solution.objective < kept[-1].at.found.solution.objective
         last = _Kept(way.case, at, rows) if better and at.certificate is not None else None
-        way = _next_way(way.case, before, at, gain, left) if at.passed or better else None
+        way = _next_way(way.case, at, left) if at.passed or better else None
         if last is not None and at.passed:
             # Nearer to singular poses the objective also changes, for another reason than the mesh.
             alike = bool(kept) and _margin_of(kept[-1].case) == _margin_of(last.case)
@@ -240,10 +239,10 @@ def _first_way(case: MechanismCase, at: CertifiedIterate) -> _Way:
     return _Way(case, *mesh_with_switches(boundaries, jumps, n, least=1), "jumps of efforts as unknowns")
 
 
-def _next_way(case: MechanismCase, before: CertifiedIterate, at: CertifiedIterate, gain: float, left: float) -> _Way | None:
-    """Return the next solve after two motions; None if the last one is final, or no finer mesh is allowed.
+def _next_way(case: MechanismCase, at: CertifiedIterate, left: float) -> _Way | None:
+    """Return the next solve after a motion; None where it is done.
 
-    `gain` is the share of the objective that the last mesh gained, `left` what a further one is expected to gain.
+    `left` is the share of the objective that a further mesh is expected to gain.
     """
     if at.certificate is None:
         return None
@@ -252,30 +251,15 @@ def _next_way(case: MechanismCase, before: CertifiedIterate, at: CertifiedIterat
     further = apart(jumps_of(case, at.found), np.concatenate([[0.0], np.cumsum(durations)]), at.found.motion)
     if (nearer := _nearer(case, at.found)) is not case:
         return _Way(nearer, mesh, durations, "nearer to singular poses")
-    settled = left <= _settled_change(case)
-    tightened = case.tightened(at.certificate, at.found.motion) if at.overruns else case
-    if not settled and len(further) and mesh.n_segments + len(further) <= mesh.n_intervals // 3:
+    if left <= _settled_change(case):
+        return None
+    if len(further) and mesh.n_segments + len(further) <= mesh.n_intervals // 3:
         ends = np.concatenate([np.cumsum(durations)[:-1], further])
         ends = np.sort(ends[np.abs(ends[:, None] - boundaries).min(axis=1) > 1e-9 * boundaries[-1]])
         return _Way(case, *mesh_with_switches(boundaries, ends, mesh.n_intervals, least=1), "more jumps as unknowns")
-    if not settled and pieces.max() > 1 and pieces.sum() <= _MAX_GROWTH * case.asked.mesh.intervals:
-        return _Way(tightened, divided(mesh, pieces), durations, "finer mesh")
-    if at.overruns and case.n_tightenings < _MAX_TIGHTENINGS:
-        return _Way(tightened, mesh, durations, "limits tightened between the nodes")
-    cost = -gain / _settled_change(case)  # of tightening
-    if case.n_tightenings and (at.overruns or (at.passed and cost > 1)):
-        overrun = at.report.overrun if at.overruns else _overrun_before(before, at)
-        mesh = divided(mesh, np.where(overrun > 0, _enough(case, np.full(len(overrun), max(cost, 2.0))), 1))
-        return _Way(_loosened(case, _margin_of(case)), mesh, durations, "the problem's own limits again, on a finer mesh")
-    if settled:
-        return None
-    return _Way(case, divided(mesh, 1 + rough_of(at.found.motion)), durations, "finer mesh")
-
-
-def _overrun_before(before: CertifiedIterate, at: CertifiedIterate) -> np.ndarray:
-    """Return by how much a motion overran its limits, at the middles (n,) of another one's intervals."""
-    first, breaks = (one.found.motion.breaks_s / one.found.motion.duration_s for one in (before, at))
-    return before.report.overrun[np.searchsorted(first[1:-1], 0.5 * (breaks[1:] + breaks[:-1]))]
+    if pieces.max() == 1 or pieces.sum() > _MAX_GROWTH * case.asked.mesh.intervals:
+        pieces = 1 + rough_of(at.found.motion)
+    return _Way(case, divided(mesh, pieces), durations, "finer mesh")
 
 
 def _nearer(case: MechanismCase, found: Iterate) -> MechanismCase:
@@ -316,7 +300,7 @@ def _margin_of(case: MechanismCase) -> float:
 
 def _coarse(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
     """Return the number of parts (n,) of each interval, from the excess of its residual and overruns."""
-    errors = at.report.residual_share / _MOST_RESIDUAL, at.report.overrun / _MOST_TIGHTENED
+    errors = at.report.residual_share / _MOST_RESIDUAL, at.report.overrun / _MOST_OVERRUN
     return _enough(case, np.maximum(*errors))
 
 
