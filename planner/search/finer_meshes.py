@@ -147,10 +147,10 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
 
 
 def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -> Iterate | None:
-    """Return the solution of the next solve from a motion; None without one by a deadline, or if it is of another motion.
+    """Return the solution of the next solve from a motion; None without one, or without one by a deadline.
 
     With a free duration the barrier parameter follows the iterates. With a given duration it decreases from a small value,
-    which takes fewer iterations.
+    which takes fewer iterations; if the motion is lost, it follows the iterates too.
     """
     start, settings = replace(guess_from(coarse.motion), share_of_effort=1.0), way.case.problem.solver
     another = coarse.solution.transcribed.scheme.name != way.case.problem.mesh.scheme
@@ -159,11 +159,15 @@ def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -
     case = replace(way.case, problem=replace(way.case.problem, solver=few))
     mesh, durations = _without_met(way.mesh, way.durations)
     free = case.asked.motion.duration_s is None
-    finer = attempt(case, start, mesh, durations, way.what, close=True, adaptive=free, position_rows=rows)
     lost = _LOST_SHARE_AT_FIRST if another and not free else _LOST_SHARE
-    if finer is None or share_gained(finer.solution.objective, coarse.solution.objective) > lost:
-        return None
-    return finer
+    found: list[Iterate] = []
+    for adaptive in (True,) if free else (False, True):
+        finer = attempt(case, start, mesh, durations, way.what, close=True, adaptive=adaptive, position_rows=rows)
+        if finer is not None:
+            found.append(finer)
+            if share_gained(finer.solution.objective, coarse.solution.objective) <= lost:
+                break
+    return min(found, key=lambda finer: finer.solution.objective, default=None)
 
 
 def _without_met(mesh: Mesh, durations: np.ndarray) -> tuple[Mesh, np.ndarray]:
@@ -251,7 +255,7 @@ def _next_way(case: MechanismCase, at: CertifiedIterate, left: float) -> _Way | 
     further = apart(jumps_of(case, at.found), np.concatenate([[0.0], np.cumsum(durations)]), at.found.motion)
     if (nearer := _nearer(case, at.found)) is not case:
         return _Way(nearer, mesh, durations, "nearer to singular poses")
-    if left <= _settled_change(case):
+    if abs(left) <= _settled_change(case):
         return None
     if len(further) and mesh.n_segments + len(further) <= mesh.n_intervals // 3:
         ends = np.concatenate([np.cumsum(durations)[:-1], further])

@@ -20,11 +20,12 @@ A motion that is optimal on one mesh violates the rows of a finer mesh by the er
 as many iterations as the first time, and may not converge if limits are active all along. Feasibility alone takes one to
 three quadratic programs of least change in the efforts (`nearest_feasible`),
 
-    min 1/2 d^T W d  subject to  lower <= (x + d, g + J d) <= upper
+    min w grad f d + 1/2 d^T W d  subject to  lower <= (x + d, g + J d) <= upper
 
 (Nocedal and Wright, Numerical Optimization, 2006, section 18.1: the restoration of an SQP method). W is small for states and
-large for efforts and durations, so these change as little as possible. PIQP solves the programs: its proximal terms permit
-redundant rows (Schwan, Jiang, Kuhn and Jones, PIQP: a proximal interior-point quadratic programming solver, 2023).
+w for efforts and durations, so these change as little as possible. The gradient of the objective keeps active limits active
+(as in an SQP step); it counts in the first program only, since the others remove errors of linearisation. PIQP solves the
+programs: its proximal terms permit redundant rows (Schwan, Jiang, Kuhn and Jones, PIQP: a proximal interior-point quadratic programming solver, 2023).
 """
 
 import time
@@ -240,7 +241,9 @@ def nearest_feasible(transcribed: Transcribed, x: np.ndarray, deadline: Deadline
             step_of = ca.conic("step", "piqp", shapes, {"piqp": _PIQP, "error_on_fail": False})
         (low, low_rows), (high, high_rows) = ((of[: len(x)], of[len(x) :][limited]) for of in (lower - here, upper - here))
         # The solver's own status is ignored: the violation at the next point decides.
-        found = step_of(h=cost, g=0.0, a=jacobian[limited, :], lbx=low, ubx=high, lba=low_rows, uba=high_rows)
+        # Without the gradient, least times with pin forces are up to 5e-4 longer, least efforts of an excavator 5e-4 larger.
+        slope = _COST_OF_EFFORTS * program.functions["grad_f"](x, p)[1] if steps == 0 else 0.0
+        found = step_of(h=cost, g=slope, a=jacobian[limited, :], lbx=low, ubx=high, lba=low_rows, uba=high_rows)
         x, steps = np.clip(x + np.array(found["x"]).ravel(), transcribed.lower, transcribed.upper), steps + 1
     return Solution(
         transcribed=transcribed,

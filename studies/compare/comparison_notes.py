@@ -78,7 +78,7 @@ def default_gains(comparison: Comparison) -> list[str]:
     positions = comparison.plan.trajectory.position_at(time)
     why = why_no_loop(problem.mechanism, positions, problem.limits.actuators_effort)
     if why is not None:
-        return [f"{ran}; set gains in [tracking], because `linkplan tune` cannot find them: {why}"]
+        return [f"{ran}; set gains in [tracking], because no tuning can find them: {why}"]
     return [f"{ran}; `linkplan tune` finds gains for this mechanism"]
 
 

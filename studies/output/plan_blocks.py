@@ -127,7 +127,7 @@ def demand_table(plan: Plan) -> Table:
     """Return the demands of a plan with a motion, an actuator in a row."""
     demands = demands_of(plan.problem, plan.require_motion("judge actuators by"))
     rows = [[getattr(one, field) for field in _DEMAND_HEADS] for one in demands]
-    return table_of("What the motion demands of each actuator", [*_DEMAND_HEADS.values()], rows, brief=[])
+    return table_of("Demands of the motion on each actuator", [*_DEMAND_HEADS.values()], rows, brief=[])
 
 
 def demand_blocks(plan: Plan, group: str) -> list[Block]:

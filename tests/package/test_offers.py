@@ -35,7 +35,7 @@ def test_every_result_has_a_report(plan, loop, tmp_path):
 def test_a_picture_is_rendered(plan, tmp_path):
     done = linkplan.render(plan, tmp_path / "reach.png", at_s=0.08, size_px=(160, 120))
     assert Image.open(tmp_path / "reach.png").size == done.struct.size == (160, 120)
-    with pytest.raises(linkplan.LinkplanError, match=r"ends in \.mp4"):
+    with pytest.raises(linkplan.LinkplanError, match=r"end in \.mp4"):
         linkplan.render(plan, tmp_path / "reach.bmp")
 
 

@@ -249,7 +249,7 @@ def test_a_goal_nearer_to_a_singular_pose_than_allowed_is_said_without_solving()
         ("limits.effort_rate.act_P=5", "act_O"),
         ("limits.effort_rate.act_O=[5,9]", "must admit rest"),
         ("limits.closure_force.Q=5", "B"),
-        ("motors.act_O={stall_effort=5}", "go together"),
+        ("motors.act_O={stall_effort=5}", "must be given together"),
         ("motors.act_O={stall_effort=5,no_load_speed_m_s=3}", "no_load_speed_deg_s"),
     ],
 )

@@ -185,7 +185,7 @@ def test_least_time_is_no_shorter_than_the_shortest_allowed():
 # Refusals.
 
 REFUSED = {
-    "one out of order": ("motion.waypoints=[{at_deg={O=0},time_s=0.1},{at_deg={O=9},time_s=0.05}]", "comes after 0.1 s"),
+    "one out of order": ("motion.waypoints=[{at_deg={O=0},time_s=0.1},{at_deg={O=9},time_s=0.05}]", "must be after 0.1 s"),
     "one at the end": ("motion.waypoints=[{at_deg={O=0},time_s=0.16}]", "beyond the motion's 0.16 s"),
     "one at no time": ("motion.waypoints=[{at_deg={O=0},time_s=0}]", "positive"),
     "one with a time alone": ("motion.waypoints=[{time_s=0.1}]", "it needs one of them"),

@@ -180,7 +180,7 @@ def test_failures_of_the_certificate_refute_a_plan():
 
 
 def test_a_plan_without_a_motion_has_no_proof():
-    with pytest.raises(LinkplanError, match="nothing to prove"):
+    with pytest.raises(LinkplanError, match="the plan has no motion"):
         planned("knee-reach", "motion.duration_s=0.01").prove()
 
 

@@ -276,7 +276,7 @@ def test_a_path_file_is_read_and_kept_in_the_problem(tmp_path):
                 "robust": {"payload_factor": [0.9, 1.1]},
                 "payload": {"body": "lower", "mass_kg": 0.1, "com_m": [0, 0, 0], "inertia_kgm2": [0, 0, 0]},
             },
-            "takes no [robust]",
+            "cannot be combined with [robust]",
         ),
         ({"minimize": "jerk", "duration_s": 0.6}, "motion.kind 'follow' cannot be combined with minimize 'jerk'"),
         (
@@ -284,7 +284,7 @@ def test_a_path_file_is_read_and_kept_in_the_problem(tmp_path):
                 "limits": {"site_jerk_m_s3": {"tip": 40.0}},
                 "path": {"site": "tip", "points": [LINE[0], [0.45, 0.0, 0.1], LINE[1]], "shape": "spline"},
             },
-            "takes no limit or cost on jerk along rounded corners or a spline, but along a line or an arc",
+            "cannot be combined with limit or cost on jerk along rounded corners or a spline, but along a line or an arc",
         ),
         ({"path": {"site": "tip", "points": [LINE[0], [0.5, 0.1, 0.0]]}}, "path leaves the reach of site tip"),
     ],

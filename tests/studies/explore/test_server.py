@@ -83,7 +83,7 @@ def test_a_second_save_replaces_the_first_one_and_writes_a_file_that_is_gone(pro
 def test_a_file_that_was_there_before_the_page_is_refused(problems, tmp_path):
     place = tmp_path / "problem.toml"
     place.write_bytes(problems[0].to_toml().encode())
-    with pytest.raises(PlanFileError, match="is there already"):
+    with pytest.raises(PlanFileError, match="already exists"):
         SavedProblem(place=place).save(problems[0])
 
 
@@ -262,9 +262,9 @@ def test_a_browser_moves_a_slider_and_saves(served, served_folder):
         # While a value is refused, the page shows no verdict of the motion before.
         page.evaluate("explored.values.duration_s = 1000; planAgain(document.querySelector('output.said'))")
         page.locator(".said.bad").wait_for()
-        assert page.locator(".said").inner_text().startswith("duration_s is from 0.04 to 0.64 s, got 1000")
+        assert page.locator(".said").inner_text().startswith("duration_s must be from 0.04 to 0.64 s, got 1000")
         assert page.locator(".page .good.verdict").count() == 0
-        assert page.locator(".verdict.bad").inner_text().startswith("Not of these values: duration_s is from")
+        assert page.locator(".verdict.bad").inner_text().startswith("Not of these values: duration_s must be from")
         slider.fill("0.24")
         page.locator(".verdict.good").wait_for()
         assert page.locator(".stale, .said.bad").count() == 0

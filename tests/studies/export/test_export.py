@@ -197,7 +197,7 @@ def test_export_writes_one_file_and_never_overwrites(to, saved_reach, tmp_path, 
     assert before
     code, out, err = ask("export", str(saved_reach), "--to", to, "-o", str(target))
     assert (code, out) == (2, "")
-    assert "is there already" in err
+    assert "already exists" in err
     assert target.read_bytes() == before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["knee-reach", "out"]
 

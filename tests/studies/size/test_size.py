@@ -144,7 +144,10 @@ def _line(stall: float) -> dict[str, float]:
         ('[[motor]]\nname = "M"\npeak_effort = 1\ngears = [0]', "motor.M.gears is a positive number, got 0"),
         (2 * '[[motor]]\nname = "M"\npeak_effort = 1\n', "motors must have different names"),
         ('[[motor]]\nname = "M"\nstall_effort = 1', "motor 'M': motors.act_O.stall_effort and motors.act_O.no_load"),
-        ('[[motor]]\nname = "M"\nstall_effort = 1\nno_load_speed_m_s = 2', "motor 'M': actuator 'act_O' gives N.m; use"),
+        (
+            '[[motor]]\nname = "M"\nstall_effort = 1\nno_load_speed_m_s = 2',
+            "motor 'M': actuator 'act_O' has the unit N.m; use",
+        ),
         ('[mechanism]\nmodel = "x"', "is a problem file; a list of motors must be a TOML file with [[motor]] tables"),
     ],
 )
@@ -221,7 +224,7 @@ def test_least_times_are_those_of_the_inertia_with_the_reflected_rotor_and_the_b
         assert one.loads.rms_share == pytest.approx(2.0, rel=1e-6)
         assert one.loads.needed_rest_s == pytest.approx(3.0 * least_time(one.gear), rel=1e-6)
         assert not one.does
-        assert "beyond its limit of 1 N.m; with a rest of" in one.reason
+        assert "beyond its limit of 1 N.m; a rest of" in one.reason
         assert one.margin == pytest.approx(-1.0, rel=1e-6)
         assert one.speed_up is None
     rest_s = 3.01 * max(map(least_time, GEARS))

@@ -98,7 +98,7 @@ def test_workers_that_die_again_and_again_end_it_in_one_line(monkeypatch):
 def test_a_worker_with_other_versions_is_refused():
     answer = at_site(os.getcwd(), {**versions(), "mujoco": "9.9"}, squared, 2, 1)
     assert isinstance(answer, Refused)
-    assert "here 9.9; results would differ" in answer.text
+    assert "here 9.9; install the same version there" in answer.text
 
 
 def test_a_task_runs_in_the_folder_of_who_asks(tmp_path, monkeypatch):
