@@ -25,7 +25,8 @@ three quadratic programs of least change in the efforts (`nearest_feasible`),
 (Nocedal and Wright, Numerical Optimization, 2006, section 18.1: the restoration of an SQP method). W is small for states and
 w for efforts and durations, so these change as little as possible. The gradient of the objective keeps active limits active
 (as in an SQP step); it counts in the first program only, since the others remove errors of linearisation. PIQP solves the
-programs: its proximal terms permit redundant rows (Schwan, Jiang, Kuhn and Jones, PIQP: a proximal interior-point quadratic programming solver, 2023).
+programs: its proximal terms permit redundant rows (Schwan, Jiang, Kuhn and Jones, PIQP: a proximal interior-point quadratic
+programming solver, 2023).
 """
 
 import time

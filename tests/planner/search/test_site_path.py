@@ -284,7 +284,7 @@ def test_a_path_file_is_read_and_kept_in_the_problem(tmp_path):
                 "limits": {"site_jerk_m_s3": {"tip": 40.0}},
                 "path": {"site": "tip", "points": [LINE[0], [0.45, 0.0, 0.1], LINE[1]], "shape": "spline"},
             },
-            "cannot be combined with limit or cost on jerk along rounded corners or a spline, but along a line or an arc",
+            "cannot be combined with a limit or cost on jerk along rounded corners or a spline, only along a line or an arc",
         ),
         ({"path": {"site": "tip", "points": [LINE[0], [0.5, 0.1, 0.0]]}}, "path leaves the reach of site tip"),
     ],
