@@ -315,7 +315,8 @@ class Problem:
         # Along a path the joints' jerk differs from that of the only coordinate.
         others |= {"minimize 'jerk'": self.objective.has("jerk")}
         bent = self.path is not None and len(self.path.curve.corners) > 0
-        others |= {"a limit or cost on jerk along rounded corners or a spline, only along a line or an arc": bent and any(jerk)}
+        smooth_only = "a limit or cost on jerk along rounded corners or a spline, only along a line or an arc"
+        others |= {smooth_only: bent and any(jerk)}
         if self.path is not None or self.motion.kind == "follow":
             check_path(self.path, self.motion.kind, others)
         consistency.check_objective(self.objective, self.motion, self.mechanism, self.limits, lacking)
