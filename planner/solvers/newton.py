@@ -220,7 +220,7 @@ def _violation(value: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float
 
 
 def nearest_feasible(transcribed: Transcribed, x: np.ndarray, deadline: Deadline = NO_DEADLINE) -> Solution:
-    """Return the feasible point near unknowns x (n,), or a solution that has not converged, for example by a deadline."""
+    """Return a feasible point near unknowns x (n,) that hardly costs more; one that has not converged if none is found."""
     begin, program, p = time.perf_counter(), transcribed.program, transcribed.parameters
     lower = np.concatenate([transcribed.lower, transcribed.row_lower])
     upper = np.concatenate([transcribed.upper, transcribed.row_upper])

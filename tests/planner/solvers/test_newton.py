@@ -155,11 +155,11 @@ def test_a_bound_becomes_active_where_it_is_violated_and_inactive_where_it_pulls
     assert _changed(np.array([1]), np.array([value]), np.array([-1.0]), bounds[0], bounds[0]).tolist() == [1]
 
 
-@pytest.mark.parametrize(("room", "expected"), [(9.0, [1.0, -1.0]), (0.25, [1.75, -0.25])])
+@pytest.mark.parametrize(("room", "expected"), [(9.0, [0.5, -1.5]), (0.25, [1.75, -0.25])])
 @pytest.mark.parametrize("side", [+1, -1])
 @pytest.mark.parametrize("repeated", [1, 2])
 def test_the_nearest_feasible_point_leaves_a_bound_inwards_and_stops_at_the_next(side, room, expected, repeated):
-    """Nearest to (0, 0) with x_0 - side x_1 = 2, said once or twice, both change by one if x_1 has so much room."""
+    """x_0 + |x|^2 / 2 is least at x_0 = 0.5 with x_0 - side x_1 = 2, given once or twice, if x_1 has so much room."""
     x, p = ca.MX.sym("x", 2), ca.MX.sym("p", 0)
     row = ca.repmat(x[0] - side * x[1], repeated)
     functions = {
