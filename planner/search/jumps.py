@@ -11,10 +11,11 @@ from linkplan.planner.refinement.constrained_arcs import arc_ends, own_arcs
 from linkplan.planner.trajectory import Trajectory
 
 # An effort jumps where it changes by more than this share of its range from one interval to the next but one. The jump costs
-# about the square of the interval's share of the motion: less than the second share is not worth an unknown.
+# about the square of the interval's share of the motion; if this is below the second share, the jump does not become an
+# unknown.
 _JUMP_SHARE, _WORTH_AN_UNKNOWN = 0.4, 1e-4
-# At most so many jumps are unknowns, for each interval: with all 35 of an open chain of twelve motors on 24 intervals, its
-# least time took 44 s in place of 30, and was no better.
+# Largest number of jumps that are unknowns, per interval. With all 35 jumps of an open chain of twelve motors on 24
+# intervals, the least time took 44 s instead of 30 and was no better.
 _MOST_JUMPS = 0.9
 
 
@@ -23,7 +24,7 @@ def jumps_of(case: MechanismCase, found: Iterate) -> np.ndarray:
 
     The limits are those on speed, acceleration, jerk and power.
     """
-    if case.problem.mechanism.forces is not None:  # which are known at fixed instants
+    if case.problem.mechanism.forces is not None:  # whose instants are fixed
         return np.zeros(0)
     motion, jumps = found.motion, effort_jumps(case, found.motion)
     arcs = own_arcs(found.solution.transcribed, found.solution.x, ("speed", "acceleration", "jerk", "power"))
@@ -44,7 +45,7 @@ def _jerk_jumps(case: MechanismCase, motion: Trajectory) -> np.ndarray:
 def effort_jumps(case: MechanismCase, motion: Trajectory) -> np.ndarray:
     """Return the times (n,) [s] at which efforts jump between intervals or inside one, increasing.
 
-    The impulse of an interval tells where in it an effort changes from its mean before to its mean after.
+    The impulse of an interval gives the instant at which an effort changes from its previous mean to its next one.
     """
     if case.target.continuous_efforts or case.target.enclosed or not case.target.switches:
         return np.zeros(0)
@@ -56,7 +57,7 @@ def effort_jumps(case: MechanismCase, motion: Trajectory) -> np.ndarray:
 def _jumps(level: np.ndarray, motion: Trajectory) -> np.ndarray:
     """Return the increasing times (n,) [s] at which a column of the intervals' means (n_intervals, m) jumps.
 
-    Of very many those that cost most are taken.
+    Of too many jumps, those with the largest cost are returned.
     """
     breaks, found = motion.breaks_s, []
     widths = np.diff(breaks) / motion.duration_s
@@ -76,7 +77,7 @@ def _jumps(level: np.ndarray, motion: Trajectory) -> np.ndarray:
 
 
 def apart(times: np.ndarray, from_these: np.ndarray, motion: Trajectory) -> np.ndarray:
-    """Return the times that are a tenth of a mean interval or more apart from some others and from each other."""
+    """Return the times at a distance of at least a tenth of a mean interval from each other and from the given others."""
     least = 0.1 * motion.duration_s / (len(motion.breaks_s) - 1)
     kept: list[float] = []
     for time in times:

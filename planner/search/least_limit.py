@@ -1,4 +1,4 @@
-"""The least limits with which a motion exists, on efforts or of another kind: a start, or the reason for no plan."""
+"""The least limits with which a motion exists, as an initial guess or as the reason why there is no plan."""
 
 import itertools
 from dataclasses import dataclass

@@ -12,8 +12,9 @@ import numpy as np
 class Quantity:
     """A quantity: a `field` (n, ...) with an axis for each kind of part in `of`; of two parts of one kind it is symmetric.
 
-    `unit` is a text, or a function of the parts. In names the parts stand in braces. Without a `column` the quantity is not
-    in the table, without the title of a `plot` in none. There `label` is the axis's, `line` a line's; `meaning` is a phrase.
+    `unit` is a text, or a function of the parts. Names contain the parts in braces. A quantity without `column` is not in
+    the table, one without the title of a `plot` is not plotted. `label` names the plot's axis, `line` a line in it.
+    `meaning` is a phrase on the quantity.
     """
 
     field: str
