@@ -228,6 +228,26 @@ def _ctrl(actuator: Actuator, u: Any, length: Any, speed: Any) -> Any:
     return (u - b[0] - b[1] * length - b[2] * speed) / actuator.gain
 
 
+def permitted_efforts(problem: Problem, speeds: np.ndarray) -> np.ndarray:
+    """Return the least and largest efforts (n, n_u, 2) that limits on effort and power and motors' lines permit.
+
+    Args:
+        problem: with the limits.
+        speeds: of the actuators (n, n_u) [rad/s or m/s].
+    """
+    of_power = np.tile([-np.inf, np.inf], (*speeds.shape, 1))
+    moving = speeds != 0
+    of_power[moving] = np.sort((problem.limits.power / np.where(moving, speeds, 1.0)[:, :, None])[moving], axis=1)
+    low = np.maximum(problem.limits.effort[:, 0], of_power[..., 0])
+    high = np.minimum(problem.limits.effort[:, 1], of_power[..., 1])
+    for j, motor in enumerate(problem.motors):
+        if motor is not None and motor.line is not None:
+            share = speeds[:, j] / motor.no_load_speed
+            low[:, j] = np.maximum(low[:, j], motor.stall_effort * (-1.0 - share))
+            high[:, j] = np.minimum(high[:, j], motor.stall_effort * (1.0 - share))
+    return np.stack([low, high], axis=2)
+
+
 def clamped_allowance(problem: Problem, motion: Trajectory, j: int) -> float:
     """Return the overrun of ctrl that counts as clamped along a motion; 0 if actuator j's force is nowhere clamped."""
     actuator = problem.mechanism.actuators[j]

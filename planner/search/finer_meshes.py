@@ -30,7 +30,7 @@ from linkplan.planner.refinement.state import Refined
 from linkplan.planner.refinement.switches import mesh_with_switches
 from linkplan.planner.search.jumps import apart, jumps_of
 from linkplan.planner.trajectory import Trajectory
-from linkplan.planner.transcription.mesh import Mesh, divided, uniform, without_empty
+from linkplan.planner.transcription.mesh import Mesh, divided, uniform, with_ends, without_empty
 
 # Least |det J_z| relative to home: of the first solves, and of the last ones if the first bound is active and the problem
 # permits less. Near a singular pose no mesh is fine enough, and a tenth of the last one saves only a two-thousandth of the
@@ -250,17 +250,14 @@ def _next_way(case: MechanismCase, at: CertifiedIterate, left: float) -> _Way | 
     """
     if at.certificate is None:
         return None
-    pieces, mesh = _coarse(case, at), at.found.mesh
-    boundaries, durations = at.found.motion.breaks_s[mesh.boundaries()], at.found.durations
+    pieces, mesh, durations = _coarse(case, at), at.found.mesh, at.found.durations
     further = apart(jumps_of(case, at.found), np.concatenate([[0.0], np.cumsum(durations)]), at.found.motion)
     if (nearer := _nearer(case, at.found)) is not case:
         return _Way(nearer, mesh, durations, "nearer to singular poses")
     if abs(left) <= _settled_change(case):
         return None
     if len(further) and mesh.n_segments + len(further) <= mesh.n_intervals // 3:
-        ends = np.concatenate([np.cumsum(durations)[:-1], further])
-        ends = np.sort(ends[np.abs(ends[:, None] - boundaries).min(axis=1) > 1e-9 * boundaries[-1]])
-        return _Way(case, *mesh_with_switches(boundaries, ends, mesh.n_intervals, least=1), "more jumps as unknowns")
+        return _Way(case, *with_ends(divided(mesh, pieces), durations, further), "more jumps as unknowns")
     if pieces.max() == 1 or pieces.sum() > _MAX_GROWTH * case.asked.mesh.intervals:
         pieces = 1 + rough_of(at.found.motion)
     return _Way(case, divided(mesh, pieces), durations, "finer mesh")

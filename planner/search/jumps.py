@@ -4,15 +4,19 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from linkplan.models.errors import AssemblyError
+from linkplan.models.poses.assembly import follow
 from linkplan.planner.closed_chain.case import MechanismCase
+from linkplan.planner.limits.actuators import permitted_efforts
 from linkplan.planner.limits.rates import smooth_columns
+from linkplan.planner.limits.samples import actuator_speeds
 from linkplan.planner.refinement.case import Iterate
 from linkplan.planner.refinement.constrained_arcs import arc_ends, own_arcs
 from linkplan.planner.trajectory import Trajectory
 
-# An effort jumps where it changes by more than this share of its range from one interval to the next but one. The jump costs
-# about the square of the interval's share of the motion; if this is below the second share, the jump does not become an
-# unknown.
+# An effort jumps where its place within the permitted range changes by more than this share from one interval to the next
+# but one. The jump costs about the square of the interval's share of the motion; if this is below the second share, the jump
+# does not become an unknown.
 _JUMP_SHARE, _WORTH_AN_UNKNOWN = 0.4, 1e-4
 # Largest number of jumps that are unknowns, per interval. With all 35 jumps of an open chain of twelve motors on 24
 # intervals, the least time took 44 s instead of 30 and was no better.
@@ -47,11 +51,24 @@ def effort_jumps(case: MechanismCase, motion: Trajectory) -> np.ndarray:
 
     The impulse of an interval gives the instant at which an effort changes from its previous mean to its next one.
     """
-    if case.target.continuous_efforts or case.target.enclosed or not case.target.switches:
+    objective = case.asked.objective
+    if objective.efforts("bend") or objective.efforts("smooth") or not objective.efforts("jump"):
         return np.zeros(0)
-    limit, mean = case.asked.limits.effort, motion.effort.mean(axis=0)  # of Bernstein coefficients: that of the polynomial
-    span = np.ptp(limit, axis=1)
-    return _jumps(mean / np.where(np.isfinite(span) & (span > 0), span, np.maximum(np.ptp(mean, axis=0), 1e-300)), motion)
+    mean = motion.effort.mean(axis=0)  # of Bernstein coefficients: that of the polynomial
+    low, high = np.moveaxis(permitted_efforts(case.asked, _middle_speeds(case, motion)), 2, 0)
+    is_limited = np.isfinite(low) & np.isfinite(high) & (high > low)
+    level, size = np.where(is_limited, mean - low, mean), np.where(is_limited, high - low, np.ptp(mean, axis=0))
+    return _jumps(level / np.maximum(size, 1e-300), motion)
+
+
+def _middle_speeds(case: MechanismCase, motion: Trajectory) -> np.ndarray:
+    """Return the actuators' speeds (n_intervals, n_u) at the middles of intervals; zeros if the loops open there."""
+    middles = 0.5 * (motion.breaks_s[:-1] + motion.breaks_s[1:])
+    try:
+        poses = follow(case.asked.mechanism, motion.position_at(middles), motion.start_pose)
+    except AssemblyError:
+        return np.zeros((len(middles), motion.effort.shape[2]))
+    return actuator_speeds(case.asked, poses, motion.velocity_at(middles))
 
 
 def _jumps(level: np.ndarray, motion: Trajectory) -> np.ndarray:

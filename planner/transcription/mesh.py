@@ -194,15 +194,37 @@ def with_breaks(mesh: Mesh, durations: np.ndarray, times: np.ndarray) -> Mesh:
 
     Segments keep their ends and their durations (n_segments,) [s].
     """
+    ends = np.concatenate([[0.0], np.cumsum(durations)])
+    return _of_segments(_breaks_at(mesh, durations, times), ends, mesh.phase)
+
+
+def with_ends(mesh: Mesh, durations: np.ndarray, times: np.ndarray) -> tuple[Mesh, np.ndarray]:
+    """Return a mesh whose segments end at further times (n,) [s], too, and the durations of its segments [s].
+
+    Of the ends of intervals, those next to these times go.
+    """
+    old = np.concatenate([[0.0], np.cumsum(durations)])
+    ends = np.sort(np.concatenate([old, times]))
+    phase = mesh.phase[np.searchsorted(old[1:-1], 0.5 * (ends[1:] + ends[:-1]))]
+    return _of_segments(_breaks_at(mesh, durations, times), ends, phase), np.diff(ends)
+
+
+def _breaks_at(mesh: Mesh, durations: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Return the increasing ends [s] of a mesh's intervals with further ones, in place of those next to them."""
     breaks, ends = mesh.breaks(durations), np.concatenate([[0.0], np.cumsum(durations)])
-    width = np.diff(breaks).min()
-    inner = breaks[np.abs(breaks[:, None] - ends).min(axis=1) > 1e-9 * width]
-    added = times[np.abs(times[:, None] - ends).min(axis=1, initial=np.inf) > 1e-2 * width]
-    inner = inner[np.abs(inner[:, None] - added).min(axis=1, initial=np.inf) > 0.3 * width]
-    found = np.sort(np.concatenate([ends, inner, added]))
-    segment = np.searchsorted(ends[1:-1], 0.5 * (found[1:] + found[:-1]))
-    fraction = np.diff(found) / np.diff(ends)[segment]
-    return Mesh(fraction=fraction / np.bincount(segment, weights=fraction)[segment], segment=segment, phase=mesh.phase)
+    width = np.diff(breaks)
+    inner = breaks[np.abs(breaks[:, None] - ends).min(axis=1) > 1e-9 * width.min()]
+    added = times[np.abs(times[:, None] - ends).min(axis=1, initial=np.inf) > 1e-2 * width.min()]
+    beside = 0.3 * width[np.clip(np.searchsorted(breaks, added) - 1, 0, len(width) - 1)]
+    inner = inner[np.all(np.abs(inner[:, None] - added) > beside, axis=1)]
+    return np.sort(np.concatenate([ends, inner, added]))
+
+
+def _of_segments(breaks: np.ndarray, ends: np.ndarray, phase: np.ndarray) -> Mesh:
+    """Return the mesh with these ends of intervals [s] and, among them, of segments [s]."""
+    segment = np.searchsorted(ends[1:-1], 0.5 * (breaks[1:] + breaks[:-1]))
+    fraction = np.diff(breaks) / np.diff(ends)[segment]
+    return Mesh(fraction=fraction / np.bincount(segment, weights=fraction)[segment], segment=segment, phase=phase)
 
 
 def segmented(durations: np.ndarray, n_intervals: int, phase: np.ndarray = _ONE_PHASE, *, least: int = 3) -> Mesh:

@@ -9,7 +9,16 @@ import pytest
 
 import linkplan
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.limits.actuators import ControlLimit, MotorLimit, PowerLimit, _ctrl, _ranged, _unit, clamped_allowance
+from linkplan.planner.limits.actuators import (
+    ControlLimit,
+    MotorLimit,
+    PowerLimit,
+    _ctrl,
+    _ranged,
+    _unit,
+    clamped_allowance,
+    permitted_efforts,
+)
 from linkplan.planner.limits.efforts import effort_rates
 from linkplan.planner.limits.kinds import margins_along
 from linkplan.planner.limits.samples import samples_of
@@ -144,6 +153,23 @@ def test_power_is_effort_times_speed(most, left):
     power = margin(f"limits.power_w.motor={most}")
     assert power.value == pytest.approx(4.0, rel=1e-9)
     assert power.left == pytest.approx(left, rel=1e-9)
+
+
+@pytest.mark.parametrize("speed", [-3.0, -0.5, 0.0, 0.5, 3.0])
+def test_every_limit_of_an_actuator_permits_the_efforts_up_to_those_at_a_speed_and_no_others(speed):
+    line = "motors.motor={stall_effort=4.0,no_load_speed_deg_s=300.0}"
+    problem = body_problem(HINGE, REACH, "limits.power_w.motor=3.0", line)
+    ((low, high),) = permitted_efforts(problem, np.array([[speed]]))[0]
+
+    def is_permitted(effort: float) -> bool:
+        share = abs(effort / 4.0 + speed / np.radians(300.0))
+        within = problem.limits.effort[0, 0] <= effort <= problem.limits.effort[0, 1]
+        return bool(within and abs(effort * speed) <= 3.0 and share <= 1.0)
+
+    assert is_permitted(low + 1e-9)
+    assert is_permitted(high - 1e-9)
+    assert not is_permitted(low - 1e-9)
+    assert not is_permitted(high + 1e-9)
 
 
 GAIN, CTRL_HIGH, ANGLE = 50.0, 0.3, 0.5

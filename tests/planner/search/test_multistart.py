@@ -247,6 +247,18 @@ def test_a_jump_is_where_the_impulse_of_its_interval_puts_it(in_least_time):
     assert len(effort_jumps(smooth, motion)) == 0
 
 
+def test_an_effort_jumps_from_one_end_to_the_other_of_what_its_power_permits(in_least_time):
+    """At a constant speed, with 5 % of the power's range, the effort changes by 5 % of its own range."""
+    speed, most = 20.0, 100.0
+    power = with_limits(in_least_time, power=np.tile([-most, most], (2, 1)))
+    breaks, level = np.linspace(0.0, 0.01, 11), np.full((10, 2), most / speed)
+    level[5:, 0] *= -1.0
+    moving = np.stack([breaks[:-1], breaks[1:]])[:, :, None] * np.array([speed, 0.0])
+    motion = motion_along(breaks, moving, effort=np.stack([level, level]), start_pose=in_least_time.mechanism.home)
+    assert effort_jumps(case_of(power), motion) == pytest.approx([0.005])
+    assert len(effort_jumps(case_of(in_least_time), motion)) == 0
+
+
 @pytest.mark.slow
 def test_a_motion_within_a_limit_on_the_jerk_of_a_site_has_segments_that_end_where_the_jerk_turns_about():
     """Its size stays at the limit. On meshes without these ends, the same motion costs 0.3 % more."""

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from linkplan.planner.transcription.formulation import PhaseBoundary, stretched_durations
-from linkplan.planner.transcription.mesh import Layout, Mesh, broken, halved, segmented, without_empty
+from linkplan.planner.transcription.mesh import Layout, Mesh, broken, halved, segmented, with_ends, without_empty
 from linkplan.planner.transcription.system import System, build_node, node_symbols
 from tests.support.formulations import formulation
 
@@ -55,6 +55,17 @@ def test_a_segment_without_a_duration_goes_unless_it_is_the_longest_of_its_phase
     same, left = without_empty(three_segments(), DURATIONS, 0.1)
     assert left.tolist() == DURATIONS.tolist()
     assert same.n_intervals == 15
+
+
+def test_further_segments_take_the_place_of_the_ends_of_intervals_next_to_them():
+    mesh = three_segments()  # intervals of 1/30 s, of 1/3 s and of 1/15 s
+    cut, durations = with_ends(mesh, DURATIONS, np.array([1.15, 2.25]))
+    np.testing.assert_allclose(durations, [0.1, 1.05, 1.1, 0.85, 0.2])
+    assert cut.phase.tolist() == [0, 0, 0, 0, 1]
+    before, breaks = mesh.breaks(DURATIONS), cut.breaks(durations)
+    assert sorted(set(breaks.round(9)) - set(before.round(9))) == [1.15, 2.25]
+    # 1.1 s, at 0.15 of an interval from the first time, went; the second time halves its interval.
+    assert sorted(set(before.round(9)) - set(breaks.round(9))) == [1.1]
 
 
 def test_every_unknown_has_one_place_of_its_own():
