@@ -11,6 +11,7 @@ import numpy as np
 
 from linkplan.planner.refinement.case import Case, Iterate, PiecewiseMotion, attempt
 from linkplan.planner.refinement.constrained_arcs import (
+    INTERVALS_TO_SAME_SWITCH,
     SHARE_AT_LIMIT,
     FixedArcs,
     arc_ends,
@@ -90,10 +91,7 @@ def _arcs_of(case: Case, found: Iterate, boundaries: np.ndarray) -> tuple[np.nda
     """
     motion, transcribed, x, target = found.motion, found.solution.transcribed, found.solution.x, case.target
     on_path = path_arcs(transcribed, x)
-    # Bang arcs end where arcs along a speed limit begin. Other efforts have kinks there; along a motor's line all efforts
-    # do.
-    kinds = ("motor", "acceleration", "jerk")
-    arcs = own_arcs(transcribed, x, kinds if target.bang_bang else (*kinds, "speed"))
+    arcs = own_arcs(transcribed, x, ("motor", "acceleration", "jerk", "speed"))
     switch_times = find_switch_times(
         motion,
         target.effort_limit,
@@ -102,12 +100,32 @@ def _arcs_of(case: Case, found: Iterate, boundaries: np.ndarray) -> tuple[np.nda
         short=is_bang_bang(case, transcribed),
         continuous_efforts=target.continuous_efforts,
     )
-    further = arc_ends(np.hstack([on_path, arcs]), motion.breaks_s, switch_times, boundaries)
+    along = np.hstack([on_path, arcs])
+    switch_times = np.append(switch_times, _jumps_between(along, motion, switch_times))
+    further = arc_ends(along, motion.breaks_s, switch_times, boundaries)
     switch_times = np.sort(np.append(switch_times, further))
     ends = np.sort(np.concatenate([boundaries, switch_times]))
     bang_efforts = find_bang_efforts(motion, target.effort_limit, ends[1:-1])
     paths = find_constrained_paths(on_path, motion.breaks_s, ends, bang_efforts)
     return switch_times, FixedArcs(efforts=bang_efforts, paths=paths)
+
+
+def _jumps_between(along: np.ndarray, motion: PiecewiseMotion, known_s: np.ndarray) -> np.ndarray:
+    """Return the times (n,) [s] at which efforts jump in smeared intervals between two arcs (n_intervals, n_arcs).
+
+    The impulse of the effort that jumps most gives the time. Times near known ones are omitted.
+    """
+    breaks, mean = motion.breaks_s, motion.effort.mean(axis=0)
+    at_limit = np.flatnonzero(along.any(axis=1))
+    found = []
+    for a, b in itertools.pairwise(at_limit):
+        if not 1 < b - a <= SMEARED_INTERVALS:
+            continue
+        j = int(np.argmax(np.abs(mean[b] - mean[a]) / np.ptp(mean, axis=0).clip(1e-300)))
+        time = _switch_time_in(breaks[a + 1 : b + 1], motion.effort[:, a + 1 : b, j], mean[a, j], mean[b, j])
+        if np.abs(known_s - time).min(initial=np.inf) > INTERVALS_TO_SAME_SWITCH * float(np.diff(breaks[a : b + 2]).max()):
+            found.append(time)
+    return np.array(found)
 
 
 def is_bang_bang(case: Case, transcribed: Transcribed) -> bool:

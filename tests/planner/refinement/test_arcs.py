@@ -31,7 +31,7 @@ from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import uniform
 from linkplan.planner.transcription.schemes import NAMES, scheme
-from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
+from tests.support.bodies import HINGE, QUARTER_TURN, UNIT_ARM, body_plan, body_problem
 from tests.support.fourbar_problems import random_case
 from tests.support.motions import motion_along
 from tests.support.plans import optimal
@@ -53,6 +53,24 @@ def test_a_speed_limit_is_entered_followed_and_left_in_the_least_time(number, is
     plan = plan_motion(Problem.from_tables("limited", case.tables))
     assert plan.status == "optimal", plan.message
     assert plan.trajectory.duration_s == pytest.approx(case.duration, rel=LEAST_TIME_ON_ARCS)
+
+
+@pytest.mark.parametrize(("speed", "share"), [(9.0, 2.5), (9.0, 0.4), (1.2, 2.5)])
+def test_an_acceleration_jumps_from_limit_to_limit_inside_an_interval_in_the_least_time(speed, share):
+    """A unit arm is sped up with a share of the 2 rad/s2 with which it is braked; its motor of 9 N.m allows more."""
+    up, down, angle = 2.0 * share, 2.0, 1.6
+    fastest = min(speed, np.sqrt(2 * angle / (1 / up + 1 / down)))
+    least = fastest / up + fastest / down + (angle - fastest**2 / 2 * (1 / up + 1 / down)) / fastest
+    limits = np.degrees([-down, up, speed, angle])
+    plan = body_plan(
+        UNIT_ARM,
+        f'kind = "reach"\nstart_deg = {{ J = 0.0 }}\ngoal_deg = {{ J = {limits[3]} }}\n',
+        "objective.minimize=time",
+        f"limits.acceleration_deg_s2.J=[{limits[0]}, {limits[1]}]",
+        f"limits.speed_deg_s.J={limits[2]}",
+    )
+    assert plan.status == "optimal", plan.message
+    assert plan.trajectory.duration_s == pytest.approx(least, rel=LEAST_TIME_ON_ARCS)
 
 
 @pytest.mark.slow
