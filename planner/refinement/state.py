@@ -48,8 +48,10 @@ class Refined(Iterate):
         return arcs_against_their_limits(self.solution)
 
 
-def better_of(before: CertifiedIterate | None, now: CertifiedIterate, target: RefinementTarget) -> CertifiedIterate:
-    """Return the better of two motions that pass: the later one, on a finer mesh, unless it is worse.
+def better_of(
+    before: CertifiedIterate | None, now: CertifiedIterate, target: RefinementTarget, *, lost: float = LOST_GAIN
+) -> CertifiedIterate:
+    """Return the better of two motions that pass: the later one, on a finer mesh, unless it is worse by the share `lost`.
 
     On a finer mesh more limits bind, and each adds the solver's tolerance to the objective. The coarser motion is kept if it
     is as exact and better by no more than that, unless a tolerance on the objective was asked for.
@@ -62,7 +64,7 @@ def better_of(before: CertifiedIterate | None, now: CertifiedIterate, target: Re
     if not target.objective_tolerance_given and no_more_exact and 0 <= objective - then <= left:
         return before
     truer = not before.report.exact and (now.report.exact or error_of(now) < error_of(before))
-    share = LOST_GAIN_INEXACT if truer else LOST_GAIN
+    share = max(lost, LOST_GAIN_INEXACT) if truer else lost
     return before if then < objective - share * abs(objective) else now
 
 
@@ -124,7 +126,9 @@ class RefinementState:
         switches are read first, because they improve the motion more than a finer mesh.
         """
         if self.objective_tolerance is None:
-            return self.target.bang_bang or self.moved <= REPORTED_CHANGE
+            # The error of efforts of a given shape shows only on a second mesh.
+            seen = self.asked.problem.mesh.effort == "polynomial" or np.isfinite(self.change)
+            return self.target.bang_bang or (seen and self.moved <= REPORTED_CHANGE)
         return self.settled_meshes >= self.meshes_to_settle
 
     @property
@@ -196,7 +200,9 @@ def observed(state: RefinementState, at: CertifiedIterate, *, tells: bool = True
     if not at.passed:
         return new
     solution = at.found.solution
-    objective, size = solution.objective, abs(solution.objective)
+    # A negligible objective changes from mesh to mesh by the solver's tolerance on each interval.
+    rounding = SOLVER_TOLERANCE * at.n_intervals * solution.transcribed.objective_scale
+    objective, size = solution.objective, max(abs(solution.objective), rounding / REPORTED_CHANGE)
     change = abs(objective - state.before)
     tolerance, solved = new.objective_tolerance, solution.status == SUCCEEDED
     settled_meshes = state.settled_meshes
@@ -205,8 +211,12 @@ def observed(state: RefinementState, at: CertifiedIterate, *, tells: bool = True
     if state.loosened is not None:  # objectives can be compared on meshes with similar errors
         better = state.best is None or objective < state.best.found.solution.objective
         return replace(new, best=at, loosenings_without_gain=0) if better else new
-    new = replace(new, best=better_of(state.best, at, state.target), settled_meshes=settled_meshes)
+    # Efforts of a given shape depend on the mesh, and the quadrature of positive power errs where a speed changes its sign.
+    shaped = state.asked.problem.mesh.effort != "polynomial"
+    best = better_of(state.best, at, state.target, lost=OPTIMAL_CHANGE if shaped else LOST_GAIN)
+    new = replace(new, best=best, settled_meshes=settled_meshes)
     if not solved and tolerance is not None:  # a solver that stopped early gives no information on the objective
         return new
-    change = change / size if size and np.isfinite(change) else state.change
+    alike = shaped and at.n_intervals == state.iterate.n_intervals  # a higher degree does not refine these efforts
+    change = change / size if np.isfinite(change) and not alike else state.change
     return replace(new, change=change, change_before=state.change, before=objective)

@@ -117,6 +117,8 @@ ODE_LIMIT = 1e-8
 ODE_KINKED = 1e-6
 # Singular arcs: the cost is flat in the effort, which may chatter; the cost itself is met to its second order.
 ODE_SINGULAR = 1e-6
+# Least positive work where a speed changes its sign inside an interval, relative: quadrature of a kink. Measured 5e-6.
+WORK_WITH_TURNS = 2e-5
 # Positive work with efforts constant over intervals and cuts where they jump, relative. Measured 7e-8.
 LEAST_WORK = 1e-6
 SMOOTHED = 1e-3

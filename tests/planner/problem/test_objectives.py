@@ -12,7 +12,7 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.replan import structure
-from tests.support.bodies import HINGE_INERTIA, LIFT, TURN, body_plan, hinge
+from tests.support.bodies import HINGE_INERTIA, LIFT, TURN, UNIT_ARM, body_plan, hinge
 from tests.support.mechanisms import simulated
 from tests.support.motions import effort_rate, pin_forces, power
 from tests.support.plans import optimal, planned, problem_of
@@ -25,6 +25,7 @@ from tests.support.tolerances_planner import (
     SOFT_PIN,
     TERM_INTEGRAL,
     WORK_INTEGRAL,
+    WORK_WITH_TURNS,
 )
 
 # The lift's rise [m], mass [kg] and gravity [m/s2].
@@ -67,6 +68,20 @@ def test_the_least_work_of_a_pure_inertia_is_its_energy_at_the_lowest_speed_that
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("angle", "period"), [(1.0, 2.0), (2.0, 3.0)])
+def test_the_least_work_of_a_swing_to_and_fro_pays_twice_for_its_speed(angle, period):
+    """Between turns with 9 N.m the unit arm coasts. At a turn its speed changes its sign inside an interval."""
+    half = period / 2
+    fastest = 4.5 * (half - np.sqrt(half**2 - 4 * angle / 9))
+    plan = body_plan(
+        UNIT_ARM,
+        f'kind = "periodic"\nstart_deg = {{ J = 0.0 }}\ngoal_deg = {{ J = {np.degrees(angle)} }}\nduration_s = {period}\n',
+        "objective.minimize=work",
+    )
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(fastest**2, rel=WORK_WITH_TURNS)
+
+
 def test_the_least_work_of_a_lift_is_the_energy_that_it_gains():
     plan = body_plan(LIFT, LIFTED + "duration_s = 1.0\n", "objective.minimize=work")
     assert plan.status == "optimal", plan.message
