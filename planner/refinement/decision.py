@@ -4,7 +4,7 @@
 |---|---|---|
 | ReadSwitches | efforts jump, and their times are no unknowns yet or were read from a coarser mesh | Betts 2010, 4.4 |
 | ImposeRanges | a state leaves its range between the nodes | Bernstein coefficients enclose the state |
-| RaiseDegree | the error is spread evenly over the intervals: the motion is smooth there | Patterson, Hager and Rao 2015 |
+| RaiseDegree | the error is even: the motion is smooth; or halving does not reduce it | Patterson, Hager and Rao 2015 |
 | Halve | the error is large on some intervals, or the needed effort is beyond its limit | Betts and Huffman 1998 |
 | Tighten | only an overrun between the nodes is left, or halving did not remove it | constraint tightening |
 | ReleaseArcs | the multipliers on a held arc have the wrong sign | Pontryagin's principle; Betts 2010, 4.4 |
@@ -139,9 +139,11 @@ def _finer(state: RefinementState, over: np.ndarray) -> Action | None:
     if not marked.any():
         marked = np.ones(at.n_intervals, dtype=bool)
     if grown(at.found.mesh, marked) > _most_intervals(state):
-        if at.passed and _may_read_better(state) and _switches_are_open(state):
-            return ReadSwitches()
-        return None
+        if at.passed:
+            return ReadSwitches() if _may_read_better(state) and _switches_are_open(state) else None
+        may = not (state.error_falls or state.degree_lost or state.target.enclosed)
+        higher = raised(state.case.problem.mesh) if may else None
+        return None if higher is None else RaiseDegree(higher)
     late = state.rounds - state.read_in >= HALVINGS_BEFORE_TIGHTENING * (2 if over.any() else 1)
     return Halve(marked, tightens=late and at.overruns and not state.target.enclosed, tells=not np.any(uneven & ~marked))
 

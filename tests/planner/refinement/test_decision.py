@@ -287,6 +287,13 @@ def test_an_error_falls_if_a_finer_mesh_leaves_at_most_half_of_it(rounds, error,
     assert observed(before, at).error_falls == falls
 
 
+@pytest.mark.parametrize(("lost", "scheme"), [(False, "radau-5"), (True, None)])
+def test_a_motion_whose_error_halving_no_longer_halves_gets_a_higher_degree_before_the_search_ends(lost, scheme):
+    at = iterate(passed=False, exact=False, growth=np.geomspace(1e-8, 9.0, 120), n=120)
+    action = next_action(state(at, rounds=3, error_falls=False, degree_lost=lost))
+    assert action == (None if scheme is None else RaiseDegree(scheme))
+
+
 @pytest.mark.parametrize(("objective", "better"), [(0.9, True), (1.1, False)])
 def test_of_motions_within_the_limits_as_asked_the_best_is_kept(objective, better):
     before = state(iterate(), loosenings_without_gain=1)
