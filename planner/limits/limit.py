@@ -211,12 +211,11 @@ class Margin(Struct, frozen=True, eq=False, kw_only=True):
 
     def sentence(self, verb: str = "comes to") -> str:
         """Return a sentence with the worst value, its time and its limit."""
-        if not np.isfinite(self.value):
-            return f"{self.title} is {as_no_number(self.value)} at t = {self.time_s:.4g} s"
+        at, limit = f"at t = {self.time_s:.4g} s", f"{self.limit:.4g} {self.unit}".rstrip()
+        if not np.isfinite(self.value):  # such as a jerk where an acceleration jumps
+            return f"{self.title} is {as_no_number(self.value)} {at}; its limit is {limit}"
         amount = f"{self.value:.4g} {self.unit}".rstrip()
         off = f"{abs(self.left):.3g} {self.unit}".rstrip()
-        at = f"at t = {self.time_s:.4g} s"
-        limit = f"{self.limit:.4g} {self.unit}".rstrip()
         return f"{self.title} {verb} {amount} {at}, {off} {self.of.facts.beyond} its limit of {limit}"
 
 

@@ -228,6 +228,14 @@ def test_a_limit_on_the_jerk_of_a_site_that_forbids_a_motion_is_named():
     assert "the jerk of site tool" in plan.message
 
 
+@pytest.mark.slow
+def test_a_limit_on_the_jerk_of_a_joint_that_forbids_a_motion_is_stated():
+    plan = plan_motion(Problem.from_tables("knee", {**KNEE, "limits": {"jerk_deg_s3": {"O": 1e5}}}))
+    assert plan.status == "infeasible"
+    assert "the jerk of joint O" in plan.message
+    assert "its limit is 1e+05 deg/s3; the shortest feasible duration is " in plan.message
+
+
 def test_an_own_limit_on_jerk_needs_accelerations_that_change_within_intervals():
     own = [linkplan.ExtraLimit(name="own", expression=lambda at: at.site_jerk("B_coupler")[0], upper=1.0)]
     problem = Problem.from_tables("knee", {**KNEE, "mesh": {"effort": "constant"}})
