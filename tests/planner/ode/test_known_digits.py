@@ -1,7 +1,6 @@
 """The objective's error is estimated, and only the digits that are known are printed."""
 
 import itertools
-import re
 from dataclasses import replace
 
 import casadi as ca
@@ -9,7 +8,7 @@ import numpy as np
 import pytest
 
 from linkplan.planner.ode.formulation import guesses_of, start_from, units_of
-from linkplan.planner.ode.plan import OdeCase, OdePlan, known_digits, plan_ode, plan_of
+from linkplan.planner.ode.plan import OdeCase, plan_ode, plan_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.decision import refine
@@ -20,48 +19,12 @@ from tests.support.ode import (
     INF,
     NAN,
     bryson_denham,
-    double_integrator,
-    duration,
     robbins,
     solved,
     squared_effort,
 )
 
 DEG = np.pi / 180.0
-
-
-@pytest.mark.parametrize(
-    ("value", "error", "printed"),
-    [
-        (19.431782, 4e-4, "19.432"),
-        (19.431782, 6e-4, "19.43"),
-        (-34.14118428, 3e-9, "-34.14118428"),
-        (4.000000077, 5e-7, "4"),
-        (4.000123, 5e-7, "4.000123"),
-        (123456.0, 40.0, "1.235e+05"),
-        (1e-9, 1e-8, "0"),
-        (0.0, 0.0, "0"),
-        (1 / 3, 0.0, "0.3333333333"),
-        (1 / 3, INF, "0.333"),
-    ],
-)
-def test_digits_are_printed_as_far_as_the_error_leaves_them(value, error, printed):
-    assert known_digits(value, error) == printed
-
-
-def printed_objective(plan: OdePlan) -> tuple[float, float]:
-    """Return the objective that a plan prints, and half the unit of its last digit."""
-    text = re.match(r"optimum (\S+) in", plan.message)[1]
-    return float(text), 0.5 * 10.0 ** -len(text.partition(".")[2])
-
-
-def check_what_is_said(plan: OdePlan, low: float, high: float) -> None:
-    """Check that the objective is as near to an optimum between two bounds as it says, and what it prints, too."""
-    assert plan.status == "optimal", plan.message
-    assert low - plan.objective_error <= plan.objective <= high + plan.objective_error
-    value, half = printed_objective(plan)
-    assert low - plan.objective_error - half <= value <= high + plan.objective_error + half
-    assert f"the estimated error of the objective is {plan.objective_error:.1g}" in plan.message
 
 
 # Robbins' problem by Lagrange's dual: where the motion touches its limit, and from when on it stays there, about.
@@ -101,42 +64,9 @@ def robbins_below(touches: np.ndarray, at_rest: float) -> float:
 def test_robbins_optimum_is_as_near_as_the_plan_says():
     optimum = robbins_below(ROBBINS_TOUCHES, ROBBINS_AT_REST)
     plan = plan_ode(robbins(1e-6))
-    check_what_is_said(plan, optimum, optimum * (1 + 1e-8))
+    assert abs(plan.objective - optimum) <= plan.objective_error + 1e-8 * optimum
     assert plan.objective == pytest.approx(optimum, rel=1e-6)
     assert plan.objective_error <= 1e-5 * optimum
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("limit", [1 / 9, 0.04, 0.1, 0.13])
-def test_an_optimum_beside_a_limit_is_found_to_a_millionth_without_asking(limit):
-    exact, plan = 4 / (9 * limit), plan_ode(bryson_denham(limit, None))
-    check_what_is_said(plan, exact, exact)
-    assert plan.objective == pytest.approx(exact, rel=1e-6)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("changes", "exact"),
-    [
-        ({"duration_s": 1.5, "running_cost": squared_effort, "goal": [2, 0]}, 12 * 2**2 / 1.5**3),
-        ({"duration_s": (0.1, 20.0), "final_cost": duration, "effort_limit": [[-1, 1]]}, 2.0),
-        ({"duration_s": (0.1, 20.0), "final_cost": duration, "effort_limit": [[-1, 1]],
-          "state_limit": [FREE_STATE, [-INF, 0.8]]}, 1 / 0.8 + 0.8),
-    ],
-    ids=["least effort", "least time", "least time under a speed limit"],
-)  # fmt: skip
-def test_closed_forms_are_as_near_as_plans_say(changes, exact):
-    problem = OdeProblem(
-        **{
-            "name": "x'' = u",
-            "rate": double_integrator,
-            "start": [0, 0],
-            "goal": [1, 0],
-            "effort_limit": FREE_EFFORT,
-            **changes,
-        }
-    )
-    check_what_is_said(solved(problem), exact, exact)
 
 
 # The straight line between the boundary values.
