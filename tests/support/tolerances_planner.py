@@ -174,8 +174,6 @@ WAYPOINT_DEG = 1e-2
 COMPILED = 1e-10
 # Solving again against a fresh plan where limits were tightened after certifying: the amount differs, relative.
 TIGHTENED_ANEW = 1e-4
-# The integral of a squared effort by trapezia, two hundred an interval, relative.
-TRAPEZIA = 1e-5
 # As SECOND_ROUTE_DEG, of a slide [m].
 SECOND_ROUTE_M = 1e-5
 # Work against energy by trapezia over a plan, relative: across switches, and the collocation's own error.
