@@ -110,19 +110,18 @@ def ode_answer(name: str, _: float = 0.0) -> dict:
 def ode_set() -> dict[str, Callable]:
     """Return the ODE set: what plans each problem, by name."""
     from linkplan.planner.ode.plan import plan_ode
-    from tests.planner.ode import test_arm, test_unstable
-    from tests.support.ode import bryson_denham, robbins
+    from tests.planner.ode import test_unstable
+    from tests.support.ode import bryson_denham
     from tests.support.optima import optimum
 
     known = (
         "least time 1", "least time 2", "least effort", "brachistochrone", "cart-pole", "cart-pole, from a guess",
         "van der Pol, free", "van der Pol, bound", "van der Pol, bound above", "oscillator to rest", "cart",
+        "arm", "Robbins",
     )  # fmt: skip
     return {name: partial(optimum, name) for name in known} | {
         "Bryson-Denham 1/9": lambda: plan_ode(bryson_denham(1 / 9, 1e-9)),
         "Bryson-Denham 1/12": lambda: plan_ode(bryson_denham(1 / 12, 1e-9)),
-        "arm": test_arm.quickest_arm,
-        "Robbins": lambda: plan_ode(robbins(1e-6)),
         "beside a pole": lambda: plan_ode(test_unstable.beside_a_pole(2.0)),
         "beside a pole, long": test_unstable.long,
     }

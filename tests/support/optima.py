@@ -24,6 +24,7 @@ from tests.support.ode import (
     double_integrator,
     duration,
     oscillator,
+    robbins,
     solved,
     squared_effort,
 )
@@ -63,7 +64,7 @@ QUICKEST = ONE | LEAST_TIME
 # The least time of a boat of speed 1 in a current -y along x, from (3.66, -1.86) to the origin: scipy, with the heading's
 # theta' = cos^2 theta, from a first heading of 1.83292904; 5.46 in Bryson & Ho, 2.7.
 BOAT = 5.45786526
-G = 9.8
+G, DEG = 9.8, np.pi / 180
 # Arcs [s] of efforts +1, -1 and +1 that bring an oscillator to rest, and from where, built backwards.
 ARCS = (1.0, np.pi, 1.0)
 
@@ -179,6 +180,40 @@ def free_flyer(x, u, p, t):
     return [x[3], x[4], x[5], (left + right) * ca.cos(x[2]), (left + right) * ca.sin(x[2]), 0.2 * (left - right)]
 
 
+REACH = 5.0
+
+
+def arm(x, u, p, t):
+    """Return the rates of COPS's robot arm: reach, turn, tilt and their speeds."""
+    inertia = ((REACH - x[0]) ** 3 + x[0] ** 3) / 3
+    return [x[3], x[4], x[5], u[0] / REACH, u[1] / (inertia * ca.sin(x[2]) ** 2), u[2] / inertia]
+
+
+def shuttle(x, u, p, t):
+    """Return the rates of the space shuttle (Betts 2010, 6.1).
+
+    States: height [ft], longitude, latitude [rad], speed [ft/s], flight path angle, azimuth [rad]. Efforts: angle of attack
+    and bank angle [rad].
+    """
+    area, earth, mass = 2690.0, 20902900.0, 203000.0 / 32.174
+    height, _, latitude, speed, path, azimuth = (x[i] for i in range(6))
+    attack, bank = u[0] / DEG, u[1]
+    pressure = 0.5 * area * 0.002378 * ca.exp(-height / 23800.0) * speed**2
+    drag = (0.07854 - 0.61592e-2 * attack + 0.621408e-3 * attack**2) * pressure
+    lift = (-0.20704 + 0.029244 * attack) * pressure
+    radius = earth + height
+    weight = 0.14076539e17 / radius**2
+    return [
+        speed * ca.sin(path),
+        speed / radius * ca.cos(path) * ca.sin(azimuth) / ca.cos(latitude),
+        speed / radius * ca.cos(path) * ca.cos(azimuth),
+        -drag / mass - weight * ca.sin(path),
+        lift / (mass * speed) * ca.cos(bank) + ca.cos(path) * (speed / radius - weight / speed),
+        lift * ca.sin(bank) / (mass * speed * ca.cos(path))
+        + speed / (radius * ca.cos(latitude)) * ca.cos(path) * ca.sin(azimuth) * ca.sin(latitude),
+    ]
+
+
 # Goddard's rocket in COPS's units: 1.01283 there; scipy from switch to switch has 0.0128369183 above the start, to 1e-11.
 GODDARD = {
     "rate": lambda x, u, p, t: [
@@ -281,6 +316,18 @@ OPTIMA = {
     "free-flying robot": Optimum(7.9101546, {"rate": free_flyer, "start": [-10, -10, np.pi / 2, 0, 0, 0], "goal": [0] * 6,
         "effort_limit": [[0, 1]] * 4, "path": lambda x, u, p, t: [u[0] + u[1], u[2] + u[3]], "path_limit": [[-INF, 1]] * 2,
         "duration_s": 12.0, "running_cost": lambda x, u, p, t: ca.sum1(u)}, ODE_FOUR_DIGITS, takes="long"),
+    # COPS's arm by scipy at five switch times, 9.14093620 in Betts; Robbins' problem by Lagrange's dual; Betts's shuttle.
+    "arm": Optimum(9.1409117459143, {"rate": arm, "start": [4.5, 0, np.pi / 4, 0, 0, 0], "effort_limit": [[-1, 1]] * 3,
+        "goal": [4.5, 2 * np.pi / 3, np.pi / 4, 0, 0, 0], "duration_s": (1, 100), "final_cost": duration,
+        "state_limit": [[0, REACH], [-np.pi, np.pi], [0, np.pi], FREE_STATE, FREE_STATE, FREE_STATE],
+        "objective_tolerance": 1e-9}),
+    "Robbins": Optimum(19.431781917568, {"problem": robbins(1e-6)}, 1e-6, takes="long"),
+    "space shuttle": Optimum(-34.1412, {"rate": shuttle, "start": [260000, 0, 0, 25600, -1 * DEG, 90 * DEG],
+        "goal": [80000, NAN, NAN, 2500, -5 * DEG, NAN], "effort_limit": [[-90 * DEG, 90 * DEG], [-89 * DEG, 1 * DEG]],
+        "state_limit": [[0, INF], FREE_STATE, [-89 * DEG, 89 * DEG], [1, INF], [-89 * DEG, 89 * DEG], FREE_STATE],
+        "duration_s": (500, 5000), "final_cost": lambda x0, xT, T, p: -xT[2] / DEG, "guesses": [StateGuess(duration_s=2000,
+            state=[[260000, 0, 0, 25600, -1 * DEG, 90 * DEG], [80000, 30 * DEG, 30 * DEG, 2500, -5 * DEG, 0]],
+            effort=[[-75 * DEG, 0], [-75 * DEG, 0]])]}, ODE_FOUR_DIGITS, takes="long"),
     # By solve_bvp on Pontryagin's conditions; below a wave by Hermite and Simpson's rule.
     "van der Pol, free": Optimum(2.8731458, PUSHED_BACK | {"effort_limit": FREE_EFFORT}, ODE_FOUR_DIGITS),
     "van der Pol, bound": Optimum(2.8733063, PUSHED_BACK | {"effort_limit": [[-0.75, 1.0]]}, ODE_FOUR_DIGITS),

@@ -1,14 +1,20 @@
 """Known optima by `plan_ode` at its default settings, and the motions that have them."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
 from linkplan.planner.ode.certificate import LIMIT_SLACK, OVERRUN_SHARE
-from linkplan.planner.ode.plan import OdePlan, known_digits
-from tests.support.ode import INF, duration, solved
+from linkplan.planner.ode.formulation import guesses_of, start_from, units_of
+from linkplan.planner.ode.plan import OdeCase, OdePlan, known_digits, plan_ode, plan_of
+from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.decision import refine
+from linkplan.planner.transcription.mesh import uniform
+from tests.support.ode import FREE_EFFORT, INF, bryson_denham, duration, solved, squared_effort
 from tests.support.optima import ARCS, OPTIMA, G, cycloid, optimum
 from tests.support.tolerances_planner import ODE_INTEGRATED_ROUGHLY, ODE_STATE, ODE_STATE_ARCS, ODE_SWITCH
 
@@ -112,3 +118,28 @@ def test_a_state_s_limit_is_kept_by_the_integrated_motion_too():
     assert most <= OVERRUN_SHARE
     assert plan.objective >= 2.6 * (1 - OVERRUN_SHARE)
     assert plan.objective == pytest.approx(2.6, rel=ODE_STATE_ARCS)
+
+
+def test_the_straight_line_is_a_start_beside_guesses_that_lead_nowhere():
+    problem = OdeProblem(
+        name="1 / x",
+        rate=lambda x, u, p, t: [u[0] / x[0]],  # noqa: ARG005
+        start=[1],
+        goal=[2],
+        effort_limit=FREE_EFFORT,
+        duration_s=1.0,
+        running_cost=squared_effort,
+        guesses=[StateGuess(state=[[0.0], [0.0]])],  # there the rate is not finite
+    )
+    assert plan_ode(problem).objective == pytest.approx(1.5**2, rel=1e-6)  # (x^2 / 2)' = u
+
+
+def test_a_plan_whose_objective_is_known_on_one_mesh_only_says_that_its_error_is_not_known():
+    problem = bryson_denham(0.1, None)
+    guess = guesses_of(problem)[0]
+    case = OdeCase(problem, units_of(problem, guess))
+    found = attempt(case, start_from(guess, case.units), uniform(40), np.array([1.0]), "first solve")
+    plan = plan_of(problem, replace(refine(case, found), objective_error=INF))
+    assert plan.status == "optimal"
+    assert plan.objective_error is None
+    assert plan.message.startswith("optimum 4.44 in 1 s; the error of the objective is not known")
