@@ -232,7 +232,7 @@ OPTIMA = {
         running_cost=lambda x, u, p, t: ca.exp(t) * u[0] ** 2), takes="little"),
     "x' = t from 0 to 2 takes 2 s": Optimum(2.0, {"rate": lambda x, u, p, t: [t + 0 * u[0]], "start": [0], "goal": [2],
         "running_cost": squared_effort} | QUICKEST),
-    "effort below 2 - t": Optimum(-1.5, integrator([0], [NAN], effort_limit=[[-10, 10]], duration_s=1.0,
+    "effort below a limit that falls": Optimum(-1.5, integrator([0], [NAN], effort_limit=[[-10, 10]], duration_s=1.0,
         path=lambda x, u, p, t: u[0] + t, path_limit=[[-INF, 2]], final_cost=lambda x0, xT, T, p: -xT[0]), ODE_PUBLISHED),
     # Ends, returns, free states and durations.
     "T + 9 / T between free ends": Optimum(6.0, integrator([NAN], [NAN]) | LEAST_TIME | LEAST_EFFORT | {

@@ -155,8 +155,6 @@ LONGEST_DURATION = 1e-6
 BEST_DURATION = 1e-5
 # A least time against the phase plane's, relative: both sides' own errors are below 1e-7.
 PHASE_PLANE_TIME = 1e-6
-# Angles at the ends of a motion [deg].
-BOUNDARY_DEG = 1e-6
 # An objective on a mesh of six intervals before it is refined, relative.
 COARSE_MESH = 1e-2
 # Objectives after refining to 1e-7 deg, and of the best of several starts on twenty intervals, relative.
