@@ -34,6 +34,7 @@ def test_an_optimum_is_the_known_one_and_its_error_and_digits_are_as_the_plan_sa
     error = plan.objective_error + known.within * max(abs(known.value), plan.objective_error)
     value, half = printed_objective(plan)
     assert abs(plan.objective - known.value) <= error
+    assert plan.objective_error <= 1e-3 * max(1.0, abs(known.value))
     assert abs(value - known.value) <= error + half
     assert f"the estimated error of the objective is {plan.objective_error:.1g}" in plan.message
     assert plan.objective == pytest.approx(plan.certificate.integrated_objective, rel=ODE_INTEGRATED_ROUGHLY, abs=1e-8)
