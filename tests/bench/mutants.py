@@ -31,8 +31,8 @@ COMPARISONS = {ast.Lt: ">", ast.LtE: ">", ast.Gt: "<", ast.GtE: "<"}
 OPERATORS = {ast.Add: "-", ast.Sub: "+"}
 BOUNDS = {"maximum": "minimum", "minimum": "maximum", "max": "min", "min": "max", "fmax": "fmin", "fmin": "fmax"}
 NUMBER_FACTOR = 10.0
-# Pytest's exit code where it has selected no test.
-NO_TESTS = 5
+# Pytest's exit codes where it does not know a test, and where it has selected none.
+UNKNOWN_TEST, NO_TESTS = 4, 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -120,7 +120,10 @@ def verdict_on(mutant: Mutant, copy: Path, *, timeout_s: float) -> str:
         run = subprocess.run(
             command, cwd=copy, env=environment, capture_output=True, text=True, timeout=timeout_s, check=False
         )
-        words = [line.split(" ")[1] for line in run.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+        whole = [re.sub(r"\[.*", "", test) for test in tests]
+        if run.returncode == UNKNOWN_TEST and whole != tests:  # parameters that are numbers of the changed file
+            return failed(whole, mark)
+        words = re.findall(r"^(?:FAILED|ERROR) (.*?)(?: - .*)?$", run.stdout, flags=re.MULTILINE)
         return words or tests if run.returncode not in (0, NO_TESTS) else []
 
     source = target.read_text(encoding="utf-8")
@@ -132,7 +135,7 @@ def verdict_on(mutant: Mutant, copy: Path, *, timeout_s: float) -> str:
         return "timed out"
     finally:
         target.write_text(source, encoding="utf-8")
-    return "detected" if first and not failed([re.sub(r"\[.*", "", test) for test in first], "") else "SURVIVED"
+    return "detected" if first and not failed(first, "") else "SURVIVED"
 
 
 def main() -> int:

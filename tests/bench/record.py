@@ -17,6 +17,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -109,26 +110,18 @@ def ode_answer(name: str, _: float = 0.0) -> dict:
 def ode_set() -> dict[str, Callable]:
     """Return the ODE set: what plans each problem, by name."""
     from linkplan.planner.ode.plan import plan_ode
-    from tests.planner.ode import test_arcs, test_arm, test_textbook, test_unstable
-    from tests.support.ode import INF, bryson_denham, robbins
+    from tests.planner.ode import test_unstable
+    from tests.support.ode import bryson_denham
+    from tests.support.optima import optimum
 
-    textbook = test_textbook
-    return {
-        "least time 1": lambda: textbook.rest_to_rest_in_least_time(1.0, 1.0),
-        "least time 2": lambda: textbook.rest_to_rest_in_least_time(-2.0, 7.0),
-        "least effort": textbook.rest_to_rest_with_least_effort,
-        "brachistochrone": textbook.brachistochrone,
-        "cart-pole": lambda: textbook.cart_pole_swing_up(),
-        "cart-pole, from a guess": lambda: textbook.cart_pole_swing_up(textbook.SWINGS[1]),
-        "van der Pol, free": lambda: textbook.van_der_pol_plan(-INF, INF),
-        "van der Pol, bound": lambda: textbook.van_der_pol_plan(-0.75, 1.0),
-        "van der Pol, bound above": lambda: textbook.van_der_pol_plan(-INF, 0.8),
+    known = (
+        "least time 1", "least time 2", "least effort", "brachistochrone", "cart-pole", "cart-pole, from a guess",
+        "van der Pol, free", "van der Pol, bound", "van der Pol, bound above", "oscillator to rest", "cart",
+        "arm", "Robbins",
+    )  # fmt: skip
+    return {name: partial(optimum, name) for name in known} | {
         "Bryson-Denham 1/9": lambda: plan_ode(bryson_denham(1 / 9, 1e-9)),
         "Bryson-Denham 1/12": lambda: plan_ode(bryson_denham(1 / 12, 1e-9)),
-        "oscillator to rest": lambda: test_arcs.oscillator_to_rest(1.0, 1.0, 2)[0],
-        "cart": test_arcs.quickest_cart,
-        "arm": test_arm.quickest_arm,
-        "Robbins": lambda: plan_ode(robbins(1e-6)),
         "beside a pole": lambda: plan_ode(test_unstable.beside_a_pole(2.0)),
         "beside a pole, long": test_unstable.long,
     }

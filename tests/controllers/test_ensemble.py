@@ -111,14 +111,6 @@ def test_a_tracker_is_not_evaluated_for_frozen_machines_and_keeps_the_memory_of_
     assert np.array_equal(found.commanded[:, 1, 0], np.arange(reference.n))
 
 
-def test_a_tracker_s_memory_is_held_by_the_loop_single_or_many():
-    mechanism, reference = reach()
-    many = run_machines(mechanism, reference, _Counting(), LOOP, [Imperfections(), everything(3)])
-    single = run_alone(mechanism, reference, _Counting(), LOOP)
-    assert np.array_equal(many.commanded[:, 0, 0], np.arange(reference.n))
-    assert np.array_equal(single.commanded[:, 0], np.arange(reference.n))
-
-
 def test_trackers_that_run_one_after_another_share_the_machines():
     mechanism, reference = reach()
     plant = MujocoPlant(mechanism=mechanism, loop=LOOP)

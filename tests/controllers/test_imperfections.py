@@ -143,6 +143,3 @@ def test_a_link_grows_about_its_joint():
         assert anchor == pytest.approx([0.4, 0.0, 0.2])
         distances.append([data.site("tip").xpos - anchor, data.xipos[1] - anchor])
     assert np.array(distances[1]) == pytest.approx(1.25 * np.array(distances[0]))
-
-
-# The whole loop.

@@ -21,20 +21,9 @@ from tests.support.bodies import HINGE, HINGE_INERTIA
 from tests.support.machines import LOOP, everything, reach, run_machines
 from tests.support.motions import motion_along
 from tests.support.plans import optimal
+from tests.support.scripted import Scripted
 
 PERIOD = 1e-3
-
-
-class Asks:
-    """A law that asks for one effort all the time."""
-
-    name = "asks"
-
-    def __init__(self, effort: float = 0.0) -> None:
-        self.asked = effort
-
-    def effort(self, *_):
-        return np.array([self.asked])
 
 
 @cache
@@ -47,9 +36,8 @@ def at_rest(mjcf: str, duration_s: float) -> tuple[Mechanism, SampledReference]:
 def turned(effort: float = 0.0, mjcf: str = HINGE, **imperfect) -> Ensemble:
     """Return the run of a body at rest on a hinge, over a tenth of a second, under an effort that is asked for."""
     mechanism, reference = at_rest(mjcf, 0.1 + PERIOD)
-    found = run_machines(
-        mechanism, reference, Asks(effort), ControlLoop(effort_limit=mechanism.effort_limit), [Imperfections(**imperfect)]
-    )
+    law, loop = Scripted(efforts=np.full((reference.n, 1), effort)), ControlLoop(effort_limit=mechanism.effort_limit)
+    found = run_machines(mechanism, reference, law, loop, [Imperfections(**imperfect)])
     assert found.failure == (None,)
     return found
 

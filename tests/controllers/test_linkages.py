@@ -1,6 +1,7 @@
 """Simulations of linkages with servos and ball joints, poses that laws close, and efforts within a servo's range."""
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import casadi as ca
 import mujoco
@@ -9,7 +10,6 @@ import pytest
 import scipy.integrate
 
 from linkplan.controllers.imperfections.servos import ServoInversion
-from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.trackers.computed_torque import ComputedTorque
 from linkplan.controllers.trackers.lqr import lqr
@@ -102,25 +102,9 @@ def test_a_run_with_a_ball_joint_starts_where_its_reference_does():
     s = mechanism.home[mechanism.independent] + np.outer(np.linspace(0, 1, 20), [0.3, 0.2])
     pose, velocity = follow(mechanism, s), np.tile([1.5, 1.0], (20, 1))
     effort, _ = needed_effort(mechanism, pose, velocity, np.zeros((20, 2)))
-    reference = SampledReference(
-        period_s=PERIOD_S,
-        time_s=PERIOD_S * np.arange(20),
-        pose_rad=pose,
-        position_rad=s,
-        velocity_rad_s=velocity,
-        effort=effort,
-        cycle=None,
-    )
-    reference = SampledReference(
-        **{
-            name: getattr(reference, name)[5:] for name in ("time_s", "pose_rad", "position_rad", "velocity_rad_s", "effort")
-        },
-        period_s=PERIOD_S,
-        cycle=None,
-    )
-    rollout = run_alone(
-        mechanism, reference, Scripted(efforts=np.zeros((15, 1))), ControlLoop(effort_limit=np.array([[-np.inf, np.inf]]))
-    )
+    moving = {"pose_rad": pose[5:], "position_rad": s[5:], "velocity_rad_s": velocity[5:], "effort": effort[5:]}
+    loop = ControlLoop(effort_limit=np.array([[-np.inf, np.inf]]))
+    rollout = run_alone(mechanism, replace(standing(mechanism, 15), **moving), Scripted(efforts=np.zeros((15, 1))), loop)
     assert np.abs(rollout.pose_rad[0] - pose[5]).max() < ROUNDING
     assert np.abs(rollout.velocity_rad_s[0] - velocity[5]).max() < ROUNDING
     assert len(rollout.pose_rad[0]) == mechanism.model.nv != mechanism.model.nq
@@ -129,16 +113,7 @@ def test_a_run_with_a_ball_joint_starts_where_its_reference_does():
 def test_lqr_steers_the_crank_and_leaves_the_rods_spin_alone():
     mechanism = load_mechanism(RSSR)
     effort, _ = needed_effort(mechanism, mechanism.home[None], np.zeros((1, 2)), np.zeros((1, 2)))
-    reference = standing(mechanism)
-    steered = SampledReference(
-        period_s=PERIOD_S,
-        time_s=reference.time_s,
-        pose_rad=reference.pose_rad,
-        position_rad=reference.position_rad,
-        velocity_rad_s=reference.velocity_rad_s,
-        effort=np.tile(effort, (STEPS, 1)),
-        cycle=None,
-    )
+    steered = replace(standing(mechanism), effort=np.tile(effort, (STEPS, 1)))
     tracker = lqr(designed(mechanism, steered, (0.02, 2.0, np.array([2.0]))))
     assert np.all(tracker.gains[:, :, [1, 3]] == 0)
     assert np.all(tracker.gains[:, 0, 0] > 0)

@@ -134,21 +134,6 @@ def test_scheduled_gains_are_the_reduced_inertia_times_the_wanted_frequency_and_
         np.testing.assert_allclose(asked("gs-pd+ff", k, *state)[0], wanted, rtol=SAME_FIGURE)
 
 
-# LQR.
-
-
-def test_lqr_s_gains_where_the_plan_stands_still_are_python_control_s():
-    plan, reference = optimal("knee-reach"), reference_of("knee-reach", PERIOD, 0.3)
-    tracking, rest = plan.problem.tracking, slice(-100, None)
-    A, B = (x[0] for x in discretise(*linearise(plan.problem.mechanism, *(x[-1:] for x in _states(reference))), PERIOD))
-    weights = np.concatenate(tracking.lqr_errors(plan.problem.mechanism.independent_joints))
-    K, _, _ = control.dlqr(A, B, np.diag(weights**-2.0), np.array([[plan.problem.limits.effort[0, 1] ** -2.0]]))
-    gains = tracker_of("lqr", "knee-reach", PERIOD, 0.3).gains
-    assert np.ptp(reference.position_rad[rest]) == 0
-    np.testing.assert_allclose(gains[rest, 0], np.repeat(K, 100, axis=0), rtol=1e-6)
-    assert np.abs(gains[0, 0] / K[0] - 1).max() > 1e-3  # along the motion they are others
-
-
 # LQR with integral action.
 
 
@@ -248,14 +233,6 @@ def test_mpc_brakes_in_time_where_lqr_does_not():
     assert worst["lqr"] > 5
     assert worst["mpc"] < worst["lqr"]
     assert heavy["mpc"].gap_m.max() < 10e-6
-
-
-@pytest.mark.slow
-def test_mpc_on_a_limit_riding_cycle_stays_clear_of_the_singular_pose_that_lqr_is_thrown_into():
-    heavy = {kind: run_of(kind, "knee-sine-shank", mass_factor=1.2, delay=1, duration_s=1.0) for kind in ("lqr", "mpc")}
-    worst = {kind: float(np.degrees(np.abs(one.error_rad).max())) for kind, one in heavy.items()}
-    assert worst["mpc"] < 0.6 * worst["lqr"]
-    assert heavy["lqr"].gap_m.max() > 10e-6 > heavy["mpc"].gap_m.max()
 
 
 def test_mpc_answers_as_lqr_where_no_motion_ahead_is_predicted():

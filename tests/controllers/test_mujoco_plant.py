@@ -26,21 +26,15 @@ from tests.support.plans import optimal
 from tests.support.references import hinge_reference
 from tests.support.scripted import Scripted
 
-
-class Ramp:
-    """Efforts of (k + 1) / 4 at instant k."""
-
-    name = "ramp"
-
-    def effort(self, k, position, velocity):  # noqa: ARG002
-        return np.array([0.25 * (k + 1)])
+# Efforts of (k + 1) / 4 at instant k.
+RAMP = Scripted(efforts=0.25 * np.arange(1.0, 9.0)[:, None])
 
 
 def ramped(one: Imperfections) -> Ensemble:
     """Return the run of a ramp over 8 periods of 10 ms, in steps of 2 ms."""
     mechanism = load_mechanism(HINGE)
     loop = ControlLoop(effort_limit=mechanism.effort_limit)
-    return run_machines(mechanism, hinge_reference(mechanism, 8), Ramp(), loop, [one])
+    return run_machines(mechanism, hinge_reference(mechanism, 8), RAMP, loop, [one])
 
 
 @pytest.mark.parametrize(

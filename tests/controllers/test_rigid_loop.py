@@ -25,6 +25,7 @@ from tests.support.machines import run_alone
 from tests.support.motions import motion_along
 from tests.support.plans import optimal
 from tests.support.references import cubic_reference, hinge_reference
+from tests.support.scripted import Scripted
 from tests.support.tolerances_planner import ROUNDING, SAME_FIGURE
 
 # Natural frequency [rad/s] of the errors of computed torque; their damping ratio is 1.
@@ -37,14 +38,8 @@ ONE_PERCENT = 0.01
 ORDER = 0.02
 
 
-@dataclass(frozen=True)
-class Ramp:
-    """Efforts of k + 1 at instant k, whatever is measured."""
-
-    name: str = "ramp"
-
-    def effort(self, k, position, velocity):  # noqa: ARG002
-        return np.array([k + 1.0])
+# Efforts of k + 1 at instant k.
+RAMP = Scripted(efforts=np.arange(1.0, 9.0)[:, None])
 
 
 @dataclass(frozen=True)
@@ -79,7 +74,7 @@ def test_held_and_delayed_efforts_on_a_hinge_are_the_closed_form(delay, late):
     T = reference.period_s
     whole = np.floor(delay)
     clock = Clock(delay_periods=delay - whole)
-    runs = simulate(RigidPlant(mechanism=mechanism, delay_periods=whole), Ramp(), reference, [Imperfections(clock=clock)])
+    runs = simulate(RigidPlant(mechanism=mechanism, delay_periods=whole), RAMP, reference, [Imperfections(clock=clock)])
     # Effort 1 acts until the second command arrives, then each for a period.
     begin = np.concatenate([[0.0], (np.arange(1, 8) + late) * T])
     end = np.append(begin[1:], np.inf)
@@ -94,7 +89,7 @@ def test_a_long_period_is_integrated_in_steps_of_the_simulator():
     mechanism = load_mechanism(PENDULUM.format(limit=9))
     rest = sample(mechanism, resting(1.0), 0.5, 1.0)
     machines = [Imperfections(start=Start(position_error=1.0), clock=Clock(period_factor=f)) for f in (1.0, 0.01)]
-    runs = simulate(RigidPlant(mechanism=mechanism), Ramp(), rest, machines)
+    runs = simulate(RigidPlant(mechanism=mechanism), RAMP, rest, machines)
     inertia = 0.01 + 0.25  # kg m2 about the pivot
 
     def rate(t, x):  # noqa: ARG001
@@ -114,7 +109,7 @@ def test_a_clock_that_runs_slow_holds_every_effort_longer():
     mechanism = load_mechanism(HINGE)
     reference = hinge_reference(mechanism, 6)
     machines = [Imperfections(), Imperfections(clock=Clock(period_factor=1.5))]
-    runs = simulate(RigidPlant(mechanism=mechanism), Ramp(), reference, machines)
+    runs = simulate(RigidPlant(mechanism=mechanism), RAMP, reference, machines)
     np.testing.assert_allclose(runs.velocity[1:, 1], 1.5 * runs.velocity[1:, 0], rtol=SAME_FIGURE)
     np.testing.assert_allclose(runs.pose[1:, 1], 1.5**2 * runs.pose[1:, 0], rtol=SAME_FIGURE)
 

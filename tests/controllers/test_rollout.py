@@ -9,12 +9,10 @@ import pytest
 
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
-from linkplan.controllers.trackers.lqr import lqr
 from linkplan.controllers.trackers.pd import pd
-from linkplan.controllers.trackers.tracker import Tracker, with_feedforward
 from linkplan.models.mechanism import load_mechanism
+from linkplan.studies.compare.compare import build_tracker
 from tests.support.bodies import HINGE, HINGE_INERTIA
-from tests.support.designs import designed
 from tests.support.fourbar import KNEE_PROBLEMS
 from tests.support.machines import run_alone
 from tests.support.plans import GOAL, optimal
@@ -52,21 +50,13 @@ def loop_of(name: str, **changes) -> ControlLoop:
     return replace(ControlLoop(effort_limit=problem.limits.effort, delay_periods=problem.tracking.delay_periods), **changes)
 
 
-def tracker_of(kind: str, name: str, reference: SampledReference, kd: float | None = None) -> Tracker:
-    problem = optimal(name).problem
-    tracking = problem.tracking
-    if kind == "lqr":
-        position, velocity = tracking.lqr_errors(problem.mechanism.independent_joints)
-        return lqr(designed(problem.mechanism, reference, (position, velocity, problem.limits.effort[:, 1])))
-    feedback = pd(problem.mechanism, reference, tracking.kp, tracking.kd if kd is None else kd)
-    return feedback if kind == "pd" else with_feedforward(feedback)
-
-
 @cache
 def tracked(kind: str, name: str) -> Rollout:
     """Return a built-in plan tracked with its own settings."""
     reference = reference_of(name)
-    return run_alone(optimal(name).problem.mechanism, reference, tracker_of(kind, name, reference), loop_of(name))
+    return run_alone(
+        optimal(name).problem.mechanism, reference, build_tracker(kind, optimal(name), reference), loop_of(name)
+    )
 
 
 def rms_deg(rollout: Rollout) -> float:
@@ -115,9 +105,8 @@ def test_a_run_records_what_its_result_depends_on():
 
 def test_a_slower_controller_leaves_the_simulation_s_step_alone():
     reference = reference_of("knee-reach", 1e-3)
-    rollout = run_alone(
-        optimal("knee-reach").problem.mechanism, reference, tracker_of("lqr", "knee-reach", reference), loop_of("knee-reach")
-    )
+    plan = optimal("knee-reach")
+    rollout = run_alone(plan.problem.mechanism, reference, build_tracker("lqr", plan, reference), loop_of("knee-reach"))
     assert rollout.conditions["timestep_s"] == pytest.approx(1e-4)
     assert len(rollout.time_s) == 240
 
@@ -148,22 +137,6 @@ def test_the_planned_effort_alone_takes_mujoco_to_the_goal():
 
 
 # Verdicts.
-
-
-def sine_with(kd: float, period_s: float) -> Rollout:
-    plan = optimal("knee-sine")
-    reference = sample(plan.problem.mechanism, plan.trajectory, period_s, 0.05)
-    return run_alone(plan.problem.mechanism, reference, tracker_of("pd", "knee-sine", reference, kd), loop_of("knee-sine"))
-
-
-def test_a_damping_of_ten_is_unstable_at_a_tenth_of_a_millisecond():
-    assert not sine_with(10.0, 1e-4).stable
-
-
-def test_a_damping_of_ten_is_stable_at_a_fiftieth_of_a_millisecond():
-    rollout = sine_with(10.0, 2e-5)
-    assert rollout.stable
-    assert rms_deg(rollout) < 1.0
 
 
 @pytest.mark.parametrize(("share", "stable"), [(0.9, True), (1.1, False)])
@@ -301,18 +274,6 @@ def test_the_motion_follows_the_delayed_command(delay):
     moving = np.flatnonzero(np.abs(rollout.velocity_rad_s[:, 0]) > STILL)
     assert moving[0] == 10 + delay + 1  # the state is read before the command acts
     assert rollout.velocity_rad_s[-1, 0] == pytest.approx(3.0 * 0.01 / HINGE_INERTIA, rel=SAME_FIGURE)
-
-
-# Masses.
-
-
-def test_a_heavier_payload_is_tracked_less_well():
-    name = "knee-reach"
-    reference = reference_of(name)
-    tracker = tracker_of("pd+ff", name, reference)
-    heavy = run_alone(optimal(name).problem.mechanism, reference, tracker, loop_of(name, mass_factor=1.2))
-    assert rms_deg(heavy) > 3 * rms_deg(tracked("pd+ff", name))
-    assert heavy.conditions["mass_factor"] == 1.2
 
 
 def test_a_wider_limit_of_the_problem_admits_what_the_file_would_clamp():

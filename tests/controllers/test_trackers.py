@@ -13,12 +13,11 @@ from linkplan.controllers.reference import SampledReference, pose_advance, sampl
 from linkplan.controllers.trackers.lqr import lqr, regulate
 from linkplan.controllers.trackers.pd import pd
 from linkplan.controllers.trackers.prediction import condensing, predictor
-from linkplan.controllers.trackers.tracker import StateFeedback, with_feedforward
 from linkplan.models.errors import GainError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.plan.plan import Plan
 from linkplan.planner.trajectory import Trajectory
+from linkplan.studies.compare.compare import build_tracker
 from tests.support.bodies import HINGE, HINGE_INERTIA
 from tests.support.designs import designed
 from tests.support.fourbar import SHANK, knee
@@ -30,18 +29,9 @@ from tests.support.tolerances_planner import EXPONENTIAL, GAINS, ROUNDING, SAME_
 TRACKERS = ("pd", "pd+ff", "lqr")
 
 
-def lqr_of(plan: Plan, reference: SampledReference) -> StateFeedback:
-    position, velocity = plan.problem.tracking.lqr_errors(plan.problem.mechanism.independent_joints)
-    return lqr(designed(plan.problem.mechanism, reference, (position, velocity, plan.problem.limits.effort[:, 1])))
-
-
 @cache
 def tracker_of(kind: str, name: str = "knee-reach"):
-    plan, reference = optimal(name), reference_of(name)
-    proportional = pd(plan.problem.mechanism, reference, 200.0, 20.0)
-    if kind == "lqr":
-        return lqr_of(plan, reference)
-    return proportional if kind == "pd" else with_feedforward(proportional)
+    return build_tracker(kind, optimal(name), reference_of(name))
 
 
 # The sampled reference.
@@ -185,7 +175,7 @@ def test_the_gains_of_a_motion_obey_the_riccati_recursion_from_the_stationary_en
 
 def test_the_gains_of_a_periodic_motion_repeat_with_it():
     plan, reference = optimal("knee-sine-shank"), reference_of("knee-sine-shank", PERIOD, 0.6)
-    gains = lqr_of(plan, reference).gains
+    gains = build_tracker("lqr", plan, reference).gains
     assert reference.cycle == 250
     assert len(gains) == 600
     assert np.all(np.ptp(gains[:250], axis=0) > 1e-4 * gains.mean(axis=0))  # they do change within a cycle

@@ -14,9 +14,8 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.reach import reach
 from tests.support.data import DATA
-from tests.support.mechanism_checks import acceleration, mechanism_of, plan_of, tracked
+from tests.support.mechanism_checks import acceleration, mechanism_of
 from tests.support.tolerances import CLOSURE, ENERGY, INTEGRATED_GAP, POWER, START_POSE, TREE, relative_error
-from tests.support.tolerances_planner import BOUNDARY, CLOSURE_M, LQR_IN_A_FAST_TURN_DEG, ROLLOUT_GAP_M, WORK
 
 NAME, PROBLEM = "andrews-squeezer", "squeezer-turn"
 TABLE = json.loads((DATA / "andrews.json").read_text(encoding="utf-8"))
@@ -185,31 +184,3 @@ def test_the_crank_turns_fully():
     can = reach(mechanism_of(NAME))
     assert can.turns_fully
     assert can.singular == ()
-
-
-@pytest.mark.slow
-def test_a_turn_is_planned_and_passes_its_certificate():
-    plan = plan_of(PROBLEM)
-    assert plan.certificate.failures == ()
-    assert plan.certificate.closure_gap_m < CLOSURE_M
-    ends = plan.trajectory.position_at(np.array([0.0, plan.trajectory.duration_s]))[:, 0]
-    assert np.abs(ends - [0.0, 2 * np.pi]).max() < BOUNDARY
-
-
-@pytest.mark.slow
-def test_over_a_planned_turn_from_rest_to_rest_the_torque_does_no_work():
-    """Nothing damps, and the spring is as long at the end of a turn as at its beginning."""
-    plan = plan_of(PROBLEM)
-    time = plan.trajectory.dense_times(40)
-    power = plan.trajectory.effort_at(time)[:, 0] * plan.trajectory.velocity_at(time)[:, 0]
-    spent = np.trapezoid(np.abs(power), time)
-    assert spent > 0.02
-    assert abs(np.trapezoid(power, time)) < WORK * spent
-
-
-@pytest.mark.slow
-def test_lqr_tracks_the_turn_in_mujoco():
-    rollout = tracked(PROBLEM, "lqr")
-    assert rollout.stable
-    assert np.degrees(np.abs(rollout.error_rad).max()) < LQR_IN_A_FAST_TURN_DEG
-    assert rollout.gap_m.max() < ROLLOUT_GAP_M

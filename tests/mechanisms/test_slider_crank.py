@@ -6,13 +6,11 @@ M(th) and V(th) are the bodies' energies by the chain rule; the equation of moti
 import numpy as np
 import pytest
 
-from linkplan.models.poses.along import needed_effort
-from linkplan.models.poses.assembly import close_at, follow
+from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.reach import reach, toggles
-from tests.support.mechanism_checks import acceleration, lagrangian_acceleration, mechanism_of, plan_of, tracked
+from tests.support.mechanism_checks import acceleration, lagrangian_acceleration, mechanism_of
 from tests.support.slider_crank import inertia, potential, rod, slider
 from tests.support.tolerances import ANGLE_RAD, BRACKET_RAD, DIFFERENCES, KNEE, relative_error
-from tests.support.tolerances_planner import CLOSURE_M, ROLLOUT_GAP_M
 
 NAME, PROBLEM = "slider-crank", "slider-crank-turn"
 at_every_angle = pytest.mark.parametrize("th", np.radians([-170.0, -90.0, -35.0, 0.0, 50.0, 90.0, 140.0, 180.0]))
@@ -60,43 +58,3 @@ def test_the_slider_turns_back_at_both_dead_centres_and_the_crank_turns_fully():
     turning = toggles(mechanism_of(NAME))
     assert [mechanism_of(NAME).joints[j].name for j, _ in turning] == ["B", "B", "B"]
     assert np.abs(np.array([at for _, at in turning]) - [-np.pi, 0.0, np.pi]).max() < BRACKET_RAD
-
-
-@pytest.mark.slow
-def test_no_other_turn_of_the_same_duration_costs_less():
-    """Sixteen smooth motions between the same states, near the plan and far from it, on either side."""
-    plan = plan_of(PROBLEM)
-    mechanism, trajectory = plan.problem.mechanism, plan.trajectory
-    time = np.linspace(0.0, trajectory.duration_s, 801)
-    rng = np.random.default_rng(5)
-    costs = []
-    for k in range(16):
-        amount = (-1) ** k * 10.0 ** rng.uniform(-3, -0.5)
-        order = 1 + k // 2 % 4
-        # sin^3 vanishes at both ends with its rate: another motion between the same states.
-        w = order * np.pi / trajectory.duration_s
-        bump, phase = amount * np.sin(w * time) ** 3, w * time
-        rate = 3 * amount * w * np.sin(phase) ** 2 * np.cos(phase)
-        bend = 3 * amount * w**2 * (2 * np.sin(phase) * np.cos(phase) ** 2 - np.sin(phase) ** 3)
-        s = trajectory.position_at(time) + bump[:, None]
-        v = trajectory.velocity_at(time) + rate[:, None]
-        a = trajectory.acceleration_at(time) + bend[:, None]
-        effort = needed_effort(mechanism, follow(mechanism, s, trajectory.start_pose), v, a)[0][:, 0]
-        costs.append(np.trapezoid(effort**2, time))
-    assert min(costs) > plan.objective
-
-
-@pytest.mark.slow
-def test_the_planned_turn_passes_its_certificate():
-    plan = plan_of(PROBLEM)
-    assert plan.certificate.failures == ()
-    assert plan.certificate.closure_gap_m < CLOSURE_M
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("tracker", ["pd", "pd+ff", "lqr"])
-def test_every_tracker_carries_the_turn_through_both_dead_centres(tracker):
-    rollout = tracked(PROBLEM, tracker)
-    assert rollout.stable
-    assert rollout.gap_m.max() < ROLLOUT_GAP_M
-    assert abs(np.degrees(rollout.error_rad[-1, 0])) < 1.0

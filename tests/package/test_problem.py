@@ -1,7 +1,6 @@
 """`Problem`: builders mean what a file means, refuse in a file's words, and go back to a file."""
 
 import math
-import tomllib
 from dataclasses import fields, is_dataclass
 
 import numpy as np
@@ -10,6 +9,7 @@ import pytest
 import linkplan
 from linkplan.models.errors import AssemblyError, LinkplanError, ModelError, ProblemError
 from linkplan.models.library import built_in_text
+from linkplan.planner.files.folders import to_json_types
 from linkplan.planner.files.tables import BUILT_IN
 from linkplan.planner.problem.keys.section import Section
 from linkplan.planner.problem.problem import Problem
@@ -56,52 +56,23 @@ def test_the_comparison_of_two_problems_sees_a_difference(knee):
 
 
 def test_a_built_problem_is_what_a_file_says(knee):
-    built = linkplan.Problem.reach(
-        knee,
-        **REACH,
-        minimize={"effort": 1.0, "work": 0.5},
-        limits={"effort": {"act_O": (-80, np.float64(80))}, "speed_deg_s": {"A": 900}, "singular_margin": 0.1},
-        waypoints=[{"at_deg": {"O": 0.0}, "time_s": 0.1}],
-        motors={"act_O": {"torque_constant": 0.5, "resistance_ohm": 0.1}},
-        guess={"path_deg": {"O": np.linspace(-49.07, 56.27, 3)}},
-        mesh={"scheme": "gauss-3", "intervals": 20},
-        solver={"starts": 3},
-        tracking={"kp": 50, "kd": 2},
-        name="mine",
-    )
-    file = """
-        [mechanism]
-        model = "optimus-knee"
-        [motion]
-        kind = "reach"
-        start_deg = { O = -49.07 }
-        goal_deg = { O = 56.27 }
-        duration_s = 0.2
-        waypoints = [{ at_deg = { O = 0.0 }, time_s = 0.1 }]
-        [objective]
-        minimize = { effort = 1.0, work = 0.5 }
-        [limits]
-        effort = { act_O = [-80, 80.0] }
-        speed_deg_s = { A = 900 }
-        singular_margin = 0.1
-        [motors.act_O]
-        torque_constant = 0.5
-        resistance_ohm = 0.1
-        [guess]
-        path_deg = { O = [-49.07, 3.6000000000000014, 56.27] }
-        [mesh]
-        scheme = "gauss-3"
-        intervals = 20
-        [solver]
-        starts = 3
-        [tracking]
-        kp = 50
-        kd = 2
-    """
-    read = Problem.from_tables("mine", tomllib.loads(file))
+    """Tuples and NumPy's numbers and arrays are lists and numbers in a file."""
+    waypoints, minimize = [{"at_deg": {"O": 0.0}, "time_s": 0.1}], {"effort": 1.0, "work": 0.5}
+    sections = {
+        "limits": {"effort": {"act_O": (-80, np.float64(80))}, "speed_deg_s": {"A": 900}, "singular_margin": 0.1},
+        "motors": {"act_O": {"torque_constant": 0.5, "resistance_ohm": 0.1}},
+        "guess": {"path_deg": {"O": np.linspace(-49.07, 56.27, 3)}},
+        "mesh": {"scheme": "gauss-3", "intervals": 20},
+        "solver": {"starts": 3},
+        "tracking": {"kp": 50, "kd": 2},
+    }
+    built = linkplan.Problem.reach(knee, **REACH, waypoints=waypoints, minimize=minimize, **sections, name="mine")
+    motion = {"kind": "reach", **REACH, "waypoints": waypoints}
+    tables = {"mechanism": {"model": "optimus-knee"}, "motion": motion, "objective": {"minimize": minimize}}
+    read = Problem.from_tables("mine", tables | to_json_types(sections))
     assert not differences(built, read)
     assert built.motion.start == pytest.approx(np.radians(-49.07))
-    assert built.name == "mine"
+    assert (built.name, built.limits.effort.tolist(), built.mesh.intervals) == ("mine", [[-80.0, 80.0]], 20)
 
 
 @pytest.mark.parametrize("kind", ["periodic", "track"])

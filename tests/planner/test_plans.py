@@ -1,7 +1,5 @@
 """Plans against closed forms, a boundary-value solver and an independent integration; and the promises of every plan."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_bvp, solve_ivp
@@ -10,10 +8,8 @@ from scipy.interpolate import BPoly
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.plan.plan import Plan
-from linkplan.planner.problem.problem import load_problem
-from linkplan.planner.search.planning import plan_motion
 from tests.support.data import KNEE_TABLE
-from tests.support.fourbar import KNEE_PROBLEMS, SHANK, FourBar, Lump, Swing, knee, random_swing, rate_of
+from tests.support.fourbar import KNEE_PROBLEMS, SHANK, FourBar, knee, rate_of
 from tests.support.plans import GOAL, LIMIT, START, optimal
 from tests.support.tolerances_planner import (
     BINDS_DEG,
@@ -47,18 +43,6 @@ def dense(plan: Plan, per_interval: int = 200) -> np.ndarray:
     return plan.trajectory.dense_times(per_interval)
 
 
-# The oracle itself.
-
-
-def test_the_oracle_has_the_reference_table_s_inertia_and_weight():
-    fourbar = knee()
-    for row in KNEE_TABLE["configurations"]:
-        s = np.radians(row["q_O_deg"])
-        weight = fourbar.fitted(s - 0.02, s + 0.02)[1].deriv()(s)
-        assert fourbar.inertia(s)[0] == pytest.approx(row["reduced_inertia_kgm2"], rel=REFERENCE)
-        assert weight == pytest.approx(row["gravity_torque_Nm"], abs=REFERENCE)
-
-
 # Least time.
 
 
@@ -67,38 +51,6 @@ def test_a_sprint_takes_the_reference_table_s_least_time(name, key):
     expected = KNEE_TABLE["min_time_rest_to_rest"][key]
     assert carried_by(name).minimum_time(START, GOAL, -LIMIT, LIMIT) == pytest.approx(expected, rel=REFERENCE)
     assert optimal(name).trajectory.duration_s == pytest.approx(expected, rel=MINIMUM_TIME)
-
-
-def plan_swing(swing: Swing, folder: Path, *overrides: str) -> Plan:
-    settings = [
-        f"mechanism.model='{swing.write(folder)}'",
-        "mechanism.payload=none",
-        f"motion.start_deg.O={np.degrees(swing.start)}",
-        f"motion.goal_deg.O={np.degrees(swing.goal)}",
-        f"limits.effort.act_O=[{swing.low}, {swing.high}]",
-        *overrides,
-    ]
-    return plan_motion(load_problem("knee-sprint", settings))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", range(8))
-def test_any_four_bar_takes_the_least_time_that_its_energies_allow(seed, tmp_path):
-    swing = random_swing(seed)
-    plan = plan_swing(swing, tmp_path).require()
-    assert plan.trajectory.duration_s == pytest.approx(swing.minimum_time, rel=MINIMUM_TIME)
-
-
-@pytest.mark.slow
-def test_a_payload_s_weight_and_inertia_enter_the_least_time(tmp_path):
-    swing = random_swing(3)
-    lump = Lump(mass=0.4, centre=(0.03, 0.1), inertia=0.002)
-    loaded = swing.fourbar.carrying("rocker", lump)
-    payload = '{body="rocker", mass_kg=0.4, com_m=[0.03, 0.0, 0.1], inertia_kgm2=[0.002, 0.002, 0.002]}'
-    expected = loaded.minimum_time(swing.start, swing.goal, swing.gear * swing.low, swing.gear * swing.high)
-    assert expected > 1.005 * swing.minimum_time
-    plan = plan_swing(swing, tmp_path, f"mechanism.payload={payload}").require()
-    assert plan.trajectory.duration_s == pytest.approx(expected, rel=MINIMUM_TIME)
 
 
 @pytest.mark.slow

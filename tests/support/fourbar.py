@@ -12,7 +12,6 @@ quadrature of sqrt(M / 2 K) over the energies K that those torques leave.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.polynomial import Chebyshev
@@ -214,61 +213,6 @@ def knee() -> FourBar:
             "rocker": (_sphere(0.015, 0.0), _rod(L3, 0.01), _sphere(0.005, 0.0, mass=0.002), _sphere(0.015, L3)),
         },
     )
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Swing:
-    """A random four-bar, a swing well away from its singular poses, and torque limits that can carry it."""
-
-    fourbar: FourBar
-    start: float
-    goal: float
-    low: float
-    high: float
-    gear: float
-
-    @property
-    def minimum_time(self) -> float:
-        """The least time of the swing [s]; limits are the motor's, the gear makes torques of them."""
-        return self.fourbar.minimum_time(self.start, self.goal, self.gear * self.low, self.gear * self.high)
-
-    def write(self, folder: Path) -> Path:
-        """Write the model into a folder and return its path."""
-        path = folder / "fourbar.xml"
-        path.write_text(self.fourbar.mjcf(self.start, gear=self.gear), encoding="utf-8")
-        return path
-
-
-def random_swing(seed: int) -> Swing:
-    """Return a random swing, the same for the same seed."""
-    rng = np.random.default_rng(seed)
-
-    def lump(length: float) -> Lump:
-        mass = rng.uniform(0.2, 2.0)
-        return Lump(mass=mass, centre=(rng.uniform(-0.05, 0.05), length * rng.uniform(0.2, 0.8)), inertia=mass * 0.01)
-
-    while True:
-        crank, coupler, rocker = (rng.uniform(low, high) for low, high in ((0.08, 0.25), (0.2, 0.5), (0.2, 0.5)))
-        ground, tilt = rng.uniform(0.2, 0.5), rng.uniform(-np.pi, np.pi)
-        start = rng.uniform(-np.pi, np.pi)
-        goal = start + float(rng.choice([-1, 1])) * rng.uniform(0.7, 2.2)
-        fourbar = FourBar(
-            crank=crank,
-            coupler=coupler,
-            rocker=rocker,
-            ground=(float(ground * np.cos(tilt)), float(ground * np.sin(tilt))),
-            branch=int(rng.choice([-1, 1])),
-            lumps={"crank": (lump(crank),), "coupler": (lump(coupler),), "rocker": (lump(rocker),)},
-        )
-        path = np.linspace(start, goal, 200)
-        with np.errstate(invalid="ignore"):
-            clear = np.min(fourbar.transmission(path))
-        if np.isnan(clear) or clear < 0.35:
-            continue
-        weight = np.abs(fourbar.fitted(start, goal)[1].deriv()(path)).max()
-        gear = float(rng.choice([1.0, 2.5]))
-        push, brake = weight * rng.uniform(2.0, 8.0, size=2) / gear
-        return Swing(fourbar=fourbar, start=start, goal=goal, low=-float(brake), high=float(push), gear=gear)
 
 
 def rate_of(fourbar: FourBar, start: float, goal: float, effort: Callable[[float], float]) -> Callable:

@@ -99,9 +99,6 @@ ODE_CLOSED_FORM = 1e-9
 ODE_PUBLISHED = 5e-9
 # The same published to six digits from a finite mesh, relative. Measured 2e-6.
 ODE_FOUR_DIGITS = 3e-6
-# Against solve_bvp on Pontryagin's conditions, relative: kinks in the effort cost both routes some, the asked change is
-# 1e-8.
-ODE_COSTATES = 5e-8
 # Where a state's limit is touched or held, the effort's kink falls between nodes: the objective's tolerance of 1e-7.
 ODE_BOUND_BY_A_STATE = 1e-7
 # States and efforts against a closed form, absolute, of order one: what a radau-3 polynomial leaves between nodes.
@@ -111,8 +108,6 @@ ODE_STATE = 1e-6
 ODE_SWITCH = 1e-6
 # The objective against that along the integrated motion, relative: the tolerance on states, to first order. Measured 1e-12.
 ODE_INTEGRATED = 1e-8
-# A state's or path quantity's limit between nodes, relative: the certificate's slack, what the solver leaves of its rows.
-ODE_LIMIT = 1e-8
 # Arcs along a path limit and others meet in kinks of the effort, relative: the objective's tolerance of 1e-7.
 ODE_KINKED = 1e-6
 # Singular arcs: the cost is flat in the effort, which may chatter; the cost itself is met to its second order.
@@ -139,11 +134,6 @@ LEAST_TIME_ON_ARCS = 2e-6
 TIME_WITH_ARCS = 2e-6
 # Least effort by a waypoint at a free instant against scipy's minimum over instant and speed, relative: scipy's own 1e-9.
 WAYPOINT_EFFORT = 1e-7
-# An effort at the very start of a motion, absolute, of order one: a polynomial's end, of lower order than its nodes.
-# Measured 1e-6.
-ODE_EFFORT = 1e-5
-# A gain along a singular arc, at which the effort chatters between nodes, relative. Measured 1e-6.
-ODE_SINGULAR_ARC = 1e-5
 # Least time with arcs on states' limits that meet arcs on others, no cut at their junctions, relative. Measured 9e-5.
 ODE_STATE_ARCS = 2e-4
 # Least effort, work and time against closed forms whose effort bends at a limit, relative. Measured 1e-12 to 6e-8; a bend
@@ -167,8 +157,6 @@ LONGEST_DURATION = 1e-6
 BEST_DURATION = 1e-5
 # A least time against the phase plane's, relative: both sides' own errors are below 1e-7.
 PHASE_PLANE_TIME = 1e-6
-# Angles at the ends of a motion [deg].
-BOUNDARY_DEG = 1e-6
 # An objective on a mesh of six intervals before it is refined, relative.
 COARSE_MESH = 1e-2
 # Objectives after refining to 1e-7 deg, and of the best of several starts on twenty intervals, relative.
@@ -176,16 +164,6 @@ REFINED_EFFORT = 1e-7
 BEST_START = 1e-6
 # The knee's peak effort as documents print it [N.m].
 PRINTED_NM = 0.1
-# A linear-quadratic effort at the first instant, absolute: a polynomial's end, of lower order than its nodes.
-ODE_GAIN = 1e-4
-# Published figures of the oracles themselves: the book's time [s] to its digits, COPS's to what its meshes leave.
-BOOK_TIME = 0.01
-COPS_ROCKET = 1e-5
-COPS_CATALYST = 2e-7
-COPS_GLIDER = 2e-6
-# Half of the last of five and of six printed digits.
-FIVE_DIGITS = 5e-6
-SIX_DIGITS = 5e-7
 # The same as ODE_INTEGRATED where the effort chatters or bends between nodes.
 ODE_INTEGRATED_ROUGHLY = 1e-7
 # The highest frequency that limits allow, relative: its bisection's width.
@@ -196,8 +174,6 @@ WAYPOINT_DEG = 1e-2
 COMPILED = 1e-10
 # Solving again against a fresh plan where limits were tightened after certifying: the amount differs, relative.
 TIGHTENED_ANEW = 1e-4
-# The integral of a squared effort by trapezia, two hundred an interval, relative.
-TRAPEZIA = 1e-5
 # As SECOND_ROUTE_DEG, of a slide [m].
 SECOND_ROUTE_M = 1e-5
 # Work against energy by trapezia over a plan, relative: across switches, and the collocation's own error.

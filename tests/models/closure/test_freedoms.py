@@ -132,31 +132,28 @@ def freed(text: str) -> dict[str, int]:
     return refused.value.freed
 
 
-def test_every_closure_without_which_it_moves_is_named_with_what_it_gains():
+WELD = '<weld name="B" body1="coupler" body2="rocker" anchor=".3 0 .1"/>'
+BRAKES = '<joint name="first" joint1="O"/><joint name="second" joint1="C"/>'
+COUPLINGS = '<equality><joint name="left" joint1="ja"/><joint name="right" joint1="jb"/></equality>'
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        (FOUR_BAR % (PIN + '<joint name="brake" joint1="O"/>'), {"B": 2, "brake": 1}),
+        (FOUR_BAR % WELD, {"B": 3, "weld B's orientation": 1}),
+        (FOUR_BAR % (PIN + BRAKES), {"B": 1, "first and second": 1}),  # without the pin the coupler hangs free
+        (TWO_BODIES % COUPLINGS, {"left": 1, "right": 1}),
+    ],
+    ids=["a brake", "a weld for a pin", "two brakes, none of which locks alone", "couplings of two bodies"],
+)
+def test_every_closure_without_which_it_moves_is_named_with_what_it_gains(text, found):
     assert load_mechanism(FOUR_BAR % PIN).dof == 1
-    assert freed(FOUR_BAR % (PIN + '<joint name="brake" joint1="O"/>')) == {"B": 2, "brake": 1}
-
-
-def test_a_weld_where_a_pin_was_meant_is_named_by_its_orientation():
-    weld = '<weld name="B" body1="coupler" body2="rocker" anchor=".3 0 .1"/>'
-    assert freed(FOUR_BAR % weld) == {"B": 3, "weld B's orientation": 1}
-
-
-def test_two_brakes_are_named_together_where_none_alone_locks():
-    brakes = '<joint name="first" joint1="O"/><joint name="second" joint1="C"/>'
-    found = freed(FOUR_BAR % (PIN + brakes))
-    assert found["first and second"] == 1
-    assert "first" not in found
-    assert found["B"] == 1  # without the pin the coupler hangs free
+    assert freed(text) == found
 
 
 def test_a_truss_in_a_line_is_said_to_be_held_by_its_pin():
     assert list(freed(replaced(TRUSS, "0.1 0 0.1", "0.1 0 0")).values()) == [1]
-
-
-def test_couplings_that_lock_two_bodies_are_named():
-    text = TWO_BODIES % '<equality><joint name="left" joint1="ja"/><joint name="right" joint1="jb"/></equality>'
-    assert freed(text) == {"left": 1, "right": 1}
 
 
 def test_a_loop_that_locks_its_nearest_closed_pose_offers_no_pose():

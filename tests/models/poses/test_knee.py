@@ -51,33 +51,15 @@ def pose(mechanism: Mechanism, q_O_deg: float) -> np.ndarray:
     return close_at(mechanism, np.array([np.radians(q_O_deg), 0.0])[: mechanism.dof])
 
 
-@pytest.mark.slow
 @both_models
 @at_every_configuration
-def test_dependent_angles_are_the_closed_form(name, row):
-    mechanism = knee(name)
-    expected = np.radians([row["q_O_deg"], row["q_A_deg"], row["q_C_deg"]])
-    assert np.abs(pose(mechanism, row["q_O_deg"])[:3] - expected).max() < ANGLE_RAD
-
-
-@pytest.mark.slow
-@both_models
-@at_every_configuration
-def test_dependent_rates_are_the_closed_form(name, row):
-    mechanism = knee(name)
-    rates = np.array(mechanism.dynamics.velocity_map(pose(mechanism, row["q_O_deg"])))[:3, 0]
+def test_angles_rates_inertia_and_weight_are_the_closed_forms(name, row):
+    dynamics, q = knee(name).dynamics, pose(knee(name), row["q_O_deg"])
+    assert np.abs(q[:3] - np.radians([row["q_O_deg"], row["q_A_deg"], row["q_C_deg"]])).max() < ANGLE_RAD
+    rates = np.array(dynamics.velocity_map(q))[:3, 0]
     assert relative_error(rates, [1.0, row["dqA_dqO"], row["dqC_dqO"]]) < KNEE
-
-
-@both_models
-@at_every_configuration
-@pytest.mark.parametrize(
-    ("quantity", "known"), [("reduced_inertia", "reduced_inertia_kgm2"), ("gravity_effort", "gravity_torque_Nm")]
-)
-def test_reduced_inertia_and_weight_are_the_closed_forms(name, row, quantity, known):
-    mechanism = knee(name)
-    found = np.array(getattr(mechanism.dynamics, quantity)(pose(mechanism, row["q_O_deg"])))[0, 0]
-    assert relative_error(found, row[known]) < KNEE
+    assert relative_error(np.array(dynamics.reduced_inertia(q))[0, 0], row["reduced_inertia_kgm2"]) < KNEE
+    assert relative_error(np.array(dynamics.gravity_effort(q))[0, 0], row["gravity_torque_Nm"]) < KNEE
 
 
 def test_home_is_the_drawn_pose_with_the_crank_upright():
@@ -100,16 +82,14 @@ def test_the_upper_end_of_the_reach_is_the_singular_pose(name):
     assert abs(end.position - np.radians(REFERENCE["singular_q_O_deg"])) < SINGULAR_RAD
 
 
-def test_the_lower_end_of_the_reach_is_the_motors_own_range():
-    end = knee_reach("optimus-knee").lower
-    assert (end.reason, end.joint) == ("range of O", 0)
-    assert abs(end.position + np.pi / 2) < BRACKET_RAD
-
-
-def test_the_sources_reach_ends_where_joint_a_meets_its_range_of_90_degrees():
-    end = knee_reach("optimus-knee-source").lower
-    assert (end.reason, end.joint) == ("range of A", 1)
-    assert abs(end.position - np.radians(REFERENCE["q_A_90deg_at_q_O_deg"])) < BRACKET_RAD
+@pytest.mark.parametrize(
+    ("name", "joint", "position"),
+    [("optimus-knee", "O", -np.pi / 2), ("optimus-knee-source", "A", np.radians(REFERENCE["q_A_90deg_at_q_O_deg"]))],
+)
+def test_the_lower_end_of_the_reach_is_the_range_of_the_motor_or_of_joint_a(name, joint, position):
+    end = knee_reach(name).lower
+    assert (end.reason, end.joint) == (f"range of {joint}", "OA".index(joint))
+    assert abs(end.position - position) < BRACKET_RAD
 
 
 @both_models

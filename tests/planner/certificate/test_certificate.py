@@ -42,14 +42,6 @@ def sentence(certificate: Certificate, *words: str) -> bool:
 
 
 @pytest.mark.slow
-def test_an_effort_above_its_limit_is_named_with_its_instant():
-    certificate = found(replace(motion(), effort=1.3 * motion().effort))
-    assert not certificate.passed
-    assert certificate.effort_excess == pytest.approx(1.3 * np.abs(motion().effort).max() - 100.0, rel=SAME_FIGURE)
-    assert sentence(certificate, "the effort exceeds its limit by 12.2", "t = 0 s")
-
-
-@pytest.mark.slow
 def test_an_effort_above_its_limit_in_one_interval_is_found():
     effort = np.array(motion().effort)
     effort[:, 17] = 100.001
@@ -95,43 +87,40 @@ def test_a_speed_that_only_touches_its_limit_is_not_said_to_overrun_it():
     assert margin_of(certify(problem, beyond), "speed", 0).left == pytest.approx(-1e-9 * 60.0, rel=EXCESS)
 
 
-def test_an_effort_that_is_another_motion_s_is_found_by_inverse_dynamics():
-    certificate = found(replace(motion(), effort=0.9 * motion().effort))
-    assert sentence(certificate, "between nodes the motion needs", "more effort than planned")
+def effort(share: float) -> Trajectory:
+    return replace(motion(), effort=share * motion().effort)
 
 
-@pytest.mark.slow
-def test_an_effort_that_is_a_hundredth_short_is_found_by_integration():
-    certificate = found(replace(motion(), effort=0.99 * motion().effort))
-    assert certificate.integration_error_deg > 0.5
-    assert sentence(certificate, "the state integrated under the planned effort ends", "deg")
-
-
-def test_no_effort_at_all_does_not_pass():
-    assert not found(replace(motion(), effort=0 * motion().effort)).passed
-
-
-@pytest.mark.slow
-def test_a_velocity_that_is_shifted_throughout_does_not_pass():
-    certificate = found(moved("velocity", np.radians(20), slice(None)))
-    assert sentence(certificate, "the state integrated under the planned effort ends", "deg")
-
-
-@pytest.mark.parametrize("where", [slice(1, None), slice(20, 21)])
-def test_a_velocity_that_is_shifted_from_an_instant_on_or_in_one_interval_does_not_pass(where):
-    assert not found(moved("velocity", np.radians(100), where)).passed
-
-
-@pytest.mark.slow
-def test_a_position_that_is_shifted_in_one_interval_does_not_pass():
-    certificate = found(moved("position", np.radians(0.5), slice(20, 21)))
-    assert sentence(certificate, "the state integrated under the planned effort ends 0.5 deg")
-
-
-def test_a_position_that_bulges_within_one_interval_does_not_pass():
+def bulging() -> Trajectory:
+    """Return the motion with a position that bulges within one interval."""
     position = np.array(motion().position)
     position[1:-1, 20] += np.radians(3)
-    assert not found(replace(motion(), position=position)).passed
+    return replace(motion(), position=position)
+
+
+INTEGRATED = "the state integrated under the planned effort ends"
+BROKEN = {
+    "an effort above its limit": (lambda: effort(1.3), ["the effort exceeds its limit by 12.2", "t = 0 s"]),
+    "another motion's effort": (lambda: effort(0.9), ["between nodes the motion needs", "more effort than planned"]),
+    "an effort a hundredth short": (lambda: effort(0.99), [INTEGRATED, "deg"]),
+    "no effort": (lambda: effort(0.0), []),
+    "a velocity shifted throughout": (lambda: moved("velocity", np.radians(20), slice(None)), [INTEGRATED, "deg"]),
+    "a velocity shifted from an instant on": (lambda: moved("velocity", np.radians(100), slice(1, None)), []),
+    "a velocity shifted in one interval": (lambda: moved("velocity", np.radians(100), slice(20, 21)), []),
+    "a position shifted in one interval": (
+        lambda: moved("position", np.radians(0.5), slice(20, 21)),
+        [f"{INTEGRATED} 0.5 deg"],
+    ),
+    "a position that bulges": (bulging, []),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_motion_that_is_broken_does_not_pass_and_is_told_why(name):
+    broken, words = BROKEN[name]
+    certificate = found(broken())
+    assert not certificate.passed
+    assert sentence(certificate, *words)
 
 
 @pytest.mark.slow

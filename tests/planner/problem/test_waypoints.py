@@ -120,18 +120,6 @@ def test_the_quickest_way_there_and_back_turns_at_full_effort():
     assert plan.objective == pytest.approx(exact, rel=MINIMUM_TIME)
 
 
-@pytest.mark.slow
-def test_the_knee_passes_its_waypoints():
-    plan = optimal(
-        "knee-reach", "motion.duration_s=0.25", "motion.waypoints=[{at_deg={O=-60.0}},{at_deg={O=20.0},time_s=0.18}]"
-    )
-    degrees = np.degrees(plan.trajectory.position_at(np.append(plan.trajectory.breaks_s, 0.18))[:, 0])
-    assert degrees.min() <= -60 + SPEED_DEG_S
-    assert degrees[-1] == pytest.approx(20, abs=SPEED_DEG_S)
-    assert plan.certificate.passed
-    assert plan.objective > optimal("knee-reach", "motion.duration_s=0.25").objective
-
-
 # Periodic motions.
 
 

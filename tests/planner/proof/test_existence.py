@@ -83,18 +83,19 @@ def test_the_radius_of_a_pendulum_contains_its_own_motion():
     assert in_speed <= speed.bound
 
 
-def test_efforts_that_do_not_give_the_motion_lead_to_no_proof():
+@pytest.mark.parametrize(
+    ("spoilt", "reason"),
+    [
+        (lambda motion: pushed(motion, 0.5), "of the motion's span or largest speed"),
+        (lambda motion: replace(motion, velocity=1.001 * motion.velocity), "not the slope"),
+    ],
+    ids=["efforts of another motion", "velocities that are no slope of the positions"],
+)
+def test_a_motion_that_its_efforts_or_velocities_do_not_give_leads_to_no_proof(spoilt, reason):
     plan = optimal("knee-reach")
-    (found,) = radii(plan, pushed(plan.trajectory, 0.5))
+    (found,) = radii(plan, spoilt(plan.trajectory))
     assert found.answer == "sampled"
-    assert "of the motion's span or largest speed" in found.reason
-
-
-def test_velocities_that_are_no_slope_of_the_positions_lead_to_no_proof():
-    plan = optimal("knee-reach")
-    (found,) = radii(plan, replace(plan.trajectory, velocity=1.001 * plan.trajectory.velocity))
-    assert found.answer == "sampled"
-    assert "not the slope" in found.reason
+    assert reason in found.reason
 
 
 def test_every_box_adds_its_variation_to_the_contraction():

@@ -48,20 +48,17 @@ def spoilt(name: str, at: tuple, by: float) -> Proof:
     return prove(problem, replace(motion, **{name: coefficients}))
 
 
-@pytest.mark.parametrize("name", ["knee-reach", "slider-crank-turn", "five-bar-reach", "cart-pole-swing-up"])
+QUICK = ("knee-reach", "slider-crank-turn", "five-bar-reach", "cart-pole-swing-up")
+SLOW = ("knee-sprint", "knee-linear-reach", "squeezer-turn", "gripper-close", "knee-sine")
+
+
+@pytest.mark.parametrize("name", [*QUICK, *(pytest.param(name, marks=pytest.mark.slow) for name in SLOW)])
 def test_built_in_plans_are_proved(name):
     plan = optimal(name)
     proof = prove(plan.problem, plan.trajectory)
     assert proof.complete, proof.sentence()
     assert answers(proof, INVERSE) == {"proved"}
     assert any("contacts" in finding.name for finding in proof.of("sampled"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["knee-sprint", "knee-linear-reach", "squeezer-turn", "gripper-close", "knee-sine"])
-def test_further_built_in_plans_are_proved(name):
-    plan = optimal(name)
-    assert prove(plan.problem, plan.trajectory).complete
 
 
 @pytest.mark.slow

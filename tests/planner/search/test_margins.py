@@ -87,8 +87,6 @@ def test_a_first_motion_that_leaves_the_reach_between_its_nodes_is_no_second_sta
 
 
 SEED = 1
-# Least effort in five times the shortest duration: the longer, the nearer to the dead centre the motion gathers way.
-TO_A_DEAD_CENTRE = 360
 # Least time with a range, from next to a singular pose.
 THROUGH_THE_MESH = 474
 

@@ -21,7 +21,6 @@ from tests.support.plans import optimal, planned
 from tests.support.refusals import assert_refused
 from tests.support.tolerances_planner import (
     BEST_START,
-    BOUNDARY_DEG,
     COARSE_MESH,
     EXACT_EFFORT,
     LEAST_EFFORT,
@@ -269,24 +268,6 @@ def test_a_least_time_plan_is_a_guess_that_knows_its_switch():
 )
 def test_the_phase_plane_leaves_out_all_limits_but_those_on_effort_range_and_speed(setting, others):
     assert starts.other_limits(load_problem("knee-reach", [setting])) == others
-
-
-WEIGHT = 0.5 * 9.81  # [N.m] of the rod held level
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("limit", [0.7 * WEIGHT, 0.6 * WEIGHT])
-def test_a_pendulum_too_heavy_for_its_motor_swings_back_first(limit):
-    ends = {"start_deg": {"J": 0.0}, "goal_deg": {"J": 120.0}}
-    plan = plan_motion(linkplan.Problem.reach(PENDULUM.format(limit=limit), **ends, minimize="time"))
-    turn = np.radians(120.0)
-    assert limit * turn < WEIGHT * (1 - np.cos(turn)), "straight there, the motor's work falls short of the weight's"
-    assert plan.status == "optimal", plan.message
-    assert plan.certificate.passed
-    angles = np.degrees(plan.trajectory.position_at(plan.trajectory.dense_times(20))[:, 0])
-    assert angles[0] == pytest.approx(0.0, abs=BOUNDARY_DEG)
-    assert angles[-1] == pytest.approx(120.0, abs=BOUNDARY_DEG)
-    assert angles.min() < -5.0, "it swings back before it goes up"
 
 
 # A two-link arm that swings its hand through a post.

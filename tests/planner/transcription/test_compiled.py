@@ -89,17 +89,11 @@ def test_auto_compiles_what_is_wanted_a_second_time(folder, monkeypatch):
     assert asked == ["k1"]
 
 
-def test_without_a_compiler_the_interpreter_serves(folder, monkeypatch):
-    monkeypatch.setattr(module, "compiler", lambda: None)
+@pytest.mark.parametrize(("found", "said"), [(None, []), (("false",), ["compiling them failed"])], ids=["none", "one fails"])
+def test_without_a_compiler_that_works_the_interpreter_serves(found, said, folder, monkeypatch, recwarn):
+    monkeypatch.setattr(module, "compiler", lambda: found)
     functions = compiled("k1", NodeFunctions, built)
-    assert "External" not in functions.node_value.class_name()
-    assert list(folder.iterdir()) == []
-
-
-def test_a_compiler_that_fails_is_said_and_costs_nothing_else(folder, monkeypatch):
-    monkeypatch.setattr(module, "compiler", lambda: ("false",))
-    with pytest.warns(RuntimeWarning, match="compiling them failed"):
-        functions = compiled("k1", NodeFunctions, built)
+    assert [words in str(one.message) for words, one in zip(said, recwarn.list, strict=True)] == [True] * len(said)
     assert "External" not in functions.node_value.class_name()
     assert list(folder.iterdir()) == []
 

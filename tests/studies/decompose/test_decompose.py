@@ -11,7 +11,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-import linkplan
 from linkplan.controllers.imperfections.imperfections import Clock, Imperfections, Machine
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.rollout import ControlLoop
@@ -332,19 +331,3 @@ def test_a_loop_that_is_lost_is_exit_code_one(ask):
     code, out, _ = ask("decompose", "knee-reach", *BRIEF, *HEAVY, "--set", "tracking.kd=1e6")
     assert code == 1
     assert "omitted" in out
-
-
-@pytest.fixture(scope="module")
-def plan():
-    problem = linkplan.Problem.from_file("knee-reach", {"tracking.duration_s": 0.005})
-    return linkplan.plan(problem).require()
-
-
-def test_python_has_the_same_study(plan, tmp_path):
-    found = linkplan.decompose(plan, ["pd", "lqr"], imperfections={"delay_periods": 3})
-    parts = found.to_dict()["trackers"]["pd"]["deg"]
-    assert sum(parts["parts"].values()) == pytest.approx(parts["rms_error"], rel=SAME_FIGURE)
-    assert found.to_dict()["imperfections"] == {"delay_periods": 3}
-    assert "sampling and delay" in str(found)
-    found.plot(tmp_path / "parts.png")
-    assert (tmp_path / "parts.png").is_file()
