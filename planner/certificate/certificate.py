@@ -32,7 +32,7 @@ from linkplan.planner.problem.extra import extras_not_finite, not_finite
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.trajectory import JOIN_SHARE, Trajectory
 
 # Largest gap of a kinematic loop [m], unless the assembly itself is less exact.
 CLOSURE_M = 1e-9
@@ -152,19 +152,23 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
 
     over = np.maximum(u - limits.effort[:, 1], limits.effort[:, 0] - u).max(axis=1)
     effort_excess = max(0.0, peak("effort_excess", over))
+    # A motion at rest counts as having a speed that hardly moves it within its duration.
+    speed = max(float(np.abs(v).max()) or INTEGRATION_M / trajectory.duration_s, _MIN_SPAN / trajectory.duration_s)
+    slope, bend = trajectory.slope_at(time), trajectory.bend_at(time)
+    velocity_residual = peak("velocity_residual", np.abs(slope - v).max(axis=1)) / speed
     tau, maps = demanded(mechanism, q, v, a, time)
-    needed, carried = least_effort(tau, maps), np.einsum("ksu,ku->ks", maps, u)
+    taus = [tau]
+    if np.abs(bend - a).max() > JOIN_SHARE * np.abs(a).max():  # positions of first-order schemes have own accelerations
+        taus.append(demanded(mechanism, q, slope, bend, time)[0])
+    needed, carried = np.stack([least_effort(one, maps) for one in taus]), np.einsum("ksu,ku->ks", maps, u)
     needed_over = np.maximum(needed - limits.effort[:, 1], limits.effort[:, 0] - needed)
-    inverse_excess = max(0.0, peak("inverse_dynamics_excess", needed_over.max(axis=1)))
-    residual = np.abs(tau - carried).max(axis=1)
+    inverse_excess = max(0.0, peak("inverse_dynamics_excess", needed_over.max(axis=(0, 2))))
+    residual = np.abs(np.stack(taus) - carried).max(axis=(0, 2))
     dynamics_residual = peak("dynamics_residual", residual)
     closure_gap = peak("closure_gap_m", mechanism.gaps_m(q))
     closure_gaps = {unit: float(gap.max()) for unit, gap in mechanism.gaps_by_unit(q).items()}
     ratio = float(singularity_ratios(problem, q).min())
     of_limits = margins_along(samples)
-    # A motion at rest counts as having a speed that hardly moves it within its duration.
-    speed = max(float(np.abs(v).max()) or INTEGRATION_M / trajectory.duration_s, _MIN_SPAN / trajectory.duration_s)
-    velocity_residual = peak("velocity_residual", np.abs(trajectory.slope_at(time) - v).max(axis=1)) / speed
     boundary_error = end_state_error(problem, trajectory, speed)
     if problem.motion.turns is not None:
         boundary_error = max(boundary_error, _turn_error(problem, q))
@@ -181,9 +185,13 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     # Without any effort, as for a crank that turns freely, rounding of the inertia's effort is allowed (measured: 1e-7).
     allowed = max(DYNAMICS_SHARE * float(np.abs(carried).max()), missed_rounding(limits.effort), 1e-6 * float(inertial))
     allowances = np.maximum(INVERSE_DYNAMICS_SHARE * end_sizes(limits.effort), 1e-12)
-    inside = np.stack([needed - limits.effort[:, 0], limits.effort[:, 1] - needed], axis=2)
+    inside = np.stack(
+        [needed - limits.effort[:, 0], limits.effort[:, 1] - needed], axis=-1
+    )  # (kinetics, sample, motor, 2)
     left = np.divide(inside, allowances, out=np.zeros_like(inside), where=np.isfinite(inside))
-    left = left.reshape(len(growth), len(samples.points), -1).transpose(2, 0, 1)  # (of an end, interval, sample)
+    left = (
+        np.moveaxis(left, 1, 0).reshape(len(growth), len(samples.points), -1).transpose(2, 0, 1)
+    )  # (end, interval, sample)
     least = least_between(left, samples.points).reshape(len(left), -1).min(axis=0, initial=0.0)
     gaps = " or ".join(f"{gap:.3g} {unit}" for unit, gap in closure_gaps.items())
     rounded = mechanism.closed_m > CLOSURE_M
@@ -210,7 +218,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     )
     failures = [sentence for broken, sentence in findings if broken]
     figures = {
-        "the effort that the motion needs": np.hstack([tau, needed]),
+        "the effort that the motion needs": np.hstack([tau, *needed]),
         "a joint's speed": samples.joint_rates,
         "a loop's gap": mechanism.gaps_m(q),
         "a closure's force": samples.closure_forces,

@@ -12,8 +12,7 @@ from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import task_words
 from linkplan.planner.proof.finding import Finding, finding_of
-from linkplan.planner.proof.motion import JOIN_SHARE
-from linkplan.planner.trajectory import NO_JUMP_SHARE, Trajectory
+from linkplan.planner.trajectory import JOIN_SHARE, NO_JUMP_SHARE, Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
 # Largest jump of an effort with a limited rate, as a share of the largest effort: as in the certificate.

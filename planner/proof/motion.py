@@ -13,12 +13,8 @@ from linkplan.planner.proof.branch import pose_of
 from linkplan.planner.proof.curve import forces_over
 from linkplan.planner.proof.taylor import Matrix, product, solve_enclosed, transposed
 from linkplan.planner.proof.walk import Ball, Blocks, dense, larger, loaded_tree, pose_walk
-from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.trajectory import JOIN_SHARE, Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
-
-# Largest jump between two pieces, and largest difference of a planned velocity from the slope of the position, as a share
-# of the motion's span or largest speed: rounding of the program's solution. Measured: 2e-10 on fine meshes.
-JOIN_SHARE = 1e-8
 
 
 def power_form(bernstein: np.ndarray) -> list[arb]:

@@ -18,10 +18,10 @@ from linkplan.planner.proof.existence import (
     first_tube,
 )
 from linkplan.planner.proof.finding import Finding, Proof, no_motion
-from linkplan.planner.proof.motion import JOIN_SHARE, Piece, State
+from linkplan.planner.proof.motion import Piece, State
 from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm
 from linkplan.planner.proof.walk import Blocks, UnknownOperationError, blocks_of
-from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.trajectory import JOIN_SHARE, Trajectory
 
 # Bits of the balls' midpoints: 27 more than the coefficients have.
 _PRECISION_BITS = 80

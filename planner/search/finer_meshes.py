@@ -31,6 +31,7 @@ from linkplan.planner.refinement.switches import mesh_with_switches
 from linkplan.planner.search.jumps import apart, jumps_of
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, divided, uniform, with_ends, without_empty
+from linkplan.planner.transcription.scheme_names import MAX_INTERVALS
 
 # Least |det J_z| relative to home: of the first solves, and of the last ones if the first bound is active and the problem
 # permits less. Near a singular pose no mesh is fine enough, and a tenth of the last one saves only a two-thousandth of the
@@ -136,6 +137,7 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
         kept.append(last)
     for one in reversed(kept):
         at = _repaired(one)
+        moved = max(moved, share_gained(at.found.solution.objective, one.at.found.solution.objective))
         if is_sound(at.certificate):
             break
     if at.certificate is None:
@@ -207,8 +209,9 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
     case = _loosened(kept.case, max(margin, 0.5 * problem.limits.singular_margin))
     case = replace(case, problem=replace(case.problem, solver=solver), asked=replace(case.asked, solver=solver))
     asked = replace(case, problem=case.asked)
+    until, took_s = solver.deadline, 0.0  # for an interval
     for steps in range(_MAX_RESTORATIONS):
-        if is_sound(at.certificate) or case.problem.solver.deadline.passed:
+        if is_sound(at.certificate):
             break
         pieces = _inexact(case, at)
         if steps and at.certificate is not None and at.overruns:
@@ -216,12 +219,16 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
             pieces = np.maximum(pieces, 1 + (at.report.overrun > 0))
             case = case.tightened(at.certificate, at.found.motion)
         mesh, durations = _without_met(divided(at.found.mesh, pieces), at.found.durations)
+        if mesh.n_intervals > MAX_INTERVALS or until.left_s <= took_s * mesh.n_intervals:
+            break
+        begun_s = until.left_s
         found = nearest_on(case, at.found, mesh, durations, position_rows=kept.rows)
         if found is None and not at.passed:  # if efforts and other limits are active together, no freedom is left
             mesh = divided(at.found.mesh, _coarse(case, at))
             way = _Way(kept.case, mesh, at.found.durations, "finer mesh")
             found = _solved(way, at.found, kept.rows, kept.case.problem.solver.deadline)
         changed = None if found is None else certify_iterate(asked, found)
+        took_s = (begun_s - until.left_s) / mesh.n_intervals
         if changed is None or changed.certificate is None or (at.passed and not changed.passed):
             break
         at = changed

@@ -30,12 +30,15 @@ from linkplan.planner.search.multistart import from_several_starts
 from linkplan.planner.search.planning import plan_motion, search_for
 from linkplan.planner.search.without_solver import slower
 from linkplan.planner.transcription.mesh import uniform
+from linkplan.planner.transcription.scheme_names import MAX_INTERVALS
 from tests.bench.many_robots import write_robots
+from tests.support.arms import arm
 from tests.support.data import DATA
 from tests.support.motions import motion_along
 
 LOAD = {"body": "shank", "mass_kg": 1.5, "com_m": [0.0, 0.0, 0.0], "inertia_kgm2": [1e-3, 1e-3, 1e-3]}
 LEAST_TIME_S, LEAST_EFFORT = 0.18663512, 850.59
+ARM_EFFORT, KNEE_S = 18.302525, 0.12185127
 ENDS = {"start_deg": {"hip_pitch": 20.0, "knee_motor": 5.0}, "goal_deg": {"hip_pitch": -50.0, "knee_motor": 38.0}}
 
 
@@ -245,6 +248,46 @@ def test_a_jump_is_where_the_impulse_of_its_interval_puts_it(in_least_time):
     assert effort_jumps(case_of(in_least_time), motion) == pytest.approx([0.47])
     smooth = case_of(leg(duration_s=0.3, minimize="effort"))
     assert len(effort_jumps(smooth, motion)) == 0
+
+
+def straight_arm(scheme: str, **asked):
+    ends = {"start_deg": {"J1": -60.0, "J2": 20.0}, "goal_deg": {"J1": 40.0, "J2": -50.0}}
+    return linkplan.Problem.reach(arm(0.5, 0.4, limit=40.0), **ends, **asked, mesh={"scheme": scheme})
+
+
+@pytest.mark.parametrize("scheme", ["trapezoid", "hermite-simpson", "radau-2"])
+def test_a_first_order_scheme_is_refined_until_a_proof_accepts_positions_and_velocities(scheme):
+    plan = plan_motion(straight_arm(scheme, duration_s=0.5, minimize="effort"))
+    assert plan.status == "optimal"
+    assert plan.objective == pytest.approx(ARM_EFFORT, rel=1e-4)
+    assert plan.with_proof().proof.passed
+
+
+@pytest.mark.parametrize("scheme", ["trapezoid", "hermite-simpson"])
+def test_the_knee_s_least_time_by_a_first_order_scheme_is_the_exact_one(scheme):
+    plan = plan_motion(load_problem("knee-sprint", [f"mesh.scheme={scheme}"]))
+    assert plan.status == "optimal"
+    assert plan.objective == pytest.approx(KNEE_S, rel=1e-6)
+
+
+def test_what_a_correction_costs_is_reported_as_a_change_on_a_finer_mesh(monkeypatch):
+    repaired = finer_meshes._repaired
+
+    def dearer(kept):
+        at = repaired(kept)
+        solution = replace(at.found.solution, objective=1.002 * at.found.solution.objective)
+        return replace(at, found=replace(at.found, solution=solution))
+
+    monkeypatch.setattr(finer_meshes, "_repaired", dearer)
+    plan = plan_motion(straight_arm("radau-3", duration_s=0.5, minimize="effort"))
+    assert "on a finer mesh its objective still changed by 0.2 %" in plan.message
+
+
+@pytest.mark.slow
+def test_a_mesh_that_never_suffices_ends_at_the_largest_legal_number_of_intervals():
+    plan = plan_motion(straight_arm("trapezoid", duration_s="free", minimize="time"))
+    assert plan.status == "feasible"
+    assert len(plan.trajectory.breaks_s) <= MAX_INTERVALS + 1
 
 
 def test_an_effort_jumps_from_one_end_to_the_other_of_what_its_power_permits(in_least_time):
