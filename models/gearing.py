@@ -25,7 +25,7 @@ def set_gearing(spec: mujoco.MjSpec, gear: Mapping[str, float], rotor_inertia: M
     for name, ratio in gear.items():
         one = actuators[choose("actuator in mechanism.gear", name, actuators)]
         if not ratio:
-            raise ModelError(f"mechanism.gear.{name} is a number other than 0, got {ratio:g}")
+            raise ModelError(f"mechanism.gear.{name} must be a number other than 0, got {ratio:g}")
         if not _has_one_ratio(spec, one) and one.trntype != mujoco.mjtTrn.mjTRN_SLIDERCRANK:
             raise ModelError(f"mechanism.gear.{name}: the actuator acts on {_target(one)}, which no single gear moves")
         one.gear = [ratio, *one.gear[1:]]

@@ -34,7 +34,7 @@ class Payload:
             value.flags.writeable = False
             object.__setattr__(self, name, value)
         if not 0 < self.mass_kg < MAX_SI_VALUE:
-            raise ModelError(f"payload.mass_kg is a positive number, got {self.mass_kg!r}")
+            raise ModelError(f"payload.mass_kg must be a positive number, got {self.mass_kg!r}")
         moments = np.sort(self.inertia_kgm2)
         if moments[2] > moments[:2].sum() * (1 + 1e-9):  # 1e-9 is rounding of typed numbers
             raise ModelError(

@@ -240,7 +240,7 @@ def home_positions(loop: KinematicLoop, home: Mapping[str, float] | None) -> dic
     asked = {index_of(loop.name, loop.joints, joint): float(value) for joint, value in (home or {}).items()}
     for index, value in asked.items():
         if not abs(value) < 1000:  # Newton's steps would never end
-            raise ModelError(f"home of joint '{loop.joints[index].name}' is within 1000 rad or m, got {value!r}")
+            raise ModelError(f"home of joint '{loop.joints[index].name}' must be within 1000 rad or m, got {value!r}")
     return asked
 
 

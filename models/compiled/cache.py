@@ -148,7 +148,7 @@ def most_bytes() -> float:
     except ValueError:
         most = math.nan
     if not most >= 0:
-        message = f"LINKPLAN_CACHE_MB is a number of megabytes of at least 0, got '{given}'; {DEFAULT_CACHE_MB} are kept"
+        message = f"LINKPLAN_CACHE_MB must be megabytes, at least 0, got '{given}'; {DEFAULT_CACHE_MB} are kept"
         warnings.warn(message, RuntimeWarning, stacklevel=2)
         most = DEFAULT_CACHE_MB
     return most * 2**20

@@ -185,9 +185,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     # Without any effort, as for a crank that turns freely, rounding of the inertia's effort is allowed (measured: 1e-7).
     allowed = max(DYNAMICS_SHARE * float(np.abs(carried).max()), missed_rounding(limits.effort), 1e-6 * float(inertial))
     allowances = np.maximum(INVERSE_DYNAMICS_SHARE * end_sizes(limits.effort), 1e-12)
-    inside = np.stack(
-        [needed - limits.effort[:, 0], limits.effort[:, 1] - needed], axis=-1
-    )  # (kinetics, sample, motor, 2)
+    inside = np.stack([needed - limits.effort[:, 0], limits.effort[:, 1] - needed], axis=-1)  # (kinetics, sample, motor, 2)
     left = np.divide(inside, allowances, out=np.zeros_like(inside), where=np.isfinite(inside))
     left = (
         np.moveaxis(left, 1, 0).reshape(len(growth), len(samples.points), -1).transpose(2, 0, 1)

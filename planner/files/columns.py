@@ -64,7 +64,7 @@ def read_trajectory(path: Path) -> Trajectory:
                 raise PlanFileError(f"'{path}' lacks an array: {lacking[0]}")
             periodic = _array(archive, "periodic", bool)
             if periodic.size != 1:
-                raise ValueError(f"periodic is one word, got {periodic.size}")
+                raise ValueError(f"periodic must be one word, got {periodic.size}")
             arrays = {name: _array(archive, name, float) for name in ARRAYS}
             trajectory = Trajectory(**arrays, periodic=bool(periodic.ravel()[0]))
             n, most = len(trajectory.breaks_s) - 1, max(len(arrays[name]) for name in ("position", "velocity", "effort"))

@@ -81,7 +81,7 @@ def inline(value: object, where: str = "value") -> str:
     if isinstance(value, Mapping):
         pairs = [f"{key_text(key)} = {inline(item, f'{where}.{key}')}" for key, item in value.items()]
         return "{ " + ", ".join(pairs) + " }" if pairs else "{}"
-    raise ProblemError(f"{where} is numbers, words, lists or tables, got {value!r}")
+    raise ProblemError(f"{where} must be numbers, words, lists or tables, got {value!r}")
 
 
 def built_in_text(name: str) -> str:

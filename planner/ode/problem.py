@@ -39,7 +39,7 @@ class StateGuess:
                 continue
             rows = frozen(_array(f"a guess's {name}", getattr(self, name)))
             if rows.ndim != 2 or len(rows) < 2 or not np.all(np.isfinite(rows)):
-                raise ProblemError(f"a guess's {name} is two or more finite rows, got shape {rows.shape}")
+                raise ProblemError(f"a guess's {name} must be two or more finite rows, got shape {rows.shape}")
             object.__setattr__(self, name, rows)
 
 
@@ -121,7 +121,7 @@ class OdeProblem:
         if self.n_u == 0:
             raise ProblemError("effort_limit has one [low, high] for each effort; a problem has at least one")
         if not np.all(np.isfinite(parameters)):
-            raise ProblemError(f"parameters are finite numbers, got {parameters}")
+            raise ProblemError(f"parameters must be finite numbers, got {parameters}")
 
     def _check_lists(self) -> None:
         """Refuse names, indices and guesses of other numbers of states; number states and efforts without names."""
@@ -134,10 +134,10 @@ class OdeProblem:
         object.__setattr__(self, "returns", tuple(self.returns))
         object.__setattr__(self, "guesses", tuple(self.guesses))
         if any(not isinstance(i, int | np.integer) or not 0 <= i < n_x for i in self.returns):
-            raise ProblemError(f"returns are states from 0 to {n_x - 1}, got {list(self.returns)}")
+            raise ProblemError(f"returns must be states from 0 to {n_x - 1}, got {list(self.returns)}")
         for guess in self.guesses:
             if not isinstance(guess, StateGuess):
-                raise ProblemError(f"guesses are {StateGuess.__module__}.StateGuess objects, got {guess!r}")
+                raise ProblemError(f"guesses must be {StateGuess.__module__}.StateGuess objects, got {guess!r}")
             if guess.state.shape[1] != n_x or (guess.effort is not None and guess.effort.shape[1] != n_u):
                 raise ProblemError(f"a guess has {n_x} states and {n_u} efforts, got {guess.state.shape[1]} states")
         for what, rows in (("start", self.start), ("goal", self.goal)):
@@ -151,19 +151,20 @@ class OdeProblem:
         low, high = self.duration
         if not (0 <= low <= high and high > 0 and np.isfinite(low)):
             raise ProblemError(
-                f"duration_s is a positive number, or (low, high) with 0 <= low < high, got {self.duration_s!r}"
+                f"duration_s must be a positive number, or (low, high) with 0 <= low < high, got {self.duration_s!r}"
             )
         for name, kind in (("mesh", MeshSettings), ("solver", SolverSettings)):
             if not isinstance(getattr(self, name), kind):
-                raise ProblemError(f"{name} is a {kind.__module__}.{kind.__name__}, got {getattr(self, name)!r}")
+                raise ProblemError(f"{name} must be a {kind.__module__}.{kind.__name__}, got {getattr(self, name)!r}")
         if self.solver.starts != 1:
-            raise ProblemError(f"solver.starts is 1 for a differential equation, got {self.solver.starts}: give `guesses`")
+            got = f"got {self.solver.starts}: give `guesses`"
+            raise ProblemError(f"solver.starts must be 1 for a differential equation, {got}")
         share: Any = Annotated[float, Meta(gt=0, le=1)]
         read(share, to_toml_types(self.tolerance), "tolerance")
         if self.objective_tolerance is not None:
             read(share, to_toml_types(self.objective_tolerance), "objective_tolerance")
         if self.rate is None:
-            raise ProblemError("rate is a function of (x, u, p, t), got None")
+            raise ProblemError("rate must be a function of (x, u, p, t), got None")
         if self.running_cost is None and self.final_cost is None:
             raise ProblemError("a problem needs running_cost, final_cost or both: otherwise no motion is the best")
 
@@ -182,7 +183,8 @@ class OdeProblem:
         """The bounds on the duration [s], equal if it is given."""
         given = _array("duration_s", self.duration_s).ravel()
         if len(given) not in (1, 2):
-            raise ProblemError(f"duration_s is a positive number, or (low, high) where it is free, got {self.duration_s!r}")
+            legal = "a positive number, or (low, high) where it is free"
+            raise ProblemError(f"duration_s must be {legal}, got {self.duration_s!r}")
         return float(given[0]), float(given[-1])
 
     def function(self, name: str) -> ca.Function:
@@ -234,4 +236,4 @@ def _array(name: str, value: object) -> np.ndarray:
     try:
         return np.array(value, dtype=float)
     except (TypeError, ValueError) as error:
-        raise ProblemError(f"{name} is numbers, got {value!r}") from error
+        raise ProblemError(f"{name} must be numbers, got {value!r}") from error

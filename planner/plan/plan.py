@@ -117,9 +117,9 @@ def asked_times(time_s: object, end_s: float = np.inf) -> np.ndarray:
     except (TypeError, ValueError, OverflowError):
         time = np.full((), np.nan)
     if time.ndim > 1 or not np.all(np.isfinite(time)):
-        raise ProblemError(f"times are finite numbers of seconds, one or a row of them, got {time_s!r}")
+        raise ProblemError(f"times must be finite numbers of seconds, one or a row of them, got {time_s!r}")
     if np.isfinite(end_s) and np.any(np.abs(2 * time - end_s) > end_s * (1 + 1e-9)):
-        raise ProblemError(f"times are from 0 to {end_s:.7g} s, where the motion ends, got {time_s!r}")
+        raise ProblemError(f"times must be from 0 to {end_s:.7g} s, where the motion ends, got {time_s!r}")
     return time
 
 

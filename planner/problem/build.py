@@ -287,7 +287,7 @@ def fill(tables: Tables, said: Mapping[str, object]) -> None:
 def apply_settings(tables: Tables, settings: object) -> None:
     """Set single values in a file's tables, by dotted key."""
     if not isinstance(settings, Mapping):
-        raise ProblemError(f"settings are a table of section.key = value, got {settings!r}")
+        raise ProblemError(f"settings must be a table of section.key = value, got {settings!r}")
     for key, value in settings.items():
         set_key(tables, str(key), to_toml_types(value))
 

@@ -164,7 +164,7 @@ class ExtraCost:
         _check_words(self)
         object.__setattr__(self, "weight", _number(self.weight, f"extra cost '{self.name}': weight"))
         if not (np.isfinite(self.weight) and self.weight > 0):
-            raise ProblemError(f"extra cost '{self.name}': weight is a positive number, got {self.weight:g}")
+            raise ProblemError(f"extra cost '{self.name}': weight must be a positive number, got {self.weight:g}")
 
 
 Extra = ExtraLimit | ExtraCost
@@ -272,7 +272,7 @@ def checked_extras(extras: Sequence[Extra], kind: type, where: str) -> tuple:
         ProblemError: for other values, or two with the same name.
     """
     if isinstance(extras, str) or not isinstance(extras, Sequence) or not all(isinstance(one, kind) for one in extras):
-        raise ProblemError(f"{where} is a list of linkplan.{kind.__name__}, got {shown(repr(extras))}")
+        raise ProblemError(f"{where} must be a list of linkplan.{kind.__name__}, got {shown(repr(extras))}")
     names = [one.name for one in extras]
     for name in names:
         if names.count(name) > 1:
@@ -306,5 +306,5 @@ def _check_words(extra: Extra) -> None:
 
 def _number(value: object, what: str) -> float:
     if isinstance(value, bool) or not isinstance(value, int | float | np.floating | np.integer) or np.isnan(value):
-        raise ProblemError(f"{what} is a number, got {shown(repr(value))}")
+        raise ProblemError(f"{what} must be a number, got {shown(repr(value))}")
     return float(value)

@@ -63,14 +63,14 @@ def spread_of(value: object, key: str, label: str) -> Spread:
     kind, pair = "uniform", value
     if isinstance(value, Mapping):
         if not is_spread(value) or len(value) != 1:
-            raise ProblemError(f"{where} is {FORMS}, got {value!r}")
+            raise ProblemError(f"{where} must be {FORMS}, got {value!r}")
         ((kind, pair),) = value.items()
     if not isinstance(pair, list | tuple):
         if isinstance(value, Mapping | bool) or not isinstance(value, int | float):
-            raise ProblemError(f"{where} is {FORMS}, got {value!r}")
+            raise ProblemError(f"{where} must be {FORMS}, got {value!r}")
         return Spread(kind="fixed", first=_legal(value, key, where))
     if len(pair) != 2:
-        raise ProblemError(f"{where} is {FORMS}, got {value!r}")
+        raise ProblemError(f"{where} must be {FORMS}, got {value!r}")
     first = _legal(pair[0], key, where)
     if kind == "normal":
         return Spread(kind=kind, first=first, second=number(pair[1], f"{where}: the standard deviation", at_least_zero=True))
@@ -84,7 +84,7 @@ def _legal(value: object, key: str, where: str) -> float:
     found, quantity = number(value, where), QUANTITIES[key]
     if not quantity.low <= found <= quantity.high:
         unit = "" if quantity.unit == "1" else f" [{quantity.unit}]"
-        raise ProblemError(f"{where} is from {quantity.low:g} to {quantity.high:g}{unit}, got {found:g}")
+        raise ProblemError(f"{where} must be from {quantity.low:g} to {quantity.high:g}{unit}, got {found:g}")
     return found
 
 
@@ -158,7 +158,7 @@ def _word(table: Mapping, word: str, mechanism: Mechanism) -> str | None:
         names = [mechanism.model.body(i).name for i in range(1, mechanism.model.nbody)]
     if not isinstance(value, str) or value not in names:
         hint = nearest(value, names) if isinstance(value, str) else ""
-        raise ProblemError(f"imperfections.{word} is one of {', '.join(names)}, got {value!r}{hint}")
+        raise ProblemError(f"imperfections.{word} must be one of {', '.join(names)}, got {value!r}{hint}")
     return value
 
 

@@ -63,7 +63,7 @@ class Robust(RobustSection, frozen=True, eq=False):
         for name, (low, high) in (factors | frictions).items():
             if not (low > 0 if name in factors else low >= 0) or not low <= high < np.inf:
                 legal = "of positive factors" if name in factors else "from zero on"
-                raise ProblemError(f"robust.{name} is [low, high] {legal} with low <= high, got [{low:g}, {high:g}]")
+                raise ProblemError(f"robust.{name} must be [low, high] {legal} with low <= high, got [{low:g}, {high:g}]")
         if len(self.corners) > MAX_CORNERS:
             raise ProblemError(f"[robust] has {len(self.corners)} corners; the limit is {MAX_CORNERS}")
 

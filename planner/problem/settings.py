@@ -67,7 +67,7 @@ def interval(value: list[float], key: str) -> tuple[float, float]:
     """Return [low, high] with low < high; ends may be infinite."""
     low, high = (end if np.isinf(end) else number(end, key) for end in value)
     if not low < high:
-        raise ProblemError(f"{key} is [low, high] with low < high, got [{low:g}, {high:g}]")
+        raise ProblemError(f"{key} must be [low, high] with low < high, got [{low:g}, {high:g}]")
     return low, high
 
 
@@ -173,7 +173,7 @@ class MeshSettings(MeshSection, frozen=True, eq=False):
         if given is not None:
             breaks = frozen(self.breaks)
             if breaks[0] != 0 or breaks[-1] != 1 or np.any(np.diff(breaks) < MIN_INTERVAL_SHARE):
-                raise ProblemError(f"mesh.breaks is {BREAKS}, got {given!r}")
+                raise ProblemError(f"mesh.breaks must be {BREAKS}, got {given!r}")
             force_setattr(self, "breaks", breaks)
             force_setattr(self, "intervals", len(breaks) - 1)
 

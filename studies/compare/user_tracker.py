@@ -121,7 +121,7 @@ def name_of(given: object) -> str:
     """
     if not (isinstance(given, type) or callable(given) or _is_law(given)):
         raise ProblemError(
-            f"a tracker is one of {', '.join(TRACKERS)}, an object, a class or a function; got {_text_of(given)}"
+            f"a tracker must be one of {', '.join(TRACKERS)}, an object, a class or a function; got {_text_of(given)}"
         )
     names = [getattr(given, key, None) for key in ("name", "__name__")]
     name = next((one for one in names if isinstance(one, str) and one.strip()), type(given).__name__)
@@ -249,8 +249,8 @@ def users_tracker(asked: object, mechanism: Mechanism, reference: SampledReferen
     if isinstance(asked, type) or not _is_law(asked):
         if not callable(asked):
             raise ProblemError(
-                f"a tracker is one of {', '.join(TRACKERS)}, an object with a name and {_LAW}, or a function of the sampled"
-                f" reference that returns one; got {_text_of(asked)}"
+                f"a tracker must be one of {', '.join(TRACKERS)}, an object with a name and {_LAW}, or a function of the"
+                f" sampled reference that returns one; got {_text_of(asked)}"
             )
         with users_code(made_by, "cannot be made"):
             law = asked(reference)

@@ -105,7 +105,7 @@ def read_subject(subject: Subject) -> tuple[Mechanism, Problem | None, dict]:
         return subject.mechanism, subject, subject.to_dict().get("tracking", {})
     if isinstance(subject, Mechanism):
         return subject, None, {}
-    raise ProblemError(f"the subject is a mechanism, a Problem, or the name or path of either, got {subject!r}")
+    raise ProblemError(f"the subject must be a mechanism, a Problem, or the name or path of either, got {subject!r}")
 
 
 def note_forces(mechanism: Mechanism, say: Listener, where: str) -> None:
@@ -138,7 +138,7 @@ def given_problem(problem: object) -> Problem:
     if isinstance(problem, str | Path):
         return Problem.from_file(problem)
     if not isinstance(problem, Problem):
-        raise ProblemError(f"the problem is a Problem, a built-in problem's name or a TOML file, got {problem!r}")
+        raise ProblemError(f"the problem must be a Problem, a built-in problem's name or a TOML file, got {problem!r}")
     return problem
 
 
@@ -228,7 +228,7 @@ def with_imperfections(problem: Problem, imperfections: Mapping | None) -> Probl
 def listed(trackers: object, legal: str) -> Sequence:
     """Return trackers if they are a list; `legal` describes its entries in the error message."""
     if isinstance(trackers, str) or not isinstance(trackers, Sequence):
-        raise ProblemError(f"trackers are a list of {legal}, got {trackers!r}")
+        raise ProblemError(f"trackers must be a list of {legal}, got {trackers!r}")
     return trackers
 
 
@@ -239,7 +239,7 @@ def tracking_table(own: Mapping, tracking: object) -> dict:
         ProblemError: if the settings are not a table.
     """
     if tracking is not None and not isinstance(tracking, Mapping):
-        raise ProblemError(f"tracking is a table of key = value, got {tracking!r}")
+        raise ProblemError(f"tracking must be a table of key = value, got {tracking!r}")
     return {**own, **to_toml_types(tracking or {})}
 
 
@@ -288,5 +288,5 @@ def _tables(key: str, value: object, mechanism: Mechanism) -> list[dict]:
         joint = mechanism.independent_joints[0]
         value = [{joint.name: item} if isinstance(item, int | float) else item for item in value]
     if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
-        raise ProblemError(f"{key} is a list of poses, each a table of joint = value, got {value!r}")
+        raise ProblemError(f"{key} must be a list of poses, each a table of joint = value, got {value!r}")
     return [to_toml_types(item) for item in value]

@@ -139,7 +139,7 @@ def _asks_for_plant(efforts: object, positions: object, others: Mapping[str, boo
     """
     for name, value in (("from_effort", efforts), ("to_position", positions)):
         if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(one, str) for one in value):
-            raise ProblemError(f"{name} is a list of names, got {value!r}")
+            raise ProblemError(f"{name} must be a list of names, got {value!r}")
     if bool(efforts) != bool(positions):
         given, missing = ("from_effort", "to_position") if efforts else ("to_position", "from_effort")
         raise ProblemError(f"{given} also needs {missing}: a plant has inputs and outputs")

@@ -74,7 +74,7 @@ def transfer(
         print(table.message)
     """
     if isinstance(joints, str) or not isinstance(joints, Sequence) or not all(isinstance(name, str) for name in joints):
-        raise ProblemError(f"joints are a list of names, got {joints!r}")
+        raise ProblemError(f"joints must be a list of names, got {joints!r}")
     mechanism, problem = subject_of(subject)
     say = listener(progress)
     note_forces(mechanism, say, "in the table, whose efforts are those at rest")
@@ -85,7 +85,7 @@ def transfer(
             joint = mechanism.joints[mechanism.joint_index(name, ProblemError)]
             values = numbers(both, f"{key}.{name}")
             if len(values) != 2 or joint.unit != key.removeprefix("range_"):
-                raise ProblemError(f"{key}.{name} is [low, high] of a joint in {joint.unit}, got {both!r}")
+                raise ProblemError(f"{key}.{name} must be [low, high] of a joint in {joint.unit}, got {both!r}")
             ends[name] = (joint.read(values[0]), joint.read(values[1]))
     found = transfer_study(
         mechanism,
@@ -191,7 +191,7 @@ class TransferResult(MechanismResult):
         )
         if not s.shape == v.shape == a.shape or s.shape[1] != len(grid.axes):
             raise ProblemError(
-                f"position, velocity and acceleration are (n, {len(grid.axes)}), got {s.shape}, {v.shape}, {a.shape}"
+                f"position, velocity and acceleration must be (n, {len(grid.axes)}), got {s.shape}, {v.shape}, {a.shape}"
             )
         motion = OutputMotion(time_s=np.arange(float(len(s))), position=s, velocity=v, acceleration=a)
         return rest_effort(self.found.outputs, serial.model, serial.rest, grid, motion)

@@ -46,5 +46,5 @@ def camera_from(text: str | None, mechanism: Mechanism) -> Camera:
             " as 90/-15"
         ) from None
     if not (np.isfinite(azimuth) and abs(elevation) <= 90):
-        raise ProblemError(f"a camera's elevation is from -90 to 90 degrees, its azimuth any number, got '{text}'")
+        raise ProblemError(f"a camera's elevation must be from -90 to 90 degrees, its azimuth any number, got '{text}'")
     return Camera(direction=(float(np.radians(azimuth)), float(np.radians(elevation))))

@@ -60,7 +60,7 @@ def find_gl(asked: str | None) -> GL:
         return GL(name=None, why_not=f"MUJOCO_GL is {word}")
     known = _BY_SYSTEM.get(sys.platform, ("glfw",))
     if word not in (*_ANY, *known, *_MODULES):
-        raise LinkplanError(f"MUJOCO_GL is {', '.join(known)} or disable, got '{word}'")
+        raise LinkplanError(f"MUJOCO_GL must be {', '.join(known)} or disable, got '{word}'")
     names = known if word in _ANY else (_MODULES.get(word, word),)
     loaded = os.environ.get("PYOPENGL_PLATFORM", "") if "OpenGL" in sys.modules else ""
     if loaded in names:

@@ -73,7 +73,7 @@ def test_an_expression_that_is_no_scalar_of_the_motion_is_refused_in_one_line(kn
         ({"unit": 3}, "unit must be text, got 3"),
         ({"upper": np.inf}, "needs lower < upper, one of them finite"),
         ({"lower": 2.0}, "needs lower < upper, one of them finite, got lower = 2 and upper = 1"),
-        ({"upper": "1"}, "upper is a number, got '1'"),
+        ({"upper": "1"}, "upper must be a number, got '1'"),
     ],
 )
 def test_a_limit_that_cannot_be_is_refused_when_it_is_made(given, said):
@@ -84,16 +84,16 @@ def test_a_limit_that_cannot_be_is_refused_when_it_is_made(given, said):
 
 @pytest.mark.parametrize("weight", [-1.0, 0.0, np.inf, np.nan, "1", True])
 def test_a_cost_s_weight_is_a_positive_number(weight):
-    with pytest.raises(ProblemError, match="extra cost 'mine': weight is a"):
+    with pytest.raises(ProblemError, match="extra cost 'mine': weight must be a"):
         ExtraCost(name="mine", expression=angle, weight=weight)
 
 
 @pytest.mark.parametrize(
     ("given", "said"),
     [
-        ({"extra_limits": LIMIT}, "extra_limits is a list of linkplan.ExtraLimit"),
-        ({"extra_limits": [COST]}, "extra_limits is a list of linkplan.ExtraLimit"),
-        ({"extra_costs": [LIMIT]}, "extra_costs is a list of linkplan.ExtraCost"),
+        ({"extra_limits": LIMIT}, "extra_limits must be a list of linkplan.ExtraLimit"),
+        ({"extra_limits": [COST]}, "extra_limits must be a list of linkplan.ExtraLimit"),
+        ({"extra_costs": [LIMIT]}, "extra_costs must be a list of linkplan.ExtraCost"),
         ({"extra_limits": [LIMIT, LIMIT]}, "different names, got 'wide' more than once"),
         ({"extra_costs": [ExtraCost(name="effort", expression=angle)]}, "the name of a term of objective.minimize"),
         ({"extra_costs": [], "minimize": {}}, "objective.minimize must name at least one of"),

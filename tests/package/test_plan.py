@@ -104,7 +104,7 @@ def test_speeds_are_the_slopes_of_positions(plan):
 
 def test_times_beyond_the_ends_of_a_motion_are_refused_and_a_periodic_one_goes_on(plan, sine):
     for beyond in (1.0, -0.01, [0.0, 0.2]):
-        with pytest.raises(ProblemError, match=r"times are from 0 to 0\.16 s, where the motion ends"):
+        with pytest.raises(ProblemError, match=r"times must be from 0 to 0\.16 s, where the motion ends"):
             plan.sample(beyond)
     assert plan.sample(plan.duration_s).position_deg["O"] == pytest.approx(56.27)
     assert sine.duration_s == pytest.approx(0.25)
@@ -216,9 +216,9 @@ def test_a_differential_equation_of_ones_own_is_solved():
     assert plan.objective == pytest.approx(2.0, rel=1e-8)
     assert plan.sample([0.0, 2.0])["state0"] == pytest.approx([0.0, 1.0])
     for beyond in (-0.1, [1.0, 2.1]):  # the polynomials go on, and mean nothing there
-        with pytest.raises(ProblemError, match="times are from 0 to 2 s, where the motion ends"):
+        with pytest.raises(ProblemError, match="times must be from 0 to 2 s, where the motion ends"):
             plan.sample(beyond)
-    with pytest.raises(ProblemError, match="times are finite numbers"):
+    with pytest.raises(ProblemError, match="times must be finite numbers"):
         plan.sample("late")
     with pytest.raises(ProblemError, match="solve_ocp takes an OdeProblem, got 3"):
         linkplan.solve_ocp(3)
@@ -226,9 +226,9 @@ def test_a_differential_equation_of_ones_own_is_solved():
 
 @pytest.mark.parametrize("problem", [None, 5, {"motion": {}}])
 def test_what_is_no_problem_is_refused(problem):
-    with pytest.raises(ProblemError, match="the problem is a Problem"):
+    with pytest.raises(ProblemError, match="the problem must be a Problem"):
         linkplan.plan(problem)
-    with pytest.raises(ProblemError, match="the problem is a Problem"):
+    with pytest.raises(ProblemError, match="the problem must be a Problem"):
         linkplan.Planner().plan(problem)
 
 

@@ -149,17 +149,17 @@ class Nameless:
         ),
         (
             lambda plan: linkplan.track(plan, 7),
-            f"a tracker is one of {', '.join(TRACKERS)}, an object with a name and effort",
+            f"a tracker must be one of {', '.join(TRACKERS)}, an object with a name and effort",
         ),
         (lambda plan: linkplan.track(plan, lambda reference: None), "must return an object with a name"),  # noqa: ARG005
         (lambda plan: linkplan.track(plan, Nameless()), "a tracker's name must have at most 50 printable characters"),
         (lambda plan: linkplan.track(plan, Idle(value=[0.0, 0.0])), "shape (1,), got shape (2,)"),
         (lambda plan: linkplan.track(plan, Idle(value="much")), "tracker 'idle' must return one effort"),
-        (lambda plan: linkplan.track(plan, mass_factor=0), "mass_factor is a positive number, got 0"),
-        (lambda plan: linkplan.track(plan, delay_periods=2000), "delay_periods is from 0 to 1000, got 2000"),
-        (lambda plan: linkplan.track(plan, tracking={"kp": "much"}), "tracking.kp is a number of at least 0"),
+        (lambda plan: linkplan.track(plan, mass_factor=0), "mass_factor must be a positive number, got 0"),
+        (lambda plan: linkplan.track(plan, delay_periods=2000), "delay_periods must be from 0 to 1000, got 2000"),
+        (lambda plan: linkplan.track(plan, tracking={"kp": "much"}), "tracking.kp must be a number of at least 0"),
         (lambda plan: linkplan.track(plan.problem.mechanism), "to track, give a Plan"),
-        (lambda plan: linkplan.compare(plan, "lqr"), "trackers are a list"),
+        (lambda plan: linkplan.compare(plan, "lqr"), "trackers must be a list"),
         (lambda plan: linkplan.compare(plan, []), "got none"),
         (lambda plan: linkplan.compare(plan, ["lqr", "lqr"]), "trackers with different names, got lqr, lqr"),
     ],
@@ -191,7 +191,7 @@ def test_a_problem_that_cannot_be_planned_is_checked_all_the_same(tmp_path):
         linkplan.Problem.from_file(tmp_path / "bad.toml")
     found = linkplan.check(tmp_path / "bad.toml")
     assert found.problems == linkplan.check("optimus-knee").problems
-    assert any("cannot be planned: motion.duration_s is a positive number, got -1" in note for note in found.notes)
+    assert any("cannot be planned: motion.duration_s must be a positive number, got -1" in note for note in found.notes)
 
 
 def test_a_check_names_what_is_wrong():
@@ -222,11 +222,11 @@ def test_a_loops_response_is_measured_and_drawn(problem, tmp_path):
         (lambda: linkplan.check(5), "a mechanism, a Problem, or the name or path of either, got 5"),
         (lambda: linkplan.check("optimus-knee", at_deg=[{"O": 120}]), "the pose O = 120 deg is beyond reach"),
         (lambda: linkplan.check("optimus-knee", at_deg=[{"A": 1}]), "a pose names independent joints (O); A follows"),
-        (lambda: linkplan.check("optimus-knee", at_deg=[{"O": np.nan}]), "poses[0].at_deg of joint O is a number, got nan"),
-        (lambda: linkplan.check("optimus-knee", at_deg=["3"]), "at_deg is a list of poses"),
+        (lambda: linkplan.check("optimus-knee", at_deg=[{"O": np.nan}]), "at_deg of joint O must be a number, got nan"),
+        (lambda: linkplan.check("optimus-knee", at_deg=["3"]), "at_deg must be a list of poses"),
         (lambda: linkplan.check("optimus-knee", at_m=[{"O": 0.1}]), "use poses[0].at_deg, not at_m"),
         (lambda: linkplan.bode("optimus-knee", frequency_hz=[1, 6000]), "Nyquist"),
-        (lambda: linkplan.tune("optimus-knee", bandwidth_hz=-5), "bandwidth_hz is a positive number, got -5"),
+        (lambda: linkplan.tune("optimus-knee", bandwidth_hz=-5), "bandwidth_hz must be a positive number, got -5"),
         (
             lambda: linkplan.tune("five-bar", bandwidth_hz=5, tracker="lqr"),
             "one degree of freedom only, and 'five-bar' has 2",

@@ -140,7 +140,7 @@ def fault(kind: Any, value: object, where: str, known: Known | None = None) -> s
         return _choice_fault(about, choices, str(value), where)
     if bare is float:
         return _number_fault(kind, about, value, where)
-    return f"{where} is {words(kind)}, got {got(value)}"
+    return f"{where} must be {words(kind)}, got {got(value)}"
 
 
 def unknown_key(kind: Any, value: object, where: str) -> str | None:
@@ -152,8 +152,8 @@ def unknown_key(kind: Any, value: object, where: str) -> str | None:
     legal: tuple[str, ...] | None = getattr(bare, "__struct_fields__", None)
     if not isinstance(value, dict):
         inner = legal is not None and "." in where
-        what = f"{where} is a table with keys {', '.join(legal or ())}" if inner else f"'{where}' is a table ([{where}])"
-        return f"{what}, got {got(value)}"
+        what = f"a table with keys {', '.join(legal or ())}" if inner else f"a table ([{where}])"
+        return f"{where if inner else repr(where)} must be {what}, got {got(value)}"
     if legal is None:
         return None
     for key in value:
@@ -250,8 +250,8 @@ def _union_fault(kind: Any, bare: Any, value: object, where: str, known: Known |
     if kind == Place and isinstance(value, int | float):  # a number probably means a joint's position
         stem, _, name = where.rpartition(".")
         joint = f"joint {name}'s position is {stem.removesuffix('_at')}_deg.{name}"
-        return f"{where} is a site's place, {words(kind)}, got {got(value)}; {joint}"
-    return f"{where} is {words(kind)}, got {got(value)}"
+        return f"{where} must be a site's place, {words(kind)}, got {got(value)}; {joint}"
+    return f"{where} must be {words(kind)}, got {got(value)}"
 
 
 def _section_fault(kind: type[msgspec.Struct], value: object, where: str, known: Known | None) -> str | None:
@@ -275,10 +275,10 @@ def _section_fault(kind: type[msgspec.Struct], value: object, where: str, known:
 
 def _list_fault(kind: Any, bare: Any, about: dict, value: list, where: str, known: Known | None) -> str:
     if len(value) > about.get("max_length", len(value)):
-        return f"{where} is {words(kind)}, got {len(value)} of them"
+        return f"{where} must be {words(kind)}, got {len(value)} of them"
     inner = get_args(bare)[0]
     found = (fault(inner, item, f"{where}[{k}]" if "numbered" in about else where, known) for k, item in enumerate(value))
-    return next(filter(None, found), f"{where} is {words(kind)}, got {got(value)}")
+    return next(filter(None, found), f"{where} must be {words(kind)}, got {got(value)}")
 
 
 def _table_fault(bare: Any, about: dict, value: dict, where: str, known: Known | None) -> str | None:
@@ -301,7 +301,7 @@ def _choice_fault(about: dict[str, Any], choices: tuple[str, ...], value: str, w
 
 
 def _number_fault(kind: Any, about: dict[str, Any], value: object, where: str) -> str:
-    wanted = f"{where} is {words(kind)}"
+    wanted = f"{where} must be {words(kind)}"
     if isinstance(value, bool) or not isinstance(value, int | float):
         return f"{wanted}, got {got(value)}"
     if isinstance(value, int) and abs(value) > MAX_NUMBER:
@@ -309,4 +309,4 @@ def _number_fault(kind: Any, about: dict[str, Any], value: object, where: str) -
     if not math.isfinite(value) or (value <= 0 and about.get("ge", about.get("gt", -1)) >= 0):
         return f"{wanted}, got {got(value)}"
     short = f"{value:g}"
-    return f"{where} is {range_words(about)}, got {short if float(short) == value else got(value)}"
+    return f"{where} must be {range_words(about)}, got {short if float(short) == value else got(value)}"

@@ -14,7 +14,7 @@ def with_outputs(mechanism: Mechanism, names: Sequence[str]) -> Mechanism:
         ModelError: for an unknown joint, or joints that cannot be coordinates at home, for example at a dead centre.
     """
     if not names or len(set(names)) < len(names):
-        raise ProblemError(f"output joints are one or more different joints, got {', '.join(names) or 'none'}")
+        raise ProblemError(f"output joints must be one or more different joints, got {', '.join(names) or 'none'}")
     for name in names:
         mechanism.joint_index(name, ProblemError)
     if {joint.name for joint in mechanism.independent_joints} >= set(names):

@@ -71,7 +71,7 @@ def replay(experiment: Experiment, tracker: str, sample: int) -> tuple[Rollout, 
         ProblemError: for an unknown sample, or one that failed before its first instant.
     """
     if not 0 <= sample < experiment.n:
-        raise ProblemError(f"samples of this experiment are from 0 to {experiment.n - 1}, got {sample}")
+        raise ProblemError(f"samples of this experiment must be from 0 to {experiment.n - 1}, got {sample}")
     mechanism, reference = experiment.plan.problem.mechanism, experiment.reference
     law = law_of(tracker if tracker in experiment.own else known_tracker(tracker), experiment)
     plant = MujocoPlant(mechanism=mechanism, loop=experiment.loop)

@@ -148,12 +148,12 @@ def test_a_motor_without_a_name_is_named_as_in_messages():
 @pytest.mark.parametrize(
     ("of", "said"),
     [
-        ({"gear": {"act": 0.0}}, "mechanism.gear.act is a number other than 0, got 0"),
+        ({"gear": {"act": 0.0}}, "mechanism.gear.act must be a number other than 0, got 0"),
         ({"gear": {"acr": 2.0}}, "unknown actuator in mechanism.gear 'acr' (did you mean 'act'?)"),
         ({"gear": {"push": 2.0}}, "mechanism.gear.push: the actuator acts on site 'tip', which no single gear moves"),
         ({"rotor_inertia": {"push": 1.0}}, "mechanism.rotor_inertia.push: the actuator acts on site 'tip'; a rotor turns"),
-        ({"rotor_inertia": {"act": -1.0}}, "mechanism.rotor_inertia.act is a number of at least 0, got -1"),
-        ({"rotor_inertia": {"act": "big"}}, "mechanism.rotor_inertia.act is a number of at least 0, got 'big'"),
+        ({"rotor_inertia": {"act": -1.0}}, "mechanism.rotor_inertia.act must be a number of at least 0, got -1"),
+        ({"rotor_inertia": {"act": "big"}}, "mechanism.rotor_inertia.act must be a number of at least 0, got 'big'"),
     ],
 )
 def test_gears_and_rotors_that_cannot_be_are_refused_in_one_line(of, said):

@@ -140,7 +140,7 @@ FILES: dict[str, tuple[Callable[[Path], str | Path], list[str]]] = {
     "not UTF-8": (write(b"description = '\xff\xfe'"), ["not UTF-8"]),
     "an empty file": (write(b""), ["mechanism.model"]),
     "no kind": (write(b"[mechanism]\nmodel = 'optimus-knee'"), ["motion.kind is missing", "reach, hold, periodic, track"]),
-    "a table that is a number": (write(b"motion = 3"), ["'motion' is a table", "got 3"]),
+    "a table that is a number": (write(b"motion = 3"), ["'motion' must be a table", "got 3"]),
     "a description that is a number": (write(b"description = 3"), ["description"]),
     "an unknown table": (write(b"[motoin]\nkind = 'reach'"), ["'motoin'", "did you mean 'motion'"]),
     "a name with a line's end": (write(b'"mo\\ntion" = 3'), ["unknown table or key"]),

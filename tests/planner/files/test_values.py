@@ -98,5 +98,5 @@ def test_a_text_of_several_lines_keeps_its_lines():
 
 
 def test_what_toml_has_no_form_for_is_refused_by_its_key():
-    with pytest.raises(ProblemError, match=r"motion\.start_deg\.O is numbers, words, lists or tables, got None"):
+    with pytest.raises(ProblemError, match=r"motion\.start_deg\.O must be numbers, words, lists or tables, got None"):
         toml_text({"motion": {"start_deg": {"O": None}}})

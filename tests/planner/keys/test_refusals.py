@@ -46,25 +46,25 @@ def test_the_last_legal_value_is_taken_and_the_next_is_refused(kind, legal, beyo
 @pytest.mark.parametrize(
     ("key", "value", "sentence"),
     [
-        ("motion.duration_s", -1.0, "motion.duration_s is a positive number, got -1.0"),
-        ("limits.reserve", 1.5, "limits.reserve is from 0 to below 1, got 1.5"),
-        ("limits.reserve", -0.5, "limits.reserve is a number of at least 0, got -0.5"),
-        ("limits.reserve", "much", "limits.reserve is a number of at least 0, got 'much'"),
+        ("motion.duration_s", -1.0, "motion.duration_s must be a positive number, got -1.0"),
+        ("limits.reserve", 1.5, "limits.reserve must be from 0 to below 1, got 1.5"),
+        ("limits.reserve", -0.5, "limits.reserve must be a number of at least 0, got -0.5"),
+        ("limits.reserve", "much", "limits.reserve must be a number of at least 0, got 'much'"),
         (
             "tracking.delay_periods",
             10**20,
-            "tracking.delay_periods is a number of at least 0 below 1e+15, got one of 21 digits",
+            "tracking.delay_periods must be a number of at least 0 below 1e+15, got one of 21 digits",
         ),
-        ("tracking.delay_periods", 2000, "tracking.delay_periods is from 0 to 1000, got 2000"),
-        ("mesh.intervals", 1, "mesh.intervals is a whole number from 2 to 20000, got 1"),
+        ("tracking.delay_periods", 2000, "tracking.delay_periods must be from 0 to 1000, got 2000"),
+        ("mesh.intervals", 1, "mesh.intervals must be a whole number from 2 to 20000, got 1"),
         ("mesh.refine", "bth", "unknown mesh.refine 'bth' (did you mean 'both'?); legal: both, intervals, degree"),
-        ("motion.duration_s", "soon", "motion.duration_s is a positive number or \"free\", got 'soon'"),
-        ("motion.kind", 5, "motion.kind is one of reach, hold, periodic, track, follow, got 5"),
-        ("motion.start_deg", {"J": "x"}, "motion.start_deg of joint J is a number, got 'x'"),
-        ("limits.effort", {"m": [1.0, "x"]}, "limits.effort.m is a number, got 'x'"),
-        ("limits.effort", {"m": [1.0, 2.0, 3.0]}, "limits.effort.m is [low, high], got 3 of them"),
-        ("motion.start_deg", 5, "motion.start_deg is a table of joint = value, got 5"),
-        ("limits.closure_force", {"B": -1}, "limits.closure_force.B is a positive number, got -1"),
+        ("motion.duration_s", "soon", "motion.duration_s must be a positive number or \"free\", got 'soon'"),
+        ("motion.kind", 5, "motion.kind must be one of reach, hold, periodic, track, follow, got 5"),
+        ("motion.start_deg", {"J": "x"}, "motion.start_deg of joint J must be a number, got 'x'"),
+        ("limits.effort", {"m": [1.0, "x"]}, "limits.effort.m must be a number, got 'x'"),
+        ("limits.effort", {"m": [1.0, 2.0, 3.0]}, "limits.effort.m must be [low, high], got 3 of them"),
+        ("motion.start_deg", 5, "motion.start_deg must be a table of joint = value, got 5"),
+        ("limits.closure_force", {"B": -1}, "limits.closure_force.B must be a positive number, got -1"),
     ],
 )
 def test_a_value_that_is_not_legal_is_refused_by_its_key_what_is_legal_and_itself(key, value, sentence):
@@ -91,7 +91,7 @@ def test_a_type_in_words(kind, said):
 def test_a_motion_has_at_most_a_thousand_waypoints():
     table = {"kind": "reach", "waypoints": [{"at_deg": {"J": 1.0}}] * 1000}
     assert len(read(MotionSection, table, "motion").waypoints) == 1000
-    with pytest.raises(ProblemError, match=r"is a list of at most 1000 tables .*, got 1001 of them"):
+    with pytest.raises(ProblemError, match=r"must be a list of at most 1000 tables .*, got 1001 of them"):
         read(MotionSection, table | {"waypoints": [{"at_deg": {"J": 1.0}}] * 1001}, "motion")
 
 
@@ -105,8 +105,8 @@ def test_quantities_of_slides_and_of_rates_are_within_a_billion_of_their_unit():
 def test_a_value_of_several_types_is_judged_by_the_one_that_it_resembles():
     either = kinds.Positive | Literal["free", "held"] | kinds.Interval
     assert fault(either, "fre", "here") == "unknown here 'fre' (did you mean 'free'?); legal: free, held"
-    assert fault(either, -2.0, "here") == "here is a positive number, got -2.0"
-    assert fault(kinds.Positive | Literal["free"], "fre", "here") == "here is a positive number or \"free\", got 'fre'"
+    assert fault(either, -2.0, "here") == "here must be a positive number, got -2.0"
+    assert fault(kinds.Positive | Literal["free"], "fre", "here") == "here must be a positive number or \"free\", got 'fre'"
 
 
 @pytest.mark.parametrize(

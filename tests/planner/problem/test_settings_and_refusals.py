@@ -218,11 +218,11 @@ def test_a_joint_of_several_is_named_alone():
 # Settings that cannot be used, what sets the same in a problem file (None where no file can say it), words of the answer.
 REFUSED = [
     (SolverSettings, {"compile": "allways"}, "solver.compile=allways", ["'allways'", "did you mean 'always'", "auto"]),
-    (SolverSettings, {"max_iterations": True}, None, ["solver.max_iterations is a whole number", "got True"]),
+    (SolverSettings, {"max_iterations": True}, None, ["solver.max_iterations must be a whole number", "got True"]),
     (Tracking, {"lqr_velocity_deg_s": 1e10}, "tracking.lqr_velocity_deg_s=1e10", ["tracking.lqr_velocity_deg_s", "1e+09"]),
-    (MeshSettings, {"tolerance_deg": 0.1}, "mesh.tolerance_deg=0.1", ["mesh.tolerance_deg is from 1e-09", "got 0.1"]),
+    (MeshSettings, {"tolerance_deg": 0.1}, "mesh.tolerance_deg=0.1", ["mesh.tolerance_deg must be from 1e-09", "got 0.1"]),
     (MeshSettings, {"breaks": [0, 0.6, 0.4, 1]}, None, ["mesh.breaks", "[0, 0.6, 0.4, 1]"]),
-    (MeshSettings, {"breaks": 3}, "mesh.breaks=3", ["mesh.breaks is three or more increasing numbers", "got 3"]),
+    (MeshSettings, {"breaks": 3}, "mesh.breaks=3", ["mesh.breaks must be three or more increasing numbers", "got 3"]),
 ]
 
 
@@ -259,7 +259,7 @@ def test_a_broken_delay_is_for_loops_and_not_for_motions_that_are_tracked():
     problem = load_problem("knee-reach")
     broken = Tracking(delay_periods=0.5)
     values = {name: getattr(problem, name) for name in Problem.__slots__} | {"tracking": broken}
-    with pytest.raises(ProblemError, match=r"tracking\.delay_periods is a whole number from 0 to 1000, got 0\.5"):
+    with pytest.raises(ProblemError, match=r"tracking\.delay_periods must be a whole number from 0 to 1000, got 0\.5"):
         Problem(**values)
 
 

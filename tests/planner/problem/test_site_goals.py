@@ -112,7 +112,7 @@ REFUSED = [
     ({**UP, "goal_at": {"foot": [0.3, 0.2]}}, ["goal_at.foot", "[x, y, z]", "[0.3, 0.2]"]),
     ({**UP, "goal_at": {"foot": [0.3, 0.0, np.nan]}}, ["goal_at.foot[2]", "a number", "nan"]),
     ({**UP, "goal_at": {"foot": {"x": "far"}}}, ["goal_at.foot.x", "a number", "'far'"]),
-    ({**UP, "goal_at": {"J1": 30.0}}, ["goal_at.J1 is a site's place", "joint J1's position is motion.goal_deg"]),
+    ({**UP, "goal_at": {"J1": 30.0}}, ["goal_at.J1 must be a site's place", "joint J1's position is motion.goal_deg"]),
     ({**UP, "goal_at": [0.3, 0, 0]}, ["motion.goal_at", "table of site"]),
     ({**UP, "goal_at": {"foot": BELOW}, "goal_deg": {"J1": 3, "J2": 4}}, ["goal_at", "goal_deg", "keep one"]),
     ({"start_at": {"foot": {"x": 0.3}}, "goal_at": {"foot": BELOW}}, ["start_at", "open", "start_deg"]),

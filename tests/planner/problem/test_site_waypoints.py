@@ -50,15 +50,18 @@ def test_a_place_is_passed_at_its_instant():
     assert plan.certificate.site_error_m < 1e-8
 
 
+# The correction of the trapezoidal rule's motion on a finer mesh costs 1.2e-4, which its message says.
 @pytest.mark.parametrize(
-    "settings", [{}, {"mesh": {"scheme": "hermite-simpson"}}, {"mesh": {"scheme": "trapezoid"}}], ids=str
+    ("settings", "apart"),
+    [({}, 1e-5), ({"mesh": {"scheme": "hermite-simpson"}}, 1e-5), ({"mesh": {"scheme": "trapezoid"}}, 2e-4)],
+    ids=str,
 )
-def test_what_a_place_leaves_open_stands_where_that_costs_least(settings):
+def test_what_a_place_leaves_open_stands_where_that_costs_least(settings, apart):
     plan = arm_by_way_of({"at": {"foot": {"x": VIA[0]}}, "time_s": 0.3}, **settings)
     found = place_at(plan, 0.3)
     assert found[0] == pytest.approx(VIA[0], abs=1e-8)
     again = arm_by_way_of({"at": {"foot": found.tolist()}, "time_s": 0.3}, **settings)
-    assert plan.objective == pytest.approx(again.objective, rel=1e-5)
+    assert plan.objective == pytest.approx(again.objective, rel=apart)
     higher = arm_by_way_of({"at": {"foot": [found[0], 0.0, found[2] + 0.05]}, "time_s": 0.3}, **settings)
     assert plan.objective < 0.999 * higher.objective
 
@@ -123,7 +126,7 @@ def test_places_on_the_way_are_numbers_of_a_built_program():
 REFUSED = [
     ({"at": {"foot": VIA}, "at_deg": {"J1": 3.0}}, ["waypoints[0].at and", "waypoints[0].at_deg", "keep one"]),
     ({"at": {"base": [0.0, 0.0, 0.0]}}, ["waypoints[0].at", "cannot move"]),
-    ({"at": [0.4, 0.0, 0.1]}, ["motion.waypoints[0].at is a table of site"]),
+    ({"at": [0.4, 0.0, 0.1]}, ["motion.waypoints[0].at must be a table of site"]),
     ({"at_foot": VIA}, ["unknown key 'motion.waypoints[0].at_foot'", "at_deg, at_m, at,"]),
 ]
 

@@ -149,7 +149,7 @@ def loaded(text: str) -> str:
 @pytest.mark.parametrize(
     ("model", "turns", "words"),
     [
-        ("slider-crank", {"O": 0.5}, "turns.O is a whole number"),
+        ("slider-crank", {"O": 0.5}, "turns.O must be a whole number"),
         ("slider-crank", {"O": 1000}, "from -100 to 100, got 1000"),
         ("slider-crank", {"O": 0}, "whole turns, at least one"),
         ("slider-crank", {"Q": 1}, "joint 'Q' is not in"),

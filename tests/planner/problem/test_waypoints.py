@@ -241,7 +241,7 @@ def test_a_waypoint_of_one_joints_speed_leaves_the_rest_free():
 @pytest.mark.parametrize(
     ("waypoint", "words"),
     [
-        ("{ at_deg = { O1 = -97.0, O2 = nan } }", ["joint O2 is a number, got nan"]),
+        ("{ at_deg = { O1 = -97.0, O2 = nan } }", ["joint O2 must be a number, got nan"]),
         ("{ at_deg = { O1 = -97.0, P = 60.0 } }", ["of joint P", "follows from O1, O2"]),
         ("{ at_deg = { O1 = -90.0, O2 = -90.0, P = 60.0 } }", ["does not close", "the loop has P at"]),
     ],

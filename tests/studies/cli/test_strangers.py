@@ -45,7 +45,7 @@ TYPED = [
     (["plan", "leg.toml", "--set", "motion.kind=track"], ["motion.kind 'track' needs a [reference]"]),
     # units
     (["plan", "leg.toml", "--set", "motion.goal_rad.O=1"], ["did you mean 'goal_deg'?"]),
-    (["plan", "leg.toml", "--set", "motion.duration_s=160ms"], ["motion.duration_s is a positive number", "'160ms'"]),
+    (["plan", "leg.toml", "--set", "motion.duration_s=160ms"], ["motion.duration_s must be a positive number", "'160ms'"]),
     (["plan", "leg.toml", "--set", "motion.goal_deg.O=1e6"], ["motion.goal_deg of joint O", "100 turns", "36000", "1e+06"]),
     (["plan", "leg.toml", "--set", "limits.effort.O=5"], ["actuator in limits.effort 'O'", "act_O"]),  # the name before 5
 ]
@@ -75,7 +75,7 @@ def test_it_is_refused_in_a_line_that_says_what_was_meant(argv, words, here, cap
 
 def test_a_goal_of_thousands_of_turns_is_no_work_for_check(capsys):
     assert main(["check", "slider-crank-turn", "--set", "motion.goal_deg.O=1e6"]) == 0
-    assert "the problem cannot be planned: motion.goal_deg of joint O is within 100 turns" in capsys.readouterr().out
+    assert "the problem cannot be planned: motion.goal_deg of joint O must be within 100 turns" in capsys.readouterr().out
 
 
 def test_check_goes_on_with_a_command_that_finds_a_pose_or_puts_motors(tmp_path, ask):
@@ -161,7 +161,7 @@ def test_beginnings_of_options_and_negative_values_are_taken_as_before(ask):
     assert code == 0
     assert "-3" in out
     assert "'o' is not in mechanism" in ask("check", "optimus-knee", "--at-deg", "o=3")[2]  # a value, and not -o
-    assert "--kd is a number of at least 0, got -1" in ask("bode", "optimus-knee", "--kd", "-1")[2]
+    assert "--kd must be a number of at least 0, got -1" in ask("bode", "optimus-knee", "--kd", "-1")[2]
 
 
 def test_capitals_do_not_make_a_name_far():

@@ -117,7 +117,7 @@ FAULTY = {
     "complex": (_law(effort=lambda *_: np.array([1j])), r"'faulty' must return one effort .* got \[0"),
     "ragged": (_law(effort=lambda *_: [[1], [2, 3]]), r"'faulty' must return one effort .* got \[\[1\], \[2, 3\]\]"),
     "unspeakable": (_law(effort=lambda *_: _Unspeakable()), "'faulty' must return one effort .* got <_Unspeakable>"),
-    "no law": (_Unspeakable(), "a tracker is one of .* got <_Unspeakable>"),
+    "no law": (_Unspeakable(), "a tracker must be one of .* got <_Unspeakable>"),
     "start": (_with_memory(start=_raises(SystemExit(0))), "'faulty' cannot start: SystemExit: 0"),
     "step": (_with_memory(step=_raises(SystemExit(0))), "'faulty' fails at control instant 0: SystemExit: 0"),
     "pair": (_with_memory(step=lambda *_: None), "'faulty' fails at control instant 0: TypeError"),

@@ -314,7 +314,7 @@ def test_the_command_says_writes_and_reports_the_same_parts(ask_json, ask, tmp_p
     ("words", "code", "said"),
     [
         (["--trackers", "pdd"], 2, "unknown tracker 'pdd'"),
-        (["--samples", "0"], 2, "samples is a whole number from 1 to 1000, got 0"),
+        (["--samples", "0"], 2, "samples must be a whole number from 1 to 1000, got 0"),
         (["--set", "imperfections.payload_mass=1"], 2, "unknown key 'imperfections.payload_mass'"),
         (["--set", "motion.duration_s=0.01"], 1, "knee-reach"),
     ],

@@ -259,9 +259,9 @@ def test_a_push_that_no_machine_gets_before_its_run_ends_is_refused():
     [
         ({"trackers": ("pdd",)}, "unknown tracker 'pdd'"),
         ({"trackers": ("pd", "pd")}, "different trackers"),
-        ({"samples": 0}, "samples is a whole number from 1"),
+        ({"samples": 0}, "samples must be a whole number from 1"),
         ({"design": "sobel"}, r"unknown design 'sobel'"),
-        ({"tube_deg": -1.0}, "tube_deg is a positive number"),
+        ({"tube_deg": -1.0}, "tube_deg must be a positive number"),
     ],
 )
 def test_settings_that_cannot_be_are_refused(asked, said):

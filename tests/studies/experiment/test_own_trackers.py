@@ -148,7 +148,7 @@ def test_what_a_tracker_is_written_in_are_its_own_files(laws):
     [
         ("laws_of_an_experiment:Impossible", "cannot be made: ValueError: no gains for this plan"),
         ("laws_of_an_experiment:Missing", "cannot be loaded: AttributeError"),
-        ("laws_of_an_experiment:np", "a tracker is one of"),
+        ("laws_of_an_experiment:np", "a tracker must be one of"),
         ("no_such_module:Law", "Python does not find the module"),
         ("pdd", "unknown tracker 'pdd' (did you mean 'pd'"),
     ],

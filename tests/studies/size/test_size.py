@@ -135,13 +135,13 @@ def _line(stall: float) -> dict[str, float]:
     ("text", "said"),
     [
         ("", "motor is missing; it must be a list of 1 to 1000 tables ([[motor]])"),
-        ("motor = []", "motor is a list of 1 to 1000 tables ([[motor]]), got []"),
+        ("motor = []", "motor must be a list of 1 to 1000 tables ([[motor]]), got []"),
         ("motor = [1]", "motor[0] must be a table"),
         ("[[motor]]\npeak_effort = 1", "motor[0].name is missing; it must be a name of 1 to 99 letters"),
         ('[[motor]]\nname = "M"', "motor 'M' needs a peak_effort or a stall_effort; got neither"),
         ('[[motor]]\nname = "M"\npeak = 1', "unknown key 'motor.M.peak' (did you mean 'peak_effort'?)"),
-        ('[[motor]]\nname = "M"\npeak_effort = -1', "motor.M.peak_effort is a positive number, got -1"),
-        ('[[motor]]\nname = "M"\npeak_effort = 1\ngears = [0]', "motor.M.gears is a positive number, got 0"),
+        ('[[motor]]\nname = "M"\npeak_effort = -1', "motor.M.peak_effort must be a positive number, got -1"),
+        ('[[motor]]\nname = "M"\npeak_effort = 1\ngears = [0]', "motor.M.gears must be a positive number, got 0"),
         (2 * '[[motor]]\nname = "M"\npeak_effort = 1\n', "motors must have different names"),
         ('[[motor]]\nname = "M"\nstall_effort = 1', "motor 'M': motors.act_O.stall_effort and motors.act_O.no_load"),
         (
@@ -162,7 +162,7 @@ def test_lists_that_cannot_be_are_refused_in_one_line_before_planning(ask, tmp_p
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("name,peak_effort\nM,much\n", "motor.M.peak_effort is a positive number, got 'much'"),
+        ("name,peak_effort\nM,much\n", "motor.M.peak_effort must be a positive number, got 'much'"),
         ("name,peak_effort\nM,1,2\n", "has a row with more cells than its first row has keys"),
         ("name,torque\nM,1\n", "unknown key 'motor.M.torque'"),
     ],
@@ -181,10 +181,10 @@ def test_missing_files_servos_and_wrong_subjects_are_refused(tmp_path):
     with pytest.raises(linkplan.LinkplanError, match="unknown actuator 'act_P'"):
         linkplan.size("knee-reach", motors, actuator="act_P")
     with pytest.raises(
-        linkplan.LinkplanError, match="the problem is a Problem, a built-in problem's name or a TOML file, got"
+        linkplan.LinkplanError, match="the problem must be a Problem, a built-in problem's name or a TOML file, got"
     ):
         linkplan.size(7, motors)
-    with pytest.raises(linkplan.LinkplanError, match="rest_s is a number of at least 0, got -1"):
+    with pytest.raises(linkplan.LinkplanError, match="rest_s must be a number of at least 0, got -1"):
         linkplan.size("knee-reach", motors, rest_s=-1)
     with pytest.raises(linkplan.LinkplanError, match="rest_s must be 0 for a periodic motion such as knee-sine-shank"):
         linkplan.size("knee-sine-shank", motors, rest_s=1.0)
