@@ -67,6 +67,17 @@ def test_a_direct_reach_that_the_phase_plane_knows_is_found_where_the_smooth_pat
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("seed", range(8))
+def test_a_random_four_bar_of_a_strong_motor_takes_the_least_time_that_its_energies_allow(seed):
+    fourbar, start, goal, weak = weak_case(0, seed)
+    limit = 4.0 * weak
+    ends = {"start_deg": {"O": np.degrees(start)}, "goal_deg": {"O": np.degrees(goal)}}
+    plan = plan_motion(Problem.reach(fourbar.mjcf(start, limit=limit), **ends, minimize="time"))
+    assert plan.status == "optimal"
+    assert plan.objective == pytest.approx(fourbar.minimum_time(start, goal, -limit, limit), rel=1e-6)
+
+
+@pytest.mark.slow
 def test_a_turn_is_no_slower_than_under_constant_full_effort_or_at_constant_speed():
     assert rotary_answer(1, 4)["wrong"] == []
 
