@@ -32,7 +32,7 @@ from linkplan.planner.problem.extra import extras_not_finite, not_finite
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.trajectory import JOIN_SHARE, Trajectory
+from linkplan.planner.trajectory import Trajectory
 
 # Largest gap of a kinematic loop [m], unless the assembly itself is less exact.
 CLOSURE_M = 1e-9
@@ -154,12 +154,12 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     effort_excess = max(0.0, peak("effort_excess", over))
     # A motion at rest counts as having a speed that hardly moves it within its duration.
     speed = max(float(np.abs(v).max()) or INTEGRATION_M / trajectory.duration_s, _MIN_SPAN / trajectory.duration_s)
-    slope, bend = trajectory.slope_at(time), trajectory.bend_at(time)
+    slope = trajectory.slope_at(time)
     velocity_residual = peak("velocity_residual", np.abs(slope - v).max(axis=1)) / speed
     tau, maps = demanded(mechanism, q, v, a, time)
     taus = [tau]
-    if np.abs(bend - a).max() > JOIN_SHARE * np.abs(a).max():  # positions of first-order schemes have own accelerations
-        taus.append(demanded(mechanism, q, slope, bend, time)[0])
+    if len(trajectory.position) == len(trajectory.velocity):  # first-order schemes: positions have own accelerations
+        taus.append(demanded(mechanism, q, slope, trajectory.bend_at(time), time)[0])
     needed, carried = np.stack([least_effort(one, maps) for one in taus]), np.einsum("ksu,ku->ks", maps, u)
     needed_over = np.maximum(needed - limits.effort[:, 1], limits.effort[:, 0] - needed)
     inverse_excess = max(0.0, peak("inverse_dynamics_excess", needed_over.max(axis=(0, 2))))

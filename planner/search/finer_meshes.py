@@ -264,7 +264,13 @@ def _next_way(case: MechanismCase, at: CertifiedIterate, left: float) -> _Way | 
     if abs(left) <= _settled_change(case):
         return None
     if len(further) and mesh.n_segments + len(further) <= mesh.n_intervals // 3:
-        return _Way(case, *with_ends(divided(mesh, pieces), durations, further), "more jumps as unknowns")
+        what = "more jumps as unknowns"
+        if case.enclosed:  # the mesh along limits on power is fine where efforts bend
+            return _Way(case, *with_ends(divided(mesh, pieces), durations, further), what)
+        boundaries = at.found.motion.breaks_s[mesh.boundaries()]
+        ends = np.concatenate([np.cumsum(durations)[:-1], further])
+        ends = np.sort(ends[np.abs(ends[:, None] - boundaries).min(axis=1) > 1e-9 * boundaries[-1]])
+        return _Way(case, *mesh_with_switches(boundaries, ends, mesh.n_intervals, least=1), what)
     if pieces.max() == 1 or pieces.sum() > _MAX_GROWTH * case.asked.mesh.intervals:
         pieces = 1 + rough_of(at.found.motion)
     return _Way(case, divided(mesh, pieces), durations, "finer mesh")

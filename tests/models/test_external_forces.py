@@ -137,8 +137,8 @@ def test_an_actuator_of_a_file_is_such_a_force_or_is_refused(actuator, included)
     ("force", "words"),
     [
         ({"tyres": [0.0, 1.0, 0.0]}, "unknown site in mechanism.force 'tyres' (did you mean 'tyre'?)"),
-        ({"tyre": [0.0, 1.0]}, "mechanism.force.tyre is [x, y, z] in newtons, got [0.0, 1.0]"),
-        ({"tyre": 5.0}, "mechanism.force.tyre is [x, y, z] in newtons, got 5.0"),
+        ({"tyre": [0.0, 1.0]}, "mechanism.force.tyre must be [x, y, z] in newtons, got [0.0, 1.0]"),
+        ({"tyre": 5.0}, "mechanism.force.tyre must be [x, y, z] in newtons, got 5.0"),
     ],
 )
 def test_a_force_that_cannot_act_is_refused_in_one_line(force, words):

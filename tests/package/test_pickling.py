@@ -102,7 +102,7 @@ def test_what_is_no_time_is_refused_of_a_plan_and_of_a_next_motion(value, reach_
         settled=True,
     )
     for motion in (reach_plan, step):
-        assert "times are finite" in refusal(lambda motion=motion: motion.sample(value), LinkplanError)
+        assert "times must be finite" in refusal(lambda motion=motion: motion.sample(value), LinkplanError)
 
 
 @pytest.mark.parametrize("value", ["\ud800", range(2), {"O": "\ud800"}])

@@ -205,7 +205,7 @@ def test_a_builder_refuses_in_the_words_in_which_a_file_is_refused(knee, kind, a
 @pytest.mark.parametrize(
     ("make", "error", "words"),
     [
-        (lambda: linkplan.load_mechanism(5), ProblemError, "mechanism.model is a built-in name or a path"),
+        (lambda: linkplan.load_mechanism(5), ProblemError, "mechanism.model must be a built-in name or a path"),
         (lambda: linkplan.load_mechanism("optimus-knee", payload="shin"), ModelError, "shank"),
         (lambda: linkplan.load_mechanism("optimus-knee", home_deg={"O": "up"}), ProblemError, "mechanism.home_deg.O"),
         (lambda: linkplan.load_mechanism("optimus-knee", home_deg={"O": 85}), AssemblyError, "does not close"),
@@ -214,7 +214,7 @@ def test_a_builder_refuses_in_the_words_in_which_a_file_is_refused(knee, kind, a
         (lambda: linkplan.Problem.reach("optimus-knee", **REACH, name=""), ProblemError, "name must have"),
         (lambda: linkplan.Problem.hold("optimus-knee", goal=1), ProblemError, "unknown argument 'goal' of hold"),
         (lambda: linkplan.Problem.from_file("knee-reach", {"duration_s": 1}), ProblemError, "section.key=value"),
-        (lambda: linkplan.Problem.from_file("knee-reach", ["a=1"]), ProblemError, "settings are a table"),
+        (lambda: linkplan.Problem.from_file("knee-reach", ["a=1"]), ProblemError, "settings must be a table"),
         (lambda: linkplan.Problem.from_file("knee-reach").replace(goal=1), ProblemError, "unknown argument 'goal'"),
     ],
 )  # fmt: skip

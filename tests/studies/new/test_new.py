@@ -186,7 +186,7 @@ def test_a_stranger_s_file_is_begun_planned_and_never_overwritten(tmp_path, ask,
         ("optimus-kne", "did you mean 'optimus-knee'?"),
         ("knee-reach", "is already a problem"),
         ("no/such.xml", "unknown model"),
-        ("", "mechanism.model is"),
+        ("", "mechanism.model must be"),
     ],
 )
 def test_what_is_no_model_is_refused_in_one_line(model, said, ask):

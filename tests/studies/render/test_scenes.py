@@ -316,5 +316,5 @@ def test_opengl_that_fails_says_why(monkeypatch):
 
 
 def test_a_name_of_no_opengl_is_refused_with_those_there_are():
-    with pytest.raises(LinkplanError, match=r"MUJOCO_GL is .* or disable, got 'vulkan'"):
+    with pytest.raises(LinkplanError, match=r"MUJOCO_GL must be .* or disable, got 'vulkan'"):
         find_gl("vulkan")

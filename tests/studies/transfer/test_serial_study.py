@@ -57,7 +57,7 @@ def test_the_rest_is_what_the_errors_with_and_without_the_table_differ_by(ankle)
     spline = scipy.interpolate.make_interp_spline(time, path, k=5)
     rest = ankle.rest_effort(path, spline.derivative(1)(time), spline.derivative(2)(time))
     np.testing.assert_allclose(errors["serial equivalent"] - rest, errors["serial with table"], atol=1e-12)
-    with pytest.raises(LinkplanError, match=r"are \(n, 2\)"):
+    with pytest.raises(LinkplanError, match=r"must be \(n, 2\)"):
         ankle.rest_effort(path, path, path[:, :1])
 
 
