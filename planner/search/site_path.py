@@ -42,7 +42,8 @@ def plan_along_path(problem: Problem, start_pose: np.ndarray, plan_of: Callable[
         return replace(found, problem=problem, trajectory=None, certificate=None, objective=None)
     motion = _in_joints(problem, mechanism, found.trajectory)
     objective, _ = objective_value(problem, motion)
-    said = f"{found.message}, along the path of site {problem.path.site}"
+    sentence, further = found.message.partition(";")[::2]
+    said = f"{sentence}, along the path of site {problem.path.site}" + f";{further}" * bool(further)
     plan = finished(problem, motion, certify(problem, motion), objective, said, optimal=found.status == "optimal")
     return replace(plan, history=found.history)
 
