@@ -25,7 +25,7 @@ from linkplan.models.tree.joints import Joint
 
 # Neighbours on either side in a spline of poses. Its error at steps of half a degree is below 1e-8.
 _SPLINE_NEIGHBOURS = 5
-# The reason named where no cause ends the reach. A slide, or a joint that moves one, is followed over this many model sizes.
+# The reason given if nothing ends the reach. A slide, and a joint that moves one, is followed over so many model sizes.
 _NO_END, _SLIDE_EXTENTS = "no end found", 20
 # A hinge without a stop and without a period is followed over this many turns.
 _MAX_TURNS = 100

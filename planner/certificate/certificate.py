@@ -187,9 +187,8 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     allowances = np.maximum(INVERSE_DYNAMICS_SHARE * end_sizes(limits.effort), 1e-12)
     inside = np.stack([needed - limits.effort[:, 0], limits.effort[:, 1] - needed], axis=-1)  # (kinetics, sample, motor, 2)
     left = np.divide(inside, allowances, out=np.zeros_like(inside), where=np.isfinite(inside))
-    left = (
-        np.moveaxis(left, 1, 0).reshape(len(growth), len(samples.points), -1).transpose(2, 0, 1)
-    )  # (end, interval, sample)
+    # By end of a limit, interval and sample.
+    left = np.moveaxis(left, 1, 0).reshape(len(growth), len(samples.points), -1).transpose(2, 0, 1)
     least = least_between(left, samples.points).reshape(len(left), -1).min(axis=0, initial=0.0)
     gaps = " or ".join(f"{gap:.3g} {unit}" for unit, gap in closure_gaps.items())
     rounded = mechanism.closed_m > CLOSURE_M

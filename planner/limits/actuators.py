@@ -229,7 +229,7 @@ def _ctrl(actuator: Actuator, u: Any, length: Any, speed: Any) -> Any:
 
 
 def permitted_efforts(problem: Problem, speeds: np.ndarray) -> np.ndarray:
-    """Return the least and largest efforts (n, n_u, 2) that limits on effort and power and motors' lines permit.
+    """Return the least and the largest effort (n, n_u, 2) within the limits on effort and power and the torque-speed lines.
 
     Args:
         problem: with the limits.

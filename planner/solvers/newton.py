@@ -220,7 +220,7 @@ def _violation(value: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float
 
 
 def nearest_feasible(transcribed: Transcribed, x: np.ndarray, deadline: Deadline = NO_DEADLINE) -> Solution:
-    """Return a feasible point near unknowns x (n,) that hardly costs more; one that has not converged if none is found."""
+    """Return a feasible point near the unknowns x (n,), of about the same cost; if none is found, `converged` is False."""
     begin, program, p = time.perf_counter(), transcribed.program, transcribed.parameters
     lower = np.concatenate([transcribed.lower, transcribed.row_lower])
     upper = np.concatenate([transcribed.upper, transcribed.row_upper])

@@ -201,7 +201,7 @@ def with_breaks(mesh: Mesh, durations: np.ndarray, times: np.ndarray) -> Mesh:
 def with_ends(mesh: Mesh, durations: np.ndarray, times: np.ndarray) -> tuple[Mesh, np.ndarray]:
     """Return a mesh whose segments end at further times (n,) [s], too, and the durations of its segments [s].
 
-    Of the ends of intervals, those next to these times go.
+    The ends of intervals that are next to these times are removed.
     """
     old = np.concatenate([[0.0], np.cumsum(durations)])
     ends = np.sort(np.concatenate([old, times]))

@@ -1,4 +1,4 @@
-"""Optimal-control problems with known optima: closed forms, figures of books, and answers of scipy where these say so."""
+"""Optimal-control problems with known optima: closed forms, values from books, or solutions by scipy."""
 
 # ruff: noqa: ARG001, ARG005 (laws and costs of x, u, p, t need not have all of them)
 
@@ -70,7 +70,7 @@ ARCS = (1.0, np.pi, 1.0)
 
 
 def before_the_arcs() -> np.ndarray:
-    """Return the oscillator's state (2,) before its arcs."""
+    """Return the state (2,) from which the oscillator comes to rest after three arcs of full effort."""
     state = np.zeros(2)
     for length, effort in zip(ARCS[::-1], (1.0, -1.0, 1.0), strict=True):
         centre = np.array([effort, 0.0])
@@ -79,7 +79,7 @@ def before_the_arcs() -> np.ndarray:
 
 
 def cycloid() -> tuple[float, float]:
-    """Return the radius and the last angle of the cycloid from the origin through (2, 2)."""
+    """Return the cycloid from the origin to (2, 2): the radius of its circle, and the circle's angle at the end."""
     theta = fsolve(lambda a: (a - np.sin(a)) / (1 - np.cos(a)) - 1, 2.4, xtol=1e-15)[0]
     return 2 / (1 - np.cos(theta)), theta
 
@@ -111,7 +111,7 @@ def regulator() -> Optimum:
 
 
 def layer(x: float) -> float:
-    """Return the cost of Rao and Mease's boundary layer, less its power of four: along H = 0."""
+    """Return the integral of y sqrt(y^4 + 1) from 0 to x, a part of the cost of Rao and Mease's boundary layer, where H = 0."""
     return 0.25 * (x**2 * np.sqrt(x**4 + 1) + np.arcsinh(x**2))
 
 
