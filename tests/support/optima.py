@@ -111,7 +111,7 @@ def regulator() -> Optimum:
 
 
 def layer(x: float) -> float:
-    """Return the integral of y sqrt(y^4 + 1) from 0 to x, a part of the cost of Rao and Mease's boundary layer, where H = 0."""
+    """Return the integral of y sqrt(y^4 + 1) from 0 to x, part of the cost of Rao and Mease's layer along H = 0."""
     return 0.25 * (x**2 * np.sqrt(x**4 + 1) + np.arcsinh(x**2))
 
 

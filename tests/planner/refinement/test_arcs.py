@@ -57,7 +57,7 @@ def test_a_speed_limit_is_entered_followed_and_left_in_the_least_time(number, is
 
 @pytest.mark.parametrize(("speed", "share"), [(9.0, 2.5), (9.0, 0.4), (1.2, 2.5)])
 def test_an_acceleration_jumps_from_limit_to_limit_inside_an_interval_in_the_least_time(speed, share):
-    """An arm of unit inertia brakes at up to 2 rad/s2 and accelerates at up to a multiple of it; the motor permits 9 rad/s2."""
+    """An arm of unit inertia brakes at up to 2 rad/s2 and accelerates at up to a multiple of it; its motor has 9 N.m."""
     up, down, angle = 2.0 * share, 2.0, 1.6
     fastest = min(speed, np.sqrt(2 * angle / (1 / up + 1 / down)))
     least = fastest / up + fastest / down + (angle - fastest**2 / 2 * (1 / up + 1 / down)) / fastest
