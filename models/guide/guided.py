@@ -32,7 +32,8 @@ _RANK_SHARE = 1e-6
 class GuidedDynamics(ReducedDynamics):
     """Reduced dynamics over the curve's parameter, with the equations of all freedoms (n_rows) of the free mechanism.
 
-    `inverse_dynamics`, `residual` and `sliding` have n_rows rows and `effort_map` is (n_rows, n_u). `projection` maps q to G
+    `inverse_dynamics`, `residual` and `sliding` have n_rows rows and `effort_map` is (n_rows, n_u). The equations of motion
+    in `equations` are the free mechanism's, whose multipliers include no force of the curve. `projection` maps q to G
     (n_rows, 1).
     """
 
@@ -158,16 +159,21 @@ def _with_all_rows(reduced: ReducedDynamics, free: Mechanism) -> GuidedDynamics:
     motion = q[:n_q], rates[independent], joints[independent]
     needed, given = free.dynamics.inverse_dynamics(*motion), free.dynamics.effort_map(q[:n_q])
     sliding = free.dynamics.sliding(*motion, u)
+    rate, acceleration = ca.SX.sym("qd", n_q + 1), ca.SX.sym("qdd", n_q + 1)
+    mu = ca.SX.sym("mu", len(free.closure_rows))
+    closing = reduced.equations(q, rate, acceleration, ca.SX(len(reduced.dependent), 1), u)[:3]
+    of_free = free.dynamics.equations(q[:n_q], rate[:n_q], acceleration[:n_q], mu, u)[3:]
 
-    def function(name: str, inputs: list[ca.SX], output: ca.SX) -> ca.Function:
-        names = [f"i{k}" for k in range(len(inputs))]
-        return ca.Function(name, inputs, [ca.densify(output)], names, ["o0"])
+    def function(name: str, inputs: list[ca.SX], *outputs: ca.SX) -> ca.Function:
+        names, results = [f"i{k}" for k in range(len(inputs))], [f"o{k}" for k in range(len(outputs))]
+        return ca.Function(name, inputs, [ca.densify(output) for output in outputs], names, results)
 
     own = {field.name: getattr(reduced, field.name) for field in fields(ReducedDynamics)}
     own |= {
         "inverse_dynamics": function("inverse_dynamics", [q, v, a], needed),
         "residual": function("residual", [q, v, a, u], needed - given @ u),
         "sliding": function("sliding", [q, v, a, u], sliding),
+        "equations": function("equations", [q, rate, acceleration, mu, u], *closing, *of_free),
         "effort_map": function("effort_map", [q], given),
         "projection": function("projection", [q], gamma[independent, :]),
     }

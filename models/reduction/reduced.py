@@ -51,6 +51,9 @@ class ReducedDynamics:
     reduced_inertia: ca.Function  # q -> Gamma^T M Gamma (n_s, n_s)
     gravity_effort: ca.Function  # q -> Gamma^T g (n_s,), the effort that balances gravity
     tree_effort: ca.Function  # (q, qd, qdd) -> M q'' + h - tau_passive - friction (n_q,) of the tree with open loops
+    # q, q', q'', mu, u -> E phi with its first and second derivative by time (rank,), and J_z^T mu - f_z (rank,) and
+    # f_s - J_s^T mu (n_s,) of the forces f = M q'' + h - tau_passive - friction - B u, with multipliers mu (rank,)
+    equations: ca.Function
     effort_matrix: ca.Function  # q -> B (n_q, n_u), each actuator's generalised effort
     actuator_length: ca.Function  # q -> MuJoCo's actuator lengths (n_u,), NaN for sites and slider-cranks
     tendon_length: ca.Function  # q -> l (n_tendons,) of the tendons with a limited length
@@ -167,6 +170,8 @@ def reduce_tree(
     gamma = ca.SX.zeros(q.numel())
     if loops.rows:
         gamma[loops.dependent] = -loops.solve(loops.convective(q, rates))
+    mu = ca.SX.sym("mu", len(loops.rows))
+    free, bound = [int(i) for i in independent], loops.dependent
 
     without = tree.inverse_dynamics - tree.passive
     tree_effort = ca.Function("tree_effort", [q, qd, qdd, *further], [without - tree.friction])
@@ -178,7 +183,10 @@ def reduce_tree(
     effort_map = gamma_map.T @ B
     inertia = gamma_map.T @ tree.mass_matrix @ gamma_map
     force_map = _force_map(tree, closures, loops, projected)
-    multipliers = factorise(loops.J_z.T)((needed - B @ u)[loops.dependent])
+    multipliers = factorise(loops.J_z.T)((needed - B @ u)[bound])
+    held = loops.independent_jacobian.T @ mu
+    left = without - tree.friction - B @ u
+    closing = loops.independent_phi, loops.independent_jacobian @ qd, loops.independent_jacobian @ qdd + loops.turning
     force = force_map @ multipliers if loops.rows else ca.SX.zeros(loops.phi.numel())
     limited_lengths = [tree.tendon_lengths[tendon.index] for tendon in limited_tendons(tree.model)]
     limited = ca.vertcat(ca.SX(0, 1), *[length for length in limited_lengths if length is not None])  # none wraps
@@ -191,7 +199,7 @@ def reduce_tree(
 
     return ReducedDynamics(
         independent=tuple(int(i) for i in independent),
-        dependent=tuple(loops.dependent),
+        dependent=tuple(bound),
         closure=function("closure", [q], phi),
         independent_closure=function("independent_closure", [q], loops.independent_phi),
         closure_jacobian=function("closure_jacobian", [q], loops.jacobian),
@@ -206,6 +214,7 @@ def reduce_tree(
         reduced_inertia=function("reduced_inertia", [q], inertia),
         gravity_effort=function("gravity_effort", [q], gamma_map.T @ tree.gravity),
         tree_effort=function("tree_effort", [q, qd, qdd], without - tree.friction),
+        equations=function("equations", [q, qd, qdd, mu, u], *closing, (held - left)[bound], (left - held)[free]),
         effort_matrix=function("effort_matrix", [q], B),
         actuator_length=function("actuator_length", [q], ca.SX(n_u, 1) if lengths is None else lengths),
         tendon_length=function("tendon_length", [q], limited),
@@ -249,9 +258,11 @@ class _Partition:
     jacobian: ca.SX  # dphi/dq (n_rows, n_q)
     combination: ca.SX | None  # E (rank, n_rows), None without overconstrained loops
     independent_phi: ca.SX  # E phi, or the independent rows of phi (rank,)
+    independent_jacobian: ca.SX  # E J (rank, n_q)
     J_z: ca.SX  # (rank, rank)
     solve: Callable[[ca.SX], ca.SX]  # b -> J_z^-1 b
     velocity_map: ca.SX  # Gamma (n_q, n_s)
+    turning: ca.SX  # J' q' (rank,), of the tree's q and q'
     convective: ca.Function  # q, q' -> J' q' (rank,)
 
 
@@ -287,9 +298,11 @@ def _partition(
         jacobian=jacobian,
         combination=E,
         independent_phi=independent_phi,
+        independent_jacobian=J,
         J_z=J_z,
         solve=solve,
         velocity_map=gamma_map,
+        turning=convective,
         convective=ca.Function("convective", [q, qd], [convective]),
     )
 

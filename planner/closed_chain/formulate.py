@@ -14,7 +14,6 @@ from linkplan.planner.closed_chain.mechanics import (
     in_order,
     mechanism_system,
     n_algebraic,
-    n_lifted,
     node_numbers,
 )
 from linkplan.planner.limits.body import expression_of, scaled_coordinate, unit_of
@@ -126,9 +125,7 @@ def formulate(
             objective=value,
         ),
         state=np.vstack([position[independent] / scales.position[:, None], speed[independent] / rate[:, None]]),
-        algebraic=np.vstack(
-            [position[dependent], free_bounds(n_lifted(mechanism)), positive, free_bounds(asked.n_unknowns)]
-        ),
+        algebraic=np.vstack([position[dependent], positive, free_bounds(asked.n_unknowns)]),
         effort=problem.limits.effort,
         path=path,
         own=own,

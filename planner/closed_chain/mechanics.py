@@ -2,24 +2,23 @@
 
 Second-order coordinates are the independent joints. Algebraic unknowns are the dependent joints (tied by phi(s, z) = 0);
 each actuator's positive power P if work is minimised (P >= u w and P >= 0 are exact and leave no kink in the program); and
-the unknowns of limits that are imposed at every instant. Equations: phi(q) / length and (inverse_dynamics(q, v, a) -
-Gamma^T B u) / scale. Path quantities: the limits' rows.
+the unknowns of limits that are imposed at every instant. Path quantities are the limits' rows.
 
-Reduced dynamics solve symbolically with J_z, the closure's derivative by the dependent joints. If the loops cannot be closed
-one after another, as under a platform on six legs, J_z is one block: with 15 joints a node's second derivatives have 3.4
-million operations. In lifted form (Albersmeyer & Diehl, SIAM J. Optim. 20, 2010), rates, accelerations and multipliers of
-dependent joints are unknowns, and the same equations are
+The equations of motion are written with the rates, accelerations and multipliers of the dependent joints,
 
-    phi(q) = 0,   J q' = 0,   J q'' + J' q' = 0,   M q'' + h - B u - J^T mu = 0.
+    phi(q) = 0,   J q' = 0,   J q'' + J' q' = 0,   M q'' + h - B u - J^T mu = 0,
 
-Nothing is solved symbolically. There are 3 n_z more unknowns and rows, but the expressions are as short as those of the
-tree. The motions are the same.
+whose expressions are as short as those of the tree with open loops. The node's functions eliminate these unknowns (see
+`planner.transcription.implicit`), so that the program has the unknowns and rows of the reduced dynamics. With an inverse of
+J_z in its expressions, a node's second derivatives would have 1.5 times as many operations for a four-bar, and 8 times as
+many for a platform on six legs.
 """
 
 import functools
 import itertools
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -32,106 +31,11 @@ from linkplan.planner.problem.objective import Term
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.transcription.system import System, node_symbols
 
-# Operations of Gamma (the solution with J_z) above which a program is lifted. Andrews' squeezer has 322 and is not.
-# Processor time [s] of a least time without and with lifting, at equal objectives: a delta robot (2,002 operations) 8 and 9,
-# without a compiler 27 and 9; a Stewart platform (6,859) 30 and 34; a platform on six rods (14,931) 172 and 58.
-_MAX_ELIMINATION_OPERATIONS = 1_000
-
-
-@functools.lru_cache(maxsize=16)
-def is_lifted(mechanism: Mechanism) -> bool:
-    """Check if a mechanism's program is lifted; an open tree has no dependent joints to lift.
-
-    Along a path it is not lifted, because lifted multipliers would be forces of the path.
-    """
-    if not len(mechanism.dependent) or mechanism.dynamics.projected or mechanism.n_equations > mechanism.dof:
-        return False
-    return mechanism.dynamics.velocity_map.n_instructions() > _MAX_ELIMINATION_OPERATIONS
-
-
-def n_lifted(mechanism: Mechanism) -> int:
-    """Return the number of lifted unknowns: rates and accelerations of dependent joints, and multipliers."""
-    return 3 * len(mechanism.dependent) if is_lifted(mechanism) else 0
-
 
 def in_order(mechanism: Mechanism, independent: ca.SX, dependent: ca.SX) -> ca.SX:
     """Return the values of all joints (n_q,) from those of the independent and the dependent joints."""
     order = np.argsort(np.concatenate([mechanism.independent, mechanism.dependent]))
     return ca.vertcat(independent, dependent)[[int(i) for i in order]]
-
-
-def lifted_rows(
-    mechanism: Mechanism, unknowns: ca.SX, call, given: dict[str, ca.SX], motion: tuple[ca.SX, ca.SX, ca.SX, ca.SX]
-) -> tuple[ca.SX, tuple[str, ...], ca.SX]:
-    """Return a node's rows other than phi, their kinds, and the rates (n_q,) of all joints.
-
-    Args:
-        mechanism: the mechanism.
-        unknowns: (3 n_z,) rates and accelerations of dependent joints and multipliers, scaled.
-        call: the reduced dynamics' functions by name.
-        given: the node's parameters.
-        motion: q (n_q,), v, a (n_s,) and u (n_u,) in SI.
-    """
-    q, v, a, u = motion
-    rates, accelerations, multipliers = ca.vertsplit(unknowns, len(mechanism.dependent))
-    rates = in_order(mechanism, v, rates / given["time"])
-    accelerations = in_order(mechanism, a, accelerations / given["time"] ** 2)
-    opening, turning, held = _closure(mechanism)(q, rates, accelerations, multipliers * given["force"])
-    left = call("tree_effort", q, rates, accelerations) - call("effort_matrix", q) @ u - held
-    unit = ca.mmax(given["residual"])
-    slides = np.array([mechanism.joints[int(i)].kind == "slide" for i in mechanism.dependent])
-    units = ca.vertcat(*[unit / given["length"] if slide else unit for slide in slides])
-    units = in_order(mechanism, ca.vertcat(*[unit] * len(mechanism.independent)), units)
-    opening, turning = opening * given["time"] / given["length"], turning * given["time"] ** 2 / given["length"]
-    kinds = ("closure",) * opening.numel() + ("acceleration",) * turning.numel() + ("dynamics",) * left.numel()
-    return ca.vertcat(opening, turning, left / units), kinds, rates
-
-
-@functools.lru_cache(maxsize=16)
-def _closure(mechanism: Mechanism) -> ca.Function:
-    """Return (q, q', q'', mu) -> J q', J q'' + J' q' and J^T mu, of the independent closure equations."""
-    q, rates, accelerations = (ca.SX.sym(name, mechanism.n_q) for name in ("q", "qd", "qdd"))
-    phi = mechanism.dynamics.independent_closure(q)
-    mu = ca.SX.sym("mu", phi.numel())
-    opening = ca.jtimes(phi, q, rates)
-    turning = ca.jtimes(phi, q, accelerations) + ca.jtimes(opening, q, rates)
-    outputs = [ca.densify(part) for part in (opening, turning, ca.jtimes(phi, q, mu, True))]
-    return ca.Function("closure", [q, rates, accelerations, mu], outputs)
-
-
-def lifted_start(
-    mechanism: Mechanism,
-    poses: np.ndarray,
-    v: np.ndarray,
-    a: np.ndarray,
-    effort: np.ndarray,
-    time_s: float,
-    force: float,
-    *forces: np.ndarray,
-) -> np.ndarray:
-    """Return the scaled unknowns (n, 3 n_z) along poses (n, n_q) with v, a (n, n_s) and efforts (n, n_u).
-
-    `forces` are those of `Mechanism.forces_at`.
-    """
-    dynamics, dependent, found = mechanism.dynamics, mechanism.dependent, []
-    rows = dynamics.independent_closure.numel_out(0)
-    for pose, speed, acceleration, u, *w in zip(poses, v, a, effort, *forces, strict=True):
-        gamma = np.array(dynamics.velocity_map(pose))
-        rates, still = gamma @ speed, gamma @ acceleration
-        turning = np.array(_closure(mechanism)(pose, rates, still, np.zeros(rows))[1]).ravel()
-        J = _jacobian(mechanism)(pose).full()
-        still[dependent] -= np.linalg.lstsq(J[:, dependent], turning, rcond=None)[0]
-        needed = mechanism.forced.tree_effort(pose, rates, still, *w)
-        left = np.array(needed - dynamics.effort_matrix(pose) @ u).ravel()
-        mu = np.linalg.lstsq(J[:, dependent].T, left[dependent], rcond=None)[0]
-        found.append(np.concatenate([rates[dependent] * time_s, still[dependent] * time_s**2, mu / force]))
-    return np.array(found)
-
-
-@functools.lru_cache(maxsize=16)
-def _jacobian(mechanism: Mechanism) -> ca.Function:
-    q = ca.SX.sym("q", mechanism.n_q)
-    return ca.Function("jacobian", [q], [ca.densify(ca.jacobian(mechanism.dynamics.independent_closure(q), q))])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -179,8 +83,7 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     n_s, n_q, n_u = mechanism.dof, mechanism.n_q, mechanism.n_u
     node = node_symbols(n_s, 0, n_algebraic(mechanism, asked), n_u, has_jerk=asked.has_jerk)
     n_z = node.z.numel()
-    parts = [0, n_q - n_s, n_q - n_s + n_lifted(mechanism), n_z - asked.n_unknowns, n_z]
-    z, lifted, working, unknowns = ca.vertsplit(node.z, parts)
+    z, working, unknowns = ca.vertsplit(node.z, [0, n_q - n_s, n_z - asked.n_unknowns, n_z])
     sizes = {"weight": len(asked.running), "reference": n_s if asked.tracked else 0}
     sizes |= {
         "time": 1,
@@ -199,13 +102,14 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     q = in_order(mechanism, node.s * given["position"], z)
     v, a, u = node.v * rate, node.a * rate / given["time"], node.u * given["effort"]
     call = _caller(mechanism, given["payload"], given["forces"])
-    equations, kinds, rates = call("independent_closure", q) / given["length"], ("closure",) * (n_q - n_s), None
-    if is_lifted(mechanism):
-        rows, named, rates = lifted_rows(mechanism, lifted, call, given, (q, v, a, u))
-        equations, kinds = ca.vertcat(equations, rows), kinds + named
-    else:
-        left = call("residual", q, v, a, u) / given["residual"]
-        equations, kinds = ca.vertcat(equations, left), kinds + ("dynamics",) * left.numel()
+    # Rates and accelerations of dependent joints and multipliers, in SI.
+    n_d, n_mu = n_q - n_s, mechanism.dynamics.equations.numel_in(3)
+    eliminated = ca.SX.sym("y", 2 * n_d + n_mu)
+    y_rate, y_acceleration, mu = ca.vertsplit(eliminated, [0, n_d, 2 * n_d, 2 * n_d + n_mu])
+    rates, accelerations = in_order(mechanism, v, y_rate), in_order(mechanism, a, y_acceleration)
+    phi, *determining, left = call("equations", q, rates, accelerations, mu, u)
+    equations = ca.vertcat(phi / given["length"], left / given["residual"])
+    kinds = ("closure",) * (n_q - n_s) + ("dynamics",) * left.numel()
     at = Instant(
         mechanism=mechanism,
         q=q,
@@ -217,6 +121,8 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
         call=call,
         units=given,
         rates=rates,
+        accelerations=accelerations,
+        multipliers=mu if n_mu == n_d else None,  # along a path, mu are those of the mechanism without its guide
         reference=given["reference"] * given["position"] if asked.tracked else None,
         jerk=node.j * rate / given["time"] ** 2 if asked.has_jerk else None,
         positive_power=working * given["power"] if asked.works else None,
@@ -235,17 +141,18 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     # Weights apply to integrands in SI and include the conversion of units.
     running = sum((given["weight"][item] * term.integrand(at) for item, term in enumerate(asked.running)), start=ca.SX(0))
     theta = ca.vertcat(*given.values())
-    column = ca.densify(ca.vertcat(equations, path, running))
+    column = ca.densify(ca.vertcat(equations, path, running, *determining))
     return System(
         n_s=n_s,
         n_x=0,
         n_z=n_z,
         n_u=n_u,
-        node=ca.Function("node", [node.stacked, theta], [column]),
+        node=ca.Function("node", [ca.vertcat(node.stacked, eliminated), theta], [column]),
         n_equations=equations.numel(),
         n_path=path.numel(),
         kinds=kinds,
         has_jerk=asked.has_jerk,
+        eliminated=(n_d, n_d, n_mu),
     )
 
 
@@ -265,8 +172,8 @@ def _path_rows(asked: NodeTerms, at: Instant, numbers: list[ca.SX], working: ca.
 
 
 def n_algebraic(mechanism: Mechanism, asked: NodeTerms) -> int:
-    """Return the number of algebraic unknowns: dependent joints, lifted unknowns, positive powers, limits' unknowns."""
-    return len(mechanism.dependent) + n_lifted(mechanism) + (mechanism.n_u if asked.works else 0) + asked.n_unknowns
+    """Return the number of algebraic unknowns: dependent joints, positive powers, limits' unknowns."""
+    return len(mechanism.dependent) + (mechanism.n_u if asked.works else 0) + asked.n_unknowns
 
 
 def _split(column: ca.SX, sizes: list[int]) -> list[ca.SX]:
@@ -274,7 +181,7 @@ def _split(column: ca.SX, sizes: list[int]) -> list[ca.SX]:
     return [column[end - size : end] for size, end in zip(sizes, itertools.accumulate(sizes), strict=True)]
 
 
-def _caller(mechanism: Mechanism, payload: ca.SX, forces: ca.SX) -> Callable[..., ca.SX]:
+def _caller(mechanism: Mechanism, payload: ca.SX, forces: ca.SX) -> Callable[..., Any]:
     """Return a function that calls the reduced dynamics by name, with the payload's numbers and forces as parameters."""
     if mechanism.payload is None and mechanism.forces is None:
         return lambda name, *arguments: getattr(mechanism.dynamics, name)(*arguments)

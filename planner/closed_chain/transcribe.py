@@ -9,7 +9,6 @@ from linkplan.models.poses.along import needed_effort, sampled
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT, formulate, tie_weights
 from linkplan.planner.closed_chain.guess import Guess, even_poses, poses_along
-from linkplan.planner.closed_chain.mechanics import is_lifted, lifted_start
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import WhichJoints
 from linkplan.planner.problem.instant import Scales, position_units
@@ -222,10 +221,6 @@ def _start(problem: Problem, guess: Guess, scales: Scales, formulation: Formulat
         poses = poses_along(mechanism, guess, times, problem.solver.deadline)
         effort = guess.effort(times) if guess.effort is not None else needed_effort(mechanism, poses, v, a, times)[0]
         algebraic = poses[:, mechanism.dependent]
-        if is_lifted(mechanism):
-            forces = mechanism.forces_at(times)
-            lifted = lifted_start(mechanism, poses, v, a, effort, scales.time_s, scales.force, *forces)
-            algebraic = np.column_stack([algebraic, lifted])
         if formulation.n_z > algebraic.shape[1]:
             maps = sampled(mechanism.dynamics.effort_map, poses)
             n_works = formulation.n_z - algebraic.shape[1] - sum(rows.n_unknowns for rows in limits)

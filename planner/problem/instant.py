@@ -225,7 +225,8 @@ class Instant:
         forces: those over time (3 n_sites,) [N] in the world; empty without any.
         call: calls the reduced dynamics' functions by name.
         units: the program's units by name: time, position, effort, residual, length, power, force.
-        rates: rates (n_q,) of all joints if they are unknowns of the program; otherwise they follow from the loops.
+        rates, accelerations: of all joints (n_q,), and `multipliers` (rank,) [N] of the independent closure equations, if
+            they are unknowns of the node; otherwise they are solved from the loops where they are used.
         reference: independent positions (n_s,) that are tracked.
         effort_rate, jerk: u' (n_u,) and a' (n_s,), if they are known.
         losses: copper loss per squared effort (n_u,) of the motors.
@@ -242,6 +243,8 @@ class Instant:
     call: Callable[..., ca.SX]
     units: Mapping[str, ca.SX] = field(default_factory=dict)
     rates: ca.SX | None = None
+    accelerations: ca.SX | None = None
+    multipliers: ca.SX | None = None
     reference: ca.SX | None = None
     effort_rate: Any = None
     jerk: Any = None
@@ -257,7 +260,9 @@ class Instant:
     @cached_property
     def joint_accelerations(self) -> ca.SX:
         """The accelerations (n_q,) of all joints."""
-        return joint_acceleration(self.mechanism)(self.q, self.v, self.a)
+        if self.accelerations is None:
+            return joint_acceleration(self.mechanism)(self.q, self.v, self.a)
+        return self.accelerations
 
     @cached_property
     def joint_jerks(self) -> ca.SX:
@@ -295,7 +300,9 @@ class Instant:
     @cached_property
     def closure_force(self) -> ca.SX:
         """The forces of all closures, one after another [N]."""
-        return self.call("closure_force", self.q, self.v, self.a, self.u)
+        if self.multipliers is None:
+            return self.call("closure_force", self.q, self.v, self.a, self.u)
+        return self.of_pose("force_map") @ self.multipliers
 
     @cached_property
     def positive_powers(self) -> ca.SX:

@@ -47,7 +47,7 @@ def without_numbers(system: System) -> tuple[System, np.ndarray]:
     node = system.node
     if not system.n_s or not node.is_a("SXFunction") or ca.OP_CALL in map(node.instruction_id, range(node.n_instructions())):
         return system, np.zeros(0)
-    xi, theta = ca.SX.sym("xi", system.n_xi), ca.SX.sym("theta", system.n_theta)
+    xi, theta = ca.SX.sym("xi", node.size1_in(0)), ca.SX.sym("theta", system.n_theta)
     given = (ca.vertsplit(xi), ca.vertsplit(theta))
     taken = _taken(node)
     symbols = ca.SX.sym("numbers", len(taken))
@@ -122,7 +122,8 @@ def chain_key(system: System, scheme: Scheme, rows: IntervalRows, node: NodeFunc
 
 
 def _sizes(system: System) -> tuple[int, ...]:
-    return (system.n_s, system.n_x, system.n_z, system.n_u, system.n_equations, system.n_path, system.has_jerk)
+    sizes = system.n_s, system.n_x, system.n_z, system.n_u, system.n_equations, system.n_path
+    return *sizes, system.has_jerk, *system.eliminated
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)

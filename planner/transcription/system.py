@@ -13,6 +13,8 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from linkplan.planner.transcription.implicit import Implicit
+
 # Common subexpressions of a node with more operations than this are eliminated before differentiation.
 _MAX_UNSHARED_OPERATIONS = 20_000
 # In functions with more operations they are not sought: with 3.4 million (a platform on six legs) this took 150 s and saved
@@ -27,7 +29,9 @@ class System:
     """Equations, bounded quantities and running cost at a node, all scaled to order one.
 
     `node` maps (xi, theta) to a column [equations (n_equations,); path quantities (n_path,); running cost], where xi
-    (n_xi,) stacks a node's scaled unknowns and theta (n_theta,) its parameters.
+    (n_xi,) stacks a node's scaled unknowns and theta (n_theta,) its parameters. If unknowns y are `eliminated`, consecutive
+    blocks of these sizes, `node` maps ([xi; y], theta), and the equations that determine y (see `Implicit`) come last in its
+    column.
     """
 
     n_s: int = 0
@@ -39,6 +43,7 @@ class System:
     n_path: int
     kinds: tuple[str, ...]  # of each equation and path quantity; "path": as far as known no effort changes its rate at once
     has_jerk: bool = False  # whether a node's unknowns include the rates of its accelerations
+    eliminated: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if len(self.kinds) != self.n_equations + self.n_path:
@@ -155,36 +160,51 @@ def convert_lists(functions: Any) -> None:
 
 def build_node(system: System, open_end_path: tuple[int, ...] = ()) -> NodeFunctions:
     """Return a system's node functions; the path quantities in `open_end_path` are rows at open ends too."""
-    functions, patterns = _functions(system, "node", system.node, system.n_equations + system.n_path)
-    xi, theta = ca.SX.sym("xi", system.n_xi), ca.SX.sym("theta", system.n_theta)
-    cost = ca.densify(system.node(xi, theta))[system.n_equations + system.n_path]
-    functions["node_cost"] = _function("node_cost", [xi, theta], [cost])
-    functions["node_cost_gradient"] = _function("node_cost_gradient", [xi, theta], [ca.densify(ca.gradient(cost, xi))])
+    n_f = system.n_equations + system.n_path
+    functions, patterns = _functions(system, "node", list(range(n_f + 1)))
     rows, z = (), ()
     if open_end_path:
         rows = _open_end_rows(system, open_end_path)
-        at = _at_open_ends(system, rows)
-        of_ends, their_patterns = _functions(system, "open_end", at, len(rows))
-        functions, z = functions | of_ends, _open_end_z(system, at)
+        of_ends, their_patterns = _functions(system, "open_end", list(rows))
+        functions |= of_ends
         patterns |= {f"open_end_{name}": pattern for name, pattern in their_patterns.items()}
+        first = system.n_xi - system.n_u - system.n_z
+        columns = np.unique(their_patterns["jacobian_pattern"][1]) - first
+        z = tuple(int(i) for i in columns if 0 <= i < system.n_z)
     return NodeFunctions(**functions, **patterns, open_end_rows=rows, open_end_z=z)
 
 
-def _functions(system: System, name: str, at: ca.Function, n_f: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return the value, Jacobian and Hessian functions of rows (n_f,) and a cost, with the patterns of the latter two."""
+def _functions(system: System, name: str, rows: list[int]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return the value, Jacobian and Hessian functions of some rows, with the patterns of the latter two.
+
+    If the last one is the running cost, there are also its value and gradient, and the rows end before it.
+    """
+    n_rows = system.n_equations + system.n_path
     xi, theta = ca.SX.sym("xi", system.n_xi), ca.SX.sym("theta", system.n_theta)
-    F = ca.densify(at(xi, theta))
-    if ca.n_nodes(F) > _MAX_UNSHARED_OPERATIONS:  # leaves a third less to differentiate
-        F = ca.cse(F)
-    jacobian = ca.jacobian(F[:n_f], xi)
-    lam = ca.SX.sym("lam", F.numel())
-    hessian, gradient = ca.hessian(ca.dot(lam, F), xi)
+    y = ca.SX.sym("y", sum(system.eliminated))
+    column = ca.densify(system.node(ca.vertcat(xi, y), theta))
+    if ca.n_nodes(column) > _MAX_UNSHARED_OPERATIONS:  # leaves a third less to differentiate
+        column = ca.cse(column)
+    implicit = Implicit(xi, y, column[n_rows + 1 :], system.eliminated)
+    cost = column[n_rows] if n_rows in rows else ca.SX(0)
+    F = column[[row for row in rows if row < n_rows]]
+    lam = ca.SX.sym("lam", F.numel() + 1)
+    jacobian = implicit.jacobian(F)
+    hessian, gradient = implicit.hessian(ca.dot(lam, ca.vertcat(F, cost)))
     hessian = ca.triu(hessian)
+
+    def function(of: str, inputs: list, outputs: list) -> ca.Function:
+        return _function(f"{name}_{of}", inputs, implicit.inserted(outputs))
+
     functions = {
-        f"{name}_value": _function(f"{name}_value", [xi, theta], [F[:n_f]]),
-        f"{name}_jacobian": _function(f"{name}_jacobian", [xi, theta], [nonzeros(jacobian)]),
-        f"{name}_hessian": _function(f"{name}_hessian", [xi, theta, lam], [ca.densify(gradient), nonzeros(hessian)]),
+        f"{name}_value": function("value", [xi, theta], [F]),
+        f"{name}_jacobian": function("jacobian", [xi, theta], [nonzeros(jacobian)]),
+        f"{name}_hessian": function("hessian", [xi, theta, lam], [ca.densify(gradient), nonzeros(hessian)]),
     }
+    if n_rows in rows:
+        slope = ca.densify(implicit.jacobian(cost)).T
+        functions |= {"node_cost": function("cost", [xi, theta], [cost])}
+        functions |= {"node_cost_gradient": function("cost_gradient", [xi, theta], [slope])}
     return functions, {"jacobian_pattern": triplets(jacobian), "hessian_pattern": triplets(hessian)}
 
 
@@ -197,19 +217,6 @@ def _open_end_rows(system: System, open_end_path: tuple[int, ...]) -> tuple[int,
     """Return the rows of a node that are imposed at open ends: closure, and the given path quantities."""
     closure = tuple(i for i in range(system.n_equations) if system.kinds[i] == "closure")
     return closure + tuple(system.n_equations + i for i in open_end_path)
-
-
-def _at_open_ends(system: System, open_end_rows: tuple[int, ...]) -> ca.Function:
-    """Return a node's function with only these rows, and a cost of zero."""
-    xi, theta = ca.SX.sym("xi", system.n_xi), ca.SX.sym("theta", system.n_theta)
-    return ca.Function("open_end", [xi, theta], [ca.vertcat(system.node(xi, theta)[list(open_end_rows)], 0)])
-
-
-def _open_end_z(system: System, at_open_ends: ca.Function) -> tuple[int, ...]:
-    """Return the algebraic unknowns on which a function of a node depends."""
-    first = system.n_xi - system.n_u - system.n_z
-    columns = np.unique(np.array(at_open_ends.jac_sparsity(0, 0).get_triplet()[1], dtype=int)) - first
-    return tuple(int(i) for i in columns if 0 <= i < system.n_z)
 
 
 def nonzeros(matrix: ca.SX) -> ca.SX:

@@ -20,6 +20,7 @@ from linkplan.planner.closed_chain.transcribe import _start, choose_scales, own_
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
+from linkplan.planner.transcription.system import build_node
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, body_problem
 from tests.support.motions import motion_along
 from tests.support.refinement_states import guessed
@@ -220,6 +221,7 @@ def test_the_equations_of_a_node_hold_where_a_guess_starts_it(name, overrides, n
     acceleration, _, algebraic, effort = start.nodes(time)
     assert algebraic.shape[1] == len(problem.mechanism.dependent) + n_unknowns
     xi = np.hstack([start.states(time), acceleration, algebraic, effort / scales.effort])
+    value = build_node(system).node_value
     for node, theta in zip(xi, formulation.theta(time[None])[0], strict=True):
-        rows = np.array(system.node(node, theta)).ravel()[: system.n_equations]
+        rows = np.array(value(node, theta)).ravel()[: system.n_equations]
         assert np.abs(rows).max() < ROWS

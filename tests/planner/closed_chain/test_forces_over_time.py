@@ -13,7 +13,6 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.models.selection import Selection
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.closed_chain import mechanics
 from linkplan.planner.limits.samples import closure_forces, samples_of
 from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.planner.plan.plan import Plan
@@ -137,14 +136,6 @@ def test_a_constant_table_is_the_constant_force():
     assert over_time.objective == pytest.approx(always.objective, rel=1e-9)
     time = np.linspace(0.0, T, 30)
     np.testing.assert_allclose(over_time.trajectory.effort_at(time), always.trajectory.effort_at(time), atol=1e-5)
-
-
-def test_a_lifted_program_has_the_same_motion(monkeypatch):
-    plain = steered()
-    monkeypatch.setattr(mechanics, "_MAX_ELIMINATION_OPERATIONS", 0)
-    lifted = steering()
-    assert mechanics.is_lifted(lifted.mechanism)
-    assert plan_motion(lifted).require().objective == pytest.approx(plain.objective, rel=1e-6)
 
 
 LOAD = {"body": "link2", "mass_kg": 0.5, "com_m": [0.25, 0.0, 0.0], "inertia_kgm2": [1e-3, 1e-3, 1e-3]}

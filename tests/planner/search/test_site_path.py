@@ -14,11 +14,12 @@ from linkplan.models.poses.along import accelerations, joint_rates, site_motion
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.closed_chain.mechanics import is_lifted
+from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
 from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.prove import prove
 from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.transcription.system import build_node
 from tests.bench.many_robots import delta
 from tests.support.refusals import assert_refused
 
@@ -336,14 +337,12 @@ def test_a_motion_with_time_to_spare_stays_between_the_ends_of_its_path():
     assert plan.status == "optimal"
 
 
-def test_a_path_does_not_push_a_mechanism_whose_program_is_lifted():
+def test_a_path_does_not_push_a_mechanism():
     mechanism = load_mechanism(delta().text)
     site = mechanism.model.site("at_0").id
     place = places_of(mechanism, site, mechanism.home)[0]
     curve = curve_through([place, place + np.array([0.05, 0.03, -0.02])], "polyline", 0.0, "path")
     guide = guided(mechanism, site, curve, mechanism.home)
-    assert is_lifted(mechanism)
-    assert not is_lifted(guide)  # its multipliers would include forces of the path
     # The residual is that of the free mechanism, along the same velocity and acceleration.
     v, a, u = np.array([0.3]), np.array([-2.0]), np.array([1.0, -2.0, 3.0])
     free = mechanism.independent
@@ -351,6 +350,10 @@ def test_a_path_does_not_push_a_mechanism_whose_program_is_lifted():
     bent = accelerations(guide, guide.home[None], v[None], a[None])[0, free]
     expected = np.array(mechanism.dynamics.residual(mechanism.home, rates, bent, u)).ravel()
     np.testing.assert_allclose(np.array(guide.dynamics.residual(guide.home, v, a, u)).ravel(), expected, atol=1e-9)
+    system = mechanism_system(guide, NodeTerms())
+    xi, units = np.concatenate([[0.0], v, a, guide.home[:-1], u]), np.ones(system.n_theta)
+    rows = np.array(build_node(system).node_value(xi, units)).ravel()
+    np.testing.assert_allclose(rows[-len(expected) :], expected, atol=1e-9)
     np.testing.assert_allclose(
         site_motion(mechanism, 2)(mechanism.home, rates, bent).full()[:, site], curve_motion(curve, v, a), atol=1e-9
     )

@@ -163,7 +163,7 @@ def test_a_system_without_its_numbers_gives_the_same_values_with_them(payload):
     bare, numbers = without_numbers(system)
     assert len(numbers) > 10
     rng = np.random.default_rng(3)
-    xi, theta = rng.uniform(0.2, 1.2, system.n_xi), rng.uniform(0.5, 2.0, system.n_theta)
+    xi, theta = rng.uniform(0.2, 1.2, system.node.size1_in(0)), rng.uniform(0.5, 2.0, system.n_theta)
     expected = np.array(system.node(xi, theta))
     assert np.abs(expected).max() > 0
     got = np.array(bare.node(xi, np.concatenate([theta, numbers])))
