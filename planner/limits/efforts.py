@@ -140,7 +140,10 @@ def effort_rates(trajectory: Trajectory, time: np.ndarray) -> tuple[np.ndarray, 
 
 @dataclass(frozen=True, slots=True)
 class RobustLimit(Limit):
-    """The effort of one actuator at one of the `corners`; `item` counts the actuators of the first corner, then the next."""
+    """The effort of one actuator at one of the `corners`; `item` counts the actuators of the first corner, then the next.
+
+    If it is `implied` by the effort at another corner, the program needs no row for it.
+    """
 
     key: ClassVar[str] = "robust"
     facts: ClassVar[LimitFacts] = LimitFacts(kind=key, words="the effort of {}", jumps_with_effort=True)
@@ -148,15 +151,20 @@ class RobustLimit(Limit):
     corners: tuple[Corner, ...]
     corner: int
     actuator: int
+    implied: bool
 
     @classmethod
     def of(cls, problem: Problem, **_: bool) -> list[Self]:
         corners, n_u = problem.robust.corners, problem.mechanism.n_u
         limited = limited_rows(problem.limits.effort)
-        return [cls(n_u * k + j, corners, k, j) for k in range(len(corners)) for j in limited]
+        every = [(k, j) for k in range(len(corners)) for j in limited]
+        return [cls(n_u * k + j, corners, k, j, _is_implied(problem, corners[k], j)) for k, j in every]
 
     @property
     def rows(self) -> Rows:
+        if self.implied:
+            return Rows()
+
         def node(at: Instant, _: ca.SX) -> ca.SX:
             return at.corner_efforts(self.corners)[self.corner][self.actuator] / at.units["effort"][self.actuator]
 
@@ -189,3 +197,15 @@ class RobustLimit(Limit):
         if not np.isfinite(factor):
             return replace(problem, robust=Robust())
         return replace(problem, robust=problem.robust.replace(room=factor * problem.robust.room))
+
+
+def _is_implied(problem: Problem, corner: Corner, actuator: int) -> bool:
+    """Check if a limit on an effort holds at a corner because it holds for the same machine with smaller torque constants.
+
+    The effort is inversely proportional to the torque constant's factor if there is one actuator for each freedom.
+    """
+    low, high = problem.limits.effort[actuator]
+    if problem.mechanism.n_u != problem.mechanism.dof or not low <= 0 <= high:
+        return False
+    weaker = [other for other in (Corner(), *problem.robust.corners) if other.torque_factor < corner.torque_factor]
+    return any(replace(other, torque_factor=corner.torque_factor) == corner for other in weaker)

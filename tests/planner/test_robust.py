@@ -21,6 +21,7 @@ from linkplan.models.payload import SHANK
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.limits.efforts import RobustLimit
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.instant import Corner, Robust, corner_efforts_along
 from linkplan.planner.problem.problem import load_problem
@@ -95,6 +96,20 @@ def test_a_weaker_torque_constant_is_a_reserve():
 
 
 @pytest.mark.slow
+def test_a_corner_needs_a_row_unless_a_weaker_machine_implies_its_limit():
+    """Efforts are inversely proportional to the torque constant, so a limit that includes zero holds for larger ones too."""
+    ranges = ["robust.torque_constant_factor=[0.9, 1.1]", "robust.payload_factor=[0.8, 1.2]"]
+
+    def factors(*overrides: str) -> list[tuple[float, float]]:
+        limits = RobustLimit.of(load_problem("knee-reach", [*ranges, *overrides]))
+        assert len(limits) == 4
+        corners = [one.corners[one.corner] for one in limits if one.rows.node is not None]
+        return sorted((corner.torque_factor, corner.payload_factor) for corner in corners)
+
+    assert factors() == [(0.9, 0.8), (0.9, 1.2)]
+    assert len(factors("limits.effort.act_O=[10, 100]")) == 4
+
+
 def test_what_forbids_a_robust_motion_is_named():
     plan = planned("knee-reach", "robust.payload_factor=[1.0, 2.0]", "objective.minimize=peak_effort", "mesh.intervals=10")
     assert plan.status == "infeasible"
