@@ -152,7 +152,7 @@ def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -
     """Return the solution of the next solve from a motion; None without one, or without one by a deadline.
 
     With a free duration the barrier parameter follows the iterates. With a given duration it decreases from a small value,
-    which takes fewer iterations; if the motion is lost, it follows the iterates too.
+    which takes fewer iterations. If the motion is lost, the other way is tried too.
     """
     start, settings = replace(guess_from(coarse.motion), share_of_effort=1.0), way.case.problem.solver
     another = coarse.solution.transcribed.scheme.name != way.case.problem.mesh.scheme
@@ -163,7 +163,7 @@ def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -
     free = case.asked.motion.duration_s is None
     lost = _LOST_SHARE_AT_FIRST if another and not free else _LOST_SHARE
     found: list[Iterate] = []
-    for adaptive in (True,) if free else (False, True):
+    for adaptive in (free, not free):
         finer = attempt(case, start, mesh, durations, way.what, close=True, adaptive=adaptive, position_rows=rows)
         if finer is not None:
             found.append(finer)

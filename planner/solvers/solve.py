@@ -245,7 +245,8 @@ def solve(
     A long solve with interpreted functions is restarted with compiled ones, which take the same iterations in less time.
 
     Near a solution the filter may refuse all but tiny steps, depending on rounding errors. A solve that runs out of
-    iterations is therefore repeated with a barrier that follows the iterates.
+    iterations is therefore repeated with a barrier that follows the iterates; callers with a `close` start choose the barrier
+    themselves.
     """
     settings = settings or SolverSettings()
     first = _patience(transcribed, settings)
@@ -256,7 +257,7 @@ def solve(
             return solution
         transcribed = with_compiled_code(transcribed, settings.deadline)
     solution = _solved(transcribed, settings, warm=warm, close=close, adaptive=adaptive)
-    if solution.status != OUT_OF_ITERATIONS or adaptive:
+    if solution.status != OUT_OF_ITERATIONS or adaptive or close:
         return solution
     fewer = settings.replace(max_iterations=min(_ITERATIONS_AGAIN, settings.max_iterations or _ITERATIONS_AGAIN))
     again = _solved(transcribed, fewer, warm=warm, close=close, adaptive=True)
