@@ -245,8 +245,8 @@ def solve(
     A long solve with interpreted functions is restarted with compiled ones, which take the same iterations in less time.
 
     Near a solution the filter may refuse all but tiny steps, depending on rounding errors. A solve that runs out of
-    iterations is therefore repeated with a barrier that follows the iterates; callers with a `close` start choose the barrier
-    themselves.
+    iterations is therefore repeated with a barrier that follows the iterates. With a `close` start it is not, because the
+    callers try both barriers.
     """
     settings = settings or SolverSettings()
     first = _patience(transcribed, settings)
