@@ -185,7 +185,7 @@ def reduce_tree(
     force_map = _force_map(tree, closures, loops, projected)
     multipliers = factorise(loops.J_z.T)((needed - B @ u)[bound])
     held = loops.independent_jacobian.T @ mu
-    left = without - tree.friction - B @ u
+    forces = without - tree.friction - B @ u
     closing = loops.independent_phi, loops.independent_jacobian @ qd, loops.independent_jacobian @ qdd + loops.turning
     force = force_map @ multipliers if loops.rows else ca.SX.zeros(loops.phi.numel())
     limited_lengths = [tree.tendon_lengths[tendon.index] for tendon in limited_tendons(tree.model)]
@@ -214,7 +214,7 @@ def reduce_tree(
         reduced_inertia=function("reduced_inertia", [q], inertia),
         gravity_effort=function("gravity_effort", [q], gamma_map.T @ tree.gravity),
         tree_effort=function("tree_effort", [q, qd, qdd], without - tree.friction),
-        equations=function("equations", [q, qd, qdd, mu, u], *closing, (held - left)[bound], (left - held)[free]),
+        equations=function("equations", [q, qd, qdd, mu, u], *closing, (held - forces)[bound], (forces - held)[free]),
         effort_matrix=function("effort_matrix", [q], B),
         actuator_length=function("actuator_length", [q], ca.SX(n_u, 1) if lengths is None else lengths),
         tendon_length=function("tendon_length", [q], limited),
