@@ -6,6 +6,7 @@ import scipy.integrate
 import scipy.linalg
 
 from linkplan.models.closure import newton
+from linkplan.models.closure.rank import dependent_columns
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import joint_rates, needed_effort, sampled
 from linkplan.models.poses.assembly import close_at
@@ -145,3 +146,10 @@ def test_newton_ends_where_only_rounding_can_be_reduced(gap_m):
     assert abs(q[0] - np.arccos(0.8)) < 1e-15
     assert phi[1] == gap_m
     assert len(evaluated) <= 6
+
+
+def test_a_column_of_rounding_errors_is_not_chosen_as_a_dependent_one():
+    jacobian = np.array([[1e-14, 1.0, 0.5], [0.0, 0.0, 1.0]])
+    assert dependent_columns(jacobian, 2, [[0], [1, 2]]).tolist() == [1, 2]
+    jacobian[0, 0] = 1e-3
+    assert dependent_columns(jacobian, 2, [[0], [1, 2]]).tolist() == [0, 2]

@@ -174,3 +174,10 @@ def test_boxes_across_a_knot_shrink_with_their_width(kind):
     curve, _ = curve_of(kind, periodic=True)
     widths = [float(form_on(curve, 0.2, radius).remainder) for radius in (1e-2, 1e-3)]
     assert 0 < widths[1] < 0.11 * widths[0]
+
+
+@pytest.mark.parametrize("kind", ["linear", "cubic"])
+def test_the_end_of_a_table_belongs_to_its_last_piece(kind):
+    curve, known = curve_of(kind, periodic=False)
+    form = form_on(curve, 1.0, 1e-12)
+    assert float(form.coefficients[0].mid()) == pytest.approx(float(known(1.0)), abs=1e-9)

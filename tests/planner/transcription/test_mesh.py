@@ -5,7 +5,16 @@ import numpy as np
 import pytest
 
 from linkplan.planner.transcription.formulation import PhaseBoundary, stretched_durations
-from linkplan.planner.transcription.mesh import Layout, Mesh, broken, halved, segmented, with_ends, without_empty
+from linkplan.planner.transcription.mesh import (
+    Layout,
+    Mesh,
+    broken,
+    halved,
+    segmented,
+    with_breaks,
+    with_ends,
+    without_empty,
+)  # fmt: skip
 from linkplan.planner.transcription.system import System, build_node, node_symbols
 from tests.support.formulations import formulation
 
@@ -66,6 +75,12 @@ def test_further_segments_take_the_place_of_the_ends_of_intervals_next_to_them()
     assert sorted(set(breaks.round(9)) - set(before.round(9))) == [1.15, 2.25]
     # 1.1 s, at 0.15 of an interval from the first time, went; the second time halves its interval.
     assert sorted(set(before.round(9)) - set(breaks.round(9))) == [1.1]
+
+
+def test_an_interval_does_not_end_just_beside_a_segment():
+    mesh = three_segments()
+    same = with_breaks(mesh, DURATIONS, np.array([0.1 + 1e-5, 3.1 - 1e-5]))
+    np.testing.assert_allclose(same.breaks(DURATIONS), mesh.breaks(DURATIONS))
 
 
 def test_every_unknown_has_one_place_of_its_own():
