@@ -40,6 +40,7 @@ TRANSCRIPTION_MAY = {
     "linkplan.models.compiled.functions",
     "linkplan.models.deadline",
     "linkplan.models.errors",
+    "linkplan.models.reduction.elimination",  # symbolic solution of A x = b
 }
 
 
