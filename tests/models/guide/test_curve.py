@@ -1,5 +1,6 @@
 """Curves that a site follows: their shapes, their smoothness, and distances from them."""
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -44,6 +45,11 @@ def test_an_arc_keeps_its_radius_and_passes_its_points_in_order():
     assert curve.length == pytest.approx(radius * np.radians(290.0), rel=1e-12)
     places = curve.places(np.array([0.0, radius * np.radians(190.0), curve.length]))
     np.testing.assert_allclose(places, points, atol=1e-14)
+    assert max(piece.length for piece in curve.pieces) <= radius * np.pi / 2  # for the nearest point from the chord
+    for start, piece in zip(curve.starts, curve.pieces, strict=True):
+        x = np.linspace(0.0, piece.length, 5)
+        of_piece = [np.array(ca.evalf(piece.place(ca.SX(at)))).ravel() for at in x]
+        np.testing.assert_allclose(of_piece, curve.places(start + x), atol=1e-14)
 
 
 def test_a_spline_passes_all_points_and_ends_without_curvature():
