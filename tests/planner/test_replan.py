@@ -16,6 +16,7 @@ from linkplan.planner.search import replan
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.search.replan import Replanner, motion_step, structure
 from linkplan.planner.solvers.newton import NewtonStep, Optimum
+from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.tolerances_planner import SAME_FIGURE, SOLVERS_OWN_EFFORT, SOLVERS_OWN_POSITION, TIGHTENED_ANEW
 
@@ -361,3 +362,17 @@ def test_the_bounds_are_the_error_of_an_unknown_in_its_unit(problem):
     change = np.abs(moved.trajectory.effort - step.trajectory.effort).max()
     assert change == pytest.approx(step.effort_bound[0], rel=1e-6)
     assert np.all(step.position_bound_rad > 0)
+
+
+@pytest.mark.parametrize("bound", ["lower", "upper", None])
+def test_a_switch_time_that_has_moved_as_far_as_it_can_blocks_the_optimum(bound):
+    problem = load_problem("gripper-close")
+    solved = plan_motion(problem).solved
+    x, place = np.array(solved.start), solved.program.layout.durations()
+    assert len(place) == 2
+    if bound is not None:
+        x[place[0]] = getattr(solved, bound)[place[0]]
+    solution = Solution(
+        transcribed=solved, x=x, objective=1.0, converged=True, status="", iterations=1, build_s=0.0, solve_s=0.0
+    )
+    assert replan._is_blocked_by_bounds(problem, solution) == (bound is not None)
