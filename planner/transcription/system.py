@@ -27,9 +27,9 @@ class System:
     """Equations, bounded quantities and running cost at a node, all scaled to order one.
 
     `node` maps (xi, theta) to a column [equations (n_equations,); path quantities (n_path,); running cost], where xi
-    (n_xi,) stacks a node's scaled unknowns and theta (n_theta,) its parameters. If unknowns y are `eliminated`, consecutive
-    blocks of these sizes, `node` maps ([xi; y], theta), and the equations that determine y (see `Implicit`) come last in its
-    column.
+    (n_xi,) stacks a node's scaled unknowns and theta (n_theta,) its parameters. `eliminated` are the sizes of blocks of
+    further unknowns y, which equations of the node determine (see `Implicit`). `node` then maps ([xi; y], theta), and these
+    equations come last in its column.
     """
 
     n_s: int = 0
