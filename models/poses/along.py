@@ -50,19 +50,27 @@ def joint_acceleration(mechanism: Mechanism) -> ca.Function:
 
 @functools.lru_cache(maxsize=16)
 def joint_jerk(mechanism: Mechanism) -> ca.Function:
-    """Return the function from q, v, a and the independent joints' jerk to every joint's jerk (n_q,)."""
-    return _slope_along(mechanism, joint_acceleration(mechanism))
+    """Return the function from q, v, a and the independent joints' jerk j to every joint's jerk (n_q,).
 
-
-def _slope_along(mechanism: Mechanism, of: ca.Function) -> ca.Function:
-    """Return the function from q, v, a and the independent joints' jerk j to the slope by time of a function of q, v, a.
-
-    It is the derivative of f(q, v, a) in the direction (Gamma v, a, j).
+    It is the derivative of the accelerations in the direction (Gamma v, a, j).
     """
     q, v, a, j = (ca.SX.sym(name, n) for name, n in zip("qvaj", (mechanism.n_q, *[mechanism.dof] * 3), strict=True))
-    value = of(q, v, a)
-    slope = ca.jtimes(ca.vec(value), ca.vertcat(q, v, a), ca.vertcat(mechanism.dynamics.velocity_map(q) @ v, a, j))
-    return ca.Function(f"{of.name()}_slope", [q, v, a, j], [ca.reshape(ca.densify(slope), *value.shape)])
+    value = joint_acceleration(mechanism)(q, v, a)
+    slope = ca.jtimes(value, ca.vertcat(q, v, a), ca.vertcat(mechanism.dynamics.velocity_map(q) @ v, a, j))
+    return ca.Function("jerk", [q, v, a, j], [ca.densify(slope)])
+
+
+@functools.lru_cache(maxsize=16)
+def site_derivative(mechanism: Mechanism, order: int) -> ca.Function:
+    """Return the function from q and its derivatives by time up to an order, each (n_q,), to that of all sites (3, n_sites).
+
+    The sites' velocities have the order 1, their accelerations 2, their jerks 3.
+    """
+    of_joints = [ca.SX.sym(f"q{k}", mechanism.n_q) for k in range(order + 1)]
+    value = ca.vec(mechanism.dynamics.site_places(of_joints[0]))
+    for k in range(order):
+        value = ca.jtimes(value, ca.vertcat(*of_joints[: k + 1]), ca.vertcat(*of_joints[1 : k + 2]))
+    return ca.Function("site_derivative", of_joints, [ca.reshape(ca.densify(value), 3, -1)])
 
 
 @functools.lru_cache(maxsize=16)
@@ -71,16 +79,14 @@ def site_motion(mechanism: Mechanism, order: int) -> ca.Function:
 
     That to their jerks (3) takes the independent joints' jerk as well.
     """
-    if order == 3:
-        return _slope_along(mechanism, site_motion(mechanism, 2))
-    n_q, n_s = mechanism.n_q, mechanism.dof
-    q, v, a, rates = (ca.SX.sym(name, n) for name, n in zip("qvar", (n_q, n_s, n_s, n_q), strict=True))
-    places = ca.vec(mechanism.dynamics.site_places(q))
-    found = ca.jtimes(places, q, rates)
-    if order == 2:
-        found = ca.jtimes(places, q, joint_acceleration(mechanism)(q, v, a)) + ca.jtimes(found, q, rates)
-    found = ca.substitute(found, rates, mechanism.dynamics.velocity_map(q) @ v)
-    return ca.Function("site_motion", [q, v, a], [ca.reshape(ca.densify(found), 3, -1)])
+    names = "qvaj" if order == 3 else "qva"
+    q, v, a, *j = (ca.SX.sym(name, mechanism.dof if name != "q" else mechanism.n_q) for name in names)
+    of_joints = [mechanism.dynamics.velocity_map(q) @ v]
+    if order > 1:
+        of_joints.append(joint_acceleration(mechanism)(q, v, a))
+    if order > 2:
+        of_joints.append(joint_jerk(mechanism)(q, v, a, *j))
+    return ca.Function("site_motion", [q, v, a, *j], [site_derivative(mechanism, order)(q, *of_joints)])
 
 
 def sliding_friction(mechanism: Mechanism, q: np.ndarray, column: int = 0) -> np.ndarray:

@@ -21,7 +21,7 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import joint_acceleration, joint_jerk, sampled, site_motion
+from linkplan.models.poses.along import joint_acceleration, joint_jerk, sampled, site_derivative
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.reduction.reduced import ReducedDynamics
 from linkplan.models.tree.joints import unit_steps
@@ -272,17 +272,18 @@ class Instant:
     @cached_property
     def site_velocities(self) -> ca.SX:
         """The velocities (3, n_sites) of the model's sites in the world."""
-        return site_motion(self.mechanism, 1)(self.q, self.v, self.a)
+        return site_derivative(self.mechanism, 1)(self.q, self.joint_rates)
 
     @cached_property
     def site_accelerations(self) -> ca.SX:
         """The accelerations (3, n_sites) of the model's sites in the world."""
-        return site_motion(self.mechanism, 2)(self.q, self.v, self.a)
+        return site_derivative(self.mechanism, 2)(self.q, self.joint_rates, self.joint_accelerations)
 
     @cached_property
     def site_jerks(self) -> ca.SX:
         """The jerks (3, n_sites) of the model's sites in the world."""
-        return site_motion(self.mechanism, 3)(self.q, self.v, self.a, self.jerk)
+        of_joints = self.joint_rates, self.joint_accelerations, self.joint_jerks
+        return site_derivative(self.mechanism, 3)(self.q, *of_joints)
 
     def of_pose(self, name: str) -> ca.SX:
         """Return the value of a function of the reduced dynamics that depends on the pose only."""
