@@ -74,6 +74,17 @@ class NodeTerms:
 
 
 @functools.lru_cache(maxsize=16)
+def closure_jerk(mechanism: Mechanism) -> ca.Function:
+    """Return the function from q and its first three derivatives by time, each (n_q,), to that of E phi of order three."""
+    q, rates, accelerations, jerks = (ca.SX.sym(name, mechanism.n_q) for name in ("q", "qd", "qdd", "qddd"))
+    equations = mechanism.dynamics.equations
+    still = [ca.SX.zeros(equations.numel_in(k)) for k in (3, 4)]
+    second = equations(q, rates, accelerations, *still)[2]
+    third = ca.jtimes(second, ca.vertcat(q, rates, accelerations), ca.vertcat(rates, accelerations, jerks))
+    return ca.Function("closure_jerk", [q, rates, accelerations, jerks], [ca.densify(third)])
+
+
+@functools.lru_cache(maxsize=16)
 def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     """Return a mechanism's system.
 
@@ -102,12 +113,17 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
     q = in_order(mechanism, node.s * given["position"], z)
     v, a, u = node.v * rate, node.a * rate / given["time"], node.u * given["effort"]
     call = _caller(mechanism, given["payload"], given["forces"])
-    # Rates and accelerations of dependent joints and multipliers, in SI.
+    # Rates and accelerations of dependent joints, multipliers, and jerks of dependent joints, in SI.
     n_d, n_mu = n_q - n_s, mechanism.dynamics.equations.numel_in(3)
-    eliminated = ca.SX.sym("y", 2 * n_d + n_mu)
-    y_rate, y_acceleration, mu = ca.vertsplit(eliminated, [0, n_d, 2 * n_d, 2 * n_d + n_mu])
-    rates, accelerations = in_order(mechanism, v, y_rate), in_order(mechanism, a, y_acceleration)
+    blocks = (n_d, n_d, n_mu, n_d if asked.has_jerk else 0)
+    y = [ca.SX.sym(f"y{k}", size) for k, size in enumerate(blocks)]
+    rates, accelerations, mu = in_order(mechanism, v, y[0]), in_order(mechanism, a, y[1]), y[2]
     phi, *determining, left = call("equations", q, rates, accelerations, mu, u)
+    jerk = jerks = None
+    if asked.has_jerk:
+        jerk = node.j * rate / given["time"] ** 2
+        jerks = in_order(mechanism, jerk, y[3])
+        determining.append(closure_jerk(mechanism)(q, rates, accelerations, jerks))
     equations = ca.vertcat(phi / given["length"], left / given["residual"])
     kinds = ("closure",) * (n_q - n_s) + ("dynamics",) * left.numel()
     at = Instant(
@@ -124,7 +140,8 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
         accelerations=accelerations,
         multipliers=mu if n_mu == n_d else None,  # along a path, mu are those of the mechanism without its guide
         reference=given["reference"] * given["position"] if asked.tracked else None,
-        jerk=node.j * rate / given["time"] ** 2 if asked.has_jerk else None,
+        jerk=jerk,
+        jerks=jerks,
         positive_power=working * given["power"] if asked.works else None,
     )
     numbers = _split(given["limits"], [limit.rows.n_numbers for limit in asked.limits])
@@ -147,12 +164,12 @@ def mechanism_system(mechanism: Mechanism, asked: NodeTerms) -> System:
         n_x=0,
         n_z=n_z,
         n_u=n_u,
-        node=ca.Function("node", [ca.vertcat(node.stacked, eliminated), theta], [column]),
+        node=ca.Function("node", [ca.vertcat(node.stacked, *y), theta], [column]),
         n_equations=equations.numel(),
         n_path=path.numel(),
         kinds=kinds,
         has_jerk=asked.has_jerk,
-        eliminated=(n_d, n_d, n_mu),
+        eliminated=blocks,
     )
 
 

@@ -225,8 +225,8 @@ class Instant:
         forces: those over time (3 n_sites,) [N] in the world; empty without any.
         call: calls the reduced dynamics' functions by name.
         units: the program's units by name: time, position, effort, residual, length, power, force.
-        rates, accelerations: of all joints (n_q,), and `multipliers` (rank,) [N] of the independent closure equations, if
-            they are unknowns of the node; otherwise they are solved from the loops where they are used.
+        rates, accelerations, jerks: of all joints (n_q,), and `multipliers` (rank,) [N] of the independent closure
+            equations, if they are unknowns of the node; otherwise they are solved from the loops where they are used.
         reference: independent positions (n_s,) that are tracked.
         effort_rate, jerk: u' (n_u,) and a' (n_s,), if they are known.
         losses: copper loss per squared effort (n_u,) of the motors.
@@ -244,6 +244,7 @@ class Instant:
     units: Mapping[str, ca.SX] = field(default_factory=dict)
     rates: ca.SX | None = None
     accelerations: ca.SX | None = None
+    jerks: ca.SX | None = None
     multipliers: ca.SX | None = None
     reference: ca.SX | None = None
     effort_rate: Any = None
@@ -267,7 +268,7 @@ class Instant:
     @cached_property
     def joint_jerks(self) -> ca.SX:
         """The jerks (n_q,) of all joints."""
-        return joint_jerk(self.mechanism)(self.q, self.v, self.a, self.jerk)
+        return joint_jerk(self.mechanism)(self.q, self.v, self.a, self.jerk) if self.jerks is None else self.jerks
 
     @cached_property
     def site_velocities(self) -> ca.SX:

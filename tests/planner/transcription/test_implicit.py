@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.poses.along import joint_rates
-from linkplan.planner.closed_chain.mechanics import NodeTerms, mechanism_system
+from linkplan.models.poses.along import accelerations, joint_jerk, joint_rates
+from linkplan.planner.closed_chain.mechanics import NodeTerms, closure_jerk, mechanism_system
 from linkplan.planner.limits.joints import ClosureForceLimit, SpeedLimit
 from linkplan.planner.problem.instant import unit_scales
 from linkplan.planner.problem.problem import Problem
@@ -119,6 +119,19 @@ def test_limits_read_the_rates_and_pin_forces_of_the_solution(model):
     assert speed == pytest.approx(joint_rates(mechanism, q[None], v[None])[0, joint], rel=ROUNDED)
     force = np.array(mechanism.dynamics.closure_force(q, v, a, u)).ravel()[mechanism.closure_slice(0)]
     assert squared == pytest.approx(force @ force, rel=1e-8)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=NAMES)
+def test_jerks_that_keep_the_loops_closed_satisfy_the_equations_of_a_node(model):
+    mechanism, rng = load_mechanism(model), np.random.default_rng(4)
+    q, v, a, _ = node_of(mechanism, rng)
+    jerk = rng.normal(size=mechanism.dof)
+    of_joints = joint_rates(mechanism, q[None], v[None])[0], accelerations(mechanism, q[None], v[None], a[None])[0]
+    jerks = np.array(joint_jerk(mechanism)(q, v, a, jerk)).ravel()
+    size = np.abs(jerks).max()
+    assert np.abs(np.array(closure_jerk(mechanism)(q, *of_joints, jerks))).max() < ROWS * size
+    jerks[mechanism.dependent[0]] += 1e-3 * size
+    assert np.abs(np.array(closure_jerk(mechanism)(q, *of_joints, jerks))).max() > 100 * ROWS * size
 
 
 @pytest.mark.long
