@@ -10,7 +10,7 @@ The equations of motion are written with the rates, accelerations and multiplier
 
 whose expressions are as short as those of the tree with open loops. The node's functions eliminate these unknowns (see
 `planner.transcription.implicit`), so that the program has the unknowns and rows of the reduced dynamics. With an inverse of
-J_z in its expressions, a node's second derivatives would have 1.5 times as many operations for a four-bar, and 8 times as
+J_z in its expressions, a node's second derivatives would have 1.7 times as many operations for a four-bar, and 8 times as
 many for a platform on six legs.
 """
 

@@ -7,7 +7,7 @@ otherwise on w and earlier blocks only. For functions F(w, y(w)) and f = lam^T F
     d2f/dw2 = [I; Y]^T d2(f + mu^T G)/d(w, y)2 [I; Y],   mu = -G_y^-T f_y.
 
 Derivatives of the solution's own expressions would repeat the elimination in every entry. With the 18 dependent joints of a
-platform on six legs they take 950,000 operations instead of 112,000.
+platform on six legs they take 950,000 operations instead of 117,000.
 """
 
 import itertools
