@@ -200,7 +200,7 @@ class RobustLimit(Limit):
 
 
 def _is_implied(problem: Problem, corner: Corner, actuator: int) -> bool:
-    """Check if a limit on an effort holds at a corner because it holds for the same machine with smaller torque constants.
+    """Check if the effort limit at a corner follows from that of the same machine with smaller torque constants.
 
     The effort is inversely proportional to the torque constant's factor if there is one actuator for each freedom.
     """

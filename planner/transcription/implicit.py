@@ -17,7 +17,7 @@ import casadi as ca
 
 from linkplan.models.reduction.elimination import factorise
 
-# Levels down to which two expressions are compared; a derivative may write a sign or a product anew.
+# The depth to which two expressions are compared, because a derivative may contain a copy of a sign or a product.
 _COMPARED_LEVELS = 5
 
 
@@ -48,7 +48,7 @@ class Implicit:
         return ca.substitute(expressions, [self._y], [self._solution]) if self._blocks else expressions
 
     def jacobian(self, F: ca.SX) -> ca.SX:
-        """Return dF/dw (n_F, n_w) of an expression F of (w, y), an expression of (w, y)."""
+        """Return dF/dw (n_F, n_w) of an expression F of (w, y), before the solution is inserted."""
         direct = ca.jacobian(F, self._w)
         if not self._blocks:
             return direct
@@ -56,7 +56,7 @@ class Implicit:
         return ca.sparsify(direct - ca.sparsify(adjoint.T) @ self._by_w)
 
     def hessian(self, f: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Return d2f/dw2 (n_w, n_w) and df/dw (n_w,) of a scalar expression f of (w, y), expressions of (w, y)."""
+        """Return d2f/dw2 (n_w, n_w) and df/dw (n_w,) of a scalar expression f, before the solution is inserted."""
         if not self._blocks:
             return ca.hessian(f, self._w)
         mu, n_w = ca.SX.sym("mu", self._y.numel()), self._w.numel()

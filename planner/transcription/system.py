@@ -15,8 +15,8 @@ import numpy as np
 
 from linkplan.planner.transcription.implicit import Implicit
 
-# Common subexpressions are eliminated from a node's rows, and from derivatives up to this number of operations. In longer
-# ones it takes two thirds of the time to build them, and saves 4 to 14 % of their operations.
+# Common subexpressions are eliminated from a node's rows, and from derivatives with at most this number of operations.
+# For longer derivatives the elimination would take two thirds of the building time and remove 4 to 14 % of the operations.
 _MAX_SHARED_OPERATIONS = 20_000
 Pattern = tuple[np.ndarray, np.ndarray]  # rows and columns of nonzeros, column by column
 _EMPTY_PATTERN: Pattern = (np.zeros(0, dtype=int), np.zeros(0, dtype=int))

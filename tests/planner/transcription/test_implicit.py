@@ -77,7 +77,7 @@ def test_motions_of_the_reduced_dynamics_satisfy_the_equations_of_a_node(model):
 
 
 def reduced(mechanism: Mechanism, system: System) -> System:
-    """Return the system whose equations solve with J_z in their expressions."""
+    """Return the same system by the reduced residual, whose expressions contain the solution with J_z."""
     xi, theta = ca.SX.sym("xi", system.n_xi), ca.SX.sym("theta", system.n_theta)
     n_s, n_z = mechanism.dof, len(mechanism.dependent)
     s, v, a, z, u = ca.vertsplit(xi, [0, n_s, 2 * n_s, 3 * n_s, 3 * n_s + n_z, system.n_xi])
