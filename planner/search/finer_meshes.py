@@ -135,11 +135,14 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
             until = after_passing
     if last is not None and last not in kept:
         kept.append(last)
+    repaired: list[CertifiedIterate] = []
     for one in reversed(kept):
         at = _repaired(one)
         moved = max(moved, share_gained(at.found.solution.objective, one.at.found.solution.objective))
+        repaired.append(at)
         if is_sound(at.certificate):
             break
+    at = min(repaired, key=_shortcoming, default=at)
     if at.certificate is None:
         return None
     return Refined(
@@ -180,6 +183,11 @@ def _without_met(mesh: Mesh, durations: np.ndarray) -> tuple[Mesh, np.ndarray]:
 def is_sound(certificate: Certificate | None) -> bool:
     """True if a motion passes and needs no more effort between the nodes than a proof allows."""
     return certificate is not None and certificate.passed and float(certificate.effort_overrun.max(initial=0.0)) <= 1.0
+
+
+def _shortcoming(at: CertifiedIterate) -> tuple[bool, float]:
+    """Return what a motion is compared by: whether it fails, and its largest excess of effort in units of the allowance."""
+    return not at.passed, np.inf if at.certificate is None else float(at.certificate.effort_overrun.max(initial=0.0))
 
 
 def at_a_distance(case: MechanismCase, start_pose: np.ndarray) -> MechanismCase:
@@ -223,6 +231,8 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
             break
         begun_s = until.left_s
         found = nearest_on(case, at.found, mesh, durations, position_rows=kept.rows)
+        if found is not None and share_gained(found.solution.objective, at.found.solution.objective) > _LOST_SHARE:
+            found = None
         if found is None and not at.passed:  # if efforts and other limits are active together, no freedom is left
             mesh = divided(at.found.mesh, _coarse(case, at))
             way = _Way(kept.case, mesh, at.found.durations, "finer mesh")
