@@ -60,7 +60,7 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
         name="several starts: cheap first solves, the best refined",
         tried=lambda search: of_several(search.problem) or search.problem.solver.starts > 1,
         run=from_several_starts,
-        budget=Budget(share_of_time=0.7),
+        budget=Budget(share_of_time=0.85),
     ),
     SearchMethod(
         name="the user's guess, then a smooth path",

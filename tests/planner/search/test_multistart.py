@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 import linkplan
 from linkplan.models.deadline import Deadline
@@ -19,6 +20,7 @@ from linkplan.planner.limits.limit import with_limits
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import load_problem
+from linkplan.planner.refinement.actions import nearest_on
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import finer_meshes, multistart
@@ -176,6 +178,10 @@ def test_a_least_time_at_the_corners_of_robust_is_changed_until_every_machine_ca
     assert plan.status == "optimal"
     assert plan.objective == pytest.approx(0.196071, rel=1e-4)  # sqrt(1 / 0.9) times 0.18664 but for gravity
     assert all(margin.kept for margin in plan.certificate.margins)
+    # A corner's efforts are judged to the accuracy of inverse dynamics, as in the proof.
+    margin = next(one for one in plan.certificate.margins if one.what == "robust")
+    assert structs.replace(margin, left=-1.9e-6 * abs(margin.limit)).kept
+    assert not structs.replace(margin, left=-2.1e-6 * abs(margin.limit)).kept
 
 
 @pytest.mark.slow
@@ -253,6 +259,49 @@ def test_a_jump_is_where_the_impulse_of_its_interval_puts_it(in_least_time):
 def straight_arm(scheme: str, **asked):
     ends = {"start_deg": {"J1": -60.0, "J2": 20.0}, "goal_deg": {"J1": 40.0, "J2": -50.0}}
     return linkplan.Problem.reach(arm(0.5, 0.4, limit=40.0), **ends, **asked, mesh={"scheme": scheme})
+
+
+def test_a_correction_that_costs_more_than_a_thousandth_is_no_correction(in_least_time, monkeypatch):
+    """Where the nearest motion costs 0.2 % more, none is found that passes; the motion before it remains."""
+    refined = with_corrections(in_least_time, monkeypatch, cost=1.002)
+    assert not finer_meshes.is_sound(refined.certificate)
+    assert finer_meshes.is_sound(with_corrections(in_least_time, monkeypatch, cost=1.0005).certificate)
+
+
+def with_corrections(problem, monkeypatch, cost: float):
+    """Return a motion refined with corrections of this cost."""
+    with monkeypatch.context() as patch:
+
+        def dearer(*given, **named):
+            found = nearest_on(*given, **named)
+            return replace(found, solution=replace(found.solution, objective=cost * found.solution.objective))
+
+        patch.setattr(finer_meshes, "nearest_on", dearer)
+        case = case_of(problem)
+        first = multistart._first_case(case.problem, problem.start_pose())
+        start = first_guess(problem, problem.start_pose())
+        return finer_meshes.refine_several(case, attempt(first, start, uniform(24), np.array([0.2]), "first"))
+
+
+def test_the_soundest_of_the_corrected_motions_is_the_answer(monkeypatch):
+    """If corrections of all motions end unsound, the one whose effort exceeds the allowance least is returned."""
+    overruns, seen = iter([16.0, 2.0, 300.0, 5.0, 9.0, 9.0, 9.0, 9.0]), []
+
+    def unsound(kept):
+        overrun = next(overruns)
+        certificate = structs.replace(kept.at.certificate, effort_overrun=np.array([overrun]))
+        seen.append(overrun)
+        return replace(kept.at, certificate=certificate)
+
+    monkeypatch.setattr(finer_meshes, "_repaired", unsound)
+    monkeypatch.setattr(finer_meshes, "_SETTLED_CHANGE", 0.0)  # so several meshes have a motion that passes
+    problem = straight_arm("radau-3", duration_s=0.5, minimize="effort")
+    case = case_of(problem)
+    first = multistart._first_case(case.problem, problem.start_pose())
+    start = first_guess(problem, problem.start_pose())
+    refined = finer_meshes.refine_several(case, attempt(first, start, uniform(24), np.array([0.5]), "first"))
+    assert len(seen) > 1
+    assert refined.certificate.effort_overrun.max() == min(seen)
 
 
 @pytest.mark.parametrize("scheme", ["trapezoid", "hermite-simpson", "radau-2"])
