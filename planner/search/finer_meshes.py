@@ -186,7 +186,7 @@ def is_sound(certificate: Certificate | None) -> bool:
 
 
 def _shortcoming(at: CertifiedIterate) -> tuple[bool, float]:
-    """Return what a motion is compared by: whether it fails, and its largest excess of effort in units of the allowance."""
+    """Return whether a motion fails, and its largest excess of effort in units of the allowance; the least is the best."""
     return not at.passed, np.inf if at.certificate is None else float(at.certificate.effort_overrun.max(initial=0.0))
 
 

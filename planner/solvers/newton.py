@@ -52,10 +52,10 @@ FEASIBLE = "Feasible_Point_Found"
 _COST_OF_STATES, _COST_OF_EFFORTS = 1e-2, 1e4
 # Largest number of quadratic programs to the nearest feasible point; motions of 2 to 10 motors take up to 3.
 _MOST_PROGRAMS = 12
-# Dual residuals of these costs round at 1e-10, which programs of 30,000 unknowns do not fall below in 100 iterations. Once
-# they are at 1e-9, after 43 iterations, the rows hold to 1e-12.
+# With these costs, rounding keeps dual residuals near 1e-10 in programs of 30,000 unknowns, however many iterations follow.
+# They reach 1e-9 after 43 iterations; rows then hold within 1e-12.
 _PIQP = {"eps_abs": 1e-9, "eps_rel": 0.0, "max_iter": 100, "verbose": False}
-# Equations are linear or hold within this after the last program. The certificate measures efforts to 2e-6.
+# The last program may leave this violation of nonlinear equations. The certificate measures efforts to 2e-6.
 _EQUATION_TOLERANCE = 1e-7
 # Steps diverge once the violation is this factor times the first one, or a small one.
 _DIVERGED_FACTOR, _SMALL_VIOLATION = 10.0, 1e-3

@@ -262,14 +262,14 @@ def straight_arm(scheme: str, **asked):
 
 
 def test_a_correction_that_costs_more_than_a_thousandth_is_no_correction(in_least_time, monkeypatch):
-    """Where the nearest motion costs 0.2 % more, none is found that passes; the motion before it remains."""
+    """A correction that costs 0.2 % more is refused, and the motion before it remains; 0.05 % is accepted."""
     refined = with_corrections(in_least_time, monkeypatch, cost=1.002)
     assert not finer_meshes.is_sound(refined.certificate)
     assert finer_meshes.is_sound(with_corrections(in_least_time, monkeypatch, cost=1.0005).certificate)
 
 
 def with_corrections(problem, monkeypatch, cost: float):
-    """Return a motion refined with corrections of this cost."""
+    """Return a refined motion; each correction multiplies its cost by this factor."""
     with monkeypatch.context() as patch:
 
         def dearer(*given, **named):
@@ -284,7 +284,7 @@ def with_corrections(problem, monkeypatch, cost: float):
 
 
 def test_the_soundest_of_the_corrected_motions_is_the_answer(monkeypatch):
-    """If corrections of all motions end unsound, the one whose effort exceeds the allowance least is returned."""
+    """If no corrected motion is sound, the one that exceeds the allowance of effort least is returned."""
     overruns, seen = iter([16.0, 2.0, 300.0, 5.0, 9.0, 9.0, 9.0, 9.0]), []
 
     def unsound(kept):
