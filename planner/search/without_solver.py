@@ -35,7 +35,7 @@ from linkplan.planner.trajectory import Trajectory
 # acceleration and power.
 _LONGER_FACTORS = (1.0, 2.0, 4.0, 8.0)
 # Factors on the duration with which a motion that does not pass is tried again.
-_SLOWER_FACTORS = (1.001, 1.003, 1.01, 1.03)
+_SLOWER_FACTORS = (1.0001, 1.001, 1.003, 1.01, 1.03)
 # The words on a rest that costs something.
 NOT_SHOWN = "; it is not shown that no motion costs less"
 

@@ -56,7 +56,7 @@ _MOST_PROGRAMS = 12
 # They reach 1e-9 after 43 iterations; rows then hold within 1e-12.
 _PIQP = {"eps_abs": 1e-9, "eps_rel": 0.0, "max_iter": 100, "verbose": False}
 # The last program may leave this violation of nonlinear equations. The certificate measures efforts to 2e-6.
-_EQUATION_TOLERANCE = 1e-7
+_EQUATION_TOLERANCE = 1e-8
 # Steps diverge once the violation is this factor times the first one, or a small one.
 _DIVERGED_FACTOR, _SMALL_VIOLATION = 10.0, 1e-3
 

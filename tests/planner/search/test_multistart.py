@@ -196,7 +196,7 @@ def test_a_least_time_with_joints_along_their_speed_limits_is_proved(tmp_path):
 
 @pytest.mark.parametrize(
     ("solve_s", "repair_s", "called"),
-    [(15.0, 1.0, ["attempt"] + ["nearest_on"] * 2), (10.0, 14.0, ["attempt"] * 2 + ["nearest_on"])],
+    [(15.0, 1.0, ["attempt", "nearest_on"]), (10.0, 14.0, ["attempt"] * 2 + ["nearest_on"])],
     ids=["a second solve would not end", "a repair ends after the solves' deadline"],
 )
 def test_solves_that_the_time_does_not_allow_are_left_and_repairs_are_certified(
@@ -213,6 +213,24 @@ def test_solves_that_the_time_does_not_allow_are_left_and_repairs_are_certified(
     refined = finer_meshes.refine_several(case, found)
     assert clock.called == called
     assert finer_meshes.is_sound(refined.certificate)
+
+
+def test_a_corrected_motion_that_needs_slightly_too_much_effort_takes_slightly_longer(in_least_time, monkeypatch):
+    """On a coarser mesh, and without a distance from the limits on efforts, the correction overruns them between the nodes."""
+    case = case_of(in_least_time)
+    first = multistart._first_case(case.problem, in_least_time.start_pose())
+    found = attempt(first, first_guess(in_least_time, in_least_time.start_pose()), uniform(24), np.array([0.2]), "first")
+    monkeypatch.setattr(finer_meshes, "_DISTANCE_OF_EFFORTS", 0.0)
+    monkeypatch.setattr(finer_meshes, "_MAX_PIECES_OF_CORRECTIONS", 2)
+    corrected, slowed = [], finer_meshes._slowed
+    monkeypatch.setattr(finer_meshes, "_slowed", lambda case, at: corrected.append(at) or slowed(case, at))
+    refined = finer_meshes.refine_several(case, found)
+    overrun = corrected[-1].certificate.effort_overrun.max()
+    assert overrun > 1.0
+    assert finer_meshes.is_sound(refined.certificate)
+    longer = refined.motion.duration_s / corrected[-1].found.motion.duration_s
+    assert longer == pytest.approx(1.0 + 2e-6 * overrun, abs=1e-12)
+    assert refined.solution.objective == pytest.approx(longer * corrected[-1].found.solution.objective, rel=1e-6)
 
 
 class Hand:
