@@ -13,6 +13,7 @@ from linkplan.planner.files.folders import check_target, write_json, write_whole
 from linkplan.planner.files.single_file import check_file_target, write_file_whole
 from linkplan.planner.plan.folder import read_plan
 from linkplan.studies.output.report_file import PAGE_MARK
+from tests.support.refusals import assert_refused
 
 
 def result(text: str):
@@ -55,8 +56,7 @@ def test_a_result_without_permission_to_change_it_is_refused_before_the_work(tmp
     write_whole(place, result("old"))
     may = os.access
     monkeypatch.setattr(folders.os, "access", lambda path, mode: Path(path) != place and may(path, mode))
-    with pytest.raises(PlanFileError, match="no permission"):
-        check_target(place)
+    assert_refused(lambda: check_target(place), "no permission", kind=PlanFileError)
 
 
 def test_a_folder_of_the_users_under_a_name_of_ours_is_not_taken_away(tmp_path):
@@ -65,8 +65,7 @@ def test_a_folder_of_the_users_under_a_name_of_ours_is_not_taken_away(tmp_path):
     (place / "plan.json").unlink()
     (place / "plan.json").mkdir()
     (place / "plan.json" / "thesis.tex").write_text("mine")
-    with pytest.raises(PlanFileError, match=r"holds 'plan\.json'"):
-        write_whole(place, result("new"))
+    assert_refused(lambda: write_whole(place, result("new")), "holds 'plan.json'", kind=PlanFileError)
     assert (place / "plan.json" / "thesis.tex").read_text() == "mine"
     assert names(tmp_path) == ["run"]
 
@@ -75,8 +74,7 @@ def test_a_disk_that_refuses_in_the_midst_of_a_replacement_loses_nothing(tmp_pat
     place = tmp_path / "run"
     write_whole(place, result("old"))
     monkeypatch.setattr(os, "replace", refuse)
-    with pytest.raises(PlanFileError, match="is only partly replaced: No space left"):
-        write_whole(place, result("new"))
+    assert_refused(lambda: write_whole(place, result("new")), "is only partly replaced: No space left", kind=PlanFileError)
     monkeypatch.undo()
     check_target(place)
     assert json.loads((place / "plan.json").read_text())["problem"] == "new"

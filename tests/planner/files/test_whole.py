@@ -12,6 +12,7 @@ from linkplan.planner.files.manifest import MANIFEST, RECORDS
 from linkplan.planner.files.single_file import MADE_BY, check_file_target, write_file_whole
 from linkplan.planner.plan.folder import read_plan, write_plan
 from tests.support.plans import optimal, planned
+from tests.support.refusals import assert_refused
 
 
 def fails(folder: Path) -> None:
@@ -72,8 +73,7 @@ def test_a_file_in_the_way_is_not_overwritten(tmp_path):
     (tmp_path / "plan").write_text("mine")
     with pytest.raises(PlanFileError, match="is a file"):
         write_whole(tmp_path / "plan", lambda new: write_json(new / "plan.json", {}))
-    with pytest.raises(PlanFileError, match="is a file"):
-        check_target(tmp_path / "plan" / "below")
+    assert_refused(lambda: check_target(tmp_path / "plan" / "below"), "is a file", kind=PlanFileError)
     assert (tmp_path / "plan").read_text() == "mine"
 
 
@@ -118,8 +118,7 @@ def test_a_file_of_linkplans_own_is_written_over_and_anothers_is_not(tmp_path):
     write_file_whole(target, lambda path: path.write_bytes(OURS + b"2"), KINDS)
     assert target.read_bytes() == OURS + b"2"
     target.write_bytes(b"holidays")
-    with pytest.raises(PlanFileError, match="not written by linkplan"):
-        check_file_target(target, KINDS)
+    assert_refused(lambda: check_file_target(target, KINDS), "not written by linkplan", kind=PlanFileError)
     assert target.read_bytes() == b"holidays"
 
 
@@ -129,8 +128,7 @@ def test_the_mark_is_found_wherever_it_stands_in_a_large_file(tmp_path):
     target.write_bytes(b"\0" * edge + MADE_BY.encode() + b"\0" * 9)
     check_file_target(target, KINDS)
     target.write_bytes(b"\0" * (edge + 99))
-    with pytest.raises(PlanFileError):
-        check_file_target(target, KINDS)
+    assert_refused(lambda: check_file_target(target, KINDS), kind=PlanFileError)
 
 
 @pytest.mark.parametrize(
@@ -152,5 +150,4 @@ def test_a_place_where_no_such_file_can_be_is_refused_in_a_line(name, words, tmp
 def test_a_folder_that_may_not_be_written_is_refused(tmp_path):
     closed = tmp_path / "closed"
     closed.mkdir(mode=0o500)
-    with pytest.raises(PlanFileError, match="no permission"):
-        check_file_target(closed / "film.mp4", KINDS)
+    assert_refused(lambda: check_file_target(closed / "film.mp4", KINDS), "no permission", kind=PlanFileError)

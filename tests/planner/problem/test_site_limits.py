@@ -24,7 +24,7 @@ from linkplan.planner.search.replan import Replanner, structure
 from linkplan.planner.search.starts import other_limits
 from tests.support.arms import LOWER, UPPER, arm, foot_of
 from tests.support.margins import other_margins
-from tests.support.refusals import assert_names, refusal
+from tests.support.refusals import assert_names, assert_refused, refusal
 from tests.support.sites import ABOVE, BELOW, arm_of, places_along, plan_of, site_problem
 from tests.support.tolerances_planner import OUT_OF_REACH_M, SITE_BINDS_M, SITE_M, TIGHTENED_ANEW
 
@@ -280,8 +280,7 @@ def test_builders_vary_places():
     assert foot_of(moved.motion.goal)[0] == pytest.approx([0.35, 0, -0.3], abs=OUT_OF_REACH_M)
     by_joints = built.replace(goal_at=None, goal_deg={"J1": -30, "J2": 20})
     assert not by_joints.motion.goal_at
-    with pytest.raises(ProblemError, match="keep one"):
-        built.replace(goal_deg={"J1": -30, "J2": 20})
+    assert_refused(lambda: built.replace(goal_deg={"J1": -30, "J2": 20}), "keep one", kind=ProblemError)
 
 
 def example() -> dict:
