@@ -277,7 +277,6 @@ def test_a_compiled_prediction_gives_the_interpreted_one_s_efforts_to_the_last_b
 
 
 def test_mpc_follows_a_plan_with_a_switch_as_modelled():
-    """Efforts that were held over blocks smeared the switch: 0.0438 deg."""
     assert np.degrees(np.sqrt(np.mean(run_of("mpc", "knee-sprint").error_rad ** 2))) < 0.031
 
 

@@ -53,7 +53,6 @@ def test_new_is_a_problem_with_its_file_and_plan(tmp_path):
 
 
 def test_new_puts_motors_on_joints_as_its_refusal_offers():
-    """The refusal named mechanism.drive, which `new` did not take."""
     arm = """<mujoco><worldbody><body><joint name="arm" axis="0 1 0" actuatorfrcrange="-9 9"/>
       <geom size="0.05" pos="0.1 0 0"/></body></worldbody></mujoco>"""
     assert_refused(lambda: linkplan.new(arm), 'mechanism.drive = ["arm"]')

@@ -245,7 +245,6 @@ def shank_plan():
 
 
 def test_trackers_are_by_default_those_of_the_command():
-    """Python ran all seven, with MPC."""
     asked = build_parser().parse_args(["experiment", "knee-reach"])
     assert inspect.signature(linkplan.experiment).parameters["trackers"].default == asked.trackers
 

@@ -80,7 +80,6 @@ def test_the_linear_growth_is_that_of_the_transition_matrix(angle, stiffness):
 
 
 def test_the_growth_of_minutes_at_upright_does_not_overflow():
-    """A plan of 80 s printed numpy's "overflow encountered in matmul"."""
     n = round(1000 / (RATE * WIDTH_S))  # e^1000 is beyond the largest float
     motion = standing(np.pi, n)
     with np.errstate(over="raise", invalid="raise"):

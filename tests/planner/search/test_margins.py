@@ -54,7 +54,6 @@ def test_a_distance_is_kept_where_loops_may_come_near_a_singular_pose_and_no_mar
 
 
 def test_motions_that_miss_do_not_keep_a_search_from_a_distance():
-    """Both motions from the phase plane had left the branch. The method was not tried; the plan cost 21.6, not 5.43."""
     search = search_for(weak_reach(18))
     missed = Plan(problem=search.problem, status="failed", message="left its branch")
     search.plans.extend([missed, missed])

@@ -117,7 +117,6 @@ def every_kind() -> list:
 
 @pytest.mark.parametrize("width", [1400, 400, PAPER])
 def test_no_text_of_a_plot_lies_on_another_or_is_cut_off(browser, tmp_path, width):
-    """'kp [N.m/rad]' lay on '100000', and the last number of an axis was cut off."""
     page = opened(browser, tmp_path, *every_kind(), width=width, script=NOTING)
     page.build()
     assert text_faults(page) == []
@@ -144,7 +143,6 @@ def test_every_kind_of_block_can_be_read_in_the_light_and_in_the_dark(browser, t
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_samples_of_a_legend_have_the_colour_and_the_dashes_of_their_lines(browser, tmp_path, scheme):
-    """Samples kept the theme in which they were drawn: in the light, that of a dark page's desired motion was white."""
     page = opened(browser, tmp_path, plot(), scheme=scheme)
     page.build()
     sample = """[...document.querySelectorAll('.u-legend .u-marker')].slice(1).map((one) => {
@@ -162,7 +160,6 @@ def test_the_samples_of_a_legend_have_the_colour_and_the_dashes_of_their_lines(b
 
 @pytest.mark.parametrize("paper", [False, True])
 def test_a_plane_with_one_scale_for_both_axes_keeps_it_in_any_width(browser, tmp_path, paper):
-    """On paper, and in a window made narrower, the unit circle was an ellipse."""
     ends = {"x_axis": Axis(label="real part", unit="1"), "y_axis": Axis(label="imaginary part", unit="1")}
     round_one = plane(equal=True, heat=None, curves=[Series(name="L", x=[-2.0, 2.0], y=[-2.0, 2.0])], **ends)
     page = opened(browser, tmp_path, round_one, folded=True)
@@ -183,7 +180,6 @@ def test_a_plane_with_one_scale_for_both_axes_keeps_it_in_any_width(browser, tmp
 
 
 def test_a_wide_table_is_printed_whole(browser, tmp_path):
-    """It was cut off at the paper's edge, or all pages were printed smaller."""
     right = "document.querySelector('table').getBoundingClientRect().right"
     page = opened(browser, tmp_path, table(14))
     before = page.ask(right)
@@ -215,7 +211,6 @@ def test_on_paper_a_legend_without_a_cursor_has_no_empty_values(browser, tmp_pat
 
 
 def test_the_cells_of_a_column_stand_below_one_another(browser, tmp_path):
-    """A number stood at the right below '1, 2' at the left, and a missing number at the left below numbers at the right."""
     rows = [["1, 2", 1.5, "3.8 ± 0.1"], ["-", None, "0.21 ± 0.04"], ["2", 2.5, "none"], ["1, 3", 3.5, "1 ± 1"]]
     block = Table(title="Table", columns=[("places", ""), ("value", "Hz"), ("mean", "deg")], rows=rows)
     page = opened(browser, tmp_path, block)
@@ -226,7 +221,6 @@ def test_the_cells_of_a_column_stand_below_one_another(browser, tmp_path):
 
 
 def test_the_arc_of_an_effort_far_beyond_its_limit_does_not_run_into_its_own_tail(browser, tmp_path):
-    """Ten times the limit was a ragged ring of four turns."""
     body = Body(name="crank", fixed=False, colour="c0", n_pins=2, points=[[0.0, 0.0, 0.1, 0.0]] * 2)
     mark = Mark(shape="arc", at=[[0.0, 0.0]] * 2, axis=[[1.0]] * 2)
     drive = Drive(name="motor", unit="N.m", marks=[mark], effort=[-10.0, 10.0], limits=(-1.0, 1.0))
@@ -248,7 +242,6 @@ def test_the_arc_of_an_effort_far_beyond_its_limit_does_not_run_into_its_own_tai
 
 
 def test_the_mark_of_a_folded_section_stands_beside_a_title_of_two_lines(browser, tmp_path):
-    """It stood on a line of its own, above the title."""
     page = opened(browser, tmp_path, table(), folded=True, title="Over time: payload +20 %, one period of delay", width=400)
     page.settle()
     lines, below = page.ask("""(() => {

@@ -237,7 +237,6 @@ def test_what_is_drawn_is_no_wider_than_the_paper(browser, path):
 
 
 def test_the_mechanism_is_drawn_to_the_width_that_it_has_on_paper(browser, tmp_path):
-    """It was 1.7 times too wide: drawn beside the facts, and printed above them."""
     write_report(plan_report(optimal("knee-reach")), tmp_path / "plan.html")
     opened = Opened(browser, tmp_path / "plan.html")
     assert opened.page.locator(".lead canvas.stage").count() == 1
