@@ -8,6 +8,7 @@ import pytest
 from PIL import Image
 
 import linkplan
+from tests.support.ode import least_time_reach
 from tests.support.plans import optimal
 from tests.support.refusals import assert_refused
 
@@ -83,17 +84,7 @@ def test_a_loop_is_systems_of_python_control(loop):
 
 
 def test_an_ode_plan_is_drawn_tabled_and_saved(tmp_path):
-    problem = linkplan.OdeProblem(
-        name="double integrator",
-        rate=lambda x, u, p, t: [x[1], u[0]],  # noqa: ARG005 (the arguments of every rate)
-        start=[0, 0],
-        goal=[1, 0],
-        effort_limit=[[-1, 1]],
-        duration_s=(0.1, 10),
-        final_cost=lambda x0, xT, T, p: T,  # noqa: ARG005
-        states=["place", "speed"],
-    )
-    solved = linkplan.solve_ocp(problem).require()
+    solved = linkplan.solve_ocp(least_time_reach(states=["place", "speed"])).require()
     table = solved.to_frame(np.array([0.0, 1.0, 2.0]))
     np.testing.assert_allclose(table["place"], [0.0, 0.5, 1.0], atol=1e-6)
     assert [axes.get_xlabel() for axes in solved.plot().axes] == ["time [s]", "time [s]"]

@@ -13,6 +13,7 @@ import linkplan
 from linkplan.models.errors import InfeasibleError, LinkplanError, PlanFileError, ProblemError
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search.planning import plan_motion
+from tests.support.ode import least_time_reach
 from tests.support.refusals import assert_refused
 
 
@@ -202,17 +203,8 @@ def test_a_step_is_next_to_the_plan_of_its_problem_in_users_units(plan):
 
 
 def test_a_differential_equation_of_ones_own_is_solved():
-    problem = linkplan.OdeProblem(
-        name="double integrator",
-        rate=lambda x, u, p, t: [x[1], u[0]],  # noqa: ARG005
-        start=[0, 0],
-        goal=[1, 0],
-        effort_limit=[[-1, 1]],
-        duration_s=(0.1, 10),
-        final_cost=lambda x0, xT, T, p: T,  # noqa: ARG005
-    )
     told = []
-    plan = linkplan.solve_ocp(problem, told.append).require()
+    plan = linkplan.solve_ocp(least_time_reach(), told.append).require()
     assert plan.objective == pytest.approx(2.0, rel=1e-8)
     assert plan.sample([0.0, 2.0])["state0"] == pytest.approx([0.0, 1.0])
     for beyond in (-0.1, [1.0, 2.1]):  # the polynomials go on, and mean nothing there

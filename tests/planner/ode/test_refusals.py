@@ -6,25 +6,15 @@ import pytest
 
 from linkplan.models.errors import InfeasibleError, ProblemError
 from linkplan.planner.ode.plan import OdePlan, plan_ode
-from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from linkplan.planner.ode.problem import StateGuess
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
-from tests.support.ode import INF, NAN, double_integrator, duration, squared_effort
+from tests.support.ode import INF, NAN, least_time_reach, squared_effort
 from tests.support.refusals import assert_refused
 from tests.support.tolerances_planner import ODE_CLOSED_FORM
 
-SOUND = {
-    "name": "double integrator",
-    "rate": double_integrator,
-    "start": [0, 0],
-    "goal": [1, 0],
-    "effort_limit": [[-1, 1]],
-    "duration_s": (0.1, 20.0),
-    "final_cost": duration,
-}
-
 
 def planned(**changes) -> OdePlan:
-    return plan_ode(OdeProblem(**{**SOUND, **changes}))
+    return plan_ode(least_time_reach(**changes))
 
 
 def at_instant(*values):
