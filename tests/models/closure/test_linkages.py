@@ -41,11 +41,6 @@ def in_mujoco(
     return simulated(model, *state, None if u is None else controls(mechanism, *state, u), softness=softness)
 
 
-def velocity_matrix(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """Return T, qvel = T q', column by column."""
-    return np.array([mechanism.qvel_of(q, rate) for rate in np.eye(mechanism.n_q)]).T
-
-
 @on_every_linkage
 def test_freedom_rows_and_rank_are_those_counted_by_hand(name):
     mechanism = loaded(name)
@@ -95,7 +90,7 @@ def test_closure_forces_act_on_the_joints_as_mujocos_constraints_do(name):
         a = mechanism.dynamics.acceleration(q, v, u)
         force = np.array(mechanism.dynamics.closure_force(q, v, a, u)).ravel()
         jacobian = np.array(mechanism.dynamics.closure_jacobian(q))
-        expected = velocity_matrix(mechanism, q).T @ hard
+        expected = np.array([mechanism.qvel_of(q, rate) for rate in np.eye(mechanism.n_q)]) @ hard
         assert relative_error(jacobian.T @ force, expected) < RANDOM_LIMIT
 
 

@@ -218,15 +218,12 @@ def test_a_tubes_row_is_never_short_of_the_distance_and_next_to_it():
     at, (q, *_) = free_instant(mechanism)
     row = ca.Function("row", [q], [SitePathLimit(0, limit.key).rows.node(at, ca.SX(0, 1))])
     poses = np.random.default_rng(3).uniform([-1.5, -2.5], [1.5, 2.5], (400, 2))
-    poses = np.vstack([poses, plan_poses()])
+    motion = unlimited().trajectory
+    poses = np.vstack([poses, motion.position_at(motion.dense_times(3))])
     rows = np.array([float(row(pose)) for pose in poses])
     exact = (limit.value(foot_of(poses)) / RADIUS) ** 2
     assert np.all(rows >= exact * (1 - 1e-10) - 1e-10)
     assert np.all(rows <= exact + 0.0028 + 1e-9)  # 0.28 / k
-
-
-def plan_poses() -> np.ndarray:
-    return unlimited().trajectory.position_at(unlimited().trajectory.dense_times(3))
 
 
 REFUSED = [

@@ -108,10 +108,9 @@ def test_of_several_actuators_one_gets_the_motors_and_the_others_keep_their_limi
 
 
 def test_a_reserve_and_what_the_list_replaces_are_kept_and_said():
+    line = {"stall_effort": 9.0, "no_load_speed_deg_s": 3000.0}
     limits = {"effort": {"motor": [-1.0, 1.0]}, "reserve": 0.2}
-    problem = linkplan.Problem.reach(
-        HINGE, start_deg={"J": 10}, goal_deg={"J": 100}, duration_s=1.5, limits=limits, motors={"motor": _line(9.0)}
-    )
+    problem = quarter_turn(duration_s=1.5, limits=limits, motors={"motor": line})
     motors = [{"name": "M", "peak_effort": 4.0, "rms_effort": 4.0, "rotor_inertia": 0.0}]
     found = linkplan.size(problem, motors).sizing
     assert found.motors[0].peak_limit == pytest.approx(0.8 * 4.0, rel=1e-12)
@@ -125,10 +124,6 @@ def test_a_cable_that_only_pulls_does_not_push_with_another_motor_either():
     assert problem.limits.effort.tolist() == [[0.0, 20.0]]
     (motor,) = motors_from({"motor": [{"name": "M", "peak_effort": 30.0}]})
     assert with_motor(problem, 0, motor, 2.0).limits.effort.tolist() == [[0.0, 30.0]]
-
-
-def _line(stall: float) -> dict[str, float]:
-    return {"stall_effort": stall, "no_load_speed_deg_s": 3000.0}
 
 
 @pytest.mark.parametrize(
