@@ -59,7 +59,6 @@ def written(place: Path, blocks: list[tuple[str, str]]) -> Path:
 
 @pytest.mark.parametrize("width", [1100, 1400, 1560, 1920])
 def test_tables_and_drawings_are_in_one_piece_and_the_page_does_not_scroll_sideways(width, tmp_path):
-    """At 1400 px they were folded, and every page was 40 px too wide."""
     blocks = columned()
     assert len(blocks) > 10
     assert max(len(line) for block in blocks for line in block.splitlines()) > 120
@@ -76,7 +75,6 @@ def test_tables_and_drawings_are_in_one_piece_and_the_page_does_not_scroll_sidew
 
 
 def test_on_paper_no_line_of_code_or_of_a_table_is_cut_off(tmp_path):
-    """All lines of more than eighty letters were."""
     code = [("toml", block) for block in blocks_of("toml|python|sh")]
     assert max(len(line) for _, block in code for line in block.splitlines()) > 100
     place = written(tmp_path / "site.html", [*code, *(("text", block) for block in columned())])

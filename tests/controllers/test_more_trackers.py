@@ -10,7 +10,6 @@ import pytest
 
 from linkplan.controllers.imperfections.imperfections import Imperfections, Sensors
 from linkplan.controllers.linearisation import discretise, linearise
-from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop, Rollout
 from linkplan.controllers.trackers.integral_lqr import integrable
 from linkplan.controllers.trackers.mpc import HORIZON_BLOCKS
@@ -140,7 +139,8 @@ def test_scheduled_gains_are_the_reduced_inertia_times_the_wanted_frequency_and_
 def test_integral_gains_at_rest_are_python_control_s():
     plan, reference = optimal("knee-reach"), reference_of("knee-reach", PERIOD, 0.3)
     mechanism, tracking = plan.problem.mechanism, plan.problem.tracking
-    A, B = (x[0] for x in discretise(*linearise(mechanism, *(x[-1:] for x in _states(reference))), PERIOD))
+    states = reference.pose_rad, reference.velocity_rad_s, reference.effort
+    A, B = (x[0] for x in discretise(*linearise(mechanism, *(x[-1:] for x in states)), PERIOD))
     A_all = np.block([[A, np.zeros((2, 1))], [np.array([[-PERIOD, 0.0, 1.0]])]])
     B_all = np.concatenate([B, np.zeros((1, 1))])
     position, velocity = tracking.lqr_errors(mechanism.independent_joints)
@@ -149,10 +149,6 @@ def test_integral_gains_at_rest_are_python_control_s():
     K, _, _ = control.dlqr(A_all, B_all, np.diag(weights**-2.0), np.array([[limit**-2.0]]))
     gains = tracker_of("lqi", "knee-reach", PERIOD, 0.3).gains[-1]
     np.testing.assert_allclose(gains[0], [K[0, 0], K[0, 1], -K[0, 2]], rtol=1e-6)
-
-
-def _states(reference: SampledReference) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return reference.pose_rad, reference.velocity_rad_s, reference.effort
 
 
 def test_integral_action_takes_a_lasting_error_away():
@@ -277,7 +273,6 @@ def test_a_compiled_prediction_gives_the_interpreted_one_s_efforts_to_the_last_b
 
 
 def test_mpc_follows_a_plan_with_a_switch_as_modelled():
-    """Efforts that were held over blocks smeared the switch: 0.0438 deg."""
     assert np.degrees(np.sqrt(np.mean(run_of("mpc", "knee-sprint").error_rad ** 2))) < 0.031
 
 

@@ -17,7 +17,6 @@ from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.simulate import simulate
 from linkplan.controllers.trackers.computed_torque import computed_torque
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.planner.trajectory import Trajectory
 from linkplan.studies.compare.compare import build_tracker
 from tests.support.bodies import HINGE, HINGE_INERTIA, PENDULUM
 from tests.support.designs import designed
@@ -87,7 +86,7 @@ def test_held_and_delayed_efforts_on_a_hinge_are_the_closed_form(delay, late):
 def test_a_long_period_is_integrated_in_steps_of_the_simulator():
     """A rod falls for half a second under a held effort: scipy's answer, for a slow clock beside a fast one too."""
     mechanism = load_mechanism(PENDULUM.format(limit=9))
-    rest = sample(mechanism, resting(1.0), 0.5, 1.0)
+    rest = sample(mechanism, motion_along([0.0, 1.0], np.zeros((2, 1, 1))), 0.5, 1.0)
     machines = [Imperfections(start=Start(position_error=1.0), clock=Clock(period_factor=f)) for f in (1.0, 0.01)]
     runs = simulate(RigidPlant(mechanism=mechanism), RAMP, rest, machines)
     inertia = 0.01 + 0.25  # kg m2 about the pivot
@@ -98,11 +97,6 @@ def test_a_long_period_is_integrated_in_steps_of_the_simulator():
     for machine, duration in ((0, 0.5), (1, 0.005)):
         exact = solve_ivp(rate, (0.0, duration), [1.0, 0.0], rtol=1e-12, atol=1e-12).y[:, -1]
         assert [runs.pose[1, machine, 0], runs.velocity[1, machine, 0]] == pytest.approx(exact, abs=1e-8)
-
-
-def resting(duration_s: float) -> Trajectory:
-    """Return a rest of one joint at zero."""
-    return motion_along([0.0, duration_s], np.zeros((2, 1, 1)))
 
 
 def test_a_clock_that_runs_slow_holds_every_effort_longer():

@@ -33,8 +33,7 @@ def test_reading_sets_aside_no_more_than_a_file_has(tmp_path):
 def test_a_file_of_exactly_the_most_is_read_and_one_byte_more_refused(tmp_path):
     (tmp_path / "file").write_bytes(b"abc")
     assert read_file(tmp_path / "file", "it", 3) == b"abc"
-    with pytest.raises(ProblemError, match="3 bytes; at most 2"):
-        read_file(tmp_path / "file", "it", 2)
+    assert_refused(lambda: read_file(tmp_path / "file", "it", 2), "3 bytes; at most 2", kind=ProblemError)
 
 
 def test_a_head_of_a_long_file_is_read_without_the_rest(tmp_path):
@@ -186,8 +185,7 @@ def test_attributes_of_an_older_mujoco_are_left_out_and_named(tmp_path):
     whole.write_text('<mujoco><include file="arm.xml"/><worldbody><geom size=".1"/></worldbody></mujoco>')
     assert compile_model(whole)[2][0] == notes[0], "of files that are included, too"
     file.write_text(file.read_text().replace("apirate", "newrate"))
-    with pytest.raises(ModelError, match="unrecognized attribute: 'newrate'"):
-        compile_model(file)
+    assert_refused(lambda: compile_model(file), "unrecognized attribute: 'newrate'", kind=ModelError)
 
 
 # `{}` is for the attributes of a texture.
@@ -258,8 +256,7 @@ def test_what_the_compiler_cannot_name_is_a_refusal(monkeypatch):
         raise RuntimeError("Caught an unknown exception!")
 
     monkeypatch.setattr(mujoco.MjSpec, "compile", failing)
-    with pytest.raises(ModelError, match="does not compile"):
-        compile_model(HINGE)
+    assert_refused(lambda: compile_model(HINGE), "does not compile", kind=ModelError)
 
 
 WHOLE = robot(FOUR_BAR, LOOP_JOINT, TRANSMISSION)
@@ -316,8 +313,7 @@ def test_a_urdf_that_is_read_in_parts_only_is_refused_in_one_line(tmp_path, name
 def test_the_place_that_is_not_well_formed_is_named(tmp_path):
     place = tmp_path / "robot.urdf"
     place.write_text("<!-- two\nlines -- -->\n" + REFUSED["a control character"], encoding="utf-8")
-    with pytest.raises(ModelError, match="line 3, column"):
-        linkplan.load_mechanism(place)
+    assert_refused(lambda: linkplan.load_mechanism(place), "line 3, column", kind=ModelError)
 
 
 MJCF = '<mujoco><worldbody>{}<body><joint name="j"/><geom size="0.1"/></body></worldbody></mujoco>'

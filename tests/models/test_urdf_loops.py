@@ -25,6 +25,18 @@ def assert_four_bar(mechanism) -> None:
     np.testing.assert_allclose(end_of_coupler, end_of_rocker, atol=1e-10)
 
 
+# The rocker's frame turned by a quarter turn about y: its own z is the root's x, and its x the root's -z.
+TURNED = FOUR_BAR.replace('<origin xyz="0.2 0 0"/>', '<origin xyz="0.2 0 0" rpy="0 1.5707963267948966 0"/>')
+
+
+def assert_tied_in_turned_frames(mechanism) -> np.ndarray:
+    """Fail unless the loop is closed at the points of the links; return both points (2, 3)."""
+    assert (mechanism.dof, mechanism.n_u) == (1, 1)
+    ends = np.array([mechanism.model.site(f"coupler-rocker {end}").pos for end in (1, 2)])
+    np.testing.assert_allclose(ends, [[0.2, 0, 0.05], [-0.15, 0, 0]], atol=1e-12)
+    return ends
+
+
 @pytest.mark.parametrize("folder", ["", "package/urdf"])
 def test_a_hinge_that_the_solidworks_exporter_cut_is_closed(tmp_path, folder):
     """Its point is in the root link's frame; the exporter writes the file beside the folder of the URDF."""
@@ -44,13 +56,8 @@ def test_check_writes_a_urdf_with_its_loops_as_mjcf(tmp_path, capsys):
 
 
 def test_a_cut_hinge_is_found_through_turned_frames(tmp_path):
-    """The rocker's joint is turned by a quarter turn about y: its own z is the root's x."""
-    turned = FOUR_BAR.replace('<origin xyz="0.2 0 0"/>', '<origin xyz="0.2 0 0" rpy="0 1.5707963267948966 0"/>')
     (tmp_path / "loop_closures.yaml").write_text(CUT, encoding="utf-8")
-    mechanism = linkplan.load_mechanism(written(tmp_path, robot(turned)))
-    assert (mechanism.dof, mechanism.n_u) == (1, 1)
-    ends = [mechanism.model.site(f"coupler-rocker {end}") for end in (1, 2)]
-    np.testing.assert_allclose([one.pos for one in ends], [[0.2, 0, 0.05], [-0.15, 0, 0]], atol=1e-12)
+    assert_tied_in_turned_frames(linkplan.load_mechanism(written(tmp_path, robot(TURNED))))
 
 
 def test_the_only_yaml_file_beside_the_only_urdf_is_read(tmp_path):
@@ -62,11 +69,25 @@ def test_the_only_yaml_file_beside_the_only_urdf_is_read(tmp_path):
     assert linkplan.load_mechanism(str(tmp_path / "other.urdf")).dof == 3  # whose file it is is not known
 
 
-def test_a_yaml_file_beside_the_urdf_closes_loops_and_names_motors(tmp_path):
-    mechanism = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, FRAMES), YAML))
+CLOSING_PINS = FRAMES.replace("end_A", "closing_pin_1").replace("end_B", "closing_pin_2")
+NAMED_BY_JOINTS = YAML.replace("end_A", "end_A_frame").replace("end_B", "end_B_frame")
+BESIDE = "the YAML file beside the URDF"
+
+
+@pytest.mark.parametrize(
+    ("parts", "yaml", "notes"),
+    [
+        ([FRAMES], YAML, [f"closures from {BESIDE}: end_A-end_B", f"motors from {BESIDE}: motor"]),
+        ([FRAMES], NAMED_BY_JOINTS, []),
+        ([LOOP_JOINT, TRANSMISSION], None, ["closures from the URDF: B", "motors from transmissions of the URDF: motor"]),
+        ([CLOSING_PINS, TRANSMISSION], None, ["closures from the URDF: closing_pin_1-closing_pin_2"]),
+    ],
+    ids=["frames in a YAML file", "joints of frames in a YAML file", "loop joint and transmission", "frames in pairs"],
+)
+def test_loops_are_closed_and_joints_driven_and_both_are_said(tmp_path, parts, yaml, notes):
+    mechanism = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, *parts), *([yaml] if yaml else [])))
     assert_four_bar(mechanism)
-    assert "closures from the YAML file beside the URDF: end_A-end_B" in mechanism.notes
-    assert "motors from the YAML file beside the URDF: motor" in mechanism.notes
+    assert set(notes) <= set(mechanism.notes)
 
 
 def test_a_weld_of_two_frames_of_a_plane_linkage_keeps_its_freedom_if_one_can_turn(tmp_path):
@@ -78,30 +99,11 @@ def test_a_weld_of_two_frames_of_a_plane_linkage_keeps_its_freedom_if_one_can_tu
     assert (mechanism.dof, mechanism.n_u) == (1, 1)
 
 
-def test_names_of_joints_stand_for_their_frames(tmp_path):
-    yaml = YAML.replace("end_A", "end_A_frame").replace("end_B", "end_B_frame")
-    assert_four_bar(linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, FRAMES), yaml)))
-
-
-def test_loop_joints_are_closed_and_transmissions_driven(tmp_path):
-    mechanism = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, LOOP_JOINT, TRANSMISSION)))
-    assert_four_bar(mechanism)
-    assert "closures from the URDF: B" in mechanism.notes
-    assert "motors from transmissions of the URDF: motor" in mechanism.notes
-
-
 def test_a_joint_that_has_a_motor_gets_no_second_one(tmp_path):
     path = written(tmp_path, robot(FOUR_BAR, LOOP_JOINT, TRANSMISSION))
     mechanism = linkplan.load_mechanism(path, drive=["motor"])
     assert [actuator.target for actuator in mechanism.actuators] == ["joint motor"]
     assert "motors that the model has already (mechanism.drive): motor on motor" in mechanism.notes
-
-
-def test_closing_frames_are_paired_by_their_names(tmp_path):
-    frames = FRAMES.replace("end_A", "closing_pin_1").replace("end_B", "closing_pin_2")
-    mechanism = linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, frames, TRANSMISSION)))
-    assert_four_bar(mechanism)
-    assert "closures from the URDF: closing_pin_1-closing_pin_2" in mechanism.notes
 
 
 def test_missing_meshes_are_left_out_and_named(tmp_path):
@@ -210,8 +212,7 @@ def test_xacro_is_refused_with_what_expands_it(tmp_path):
 
 def test_a_urdf_without_motors_gets_those_that_the_problem_names(tmp_path, capsys):
     """Exporters write every joint with an effort limit, passive ones too."""
-    frames = FRAMES.replace("end_A", "closing_pin_1").replace("end_B", "closing_pin_2")
-    path = written(tmp_path, robot(FOUR_BAR, frames))
+    path = written(tmp_path, robot(FOUR_BAR, CLOSING_PINS))
     assert main(["check", path]) == 1
     said = capsys.readouterr().out
     assert 'mechanism.drive = ["motor"] puts motors' in said
@@ -228,16 +229,6 @@ def test_a_urdf_without_motors_gets_those_that_the_problem_names(tmp_path, capsy
         linkplan.load_mechanism(path, drive=["moter"])
 
 
-def test_a_default_namespace_hides_no_element(tmp_path):
-    text = robot(FOUR_BAR, LOOP_JOINT, TRANSMISSION).replace("<robot ", '<robot xmlns="http://drake.mit.edu" ', 1)
-    assert "xmlns" in text
-    mechanism = linkplan.load_mechanism(written(tmp_path, text))
-    assert_four_bar(mechanism)
-    assert "closures from the URDF: B" in mechanism.notes
-
-
-# The rocker's frame turned by a quarter turn about y, and about x: its own z is the root's x, and its x the root's -z.
-TURNED = FOUR_BAR.replace('<origin xyz="0.2 0 0"/>', '<origin xyz="0.2 0 0" rpy="0 1.5707963267948966 0"/>')
 GAZEBO = """<gazebo><joint name="B" type="{kind}"><parent>coupler</parent><child>rocker</child><pose>{pose}</pose>
 <axis><xyz>{axis}</xyz>{frame}</axis></joint></gazebo>"""
 ROS2 = """<ros2_control name="hardware" type="system"><joint name="motor"><command_interface name="effort"/></joint>
@@ -257,12 +248,8 @@ def test_a_hinge_of_gazebo_is_closed_and_joints_that_ros2_control_commands_are_d
     """Its pose is in the child, and its axis in that pose or in the root link."""
     text = robot(TURNED, FRAMES, GAZEBO.format(kind="revolute", pose=pose, axis=axis, frame=frame), ROS2)
     mechanism = linkplan.load_mechanism(written(tmp_path, text))
-    assert (mechanism.dof, mechanism.n_u) == (1, 1)
-    ends = [mechanism.model.site(f"coupler-rocker {end}") for end in (1, 2)]
-    np.testing.assert_allclose([one.pos for one in ends], [[0.2, 0, 0.05], [-0.15, 0, 0]], atol=1e-12)
-    along = [
-        mechanism.model.site(f"coupler-rocker axis {end}").pos - end_.pos for end, end_ in zip((1, 2), ends, strict=True)
-    ]
+    ends = assert_tied_in_turned_frames(mechanism)
+    along = np.array([mechanism.model.site(f"coupler-rocker axis {end}").pos for end in (1, 2)]) - ends
     np.testing.assert_allclose(np.abs(along), [[0, 0.05, 0], [0, 0.05, 0]], atol=1e-12)
     assert "closures from the URDF's <gazebo>: B" in mechanism.notes
     assert "motors from ros2_control of the URDF: motor" in mechanism.notes
@@ -351,5 +338,4 @@ def test_a_cut_hinge_without_an_axis_or_a_point_is_refused(tmp_path, old, new):
 
 def test_a_closing_frame_without_its_other_half_is_refused(tmp_path):
     frames = FRAMES.replace("end_A", "lonely").replace("end_B", "closing_pin_2")
-    with pytest.raises(LinkplanError, match="'closing_pin_1'"):
-        linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, frames)))
+    assert_refused(lambda: linkplan.load_mechanism(written(tmp_path, robot(FOUR_BAR, frames))), "'closing_pin_1'")

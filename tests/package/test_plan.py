@@ -13,6 +13,8 @@ import linkplan
 from linkplan.models.errors import InfeasibleError, LinkplanError, PlanFileError, ProblemError
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search.planning import plan_motion
+from tests.support.ode import least_time_reach
+from tests.support.refusals import assert_refused
 
 
 @pytest.fixture(scope="module")
@@ -155,8 +157,7 @@ def test_a_saved_plan_is_read_as_it_was(plan, tmp_path):
     assert again.objective == plan.objective
     assert again.problem.to_dict() == plan.problem.to_dict()
     assert again.sample(0.08).position_deg == pytest.approx(plan.sample(0.08).position_deg)
-    with pytest.raises(PlanFileError, match=r"is not a plan: it has no plan\.json"):
-        linkplan.read_plan(tmp_path)
+    assert_refused(lambda: linkplan.read_plan(tmp_path), "is not a plan: it has no plan.json", kind=PlanFileError)
 
 
 def test_a_figure_is_returned_and_saved_where_a_path_is_given(plan, tmp_path):
@@ -202,34 +203,21 @@ def test_a_step_is_next_to_the_plan_of_its_problem_in_users_units(plan):
 
 
 def test_a_differential_equation_of_ones_own_is_solved():
-    problem = linkplan.OdeProblem(
-        name="double integrator",
-        rate=lambda x, u, p, t: [x[1], u[0]],  # noqa: ARG005
-        start=[0, 0],
-        goal=[1, 0],
-        effort_limit=[[-1, 1]],
-        duration_s=(0.1, 10),
-        final_cost=lambda x0, xT, T, p: T,  # noqa: ARG005
-    )
     told = []
-    plan = linkplan.solve_ocp(problem, told.append).require()
+    plan = linkplan.solve_ocp(least_time_reach(), told.append).require()
     assert plan.objective == pytest.approx(2.0, rel=1e-8)
     assert plan.sample([0.0, 2.0])["state0"] == pytest.approx([0.0, 1.0])
     for beyond in (-0.1, [1.0, 2.1]):  # the polynomials go on, and mean nothing there
         with pytest.raises(ProblemError, match="times must be from 0 to 2 s, where the motion ends"):
             plan.sample(beyond)
-    with pytest.raises(ProblemError, match="times must be finite numbers"):
-        plan.sample("late")
-    with pytest.raises(ProblemError, match="solve_ocp takes an OdeProblem, got 3"):
-        linkplan.solve_ocp(3)
+    assert_refused(lambda: plan.sample("late"), "times must be finite numbers", kind=ProblemError)
+    assert_refused(lambda: linkplan.solve_ocp(3), "solve_ocp takes an OdeProblem, got 3", kind=ProblemError)
 
 
 @pytest.mark.parametrize("problem", [None, 5, {"motion": {}}])
 def test_what_is_no_problem_is_refused(problem):
-    with pytest.raises(ProblemError, match="the problem must be a Problem"):
-        linkplan.plan(problem)
-    with pytest.raises(ProblemError, match="the problem must be a Problem"):
-        linkplan.Planner().plan(problem)
+    assert_refused(lambda: linkplan.plan(problem), "the problem must be a Problem", kind=ProblemError)
+    assert_refused(lambda: linkplan.Planner().plan(problem), "the problem must be a Problem", kind=ProblemError)
 
 
 def test_progress_that_cannot_be_called_is_refused_before_any_work(plan):

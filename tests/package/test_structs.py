@@ -11,7 +11,7 @@ from linkplan.planner.files.structs import Beside, read_value
 from linkplan.results import MechanismResult, Result
 from linkplan.studies.handover.export import c_files
 from linkplan.studies.output.text import text_of
-from tests.support.ode import double_integrator, duration
+from tests.support.ode import least_time_reach
 
 COARSE = {"tracking.period_s": 1e-3, "tracking.kp": 200.0, "tracking.kd": 1.0}
 VARIED = {"payload_mass_factor": [0.9, 1.1], "delay_periods": [0.0, 2.0]}
@@ -97,7 +97,7 @@ def test_the_certificate_and_the_history_in_plan_json_are_the_plan_s_own_structs
     lambda plan, place: linkplan.export(plan, place / "reach.csv", "csv"),
     lambda plan, place: linkplan.export(plan, place / "law", "c"),
     lambda plan, place: linkplan.export(plan.problem.mechanism, place / "model", "c"),
-    lambda _plan, _place: linkplan.solve_ocp(ode_problem()),
+    lambda _plan, _place: linkplan.solve_ocp(least_time_reach()),
 ], ids=["new", "a file", "a law in C", "a model in C", "solve_ocp"])  # fmt: skip
 def test_the_json_of_what_is_no_result_is_read_back_as_its_struct(make, plan, tmp_path, monkeypatch):
     monkeypatch.setattr(c_files, "COMPILERS", {})
@@ -107,14 +107,6 @@ def test_the_json_of_what_is_no_result_is_read_back_as_its_struct(make, plan, tm
     assert plain_record(msgspec.convert(said, type(shown.struct))) == said
     assert str(shown) == text_of(shown.blocks())
     assert "<p" in shown._repr_html_()
-
-
-def ode_problem() -> linkplan.OdeProblem:
-    """Return the reach of a double integrator in least time."""
-    return linkplan.OdeProblem(
-        name="cart", rate=double_integrator, start=[0, 0], goal=[1, 0], effort_limit=[[-1, 1]], duration_s=(0.1, 9.0),
-        final_cost=duration,
-    )  # fmt: skip
 
 
 def test_every_kind_of_result_is_a_struct_and_tried_above():

@@ -146,13 +146,6 @@ def test_an_infeasible_problem_is_explained_and_does_not_spoil_the_next():
     assert planner.plan(problem).objective == pytest.approx(plan_motion(problem).objective, rel=SAME_FIGURE)
 
 
-@pytest.mark.slow
-def test_a_time_limit_is_said_and_is_no_word_on_feasibility():
-    plan = plan_motion(load_problem("knee-reach", ["solver.max_time_s=1e-6"]))
-    assert plan.status == "failed"
-    assert "ran out of its 1e-06 s (solver.max_time_s)" in plan.message
-
-
 CART = """<mujoco><option gravity="0 0 0"/><worldbody><body name="cart"><joint name="X" type="slide" axis="1 0 0"/>
 <inertial pos="0 0 0" mass="1" diaginertia="1 1 1"/></body></worldbody>
 <actuator><motor name="push" joint="X" ctrlrange="-10000 10000"/></actuator></mujoco>"""

@@ -223,8 +223,7 @@ def test_a_price_is_never_negative():
 
 
 def test_a_range_of_payloads_needs_a_payload():
-    with pytest.raises(LinkplanError, match=r"needs a mechanism\.payload"):
-        load_problem("knee-sprint-bare", HEAVY)
+    assert_refused(lambda: load_problem("knee-sprint-bare", HEAVY), "needs a mechanism.payload")
 
 
 # A knee with a second motor, at the rocker's pin: two motors drive its one degree of freedom.

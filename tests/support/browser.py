@@ -4,6 +4,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Self
 
 import pytest
 
@@ -49,10 +50,11 @@ class Opened:
         """Return what an expression is on the page, or what a function on the page gives for an argument."""
         return self.page.evaluate(script, *given)
 
-    def build(self) -> None:
-        """Build all plots, those far below the window too, and let two frames pass."""
+    def build(self) -> Self:
+        """Build all plots, those far below the window too, and let two frames pass; return the page."""
         self.ask("whenSeen.all.forEach((build) => build())")
         self.settle()
+        return self
 
     def settle(self) -> None:
         """Wait until what was asked for has been drawn."""

@@ -367,10 +367,12 @@ class Simulated:
 
 
 def simulated(
-    model: mujoco.MjModel, q: np.ndarray, v: np.ndarray, ctrl: np.ndarray | None = None, *, impedance: float = 0.9999
+    model: mujoco.MjModel, q: np.ndarray, v: np.ndarray, ctrl=None, *, impedance: float = 0.9999, softness: float = 1.0
 ) -> Simulated:
-    """Return what MuJoCo computes at (q, q'), its loop constraints made as stiff as `impedance` says (below 1)."""
+    """Return what MuJoCo computes at (q, q') with loops of an impedance (below 1), and inverse weights times `softness`."""
     model = copy.copy(model)
+    for weights in (model.body_invweight0, model.dof_invweight0):
+        weights[:] *= softness
     model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
     model.opt.tolerance = 0
     model.eq_solimp[:, 0:2] = impedance

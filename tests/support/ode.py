@@ -26,6 +26,13 @@ def double_integrator(x, u, p, t):  # noqa: ARG001
     return [x[1], u[0]]
 
 
+def least_time_reach(**changes) -> OdeProblem:
+    """Return the reach of a double integrator over one in least time, which is 2, with other fields."""
+    fields = {"name": "double integrator", "rate": double_integrator, "start": [0, 0], "goal": [1, 0]}
+    limits = {"effort_limit": [[-1, 1]], "duration_s": (0.1, 20.0), "final_cost": duration}
+    return OdeProblem(**fields | limits | changes)
+
+
 def solved(problem: OdeProblem | None = None, **fields) -> OdePlan:
     """Return the plan of a problem, or of one with these fields, after making sure that it is one."""
     problem = problem or OdeProblem(**{"name": "a test's"} | fields)

@@ -3,7 +3,6 @@
 import copy
 from functools import cache
 
-import mujoco
 import numpy as np
 import pytest
 import scipy.integrate
@@ -13,7 +12,8 @@ from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.reach import reach
 from tests.support.linkages import COUNTS, LEG, LINKAGES, loaded
-from tests.support.mechanisms import Simulated, replaced, simulated
+from tests.support.mechanisms import Simulated, derivative, replaced, simulated
+from tests.support.servos import controls
 from tests.support.tolerances import GAP_M, INTEGRATED_GAP, POWER, RANDOM_LIMIT, REACH_END, REDUCED, TREE, relative_error
 
 N_POSES = 3
@@ -35,27 +35,10 @@ def in_mujoco(
 ) -> Simulated:
     """Return MuJoCo's quantities at internal coordinates and rates under efforts u, its constraints made harder."""
     model = copy.copy(mechanism.model)
-    model.body_invweight0[:] *= softness
-    model.dof_invweight0[:] *= softness
     for array in (model.actuator_ctrllimited, model.actuator_forcelimited):
         array[:] = False
     state = mechanism.qpos_of(q), mechanism.qvel_of(q, rates)
-    if u is None:
-        return simulated(model, *state)
-    data = mujoco.MjData(model)
-    data.qpos[:], data.qvel[:] = state
-    mujoco.mj_forward(model, data)
-    ctrl = np.zeros(model.nu)
-    for actuator, effort in zip(mechanism.actuators, u, strict=True):
-        length, velocity = data.actuator_length[actuator.output], data.actuator_velocity[actuator.output]
-        gain, bias = (np.dot([1.0, length, velocity], x) for x in (actuator.gains, actuator.biases))
-        ctrl[actuator.channel] = (effort - bias) / gain
-    return simulated(model, *state, ctrl)
-
-
-def velocity_matrix(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """Return T, qvel = T q', column by column."""
-    return np.array([mechanism.qvel_of(q, rate) for rate in np.eye(mechanism.n_q)]).T
+    return simulated(model, *state, None if u is None else controls(mechanism, *state, u), softness=softness)
 
 
 @on_every_linkage
@@ -87,7 +70,6 @@ def test_acceleration_is_the_limit_of_mujocos_as_the_loop_hardens(name):
 def chart_acceleration(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Return the derivative of MuJoCo's qvel along the reduced flow, by central differences of qvel(q, q')."""
     a = np.array(mechanism.dynamics.acceleration(q, v, u)).ravel()
-    n_s, h = mechanism.dof, 1e-4
 
     def qvel(t: float) -> np.ndarray:
         s = q[mechanism.independent] + v * t + a * t**2 / 2
@@ -95,8 +77,7 @@ def chart_acceleration(mechanism: Mechanism, q: np.ndarray, v: np.ndarray, u: np
         rates = np.array(mechanism.dynamics.velocity_map(pose)) @ (v + a * t)
         return mechanism.qvel_of(pose, rates)
 
-    assert n_s == len(a)
-    return (8 * (qvel(h) - qvel(-h)) - (qvel(2 * h) - qvel(-2 * h))) / (12 * h)
+    return derivative(qvel, 1e-4)
 
 
 @on_every_linkage
@@ -109,7 +90,7 @@ def test_closure_forces_act_on_the_joints_as_mujocos_constraints_do(name):
         a = mechanism.dynamics.acceleration(q, v, u)
         force = np.array(mechanism.dynamics.closure_force(q, v, a, u)).ravel()
         jacobian = np.array(mechanism.dynamics.closure_jacobian(q))
-        expected = velocity_matrix(mechanism, q).T @ hard
+        expected = np.array([mechanism.qvel_of(q, rate) for rate in np.eye(mechanism.n_q)]) @ hard
         assert relative_error(jacobian.T @ force, expected) < RANDOM_LIMIT
 
 

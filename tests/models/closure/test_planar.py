@@ -3,12 +3,10 @@
 Thirty seeds by default; LINKPLAN_PLANAR=200 in the environment runs two hundred.
 """
 
-import copy
 import os
 from dataclasses import dataclass
 from functools import cache
 
-import mujoco
 import numpy as np
 import pytest
 
@@ -16,9 +14,9 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.along import joint_rates
 from linkplan.models.poses.assembly import close_at
-from tests.support.mechanisms import Simulated, simulated
+from tests.support.mechanisms import simulated
 from tests.support.planar import Planar, random_planar
-from tests.support.servos import ctrl_of
+from tests.support.servos import controls
 from tests.support.tolerances import GAP_M, MOMENT, RANDOM_LIMIT, relative_error
 
 N_SEEDS = int(os.environ.get("LINKPLAN_PLANAR", "30"))
@@ -61,34 +59,11 @@ def case(seed: int) -> Case:
     return Case(planar=planar, mechanism=mechanism, q=np.array(poses), v=rng.normal(size=shape), u=u)
 
 
-def controls(mechanism: Mechanism, q: np.ndarray, rates: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Return the ctrl (nu,) at which MuJoCo's actuators, servos among them, give the efforts u (n_u,)."""
-    data = mujoco.MjData(mechanism.model)
-    data.qpos[:], data.qvel[:] = q, rates
-    mujoco.mj_forward(mechanism.model, data)
-    ctrl = np.zeros(mechanism.model.nu)
-    for actuator, effort in zip(mechanism.actuators, u, strict=True):
-        length, velocity = data.actuator_length[actuator.output], data.actuator_velocity[actuator.output]
-        ctrl[actuator.channel] = ctrl_of(actuator, effort, length, velocity)
-    return ctrl
-
-
-def hardened(c: Case, k: int, softness: float) -> Simulated:
-    """Return MuJoCo's quantities with its loops `softness` times as soft as its hardest impedance makes them.
-
-    A constraint's softness is in proportion to the inverse weights that MuJoCo keeps of bodies and joints, which a link of
-    1e-4 kg makes enormous: they are scaled down.
-    """
-    q, _, rates, u = list(c.samples())[k]
-    model = copy.copy(c.mechanism.model)
-    model.body_invweight0[:] *= softness
-    model.dof_invweight0[:] *= softness
-    return simulated(model, q, rates, controls(c.mechanism, q, rates, u))
-
-
 def limit(c: Case, k: int, quantity: str) -> np.ndarray:
     """Return MuJoCo's quantity for a constraint of no softness, extrapolated from two small softnesses."""
-    first, second = (getattr(hardened(c, k, softness), quantity) for softness in SOFTNESS)
+    q, _, rates, u = list(c.samples())[k]
+    ctrl = controls(c.mechanism, q, rates, u)
+    first, second = (getattr(simulated(c.mechanism.model, q, rates, ctrl, softness=s), quantity) for s in SOFTNESS)
     return (SOFTNESS[0] * second - SOFTNESS[1] * first) / (SOFTNESS[0] - SOFTNESS[1])
 
 

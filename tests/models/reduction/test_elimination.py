@@ -78,7 +78,6 @@ def test_normal_equations_are_solved_to_their_condition_number():
 
 
 def test_an_inertia_whose_terms_cancel_on_one_side_of_the_diagonal_alone_is_inverted():
-    """A welded arm's reduced inertia did so: refused as not symmetric."""
     symbol, b = ca.SX.sym("a", 5, 5), ca.SX.sym("b", 5)
     lopsided = ca.SX(symbol)
     lopsided[0, 4], lopsided[4, 0] = 0, symbol[4, 0] - symbol[0, 4]  # which for a symmetric matrix vanishes

@@ -257,22 +257,20 @@ def met_by_the_foot(*heights: float) -> tuple[float | None, float]:
     return met.since_s, met.depth_m
 
 
-def test_an_overlap_at_home_is_accepted_as_deep_as_it_is_there():
-    since, depth = met_by_the_foot(0.0, 0.01, 0.0)
-    assert depth == pytest.approx(0.002)
-    assert since is None
-
-
-def test_an_overlap_at_home_that_goes_deeper_on_the_way_is_a_collision():
-    since, depth = met_by_the_foot(0.0, -0.0018, 0.0)  # less than twice as deep as at home
-    assert depth == pytest.approx(0.0038)
-    assert 0.0 < since < 1.0
-
-
-def test_a_start_and_a_goal_deeper_than_at_home_are_judged_as_the_way_is():
-    since, depth = met_by_the_foot(-0.02, -0.03, -0.02)
-    assert depth == pytest.approx(0.032)
-    assert since == 0.0
+@pytest.mark.parametrize(
+    ("heights", "deepest", "collides"),
+    [
+        ((0.0, 0.01, 0.0), 0.002, "never"),
+        ((0.0, -0.0018, 0.0), 0.0038, "on the way"),
+        ((-0.02, -0.03, -0.02), 0.032, "at once"),
+    ],
+    ids=["as deep as at home", "less than twice as deep", "a start and a goal deeper than at home"],
+)
+def test_an_overlap_at_home_is_accepted_as_deep_as_it_is_there(heights, deepest, collides):
+    since, depth = met_by_the_foot(*heights)
+    assert depth == pytest.approx(deepest)
+    assert collides == ("never" if since is None else "at once" if since == 0.0 else "on the way")
+    assert since is None or 0.0 <= since < 1.0
 
 
 def meeting(since: float | None, depth_m: float = 1e-3, home_depth_m: float = 0.0, first: str = "a") -> Contact:

@@ -80,7 +80,6 @@ def test_the_linear_growth_is_that_of_the_transition_matrix(angle, stiffness):
 
 
 def test_the_growth_of_minutes_at_upright_does_not_overflow():
-    """A plan of 80 s printed numpy's "overflow encountered in matmul"."""
     n = round(1000 / (RATE * WIDTH_S))  # e^1000 is beyond the largest float
     motion = standing(np.pi, n)
     with np.errstate(over="raise", invalid="raise"):
@@ -112,13 +111,18 @@ def test_the_coefficients_are_scipys():
         np.testing.assert_array_equal(getattr(dormand_prince, name), getattr(DOP853, name))
 
 
+def adaptive(h: float, a: float, b: float, state: np.ndarray, times) -> np.ndarray:
+    """Return the states (n, 2) of a pendulum whose input goes from a to a + b in h seconds."""
+    right = lambda t, x: [x[1], -9.81 * np.sin(x[0]) + a + b * t / h]  # noqa: E731
+    return solve_ivp(right, (0, h), state, method="DOP853", rtol=1e-13, atol=1e-14, t_eval=times).y.T
+
+
 def test_states_are_those_of_adaptive_steps():
     widths, inputs = np.array([0.05, 0.08, 0.03, 0.05, 0.06, 0.04]), np.random.default_rng(0).normal(0, 5, (6, 2))
     reached, state = strides(pendulum(), widths, inputs, np.array([1.0, 0.5])), np.array([1.0, 0.5])
     assert len(reached) == len(widths)
     for k, (h, (a, b)) in enumerate(zip(widths, inputs, strict=True)):
-        right = lambda t, x, a=a, b=b, h=h: [x[1], -9.81 * np.sin(x[0]) + a + b * t / h]  # noqa: E731
-        exact = solve_ivp(right, (0, h), state, method="DOP853", rtol=1e-13, atol=1e-14, t_eval=[h / 2, h]).y.T
+        exact = adaptive(h, a, b, state, [h / 2, h])
         np.testing.assert_allclose(reached[k], exact, rtol=0, atol=2e-12)
         state = exact[-1]
 
@@ -146,9 +150,7 @@ def test_intervals_side_by_side_go_each_from_its_own_state_where_even_steps_do_a
     states, shares = np.array([[1.0, 0.5], [2.0, 0.0], [-1.0, 3.0]]), np.array([0.1, 0.5, 0.8, 1.0])
     reached = side_by_side(pendulum(), widths, inputs, states, shares)
     for k, (h, (a, b)) in enumerate(zip(widths, inputs, strict=True)):
-        right = lambda t, x, a=a, b=b, h=h: [x[1], -9.81 * np.sin(x[0]) + a + b * t / h]  # noqa: E731
-        exact = solve_ivp(right, (0, h), states[k], method="DOP853", rtol=1e-13, atol=1e-14, t_eval=shares * h).y.T
-        np.testing.assert_allclose(reached[k], exact, rtol=0, atol=2e-10)
+        np.testing.assert_allclose(reached[k], adaptive(h, a, b, states[k], shares * h), rtol=0, atol=2e-10)
 
 
 def test_intervals_side_by_side_are_none_where_one_fails():

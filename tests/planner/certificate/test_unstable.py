@@ -28,10 +28,6 @@ def over_upright() -> Plan:
     return body_plan(PENDULUM.format(limit=20.0), motion)
 
 
-def allowed(plan: Plan) -> np.ndarray:
-    return np.full(plan.trajectory.n_s, np.radians(INTEGRATION_DEG))
-
-
 def test_an_error_next_to_upright_would_grow_beyond_all_rounding():
     assert np.exp(RATE * WAIT_S) > 1e6 * RESTART_GROWTH
 
@@ -70,7 +66,8 @@ def test_what_is_begun_anew_still_adds_up_what_each_interval_is_off():
     half = velocity.shape[1] // 2
     velocity[:, half:] += jump
     speed = float(np.abs(velocity).max())
-    judged = integrate(plan.problem.mechanism, replace(motion, velocity=velocity), speed, allowed(plan))
+    allowed = np.full(motion.n_s, np.radians(INTEGRATION_DEG))
+    judged = integrate(plan.problem.mechanism, replace(motion, velocity=velocity), speed, allowed)
     assert judged.velocity * speed > 0.5 * jump
 
 

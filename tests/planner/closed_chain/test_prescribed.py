@@ -35,22 +35,22 @@ def test_a_followed_reference_has_the_intervals_asked_for_in_each_period_and_at_
     assert motion.periodic is (duration == 2.0)
 
 
-@pytest.mark.parametrize(("duration", "instant"), [(2.0, 0.5), (0.4, 0.4)], ids=["within", "at the end"])
-def test_the_largest_overrun_of_a_range_is_named_with_its_instant(duration, instant):
-    problem = followed("limits.range_deg.J=[-90, 10]", f"motion.duration_s={duration}")
+@pytest.mark.parametrize(
+    ("limit", "duration", "what", "value", "instant"),
+    [
+        ("limits.range_deg.J=[-90, 10]", 2.0, "position", 25.0, 0.5),
+        ("limits.range_deg.J=[-90, 10]", 0.4, "position", 5.0 + 20.0 * np.sin(PULSE * 0.4), 0.4),
+        ("limits.speed_deg_s.J=[-90, 10]", 0.4, "speed", 20.0 * PULSE, 0.0),
+    ],
+    ids=["within", "at the end", "at the beginning"],
+)
+def test_the_largest_overrun_is_named_with_its_instant(limit, duration, what, value, instant):
+    problem = followed(limit, f"motion.duration_s={duration}")
     over = reference_overrun(problem, problem.start_pose())
-    assert (over.what, over.name) == ("position", "J")
+    assert (over.what, over.name, over.unit) == (what, "J", {"position": "deg", "speed": "deg/s"}[what])
     assert over.limit == pytest.approx(10.0)
-    assert over.value == pytest.approx(5.0 + 20.0 * np.sin(PULSE * instant), rel=1e-6)
+    assert over.value == pytest.approx(value, rel=1e-6)
     assert over.time_s == pytest.approx(instant, abs=1e-4)
-
-
-def test_the_largest_overrun_of_a_speed_at_the_beginning_is_named_with_its_instant():
-    problem = followed("limits.speed_deg_s.J=[-90, 30]", "motion.duration_s=0.4")
-    over = reference_overrun(problem, problem.start_pose())
-    assert (over.what, over.unit) == ("speed", "deg/s")
-    assert over.value == pytest.approx(20.0 * PULSE, rel=1e-6)
-    assert over.time_s == pytest.approx(0.0, abs=1e-4)
 
 
 @pytest.mark.parametrize(("share", "what"), [(1.01, None), (0.99, "power")])

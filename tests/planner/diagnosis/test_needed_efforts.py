@@ -9,7 +9,7 @@ from scipy.optimize import brentq
 
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.closed_chain.guess import Guess, first_guess, guess_from
+from linkplan.planner.closed_chain.guess import Guess, guess_from
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import reasons
@@ -321,21 +321,3 @@ def test_other_mechanisms_are_answered_so_too(problem, words):
 def test_a_weak_motor_that_swings_up_is_not_taken_for_hurried():
     weak = planned("knee-reach", "motion.duration_s=0.2", "limits.effort.act_O=[-0.1, 0.1]")
     assert "times too short" not in weak.message
-
-
-def test_inertia_alone_asks_for_the_whole_effort_of_a_body_without_weight():
-    motion = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\nduration_s = 0.01\n'
-    problem = body_problem(HINGE, motion)
-    path = path_effort(problem, first_guess(problem, problem.start_pose()))
-    assert path.factor > 1
-    assert path.inertial_factor == pytest.approx(path.factor, rel=1e-9)
-
-
-def test_weight_is_no_part_of_what_inertia_asks_for():
-    motion = 'kind = "reach"\nstart_deg = { J = 10.0 }\ngoal_deg = { J = 100.0 }\nduration_s = 0.01\n'
-    light, heavy = (body_problem(PENDULUM.format(limit=limit), motion) for limit in (1.0, 2.0))
-    factors = [path_effort(one, first_guess(one, one.start_pose())).inertial_factor for one in (light, heavy)]
-    inertia = 0.01 + 0.25  # about the hinge
-    largest = np.radians(90.0) * 10 / np.sqrt(3) / 0.01**2  # of the fifth-order polynomial
-    assert factors[0] == pytest.approx(inertia * largest / 1.0, rel=0.01)
-    assert factors[1] == pytest.approx(factors[0] / 2, rel=1e-9)

@@ -264,8 +264,7 @@ def test_what_is_no_plan_is_refused(what, tmp_path):
         path.mkdir()
     elif what == "a file":
         path.write_text("{}")
-    with pytest.raises(PlanFileError, match="plan"):
-        read_plan(path)
+    assert_refused(lambda: read_plan(path), "plan", kind=PlanFileError)
 
 
 def test_a_solve_without_an_objective_has_one_that_is_not_a_number(saved):

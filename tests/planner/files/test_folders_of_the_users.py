@@ -13,6 +13,7 @@ from linkplan.models import work_folders
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import check_target, write_json, write_whole
 from linkplan.planner.files.manifest import MANIFEST, RECORDS, files_in
+from tests.support.refusals import assert_refused
 
 
 def result(text):
@@ -24,13 +25,18 @@ def result(text):
     return write
 
 
+@pytest.fixture
+def place(tmp_path):
+    """Return the folder of an earlier result."""
+    write_whole(tmp_path / "run", result("old"))
+    return tmp_path / "run"
+
+
 def names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.iterdir())
 
 
-def test_files_of_the_users_in_a_result_survive_a_newer_one(tmp_path):
-    place = tmp_path / "run"
-    write_whole(place, result("old"))
+def test_files_of_the_users_in_a_result_survive_a_newer_one(tmp_path, place):
     (place / "notes.txt").write_text("mine")
     (place / "case" / "notes.txt").write_text("mine too")
     (place / ".git" / "objects").mkdir(parents=True)
@@ -46,9 +52,7 @@ def test_files_of_the_users_in_a_result_survive_a_newer_one(tmp_path):
     assert names(tmp_path) == ["run"]
 
 
-def test_a_file_that_only_the_older_result_had_goes_with_it(tmp_path):
-    place = tmp_path / "run"
-    write_whole(place, result("old"))
+def test_a_file_that_only_the_older_result_had_goes_with_it(place):
     write_whole(place, lambda new: write_json(new / "plan.json", {"problem": {}}))
     assert names(place) == [MANIFEST, "plan.json"]
 
@@ -69,9 +73,7 @@ def test_a_folder_without_a_manifest_is_never_replaced(record, beside, tmp_path)
 
 
 @pytest.mark.parametrize("name", ["plan.json", "case/plan.json"])
-def test_a_file_that_has_changed_since_belongs_to_the_user(name, tmp_path):
-    place = tmp_path / "run"
-    write_whole(place, result("old"))
+def test_a_file_that_has_changed_since_belongs_to_the_user(name, place):
     (place / name).write_text("my own words")
     for act in (lambda: check_target(place), lambda: write_whole(place, result("new"))):
         with pytest.raises(PlanFileError, match=f"'{name}', which has changed since linkplan wrote it"):
@@ -80,30 +82,22 @@ def test_a_file_that_has_changed_since_belongs_to_the_user(name, tmp_path):
 
 
 @pytest.mark.parametrize("linked", ["case/plan.json", "case"])
-def test_a_link_in_the_place_of_a_file_or_folder_of_a_result_belongs_to_the_user(linked, tmp_path):
-    place = tmp_path / "run"
-    write_whole(place, result("old"))
+def test_a_link_in_the_place_of_a_file_or_folder_of_a_result_belongs_to_the_user(linked, tmp_path, place):
     (place / linked).rename(tmp_path / "moved")
     (place / linked).symlink_to(tmp_path / "moved")
-    with pytest.raises(PlanFileError, match="has changed since"):
-        check_target(place)
+    assert_refused(lambda: check_target(place), "has changed since", kind=PlanFileError)
     assert (place / linked).is_symlink()
 
 
-def test_a_manifest_of_another_version_is_refused(tmp_path):
-    place = tmp_path / "run"
-    write_whole(place, result("old"))
+def test_a_manifest_of_another_version_is_refused(place):
     said = json.loads((place / MANIFEST).read_text())
     (place / MANIFEST).write_text(json.dumps(said | {"format": 1, "files": list(said["files"])}))
-    with pytest.raises(PlanFileError, match="another version wrote"):
-        check_target(place)
+    assert_refused(lambda: check_target(place), "another version wrote", kind=PlanFileError)
 
 
 @pytest.mark.skipif(shutil.which("chattr") is None, reason="needs chattr")
 @pytest.mark.parametrize("name", ["plan.json", "case", "case/plan.json", "."])
-def test_an_immutable_part_of_a_result_is_a_refusal_before_the_work(name, tmp_path):
-    place = tmp_path / "run"
-    write_whole(place, result("old"))
+def test_an_immutable_part_of_a_result_is_a_refusal_before_the_work(name, place):
     if subprocess.run(["chattr", "+i", str(place / name)], check=False, capture_output=True).returncode:
         pytest.skip("this file system or user has no immutable files")
     try:
@@ -129,9 +123,8 @@ except PlanFileError as error:
 
 
 @pytest.mark.parametrize("inside", ["case", "case/plan.json", "mine, and yours"])
-def test_a_mount_inside_a_result_is_a_refusal_before_the_work(inside, tmp_path):
-    place, other = tmp_path / "run", tmp_path / "other"
-    write_whole(place, result("old"))
+def test_a_mount_inside_a_result_is_a_refusal_before_the_work(inside, tmp_path, place):
+    other = tmp_path / "other"
     if inside == "case/plan.json":
         other.write_text("a file")
     else:
@@ -160,8 +153,7 @@ def test_the_working_the_home_and_the_root_folder_are_refused(target, tmp_path, 
     (tmp_path / "home").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
-    with pytest.raises(PlanFileError, match="folder or above it"):
-        check_target(Path(target).expanduser())
+    assert_refused(lambda: check_target(Path(target).expanduser()), "folder or above it", kind=PlanFileError)
 
 
 def test_a_link_is_written_through(tmp_path):
@@ -180,8 +172,7 @@ def test_a_folder_is_judged_again_when_it_is_written(tmp_path):
         place.mkdir()
         (place / "thesis.tex").write_text("written meanwhile")
 
-    with pytest.raises(PlanFileError, match="not linkplan's"):
-        write_whole(place, write)
+    assert_refused(lambda: write_whole(place, write), "not linkplan's", kind=PlanFileError)
     assert names(place) == ["thesis.tex"]
     assert names(tmp_path) == ["run"]
 
@@ -190,8 +181,7 @@ def test_a_file_of_the_users_under_a_name_of_ours_is_not_replaced(tmp_path):
     place = tmp_path / "run"
     write_whole(place, lambda new: write_json(new / "plan.json", {"problem": {}}))
     (place / "case").write_text("mine")
-    with pytest.raises(PlanFileError, match="'case', which linkplan needs to write"):
-        write_whole(place, result("new"))
+    assert_refused(lambda: write_whole(place, result("new")), "'case', which linkplan needs to write", kind=PlanFileError)
     assert (place / "case").read_text() == "mine"
 
 
@@ -207,14 +197,11 @@ def test_a_file_of_the_users_under_a_name_of_ours_is_not_replaced(tmp_path):
     ],
     ids=["climbs", "absolute", "no hash", "no hashes", "climbs later", "too many"],
 )
-def test_a_manifest_that_leads_outside_or_lists_without_end_is_refused(files, tmp_path):
+def test_a_manifest_that_leads_outside_or_lists_without_end_is_refused(files, tmp_path, place):
     (tmp_path / "thesis.tex").write_text("mine")
-    place = tmp_path / "run"
-    write_whole(place, result("old"))
     said = json.loads((place / MANIFEST).read_text()) | {"files": files}
     (place / MANIFEST).write_text(json.dumps(said))
-    with pytest.raises(PlanFileError, match="damaged"):
-        write_whole(place, result("new"))
+    assert_refused(lambda: write_whole(place, result("new")), "damaged", kind=PlanFileError)
     assert (tmp_path / "thesis.tex").read_text() == "mine"
 
 
@@ -261,9 +248,7 @@ folders.write_whole(place, write)
         ("at the end", "new"),
     ],
 )
-def test_a_kill_at_any_moment_leaves_old_or_new_and_the_next_run_puts_the_rest_in_order(point, counts, tmp_path):
-    place = tmp_path / "run"
-    write_whole(place, result("old"))
+def test_a_kill_at_any_moment_leaves_old_or_new_and_the_next_run_puts_the_rest_in_order(point, counts, tmp_path, place):
     (place / "notes.txt").write_text("mine")
     (place / "mine").mkdir()
     (place / "mine" / "thesis.tex").write_text("all my work")
@@ -278,13 +263,10 @@ def test_a_kill_at_any_moment_leaves_old_or_new_and_the_next_run_puts_the_rest_i
     assert (place / "mine" / "thesis.tex").read_text() == "all my work"
 
 
-def test_a_file_that_changed_after_a_kill_is_not_replaced(tmp_path):
-    place = tmp_path / "run"
-    write_whole(place, result("old"))
+def test_a_file_that_changed_after_a_kill_is_not_replaced(place):
     subprocess.run([sys.executable, "-c", KILLED, "after the rename", str(place)], check=False)
     (place / "plan.json").write_text("my own words")
-    with pytest.raises(PlanFileError, match=r"'plan\.json', which changed while it was being replaced"):
-        check_target(place)
+    assert_refused(lambda: check_target(place), "'plan.json', which changed while it was being replaced", kind=PlanFileError)
     assert (place / "plan.json").read_text() == "my own words"
 
 
@@ -298,16 +280,13 @@ def test_a_work_folder_that_is_in_use_is_left_alone(tmp_path):
     assert (tmp_path / "run" / "plan.json").is_file()
 
 
-def test_a_disk_that_refuses_to_sync_keeps_the_earlier_result(tmp_path, monkeypatch):
-    place = tmp_path / "run"
-    write_whole(place, result("old"))
+def test_a_disk_that_refuses_to_sync_keeps_the_earlier_result(tmp_path, monkeypatch, place):
 
     def refuse(descriptor: int) -> None:
         raise OSError(28, f"No space left on device, descriptor {descriptor}")
 
     monkeypatch.setattr(os, "fsync", refuse)
-    with pytest.raises(PlanFileError, match="No space left"):
-        write_whole(place, result("new"))
+    assert_refused(lambda: write_whole(place, result("new")), "No space left", kind=PlanFileError)
     assert (place / "case" / "plan.json").read_text() == "old"
     assert names(tmp_path) == ["run"]
 
@@ -324,12 +303,9 @@ def test_an_interrupt_while_it_is_written_leaves_the_earlier_result(tmp_path):
     assert names(tmp_path) == []
 
 
-def test_a_folder_inside_a_result_is_no_place_for_another_result(tmp_path):
+def test_a_folder_inside_a_result_is_no_place_for_another_result(place):
     """A case of a batch has no manifest of its own."""
-    place = tmp_path / "run"
-    write_whole(place, result("old"))
-    with pytest.raises(PlanFileError, match=r"without the \.linkplan\.json"):
-        write_whole(place / "case", result("alone"))
+    assert_refused(lambda: write_whole(place / "case", result("alone")), "without the .linkplan.json", kind=PlanFileError)
     assert (place / "case" / "plan.json").read_text() == "old"
 
 
@@ -337,5 +313,4 @@ def test_a_folder_inside_a_result_is_no_place_for_another_result(tmp_path):
 def test_a_home_that_no_shell_put_in_is_refused(target, tmp_path, monkeypatch):
     """A folder called ~ is one that somebody removes with `rm -r ~`."""
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(PlanFileError, match="no shell"):
-        check_target(Path(target))
+    assert_refused(lambda: check_target(Path(target)), "no shell", kind=PlanFileError)

@@ -119,8 +119,7 @@ def test_work_with_a_limit_on_the_effort_rate_needs_no_word_on_the_mesh():
     found = plan(asked)
     assert min(margin.left for margin in found.certificate.margins if margin.what == "effort_rate") >= 0
     assert found.objective > plan(load_problem("knee-reach", rated[:1])).objective  # the limit costs something
-    with pytest.raises(ProblemError, match="got constant"):
-        load_problem("knee-reach", [*rated, "mesh.effort=constant"])
+    assert_refused(lambda: load_problem("knee-reach", [*rated, "mesh.effort=constant"]), "got constant", kind=ProblemError)
 
 
 def test_tables_are_not_changed_by_what_is_chosen():

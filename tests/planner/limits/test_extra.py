@@ -36,10 +36,6 @@ def own_effort(at):
     return at.effort["act_O"] ** 2
 
 
-def knee_speed(at):
-    return at.velocity_rad_s["C"] ** 2
-
-
 def speed_limit(upper, lower=-np.inf):
     return ExtraLimit(name="hip speed", expression=hip_speed, lower=lower, upper=upper, unit="rad/s")
 
@@ -173,6 +169,7 @@ def test_a_prescribed_motion_is_judged_by_an_extra_limit(knee):
 @pytest.mark.parametrize("name", ["weight", "bound"])
 def test_a_planner_gives_each_weight_and_bound_the_plan_of_its_own(knee, name):
     planner = linkplan.Planner()
+    knee_speed = lambda at: at.velocity_rad_s["C"] ** 2  # noqa: E731
     costs = [[ExtraCost(name="knee", expression=knee_speed, weight=weight)] for weight in (1e-9, 1e-7)]
     limits = [[speed_limit(upper)] for upper in (4.6, 4.5)]
     for extras in (

@@ -6,24 +6,15 @@ import pytest
 
 from linkplan.models.errors import InfeasibleError, ProblemError
 from linkplan.planner.ode.plan import OdePlan, plan_ode
-from linkplan.planner.ode.problem import OdeProblem, StateGuess
+from linkplan.planner.ode.problem import StateGuess
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
-from tests.support.ode import INF, NAN, double_integrator, duration, squared_effort
+from tests.support.ode import INF, NAN, least_time_reach, squared_effort
+from tests.support.refusals import assert_refused
 from tests.support.tolerances_planner import ODE_CLOSED_FORM
-
-SOUND = {
-    "name": "double integrator",
-    "rate": double_integrator,
-    "start": [0, 0],
-    "goal": [1, 0],
-    "effort_limit": [[-1, 1]],
-    "duration_s": (0.1, 20.0),
-    "final_cost": duration,
-}
 
 
 def planned(**changes) -> OdePlan:
-    return plan_ode(OdeProblem(**{**SOUND, **changes}))
+    return plan_ode(least_time_reach(**changes))
 
 
 def at_instant(*values):
@@ -109,10 +100,8 @@ def test_a_malformed_problem_is_refused_in_one_line(case):
 
 @pytest.mark.parametrize("rows", [[1.0, 2.0], [[1.0, NAN], [0.0, 0.0]], [[1.0, 0.0]]])
 def test_a_guess_is_two_or_more_finite_rows_and_lasts(rows):
-    with pytest.raises(ProblemError, match="two or more finite rows"):
-        StateGuess(state=rows)
-    with pytest.raises(ProblemError, match="duration_s"):
-        StateGuess(state=[[0, 0], [1, 0]], duration_s=-1.0)
+    assert_refused(lambda: StateGuess(state=rows), "two or more finite rows", kind=ProblemError)
+    assert_refused(lambda: StateGuess(state=[[0, 0], [1, 0]], duration_s=-1.0), "duration_s", kind=ProblemError)
 
 
 # Problems without an answer.

@@ -257,8 +257,7 @@ TABLES = {
 
 
 def test_a_refusal_names_the_key_that_plans_without_what_is_not_honoured():
-    with pytest.raises(ProblemError, match=r"limits\.unhonoured"):
-        Problem.from_tables("airy", TABLES)
+    assert_refused(lambda: Problem.from_tables("airy", TABLES), "limits.unhonoured", kind=ProblemError)
 
 
 def test_what_is_not_honoured_is_left_out_on_request_and_said_in_the_plan():

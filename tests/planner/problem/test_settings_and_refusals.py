@@ -113,8 +113,7 @@ def test_frictions_of_three_joints_have_sixty_four_corners_and_more_are_refused(
         return Robust(viscous_friction=dict.fromkeys(names, (0.1, 0.2)), coulomb_friction=dict.fromkeys(names, (0.1, 0.3)))
 
     assert len(rubbing(3).corners) == 64
-    with pytest.raises(ProblemError, match="256 corners; the limit is 64"):
-        rubbing(4)
+    assert_refused(lambda: rubbing(4), "256 corners; the limit is 64", kind=ProblemError)
 
 
 # Reach.

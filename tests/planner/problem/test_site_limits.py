@@ -24,7 +24,7 @@ from linkplan.planner.search.replan import Replanner, structure
 from linkplan.planner.search.starts import other_limits
 from tests.support.arms import LOWER, UPPER, arm, foot_of
 from tests.support.margins import other_margins
-from tests.support.refusals import assert_names, refusal
+from tests.support.refusals import assert_names, assert_refused, refusal
 from tests.support.sites import ABOVE, BELOW, arm_of, places_along, plan_of, site_problem
 from tests.support.tolerances_planner import OUT_OF_REACH_M, SITE_BINDS_M, SITE_M, TIGHTENED_ANEW
 
@@ -123,33 +123,39 @@ def test_start_and_goal_may_stand_on_the_limit():
     assert np.ptp(heights) > 1e-3  # it does not stay at that height by itself
 
 
-@pytest.mark.parametrize("end", ["start", "goal"])
-def test_a_start_or_goal_outside_is_named_without_solving(end):
-    z = ABOVE[2] if end == "start" else BELOW[2]
-    box = [-1.0, 0.3] if end == "start" else [-0.3, 1.0]
-    plan = plan_motion(site_problem(arm_of(UPPER, LOWER), PAST, {"foot": {"z": box}}))
+@pytest.mark.parametrize(
+    ("motion", "box", "words"),
+    [
+        ({}, {"z": [-1.0, 0.3]}, [f"z of site foot is {ABOVE[2]:g} m at the start", "limit of 0.3"]),
+        ({}, {"z": [-0.3, 1.0]}, [f"z of site foot is {BELOW[2]:g} m at the goal", "limit of -0.3"]),
+        (
+            {"goal_at": {"foot": {"z": -0.35}}},
+            {"z": [-0.3, 1.0], "x": [-np.inf, np.inf]},  # without a finite end there is no limit
+            ["z of site foot is -0.35 m at the goal", "limit of -0.3"],
+        ),
+        (
+            {"waypoints": [{"at_deg": {"J1": 90.0, "J2": 0.0}}]},
+            {"z": [-1.0, 0.5]},
+            ["z of site foot is 0.55 m at motion.waypoints[0]", "limit of 0.5"],
+        ),
+    ],
+    ids=["start", "goal", "open goal", "waypoint"],
+)
+def test_a_pose_outside_is_named_without_solving(motion, box, words):
+    plan = plan_motion(site_problem(arm_of(UPPER, LOWER), PAST | motion, {"foot": box}))
     assert plan.status == "infeasible"
     assert not plan.history
-    assert_names(plan.message, f"z of site foot is {z:g} m at the {end}", "0.05 m beyond its limit")
+    assert len(plan.problem.limits.site) == 1
+    assert_names(plan.message, "0.05 m beyond its limit", *words)
 
 
 def test_what_every_motion_of_one_freedom_passes_is_named_without_solving():
-    plan = plan_motion(
-        site_problem(arm_of(0.3), {"start_deg": {"J1": 60}, "goal_deg": {"J1": -60}}, {"foot": {"x": [0, 0.28]}})
-    )
+    motion = {"start_deg": {"J1": 60}, "goal_deg": {"J1": -60}}
+    plan = plan_motion(site_problem(arm_of(0.3), motion, {"foot": {"x": [0, 0.28]}}))
     assert plan.status == "infeasible"
     assert not plan.history
-    assert_names(
-        plan.message, "x of site foot is 0.3 m where J1 = ", "between start and goal", "0.02 m beyond its limit of 0.28"
-    )
-
-
-def test_a_waypoint_outside_is_named_without_solving():
-    via = {"at_deg": {"J1": 90.0, "J2": 0.0}}
-    plan = plan_motion(site_problem(arm_of(UPPER, LOWER), PAST | {"waypoints": [via]}, {"foot": {"z": [-1.0, 0.5]}}))
-    assert plan.status == "infeasible"
-    assert not plan.history
-    assert_names(plan.message, "z of site foot is 0.55 m at motion.waypoints[0]", "0.05 m beyond its limit of 0.5")
+    words = "x of site foot is 0.3 m where J1 = ", "between start and goal", "0.02 m beyond its limit of 0.28"
+    assert_names(plan.message, *words)
 
 
 @pytest.mark.slow
@@ -161,14 +167,6 @@ def test_a_limit_that_forbids_a_motion_is_named():
     plan = plan_motion(site_problem(arm_of(UPPER, LOWER), motion | via, box, mesh={"intervals": 10}))
     assert plan.status == "infeasible", plan.message
     assert_names(plan.message, "site foot would have to be", "beyond its limit")
-
-
-def test_a_coordinate_that_an_open_goal_gives_is_known_to_be_outside():
-    motion = {"start_at": {"foot": ABOVE}, "goal_at": {"foot": {"z": -0.35}}, "duration_s": 0.6}
-    plan = plan_motion(site_problem(arm_of(UPPER, LOWER), motion, {"foot": {"z": [-0.3, 1.0], "x": [-np.inf, np.inf]}}))
-    assert plan.status == "infeasible"
-    assert len(plan.problem.limits.site) == 1  # without a finite end there is no limit
-    assert_names(plan.message, "z of site foot is -0.35 m at the goal", "0.05 m beyond its limit of -0.3")
 
 
 def test_the_phase_plane_knows_that_there_are_other_limits():
@@ -220,15 +218,12 @@ def test_a_tubes_row_is_never_short_of_the_distance_and_next_to_it():
     at, (q, *_) = free_instant(mechanism)
     row = ca.Function("row", [q], [SitePathLimit(0, limit.key).rows.node(at, ca.SX(0, 1))])
     poses = np.random.default_rng(3).uniform([-1.5, -2.5], [1.5, 2.5], (400, 2))
-    poses = np.vstack([poses, plan_poses()])
+    motion = unlimited().trajectory
+    poses = np.vstack([poses, motion.position_at(motion.dense_times(3))])
     rows = np.array([float(row(pose)) for pose in poses])
     exact = (limit.value(foot_of(poses)) / RADIUS) ** 2
     assert np.all(rows >= exact * (1 - 1e-10) - 1e-10)
     assert np.all(rows <= exact + 0.0028 + 1e-9)  # 0.28 / k
-
-
-def plan_poses() -> np.ndarray:
-    return unlimited().trajectory.position_at(unlimited().trajectory.dense_times(3))
 
 
 REFUSED = [
@@ -282,8 +277,7 @@ def test_builders_vary_places():
     assert foot_of(moved.motion.goal)[0] == pytest.approx([0.35, 0, -0.3], abs=OUT_OF_REACH_M)
     by_joints = built.replace(goal_at=None, goal_deg={"J1": -30, "J2": 20})
     assert not by_joints.motion.goal_at
-    with pytest.raises(ProblemError, match="keep one"):
-        built.replace(goal_deg={"J1": -30, "J2": 20})
+    assert_refused(lambda: built.replace(goal_deg={"J1": -30, "J2": 20}), "keep one", kind=ProblemError)
 
 
 def example() -> dict:

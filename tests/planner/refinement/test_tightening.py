@@ -173,18 +173,14 @@ def test_steps_that_lead_away_end(coarse):
     x, p = ca.MX.sym("x", len(transcribed.start)), ca.MX.sym("p", len(transcribed.parameters))
     y = x[k] - transcribed.start[k] - 20.0
     g = ca.sign(y) * ca.fabs(y) ** (1 / 3)
-    functions = {"jac_g": ca.Function("jac_g", [x, p], [g, ca.jacobian(g, x)]), "grad_f": without_cost(x, p)}
+    without_cost = ca.Function("grad_f", [x, p], [ca.MX(0), ca.MX(x.shape[0], 1)])
+    functions = {"jac_g": ca.Function("jac_g", [x, p], [g, ca.jacobian(g, x)]), "grad_f": without_cost}
     free = {"lower": np.full(len(transcribed.start), -np.inf), "upper": np.full(len(transcribed.start), np.inf)}
     rows = {"row_lower": np.zeros(1), "row_upper": np.zeros(1)}
     alone = replace(transcribed, program=replace(transcribed.program, functions=functions), **free, **rows)
     near = nearest_feasible(alone, transcribed.start)
     assert not near.converged
     assert near.iterations == 10  # where the row is ten times what it was
-
-
-def without_cost(x: ca.MX, p: ca.MX) -> ca.Function:
-    """Return an objective that is zero, and its gradient."""
-    return ca.Function("grad_f", [x, p], [ca.MX(0), ca.MX(x.shape[0], 1)])
 
 
 def test_no_feasible_point_is_nearer(coarse):

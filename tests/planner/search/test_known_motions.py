@@ -130,7 +130,6 @@ def test_weight_gives_a_motion_a_best_duration():
 
 
 def test_without_effort_limits_there_is_no_shortest_motion():
-    """It was asked for, and a least effort of servos without a forcerange was refused for its objective 'time'."""
     problem = problem_of("knee-reach", "limits.effort.act_O=[-inf, inf]")
     search = search_for(problem)
     assert shortest_motion(search) is None

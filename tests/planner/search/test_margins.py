@@ -54,7 +54,6 @@ def test_a_distance_is_kept_where_loops_may_come_near_a_singular_pose_and_no_mar
 
 
 def test_motions_that_miss_do_not_keep_a_search_from_a_distance():
-    """Both motions from the phase plane had left the branch. The method was not tried; the plan cost 21.6, not 5.43."""
     search = search_for(weak_reach(18))
     missed = Plan(problem=search.problem, status="failed", message="left its branch")
     search.plans.extend([missed, missed])
@@ -91,14 +90,11 @@ SEED = 1
 THROUGH_THE_MESH = 474
 
 
-def clear_problem(number: int) -> Problem:
-    return Problem.from_tables("next to a singular pose", random_case(SEED, number).tables)
-
-
 @pytest.mark.slow
 def test_known_switches_are_planned_next_to_a_singular_pose():
     """From a smooth path, solvers fly through the mesh: 24 % faster than the least time, and no motion."""
-    case, problem = random_case(SEED, THROUGH_THE_MESH), clear_problem(THROUGH_THE_MESH)
+    case = random_case(SEED, THROUGH_THE_MESH)
+    problem = Problem.from_tables("next to a singular pose", case.tables)
     quickest = least_time_guess(problem, problem.start_pose())
     assert quickest is not None
     plan = plan_from(search_for(problem), FULL_BUDGET, "the phase plane", quickest)

@@ -38,16 +38,24 @@ from tests.support.arms import arm
 from tests.support.data import DATA
 from tests.support.motions import motion_along
 
+LEG = DATA / "leg_with_four_bar_knee.xml"
 LOAD = {"body": "shank", "mass_kg": 1.5, "com_m": [0.0, 0.0, 0.0], "inertia_kgm2": [1e-3, 1e-3, 1e-3]}
 LEAST_TIME_S, LEAST_EFFORT = 0.18663512, 850.59
 ARM_EFFORT, KNEE_S = 18.302525, 0.12185127
 ENDS = {"start_deg": {"hip_pitch": 20.0, "knee_motor": 5.0}, "goal_deg": {"hip_pitch": -50.0, "knee_motor": 38.0}}
 
 
-def leg(**asked):
-    mechanism = linkplan.load_mechanism(DATA / "leg_with_four_bar_knee.xml")
-    limits = {"contacts": "note"}
+def leg(payload=None, limits=None, **asked):
+    mechanism = linkplan.load_mechanism(LEG, payload=payload)
+    limits = {"contacts": "note"} | (limits or {})
     return linkplan.Problem.reach(mechanism, **ENDS, **asked, mesh={"intervals": 40}, limits=limits)
+
+
+def refined(problem, start_s: float):
+    """Return the refined motion of a problem, from a motion on a coarse mesh that begins at a duration."""
+    first = multistart._first_case(case_of(problem).problem, problem.start_pose())
+    guess = first_guess(problem, problem.start_pose())
+    return finer_meshes.refine_several(case_of(problem), attempt(first, guess, uniform(24), np.array([start_s]), "first"))
 
 
 @pytest.fixture(scope="module")
@@ -84,10 +92,7 @@ def test_solves_keep_a_distance_from_singular_poses_that_the_certificate_does_no
 
 @pytest.fixture(scope="module")
 def laden():
-    mechanism = linkplan.load_mechanism(DATA / "leg_with_four_bar_knee.xml", payload=LOAD)
-    return linkplan.Problem.reach(
-        mechanism, **ENDS, duration_s="free", minimize="time", mesh={"intervals": 40}, limits={"contacts": "note"}
-    )
+    return leg(payload=LOAD, duration_s="free", minimize="time")
 
 
 def test_the_multipliers_promise_what_a_smaller_distance_from_singular_poses_gains(laden):
@@ -126,10 +131,8 @@ def test_rows_between_the_nodes_are_those_of_the_joints_that_need_them(in_least_
 
 
 def test_a_margin_that_is_asked_for_is_kept():
-    mechanism = linkplan.load_mechanism(DATA / "leg_with_four_bar_knee.xml")
-    problem = linkplan.Problem.reach(mechanism, **ENDS, duration_s=0.3, limits={"singular_margin": 0.3})
-    kept = at_a_distance(case_of(problem), problem.start_pose()).problem.limits.singular_margin
-    assert kept == 0.3
+    problem = leg(duration_s=0.3, limits={"singular_margin": 0.3})
+    assert at_a_distance(case_of(problem), problem.start_pose()).problem.limits.singular_margin == 0.3
 
 
 def test_a_slower_motion_bounds_a_least_time_that_does_not_pass(in_least_time, monkeypatch):
@@ -203,57 +206,41 @@ def test_solves_that_the_time_does_not_allow_are_left_and_repairs_are_certified(
     in_least_time, monkeypatch, solve_s, repair_s, called
 ):
     """There are 25 s for solves."""
-    clock = Hand()
-    solver = in_least_time.solver.replace(max_time_s=60.0, deadline=Deadline(clock=clock).within(25.0))
-    case = case_of(replace(in_least_time, solver=solver))
-    first = multistart._first_case(case.problem, in_least_time.start_pose())
-    found = attempt(first, first_guess(in_least_time, in_least_time.start_pose()), uniform(24), np.array([0.2]), "first")
-    taking(monkeypatch, finer_meshes, "attempt", clock, solve_s)
-    taking(monkeypatch, finer_meshes, "nearest_on", clock, repair_s)
-    refined = finer_meshes.refine_several(case, found)
-    assert clock.called == called
-    assert finer_meshes.is_sound(refined.certificate)
+    calls = []
+    deadline = Deadline(clock=lambda: sum(seconds for _, seconds in calls)).within(25.0)
+    solver = in_least_time.solver.replace(max_time_s=60.0, deadline=deadline)
+    taking(monkeypatch, "attempt", calls, solve_s)
+    taking(monkeypatch, "nearest_on", calls, repair_s)
+    found = refined(replace(in_least_time, solver=solver), 0.2)
+    assert [name for name, _ in calls] == called
+    assert finer_meshes.is_sound(found.certificate)
 
 
 def test_a_corrected_motion_that_needs_slightly_too_much_effort_takes_slightly_longer(in_least_time, monkeypatch):
-    """On a coarser mesh, and without a distance from the limits on efforts, the correction overruns them between the nodes."""
-    case = case_of(in_least_time)
-    first = multistart._first_case(case.problem, in_least_time.start_pose())
-    found = attempt(first, first_guess(in_least_time, in_least_time.start_pose()), uniform(24), np.array([0.2]), "first")
+    """On a coarser mesh at no distance from the limits on efforts, the correction overruns them between the nodes."""
     monkeypatch.setattr(finer_meshes, "_DISTANCE_OF_EFFORTS", 0.0)
     monkeypatch.setattr(finer_meshes, "_MAX_PIECES_OF_CORRECTIONS", 2)
     corrected, slowed = [], finer_meshes._slowed
     monkeypatch.setattr(finer_meshes, "_slowed", lambda case, at: corrected.append(at) or slowed(case, at))
-    refined = finer_meshes.refine_several(case, found)
-    overrun = corrected[-1].certificate.effort_overrun.max()
+    found, last = refined(in_least_time, 0.2), corrected[-1]
+    overrun = last.certificate.effort_overrun.max()
     assert overrun > 1.0
-    assert finer_meshes.is_sound(refined.certificate)
-    longer = refined.motion.duration_s / corrected[-1].found.motion.duration_s
+    assert finer_meshes.is_sound(found.certificate)
+    longer = found.motion.duration_s / last.found.motion.duration_s
     assert longer == pytest.approx(1.0 + 2e-6 * overrun, abs=1e-12)
-    assert refined.solution.objective == pytest.approx(longer * corrected[-1].found.solution.objective, rel=1e-6)
+    assert found.solution.objective == pytest.approx(longer * last.found.solution.objective, rel=1e-6)
 
 
-class Hand:
-    """A clock that goes on where it is told to, and counts how often it was."""
-
-    def __init__(self) -> None:
-        self.now, self.called = 0.0, []
-
-    def __call__(self) -> float:
-        return self.now
-
-
-def taking(monkeypatch, module, name: str, clock: Hand, seconds: float) -> None:
-    """Move a clock on by some seconds at each call of a function, and record the call."""
-    function = getattr(module, name)
+def taking(monkeypatch, name: str, calls: list, seconds: float) -> None:
+    """Record the name and the duration of each call of a function of `finer_meshes`."""
+    function = getattr(finer_meshes, name)
 
     def timed(*given, **named):
         found = function(*given, **named)
-        clock.now += seconds
-        clock.called.append(name)
+        calls.append((name, seconds))
         return found
 
-    monkeypatch.setattr(module, name, timed)
+    monkeypatch.setattr(finer_meshes, name, timed)
 
 
 def test_the_tie_weight_is_the_mean_squared_effort_in_shares_of_the_limits(in_least_time):
@@ -270,8 +257,7 @@ def test_a_jump_is_where_the_impulse_of_its_interval_puts_it(in_least_time):
     still = np.zeros((2, 10, 2))
     motion = motion_along(breaks, still, effort=np.stack([level, level]), start_pose=in_least_time.mechanism.home)
     assert effort_jumps(case_of(in_least_time), motion) == pytest.approx([0.47])
-    smooth = case_of(leg(duration_s=0.3, minimize="effort"))
-    assert len(effort_jumps(smooth, motion)) == 0
+    assert len(effort_jumps(case_of(leg(duration_s=0.3, minimize="effort")), motion)) == 0
 
 
 def straight_arm(scheme: str, **asked):
@@ -281,24 +267,14 @@ def straight_arm(scheme: str, **asked):
 
 def test_a_correction_that_costs_more_than_a_thousandth_is_no_correction(in_least_time, monkeypatch):
     """A correction that costs 0.2 % more is refused, and the motion before it remains; 0.05 % is accepted."""
-    refined = with_corrections(in_least_time, monkeypatch, cost=1.002)
-    assert not finer_meshes.is_sound(refined.certificate)
-    assert finer_meshes.is_sound(with_corrections(in_least_time, monkeypatch, cost=1.0005).certificate)
+    for cost, accepted in ((1.002, False), (1.0005, True)):
 
-
-def with_corrections(problem, monkeypatch, cost: float):
-    """Return a refined motion; each correction multiplies its cost by this factor."""
-    with monkeypatch.context() as patch:
-
-        def dearer(*given, **named):
+        def dearer(*given, cost=cost, **named):
             found = nearest_on(*given, **named)
             return replace(found, solution=replace(found.solution, objective=cost * found.solution.objective))
 
-        patch.setattr(finer_meshes, "nearest_on", dearer)
-        case = case_of(problem)
-        first = multistart._first_case(case.problem, problem.start_pose())
-        start = first_guess(problem, problem.start_pose())
-        return finer_meshes.refine_several(case, attempt(first, start, uniform(24), np.array([0.2]), "first"))
+        monkeypatch.setattr(finer_meshes, "nearest_on", dearer)
+        assert finer_meshes.is_sound(refined(in_least_time, 0.2).certificate) == accepted
 
 
 def test_the_soundest_of_the_corrected_motions_is_the_answer(monkeypatch):
@@ -313,13 +289,9 @@ def test_the_soundest_of_the_corrected_motions_is_the_answer(monkeypatch):
 
     monkeypatch.setattr(finer_meshes, "_repaired", unsound)
     monkeypatch.setattr(finer_meshes, "_SETTLED_CHANGE", 0.0)  # so several meshes have a motion that passes
-    problem = straight_arm("radau-3", duration_s=0.5, minimize="effort")
-    case = case_of(problem)
-    first = multistart._first_case(case.problem, problem.start_pose())
-    start = first_guess(problem, problem.start_pose())
-    refined = finer_meshes.refine_several(case, attempt(first, start, uniform(24), np.array([0.5]), "first"))
+    found = refined(straight_arm("radau-3", duration_s=0.5, minimize="effort"), 0.5)
     assert len(seen) > 1
-    assert refined.certificate.effort_overrun.max() == min(seen)
+    assert found.certificate.effort_overrun.max() == min(seen)
 
 
 @pytest.mark.parametrize("scheme", ["trapezoid", "hermite-simpson", "radau-2"])
@@ -372,10 +344,7 @@ def test_an_effort_jumps_from_one_end_to_the_other_of_what_its_power_permits(in_
 @pytest.mark.slow
 def test_a_motion_within_a_limit_on_the_jerk_of_a_site_has_segments_that_end_where_the_jerk_turns_about():
     """Its size stays at the limit. On meshes without these ends, the same motion costs 0.3 % more."""
-    mechanism = linkplan.load_mechanism(DATA / "leg_with_four_bar_knee.xml")
-    limits = {"contacts": "note", "site_jerk_m_s3": {"toe": 2e4}}
-    asked = {"duration_s": 0.28, "minimize": "effort", "mesh": {"intervals": 40}, "limits": limits}
-    plan = linkplan.plan(linkplan.Problem.reach(mechanism, **ENDS, **asked))
+    plan = linkplan.plan(leg(duration_s=0.28, minimize="effort", limits={"site_jerk_m_s3": {"toe": 2e4}}))
     assert plan.status == "optimal"
     assert plan.history[-1].segments > 1
     assert plan.objective == pytest.approx(859.65, rel=1e-3)
@@ -384,9 +353,7 @@ def test_a_motion_within_a_limit_on_the_jerk_of_a_site_has_segments_that_end_whe
 @pytest.mark.slow
 def test_a_segment_whose_switch_times_meet_on_finer_meshes_is_removed_and_the_motion_is_proved():
     """Within 0.8 times the largest force on the rod's pin; a segment of 6e-11 s had accelerations of rounding only."""
-    mechanism = linkplan.load_mechanism(DATA / "leg_with_four_bar_knee.xml")
-    limits = {"contacts": "note", "closure_force": {"rod_end-knee_tab": 2347.431}}
-    plan = linkplan.plan(linkplan.Problem.reach(mechanism, **ENDS, minimize="time", mesh={"intervals": 40}, limits=limits))
+    plan = linkplan.plan(leg(minimize="time", limits={"closure_force": {"rod_end-knee_tab": 2347.431}}))
     assert plan.status == "optimal"
     assert plan.proof.passed
     assert plan.objective == pytest.approx(0.187648, rel=1e-4)
@@ -400,7 +367,7 @@ def test_a_reference_that_asks_for_a_little_too_much_is_tracked_by_two_motors_an
         "bias_deg": {"hip_pitch": -15.0, "knee_motor": 21.5},
         "phase_deg": {"hip_pitch": 180.0},
     }
-    mechanism, asked = linkplan.load_mechanism(DATA / "leg_with_four_bar_knee.xml"), {"limits": {"contacts": "note"}}
+    mechanism, asked = linkplan.load_mechanism(LEG), {"limits": {"contacts": "note"}}
     plan = linkplan.plan(linkplan.Problem.periodic(mechanism, reference=reference, mesh={"intervals": 40}, **asked))
     assert plan.status == "optimal"
     assert plan.proof.passed

@@ -266,27 +266,6 @@ def test_a_held_quantity_is_at_its_limit_at_every_node_of_its_arc_and_where_it_m
     np.testing.assert_array_equal(at_open_ends[:, 0], open_ends)
 
 
-@pytest.mark.parametrize(("before", "after"), [(5.0, -5.0), (-5.0, 5.0), (5.0, 5.0)])
-def test_an_arc_meets_a_bang_without_a_jump_where_its_effort_beside_the_switch_has_the_bangs_sign(before, after):
-    """The effort along the arc from 1 s to 3 s is positive in its first half and negative in its second."""
-    durations = np.array([1.0, 2.0, 1.0])
-
-    def nodes(time: np.ndarray) -> tuple:
-        effort = np.where((time > 1.0) & (time < 3.0), np.sign(2.0 - time), 0.0)
-        return None, None, None, effort[:, None]
-
-    junctions = find_junctions(
-        formulation(rows=IntervalRows(open_end_path=(0,))),
-        segmented(durations, 12),
-        durations,
-        Start(states=nodes, nodes=nodes),
-        np.array([[before], [np.nan], [after]]),
-        np.array([[0], [1], [0]]),
-    )
-    expected = [[int(before > 0)], [-int(after < 0)]]
-    assert (np.zeros((2, 1)) if junctions is None else junctions).tolist() == expected
-
-
 NAN, DURATIONS = np.nan, np.array([1.0, 2.0, 1.0])
 FORMULATION = formulation(rows=IntervalRows(open_end_path=(0,)), effort=np.array([[-4.0, 4.0]]))
 # Between two bangs the power is held. The arc goes on from the first without a jump, or into the last.
@@ -294,11 +273,12 @@ ONTO = np.array([[4.0], [NAN], [-4.0]]), np.array([[0], [1], [0]])
 OFF = np.array([[-4.0], [NAN], [4.0]]), np.array([[0], [1], [0]])
 
 
-def found(held: tuple[np.ndarray, np.ndarray], along: float) -> np.ndarray | None:
-    """Return the junctions of a motion whose effort is `along` on the arc from 1 s to 3 s."""
+def found(held: tuple[np.ndarray, np.ndarray], along: float, after: float | None = None) -> np.ndarray | None:
+    """Return the junctions of a motion whose effort is `along` on the arc from 1 s to 3 s, `after` from 2 s on."""
 
     def nodes(times: np.ndarray):
-        return None, None, None, np.full((len(times), 1), along)
+        effort = np.where(times < 2.0, along, along if after is None else after)
+        return None, None, None, np.where((times > 1.0) & (times < 3.0), effort, 0.0)[:, None]
 
     return find_junctions(FORMULATION, segmented(DURATIONS, 12), DURATIONS, Start(states=nodes, nodes=nodes), *held)
 
@@ -308,6 +288,13 @@ def found(held: tuple[np.ndarray, np.ndarray], along: float) -> np.ndarray | Non
 )
 def test_an_effort_that_does_not_change_its_sign_goes_on_without_a_jump(held, along, ways):
     assert found(held, along).ravel().tolist() == ways
+
+
+@pytest.mark.parametrize(("before", "after"), [(4.0, -4.0), (-4.0, 4.0), (4.0, 4.0)])
+def test_an_arc_meets_a_bang_without_a_jump_where_its_effort_beside_the_switch_has_the_bangs_sign(before, after):
+    junctions = found((np.array([[before], [NAN], [after]]), ONTO[1]), 1.0, -1.0)
+    expected = [[int(before > 0)], [-int(after < 0)]]
+    assert (np.zeros((2, 1)) if junctions is None else junctions).tolist() == expected
 
 
 def test_between_two_bangs_there_is_no_junction():

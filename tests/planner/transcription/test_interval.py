@@ -121,7 +121,8 @@ def test_unknowns_at_nodes_are_those_of_the_polynomials(name):
     effort = bernstein_matrix(len(u) - 1, at) @ u
     assert found == pytest.approx(np.array([position, speed, a, state, r, effort]))
     # Rows: what the next interval begins with less where this one ends, then the coefficients of the state.
-    reached = [position_end(chosen, s0, v0, a), v0 + WIDTH * through(a).integ()(1.0), x0 + WIDTH * through(r).integ()(1.0)]
+    position = s0 + WIDTH * v0 + WIDTH**2 * float(chosen.position_coefficients[-1] @ a)
+    reached = [position, v0 + WIDTH * through(a).integ()(1.0), x0 + WIDTH * through(r).integ()(1.0)]
     assert own[:3] == pytest.approx(end - reached)
     tau = np.linspace(0.0, 1.0, 7)
     along = bernstein_matrix(len(own) - 4, tau) @ own[3:]
@@ -145,11 +146,6 @@ def test_the_jerk_at_nodes_and_open_ends_is_the_slope_of_the_polynomial_of_accel
     fits = [np.polynomial.Polynomial(np.polynomial.polynomial.polyfit(chosen.nodes, column, 2)) for column in a.T]
     assert len(found) == len(at)
     assert found == pytest.approx(np.array([fit.deriv()(at) / WIDTH for fit in fits]).T)
-
-
-def position_end(chosen, s0: float, v0: float, a: np.ndarray) -> float:
-    """Return where a position ends by the last of the scheme's coefficients."""
-    return s0 + WIDTH * v0 + WIDTH**2 * float(chosen.position_coefficients[-1] @ a)
 
 
 @pytest.fixture

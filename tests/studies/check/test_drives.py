@@ -110,7 +110,6 @@ def test_no_motor_is_offered_for_the_spin_of_a_rod_but_one_for_a_wheel():
 
 
 def test_a_motor_is_offered_for_fingers_that_close_without_weight_or_damping():
-    """They coast, in a loop, as the spin of a rod does; and it was said that their loops hold them still."""
     fingers = "".join(
         f'<body pos="{x} 0 0"><joint name="{name}" type="slide" axis="{-x} 0 0"/><geom size=".01"/></body>'
         for name, x in (("left", -0.03), ("right", 0.03))

@@ -306,7 +306,6 @@ def test_the_drawing_of_two_freedoms_sweeps_both(tmp_path, monkeypatch):
 
 
 def test_a_rod_s_spin_is_not_drawn_over_its_reach():
-    """A delta's figure had the spins of two rods in place of its other motors."""
     found = inspect(load_mechanism(RSSR), [])
     assert len(found.reaches) == 2
     assert {axes.get_xlabel() for axes in figure_of(inspection_figure(found)).axes[1:]} == {"crank [deg]"}

@@ -55,17 +55,17 @@ def test_gravity_in_other_units_than_metres_is_noted_with_the_size_of_the_bodies
 
 @pytest.fixture(scope="module")
 def tumbling():
+    """Return the paths along the reach of each of three bodies on hinges, of which a motor drives the first."""
     bodies = "".join(
         f'<body pos="{k} 0 0"><joint name="j{k}" axis="0 1 0"/><geom size="0.1" pos="0.3 0 0"/></body>' for k in range(3)
     )
     motor = '<motor name="m" joint="j0" ctrlrange="-1 1"/>'
-    return load_mechanism(f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motor}</actuator></mujoco>")
+    mechanism = load_mechanism(f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motor}</actuator></mujoco>")
+    return [*map(measured, reach_sweeps(mechanism, inspect(mechanism, []).reaches))]
 
 
 def test_of_a_reach_the_sentences_name_the_coordinate_that_moves_and_no_other(tumbling):
-    mechanism = tumbling
-    paths = [*map(measured, reach_sweeps(mechanism, inspect(mechanism, []).reaches))]
-    for path, name in zip(paths, ("j0", "j1", "j2"), strict=True):
+    for path, name in zip(tumbling, ("j0", "j1", "j2"), strict=True):
         lines = text_of(path_blocks(path)).splitlines()
         said = [line for line in lines if " at j" in line and ("holds" in line or "asks" in line)]
         assert said
@@ -73,15 +73,12 @@ def test_of_a_reach_the_sentences_name_the_coordinate_that_moves_and_no_other(tu
 
 
 def test_of_many_coordinates_what_stays_the_same_is_said_once(tumbling):
-    mechanism = tumbling
-    paths = [*map(measured, reach_sweeps(mechanism, inspect(mechanism, []).reaches))]
-    texts = [text_of(path_blocks(path, brief=True)) for path in paths]
+    texts = [text_of(path_blocks(path, brief=True)) for path in tumbling]
     assert [text.count("no actuator holds j1 still") for text in texts] == [1, 1, 0]
     assert [text.count("no actuator holds j2 still") for text in texts] == [1, 0, 1]
 
 
 def test_at_its_dead_centre_an_actuator_holds_nothing():
-    """Its arm, rounding, made it hold a published biped's foot by 2.8e10 N.m."""
     maps = np.array([[[25.0, 0.0], [0.0, 2.6e-13]], [[25.0, 0.0], [0.0, 1e-3]]])
     assert least_effort(np.array([[50.0, 7.0], [50.0, 7.0]]), maps) == pytest.approx(np.array([[2.0, 0.0], [2.0, 7e3]]))
 

@@ -52,7 +52,6 @@ def test_a_robot_of_many_joints_is_summed_up_in_thirty_lines(ask, tmp_path, floa
 
 
 def test_a_motor_too_weak_for_the_weight_is_the_first_note(ask, tmp_path):
-    """`check` found no problems and said nothing but with --all."""
     mass, arm_m, strongest = 2.0, 0.5, 8.0  # m g l = 9.81 N.m
     body = f'<body><joint name="P" axis="0 -1 0"/><geom size="0.01" mass="{mass}" pos="0 0 -{arm_m}"/></body>'
     motor = f'<motor name="m" joint="P" ctrlrange="-{strongest} {strongest}"/>'
@@ -132,7 +131,6 @@ def test_a_platform_that_loops_hold_does_not_float(ask_json, tmp_path):
 
 
 def test_a_model_without_a_motor_is_told_how_it_gets_one(ask, tmp_path):
-    """The refusals of a plan and of a feedback loop named no remedy."""
     arm = '<body name="arm"><joint name="J" axis="0 1 0"/><geom size="0.05" pos="0.1 0 0"/></body>'
     path = tmp_path / "arm.xml"
     path.write_text(f"<mujoco><worldbody>{arm}</worldbody></mujoco>", encoding="utf-8")

@@ -19,6 +19,7 @@ from linkplan.studies.cli import main as program
 from linkplan.studies.output.figure import page
 from tests.bench.fuzz import fuzz
 from tests.support.plans import saved_plan
+from tests.support.refusals import assert_refused
 
 CRANK = built_in_text("slider-crank")
 BAR = """<mujoco><option timestep="1e-3"/><worldbody><body name="bar"><joint name="h" axis="0 1 0" {joint}/>
@@ -69,8 +70,7 @@ def test_a_pipe_is_refused_and_not_waited_for(tmp_path):
 
 def test_names_that_are_no_text_are_refused(tmp_path):
     (tmp_path / "a.xml").write_bytes(bar().replace('"bar"', '"b\u00e4r"').encode("latin-1"))
-    with pytest.raises(ModelError, match="UTF-8"):
-        load_mechanism(tmp_path / "a.xml")
+    assert_refused(lambda: load_mechanism(tmp_path / "a.xml"), "UTF-8", kind=ModelError)
 
 
 def test_a_mark_that_editors_put_before_the_text_is_no_part_of_it(tmp_path):
@@ -83,8 +83,7 @@ def test_a_mark_that_editors_put_before_the_text_is_no_part_of_it(tmp_path):
 @pytest.mark.parametrize("content", ["a = " + "[" * 5000, "a = " + "9" * 5000, "[a" + ".a" * 5000 + "]\nb=1"])
 def test_toml_that_breaks_its_reader_is_refused(content, tmp_path):
     (tmp_path / "a.toml").write_text(content)
-    with pytest.raises(ProblemError):
-        load_problem(tmp_path / "a.toml")
+    assert_refused(lambda: load_problem(tmp_path / "a.toml"), kind=ProblemError)
 
 
 @pytest.mark.parametrize("line", [["--frequency-hz", "1e-5,10"], ["--period-s", "1e9"]])
@@ -171,8 +170,7 @@ CHANGED = {
 @pytest.mark.parametrize("what", CHANGED)
 def test_a_plan_that_does_not_pass_is_refused_or_run_anyway_with_exit_one(what, tmp_path, ask):
     folder = CHANGED[what](saved_plan("knee-reach", tmp_path))
-    with pytest.raises(CertificateError):
-        read_plan(folder)
+    assert_refused(lambda: read_plan(folder), kind=CertificateError)
     assert read_plan(folder, anyway=True).status == "failed"
     code, out, err = ask("track", str(folder))
     assert (code, out) == (1, "")
@@ -186,8 +184,7 @@ def test_a_plan_that_does_not_pass_is_refused_or_run_anyway_with_exit_one(what, 
 @pytest.mark.parametrize("factor", [1e-200, 1e200])
 def test_a_plan_of_a_duration_whose_square_is_no_float_is_refused(factor, tmp_path):
     folder = scaled(saved_plan("knee-reach", tmp_path), "breaks_s", factor)
-    with pytest.raises(PlanFileError):
-        read_plan(folder)
+    assert_refused(lambda: read_plan(folder), kind=PlanFileError)
 
 
 def test_an_array_that_declares_more_than_it_may_is_refused_before_it_is_read(tmp_path):
@@ -195,8 +192,7 @@ def test_an_array_that_declares_more_than_it_may_is_refused_before_it_is_read(tm
     names = ("breaks_s", "position", "velocity", "effort", "start_pose", "periodic")
     np.savez_compressed(folder / "trajectory.npz", **{name: np.zeros(9_000_000) for name in names})
     assert (folder / "trajectory.npz").stat().st_size < 1_000_000
-    with pytest.raises(PlanFileError, match="bytes"):
-        read_plan(folder)
+    assert_refused(lambda: read_plan(folder), "bytes", kind=PlanFileError)
 
 
 @pytest.mark.slow

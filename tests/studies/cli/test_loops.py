@@ -133,11 +133,8 @@ def test_tune_writes_gains_that_a_problem_file_takes_and_a_figure(tracker, ask, 
     again = [word for setting in settings for word in ("--set", setting)]
     code, out, _ = ask("bode", "optimus-knee", "--tracker", tracker, *where[:4], *again, "--no-measure", "--json")
     assert code == 0  # stable with these gains, and as fast as was asked
-    assert min(pose["bandwidth_hz"] for pose in _margins(json.loads(out))) >= 60
-
-
-def _margins(said: dict) -> list[dict]:
-    return [next(iter(point["loops"].values())) for point in said["points"]]
+    margins = [next(iter(point["loops"].values())) for point in json.loads(out)["points"]]
+    assert min(pose["bandwidth_hz"] for pose in margins) >= 60
 
 
 @pytest.mark.parametrize("option", ["--map", "--large"])

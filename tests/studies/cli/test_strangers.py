@@ -79,7 +79,6 @@ def test_a_goal_of_thousands_of_turns_is_no_work_for_check(capsys):
 
 
 def test_check_goes_on_with_a_command_that_finds_a_pose_or_puts_motors(tmp_path, ask):
-    """A floating robot without motors was told to go on without them, and a singular one nothing."""
     flat, floating = tmp_path / "flat.xml", tmp_path / "floating.xml"
     flat.write_text(FLAT_PARALLELOGRAM, encoding="utf-8")
     _, out, _ = ask("check", str(flat))
@@ -94,7 +93,6 @@ def test_check_goes_on_with_a_command_that_finds_a_pose_or_puts_motors(tmp_path,
 
 
 def test_check_of_a_problem_without_motors_goes_on_with_the_problem(tmp_path, ask):
-    """It named `new`, which takes no problem file."""
     (tmp_path / "arm.xml").write_text(
         """<mujoco><worldbody><body><joint name="arm" axis="0 1 0"/><geom size="0.05" pos="0.1 0 0"/></body></worldbody>
           </mujoco>""",

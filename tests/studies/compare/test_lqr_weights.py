@@ -63,7 +63,6 @@ def test_the_weights_of_a_link_without_inertia_stay_within_the_range_of_their_ke
 
 
 def test_a_drive_behind_soft_loops_is_weighed_by_what_it_moves_at_first():
-    """Weights for the whole leg ask for a loop that a soft closure cannot follow: LQR was unstable."""
     mechanism = load_mechanism(soft_ankle(1e-6))
     unit, time = np.full(mechanism.n_u, 1e4), 6 * PERIOD_S
     settings = scaled(Tracking(period_s=PERIOD_S), mechanism, mechanism.home[None], unit)

@@ -11,6 +11,7 @@ from linkplan.studies.compare.comparison_notes import comparison_notes
 from linkplan.studies.compare.user_tracker import tracker_named, trackers_loaded, users_tracker
 from tests.support.bodies import body_plan
 from tests.support.plans import optimal
+from tests.support.refusals import assert_refused
 
 LAW = """
 import numpy as np
@@ -69,8 +70,7 @@ def test_a_tracker_of_an_installed_package_is_found_by_its_name(monkeypatch, tmp
 
 @pytest.mark.parametrize("asked", [lambda: None, int])
 def test_a_function_that_cannot_take_a_reference_is_refused_with_what_it_raised(asked):
-    with pytest.raises(ProblemError, match="cannot be made: TypeError"):
-        users_tracker(asked, None, object())
+    assert_refused(lambda: users_tracker(asked, None, object()), "cannot be made: TypeError", kind=ProblemError)
 
 
 class _Odd(BaseException):
@@ -171,8 +171,7 @@ def test_a_tracker_without_a_gain_is_left_out_and_named():
     found = compare(plan, None)
     assert list(found.nominal) == ["pd", "pd+ff"]
     assert comparison_notes(found)[0].startswith("lqr is left out: LQR has no stabilising gain")
-    with pytest.raises(GainError, match="no effort stabilises"):
-        compare(plan, None, asked=("lqr",))
+    assert_refused(lambda: compare(plan, None, asked=("lqr",)), "no effort stabilises", kind=GainError)
 
 
 @pytest.fixture(scope="module")

@@ -114,7 +114,6 @@ def test_a_soft_loop_is_said_with_its_gap_and_what_it_does_to_the_joints():
 
 
 def test_gains_that_a_problem_does_not_give_are_said():
-    """A reader of a problem without [tracking] saw PD 15 deg behind and not why."""
     comparison = compared("optimus-knee")
     for given, said in (({}, "kp = 200 and kd = 1"), ({"kd": 5.0}, "kp = 200")):
         problem = comparison.plan.problem.replace(tracking=given)

@@ -12,7 +12,7 @@ import pytest
 from msgspec import structs
 
 import linkplan
-from linkplan.models.errors import LinkplanError, PlanFileError, ProblemError
+from linkplan.models.errors import PlanFileError, ProblemError
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search.planning import silent
 from linkplan.studies.cli.main import main
@@ -24,6 +24,7 @@ from linkplan.studies.variations.experiment.study import RECORD, RESULTS, run_ex
 from linkplan.studies.variations.tasks import unfinished as parts
 from tests.support.data import ROOT
 from tests.support.plans import optimal
+from tests.support.refusals import assert_refused
 
 SHORT = "tracking.duration_s=0.01"
 # Four whole blocks and a beginning.
@@ -188,8 +189,7 @@ def test_any_sample_can_be_run_again_to_the_same_bits(tmp_path):
     for name in ("rms_error_deg", "chatter", "energy_j", "loop_gap_um"):
         assert said[name] == outcome.results[name][row]
     assert np.degrees(np.sqrt(np.mean(rollout.error_rad**2))) == pytest.approx(said["rms_error_deg"])
-    with pytest.raises(ProblemError, match="from 0 to 5, got 6"):
-        replay(again, "pd", 6)
+    assert_refused(lambda: replay(again, "pd", 6), "from 0 to 5, got 6", kind=ProblemError)
 
 
 class Failing:
@@ -243,8 +243,7 @@ def test_imperfections_that_cannot_be_are_refused_when_the_problem_is_read(overr
 
 def test_a_loop_too_soft_to_step_is_refused_before_any_sample_runs():
     plan = optimal("knee-reach", SHORT, "imperfections.loop_time_constant_s=1e-5")
-    with pytest.raises(LinkplanError, match="time constant"):
-        experiment_of(plan, FEW)
+    assert_refused(lambda: experiment_of(plan, FEW), "time constant")
 
 
 def test_a_push_that_no_machine_gets_before_its_run_ends_is_refused():

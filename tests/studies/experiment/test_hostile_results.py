@@ -17,6 +17,7 @@ from linkplan.studies.variations.experiment.study import RECORD, RESULTS, run_ex
 from linkplan.studies.variations.tasks import unfinished as parts
 from linkplan.studies.variations.tasks.engine import serial
 from tests.support.plans import optimal
+from tests.support.refusals import assert_refused
 
 SETTINGS = Settings(trackers=("pd", "pd+ff"), samples=6)
 ROWS = 12
@@ -93,8 +94,7 @@ def test_rows_beyond_those_asked_for_are_refused_before_a_column_is_decoded(fold
     parquet.write_table(table, folder / RESULTS)
     assert (folder / RESULTS).stat().st_size < 100_000
     monkeypatch.setattr(parquet.ParquetFile, "read", lambda *_, **__: pytest.fail("a column was decoded"))
-    with pytest.raises(PlanFileError, match="has 100000 rows; 12 were expected"):
-        saved_outcome(folder)
+    assert_refused(lambda: saved_outcome(folder), "has 100000 rows; 12 were expected", kind=PlanFileError)
 
 
 def test_texts_larger_than_rows_may_be_are_refused(folder):
@@ -148,8 +148,7 @@ def test_a_record_that_is_not_that_of_the_results_is_refused(case, folder):
 @pytest.mark.parametrize("text", ["", "{", "[]", "null", '{"asked": NaN}', "[" * 100_000])
 def test_a_damaged_record_is_refused_and_nothing_is_lost(text, folder):
     (folder / RECORD).write_text(text)
-    with pytest.raises(PlanFileError, match=r"experiment\.json' is"):
-        saved_experiment(folder)
+    assert_refused(lambda: saved_experiment(folder), "experiment.json' is", kind=PlanFileError)
     with pytest.raises(PlanFileError, match=r"'experiment\.json', which has changed since"):
         run_experiment({"name": "knee-reach"}, None, plan, SETTINGS, folder, silent)
     assert (folder / RECORD).read_text() == text

@@ -17,6 +17,7 @@ from linkplan.studies.variations.experiment.experiment_blocks import sensitivity
 from linkplan.studies.variations.experiment.sensitivity_blocks import tornado_figure
 from linkplan.studies.variations.experiment.study import RECORD, run_experiment, saved_outcome
 from tests.support.plans import optimal
+from tests.support.refusals import assert_refused
 
 SHORT, START = "tracking.duration_s=0.01", "tracking.duration_s=0.05"
 NO_PUSH = ("push_joint='O'", "push_effort=[-50.0, 50.0]", "push_duration_s=0.0")
@@ -146,8 +147,6 @@ def test_python_has_it_as_a_value():
     assert "means with" not in str(found)
     assert found.sensitivity.ranking("pd") == ("payload_mass_factor", "delay_periods")
     assert found.sensitivity.importance("pd", "peak_effort")["payload_mass_factor"].value > 0
-    with pytest.raises(ProblemError, match="unknown metric 'rms'"):
-        found.sensitivity.ranking("pd", "rms")
-    with pytest.raises(ProblemError, match="unknown tracker 'mpc'"):
-        found.sensitivity.ranking("mpc")
+    assert_refused(lambda: found.sensitivity.ranking("pd", "rms"), "unknown metric 'rms'", kind=ProblemError)
+    assert_refused(lambda: found.sensitivity.ranking("mpc"), "unknown tracker 'mpc'", kind=ProblemError)
     assert linkplan.experiment(plan, ["pd"], samples=3, **asked).sensitivity is None

@@ -9,6 +9,7 @@ from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.planning import plan_motion
 from linkplan.studies.explore.session import Session
 from linkplan.studies.output.document import Animation, Facts, Table
+from tests.support.refusals import assert_refused
 from tests.support.reports import blocks
 
 
@@ -58,8 +59,7 @@ def test_gains_and_trackers_change_the_tracked_run_and_not_the_plan(session):
     assert soft > 1.5 * stiff
     assert fed < 0.2 * stiff
     assert first == second == third
-    with pytest.raises(ProblemError, match="unknown tracker 'pid'"):
-        session.report({}, None, "pid")
+    assert_refused(lambda: session.report({}, None, "pid"), "unknown tracker 'pid'", kind=ProblemError)
 
 
 def test_every_joint_has_sliders_of_its_own_gains():
@@ -101,8 +101,7 @@ def test_what_no_slider_gives_is_refused(session):
     ):
         with pytest.raises(ProblemError, match=said):
             session.problem_at(values, None)
-    with pytest.raises(ProblemError, match="explore needs a reach"):
-        Session(first=load_problem("knee-sine"))
+    assert_refused(lambda: Session(first=load_problem("knee-sine")), "explore needs a reach", kind=ProblemError)
 
 
 def test_a_moved_slider_gives_the_plan_of_its_problem(session):

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import linkplan
-from linkplan.controllers.reference import SampledReference
 from linkplan.models.errors import ProblemError
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
@@ -51,11 +50,14 @@ def efforts_in_c(tables: LawTables, folder: Path, t: np.ndarray, s: np.ndarray, 
     return found, np.array(status)
 
 
-def states_near(reference: SampledReference, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    random = np.random.default_rng(4)
+def efforts_near(plan: Plan, tracker: str, n: int):
+    """Return a reference, instants (n,) and states (n, n_s) near it, and the tracker's efforts (n, n_u) there."""
+    reference, random = tracking_reference(plan), np.random.default_rng(4)
     k = random.integers(0, reference.n, n)
     s = reference.position_rad[k] + 0.02 * random.normal(size=reference.position_rad[k].shape)
-    return k, s, reference.velocity_rad_s[k] + 0.5 * random.normal(size=s.shape)
+    v = reference.velocity_rad_s[k] + 0.5 * random.normal(size=s.shape)
+    built = build_tracker(tracker, plan, reference)
+    return reference, k, s, v, np.array([built.effort(int(i), *state) for i, *state in zip(k, s, v, strict=True)])
 
 
 @needs_gcc
@@ -68,12 +70,8 @@ def states_near(reference: SampledReference, n: int) -> tuple[np.ndarray, np.nda
 )
 def test_the_law_in_c_is_the_tracker_s(problem, tracker):
     tables, folder, _ = written(problem, tracker)
-    plan = optimal(problem)
-    reference = tracking_reference(plan)
-    built = build_tracker(tracker, plan, reference)
-    k, s, v = states_near(reference, 500)
+    reference, k, s, v, wanted = efforts_near(optimal(problem), tracker, 500)
     t = k * reference.period_s
-    wanted = np.array([built.effort(int(i), *state) for i, *state in zip(k, s, v, strict=True)])
     size = np.abs(wanted).max()
     assert size > 1
     assert np.abs(efforts_in_c(tables, folder, t, s, v)[0] - wanted).max() < LAW_ROUNDING * size
@@ -147,12 +145,8 @@ def test_the_law_in_c_holds_the_knee_at_the_goal_in_mujoco():
 @pytest.mark.parametrize("tracker", ["pd+ff", "lqr"])
 def test_the_law_in_c_repeats_a_periodic_motion_from_the_rows_of_one_period(tracker):
     tables, folder, record = written("knee-sine", tracker)
-    plan = optimal("knee-sine")
-    reference = tracking_reference(plan)
+    reference, k, s, v, wanted = efforts_near(optimal("knee-sine"), tracker, 300)
     assert (reference.n, record.instants, reference.cycle) == (20_000, 2501, 2500)
-    built = build_tracker(tracker, plan, reference)
-    k, s, v = states_near(reference, 300)
-    wanted = np.array([built.effort(int(i), *state) for i, *state in zip(k, s, v, strict=True)])
     later = k * reference.period_s + 40 * 0.25
     for t in (k * reference.period_s, later, later - 80 * 0.25):
         assert np.abs(efforts_in_c(tables, folder, t, s, v)[0] - wanted).max() < 1e-9 * np.abs(wanted).max()
@@ -165,9 +159,7 @@ def test_a_crank_that_turns_on_is_a_turn_further_in_each_period(period_s, tmp_pa
     plan = plan_motion(Problem.periodic("slider-crank", turns={"O": 1}, duration_s=0.5, tracking=tracking))
     tables = law_tables(plan, "pd+ff")
     write_law(tables, tmp_path, "a plan", compiled=False)
-    reference = tracking_reference(plan)
-    built, (k, s, v) = build_tracker("pd+ff", plan, reference), states_near(reference, 300)
-    wanted = np.array([built.effort(int(i), *state) for i, *state in zip(k, s, v, strict=True)])
+    reference, k, s, v, wanted = efforts_near(plan, "pd+ff", 300)
     assert np.ptp(s) > 6 * np.pi
     # a control period that does not divide the motion's puts the rows beside the control instants
     near = 1e-9 if reference.cycle is not None else 1e-3

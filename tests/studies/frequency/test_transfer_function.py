@@ -101,12 +101,6 @@ def test_an_output_that_the_input_does_not_move_has_no_gain_and_no_poles():
     assert not nothing.at(FREQUENCY_HZ).any()
 
 
-def test_a_zero_at_the_origin_counts_as_an_integrator_less():
-    speed = transfer_function(np.array([[0.0, 1.0], [-9.0, -0.5]]), np.array([0.0, 1.0]), np.array([0.0, 1.0]))
-    assert speed.integrators == -1
-    assert speed.low_frequency_gain == pytest.approx(1 / 9)
-
-
 @pytest.mark.parametrize("n_zeros", [1, 2, 3, 4])
 def test_zeros_at_the_origin_are_there_though_rounding_splits_them(n_zeros):
     """s^m / ((s^2 - 30) (s^2 + 2 s + 70) (s^2 + 100)), as the internal torque of a leg on a wheel moves it along: s^2."""

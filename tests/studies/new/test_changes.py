@@ -183,7 +183,6 @@ def test_a_drive_that_holds_its_weight_keeps_its_limit():
 
 
 def test_links_that_overlap_at_home_pass_through_each_other_but_not_through_the_ground():
-    """An overlap that deepens on the way was an obstacle to every motion."""
     overlapping = (
         '<mujoco><worldbody><geom type="box" size="1 1 0.1" pos="0 0 -0.1"/>{one}{other}</worldbody>'
         '<actuator><motor name="drive" joint="one"/></actuator></mujoco>'

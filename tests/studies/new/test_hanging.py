@@ -135,7 +135,6 @@ def test_where_no_motion_is_found_the_joints_that_hang_are_named_with_their_lock
 
 
 def test_the_locks_of_joints_that_hang_are_named_with_those_that_are_there(monkeypatch, tmp_path):
-    """Alone they took the place of the locks in the file, whose joints hung then."""
     joints = [joint.name for joint in load_mechanism(arm(4, 1)).joints]
     found, _ = not_found(arm(4, 1), "as told", monkeypatch, tmp_path, lock={joints[2]: 3.0})
     given = tomllib.loads(found.why.split("mechanism.")[1].split(" holds them")[0])
@@ -172,7 +171,6 @@ IDLE = """<mujoco><worldbody><body><joint name="arm" axis="0 1 0"/><geom type="c
 
 @pytest.mark.parametrize(("off", "locked"), [(5e-5, ["wheel"]), (5e-3, [])])
 def test_an_idle_wheel_that_a_file_rounds_is_locked_and_a_pendulum_is_not(off, locked):
-    """Such a wheel swings in seconds, and no motion was found within 40 s that lets it come to rest."""
     mechanism, notes = changed_mechanism({"model": IDLE.format(off=off)})
     assert list(mechanism.selection.lock) == locked, notes
 

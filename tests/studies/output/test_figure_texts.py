@@ -146,7 +146,6 @@ def test_a_spoilt_figure_has_its_fault_told(how):
 
 
 def test_a_plane_of_equal_units_has_room_for_its_titles_and_its_labels():
-    """Heading and title of every Nyquist figure lay on each other, and the label below was cut off."""
     curves_of = [Series(name=f"O = {k}.12 deg", x=[0.0, 1.0], y=[0.0, 1.0], colour=k) for k in range(9)]
     ends = (-2.5, 2.5)
     plane = Plane(
@@ -177,7 +176,6 @@ def test_a_logarithmic_axis_has_three_numbers_at_least(ends):
 
 @pytest.mark.slow
 def test_the_curves_over_a_slide_s_reach_are_those_of_the_table():
-    """A slide had one point in 17 mm: next to a singular pose the figure showed an effort fifty times the table's."""
     mechanism = load_mechanism("optimus-knee-linear", payload="shank")
     found = inspect(mechanism, [])
     x, drawn = curves(figure_of(inspection_figure(found)).axes[2])["DB"]

@@ -96,19 +96,20 @@ def test_an_effort_is_a_share_of_the_limit_on_its_own_side_or_of_its_peak_withou
     assert shares == pytest.approx(np.array([[-0.5, 0.5, 1.0], [0.25, -1.0, 0.0]]))
 
 
-def arc_of(share: float, source: str = "optimus-knee") -> np.ndarray:
-    """Return the points (n, 3) along an arc about the driven hinge at home."""
-    mechanism = load_mechanism(source)
+def drawn_effort(mechanism, share: float, pose: np.ndarray | None = None, actuator: int = 0):
+    """Return the shapes of an actuator's effort, seen along y, and MuJoCo's data at the pose."""
     data = mujoco.MjData(mechanism.model)
-    place_bodies(mechanism.model, data, mechanism.qpos_of(mechanism.home))
-    shapes = effort_shapes(mechanism.model, data, mechanism.actuators[0], share, 1.0, np.array([0.0, -1.0, 0.0]))
-    joint = int(mechanism.model.dof_jntid[mechanism.actuators[0].joint])
-    return np.array([shapes[0].start, *[shape.end for shape in shapes]]) - data.xanchor[joint]
+    place_bodies(mechanism.model, data, mechanism.qpos_of(mechanism.home if pose is None else pose))
+    seen = np.array([0.0, -1.0, 0.0])
+    return effort_shapes(mechanism.model, data, mechanism.actuators[actuator], share, 1.0, seen), data
 
 
 @pytest.mark.parametrize("share", [-1.0, -0.4, 0.2, 0.9])
 def test_an_arc_goes_round_the_axis_as_far_as_the_share_of_the_limit_and_to_its_side(share):
-    points = arc_of(share)
+    mechanism = load_mechanism("optimus-knee")
+    shapes, data = drawn_effort(mechanism, share)
+    joint = int(mechanism.model.dof_jntid[mechanism.actuators[0].joint])
+    points = np.array([shapes[0].start, *[shape.end for shape in shapes]]) - data.xanchor[joint]
     axis = np.array([0.0, 1.0, 0.0])
     flat = points - np.outer(points @ axis, axis)
     turned = [np.arctan2(np.cross(a, b) @ axis, a @ b) for a, b in itertools.pairwise(flat)]
@@ -116,19 +117,14 @@ def test_an_arc_goes_round_the_axis_as_far_as_the_share_of_the_limit_and_to_its_
 
 
 def test_no_effort_is_no_arrow():
-    mechanism = load_mechanism("optimus-knee")
-    data = mujoco.MjData(mechanism.model)
-    place_bodies(mechanism.model, data, mechanism.qpos_of(mechanism.home))
-    assert effort_shapes(mechanism.model, data, mechanism.actuators[0], 0.0, 1.0, np.array([0.0, -1.0, 0.0])) == ()
+    assert drawn_effort(load_mechanism("optimus-knee"), 0.0)[0] == ()
 
 
 def test_a_force_on_a_slide_is_a_straight_arrow_along_it_from_the_body():
     mechanism = load_mechanism("cart-pole")
-    data = mujoco.MjData(mechanism.model)
     pose = mechanism.home.copy()
     pose[0] = 0.7
-    place_bodies(mechanism.model, data, mechanism.qpos_of(pose))
-    shapes = effort_shapes(mechanism.model, data, mechanism.actuators[0], -0.5, 1.0, np.array([0.0, -1.0, 0.0]))
+    shapes, _ = drawn_effort(mechanism, -0.5, pose)
     way = shapes[-1].end - shapes[0].start
     assert way == pytest.approx([-0.225, 0.0, 0.0])
     assert shapes[0].start[0] == pytest.approx(0.7)
@@ -136,10 +132,8 @@ def test_a_force_on_a_slide_is_a_straight_arrow_along_it_from_the_body():
 
 def test_a_fixed_tendons_pull_turns_each_of_its_joints_to_its_own_side():
     mechanism = load_mechanism(GRIPPER)
-    data = mujoco.MjData(mechanism.model)
-    place_bodies(mechanism.model, data, mechanism.qpos_of(mechanism.home))
-    pull = next(actuator for actuator in mechanism.actuators if actuator.joint is None)
-    shapes = effort_shapes(mechanism.model, data, pull, 0.5, 1.0, np.array([0.0, -1.0, 0.0]))
+    (pull,) = (k for k, actuator in enumerate(mechanism.actuators) if actuator.joint is None)
+    shapes, _ = drawn_effort(mechanism, 0.5, actuator=pull)
     halves = [np.array([shape.end for shape in shapes[k : k + len(shapes) // 2]]) for k in (0, len(shapes) // 2)]
     sides = [np.sign(half[-1, 0] - half[0, 0]) for half in halves]
     assert sides[0] == -sides[1] != 0
@@ -166,13 +160,7 @@ def test_every_kind_of_actuator_is_drawn_in_its_loads_colour_and_otherwise_for_t
         <tendon><spatial name="rope"><site site="tip"/><site site="rail"/></spatial></tendon>
         <actuator>{motor}</actuator></mujoco>"""
     )
-    data = mujoco.MjData(mechanism.model)
-    place_bodies(mechanism.model, data, mechanism.qpos_of(mechanism.home))
-
-    def drawn(share: float):
-        return effort_shapes(mechanism.model, data, mechanism.actuators[0], share, 1.0, np.array([0.0, -1.0, 0.0]))
-
-    one, other = drawn(0.8), drawn(-0.8)
+    one, other = (drawn_effort(mechanism, share)[0] for share in (0.8, -0.8))
     assert {shape.rgba for shape in (*one, *other)} == {load_colour(0.8)}
     assert np.all(np.isfinite([[shape.start, shape.end] for shape in one]))
     assert kind == "tendon" or np.abs(one[-1].end - other[-1].end).max() > 0.05
@@ -185,9 +173,7 @@ def test_a_tendon_over_a_pulley_is_drawn_between_its_sites_only():
         <site site="hook"/><site site="end"/><pulley divisor="2"/><site site="eye"/><site site="end"/></spatial></tendon>
         <actuator><motor tendon="rope" ctrlrange="-1 0"/></actuator></mujoco>"""
     )
-    data = mujoco.MjData(mechanism.model)
-    place_bodies(mechanism.model, data, mechanism.qpos_of(mechanism.home))
-    shapes = effort_shapes(mechanism.model, data, mechanism.actuators[0], -0.5, 1.0, np.array([0.0, -1.0, 0.0]))
+    shapes, _ = drawn_effort(mechanism, -0.5)
     ends = [[*shape.start, *shape.end] for shape in shapes]
     np.testing.assert_allclose(ends, [[1, 0, 1, 2, 0, 1], [1, 0.5, 1, 2, 0, 1]])
 

@@ -104,7 +104,6 @@ def test_the_body_at_rest_has_one_place():
 
 @pytest.mark.parametrize("name", ["optimus-knee", "slider-crank", "andrews-squeezer", "rssr"])
 def test_a_body_has_the_same_colour_on_a_page_in_a_figure_and_in_a_film(name):
-    """Crank and coupler had exchanged their colours between the page and the film."""
     mechanism = loaded(name) if name == "rssr" else load_mechanism(name)
     shown, _ = moved(mechanism, 0.05)
     in_film = {mechanism.model.body(k).name: rgba[:3] for k, rgba in body_colours(mechanism).items()}

@@ -16,7 +16,7 @@ from linkplan.studies.compare.tracking_sections import comparison_report
 from linkplan.studies.output.document import Animation, Checklist, Plane, Plot, Table, Text
 from linkplan.studies.output.numbers import MAX_SAMPLES, drawn_rows, rounded
 from linkplan.studies.output.plan_sections import plan_report
-from linkplan.studies.output.report_file import document_json, report_html, report_of
+from linkplan.studies.output.report_file import report_html, report_of
 from tests.support.linkages import RSSR
 from tests.support.margins import margin_of, with_margin
 from tests.support.plans import LIMIT, optimal
@@ -216,10 +216,6 @@ def test_a_page_asks_for_nothing_from_elsewhere(report):
     assert "@import" not in style
 
 
-def test_a_document_is_of_json_s_own_types(report):
-    assert json.loads(document_json(report))["title"] == "Plan knee-reach"
-
-
 @pytest.mark.parametrize(
     ("verdict", "shown"),
     [
@@ -230,7 +226,6 @@ def test_a_document_is_of_json_s_own_types(report):
     ],
 )
 def test_a_verdict_begins_with_a_capital_and_a_name_stays_as_it_is(verdict, shown):
-    """The page of a transfer table named an actuator Act_O."""
     assert report_of("title", verdict, True, []).verdict == shown
 
 

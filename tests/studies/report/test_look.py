@@ -117,9 +117,7 @@ def every_kind() -> list:
 
 @pytest.mark.parametrize("width", [1400, 400, PAPER])
 def test_no_text_of_a_plot_lies_on_another_or_is_cut_off(browser, tmp_path, width):
-    """'kp [N.m/rad]' lay on '100000', and the last number of an axis was cut off."""
-    page = opened(browser, tmp_path, *every_kind(), width=width, script=NOTING)
-    page.build()
+    page = opened(browser, tmp_path, *every_kind(), width=width, script=NOTING).build()
     assert text_faults(page) == []
     if width == 1400:
         printed(page)
@@ -127,8 +125,7 @@ def test_no_text_of_a_plot_lies_on_another_or_is_cut_off(browser, tmp_path, widt
 
 
 def test_a_text_that_lies_on_another_is_found(browser, tmp_path):
-    page = opened(browser, tmp_path, plot(), script=NOTING)
-    page.build()
+    page = opened(browser, tmp_path, plot(), script=NOTING).build()
     page.ask("document.querySelector('.uplot canvas').getContext('2d').fillText('upon', 30, 200)")
     page.ask("document.querySelector('.uplot canvas').getContext('2d').fillText('it', 32, 200)")
     page.ask("document.querySelector('.uplot canvas').getContext('2d').fillText('away', -9, 90)")
@@ -137,16 +134,13 @@ def test_a_text_that_lies_on_another_is_found(browser, tmp_path):
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_every_kind_of_block_can_be_read_in_the_light_and_in_the_dark(browser, tmp_path, scheme):
-    page = opened(browser, tmp_path, *every_kind(), scheme=scheme)
-    page.build()
+    page = opened(browser, tmp_path, *every_kind(), scheme=scheme).build()
     assert violations(page.page) == []
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_the_samples_of_a_legend_have_the_colour_and_the_dashes_of_their_lines(browser, tmp_path, scheme):
-    """Samples kept the theme in which they were drawn: in the light, that of a dark page's desired motion was white."""
-    page = opened(browser, tmp_path, plot(), scheme=scheme)
-    page.build()
+    page = opened(browser, tmp_path, plot(), scheme=scheme).build()
     sample = """[...document.querySelectorAll('.u-legend .u-marker')].slice(1).map((one) => {
       const style = getComputedStyle(one);
       return [style.borderTopColor, style.borderTopStyle];
@@ -162,7 +156,6 @@ def test_the_samples_of_a_legend_have_the_colour_and_the_dashes_of_their_lines(b
 
 @pytest.mark.parametrize("paper", [False, True])
 def test_a_plane_with_one_scale_for_both_axes_keeps_it_in_any_width(browser, tmp_path, paper):
-    """On paper, and in a window made narrower, the unit circle was an ellipse."""
     ends = {"x_axis": Axis(label="real part", unit="1"), "y_axis": Axis(label="imaginary part", unit="1")}
     round_one = plane(equal=True, heat=None, curves=[Series(name="L", x=[-2.0, 2.0], y=[-2.0, 2.0])], **ends)
     page = opened(browser, tmp_path, round_one, folded=True)
@@ -183,7 +176,6 @@ def test_a_plane_with_one_scale_for_both_axes_keeps_it_in_any_width(browser, tmp
 
 
 def test_a_wide_table_is_printed_whole(browser, tmp_path):
-    """It was cut off at the paper's edge, or all pages were printed smaller."""
     right = "document.querySelector('table').getBoundingClientRect().right"
     page = opened(browser, tmp_path, table(14))
     before = page.ask(right)
@@ -206,8 +198,7 @@ def test_on_paper_an_instant_is_a_number_and_not_a_button(browser, tmp_path):
 
 
 def test_on_paper_a_legend_without_a_cursor_has_no_empty_values(browser, tmp_path):
-    page = opened(browser, tmp_path, plot())
-    page.build()
+    page = opened(browser, tmp_path, plot()).build()
     assert page.page.locator(".u-value:visible").count() == 3
     printed(page)
     assert page.page.locator(".u-value:visible").count() == 0
@@ -215,7 +206,6 @@ def test_on_paper_a_legend_without_a_cursor_has_no_empty_values(browser, tmp_pat
 
 
 def test_the_cells_of_a_column_stand_below_one_another(browser, tmp_path):
-    """A number stood at the right below '1, 2' at the left, and a missing number at the left below numbers at the right."""
     rows = [["1, 2", 1.5, "3.8 ± 0.1"], ["-", None, "0.21 ± 0.04"], ["2", 2.5, "none"], ["1, 3", 3.5, "1 ± 1"]]
     block = Table(title="Table", columns=[("places", ""), ("value", "Hz"), ("mean", "deg")], rows=rows)
     page = opened(browser, tmp_path, block)
@@ -226,15 +216,13 @@ def test_the_cells_of_a_column_stand_below_one_another(browser, tmp_path):
 
 
 def test_the_arc_of_an_effort_far_beyond_its_limit_does_not_run_into_its_own_tail(browser, tmp_path):
-    """Ten times the limit was a ragged ring of four turns."""
     body = Body(name="crank", fixed=False, colour="c0", n_pins=2, points=[[0.0, 0.0, 0.1, 0.0]] * 2)
     mark = Mark(shape="arc", at=[[0.0, 0.0]] * 2, axis=[[1.0]] * 2)
     drive = Drive(name="motor", unit="N.m", marks=[mark], effort=[-10.0, 10.0], limits=(-1.0, 1.0))
     moved = Animation(
         title="Crank", group="a", dimension=2, axes=("x", "z"), times=[0.0, 1.0], bodies=[body], drives=[drive]
     )
-    page = opened(browser, tmp_path, moved)
-    page.build()
+    page = opened(browser, tmp_path, moved).build()
     page.ask("""() => {
       window.swept = [];
       const own = drawArc;
@@ -248,7 +236,6 @@ def test_the_arc_of_an_effort_far_beyond_its_limit_does_not_run_into_its_own_tai
 
 
 def test_the_mark_of_a_folded_section_stands_beside_a_title_of_two_lines(browser, tmp_path):
-    """It stood on a line of its own, above the title."""
     page = opened(browser, tmp_path, table(), folded=True, title="Over time: payload +20 %, one period of delay", width=400)
     page.settle()
     lines, below = page.ask("""(() => {
@@ -304,26 +291,19 @@ ON_ONE_ANOTHER = """[...document.querySelectorAll('.u-legend .u-series')].flatMa
 @pytest.mark.parametrize("width", [1400, 400])
 def test_a_long_name_of_an_axis_does_not_lie_under_the_first_line_s(browser, tmp_path, width):
     names = ("pd", "pd+ff", "lqr", "lqi", "gs-pd+ff", "ct", "mpc")
-    plot = Plot(
-        title="Settling",
-        group="",
+    settled = plot(
         x_axis=Axis(label="settling into the tube after the motion's end", unit="s"),
-        y_axis=Axis(label="machines", unit="%"),
-        x=[0.0, 0.1],
         series=[Series(name=name, y=[0.0, 100.0], colour=k) for k, name in enumerate(names)],
     )
-    write_report(report_of("Tried", "", None, [Section(title="Figures", blocks=[plot])]), tmp_path / "report.html")
-    opened = Opened(browser, tmp_path / "report.html", width=width)
-    opened.build()
-    assert opened.page.locator(".u-legend .u-series").count() == 8
-    assert opened.ask(ON_ONE_ANOTHER) == []
+    page = opened(browser, tmp_path, settled, width=width).build()
+    assert page.page.locator(".u-legend .u-series").count() == 8
+    assert page.ask(ON_ONE_ANOTHER) == []
 
 
 @pytest.mark.parametrize(("rows", "whole"), [(21, True), (200, False)])
 def test_a_table_of_some_rows_is_shown_whole_and_a_long_one_in_a_window(browser, tmp_path, rows, whole):
-    table = Table(title="Pairs", columns=[("first", ""), ("second", "")], rows=[["pd", k] for k in range(rows)])
-    write_report(report_of("Tried", "", None, [Section(title="Pairs", blocks=[table])]), tmp_path / "report.html")
-    height, content = Opened(browser, tmp_path / "report.html").ask(
+    pairs = Table(title="Pairs", columns=[("first", ""), ("second", "")], rows=[["pd", k] for k in range(rows)])
+    height, content = opened(browser, tmp_path, pairs).ask(
         "(({ clientHeight, scrollHeight }) => [clientHeight, scrollHeight])(document.querySelector('.wide'))"
     )
     assert (height >= content) == whole
@@ -334,8 +314,7 @@ def test_what_was_measured_of_a_line_stands_in_the_line_s_own_entry(browser, tmp
     at, poses = np.array([20.0, 40.0, 300.0]), np.radians([[-40.0], [20.0]])
     study = bode_study(knee, poses, gains, knee.effort_limit, scanned=0, setup=Setup(), frequency_hz=at)
     write_report(bode_report(study), tmp_path / "report.html")
-    opened = Opened(browser, tmp_path / "report.html", width=400)
-    opened.build()
+    opened = Opened(browser, tmp_path / "report.html", width=400).build()
     plot = opened.page.locator("figure.plot", has_text="Open loop L: gain; dots measured").first
     entries = plot.locator(".u-series:visible")
     assert entries.locator(".u-label").all_inner_texts() == ["frequency [Hz]", "O = -40 deg", "O = 20 deg"]

@@ -57,8 +57,7 @@ def picture(opened) -> str:
 
 
 def test_it_opens_from_disk_without_the_network_and_without_a_word(browser, path):
-    opened = Opened(browser, path)
-    opened.build()
+    opened = Opened(browser, path).build()
     assert opened.page.locator(".uplot").count() > 10
     assert opened.asked == [path.as_uri()]
     assert opened.errors == []
@@ -66,8 +65,7 @@ def test_it_opens_from_disk_without_the_network_and_without_a_word(browser, path
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 def test_readers_with_a_screen_reader_or_weak_eyes_can_use_it(browser, path, scheme):
-    opened = Opened(browser, path, scheme=scheme)
-    opened.build()
+    opened = Opened(browser, path, scheme=scheme).build()
     assert violations(opened.page) == []
 
 
@@ -79,8 +77,7 @@ def test_a_rule_that_is_broken_is_found(browser, path):
 
 
 def test_pointing_at_one_plot_moves_all_and_the_mechanism(browser, path):
-    opened = Opened(browser, path)
-    opened.build()
+    opened = Opened(browser, path).build()
     before, drawn = times(opened), picture(opened)
     assert len(before) > 8
     assert set(before) == {0.0}
@@ -98,8 +95,7 @@ def test_pointing_at_one_plot_moves_all_and_the_mechanism(browser, path):
 
 
 def test_it_plays_and_pauses_by_button_and_by_key(browser, path):
-    opened = Opened(browser, path)
-    opened.build()
+    opened = Opened(browser, path).build()
     drawn = picture(opened)
     opened.page.locator("button.play").first.click()
     looked = "(look) => Cursor.active.time > 0.005 ? done() : requestAnimationFrame(() => look(look))"
@@ -119,8 +115,7 @@ def test_it_plays_and_pauses_by_button_and_by_key(browser, path):
 def test_a_line_of_the_checklist_moves_the_cursor_to_its_instant(browser, path):
     (checklist,) = blocks(plan_report(optimal("knee-reach")), Checklist)
     item = next(item for item in checklist.items if item.instant_s and 0.03 < item.instant_s < 0.15)
-    opened = Opened(browser, path)
-    opened.build()
+    opened = Opened(browser, path).build()
     opened.page.get_by_role("row").filter(has_text=item.label).first.click()
     opened.settle()
     assert cursor(opened) == pytest.approx(item.instant_s)
@@ -143,8 +138,7 @@ def painted(opened, colour: str) -> int:
 
 def test_the_shank_and_the_links_are_solid(browser, tmp_path):
     write_report(plan_report(optimal("knee-reach")), tmp_path / "knee.html")
-    opened = Opened(browser, tmp_path / "knee.html")
-    opened.build()
+    opened = Opened(browser, tmp_path / "knee.html").build()
     shown = opened.ask("SHOW && document.querySelectorAll('.lead .facts dt').length")
     assert shown == 4  # peak effort, least margin, duration, objective
     assert opened.page.locator(".lead .stage").bounding_box()["y"] < 400
@@ -170,8 +164,7 @@ def test_a_folded_section_holds_the_deeper_sections_after_it(browser, tmp_path):
 
 @pytest.mark.parametrize("width", [400, 700, 1400])
 def test_nothing_is_wider_than_the_window(browser, path, width):
-    opened = Opened(browser, path, width=width)
-    opened.build()
+    opened = Opened(browser, path, width=width).build()
     assert opened.ask("document.documentElement.scrollWidth - innerWidth") <= 0
     wide = opened.ask("[...document.querySelectorAll('.uplot, canvas.stage')].map((x) => x.getBoundingClientRect().right)")
     assert max(wide) <= width
@@ -225,8 +218,7 @@ def test_a_folded_section_opens_from_the_contents_and_is_open_on_paper(browser, 
 
 
 def test_what_is_drawn_is_no_wider_than_the_paper(browser, path):
-    opened = Opened(browser, path)
-    opened.build()
+    opened = Opened(browser, path).build()
     wide = "Math.max(...[...document.querySelectorAll('.uplot, canvas.stage')].map((x) => x.getBoundingClientRect().right))"
     assert opened.ask(wide) > PAPER
     opened.ask("dispatchEvent(new Event('beforeprint'))")
@@ -237,7 +229,6 @@ def test_what_is_drawn_is_no_wider_than_the_paper(browser, path):
 
 
 def test_the_mechanism_is_drawn_to_the_width_that_it_has_on_paper(browser, tmp_path):
-    """It was 1.7 times too wide: drawn beside the facts, and printed above them."""
     write_report(plan_report(optimal("knee-reach")), tmp_path / "plan.html")
     opened = Opened(browser, tmp_path / "plan.html")
     assert opened.page.locator(".lead canvas.stage").count() == 1
@@ -252,8 +243,7 @@ def test_the_mechanism_is_drawn_to_the_width_that_it_has_on_paper(browser, tmp_p
 
 
 def test_the_arc_is_the_effort_that_the_shown_ghost_s_tracker_applied(browser, path):
-    opened = Opened(browser, path)
-    opened.build()
+    opened = Opened(browser, path).build()
     opened.ask("Cursor.active.move(0.08)")
     opened.settle()
     said = opened.page.locator(".efforts").first
@@ -290,8 +280,7 @@ def test_hostile_names_are_names(browser, tmp_path):
     plan = body_plan(model, QUARTER_TURN.replace("J =", f"{key} =") + "duration_s = 1.5\n")
     assert plan.status == "optimal", plan.message
     write_report(plan_report(plan), tmp_path / "hostile.html")
-    opened = Opened(browser, tmp_path / "hostile.html")
-    opened.build()
+    opened = Opened(browser, tmp_path / "hostile.html").build()
     opened.page.locator(".controls input[type=checkbox]").first.check()
     assert opened.ask("window.hurt") is None
     assert opened.page.locator("img").count() == 0
@@ -309,8 +298,7 @@ def test_a_page_in_space_turns_by_dragging(browser, tmp_path):
     plan = body_plan(model, motion)
     assert plan.status == "optimal", plan.message
     write_report(plan_report(plan), tmp_path / "space.html")
-    opened = Opened(browser, tmp_path / "space.html")
-    opened.build()
+    opened = Opened(browser, tmp_path / "space.html").build()
     drawn = picture(opened)
     box = opened.page.locator("canvas.stage").bounding_box()
     opened.page.mouse.move(box["x"] + 100, box["y"] + 100)

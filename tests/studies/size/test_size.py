@@ -108,10 +108,9 @@ def test_of_several_actuators_one_gets_the_motors_and_the_others_keep_their_limi
 
 
 def test_a_reserve_and_what_the_list_replaces_are_kept_and_said():
+    line = {"stall_effort": 9.0, "no_load_speed_deg_s": 3000.0}
     limits = {"effort": {"motor": [-1.0, 1.0]}, "reserve": 0.2}
-    problem = linkplan.Problem.reach(
-        HINGE, start_deg={"J": 10}, goal_deg={"J": 100}, duration_s=1.5, limits=limits, motors={"motor": _line(9.0)}
-    )
+    problem = quarter_turn(duration_s=1.5, limits=limits, motors={"motor": line})
     motors = [{"name": "M", "peak_effort": 4.0, "rms_effort": 4.0, "rotor_inertia": 0.0}]
     found = linkplan.size(problem, motors).sizing
     assert found.motors[0].peak_limit == pytest.approx(0.8 * 4.0, rel=1e-12)
@@ -125,10 +124,6 @@ def test_a_cable_that_only_pulls_does_not_push_with_another_motor_either():
     assert problem.limits.effort.tolist() == [[0.0, 20.0]]
     (motor,) = motors_from({"motor": [{"name": "M", "peak_effort": 30.0}]})
     assert with_motor(problem, 0, motor, 2.0).limits.effort.tolist() == [[0.0, 30.0]]
-
-
-def _line(stall: float) -> dict[str, float]:
-    return {"stall_effort": stall, "no_load_speed_deg_s": 3000.0}
 
 
 @pytest.mark.parametrize(
@@ -176,22 +171,18 @@ def test_missing_files_servos_and_wrong_subjects_are_refused(tmp_path):
     motors = [{"name": "M", "peak_effort": 1.0}]
     with pytest.raises(linkplan.LinkplanError, match=r"motors '.*nowhere\.toml' is not a file"):
         linkplan.size("knee-reach", tmp_path / "nowhere.toml")
-    with pytest.raises(linkplan.LinkplanError, match="is a folder; a list of motors"):
-        linkplan.size("knee-reach", tmp_path)
-    with pytest.raises(linkplan.LinkplanError, match="unknown actuator 'act_P'"):
-        linkplan.size("knee-reach", motors, actuator="act_P")
+    assert_refused(lambda: linkplan.size("knee-reach", tmp_path), "is a folder; a list of motors")
+    assert_refused(lambda: linkplan.size("knee-reach", motors, actuator="act_P"), "unknown actuator 'act_P'")
     with pytest.raises(
         linkplan.LinkplanError, match="the problem must be a Problem, a built-in problem's name or a TOML file, got"
     ):
         linkplan.size(7, motors)
-    with pytest.raises(linkplan.LinkplanError, match="rest_s must be a number of at least 0, got -1"):
-        linkplan.size("knee-reach", motors, rest_s=-1)
+    assert_refused(lambda: linkplan.size("knee-reach", motors, rest_s=-1), "rest_s must be a number of at least 0, got -1")
     with pytest.raises(linkplan.LinkplanError, match="rest_s must be 0 for a periodic motion such as knee-sine-shank"):
         linkplan.size("knee-sine-shank", motors, rest_s=1.0)
     servo = HINGE.replace('<motor name="motor" joint="J"', '<position name="motor" joint="J" kp="9"')
     problem = linkplan.Problem.reach(servo, start_deg={"J": 10}, goal_deg={"J": 100}, duration_s=1.5)
-    with pytest.raises(linkplan.LinkplanError, match="actuator 'motor' is a servo"):
-        linkplan.size(problem, motors)
+    assert_refused(lambda: linkplan.size(problem, motors), "actuator 'motor' is a servo")
     many = [{"name": f"M{k}", "peak_effort": 1.0, "gears": [1.0] * 100} for k in range(11)]
     with pytest.raises(linkplan.LinkplanError, match="at most 1000 motors with gears can be compared; the list has 1100"):
         linkplan.size("knee-reach", many)

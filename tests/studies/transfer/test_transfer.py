@@ -11,11 +11,11 @@ import pyarrow.parquet
 import pytest
 
 import linkplan
-from linkplan.models.errors import LinkplanError
 from linkplan.studies.cli.main import main
 from linkplan.studies.handover.transfer.columns import columns_of
 from linkplan.studies.handover.transfer.cpp_header import cpp_header
 from tests.support import parallel_ankle
+from tests.support.refusals import assert_refused
 
 ANKLE = ["ankle_pitch", "ankle_roll"]
 
@@ -153,15 +153,13 @@ def test_a_joint_at_its_dead_centre_is_no_output(capsys):
 @pytest.mark.parametrize("arguments", [{"joints": "C"}, {"joints": [1]}, {"joints": ["C"], "motor_kp": "x"},
                                        {"joints": ["C"], "range_deg": {"C": [1]}}])  # fmt: skip
 def test_bad_values_are_refused(arguments):
-    with pytest.raises(LinkplanError):
-        linkplan.transfer("optimus-knee", **arguments)
+    assert_refused(lambda: linkplan.transfer("optimus-knee", **arguments))
 
 
 def test_a_quantity_is_interpolated_and_an_unknown_one_refused(ankle):
     (ratio,) = ankle.at("ratio", [[-0.2, 0.1]])
     np.testing.assert_allclose(ratio, parallel_ankle.ratio(-0.2, 0.1), atol=0.02)
-    with pytest.raises(LinkplanError, match="unknown quantity 'torque'"):
-        ankle.at("torque", [[0, 0]])
+    assert_refused(lambda: ankle.at("torque", [[0, 0]]), "unknown quantity 'torque'")
 
 
 needs_gxx = pytest.mark.skipif(shutil.which("g++") is None, reason="there is no g++")
