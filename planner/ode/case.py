@@ -79,7 +79,7 @@ class OdeCase:
         # The nodes carry as many equalities as they can; inequalities that depend on efforts hold at open ends, too.
         jumping = np.unique(problem.functions["path"].sparsity_jac(1, 0).get_triplet()[0]).astype(int)
         open_end_path = tuple(int(i) for i in jumping if path[i, 0] < path[i, 1])
-        endpoint, (low, high) = self._endpoint(), (bound / self.units.time_s for bound in problem.duration)
+        low, high = (bound / self.units.time_s for bound in problem.duration)
         return Formulation(
             build_system=self._system,
             n_x=len(unit),
@@ -94,9 +94,9 @@ class OdeCase:
             returns=tuple(problem.returns),
             theta=lambda times: np.broadcast_to(p, (*times.shape, len(p))),
             tightening=tightening_over(self.tightenings, rows, path) if self.tightenings else None,
-            endpoint=endpoint,
+            endpoint=self._endpoint(),
             endpoint_bounds=problem.ends_limit,
-            endpoint_parameters=p if endpoint is not None else np.zeros(0),
+            endpoint_parameters=p,
         )
 
     def _system(self) -> System:
@@ -119,9 +119,7 @@ class OdeCase:
             kinds=("dynamics",) * n_state + ("path",) * path.numel(),
         )
 
-    def _endpoint(self) -> Endpoint | None:
-        if self.problem.ends is None and self.problem.final_cost is None:
-            return None
+    def _endpoint(self) -> Endpoint:
         functions, n, units, X = self.problem.functions, self.problem.n_x, self.units, ca.DM(self.units.state)
         sizes = {"first": len(units.state), "last": len(units.state), "T": 1, "p": len(self.problem.parameters)}
         first, last, T, p = symbols = [ca.SX.sym(name, size) for name, size in sizes.items()]

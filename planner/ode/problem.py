@@ -5,7 +5,7 @@ x' = f(x, u, p, t),   J = phi(x_0, x_T, T, p) + int L(x, u, p, t) dt,   c(x, u, 
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any, cast
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -21,6 +21,7 @@ AtInstant = Callable[[ca.SX, ca.SX, ca.SX, ca.SX], object]
 # (x at the start, x at the end, duration, p) -> a column.
 AtEnds = Callable[[ca.SX, ca.SX, ca.SX, ca.SX], object]
 _AT_ENDS = ("final_cost", "ends")
+_SHARE: Any = Annotated[float, Meta(gt=0, le=1)]
 _ROWS = ("start", "goal", "effort_limit", "state_limit", "path_limit", "ends_limit")
 
 
@@ -126,9 +127,8 @@ class OdeProblem:
     def _check_items(self) -> None:
         """Refuse indices and guesses of other numbers of states, and boundary states beyond their limits."""
         n_x, n_u = self.n_x, self.n_u
-        for i in self.returns:
-            legal = isinstance(i, int | np.integer) and 0 <= i < n_x
-            _check((legal, f"returns must be states from 0 to {n_x - 1}, got {list(self.returns)}"))
+        states = all(isinstance(i, int | np.integer) and 0 <= i < n_x for i in self.returns)
+        _check((states, f"returns must be states from 0 to {n_x - 1}, got {list(self.returns)}"))
         for guess in self.guesses:
             _check((isinstance(guess, StateGuess), f"guesses must be {__name__}.StateGuess objects, got {guess!r}"))
             fits = guess.state.shape[1] == n_x and (guess.effort is None or guess.effort.shape[1] == n_u)
@@ -144,7 +144,7 @@ class OdeProblem:
         for name, kind in (("mesh", MeshSettings), ("solver", SolverSettings)):
             given = getattr(self, name)
             _check((isinstance(given, kind), f"{name} must be a {kind.__module__}.{kind.__name__}, got {given!r}"))
-        starts, share = self.solver.starts, cast(Any, Annotated[float, Meta(gt=0, le=1)])
+        starts = self.solver.starts
         _check(
             (starts == 1, f"solver.starts must be 1 for a differential equation, got {starts}: give `guesses`"),
             (self.rate is not None, "rate must be a function of (x, u, p, t), got None"),
@@ -155,7 +155,7 @@ class OdeProblem:
         )
         for name in ("tolerance", "objective_tolerance"):
             if name == "tolerance" or self.objective_tolerance is not None:
-                read(share, to_toml_types(getattr(self, name)), name)
+                read(_SHARE, to_toml_types(getattr(self, name)), name)
 
     def _function(self, name: str) -> ca.Function:
         """Return `rate`, `running_cost` or `path` of (x, u, p, t), or `final_cost` or `ends` of (x_0, x_T, T, p).
