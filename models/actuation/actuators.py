@@ -20,7 +20,6 @@ import numpy as np
 from linkplan.models.actuation.transmission import KINDS, TRN_SITE, TRN_TENDON, attachment, gear_of, has_length, moment
 from linkplan.models.tree.coordinates import HINGE, SLIDE, joint_label
 from linkplan.models.tree.dynamics import Tree
-from linkplan.models.tree.joints import gain_units_of, inertia_unit_of
 from linkplan.models.tree.passive import is_gas_spring, switched_off
 from linkplan.models.tree.tendons import LACKING, is_fixed, lacks_length, tendon_joints, tendon_label
 
@@ -72,16 +71,6 @@ class Actuator:
     def si_units(self) -> tuple[str, str]:
         """The SI units of its length and of its effort."""
         return "rad" if self.unit == "N.m" else "m", self.unit
-
-    @property
-    def inertia_unit(self) -> str:
-        """The unit of an inertia that it moves."""
-        return inertia_unit_of(self.unit)
-
-    @property
-    def gain_units(self) -> tuple[str, str]:
-        """The units of a stiffness and of a damping over its own motion."""
-        return gain_units_of(self.unit)
 
     @property
     def is_servo(self) -> bool:

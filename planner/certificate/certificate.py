@@ -16,7 +16,6 @@ from linkplan.planner.certificate.integration import (
     BOUNDARY_SHARE,
     VELOCITY_SHARE,
     ends_off_m,
-    exact_bounds,
     integrate,
     relative_violation,
     waypoint_off_m,
@@ -30,6 +29,7 @@ from linkplan.planner.limits.limit import Margin
 from linkplan.planner.limits.samples import Samples, least_between, samples_of, singularity_ratios
 from linkplan.planner.problem.extra import extras_not_finite, not_finite
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
+from linkplan.planner.problem.limits import exact_bounds
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory

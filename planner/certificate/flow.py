@@ -206,10 +206,11 @@ def errors_along(
     shares: np.ndarray,
     most: float,
     until: Deadline,
-) -> ErrorsAlong | None:
-    """Return the errors of a planned motion whose every interval is integrated from the planned state; None on failure.
+) -> ErrorsAlong:
+    """Return the errors of a planned motion whose every interval is integrated from the planned state.
 
     The transition matrices of the intervals are finite differences. They carry errors along the motion to first order.
+    If an interval cannot be integrated, all errors are infinite and the states NaN.
 
     Args:
         rate: see `strides`.
@@ -227,7 +228,9 @@ def errors_along(
     widths, given = np.repeat(widths_s, count), np.repeat(inputs, count, axis=0)
     reached = side_by_side(rate, widths, given, states.reshape(-1, n_y), shares, until)
     if reached is None:
-        return None
+        lost = np.full(ends.shape, np.inf)
+        unknown = np.full((n, 1 + len(shares), n_y), np.nan)
+        return ErrorsAlong(states=unknown, errors=lost, defects=lost, restarts=0)
     reached = np.concatenate([states[:, :, None], reached.reshape(n, count, len(shares), n_y)], axis=2)
     slopes = (reached[:, 1:] - reached[:, :1]) / ERROR_STEP  # by errors in units
     defects = (reached[:, 0, -1][:, judged] - ends) / unit

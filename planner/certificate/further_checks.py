@@ -20,9 +20,10 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import Contact, meetings, new_meetings
 from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.certificate.certificate import Certificate, certify
-from linkplan.planner.certificate.integration import BOUNDARY_SHARE, exact_bounds, relative_violation
+from linkplan.planner.certificate.integration import BOUNDARY_SHARE, relative_violation
 from linkplan.planner.limits.efforts import effort_rates
 from linkplan.planner.problem.instant import Scales, force_inputs, free_instant
+from linkplan.planner.problem.limits import exact_bounds
 from linkplan.planner.problem.objective import motor_losses
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory

@@ -61,12 +61,6 @@ def relative_violation(values: np.ndarray, bounds: Bounds, size: np.ndarray | fl
     return float((np.maximum(low - values, values - high) / size).max(initial=0.0))
 
 
-def exact_bounds(asked: np.ndarray, free: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the bounds, low and high, of prescribed values; infinite where these are NaN or `free`."""
-    open_values = np.isnan(asked) if free is None else free
-    return np.where(open_values, -np.inf, asked), np.where(open_values, np.inf, asked)
-
-
 def ends_off_m(problem: Problem, trajectory: Trajectory, time: np.ndarray, q: np.ndarray) -> tuple[float, tuple[str, ...]]:
     """Return the largest error [m] of the sites and bodies prescribed at start, waypoints and goal, and sentences on errors.
 
@@ -215,7 +209,7 @@ def _integrated_with_restarts(
         return None
     judged = [*mechanism.independent, *range(n_q, n_q + n_s)]
     found = errors_along(function, widths, inputs, states, judged, ends, unit, np.array([0.5, 1.0]), RESTART_GROWTH, until)
-    if found is None or not found.restarts:
+    if not found.restarts:
         return None
     errors, defects = found.errors, found.defects
     adds = scaled_defects(defects[:, :n_s], errors[:, :n_s]) * span

@@ -25,7 +25,7 @@ from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import coordinates_of
-from linkplan.planner.refinement.marking import TightenedRow, Tightening, tightening_over
+from linkplan.planner.refinement.marking import Tightening, tightening_over
 from linkplan.planner.transcription.formulation import Formulation, PhaseBoundary, Units
 from linkplan.planner.transcription.interval import COSTS, IntervalRows
 from linkplan.planner.transcription.system import Endpoint
@@ -136,7 +136,7 @@ def formulate(
         smooth=objective.is_smoothed or objective.efforts("smooth") or bool(rows.rate_columns),
         eta=np.concatenate(eta),
         theta=_theta(problem, asked, scales, value),
-        tightening=tightening_over(tightenings, list(map(_tightened_row, asked.rows)), path) if tightenings else None,
+        tightening=tightening_over(tightenings, asked.rows, path) if tightenings else None,
         own_tightening=own_tightening,
         position_path=tuple(k for k, limit in enumerate(asked.rows) if _is_given_with_pose(limit)),
         passed=_passed_rows(problem, asked),
@@ -174,11 +174,6 @@ def _is_given_with_pose(limit: Limit) -> bool:
     return limit.facts.of_position and not limit.facts.at_given_poses
 
 
-def _tightened_row(limit: Limit) -> TightenedRow:
-    assert limit.facts.tightened is not None  # only limits with rows that can be tightened come here
-    return TightenedRow(limit.facts.kind, limit.item, limit.facts.tightened)
-
-
 def _interval_rows(
     problem: Problem,
     scales: Scales,
@@ -190,7 +185,7 @@ def _interval_rows(
     """Return an interval's own rows, their bounds by kind, and by kind the tightening of the enclosed ones."""
     fields: dict[str, list] = {}
     bounds: dict[str, list] = {}
-    enclosed: dict[str, list[TightenedRow]] = {}
+    enclosed: dict[str, list[Limit]] = {}
     for limit in limits:
         rows = limit.rows
         unknowns = tuple(range(first_unknown, first_unknown + rows.n_unknowns))
@@ -200,7 +195,7 @@ def _interval_rows(
             fields.setdefault(name, []).append(entry)
             bounds.setdefault(limit.key, []).append(limit.bounds(problem, scales))
             if limit.facts.enclosable:
-                enclosed.setdefault(limit.key, []).append(_tightened_row(limit))
+                enclosed.setdefault(limit.key, []).append(limit)
     at_nodes = [limit for limit in limits if limit.rows.node is not None]
     own_rows = IntervalRows(
         costs=costs,

@@ -83,6 +83,14 @@ class LimitFacts:
     by_size: bool = False
 
 
+@dataclass(frozen=True, slots=True)
+class LimitedRow:
+    """A limited quantity of a system without `Limit`s: the facts and the number that margins and tightenings read."""
+
+    facts: LimitFacts
+    item: int
+
+
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Rows:
     """A limit's rows in a program, scaled; without any, the bounds of the unknowns impose it.
@@ -295,18 +303,17 @@ def limited_joints(problem: Problem, bounds: np.ndarray) -> list[tuple[int, int 
 
 def limit_margin(limit: Limit, samples: Samples) -> Margin:
     """Return the margin of a limit along a motion."""
-    return margin_of(limit, limit.measured(samples), samples)
+    return margin_of(limit, limit.measured(samples), samples.points, samples.time)
 
 
 @np.errstate(invalid="ignore")  # NaN (infinity minus infinity) does not count as satisfied
-def margin_of(of: Any, measured: Measured, samples: Any) -> Margin:
-    """Return the margin of a quantity along a motion, at the samples' `points` and `time`.
+def margin_of(of: Limit | LimitedRow, measured: Measured, points: np.ndarray, time: np.ndarray) -> Margin:
+    """Return the margin of a quantity along a motion, measured at times (n,) [s], which are `points` of every interval.
 
     The least margin of an interval with a kink is that of the samples, without interpolation by parabolas. Bernstein
     coefficients bound the margin from below.
     """
-    (low, high), points = measured.bounds, samples.points
-    values, bent = measured.values, measured.bent
+    (low, high), values, bent = measured.bounds, measured.values, measured.bent
     inside = np.minimum(values - low, high - values)
     at = int(np.argmin(inside))
     limit = high if high - values[at] <= values[at] - low else low
@@ -327,23 +334,23 @@ def margin_of(of: Any, measured: Measured, samples: Any) -> Margin:
         limit=float(limit),
         left=left,
         unit=measured.unit,
-        time_s=float(samples.time[at]),
+        time_s=float(time[at]),
         overrun=np.maximum(0.0, -least) / size,
         upper=bool(limit == high),
         size=size,
         slack=ROUNDING_SHARE * max(1.0, abs(limit)) if measured.slack is None else measured.slack,
     )
-    return margin if measured.at_times is None else _sampled_finely(margin, measured, samples)
+    return margin if measured.at_times is None else _sampled_finely(margin, measured, time.reshape(-1, len(points)))
 
 
-def _sampled_finely(margin: Margin, measured: Measured, samples: Any) -> Margin:
-    """Return a margin measured again on finer samples in every interval near the limit."""
-    (low, high), size, n_points = measured.bounds, margin.size, len(samples.points)
+def _sampled_finely(margin: Margin, measured: Measured, at: np.ndarray) -> Margin:
+    """Return a margin measured at (n_intervals, n_points) [s] again on finer samples in every interval near the limit."""
+    (low, high), size, n_points = measured.bounds, margin.size, at.shape[1]
     inside = np.minimum(measured.values - low, high - measured.values).reshape(-1, n_points)
     worst = inside.argmin(axis=1)
     near_share = 1e-3  # of the limit's size
     chosen = np.flatnonzero(inside.min(axis=1) < max(near_share * size, float(inside.min()) + near_share * size))
-    rows, at = np.arange(len(inside))[chosen], samples.time.reshape(-1, n_points)
+    rows = np.arange(len(inside))[chosen]
     first, last = at[rows, np.maximum(worst[rows] - 1, 0)], at[rows, np.minimum(worst[rows] + 1, n_points - 1)]
     shares = np.linspace(0.0, 1.0, 33)
     near = first[:, None] + (last - first)[:, None] * shares

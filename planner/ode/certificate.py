@@ -19,7 +19,7 @@ from linkplan.planner.certificate.flow import (
     scaled_defects,
 )
 from linkplan.planner.certificate.integration import relative_violation
-from linkplan.planner.limits.limit import LimitFacts, Margin, Measured, limited_rows, margin_of
+from linkplan.planner.limits.limit import LimitedRow, LimitFacts, Margin, Measured, limited_rows, margin_of
 from linkplan.planner.limits.samples import sample_points
 from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.problem.extra import not_finite
@@ -37,27 +37,9 @@ OVERRUN_SHARE = 1e-6
 AT_LIMIT_SHARE = 1e-6
 # The objective may differ from that of the integrated motion by this multiple of the states' relative error.
 OBJECTIVE_ERROR_FACTOR = 10.0
-# Constraint rows keep them at every instant.
+# Constraint rows keep efforts and states at every instant.
 _EFFORT, _STATE = (LimitFacts(kind=kind, tightened=None) for kind in ("effort", "state"))
-_PATH = LimitFacts(kind="path", words="path quantity {}")
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class OdeLimit:
-    """A limit on one effort, state or path quantity: the two fields that a `Margin` reads."""
-
-    facts: LimitFacts
-    item: int
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class OdeSamples:
-    """A motion at `time` (n,), at the shares `points` of every interval: `x` (n, n_x), `u` (n, n_u)."""
-
-    points: np.ndarray
-    time: np.ndarray
-    x: np.ndarray
-    u: np.ndarray
+PATH = LimitFacts(kind="path", words="path quantity {}")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -90,12 +72,13 @@ class OdeCertificate:
 @np.errstate(invalid="ignore")  # infinity minus infinity, where the integration fails
 def certify_ode(problem: OdeProblem, motion: Curves) -> OdeCertificate:
     """Return the certificate of a solution against its problem."""
-    samples, n_x, n = samples_of(motion), problem.n_x, len(motion.breaks_s) - 1
-    path = problem.along("path", samples.x, samples.u, samples.time)
-    size, path_size = sizes_of(samples.x), np.abs(path).max(axis=0, initial=1.0)
-    found = integrate(problem, motion, size, samples.points)
+    points, n_x, n = sample_points(len(motion.state) - 1), problem.n_x, len(motion.breaks_s) - 1
+    time, x, u = sampled_motion(motion, points)
+    path = problem.along("path", x, u, time)
+    size, path_size = sizes_of(x), np.abs(path).max(axis=0, initial=1.0)
+    found = integrate(problem, motion, size, points)
     error, cost = float(found.errors.max()), found.states[:, -1, n_x]
-    beyond = np.array([relative_violation(x, problem.state_limit.T, size) for x in found.states[..., :n_x]])
+    beyond = np.array([relative_violation(of, problem.state_limit.T, size) for of in found.states[..., :n_x]])
     # The running cost as integrated, and as the program took it.
     taken = cost if motion.running is None else motion.running
     final = float(problem.at_ends("final_cost", motion.state[0, 0], found.states[-1, -1, :n_x], motion.duration_s)[0])
@@ -103,12 +86,12 @@ def certify_ode(problem: OdeProblem, motion: Curves) -> OdeCertificate:
     off, missed = float(abs(misjudged.sum())), _boundary_error(problem, motion, size)
     # The polynomial is only as close to the motion as its own error; limits of the integrated state are checked separately.
     kinds = (
-        (_EFFORT, problem.efforts, samples.u, problem.effort_limit, np.zeros(problem.n_u)),
-        (_STATE, problem.states, samples.x, problem.state_limit, max(LIMIT_SLACK, min(error, OVERRUN_SHARE)) * size),
-        (_PATH, [*map(str, range(len(path_size)))], path, problem.path_limit, LIMIT_SLACK * path_size),
+        (_EFFORT, problem.efforts, u, problem.effort_limit, np.zeros(problem.n_u)),
+        (_STATE, problem.states, x, problem.state_limit, max(LIMIT_SLACK, min(error, OVERRUN_SHARE)) * size),
+        (PATH, [*map(str, range(len(path_size)))], path, problem.path_limit, LIMIT_SLACK * path_size),
     )
     margins = tuple(
-        margin_of(OdeLimit(facts, k), Measured(names[k], values[:, k], limit[k], slack=slack[k]), samples)
+        margin_of(LimitedRow(facts, k), Measured(names[k], values[:, k], limit[k], slack=slack[k]), points, time)
         for facts, names, values, limit, slack in kinds
         for k in limited_rows(limit)
     )
@@ -144,7 +127,7 @@ def certify_ode(problem: OdeProblem, motion: Curves) -> OdeCertificate:
         margins=margins,
         # Rows keep the coefficients of states within the limits.
         touching=_in_part(motion.state.swapaxes(0, 1), problem.state_limit, size)
-        | _in_part(path.reshape(n, len(samples.points), len(path_size)), problem.path_limit, path_size),
+        | _in_part(path.reshape(n, len(points), len(path_size)), problem.path_limit, path_size),
         boundary_error=missed,
         integration_restarts=found.restarts,
         growth=np.nan_to_num(np.max(shares, axis=0) / INTEGRATION_SHARE, nan=np.inf),
@@ -160,9 +143,6 @@ def integrate(problem: OdeProblem, motion: Curves, size: np.ndarray, points: np.
         motion: the solution.
         size: (n_x,) of the states.
         points: shares (m,) of an interval, from 0 to 1.
-
-    Returns:
-        The planned states with infinite errors if an interval cannot be integrated.
     """
     n_x, breaks, n = problem.n_x, motion.breaks_s, len(motion.breaks_s) - 1
     planned, widths = motion.state_at(breaks), np.diff(breaks)
@@ -174,12 +154,7 @@ def integrate(problem: OdeProblem, motion: Curves, size: np.ndarray, points: np.
     # If errors grow at most by this factor, the integrator's own error stays within the tolerance.
     most = max(RESTART_GROWTH, problem.tolerance / INTEGRATION_RTOL)
     rate, judged = _rate(problem, len(motion.effort)), range(n_x)
-    found = errors_along(rate, widths, inputs, states, judged, planned[1:], size, shares, most, until)
-    if found is None:
-        lost, x = np.full((n, n_x), np.inf), motion.state_at(motion.times_at(points)).reshape(n, -1, n_x)
-        cost = np.full((*x.shape[:2], 1), np.inf)
-        return ErrorsAlong(states=np.concatenate([x, cost], axis=2), errors=lost, defects=lost, restarts=0)
-    return found
+    return errors_along(rate, widths, inputs, states, judged, planned[1:], size, shares, most, until)
 
 
 @functools.lru_cache(maxsize=16)
@@ -191,31 +166,30 @@ def _rate(problem: OdeProblem, n_coefficients: int) -> ca.Function:
     y, given, share = ca.SX.sym("y", problem.n_x + 1), ca.SX.sym("c", n_coefficients * problem.n_u + 2), ca.SX.sym("tau")
     u = bernstein_value(ca.reshape(given[:-2], n_coefficients, problem.n_u), share).T
     at = (y[:-1], u, ca.DM(problem.parameters), given[-2] + share * given[-1])
-    value = ca.vertcat(problem.function("rate")(*at), problem.function("running_cost")(*at))
+    value = ca.vertcat(problem.functions["rate"](*at), problem.functions["running_cost"](*at))
     return ca.Function("rate", [y, given, share], [value], {"cse": True})
 
 
-def samples_of(motion: Curves) -> OdeSamples:
-    """Return a motion at the samples of every interval."""
-    points = sample_points(len(motion.state) - 1)
+def sampled_motion(motion: Curves, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the times (n,) [s], states (n, n_x) and efforts (n, n_u) at shares `points` of every interval."""
     time = motion.times_at(points)
-    return OdeSamples(points, time, motion.state_at(time), motion.effort_at(time))
+    return time, motion.state_at(time), motion.effort_at(time)
 
 
 def functions_not_finite(problem: OdeProblem, motion: Curves) -> list[str]:
     """Return the sentences on the problem's functions that are not finite along a motion."""
-    at, last_s = samples_of(motion), motion.breaks_s[-1:]
-    rows = [(name, problem.along(name, at.x, at.u, at.time), at.time) for name in ("rate", "running_cost", "path")]
+    time, x, u = sampled_motion(motion, sample_points(len(motion.state) - 1))
+    rows = [(name, problem.along(name, x, u, time), time) for name in ("rate", "running_cost", "path")]
     for name in ("final_cost", "ends"):
-        rows.append((name, problem.at_ends(name, at.x[0], at.x[-1], motion.duration_s)[None], last_s))
+        rows.append((name, problem.at_ends(name, x[0], x[-1], motion.duration_s)[None], motion.breaks_s[-1:]))
     return [sentence for row in rows for sentence in not_finite(*row)]
 
 
 def running_cost(problem: OdeProblem, motion: Curves, chosen: Scheme) -> np.ndarray:
     """Return the running cost of each interval (n,) by the quadrature of the transcription."""
     # The right end of an interval is the next one's left end, where efforts may jump: just before it.
-    time = motion.times_at(np.clip(chosen.nodes, 0.0, 1.0 - 1e-12))
-    rate = problem.along("running_cost", motion.state_at(time), motion.effort_at(time), time)
+    time, x, u = sampled_motion(motion, np.clip(chosen.nodes, 0.0, 1.0 - 1e-12))
+    rate = problem.along("running_cost", x, u, time)
     return np.diff(motion.breaks_s) * (rate.reshape(-1, chosen.n_nodes) @ chosen.weights)
 
 

@@ -4,109 +4,26 @@ The first of the guesses and the straight line that leads to a motion that passe
 """
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.errors import InfeasibleError
-from linkplan.planner.limits.limit import WhichJoints
-from linkplan.planner.ode.certificate import (
-    INTEGRATION_SHARE,
-    OBJECTIVE_ERROR_FACTOR,
-    OVERRUN_SHARE,
-    OdeCertificate,
-    certify_ode,
-    functions_not_finite,
-    running_cost,
-)
-from linkplan.planner.ode.formulation import formulate_ode, guesses_of, start_from, units_of
+from linkplan.planner.ode.case import case_of, guesses_of
+from linkplan.planner.ode.certificate import OdeCertificate, functions_not_finite
 from linkplan.planner.ode.problem import OdeProblem
-from linkplan.planner.refinement.case import ErrorReport, Iterate, RefinementTarget, attempt, error_report
+from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import Say, Step, recorded, recording, silent
-from linkplan.planner.refinement.marking import Tightening, tightenings_of
 from linkplan.planner.refinement.state import Refined
 from linkplan.planner.refinement.switches import LONGER, bounded_by_guess
-from linkplan.planner.solvers.solve import INVALID, OF_TIME, OUT_OF_TIME, SOLVER_TOLERANCE, Solution, why_stopped
-from linkplan.planner.transcription.collocation import Curves, Transcribed, collocate, curves_of
-from linkplan.planner.transcription.formulation import Start, Units
-from linkplan.planner.transcription.mesh import Mesh, broken, uniform
-from linkplan.planner.transcription.schemes import scheme
+from linkplan.planner.solvers.solve import INVALID, OF_TIME, OUT_OF_TIME, SOLVER_TOLERANCE, why_stopped
+from linkplan.planner.transcription.collocation import Curves
+from linkplan.planner.transcription.mesh import broken, uniform
 
-# The objective is refined to this share if the user gives no tolerance and that is cheap.
-_OBJECTIVE_TOLERANCE = 1e-6
 # If the integrated state ends this share of its size away, efforts are meaningless between the nodes. They are then read at
 # this share of an interval: the first node of radau-3.
 _WILD_SHARE, _FIRST_NODE = 1e-3, 0.155
-
-
-@dataclass(frozen=True, eq=False, slots=True)
-class OdeCase:
-    """A `planner.refinement.case.Case` of a user's problem, whose path limits may be tightened."""
-
-    problem: OdeProblem
-    units: Units
-    tightenings: tuple[Tightening, ...] = ()
-
-    @property
-    def target(self) -> RefinementTarget:
-        """The form of the best motion, of which little is known, and the required accuracy."""
-        problem = self.problem
-        return RefinementTarget(
-            effort_limit=problem.effort_limit,
-            # Efforts can jump if both limits are finite.
-            switches=bool(np.any(np.all(np.isfinite(problem.effort_limit), axis=1))),
-            bang_bang=False,  # a differential equation's efforts may take a singular arc anywhere
-            continuous_efforts=False,  # nothing is known of its costs
-            strictness=INTEGRATION_SHARE / problem.tolerance,
-            tolerance_given=True,  # the mesh may become very fine
-            objective_tolerance=problem.objective_tolerance or _OBJECTIVE_TOLERANCE,
-            objective_tolerance_given=problem.objective_tolerance is not None,
-        )
-
-    def transcribe(
-        self, start: Start, mesh: Mesh, durations: np.ndarray, *, position_rows: WhichJoints = False, **arcs: Any
-    ) -> Transcribed:
-        """Return the program from a start."""
-        formulation = formulate_ode(self.problem, self.units, state_rows=bool(position_rows), tightenings=self.tightenings)
-        settings, solver = self.problem.mesh, self.problem.solver
-        chosen = scheme(settings.scheme, settings.effort)
-        how = {"compile_mode": solver.compile, "deadline": solver.deadline}
-        return collocate(formulation, chosen, mesh, durations, start, **how, **arcs)
-
-    def motion(self, solution: Solution) -> Curves:
-        """Return a solution's polynomials."""
-        curves = curves_of(solution.transcribed, solution.x, self.problem.effort_limit)
-        motion = replace(curves, state=curves.state[..., : self.problem.n_x])  # time may be the last one
-        return replace(motion, running=running_cost(self.problem, motion, solution.transcribed.scheme))
-
-    def start_from(self, motion: Curves) -> Start:
-        """Return a solution as a start."""
-        return start_from(motion, self.units)
-
-    def certify(self, motion: Curves) -> OdeCertificate:
-        """Return a solution's certificate."""
-        return certify_ode(self.problem, motion)
-
-    def error_report(self, certificate: OdeCertificate) -> ErrorReport:
-        """Return the errors that a certificate reports; another mesh may remove each of them."""
-        tolerance = self.problem.tolerance
-        return error_report(
-            certificate,
-            # The objective is to be that of the integrated motion, too.
-            exact=certificate.integration_error <= tolerance
-            and certificate.objective_error <= OBJECTIVE_ERROR_FACTOR * tolerance
-            and certificate.overrun <= OVERRUN_SHARE,
-            repairable=not certificate.passed,
-            leaves_positions=any(margin.what == "state" and not margin.kept for margin in certificate.margins),
-            touching=certificate.touching,
-            integration_error=certificate.integration_error,
-        )
-
-    def tightened(self, certificate: OdeCertificate, motion: Curves) -> "OdeCase":
-        """Return the case with path limits tightened by the solution's excess over them; rows keep those of states."""
-        return replace(self, tightenings=self.tightenings + tightenings_of(certificate.margins, motion.breaks_s))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
@@ -258,7 +175,7 @@ def _plan_from(problem: OdeProblem, guess: Curves, what: str) -> OdePlan | None:
     An effort that acts only through its sine and cosine may jump by whole turns from node to node: the equations hold at the
     nodes, but the polynomial between them is meaningless. Efforts that are constant over an interval avoid this.
     """
-    case, breaks = OdeCase(problem, units_of(problem, guess)), problem.mesh.breaks
+    case, breaks = case_of(problem, guess), problem.mesh.breaks
     mesh = uniform(problem.mesh.intervals) if breaks is None else broken(breaks)
     found = attempt(case, case.start_from(guess), mesh, np.array([guess.duration_s]), what)
     if found is None:

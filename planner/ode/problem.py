@@ -13,7 +13,7 @@ from msgspec import Meta
 
 from linkplan.models.errors import ProblemError, one_line
 from linkplan.planner.problem.keys.reading import read
-from linkplan.planner.problem.limits import free_bounds
+from linkplan.planner.problem.limits import exact_bounds, free_bounds
 from linkplan.planner.problem.settings import DERIVED, MeshSettings, SolverSettings, frozen, number, to_toml_types
 
 # (x, u, p, t) -> a column; x (n_x,), u (n_u,), p (n_p,) and t are CasADi SX.
@@ -21,6 +21,8 @@ AtInstant = Callable[[ca.SX, ca.SX, ca.SX, ca.SX], object]
 # (x at the start, x at the end, duration, p) -> a column.
 AtEnds = Callable[[ca.SX, ca.SX, ca.SX, ca.SX], object]
 _AT_ENDS = ("final_cost", "ends")
+_SHARE: Any = Annotated[float, Meta(gt=0, le=1)]
+_ROWS = ("start", "goal", "effort_limit", "state_limit", "path_limit", "ends_limit")
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -93,80 +95,89 @@ class OdeProblem:
     objective_tolerance: float | None = None
     mesh: MeshSettings = field(default_factory=MeshSettings)
     solver: SolverSettings = field(default_factory=SolverSettings)
+    functions: dict[str, ca.Function] = field(init=False, repr=False)  # see `_function`
 
     def __post_init__(self) -> None:
-        self._freeze_arrays()
-        self._check_lists()
-        self._check_settings()
-        for name in ("rate", "running_cost", "path", *_AT_ENDS):  # functions with a wrong number of values
-            n = {"rate": self.n_x, "path": len(self.path_limit), "ends": len(self.ends_limit)}.get(name, 1)
-            got = self.function(name).numel_out(0)
-            if got != n:
-                of = "x at the start, x at the end, duration, p" if name in _AT_ENDS else "x, u, p, t"
-                raise ProblemError(f"{name} gives {n} values of ({of}), got {got}")
-
-    def _freeze_arrays(self) -> None:
-        """Store start, goal, limits and parameters as arrays that cannot be changed, and refuse other shapes."""
-        ends = {name: _rows(name, getattr(self, name), values=True) for name in ("start", "goal")}
-        n_x = len(ends["start"])
-        if len(ends["goal"]) != n_x or n_x == 0:
-            raise ProblemError(f"start and goal have one value a state, got {n_x} and {len(ends['goal'])}")
-        limits = {name: _rows(name, getattr(self, name)) for name in ("effort_limit", "path_limit", "ends_limit")}
-        limits["state_limit"] = free_bounds(n_x) if self.state_limit is None else _rows("state_limit", self.state_limit)
-        parameters = np.ravel(_array("parameters", self.parameters))
-        for name, value in (ends | limits | {"parameters": parameters}).items():
-            object.__setattr__(self, name, frozen(value))
-        if len(self.state_limit) != n_x:
-            raise ProblemError(f"state_limit has one [low, high] for each of {n_x} states, got {len(self.state_limit)}")
-        if self.n_u == 0:
-            raise ProblemError("effort_limit has one [low, high] for each effort; a problem has at least one")
-        if not np.all(np.isfinite(parameters)):
-            raise ProblemError(f"parameters must be finite numbers, got {parameters}")
-
-    def _check_lists(self) -> None:
-        """Refuse names, indices and guesses of other numbers of states; number states and efforts without names."""
-        n_x, n_u = self.n_x, self.n_u
+        rows = {name: _rows(name, getattr(self, name)) for name in _ROWS if getattr(self, name) is not None}
+        n_x, n_u = len(rows["start"]), len(rows["effort_limit"])
+        limit, parameters = rows.setdefault("state_limit", free_bounds(n_x)), np.ravel(_array("parameters", self.parameters))
+        duration = _array("duration_s", self.duration_s).ravel()
+        _check(
+            (n_x == len(rows["goal"]) > 0, f"start and goal have one value a state, got {n_x} and {len(rows['goal'])}"),
+            (len(limit) == n_x, f"state_limit has one [low, high] for each of {n_x} states, got {len(limit)}"),
+            (n_u > 0, "effort_limit has one [low, high] for each effort; a problem has at least one"),
+            (np.all(np.isfinite(parameters)), f"parameters must be finite numbers, got {parameters}"),
+            (
+                len(duration) in (1, 2) and 0 <= duration[0] <= duration[-1] > 0 and np.isfinite(duration[0]),
+                f"duration_s must be a positive number, or (low, high) with 0 <= low < high, got {self.duration_s!r}",
+            ),
+        )
+        values: dict[str, Any] = {name: frozen(value) for name, value in (rows | {"parameters": parameters}).items()}
+        values |= {"returns": tuple(self.returns), "guesses": tuple(self.guesses)}
         for name, n in (("states", n_x), ("efforts", n_u)):
-            labels = tuple(getattr(self, name)) or tuple(f"{name[:-1]}{i}" for i in range(n))
-            if len(labels) != n:
-                raise ProblemError(f"{name} has {n} names, got {len(labels)}")
-            object.__setattr__(self, name, labels)
-        object.__setattr__(self, "returns", tuple(self.returns))
-        object.__setattr__(self, "guesses", tuple(self.guesses))
-        if any(not isinstance(i, int | np.integer) or not 0 <= i < n_x for i in self.returns):
-            raise ProblemError(f"returns must be states from 0 to {n_x - 1}, got {list(self.returns)}")
+            values[name] = tuple(getattr(self, name)) or tuple(f"{name[:-1]}{i}" for i in range(n))
+            _check((len(values[name]) == n, f"{name} has {n} names, got {len(values[name])}"))
+        for name, value in values.items():
+            object.__setattr__(self, name, value)
+        self._check_items()
+        self._check_settings()
+        functions = {name: self._function(name) for name in ("rate", "running_cost", "path", *_AT_ENDS)}
+        object.__setattr__(self, "functions", functions)
+
+    def _check_items(self) -> None:
+        """Refuse indices and guesses of other numbers of states, and boundary states beyond their limits."""
+        n_x, n_u = self.n_x, self.n_u
+        states = all(isinstance(i, int | np.integer) and 0 <= i < n_x for i in self.returns)
+        _check((states, f"returns must be states from 0 to {n_x - 1}, got {list(self.returns)}"))
         for guess in self.guesses:
-            if not isinstance(guess, StateGuess):
-                raise ProblemError(f"guesses must be {StateGuess.__module__}.StateGuess objects, got {guess!r}")
-            if guess.state.shape[1] != n_x or (guess.effort is not None and guess.effort.shape[1] != n_u):
-                raise ProblemError(f"a guess has {n_x} states and {n_u} efforts, got {guess.state.shape[1]} states")
+            _check((isinstance(guess, StateGuess), f"guesses must be {__name__}.StateGuess objects, got {guess!r}"))
+            fits = guess.state.shape[1] == n_x and (guess.effort is None or guess.effort.shape[1] == n_u)
+            _check((fits, f"a guess has {n_x} states and {n_u} efforts, got {guess.state.shape[1]} states"))
         for what, rows in (("start", self.start), ("goal", self.goal)):
             for name, (low, high), (least, most) in zip(self.states, rows, self.state_limit, strict=True):
-                if low > most or high < least:
-                    asked = low if low > most else high
-                    raise ProblemError(f"{what} asks for {name} = {asked:g}, beyond its limits {least:g} to {most:g}")
+                end = low if low > most else high
+                legal = f"beyond its limits {least:g} to {most:g}"
+                _check((least <= high and low <= most, f"{what} asks for {name} = {end:g}, {legal}"))
 
     def _check_settings(self) -> None:
-        """Refuse meaningless durations, tolerances and settings, and a problem without a rate or a cost."""
-        low, high = self.duration
-        if not (0 <= low <= high and high > 0 and np.isfinite(low)):
-            raise ProblemError(
-                f"duration_s must be a positive number, or (low, high) with 0 <= low < high, got {self.duration_s!r}"
-            )
+        """Refuse meaningless tolerances and settings, and a problem without a rate or a cost."""
         for name, kind in (("mesh", MeshSettings), ("solver", SolverSettings)):
-            if not isinstance(getattr(self, name), kind):
-                raise ProblemError(f"{name} must be a {kind.__module__}.{kind.__name__}, got {getattr(self, name)!r}")
-        if self.solver.starts != 1:
-            got = f"got {self.solver.starts}: give `guesses`"
-            raise ProblemError(f"solver.starts must be 1 for a differential equation, {got}")
-        share: Any = Annotated[float, Meta(gt=0, le=1)]
-        read(share, to_toml_types(self.tolerance), "tolerance")
-        if self.objective_tolerance is not None:
-            read(share, to_toml_types(self.objective_tolerance), "objective_tolerance")
-        if self.rate is None:
-            raise ProblemError("rate must be a function of (x, u, p, t), got None")
-        if self.running_cost is None and self.final_cost is None:
-            raise ProblemError("a problem needs running_cost, final_cost or both: otherwise no motion is the best")
+            given = getattr(self, name)
+            _check((isinstance(given, kind), f"{name} must be a {kind.__module__}.{kind.__name__}, got {given!r}"))
+        starts = self.solver.starts
+        _check(
+            (starts == 1, f"solver.starts must be 1 for a differential equation, got {starts}: give `guesses`"),
+            (self.rate is not None, "rate must be a function of (x, u, p, t), got None"),
+            (
+                self.running_cost is not None or self.final_cost is not None,
+                "a problem needs running_cost, final_cost or both: otherwise no motion is the best",
+            ),
+        )
+        for name in ("tolerance", "objective_tolerance"):
+            if name == "tolerance" or self.objective_tolerance is not None:
+                read(_SHARE, to_toml_types(getattr(self, name)), name)
+
+    def _function(self, name: str) -> ca.Function:
+        """Return `rate`, `running_cost` or `path` of (x, u, p, t), or `final_cost` or `ends` of (x_0, x_T, T, p).
+
+        A missing cost is zero; a missing path, or missing ends, have no values.
+        """
+        n_x, n_p, given = self.n_x, len(self.parameters), getattr(self, name)
+        of, sizes = "x, u, p, t", (n_x, self.n_u, n_p, 1)
+        if name in _AT_ENDS:
+            of, sizes = "x at the start, x at the end, duration, p", (n_x, n_x, 1, n_p)
+        symbols = [ca.SX.sym(f"a{i}", n) for i, n in enumerate(sizes)]
+        try:
+            value = ca.SX.zeros(name.endswith("cost"), 1) if given is None else given(*symbols)
+            column = ca.vec(ca.vertcat(*value) if isinstance(value, list | tuple) else ca.SX(value))
+            function = ca.Function(name, symbols, [ca.densify(column)])
+        except Exception as error:  # any error of a user's function is reported with the function's name
+            raise ProblemError(
+                f"{name} of '{self.name}' cannot be written in CasADi's SX: {type(error).__name__}: {one_line(error)}"
+            ) from error
+        n = {"rate": n_x, "path": len(self.path_limit), "ends": len(self.ends_limit)}.get(name, 1)
+        _check((column.numel() == n, f"{name} gives {n} values of ({of}), got {column.numel()}"))
+        return function
 
     @property
     def n_x(self) -> int:
@@ -181,54 +192,36 @@ class OdeProblem:
     @property
     def duration(self) -> tuple[float, float]:
         """The bounds on the duration [s], equal if it is given."""
-        given = _array("duration_s", self.duration_s).ravel()
-        if len(given) not in (1, 2):
-            legal = "a positive number, or (low, high) where it is free"
-            raise ProblemError(f"duration_s must be {legal}, got {self.duration_s!r}")
-        return float(given[0]), float(given[-1])
-
-    def function(self, name: str) -> ca.Function:
-        """Return `rate`, `running_cost` or `path` of (x, u, p, t), or `final_cost` or `ends` of (x_0, x_T, T, p).
-
-        The result is a CasADi function. A missing cost is zero; a missing path, or missing ends, have no values.
-        """
-        sizes = {"x": self.n_x, "u": self.n_u, "p": len(self.parameters), "t": 1}
-        if name in _AT_ENDS:
-            sizes = {"x0": self.n_x, "xT": self.n_x, "T": 1, "p": len(self.parameters)}
-        symbols = [ca.SX.sym(symbol, n) for symbol, n in sizes.items()]
-        given = getattr(self, name)
-        try:
-            value = ca.SX.zeros(name.endswith("cost"), 1) if given is None else given(*symbols)
-            column = ca.vec(ca.vertcat(*value) if isinstance(value, list | tuple) else ca.SX(value))
-            return ca.Function(name, symbols, [ca.densify(column)])
-        except Exception as error:  # any error of a user's function is reported with the function's name
-            raise ProblemError(
-                f"{name} of '{self.name}' cannot be written in CasADi's SX: {type(error).__name__}: {one_line(error)}"
-            ) from error
+        bounds = np.ravel(self.duration_s)
+        return float(bounds[0]), float(bounds[-1])
 
     def along(self, name: str, x: np.ndarray, u: np.ndarray, time: np.ndarray) -> np.ndarray:
         """Return `rate`, `running_cost` or `path` (n, n_values) at states (n, n_x), efforts (n, n_u) and times (n,)."""
-        return np.array(self.function(name)(x.T, u.T, self.parameters, time[None])).reshape(-1, len(time)).T
+        return np.array(self.functions[name](x.T, u.T, self.parameters, time[None])).reshape(-1, len(time)).T
 
     def at_ends(self, name: str, first: np.ndarray, last: np.ndarray, duration_s: float) -> np.ndarray:
         """Return `final_cost` or `ends` (n_values,) of the first and the last state (n_x,) and the duration [s]."""
-        return np.array(self.function(name)(first, last, duration_s, self.parameters)).ravel()
+        return np.array(self.functions[name](first, last, duration_s, self.parameters)).ravel()
 
 
-def _rows(name: str, given: object, *, values: bool = False) -> np.ndarray:
-    """Return [low, high] rows (n, 2); with `values` a value may stand for its row, NaN where it is free."""
-    array = _array(name, given)
-    if values and array.ndim == 1:
-        free = np.isnan(array)
-        array = np.column_stack([np.where(free, -np.inf, array), np.where(free, np.inf, array)])
-    if array.size == 0:
-        return np.zeros((0, 2))
-    if array.ndim != 2 or array.shape[1] != 2:
-        one = "one value, or [low, high], a state" if values else "one [low, high] a row"
-        raise ProblemError(f"{name} has {one}, got shape {array.shape}")
+def _check(*rules: tuple[Any, str]) -> None:
+    """Refuse a problem with the sentence of the first rule that does not hold."""
+    for holds, sentence in rules:
+        if not holds:
+            raise ProblemError(sentence)
+
+
+def _rows(name: str, given: object) -> np.ndarray:
+    """Return [low, high] rows (n, 2); a value may stand for a row of start and goal, NaN where it is free."""
+    array, one = _array(name, given), "one [low, high] a row"
+    if name in ("start", "goal"):
+        one = "one value, or [low, high], a state"
+        array = np.column_stack(exact_bounds(array)) if array.ndim == 1 else array
+    array = array if array.size else free_bounds(0)
+    _check((array.ndim == 2 and array.shape[1] == 2, f"{name} has {one}, got shape {array.shape}"))
     low, high = array.T
-    if not np.all((low <= high) & (low < np.inf) & (high > -np.inf)):
-        raise ProblemError(f"{name} has rows [low, high] with low <= high, got {array.tolist()}")
+    legal = np.all((low <= high) & (low < np.inf) & (high > -np.inf))
+    _check((legal, f"{name} has rows [low, high] with low <= high, got {array.tolist()}"))
     return array
 
 

@@ -23,6 +23,12 @@ def free_bounds(n: int) -> np.ndarray:
     return np.tile([-np.inf, np.inf], (n, 1))
 
 
+def exact_bounds(asked: np.ndarray, free: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Return the bounds, low and high, of prescribed values; infinite where these are NaN or `free`."""
+    open_values = np.isnan(asked) if free is None else free
+    return np.where(open_values, -np.inf, asked), np.where(open_values, np.inf, asked)
+
+
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Limits(LimitValues):
     """Limits at every instant as rows [low, high], infinite without a limit.

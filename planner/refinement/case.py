@@ -57,11 +57,11 @@ class RefinementTarget:
 
     effort_limit: np.ndarray
     switches: bool
-    bang_bang: bool
-    continuous_efforts: bool
     strictness: float
     tolerance_given: bool
     objective_tolerance: float | None
+    bang_bang: bool = False
+    continuous_efforts: bool = False
     objective_tolerance_given: bool = True
     kinks_at_limits: bool = False
     enclosed: bool = False

@@ -4,13 +4,12 @@ Limits that a motion overran between the nodes are tightened there, by the amoun
 """
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 
-from linkplan.planner.limits.limit import Margin, Tightened
+from linkplan.planner.limits.limit import Limit, LimitedRow, Margin, Tightened
 from linkplan.planner.problem.settings import MeshSettings
 from linkplan.planner.refinement.case import Case, CertifiedIterate, ErrorReport, PiecewiseMotion
 from linkplan.planner.transcription.mesh import Mesh
@@ -41,14 +40,6 @@ OUTLIER_FACTOR = 30.0
 INTERVALS_OF_ARC = 3
 # An interval is rough if an effort bends there by at least this share of its largest bend.
 ROUGH_SHARE = 0.01
-
-
-class TightenedRow(NamedTuple):
-    """The limit of a row, and the way in which it is tightened."""
-
-    what: str
-    item: int
-    tightened: Tightened
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -90,16 +81,16 @@ def evened(tightenings: tuple[Tightening, ...]) -> tuple[Tightening, ...]:
 
 
 def tightening_over(
-    tightenings: tuple[Tightening, ...], rows: list[TightenedRow], path: np.ndarray
+    tightenings: tuple[Tightening, ...], rows: Sequence[Limit | LimitedRow], path: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Return the function from breaks (n + 1,) [s] to the tightening (n, n_path) of the bounds `path` (n_path, 2).
 
     `rows` are the limits of the first of these quantities; the others are never tightened.
     """
     size = np.where(np.isfinite(path), np.where(path == 0, 1.0, np.abs(path)), 0.0)
-    size[[column for column, row in enumerate(rows) if row.tightened is Tightened.IN_UNITS]] = 1.0
-    factor = [2.0 if row.tightened is Tightened.SQUARED else 1.0 for row in rows]
-    columns = {(row.what, row.item): column for column, row in enumerate(rows)}
+    size[[column for column, row in enumerate(rows) if row.facts.tightened is Tightened.IN_UNITS]] = 1.0
+    factor = [2.0 if row.facts.tightened is Tightened.SQUARED else 1.0 for row in rows]
+    columns = {(row.facts.kind, row.item): column for column, row in enumerate(rows)}
     # Both bounds together leave a tenth of the distance between them.
     most = np.where(np.all(np.isfinite(path), axis=1), 0.45 * (path[:, 1] - path[:, 0]), np.inf)
 

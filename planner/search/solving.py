@@ -14,7 +14,6 @@ from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, stret
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.switches import LONGER, bounded_by_guess
-from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.transcription.mesh import Mesh, broken, segmented, uniform
 
 # The smallest number of intervals for each swing of a guess.
@@ -93,7 +92,7 @@ def _spread(times: np.ndarray, progress: np.ndarray, ends: np.ndarray, boundarie
 
 def with_longer_durations(problem: Problem, found: Iterate) -> tuple[Iterate, str | None]:
     """Return a solution that is not bounded by the guessed duration, and the sentence on an unbounded duration, or None."""
-    unbounded, longer = unbounded_duration(problem, found.solution), found.motion.duration_s
+    unbounded, longer = unbounded_duration(problem, found), found.motion.duration_s
     for _ in range(2):
         if unbounded is None:
             break
@@ -106,22 +105,21 @@ def with_longer_durations(problem: Problem, found: Iterate) -> tuple[Iterate, st
             break
         # If one step lowers the objective to a thousandth, it falls without limit: the duration is unbounded.
         falls = further.solution.objective < 1e-3 * found.solution.objective and problem.motion.max_duration_s is None
-        found, unbounded = further, unbounded if falls else unbounded_duration(problem, further.solution)
+        found, unbounded = further, unbounded if falls else unbounded_duration(problem, further)
     return found, unbounded
 
 
-def unbounded_duration(problem: Problem, solution: Solution) -> str | None:
+def unbounded_duration(problem: Problem, found: Iterate) -> str | None:
     """Return the sentence on a free duration that grew to the bound due to its guess, or None.
 
     This bound is a hundred times the guess and not the user's. The objective still falls there, so there is no best motion.
     """
-    motion, transcribed = problem.motion, solution.transcribed
-    if motion.duration_s is not None or bounded_by_guess(solution, 0.0, motion.max_duration_s or np.inf) != LONGER:
+    motion = problem.motion
+    if motion.duration_s is not None or bounded_by_guess(found.solution, 0.0, motion.max_duration_s or np.inf) != LONGER:
         return None
-    duration = float(solution.x[transcribed.program.layout.durations()].sum()) * transcribed.units.time_s
     what = problem.objective.name.replace("_", " ")
     without = f"failed: the objective is unbounded in the duration: the longer the motion, the smaller its {what}"
-    return f"{without}, up to the longest motion tried, {duration:.4g} s; set motion.max_duration_s"
+    return f"{without}, up to the longest motion tried, {found.motion.duration_s:.4g} s; set motion.max_duration_s"
 
 
 def longest(problem: Problem) -> float:

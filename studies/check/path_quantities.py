@@ -13,7 +13,7 @@ from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.poses.body_angles import turning_bodies
 from linkplan.models.tree.dynamics import site_names
-from linkplan.models.tree.joints import Joint, shown_by_unit
+from linkplan.models.tree.joints import Joint, inertia_unit_of, shown_by_unit
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, acts, has_whole_records
 from linkplan.studies.check.spring_ratios import sprung_tendons
 from linkplan.studies.output.quantities import Curve, Quantity, curves_of
@@ -66,7 +66,7 @@ def _effort(part: Joint | Actuator) -> str:
 
 
 def _inertia(part: Joint | Actuator) -> str:
-    return part.inertia_unit
+    return inertia_unit_of(part.si_units[1])
 
 
 # The plots in their order: the label of the vertical axis by title.

@@ -7,12 +7,13 @@ import numpy as np
 import pytest
 
 from linkplan.planner.certificate.flow import flow
-from linkplan.planner.certificate.integration import exact_bounds, relative_violation
+from linkplan.planner.certificate.integration import relative_violation
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
-from linkplan.planner.ode.plan import OdeCase
+from linkplan.planner.closed_chain.guess import perturbation
+from linkplan.planner.ode.case import OdeCase
+from linkplan.planner.problem.limits import exact_bounds
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import Case
-from linkplan.planner.refinement.perturbation import perturbation
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME, SUCCEEDED, why_stopped
 from linkplan.planner.transcription.bernstein import bernstein_matrix, bernstein_value

@@ -10,7 +10,7 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.transfer.polytope import motor_gains as gains_at_motors
-from linkplan.models.tree.joints import Joint
+from linkplan.models.tree.joints import Joint, gain_units_of
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.studies.feedback.tune.requirements import EvaluatedGains, JudgedLoop, Requirements
 
@@ -134,7 +134,7 @@ def _of_motor(actuator: Actuator, joint: Joint, values: dict[str, np.ndarray]) -
         actuator=actuator.name,
         joint=joint.name,
         gear=actuator.gear,
-        units=actuator.gain_units,
+        units=gain_units_of(actuator.unit),
         **figures,
         values=values,
         si_units=(actuator.si_units[0], joint.si_units[0]),

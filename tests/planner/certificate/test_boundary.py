@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from linkplan.planner.certificate.certificate import _turn_error, _waypoint_error, end_state_error
-from linkplan.planner.certificate.integration import ends_off_m, exact_bounds, relative_violation, waypoint_off_m
+from linkplan.planner.certificate.integration import ends_off_m, relative_violation, waypoint_off_m
+from linkplan.planner.problem.limits import exact_bounds
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from tests.support.arms import LOWER, UPPER, angles_at, foot_of

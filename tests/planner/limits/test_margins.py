@@ -11,7 +11,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
 from linkplan.planner.limits.kinds import violation
-from linkplan.planner.limits.limit import Measured, margin_of
+from linkplan.planner.limits.limit import LimitedRow, LimitFacts, Measured, margin_of
 from linkplan.planner.limits.samples import Samples, least_between, sample_points, samples_of
 from linkplan.planner.transcription.bernstein import bernstein_matrix
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
@@ -29,6 +29,7 @@ def parabolas() -> Samples:
 
 SAMPLES = parabolas()
 CURVE, POINTS = SAMPLES.q[:, 0], SAMPLES.points
+ROW = LimitedRow(LimitFacts(kind="q"), 0)
 
 
 @pytest.mark.parametrize(
@@ -41,7 +42,7 @@ CURVE, POINTS = SAMPLES.q[:, 0], SAMPLES.points
     ],
 )
 def test_the_extreme_of_a_parabola_is_the_value_nearest_to_its_limit(sign, bounds, upper, left, overruns):
-    margin = margin_of(None, Measured("q", sign * CURVE, bounds, "N"), SAMPLES)
+    margin = margin_of(ROW, Measured("q", sign * CURVE, bounds, "N"), POINTS, SAMPLES.time)
     assert margin.upper is upper
     assert margin.limit == bounds[upper]
     assert margin.value == pytest.approx(-2.0 * sign, rel=1e-9)
@@ -53,7 +54,7 @@ def test_the_extreme_of_a_parabola_is_the_value_nearest_to_its_limit(sign, bound
 
 def test_an_interval_with_a_kink_has_the_least_of_its_samples():
     values, bent = np.concatenate([20 * (POINTS - 0.37) ** 2 - 2.0, POINTS + 5.0]), np.arange(2 * len(POINTS)) == 3
-    margin = margin_of(None, Measured("q", values, (0.0, np.inf), "N", bent=bent), SAMPLES)
+    margin = margin_of(ROW, Measured("q", values, (0.0, np.inf), "N", bent=bent), POINTS, SAMPLES.time)
     assert margin.left == values.min()
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.ode.formulation import _open_end_path, depends_on_time, formulate_ode, guesses_of, start_from, units_of
+from linkplan.planner.ode.case import OdeCase, case_of, guesses_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.transcription.collocation import Curves
 from linkplan.planner.transcription.formulation import Units
@@ -26,7 +26,7 @@ def chain(n: int = 1, **given) -> OdeProblem:
 def units(state: np.ndarray, effort: np.ndarray, **given) -> Units:
     """Return the units for a guess of states (n, n_x) and efforts (n, 1)."""
     problem = chain(np.shape(state)[1], **given, guesses=[StateGuess(state=state, effort=effort)])
-    return units_of(problem, guesses_of(problem)[0])
+    return case_of(problem, guesses_of(problem)[0]).units
 
 
 @pytest.mark.parametrize(
@@ -88,10 +88,9 @@ def test_time_is_a_state_of_its_own_where_something_depends_on_it():
     given = [StateGuess(state=[[0.0], [6.0]], effort=np.ones((2, 1)))]
     for problem, is_timed in ((replace(timed(), guesses=given), True), (chain(guesses=given), False)):
         guess = guesses_of(problem)[0]
-        assert depends_on_time(problem) == is_timed
-        found = units_of(problem, guess)
-        assert found.state == pytest.approx([6.0, T] if is_timed else [6.0])
-        start, at = start_from(guess, found), np.array([0.5, 1.5])
+        case = case_of(problem, guess)
+        assert case.units.state == pytest.approx([6.0, T] if is_timed else [6.0])
+        start, at = case.start_from(guess), np.array([0.5, 1.5])
         clock = [[0.25], [0.75]] if is_timed else np.zeros((2, 0))
         assert start.states(at) == pytest.approx(np.hstack([[[0.25], [0.75]], clock]))
         assert start.nodes(at)[1] == pytest.approx(np.ones((2, 1 + is_timed)))
@@ -100,7 +99,7 @@ def test_time_is_a_state_of_its_own_where_something_depends_on_it():
 def test_the_cost_of_the_ends_is_that_of_the_states_without_their_clock():
     problem = timed()
     found = Units(time_s=T, state=np.array([3.0, T]), effort=np.ones(1), objective=10.0)
-    ends = formulate_ode(problem, found).endpoint
+    ends = OdeCase(problem, found).formulation().endpoint
     assert ends.function.size1_in(0) == ends.function.size1_in(1) == 2
     # x(T) = 2 * 3, in a duration of 1.5 * 2.
     assert float(ends.function([0.0, 0.0], [2.0, 1.0], 1.5, [])) == pytest.approx(6.0 * 3.0 / 10.0)
@@ -161,4 +160,4 @@ def test_rows_where_no_node_stands_are_those_of_inequalities_with_an_effort():
         path=lambda x, u, p, t: [x[0], x[0] * u[0], u[0] - x[0]],  # noqa: ARG005
         path_limit=[[-1.0, 2.0], [-0.5, 0.5], [0.0, 0.0]],
     )
-    assert _open_end_path(asked) == (1,)
+    assert case_of(asked, guesses_of(asked)[0]).formulation().rows.open_end_path == (1,)

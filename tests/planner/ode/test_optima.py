@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from linkplan.planner.ode.case import case_of, guesses_of
 from linkplan.planner.ode.certificate import LIMIT_SLACK, OVERRUN_SHARE
-from linkplan.planner.ode.formulation import guesses_of, start_from, units_of
-from linkplan.planner.ode.plan import OdeCase, OdePlan, known_digits, plan_ode, plan_of
+from linkplan.planner.ode.plan import OdePlan, known_digits, plan_ode, plan_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.decision import refine
@@ -138,8 +138,8 @@ def test_the_straight_line_is_a_start_beside_guesses_that_lead_nowhere():
 def test_a_plan_whose_objective_is_known_on_one_mesh_only_says_that_its_error_is_not_known():
     problem = bryson_denham(0.1, None)
     guess = guesses_of(problem)[0]
-    case = OdeCase(problem, units_of(problem, guess))
-    found = attempt(case, start_from(guess, case.units), uniform(40), np.array([1.0]), "first solve")
+    case = case_of(problem, guess)
+    found = attempt(case, case.start_from(guess), uniform(40), np.array([1.0]), "first solve")
     plan = plan_of(problem, replace(refine(case, found), objective_error=INF))
     assert plan.status == "optimal"
     assert plan.objective_error is None

@@ -10,14 +10,13 @@ from linkplan.models.deadline import Deadline
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess, guess_from
 from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
-from linkplan.planner.limits.limit import Margin, Tightened
+from linkplan.planner.limits.limit import LimitedRow, LimitFacts, Margin, Tightened
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.proof.prove import prove
 from linkplan.planner.refinement.actions import ReduceEffortOverrun
 from linkplan.planner.refinement.case import attempt, certify_iterate
 from linkplan.planner.refinement.decision import next_action
 from linkplan.planner.refinement.marking import (
-    TightenedRow,
     Tightening,
     evened,
     tightened_share,
@@ -75,13 +74,17 @@ def test_a_tightening_is_a_ten_millionth_of_the_limit_at_the_least():
     assert 1e-7 <= tightened_share(np.array([1e-12]))[0] < 5e-7
 
 
-ROWS = [TightenedRow("power", 0, Tightened.BY_SHARE), TightenedRow("tube", 1, Tightened.IN_UNITS)]
+ROWS = [LimitedRow(LimitFacts(kind="power"), 0), LimitedRow(LimitFacts(kind="tube", tightened=Tightened.IN_UNITS), 1)]
 
 
 def tightened(share: list[float], limit: list[float], breaks_s: np.ndarray, *, upper: bool = True, item: int = 0):
     """Return by how much two path limits are tightened on the intervals of a mesh; the shares are of [0, 0.25, 1]."""
     one = Tightening(
-        what=ROWS[item].what, item=ROWS[item].item, breaks=np.array([0.0, 0.25, 1.0]), share=np.array(share), upper=upper
+        what=ROWS[item].facts.kind,
+        item=ROWS[item].item,
+        breaks=np.array([0.0, 0.25, 1.0]),
+        share=np.array(share),
+        upper=upper,
     )
     return tightening_over((one,), ROWS, np.array([limit, limit]))(breaks_s)
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.ode.formulation import formulate_ode, guesses_of, start_from, units_of
+from linkplan.planner.ode.case import case_of, guesses_of
 from linkplan.planner.ode.problem import OdeProblem, StateGuess
 from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of, renumbered_with
 from linkplan.planner.transcription.mesh import uniform
@@ -32,9 +32,9 @@ def transcribed(
     line = StateGuess(state=[[1.0], [7.0]], effort=np.tile(efforts, (2, 1)))
     problem = problem_of(guesses=[line])
     guess = guesses_of(problem)[0]
-    units = units_of(problem, guess)
+    case = case_of(problem, guess)
     return collocate(
-        formulate_ode(problem, units), scheme(name), uniform(3), np.array([DURATION_S]), start_from(guess, units),
+        case.formulation(), scheme(name), uniform(3), np.array([DURATION_S]), case.start_from(guess),
         compile_mode="never", least_limit=least_limit,
     )  # fmt: skip
 
