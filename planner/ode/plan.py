@@ -15,7 +15,7 @@ from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import Say, Step, recorded, recording, silent
-from linkplan.planner.refinement.state import Refined
+from linkplan.planner.refinement.state import OPTIMAL_CHANGE, Refined
 from linkplan.planner.refinement.switches import LONGER, bounded_by_guess
 from linkplan.planner.solvers.solve import INVALID, OF_TIME, OUT_OF_TIME, SOLVER_TOLERANCE, why_stopped
 from linkplan.planner.transcription.collocation import Curves
@@ -70,9 +70,8 @@ def plan_of(problem: OdeProblem, refined: Refined) -> OdePlan:
     """Return the plan of a refined motion."""
     certificate, objective, intervals = refined.certificate, refined.solution.objective, len(refined.motion.breaks_s) - 1
     status, reason = _verdict(problem, refined)
-    # At most ten times the largest of the last changes, if each mesh leaves at most nine tenths of the error before. The
-    # solver leaves about its tolerance at every limit that binds.
-    error = abs(objective) * max(10.0 * refined.objective_error, SOLVER_TOLERANCE * intervals)
+    # The solver leaves about its tolerance at every limit that binds.
+    error = abs(objective) * max(_error_of_meshes(refined), SOLVER_TOLERANCE * intervals)
     error += abs(objective - certificate.integrated_objective)
     value = f"{known_digits(objective, error)} in {refined.motion.duration_s:.6g} s"
     estimate = f"the estimated error of the objective is {error:.1g}"
@@ -100,6 +99,14 @@ def without_motion(problem: OdeProblem, reason: str) -> OdePlan:
     return OdePlan(problem=problem, status="failed", message=f"failed: {reason}", history=recorded())
 
 
+def _error_of_meshes(refined: Refined) -> float:
+    """Return the error of an objective as a share: ten times the largest of the last changes from mesh to mesh.
+
+    It is at most that if each mesh leaves at most nine tenths of the error before. It is infinite after one mesh.
+    """
+    return 10.0 * refined.objective_error
+
+
 def _verdict(problem: OdeProblem, refined: Refined) -> tuple[str, str]:
     """Return the status of a refined motion and the reason for it; if it is optimal, a further remark."""
     certificate, tolerance, held_back = refined.certificate, problem.tolerance, held_by_guess(problem, refined)
@@ -115,6 +122,8 @@ def _verdict(problem: OdeProblem, refined: Refined) -> tuple[str, str]:
         )
     if problem.objective_tolerance is not None and not refined.settled:
         return "feasible", f"objective_tolerance = {problem.objective_tolerance:g} was not reached{moved}"
+    if OPTIMAL_CHANGE < _error_of_meshes(refined) < np.inf:
+        return "feasible", f"its objective is known to no better than {100 * OPTIMAL_CHANGE:g} %{moved}"
     unstable = (
         "; the motion is unstable: a small error grows more than ten thousandfold along it, so that only feedback can"
         f" follow it; the integration was restarted {certificate.integration_restarts} time(s)"
@@ -135,13 +144,16 @@ def held_by_guess(problem: OdeProblem, at: Iterate | Refined) -> str | None:
 
 
 def known_digits(value: float, error: float) -> str:
-    """Return a number with the digits that an error leaves, at most ten; three if the error is not known."""
+    """Return a number with the digits that an error leaves, from one to ten, and 0 if the error is larger than the number.
+
+    If the error is not known, three digits are printed.
+    """
     if value == 0 or not np.isfinite(error):
         return f"{value:.3g}"
     # A digit is printed if its unit is at least twice the error: it may then be wrong by one.
     unit = np.ceil(np.log10(max(2.0 * error, np.finfo(float).tiny)))
     digits = int(np.floor(np.log10(abs(value))) - unit + 1)
-    return f"{value:.{min(digits, 10)}g}" if digits > 0 else "0"
+    return f"{value:.{min(max(digits, 1), 10)}g}" if error < abs(value) else "0"
 
 
 def out_of_time(problem: OdeProblem) -> str:

@@ -50,6 +50,7 @@ def test_an_optimum_is_the_known_one_and_its_error_and_digits_are_as_the_plan_sa
         (4.000000077, 5e-7, "4"),
         (4.000123, 5e-7, "4.000123"),
         (123456.0, 40.0, "1.235e+05"),
+        (57.9, 9.0, "6e+01"),
         (1e-9, 1e-8, "0"),
         (0.0, 0.0, "0"),
         (1 / 3, 0.0, "0.3333333333"),
@@ -135,12 +136,24 @@ def test_the_straight_line_is_a_start_beside_guesses_that_lead_nowhere():
     assert plan_ode(problem).objective == pytest.approx(1.5**2, rel=1e-6)  # (x^2 / 2)' = u
 
 
-def test_a_plan_whose_objective_is_known_on_one_mesh_only_says_that_its_error_is_not_known():
+@pytest.mark.parametrize(
+    ("change", "beginning"),
+    [
+        (INF, "optimum 4.44 in 1 s; the error of the objective is not known"),
+        (4e-3, "optimum 4 in 1 s; the estimated error of the objective is 0.2"),
+        (
+            6e-3,
+            "feasible: the best certified motion, 4 in 1 s, satisfies every limit, but its objective is known to no better",
+        ),
+    ],
+)
+def test_the_change_from_the_last_mesh_tells_how_well_an_objective_is_known(change, beginning):
+    """The estimated error is ten times the change; with more than 5 %, the motion may be that of another optimum."""
     problem = bryson_denham(0.1, None)
     guess = guesses_of(problem)[0]
     case = case_of(problem, guess)
     found = attempt(case, case.start_from(guess), uniform(40), np.array([1.0]), "first solve")
-    plan = plan_of(problem, replace(refine(case, found), objective_error=INF))
-    assert plan.status == "optimal"
-    assert plan.objective_error is None
-    assert plan.message.startswith("optimum 4.44 in 1 s; the error of the objective is not known")
+    plan = plan_of(problem, replace(refine(case, found), objective_error=change))
+    assert plan.message.startswith(beginning)
+    assert plan.status == ("feasible" if beginning.startswith("feasible") else "optimal")
+    assert (plan.objective_error is None) == (change == INF)
