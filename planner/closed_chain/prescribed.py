@@ -79,6 +79,12 @@ def motion_along(problem: Problem, guess: Guess, breaks_s: np.ndarray) -> Trajec
     )
 
 
+def in_more_time(problem: Problem, motion: Trajectory, factor: float) -> Trajectory:
+    """Return a motion that takes `factor` times as long, by inverse dynamics; errors as of `motion_along`."""
+    guess = stretched(guess_from(motion), factor * motion.duration_s)
+    return replace(motion_along(problem, guess, factor * motion.breaks_s), periodic=motion.periodic)
+
+
 def rounded_down(value: float) -> float:
     """Return a positive number rounded down to four digits, so that a printed bound is still valid."""
     unit = 10.0 ** (np.floor(np.log10(value)) - 3)

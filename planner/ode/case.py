@@ -128,7 +128,7 @@ class OdeCase:
         return Endpoint(function=ca.Function("endpoint", symbols, [column]), n_rows=column.numel() - 1)
 
     def motion(self, solution: Solution) -> Curves:
-        """Return a solution's polynomials, without that of time."""
+        """Return a solution's polynomials; if time is a state of the program, it is left out."""
         curves = curves_of(solution.transcribed, solution.x, self.problem.effort_limit)
         motion = replace(curves, state=curves.state[..., : self.problem.n_x])
         return replace(motion, running=running_cost(self.problem, motion, solution.transcribed.scheme))
@@ -166,7 +166,7 @@ class OdeCase:
         )
 
     def tightened(self, certificate: OdeCertificate, motion: Curves) -> "OdeCase":
-        """Return the case with path limits tightened by the solution's excess over them; rows keep those of states."""
+        """Return the case with path limits tightened by a motion's excess over them. Rows satisfy the limits of states."""
         return replace(self, tightenings=self.tightenings + tightenings_of(certificate.margins, motion.breaks_s))
 
 

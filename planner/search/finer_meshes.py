@@ -14,13 +14,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.models.deadline import Deadline, check
+from linkplan.models.deadline import Deadline, OutOfTimeError, check
+from linkplan.models.errors import AssemblyError
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.case import MechanismCase
 from linkplan.planner.closed_chain.formulate import TIE_WEIGHT
-from linkplan.planner.closed_chain.guess import guess_from, stretched, with_force_times
-from linkplan.planner.closed_chain.prescribed import motion_along
+from linkplan.planner.closed_chain.guess import guess_from, with_force_times
+from linkplan.planner.closed_chain.prescribed import in_more_time
 from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, end_sizes
 from linkplan.planner.limits.limit import with_limits
 from linkplan.planner.limits.samples import singularity_ratios
@@ -78,8 +79,9 @@ _NEAR_RANGE = 1e-3
 # effort lies between the nodes. It lengthens least times by 2e-6 and, with the next constant, saves 14 of 24 second
 # corrections of 38 problems.
 _DISTANCE_OF_EFFORTS = 2.0
-# Most parts of an interval for a solve and for a correction, and the largest factor on the required number of intervals.
-# With four parts, corrections take a fifth longer, because a second one follows more often.
+# The largest number of parts into which one interval is divided, for a solve and for a correction; and the largest number of
+# intervals of a mesh, as a multiple of the required one. Corrections in four parts take a fifth longer, because a second one
+# follows more often.
 _MAX_PIECES, _MAX_PIECES_OF_CORRECTIONS, _MAX_GROWTH = 4, 6, 6
 
 
@@ -261,14 +263,15 @@ def _slowed(case: MechanismCase, at: CertifiedIterate) -> CertifiedIterate | Non
     """
     if is_sound(at.certificate) or not at.passed or case.asked.motion.duration_s is not None:
         return None
-    found, motion = at.found, at.found.motion
+    found, motion, asked = at.found, at.found.motion, case.asked
     share = INVERSE_DYNAMICS_SHARE * float(at.report.effort_overrun.max())
-    duration = (1.0 + share) * motion.duration_s
-    if share > _SETTLED_CHANGE or duration > (case.asked.motion.max_duration_s or np.inf):
+    if share > _SETTLED_CHANGE or (1.0 + share) * motion.duration_s > (asked.motion.max_duration_s or np.inf):
         return None
-    slow = motion_along(case.asked, stretched(guess_from(motion), duration), (1.0 + share) * motion.breaks_s)
-    slow = replace(slow, periodic=motion.periodic)
-    dearer = objective_value(case.asked, slow)[0] - objective_value(case.asked, motion)[0]
+    try:
+        slow = in_more_time(asked, motion, 1.0 + share)
+    except (AssemblyError, OutOfTimeError):
+        return None
+    dearer = objective_value(asked, slow)[0] - objective_value(asked, motion)[0]
     solution = replace(found.solution, objective=found.solution.objective + dearer)
     slowed = certify_iterate(case, replace(found, motion=slow, solution=solution))
     return slowed if is_sound(slowed.certificate) else None
@@ -378,7 +381,7 @@ def _inexact(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
 
 
 def _enough(case: MechanismCase, worst: np.ndarray, most: int = _MAX_PIECES) -> np.ndarray:
-    """Return the number of parts (n,), at most `most`, of intervals whose errors are too large by these factors."""
+    """Return the number of parts (n,), at most `most`, of intervals whose error is `worst` (n,) times the allowed."""
     finite, scheme = np.nan_to_num(worst, nan=1e30, posinf=1e30), case.problem.mesh.scheme
     order = degree_of(scheme) if scheme[-1].isdigit() else 2
     return np.clip(np.ceil(finite ** (1.0 / order)), 1, most).astype(int)

@@ -18,7 +18,7 @@ from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.further_checks import negligible_objective, objective_value
 from linkplan.planner.closed_chain.case import finished
 from linkplan.planner.closed_chain.guess import Guess, even_poses, guess_from, stretched
-from linkplan.planner.closed_chain.prescribed import SQUARES_AT_REST, Holding, holding_at, motion_along
+from linkplan.planner.closed_chain.prescribed import SQUARES_AT_REST, Holding, holding_at, in_more_time, motion_along
 from linkplan.planner.phase_plane.cheapest_legs import cheapest_legs, legs_apply
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import MIN_INTERVAL_SHARE
@@ -106,7 +106,7 @@ def slower(problem: Problem, motions: Iterable[Trajectory]) -> Plan | None:
             continue
         with contextlib.suppress(AssemblyError):
             if _is_carried(problem, guess):
-                found = motion_along(problem, guess, factor * motion.breaks_s)
+                found = in_more_time(problem, motion, factor)
                 said = f"motion of {found.duration_s:.6g} s; in {motion.duration_s:.6g} s it does not pass its certificate"
                 plan = without_solving(problem, found, objective_value(problem, found)[0], said)
                 if is_sound(plan.certificate):

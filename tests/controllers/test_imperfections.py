@@ -166,7 +166,7 @@ def at_rest(mjcf: str, duration_s: float) -> tuple[Mechanism, SampledReference]:
 
 
 def turned(effort: float = 0.0, mjcf: str = HINGE, **imperfect) -> Ensemble:
-    """Return the run of a body at rest on a hinge, over a tenth of a second, under an effort that is asked for."""
+    """Return the simulated run of a hinged body that starts at rest, for 0.1 s, when a constant effort is commanded."""
     mechanism, reference = at_rest(mjcf, 0.1 + PERIOD)
     law, loop = Scripted(efforts=np.full((reference.n, 1), effort)), ControlLoop(effort_limit=mechanism.effort_limit)
     found = run_machines(mechanism, reference, law, loop, [Imperfections(**imperfect)])
@@ -187,7 +187,7 @@ def test_a_push_is_at_its_time_whatever_the_phase_of_the_clock():
 
 
 def test_an_effort_acts_through_an_actuator_with_a_gain_and_a_constant_force():
-    """The model's effort at a ctrl is 2 ctrl + 0.5: an effort of 1.5 is one of 1.5."""
+    """The model turns a ctrl into the effort 2 ctrl + 0.5; a commanded effort of 1.5 still gives 1.5."""
     servo = '<general name="m" joint="J" gainprm="2" biastype="affine" biasprm="0.5" ctrlrange="-9 9" ctrllimited="true"/>'
     found = turned(1.5, HINGE[: HINGE.index("<actuator>")] + f"<actuator>{servo}</actuator></mujoco>")
     assert found.velocity[-1, 0, 0] == pytest.approx(1.5 * 0.1 / HINGE_INERTIA, rel=1e-9)
@@ -273,7 +273,7 @@ def test_no_imperfection_of_the_machine_is_told_to_the_tracker(kind):
 
 
 def test_a_gap_along_the_hinges_of_a_planar_loop_stays_and_takes_no_part_in_its_motion():
-    """A site of the closure is moved out of the plane, along the hinges, which no joint changes."""
+    """A site of the closure moves out of the plane, parallel to the hinge axes; no joint can close that gap."""
     mechanism = load_mechanism("optimus-knee")
     model = copy.deepcopy(mechanism.model)
     model.site_pos[model.eq_obj1id[0], 1] += 3e-5

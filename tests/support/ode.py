@@ -27,7 +27,7 @@ def double_integrator(x, u, p, t):  # noqa: ARG001
 
 
 def least_time_reach(**changes) -> OdeProblem:
-    """Return the reach of a double integrator over one in least time, which is 2, with other fields."""
+    """Return the least-time problem of a double integrator over a distance of 1; its optimum is 2 s."""
     fields = {"name": "double integrator", "rate": double_integrator, "start": [0, 0], "goal": [1, 0]}
     limits = {"effort_limit": [[-1, 1]], "duration_s": (0.1, 20.0), "final_cost": duration}
     return OdeProblem(**fields | limits | changes)

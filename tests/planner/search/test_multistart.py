@@ -10,7 +10,7 @@ import pytest
 from msgspec import structs
 
 import linkplan
-from linkplan.models.deadline import Deadline
+from linkplan.models.deadline import Deadline, OutOfTimeError
 from linkplan.planner.certificate.further_checks import objective_value
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.formulate import FIRST_TIE_WEIGHT, tie_weights
@@ -229,6 +229,14 @@ def test_a_corrected_motion_that_needs_slightly_too_much_effort_takes_slightly_l
     longer = found.motion.duration_s / last.found.motion.duration_s
     assert longer == pytest.approx(1.0 + 2e-6 * overrun, abs=1e-12)
     assert found.solution.objective == pytest.approx(longer * last.found.solution.objective, rel=1e-6)
+    monkeypatch.setattr(finer_meshes, "in_more_time", lambda *_: _out_of_time())
+    found = refined(in_least_time, 0.2)  # a further correction takes its place
+    assert finer_meshes.is_sound(found.certificate)
+    assert found.motion.breaks_s.size > last.found.motion.breaks_s.size
+
+
+def _out_of_time():
+    raise OutOfTimeError("the deadline passed")
 
 
 def taking(monkeypatch, name: str, calls: list, seconds: float) -> None:
@@ -266,7 +274,7 @@ def straight_arm(scheme: str, **asked):
 
 
 def test_a_correction_that_costs_more_than_a_thousandth_is_no_correction(in_least_time, monkeypatch):
-    """A correction that costs 0.2 % more is refused, and the motion before it remains; 0.05 % is accepted."""
+    """A correction that costs 0.2 % more is refused, so that the uncorrected motion remains; 0.05 % more is accepted."""
     for cost, accepted in ((1.002, False), (1.0005, True)):
 
         def dearer(*given, cost=cost, **named):

@@ -55,7 +55,7 @@ def test_gravity_in_other_units_than_metres_is_noted_with_the_size_of_the_bodies
 
 @pytest.fixture(scope="module")
 def tumbling():
-    """Return the paths along the reach of each of three bodies on hinges, of which a motor drives the first."""
+    """Return the paths of three hinged bodies along their reach; only the first body has a motor."""
     bodies = "".join(
         f'<body pos="{k} 0 0"><joint name="j{k}" axis="0 1 0"/><geom size="0.1" pos="0.3 0 0"/></body>' for k in range(3)
     )
