@@ -115,32 +115,34 @@ def follows_reference(problem: Problem) -> bool:
     return bool(np.allclose(motion.start, first) and np.allclose(motion.goal, last))
 
 
-def perturbation(number: int, along: np.ndarray, span: np.ndarray) -> tuple[np.ndarray, float]:
-    """Return an offset (n, k) to add to a motion, in its units, and a factor from 0.5 to 2 on its duration.
-
-    The offset is a sum of three half waves of random size, together half the motion's size, and zero at the motion's ends.
-    Every fourth perturbation is larger.
-
-    Args:
-        number: of the perturbation; the seed.
-        along: shares (n,) of the motion, from 0 to 1.
-        span: the motion's size (k,) in each coordinate.
-    """
-    rng, wave = np.random.default_rng(number), np.arange(1, 4)
-    shape = np.sin(np.pi * np.outer(along, wave)) @ (rng.uniform(-1.0, 1.0, (len(wave), len(span))) / wave[:, None])
-    return 0.5 * (1 + number // 4) * shape * span, float(2.0 ** rng.uniform(-1.0, 1.0))
-
-
 def perturbed_guesses(problem: Problem, start_pose: np.ndarray) -> Iterator[tuple[str, Guess]]:
     """Yield without end the first guess with a few half waves of pseudo-random size added, the same in every run."""
     base = first_guess(problem, start_pose)
-    times = np.linspace(0.0, base.duration_s, GUESS_SAMPLES)
-    s = base.position(times)
     unit = unit_steps(problem.mechanism.independent_joints, problem.mechanism.extent_m)
-    span = np.maximum(np.ptp(s, axis=0), 0.1 * unit)  # the size of perturbations of a guess that hardly moves
+    moved = np.ptp(base.position(np.linspace(0.0, base.duration_s, GUESS_SAMPLES)), axis=0)
+    span = np.maximum(moved, 0.1 * unit)  # the size of perturbations of a guess that hardly moves
     for number in itertools.count(1):
-        offset, _ = perturbation(number, times / base.duration_s, span)
-        yield f"perturbed guess {number}", _splined(times, s + offset, base.start_pose, base.boundaries_s)
+        yield f"perturbed guess {number}", perturbed(base, number, span)
+
+
+def perturbed(guess: Guess, number: int, span: np.ndarray) -> Guess:
+    """Return a guess plus three half waves of random size, which are zero at the motion's ends.
+
+    Together they have half of the size `span` (n_s,); every fourth perturbation is larger. `number` is the random seed.
+    """
+    wave = np.arange(1, 4)
+    size = np.random.default_rng(number).uniform(-1.0, 1.0, (len(wave), len(span))) / wave[:, None]
+    size, rate = 0.5 * (1 + number // 4) * span * size, np.pi / guess.duration_s * wave
+
+    def waves(t: np.ndarray, order: int) -> np.ndarray:
+        return np.sin(np.outer(t, rate) + 0.5 * np.pi * order) @ (rate[:, None] ** order * size)
+
+    return replace(
+        guess,
+        position=lambda t: guess.position(t) + waves(t, 0),
+        velocity=lambda t: guess.velocity(t) + waves(t, 1),
+        acceleration=lambda t: guess.acceleration(t) + waves(t, 2),
+    )
 
 
 def closes(problem: Problem, guess: Guess) -> bool:
@@ -201,9 +203,12 @@ def users_guess(problem: Problem, start_pose: np.ndarray) -> Guess | None:
     if given is None:
         return None
     if isinstance(given, GuessedPath):
+        import scipy
+
         duration = motion.duration_s or given.duration_s or _within(problem, _shortest_duration(problem, start_pose))
         times = np.linspace(0.0, duration, len(given.path))
-        guess = _splined(times, given.path, start_pose, boundary_times(problem, duration))
+        path = scipy.interpolate.CubicSpline(times, given.path)
+        guess = guess_along(path, duration, start_pose, boundary_times(problem, duration))
     else:
         duration = motion.duration_s or given.duration_s
         guess = replace(
@@ -212,13 +217,6 @@ def users_guess(problem: Problem, start_pose: np.ndarray) -> Guess | None:
             boundaries_s=boundary_times(problem, duration),
         )
     return guess if closes(problem, guess) else None
-
-
-def _splined(times: np.ndarray, s: np.ndarray, start_pose: np.ndarray, boundaries_s: np.ndarray | None) -> Guess:
-    """Return the cubic spline through positions (n, n_s) at times (n,) as a guess."""
-    import scipy
-
-    return guess_along(scipy.interpolate.CubicSpline(times, s), float(times[-1]), start_pose, boundaries_s)
 
 
 def guess_along(

@@ -9,7 +9,7 @@ import pytest
 from linkplan.planner.certificate.flow import flow
 from linkplan.planner.certificate.integration import relative_violation
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
-from linkplan.planner.closed_chain.guess import perturbation
+from linkplan.planner.closed_chain.guess import first_guess, perturbed
 from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.problem.limits import exact_bounds
 from linkplan.planner.problem.problem import load_problem
@@ -18,9 +18,6 @@ from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME, SUCCEEDED, why_stopped
 from linkplan.planner.transcription.bernstein import bernstein_matrix, bernstein_value
 from tests.support.tolerances_planner import UNIT
-
-TAU = np.linspace(0.0, 1.0, 41)
-
 
 # The cases.
 
@@ -44,27 +41,27 @@ def test_what_a_case_aims_at_follows_from_its_objective():
     assert asked.strictness == pytest.approx(100.0)
 
 
-# Bends.
+# Perturbed guesses.
 
 
-def test_a_bend_leaves_the_ends_where_they_are_and_is_the_same_in_every_run():
-    span = np.array([1.0, 3.0])
-    once, again = perturbation(7, TAU, span), perturbation(7, TAU, span)
-    np.testing.assert_array_equal(once[0], again[0])
-    np.testing.assert_allclose(once[0][[0, -1]], 0.0, atol=UNIT)
-    assert np.all(np.abs(once[0]).max(axis=0) > 0.01 * span)
-    assert not np.allclose(once[0], perturbation(8, TAU, span)[0])
-    assert 0.5 <= once[1] <= 2.0
-    waves = np.sin(np.pi * np.outer(TAU, [1, 2, 3]))
-    np.testing.assert_allclose(waves @ np.linalg.lstsq(waves, once[0], rcond=None)[0], once[0], atol=UNIT)
+def test_a_perturbed_guess_keeps_the_ends_and_is_the_same_in_every_run():
+    problem, span, times = load_problem("knee-reach"), np.array([3.0]), np.linspace(0.0, 0.16, 2001)
+    base = first_guess(problem, problem.start_pose())
+    moved, again, other, larger = (perturbed(base, number, span) for number in (7, 7, 6, 40))
+    np.testing.assert_array_equal(moved.position(times), again.position(times))
+    offset, bend = (guess.position(times) - base.position(times) for guess in (moved, larger))
+    np.testing.assert_allclose(offset[[0, -1]], 0.0, atol=UNIT)
+    assert 0.03 < np.abs(offset).max() < 3.0 < np.abs(bend).max()
+    assert not np.allclose(other.position(times), moved.position(times))
+    waves = np.sin(np.pi * np.outer(times / 0.16, [1, 2, 3]))
+    np.testing.assert_allclose(waves @ np.linalg.lstsq(waves, offset, rcond=None)[0], offset, atol=UNIT)
 
 
-def test_a_bend_is_as_large_as_the_motion_it_bends():
-    np.testing.assert_allclose(
-        perturbation(2, TAU, np.array([4.0]))[0], 4.0 * perturbation(2, TAU, np.array([1.0]))[0], rtol=1e-12
-    )
-    small, large = (np.abs(perturbation(number, TAU, np.ones(50))[0]).max() for number in (3, 40))
-    assert large > 3 * small
+def test_a_perturbed_guess_moves_at_its_own_speed_and_acceleration():
+    problem, times, h = load_problem("knee-reach"), np.linspace(0.01, 0.15, 29), 1e-5
+    moved = perturbed(first_guess(problem, problem.start_pose()), 3, np.array([1.0]))
+    for value, slope in ((moved.position, moved.velocity), (moved.velocity, moved.acceleration)):
+        np.testing.assert_allclose((value(times + h) - value(times - h)) / (2 * h), slope(times), rtol=1e-5, atol=1e-3)
 
 
 # Free durations.
