@@ -1,9 +1,8 @@
 """Integration under a plan's efforts, interval by interval, because efforts may jump at an interval's end.
 
-`strides` takes even steps of Dormand and Prince's method of order eight (Hairer, Norsett & Wanner, Solving ODEs I, section
-II.10), many intervals in one call of a CasADi function, and then checks the method's own error estimate. `flow` is scipy's
-version with adaptive steps, for intervals on which even steps are too long, or the implicit method Radau IIA of order five
-(ibid. II, section IV.8), for intervals on which damping makes explicit steps too short.
+`strides` takes steps of Dormand and Prince's method of order eight (Hairer, Norsett & Wanner, Solving ODEs I, section
+II.10), many in one call of a CasADi function, and then checks the method's own error estimate. `implicit` is scipy's method
+Radau IIA of order five (ibid. II, section IV.8), for intervals on which damping makes explicit steps too short.
 """
 
 import functools
@@ -21,15 +20,17 @@ from linkplan.planner.certificate.dormand_prince import E3, E5, A, B, C
 
 # Least relative error tolerance of the integration: two digits below the 1e-10 of certificates. The absolute one is a tenth.
 INTEGRATION_RTOL = 1e-12
-# Largest number of evaluations of the dynamics on one interval: sixteen hundred explicit or three thousand implicit steps.
-# Feasible motions need about ten steps. At a fold, where the reduced dynamics end, steps become ever smaller.
+# Largest number of evaluations of the dynamics on one interval by implicit steps, of which it takes three thousand. At a
+# fold, where the reduced dynamics end, steps become ever smaller.
 _MAX_EVALUATIONS = 20_000
-# Number of evaluations after which an interval counts as stiff and the implicit method takes over, if there is one: ten
-# times as many as feasible motions need. A hand whose joints' damping acts within 10 us takes 20,000 explicit ones, and 400
-# implicit ones.
-STIFF_EVALUATIONS = 2_000
-# Numbers of intervals in one call, few at first: if a step is too long, all that follow in the call are lost.
-_STRETCHES = (1, 4, 16, 64)
+# The shares of an interval at which states are returned by default, with one step each where that is exact enough.
+HALVES = np.array([0.5, 1.0])
+# The most parts of such a step, and the most steps in them: two hundred times as many as motions usually need. An interval
+# that needs more counts as stiff. A hand whose joints' damping acts within 10 us takes sixteen hundred explicit steps, and
+# 400 evaluations of implicit ones.
+_MOST_PARTS, _MOST_STEPS = 2**16, 400
+# Numbers of steps in one call, few at first: if a step is too long, all that follow in the call are lost.
+_STRETCHES, _FEW = (1, 2, 8, 32, 128), 2
 # Growth of an error at which the integration is restarted. Rounding times this is far below a certificate's 0.01 deg.
 RESTART_GROWTH = 1e4
 # Finite differences of a state by the state at the beginning of an interval take this step, in units.
@@ -43,33 +44,30 @@ class _TooManyStepsError(Exception):
     """Integration of an interval needs more evaluations than any feasible motion, or more time than the deadline allows."""
 
 
-def flow(
+def implicit(
     rate: Rate,
     width_s: float,
     state: np.ndarray,
     shares: np.ndarray,
     until: Deadline = NO_DEADLINE,
-    most: int | None = None,
     rtol: float = INTEGRATION_RTOL,
-    *,
-    stiff: bool = False,
 ) -> np.ndarray | None:
-    """Return the states (m, n) at shares (m,) of an interval, from the state at its beginning; None if it fails.
+    """Return the states (m, n) at shares (m,) of a stiff interval, from the state at its beginning; None if it fails.
 
-    Integration also fails after `most` evaluations of the rate, by default more than any feasible motion needs, and when the
-    deadline `until` passes. `stiff` chooses the implicit method.
+    Integration also fails after more evaluations of the rate than any feasible motion needs, and when the deadline `until`
+    passes.
     """
     import scipy
 
     atol = 0.1 * rtol * np.maximum(1.0, np.abs(state))
-    # An infeasible motion may diverge. The result then says so, or the implicit method raises an error for infinite numbers.
+    # An infeasible motion may diverge. The result then says so, or the method raises an error for infinite numbers.
     with np.errstate(all="ignore"):
         try:
             result = scipy.integrate.solve_ivp(
-                _counted(rate, until, most or _MAX_EVALUATIONS),
+                _counted(rate, until),
                 (0.0, width_s),
                 state,
-                method="Radau" if stiff else "DOP853",
+                method="Radau",
                 rtol=rtol,
                 atol=atol,
                 t_eval=shares * width_s,
@@ -80,14 +78,14 @@ def flow(
     return result.y.T if reached else None
 
 
-def _counted(rate: Rate, until: Deadline, most: int) -> Rate:
-    """Return a right-hand side that raises `_TooManyStepsError` after `most` calls or after the deadline."""
+def _counted(rate: Rate, until: Deadline) -> Rate:
+    """Return a right-hand side that raises `_TooManyStepsError` after too many calls or after the deadline."""
     calls = itertools.count()
 
     def counted(t: float, y: np.ndarray) -> np.ndarray:
         check()
         call = next(calls)
-        if call > most or (call % 16 == 0 and until.passed):  # reading the clock takes as long as a small model
+        if call > _MAX_EVALUATIONS or (call % 16 == 0 and until.passed):  # reading the clock takes as long as a small model
             raise _TooManyStepsError
         return rate(t, y)
 
@@ -99,33 +97,55 @@ def strides(
     widths_s: np.ndarray,
     inputs: np.ndarray,
     state: np.ndarray,
+    shares: np.ndarray = HALVES,
     until: Deadline = NO_DEADLINE,
     rtol: float = INTEGRATION_RTOL,
 ) -> np.ndarray:
-    """Return the states (m, 2, n) at the middle and end of the first m intervals, up to the first too long step.
+    """Return the states (m, n_shares, n) at shares of the first m intervals, up to one that needs too short steps.
+
+    One step leads from each share to the next, or 2, 4, 8, ... steps where it is too long.
 
     Args:
         rate: (state (n,), input (k,), share of the interval) to the state's rate (n,).
         widths_s: (n_intervals,) [s].
         inputs: (n_intervals, k), constant on each interval.
         state: (n,) at the start.
+        shares: (n_shares,) of an interval, increasing, above 0 and up to 1.
         until: deadline.
         rtol: relative error tolerance.
     """
-    found: list[np.ndarray] = [np.empty((0, 2, len(state)))]
-    begin, longest = 0, 4
-    while begin < len(widths_s) and not until.passed:
+    begins, gaps = np.append(0.0, shares[:-1]), np.diff(shares, prepend=0.0)
+    found, steps = list[np.ndarray](), 0  # steps since the last share
+    # In parts of the gaps between shares: the place reached, the end, and the largest size of the next step.
+    done, last, largest, longest = 0, len(widths_s) * len(shares) * _MOST_PARTS, _MOST_PARTS, _FEW
+    while done < last and steps < _MOST_STEPS and not until.passed:
         check()
-        length = max(length for length in _STRETCHES if length <= min(longest, len(widths_s) - begin))
-        some = slice(begin, begin + length)
-        ends, middles, errors = evaluated(_stretch(rate, length), state, inputs[some].T, widths_s[some])
-        short = _short(np.column_stack([state, ends[:, :-1]]), ends, errors, 2, rtol)
-        good = length if np.all(short) else int(np.argmin(short)) // 2
-        found.append(np.stack([middles, ends]).transpose(2, 0, 1)[:good])
-        if good < length:
+        size = min(largest, done & -done or largest)  # the place is a multiple of it
+        most = min(longest, (last - done) // size) if size == largest else 1
+        places = done + size * np.arange(max(length for length in _STRETCHES if length <= most))
+        gap, part = np.divmod(places, _MOST_PARTS)
+        k, j = np.divmod(gap, len(shares))
+        at, long = begins[j] + part / _MOST_PARTS * gaps[j], size / _MOST_PARTS * gaps[j]
+        ends, errors = evaluated(_steps(rate, len(places)), state, inputs[k].T, long * widths_s[k], at, long)
+        share = _share_of_error(np.column_stack([state, ends[:, :-1]]), ends, errors, rtol)
+        good = len(places) if np.all(share <= 1.0) else int(np.argmin(share <= 1.0))
+        for place, end in zip(places[:good], ends.T, strict=False):
+            steps += 1
+            if (place + size) % _MOST_PARTS == 0:
+                found.append(end)
+                steps = 0
+        done, state = done + good * size, ends[:, good - 1] if good else state
+        if good == len(places):
+            # Errors are of order eight.
+            doublings = int(np.clip(np.log2(0.9 * max(share[-1], 1e-30) ** -0.125), 0.0, 3.0))
+            largest = min(_MOST_PARTS, size << doublings)
+            longest = 4 * longest if largest == size else _FEW
+        elif size > 1:
+            largest, longest = size // 2, _FEW
+        else:
             break
-        state, begin, longest = ends[:, -1], begin + length, 4 * longest
-    return np.concatenate(found)
+    m = len(found) // len(shares)
+    return np.array(found[: m * len(shares)]).reshape(m, len(shares), len(state))
 
 
 def side_by_side(
@@ -140,7 +160,7 @@ def side_by_side(
     """Return the states (n_intervals, m, n) at shares of every interval, each from its own initial state; None on failure.
 
     One step leads from each share to the next, for all intervals in one call. Intervals with too long steps are repeated
-    with half of them, `halvings` times, and then by `flow`.
+    with half of them, `halvings` times, and then one by one by `strides`.
 
     Args:
         rate: see `strides`.
@@ -152,16 +172,13 @@ def side_by_side(
         halvings: see above.
     """
     n, ends, found = len(widths_s), states.T, []
-    good, one, slope = np.ones(n, dtype=bool), _step(rate).map(n), rate.map(n)
-    with np.errstate(all="ignore"):  # a motion may diverge within an interval, which `flow` then confirms
-        (slopes,) = evaluated(slope, ends, inputs.T, np.zeros(n))
+    good, step = np.ones(n, dtype=bool), _step(rate).map(n)
+    with np.errstate(all="ignore"):  # a motion may diverge within an interval, which `strides` then confirms
         for at, to in itertools.pairwise(np.append(0.0, shares)):
             check()
             before = ends
-            ends, slopes, *errors = evaluated(
-                one, ends, slopes, inputs.T, (to - at) * widths_s, np.full(n, at), np.full(n, to - at)
-            )
-            good &= _short(before, ends, np.vstack(errors), 1, INTEGRATION_RTOL) & np.all(np.isfinite(ends), axis=0)
+            ends, errors = evaluated(step, ends, inputs.T, (to - at) * widths_s, np.full(n, at), np.full(n, to - at))
+            good &= (_share_of_error(before, ends, errors, INTEGRATION_RTOL) <= 1.0) & np.all(np.isfinite(ends), axis=0)
             found.append(ends.T)
     reached = np.stack(found, axis=1)
     long = np.flatnonzero(~good)
@@ -173,10 +190,10 @@ def side_by_side(
         reached[long] = again[:, 1::2]
         return reached
     for k in long:
-        again = flow(called(rate, inputs[k], widths_s[k]), widths_s[k], states[k], shares, until)
-        if again is None:
+        again = strides(rate, widths_s[k : k + 1], inputs[k : k + 1], states[k], shares, until)
+        if not len(again):
             return None
-        reached[k] = again
+        reached[k] = again[0]
     return reached
 
 
@@ -285,53 +302,41 @@ def called(function: ca.Function, inputs: np.ndarray, width: float) -> Rate:
 
 
 @np.errstate(all="ignore")  # a motion may diverge within a step, which is then too long
-def _short(before: np.ndarray, ends: np.ndarray, errors: np.ndarray, steps: int, rtol: float) -> np.ndarray:
-    """Return a mask (steps * m,) of short enough steps from states (n, m) to (n, m), by their errors (2 n, steps * m)."""
-    scale = rtol * (0.1 * np.maximum(1.0, np.abs(before)) + np.maximum(np.abs(before), np.abs(ends)))
-    fifth, third = (np.square(e / np.repeat(scale, steps, axis=1)).sum(axis=0) for e in np.split(errors, 2))
-    return fifth <= np.sqrt((fifth + 0.01 * third) * len(before))
+def _share_of_error(before: np.ndarray, ends: np.ndarray, errors: np.ndarray, rtol: float) -> np.ndarray:
+    """Return the errors (m,) of steps from states (n, m) to (n, m) in shares of the allowed, from `errors` (2 n, m).
 
-
-@functools.lru_cache(maxsize=16)
-def _stretch(rate: ca.Function, length: int) -> ca.Function:
-    """Return (state, inputs, widths) -> states at the ends and middles of intervals, errors of the steps."""
-    one = _over_interval(rate)
-    return one if length == 1 else one.mapaccum(length)
-
-
-@functools.lru_cache(maxsize=16)
-def _over_interval(rate: ca.Function) -> ca.Function:
-    """Return (state, inputs, width) -> states at an interval's end and middle, errors of its two steps.
-
-    Adaptive methods take one or two on a four-bar's meshes.
+    `errors` are the estimates of orders five and three. The share of a step that diverges is infinite.
     """
-    begin, given, width = (ca.MX.sym(name, n) for name, n in (("x", rate.size1_in(0)), ("c", rate.size1_in(1)), ("T", 1)))
-    one, x, slope, states, errors = _step(rate), begin, rate(begin, given, 0.0), [], []
-    for at in (0.0, 0.5):
-        x, slope, *of_step = one(x, slope, given, 0.5 * width, at, 0.5)
-        states.append(x)
-        errors.append(of_step)
-    both = ca.vertcat(*(ca.horzcat(*of) for of in zip(*errors, strict=True)))
-    return ca.Function("stride", [begin, given, width], [x, states[0], both])
+    scale = rtol * (0.1 * np.maximum(1.0, np.abs(before)) + np.maximum(np.abs(before), np.abs(ends)))
+    fifth, third = (np.square(e / scale).sum(axis=0) for e in np.split(errors, 2))
+    share = fifth / np.maximum(np.sqrt((fifth + 0.01 * third) * len(before)), np.finfo(float).tiny)
+    return np.nan_to_num(share, nan=np.inf, posinf=np.inf)
 
 
+@functools.lru_cache(maxsize=16)
+def _steps(rate: ca.Function, length: int) -> ca.Function:
+    """Return successive steps: (state, and the other inputs of `_step` for each of them) -> states, errors."""
+    return _step(rate) if length == 1 else _step(rate).mapaccum(length)
+
+
+@functools.lru_cache(maxsize=16)
 def _step(rate: ca.Function) -> ca.Function:
-    """Return one step of h seconds: (state, its rate, inputs, h, share at its beginning, its share) -> state, rate, errors.
+    """Return one step of h seconds: (state, inputs, h, share at its beginning, its share) -> state, errors.
 
-    The errors are the estimates of orders five and three.
+    The errors (2 n,) are the estimates of orders five and three.
     """
     n = rate.size1_in(0)
-    begin, slope, given = ca.MX.sym("x", n), ca.MX.sym("k", n), ca.MX.sym("c", rate.size1_in(1))
+    begin, given = ca.MX.sym("x", n), ca.MX.sym("c", rate.size1_in(1))
     h, at, long = ca.MX.sym("h"), ca.MX.sym("at"), ca.MX.sym("long")
-    slopes = [slope]
+    slopes: list[ca.MX] = []
 
     def combined(weights: Sequence[float]) -> ca.MX:
         used = [j for j, weight in enumerate(weights[: len(slopes)]) if weight]
         return ca.horzcat(*[slopes[j] for j in used]) @ ca.DM(np.asarray(weights)[used])
 
-    for row, share in zip(A[1:], C[1:], strict=True):
-        slopes.append(rate(begin + h * combined(row), given, at + float(share) * long))
+    for row, share in zip(A, C, strict=True):
+        state = begin + h * combined(row) if slopes else begin
+        slopes.append(rate(state, given, at + float(share) * long))
     end = begin + h * combined(B)
     slopes.append(rate(end, given, at + long))
-    fifth, third = (h * combined(weights) for weights in (E5, E3))
-    return ca.Function("step", [begin, slope, given, h, at, long], [end, slopes[-1], fifth, third])
+    return ca.Function("step", [begin, given, h, at, long], [end, ca.vertcat(*(h * combined(of) for of in (E5, E3)))])

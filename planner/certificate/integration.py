@@ -23,12 +23,12 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.assembly import strides as one_stride
 from linkplan.planner.certificate.flow import (
     ERROR_STEP,
+    HALVES,
     INTEGRATION_RTOL,
     RESTART_GROWTH,
-    STIFF_EVALUATIONS,
     called,
     errors_along,
-    flow,
+    implicit,
     scaled_defects,
     strides,
 )
@@ -208,7 +208,7 @@ def _integrated_with_restarts(
     if not np.all(np.isfinite(states)):  # next to a singular pose the loops may not close at a slightly different position
         return None
     judged = [*mechanism.independent, *range(n_q, n_q + n_s)]
-    found = errors_along(function, widths, inputs, states, judged, ends, unit, np.array([0.5, 1.0]), RESTART_GROWTH, until)
+    found = errors_along(function, widths, inputs, states, judged, ends, unit, HALVES, RESTART_GROWTH, until)
     if not found.restarts:
         return None
     errors, defects = found.errors, found.defects
@@ -298,19 +298,17 @@ def _states(mechanism: Mechanism, trajectory: Trajectory, state: np.ndarray, unt
     """Return the states (m + 1, 2, n): the start twice, then the middle and end of every interval before a failure."""
     widths, inputs = np.diff(trajectory.breaks_s), _inputs(mechanism, trajectory)
     rate = _rate(mechanism, *trajectory.effort[:, 0].shape)
-    reached, halves, stiff = np.array([[state, state]]), np.array([0.5, 1.0]), False
+    reached, stiff = np.array([[state, state]]), False
     while (k := len(reached) - 1) < len(widths):
         if not stiff:
-            reached = np.concatenate([reached, strides(rate, widths[k:], inputs[k:], reached[-1, 1], until, rtol)])
+            found = strides(rate, widths[k:], inputs[k:], reached[-1, 1], until=until, rtol=rtol)
+            reached = np.concatenate([reached, found])
         if (k := len(reached) - 1) < len(widths):
-            rates, begin = called(rate, inputs[k], widths[k]), reached[-1, 1]
-            half = None if stiff else flow(rates, widths[k], begin, halves, until, STIFF_EVALUATIONS, rtol)
-            if half is None:  # after one stiff interval the others are taken as stiff too
-                half = flow(rates, widths[k], begin, halves, until, rtol=rtol, stiff=True)
-                stiff = half is not None
+            half = implicit(called(rate, inputs[k], widths[k]), widths[k], reached[-1, 1], HALVES, until, rtol)
             if half is None:
                 break
-            reached = np.concatenate([reached, half[None]])
+            # After one stiff interval the others are taken as stiff too.
+            reached, stiff = np.concatenate([reached, half[None]]), True
     return reached
 
 

@@ -6,7 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.planner.certificate.flow import flow
+from linkplan.planner.certificate.flow import implicit
 from linkplan.planner.certificate.integration import relative_violation
 from linkplan.planner.closed_chain.case import MechanismCase, case_of
 from linkplan.planner.closed_chain.guess import first_guess, perturbed
@@ -88,14 +88,13 @@ def test_de_casteljau_is_the_sum_of_bernstein_polynomials_of_numbers_and_of_symb
         np.testing.assert_allclose(np.array(symbolic(tau))[0], expected, atol=UNIT)
 
 
-def test_a_flow_that_ends_within_an_interval_says_so():
+def test_implicit_steps_that_end_within_an_interval_say_so():
     def blows_up(t: float, y: np.ndarray) -> np.ndarray:
         del t
         return y**2  # from 1, infinite at 1 s
 
-    assert flow(blows_up, 0.9, np.ones(1), np.ones(1))[0, 0] == pytest.approx(10.0)
-    assert flow(blows_up, 1.1, np.ones(1), np.ones(1)) is None
-    assert flow(blows_up, 1.1, np.ones(1), np.ones(1), stiff=True) is None
+    assert implicit(blows_up, 0.9, np.ones(1), np.ones(1))[0, 0] == pytest.approx(10.0)
+    assert implicit(blows_up, 1.1, np.ones(1), np.ones(1)) is None
 
 
 def test_ends_are_missed_by_what_they_are_outside_of_what_is_asked():
