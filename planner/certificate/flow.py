@@ -25,10 +25,10 @@ INTEGRATION_RTOL = 1e-12
 _MAX_EVALUATIONS = 20_000
 # The shares of an interval at which states are returned by default, with one step each where that is exact enough.
 HALVES = np.array([0.5, 1.0])
-# The most parts of such a step, and the most steps in them: two hundred times as many as motions usually need. An interval
+# The most parts of such a step, and the most steps in them: five hundred times as many as motions usually need. An interval
 # that needs more counts as stiff. A hand whose joints' damping acts within 10 us takes sixteen hundred explicit steps, and
 # 400 evaluations of implicit ones.
-_MOST_PARTS, _MOST_STEPS = 2**16, 400
+_MOST_PARTS, _MOST_STEPS = 2**16, 1000
 # Numbers of steps in one call, few at first: if a step is too long, all that follow in the call are lost.
 _STRETCHES, _FEW = (1, 2, 8, 32, 128), 2
 # Growth of an error at which the integration is restarted. Rounding times this is far below a certificate's 0.01 deg.
@@ -136,8 +136,8 @@ def strides(
                 steps = 0
         done, state = done + good * size, ends[:, good - 1] if good else state
         if good == len(places):
-            # Errors are of order eight.
-            doublings = int(np.clip(np.log2(0.9 * max(share[-1], 1e-30) ** -0.125), 0.0, 3.0))
+            # Errors are of order eight; where rounding errors dominate, they do not grow with the step.
+            doublings = int(np.clip(np.log2(0.9 * max(share[-1], 1e-30) ** -0.125), float(len(places) > _FEW), 3.0))
             largest = min(_MOST_PARTS, size << doublings)
             longest = 4 * longest if largest == size else _FEW
         elif size > 1:

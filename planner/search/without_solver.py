@@ -144,7 +144,6 @@ def _of_legs(search: Search) -> Plan | None:
     holdings = {end: found for end in ("start", "goal") if (found := held(problem, end)) is not None}
     costs = {end: float(np.sum(np.square(found.effort))) for end, found in holdings.items()}
     end = min(costs, key=lambda one: costs[one], default="start")
-    assert asked is not None  # where legs apply
     plan = None
     for legs in cheapest_legs(problem, search.start_pose, costs.get(end)):
         guess, breaks = legs.guess(search.start_pose), legs.breaks()
