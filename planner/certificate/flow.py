@@ -30,7 +30,7 @@ HALVES = np.array([0.5, 1.0])
 # 400 evaluations of implicit ones.
 _MOST_PARTS, _MOST_STEPS = 2**16, 1000
 # Numbers of steps in one call, few at first: if a step is too long, all that follow in the call are lost.
-_STRETCHES, _FEW = (1, 2, 8, 32, 128), 2
+_STRETCHES, _FIRST_STRETCH = (1, 2, 8, 32, 128), 2
 # Growth of an error at which the integration is restarted. Rounding times this is far below a certificate's 0.01 deg.
 RESTART_GROWTH = 1e4
 # Finite differences of a state by the state at the beginning of an interval take this step, in units.
@@ -117,7 +117,7 @@ def strides(
     begins, gaps = np.append(0.0, shares[:-1]), np.diff(shares, prepend=0.0)
     found, steps = list[np.ndarray](), 0  # steps since the last share
     # In parts of the gaps between shares: the place reached, the end, and the largest size of the next step.
-    done, last, largest, longest = 0, len(widths_s) * len(shares) * _MOST_PARTS, _MOST_PARTS, _FEW
+    done, last, largest, longest = 0, len(widths_s) * len(shares) * _MOST_PARTS, _MOST_PARTS, _FIRST_STRETCH
     while done < last and steps < _MOST_STEPS and not until.passed:
         check()
         size = min(largest, done & -done or largest)  # the place is a multiple of it
@@ -137,11 +137,13 @@ def strides(
         done, state = done + good * size, ends[:, good - 1] if good else state
         if good == len(places):
             # Errors are of order eight; where rounding errors dominate, they do not grow with the step.
-            doublings = int(np.clip(np.log2(0.9 * max(share[-1], 1e-30) ** -0.125), float(len(places) > _FEW), 3.0))
+            doublings = int(
+                np.clip(np.log2(0.9 * max(share[-1], 1e-30) ** -0.125), float(len(places) > _FIRST_STRETCH), 3.0)
+            )
             largest = min(_MOST_PARTS, size << doublings)
-            longest = 4 * longest if largest == size else _FEW
+            longest = 4 * longest if largest == size else _FIRST_STRETCH
         elif size > 1:
-            largest, longest = size // 2, _FEW
+            largest, longest = size // 2, _FIRST_STRETCH
         else:
             break
     m = len(found) // len(shares)

@@ -33,6 +33,7 @@ from linkplan.planner.refinement.marking import degree_of, rough_of
 from linkplan.planner.refinement.state import Refined
 from linkplan.planner.refinement.switches import mesh_with_switches
 from linkplan.planner.search.jumps import apart, jumps_of
+from linkplan.planner.solvers.newton import NEAR_INTERVALS
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, divided, uniform, with_ends, without_empty
 from linkplan.planner.transcription.scheme_names import MAX_INTERVALS
@@ -238,7 +239,8 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
             pieces = np.maximum(pieces, 1 + (at.report.overrun > 0))
             case = case.tightened(at.certificate, at.found.motion)
         mesh, durations = _without_met(divided(at.found.mesh, pieces), at.found.durations)
-        if mesh.n_intervals > MAX_INTERVALS or until.left_s <= took_s * mesh.n_intervals:
+        changed_intervals = np.sum(pieces[pieces > 1] + 2 * NEAR_INTERVALS)
+        if mesh.n_intervals > MAX_INTERVALS or until.left_s <= took_s * min(changed_intervals, mesh.n_intervals):
             break
         begun_s = until.left_s
         found = nearest_on(case, at.found, mesh, durations, position_rows=kept.rows)

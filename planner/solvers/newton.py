@@ -24,7 +24,8 @@ three quadratic programs of least change in the efforts (`nearest_feasible`),
 
 (Nocedal and Wright, Numerical Optimization, 2006, section 18.1: the restoration of an SQP method). W is small for states and
 w for efforts and durations, so these change as little as possible. The gradient of the objective keeps active limits active
-(as in an SQP step); it counts in the first program only, since the others remove errors of linearisation. PIQP solves the
+(as in an SQP step); it counts in the first program only, since the others remove errors of linearisation. If only a few
+intervals violate their rows, only unknowns near them are free. PIQP solves the
 programs: its proximal terms permit redundant rows (Schwan, Jiang, Kuhn and Jones, PIQP: a proximal interior-point quadratic
 programming solver, 2023).
 """
@@ -57,6 +58,10 @@ _MOST_PROGRAMS = 12
 _PIQP = {"eps_abs": 1e-9, "eps_rel": 0.0, "max_iter": 100, "verbose": False}
 # The last program may leave this violation of nonlinear equations. The certificate measures efforts to 2e-6.
 _EQUATION_TOLERANCE = 1e-8
+# Rows of a few intervals are corrected by changes of these and of this number of intervals on each side, because the
+# influence of a change decays along the motion. If that leaves more than this share of the violation, all unknowns change.
+# Second corrections of meshes of 170 to 300 intervals take 0.2 to 0.5 of the time.
+NEAR_INTERVALS, _LOCAL_GAIN = 3, 0.5
 # Steps diverge once the violation is this factor times the first one, or a small one.
 _DIVERGED_FACTOR, _SMALL_VIOLATION = 10.0, 1e-3
 
@@ -225,39 +230,93 @@ def _violation(value: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> float
 
 def nearest_feasible(transcribed: Transcribed, x: np.ndarray, deadline: Deadline = NO_DEADLINE) -> Solution:
     """Return a feasible point near the unknowns x (n,), of about the same cost; if none is found, `converged` is False."""
-    begin, program, p = time.perf_counter(), transcribed.program, transcribed.parameters
+    begin, program, p, n = time.perf_counter(), transcribed.program, transcribed.parameters, len(x)
     lower = np.concatenate([transcribed.lower, transcribed.row_lower])
     upper = np.concatenate([transcribed.upper, transcribed.row_upper])
-    cost = np.full(len(x), _COST_OF_STATES)
-    cost[program.layout.effort().ravel()] = cost[program.layout.durations()] = _COST_OF_EFFORTS
-    cost = ca.diag(ca.DM(cost))
     tolerance = np.where(lower == upper, _EQUATION_TOLERANCE, SOLVER_TOLERANCE)
-    limited = np.flatnonzero(np.isfinite(transcribed.row_lower) | np.isfinite(transcribed.row_upper)).tolist()
-    x, step_of, steps, largest = np.clip(x, transcribed.lower, transcribed.upper), None, 0, np.inf
-    while True:
-        g, jacobian = program.functions["jac_g"](x, p)
-        here = np.concatenate([x, np.array(g).ravel()])
-        violation = _violation(here, lower, upper)
-        largest = _DIVERGED_FACTOR * max(violation, _SMALL_VIOLATION) if step_of is None else largest
-        converged = _violation(here, lower - tolerance, upper + tolerance) == 0
-        if converged or steps == _MOST_PROGRAMS or not violation <= largest or deadline.passed:
+    x, steps = np.clip(x, transcribed.lower, transcribed.upper), 0
+    near, everywhere = np.zeros(n, dtype=bool), np.ones(n, dtype=bool)
+    here, jacobian = _linearised(program, x, p)
+    violation = _violation(here, lower, upper)
+    largest = _DIVERGED_FACTOR * max(violation, _SMALL_VIOLATION)
+    while _violation(here, lower - tolerance, upper + tolerance) > 0 and violation <= largest:
+        if steps == _MOST_PROGRAMS or deadline.passed:
             break
-        if step_of is None:
-            shapes = {"h": cost.sparsity(), "a": jacobian[limited, :].sparsity()}
-            step_of = ca.conic("step", "piqp", shapes, {"piqp": _PIQP, "error_on_fail": False})
-        (low, low_rows), (high, high_rows) = ((of[: len(x)], of[len(x) :][limited]) for of in (lower - here, upper - here))
-        # The solver's own status is ignored: the violation at the next point decides.
         # Without the gradient, least times with pin forces are up to 5e-4 longer, least efforts of an excavator 5e-4 larger.
-        slope = _COST_OF_EFFORTS * program.functions["grad_f"](x, p)[1] if steps == 0 else 0.0
-        found = step_of(h=cost, g=slope, a=jacobian[limited, :], lbx=low, ubx=high, lba=low_rows, uba=high_rows)
-        x, steps = np.clip(x + np.array(found["x"]).ravel(), transcribed.lower, transcribed.upper), steps + 1
+        slope = np.zeros(n) if steps else _COST_OF_EFFORTS * np.array(program.functions["grad_f"](x, p)[1]).ravel()
+        wrong = ((here < lower - tolerance) | (here > upper + tolerance))[n:]
+        near |= _near(program, jacobian.sparsity(), wrong)
+        for free in (near, everywhere):
+            change = _least_change(program, slope, jacobian, lower - here, upper - here, free)
+            there = np.clip(x + change, transcribed.lower, transcribed.upper)
+            here_then, jacobian_then = _linearised(program, there, p)
+            if np.all(free) or _violation(here_then, lower, upper) < _LOCAL_GAIN * violation:
+                break
+        x, here, jacobian, steps = there, here_then, jacobian_then, steps + 1
+        violation = _violation(here, lower, upper)
     return Solution(
         transcribed=transcribed,
         x=x,
         objective=float(program.functions["grad_f"](x, p)[0]) * transcribed.objective_scale,
-        converged=converged,
+        converged=_violation(here, lower - tolerance, upper + tolerance) == 0,
         status=FEASIBLE,
         iterations=steps,
         build_s=0.0,
         solve_s=time.perf_counter() - begin,
     )
+
+
+def _linearised(program: Program, x: np.ndarray, p: np.ndarray) -> tuple[np.ndarray, ca.DM]:
+    """Return unknowns and rows (n + n_rows,), and the rows' Jacobian."""
+    g, jacobian = program.functions["jac_g"](x, p)
+    return np.concatenate([x, np.array(g).ravel()]), jacobian
+
+
+def _places(sparsity: ca.Sparsity) -> tuple[np.ndarray, np.ndarray]:
+    """Return the row and the column of each nonzero."""
+    return np.array(sparsity.row()), np.repeat(np.arange(sparsity.size2()), np.diff(sparsity.colind()))
+
+
+def _near(program: Program, sparsity: ca.Sparsity, wrong: np.ndarray) -> np.ndarray:
+    """Return a mask (n,) of the unknowns in the intervals of wrong rows (n_rows,) and near them, without durations.
+
+    It is all unknowns if this is the larger half of them.
+    """
+    rows, columns = _places(sparsity)
+    near, touched = np.zeros(sparsity.size2(), dtype=bool), wrong.copy()
+    for _ in range(1 + NEAR_INTERVALS):
+        near[columns[touched[rows]]] = True
+        near[program.layout.durations()] = False
+        touched[rows[near[columns]]] = True
+    return near if near.sum() < 0.5 * len(near) else np.ones(len(near), dtype=bool)
+
+
+def _least_change(
+    program: Program, slope: np.ndarray, jacobian: ca.DM, lower: np.ndarray, upper: np.ndarray, free: np.ndarray
+) -> np.ndarray:
+    """Return the change (n,) of the quadratic program in which only the unknowns of a mask (n,) are free.
+
+    The solver's own status is ignored: the violation at the next point decides.
+
+    Args:
+        program: that is linearised.
+        slope: of the objective (n,).
+        jacobian: of the rows.
+        lower: bounds on the changes of unknowns and rows (n + n_rows,).
+        upper: likewise.
+        free: the mask.
+    """
+    n, (rows, columns) = len(free), _places(jacobian.sparsity())
+    cost = np.full(n, _COST_OF_STATES)
+    cost[program.layout.effort().ravel()] = cost[program.layout.durations()] = _COST_OF_EFFORTS
+    limited = np.isfinite(lower[n:]) | np.isfinite(upper[n:])
+    limited &= np.bincount(rows, free[columns], len(limited)) > 0
+    h = ca.diag(ca.DM(cost[free]))
+    a = jacobian[np.flatnonzero(limited).tolist(), np.flatnonzero(free).tolist()]
+    options = {"piqp": _PIQP, "error_on_fail": False}
+    step = ca.conic("step", "piqp", {"h": h.sparsity(), "a": a.sparsity()}, options)
+    (low, low_rows), (high, high_rows) = ((of[:n][free], of[n:][limited]) for of in (lower, upper))
+    found = step(h=h, g=slope[free], a=a, lbx=low, ubx=high, lba=low_rows, uba=high_rows)
+    change = np.zeros(n)
+    change[free] = np.array(found["x"]).ravel()
+    return change

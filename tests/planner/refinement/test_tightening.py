@@ -201,3 +201,22 @@ def test_no_feasible_point_is_nearer(coarse):
     assert np.all((transcribed.row_lower - slack <= rows) & (rows <= transcribed.row_upper + slack))
     moved = [np.linalg.norm((one - begin)[layout.effort()]) for one in (x, finer.x)]
     assert moved[0] < 0.9 * moved[1]
+
+
+def test_a_violation_in_one_interval_is_corrected_near_it_or_everywhere_where_that_is_not_enough():
+    problem = load_problem("knee-reach")
+    case = case_of(problem)
+    solution = attempt(case, first_guess(problem, problem.start_pose()), uniform(40), np.array([0.16]), "once").solution
+    transcribed, effort = solution.transcribed, solution.transcribed.program.layout.effort()
+    moved = solution.x.copy()
+    moved[effort[20]] += 1e-3
+    found = nearest_feasible(transcribed, moved)
+    assert found.converged
+    assert found.iterations
+    np.testing.assert_array_equal(found.x[effort[:15]], solution.x[effort[:15]])
+    assert np.any(found.x[effort[18:23]] != moved[effort[18:23]])
+    lower, upper = transcribed.lower.copy(), transcribed.upper.copy()
+    lower[effort[10:31]] = upper[effort[10:31]] = moved[effort[10:31]]
+    found = nearest_feasible(replace(transcribed, lower=lower, upper=upper), moved)
+    assert found.converged
+    assert np.any(found.x[effort[:10]] != moved[effort[:10]])
