@@ -208,7 +208,7 @@ def largest_arrays(work) -> int:
 def test_memory_grows_with_the_square_of_the_coordinates():
     """Twice the coordinates take at most four times the memory; with the cube of them it was eight times."""
     peaks = []
-    for n in (16, 32):
+    for n in (24, 48):
         mechanism = load_mechanism(chain(n))
         check_whole(mechanism, None).summary()  # modules and compiled functions are loaded
         reach.cache_clear()
