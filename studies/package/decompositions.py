@@ -52,7 +52,7 @@ def decompose(
 
     Example::
 
-        print(linkplan.decompose(linkplan.plan("knee-reach"), ["pd"], samples=4))
+        print(linkplan.decompose(linkplan.plan("knee-reach"), ["pd"], imperfections={"payload_mass_factor": 1.2}))
     """
     say = listener(progress)
     asked = trackers_loaded(listed(trackers, "names or functions"))

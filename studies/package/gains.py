@@ -68,7 +68,7 @@ def tune(
 
     Example::
 
-        gains = linkplan.tune("optimus-knee", bandwidth_hz=10.0)
+        gains = linkplan.tune("optimus-knee", bandwidth_hz=10.0, at_deg=[{"O": 0.0}])
         print(gains.tracking)
     """
     choose("tracker", str(tracker), LINEAR, ProblemError)

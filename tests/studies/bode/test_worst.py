@@ -104,7 +104,7 @@ def test_gains_found_keep_what_is_wanted_over_a_whole_turn_of_a_crank():
 
     def least(found) -> float:
         bands = []
-        for x in np.linspace(looked.line.low, looked.line.high, 181):
+        for x in np.linspace(looked.line.low, looked.line.high, 61):
             loop = found.best.law.loop(operating_point(mechanism, np.array([x])))
             bands.append(margins(loop, refine=False).bandwidth_hz or np.inf)
         return min(bands)

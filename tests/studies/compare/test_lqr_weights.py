@@ -143,7 +143,7 @@ def test_tune_is_recommended_and_answers(text):
     comparison = compare(linkplan.plan(problem).require(), None, asked=["pd"])
     (note,) = default_gains(comparison)
     assert "linkplan tune" in note
-    assert linkplan.tune(problem, bandwidth_hz=2.0).tracking["kp"]
+    assert linkplan.tune(problem, bandwidth_hz=2.0, at_deg=[ends["start_deg"]]).tracking["kp"]
 
 
 @pytest.mark.slow

@@ -320,7 +320,7 @@ def test_what_was_measured_of_a_line_stands_in_the_line_s_own_entry(browser, tmp
     assert entries.locator(".u-label").all_inner_texts() == ["frequency [Hz]", "O = -40 deg", "O = 20 deg"]
     over = plot.locator(".u-over")
     room, said = over.bounding_box(), []
-    for share in np.linspace(0.01, 0.99, 80):
+    for share in np.linspace(0.01, 0.99, 40):
         over.hover(position={"x": share * room["width"], "y": 20})
         opened.settle()
         said.append(entries.nth(1).locator(".u-value").inner_text())
