@@ -293,7 +293,7 @@ def corner_samples(plan: Plan, n: int) -> tuple[np.ndarray, ...]:
 @pytest.mark.slow
 @pytest.mark.parametrize("overrides", [(), (f"mechanism.model='''{TWO_MOTORS}'''",)], ids=["one motor", "two motors"])
 def test_at_every_corner_a_robust_plan_s_efforts_keep_their_limits_and_drive_mujoco_s_own_machine(overrides):
-    plan = optimal("knee-reach", *overrides, *RANGES)
+    plan = optimal("knee-reach", "motion.duration_s=0.2", *overrides, *RANGES)
     mechanism, corners, limit = plan.problem.mechanism, plan.problem.robust.corners, plan.problem.limits.effort
     assert len(corners) == 2 * 2 * 2
     motion = corner_samples(plan, 11)
