@@ -9,12 +9,7 @@ import pytest
 
 from linkplan.models.poses.assembly import follow
 from tests.support.fourbar import G
-from tests.support.mechanism_checks import (
-    acceleration,
-    lagrangian_acceleration,
-    mechanism_of,
-    rigid_acceleration,
-)
+from tests.support.mechanism_checks import acceleration, lagrangian_acceleration, mechanism_of, rigid_acceleration
 from tests.support.mechanisms import derivative
 from tests.support.tolerances import ANGLE_RAD, DIFFERENCES, HELD_NM, relative_error
 

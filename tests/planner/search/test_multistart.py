@@ -190,7 +190,7 @@ def test_a_least_time_at_the_corners_of_robust_is_changed_until_every_machine_ca
 def test_a_least_time_with_joints_along_their_speed_limits_is_proved(tmp_path):
     """Efforts jump where a joint reaches or leaves its speed limit; planned as jumps inside intervals they were refuted."""
     write_robots(tmp_path, ["speed"])
-    plan = linkplan.plan(tmp_path / "spatial-4-speed.toml", prove=True)
+    plan = linkplan.plan(tmp_path / "spatial-4-speed.toml")
     assert plan.status == "optimal"
     assert plan.proof.verdict == "proved"
     assert plan.objective == pytest.approx(0.391782, rel=1e-4)
@@ -306,7 +306,7 @@ def test_a_first_order_scheme_is_refined_until_a_proof_accepts_positions_and_vel
     plan = plan_motion(straight_arm(scheme, duration_s=0.5, minimize="effort"))
     assert plan.status == "optimal"
     assert plan.objective == pytest.approx(ARM_EFFORT, rel=1e-4)
-    assert plan.with_proof().proof.passed
+    assert plan.prove(existence=False).passed
 
 
 @pytest.mark.parametrize("scheme", ["trapezoid", "hermite-simpson"])
