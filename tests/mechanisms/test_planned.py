@@ -30,3 +30,12 @@ def test_a_plan_passes_its_certificate_and_lqr_tracks_it_in_mujoco(problem):
     assert rollout.stable
     assert np.abs(rollout.error_rad).max() < ERRORS[problem]
     assert rollout.gap_m.max() < ROLLOUT_GAP_M
+
+
+@pytest.mark.slow
+def test_the_swing_up_of_the_five_bar_gathers_way_before_it_goes_over():
+    """The torques cannot lift the links: a straight way up is closed, and the load swings at least once."""
+    trajectory = plan_of("five-bar-swing-up").trajectory
+    mean = trajectory.position_at(np.linspace(0, trajectory.duration_s, 400)).mean(axis=1)
+    assert np.sum(np.diff(np.sign(np.diff(mean))) != 0) >= 1
+    assert np.degrees(mean.min()) < -100.0

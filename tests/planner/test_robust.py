@@ -229,6 +229,7 @@ def test_a_range_of_payloads_needs_a_payload():
 # A knee with a second motor, at the rocker's pin: two motors drive its one degree of freedom.
 TWO_MOTORS = (resources.files("linkplan.models") / "mjcf" / "optimus-knee.xml").read_text(encoding="utf-8")
 TWO_MOTORS = TWO_MOTORS.replace("</actuator>", '<motor name="act_C" joint="C" ctrlrange="-30 30"/></actuator>')
+SLOW_TWO = (f"mechanism.model='''{TWO_MOTORS}'''", "motion.duration_s=0.2")
 RANGES = (
     "robust.payload_factor=[0.8, 1.2]",
     "robust.torque_constant_factor=[0.95, 1.05]",
@@ -291,7 +292,7 @@ def corner_samples(plan: Plan, n: int) -> tuple[np.ndarray, ...]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("overrides", [(), (f"mechanism.model='''{TWO_MOTORS}'''",)], ids=["one motor", "two motors"])
+@pytest.mark.parametrize("overrides", [(), SLOW_TWO], ids=["one motor", "two motors"])
 def test_at_every_corner_a_robust_plan_s_efforts_keep_their_limits_and_drive_mujoco_s_own_machine(overrides):
     plan = optimal("knee-reach", *overrides, *RANGES)
     mechanism, corners, limit = plan.problem.mechanism, plan.problem.robust.corners, plan.problem.limits.effort

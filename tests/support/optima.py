@@ -333,7 +333,8 @@ OPTIMA = {
     "van der Pol, bound": Optimum(2.8733063, PUSHED_BACK | {"effort_limit": [[-0.75, 1.0]]}, ODE_FOUR_DIGITS),
     "van der Pol, bound above": Optimum(2.9968097, PUSHED_BACK | {"effort_limit": [[-INF, 0.8]]}, ODE_FOUR_DIGITS),
     "van der Pol above a wave": Optimum(2.871975, VAN_DER_POL | ONE | {"goal": [NAN, NAN], "duration_s": 6.0,
-        "path": lambda x, u, p, t: x[0] + 0.3 * ca.sin(t), "path_limit": [[-0.3, INF]]}, ODE_FOUR_DIGITS),
+        "path": lambda x, u, p, t: x[0] + 0.3 * ca.sin(t), "path_limit": [[-0.3, INF]],
+        "mesh": MeshSettings(intervals=25)}, ODE_FOUR_DIGITS),
     # Singular arcs: Jacobson's u = -1 and then u = x with x' = -x tanh(5 - t), by scipy's quadrature.
     "Jacobson's singular problem": Optimum(0.3769919302879446, cart([0, 1], [NAN, NAN], duration_s=5.0,
         running_cost=lambda x, u, p, t: (x[0] ** 2 + x[1] ** 2) / 2) | ONE, ODE_PUBLISHED),

@@ -170,7 +170,7 @@ def test_a_limit_on_a_pin_force_counts_the_force():
     free = steered()
     limit = 0.9 * float(free.certificate.peak_closure_force[0])
     name = free.problem.mechanism.closure_names[0]
-    tight = plan_motion(steering(limits={"closure_force": {name: limit}})).require()
+    tight = plan_motion(steering(limits={"closure_force": {name: limit}}, mesh={"intervals": 12})).require()
     assert tight.certificate.peak_closure_force[0] == pytest.approx(limit, rel=1e-2)
     assert all_are_proved(tight)
 

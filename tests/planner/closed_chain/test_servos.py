@@ -25,7 +25,7 @@ REACH = 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 60.0 }\ndurat
 @pytest.mark.slow
 def test_a_servo_that_pulls_back_with_all_its_force_at_the_goal_is_planned_with():
     """At 60 deg any ctrl to 0.5 pulls back with the 20 N.m at which its forcerange ends: so it slows down and arrives."""
-    plan = body_plan(SERVO.format(reach=0.5), REACH.replace("0.8", "0.5"))
+    plan = body_plan(SERVO.format(reach=0.5), REACH.replace("0.8", "0.5"), "mesh.intervals=10")
     assert plan.status == "optimal", plan.message
     end = plan.trajectory.duration_s
     beyond = plan.trajectory.position_at(np.linspace(0, end, 400))[:, 0] > 0.71

@@ -103,6 +103,7 @@ def test_a_jump_of_acceleration_and_a_start_with_one_are_jerk_beyond_any_limit()
 KNEE = {
     "mechanism": {"model": "optimus-knee", "payload": "shank"},
     "motion": {"kind": "reach", "start_deg": {"O": -49.07}, "goal_deg": {"O": 56.27}, "duration_s": 0.16},
+    "mesh": {"intervals": 24},
 }
 
 
@@ -113,8 +114,7 @@ def slopes(values: np.ndarray, time: np.ndarray, order: int) -> np.ndarray:
 
 @functools.cache
 def limited_knee(key: str, name: str, most: float) -> Plan:
-    mesh = {"intervals": 24 if "jerk" in key else 40}
-    return plan_motion(Problem.from_tables("knee", {**KNEE, "mesh": mesh, "limits": {key: {name: most}}}))
+    return plan_motion(Problem.from_tables("knee", {**KNEE, "limits": {key: {name: most}}}))
 
 
 @pytest.mark.parametrize(
@@ -150,8 +150,7 @@ def test_accelerations_and_jerks_of_dependent_joints_and_sites_stay_within_their
 )
 def test_a_user_s_own_limit_reads_accelerations_and_jerks(key, of, limit, expression, most):
     own = [linkplan.ExtraLimit(name=f"{key} of {of}", expression=expression, lower=-most, upper=most)]
-    mesh = limited_knee(key, of, limit).problem.mesh.intervals
-    plan = plan_motion(Problem.from_tables("knee", {**KNEE, "mesh": {"intervals": mesh}}).replace(extra_limits=own))
+    plan = plan_motion(Problem.from_tables("knee", KNEE).replace(extra_limits=own))
     assert plan.objective == pytest.approx(limited_knee(key, of, limit).objective, rel=1e-5)
 
 
@@ -223,7 +222,8 @@ def test_a_limit_on_the_jerk_of_a_site_at_rest_forbids_no_jump():
 
 @pytest.mark.slow
 def test_a_limit_on_the_jerk_of_a_site_that_forbids_a_motion_is_named():
-    plan = plan_motion(mass(1.0, "effort", 0.9, site_jerk_m_s3=40.0))  # the least time is 0.928 s
+    problem = mass(1.0, "effort", 0.9, site_jerk_m_s3=40.0).replace(mesh={"intervals": 10})
+    plan = plan_motion(problem)  # the least time is 0.928 s
     assert plan.status == "infeasible"
     assert "the jerk of site tool" in plan.message
 

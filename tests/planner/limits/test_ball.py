@@ -8,7 +8,6 @@ import linkplan
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.limits.joints import BallLimit
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.proof.prove import prove
 from tests.support.linkages import RSSR
 
 GOAL_DEG = 40.0
@@ -55,9 +54,7 @@ def test_a_plan_keeps_the_range_at_every_instant_and_proves_it():
     poses = np.array([list(plan.sample(t).position_deg.values()) for t in np.linspace(0.0, 0.5, 41)])
     assert margin.value == pytest.approx(angles_deg(plan.problem.mechanism, np.radians(poses)).max(), rel=1e-3)
     assert margin.left == pytest.approx(90.0 - margin.value)
-    (proved,) = [
-        one for one in prove(plan.problem, plan.trajectory, existence=False).findings if "ball joint rod" in one.name
-    ]
+    (proved,) = [one for one in plan.proof.findings if "ball joint rod" in one.name]
     assert proved.answer == "proved"
     narrow = certify(reach(0.9 * margin.value), plan.trajectory)
     assert any("angle of ball joint rod" in failure for failure in narrow.failures)

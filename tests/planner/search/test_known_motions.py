@@ -85,7 +85,8 @@ def test_a_turn_is_no_slower_than_under_constant_full_effort_or_at_constant_spee
 @pytest.mark.slow
 def test_guesses_along_which_the_loops_open_are_left_out_and_others_show_the_effort_that_is_lacking():
     ends = {"start_deg": {"O1": 10.0, "O2": 170.0}, "goal_deg": {"O1": 100.0, "O2": 80.0}}
-    plan = plan_motion(Problem.reach("five-bar", **ends, duration_s=1.0, mesh={"intervals": 6}))
+    plan = plan_motion(Problem.reach("five-bar", **ends, duration_s=1.0, mesh={"intervals": 6}, solver={"starts": 2}))
+    assert [step.what for step in plan.history[:2]] == [f"start {k} of 2, perturbed guess {k}" for k in (1, 2)]
     assert plan.status == "infeasible", plan.message
     assert "N.m beyond its limit of 1.4" in plan.message
 

@@ -32,7 +32,6 @@ from linkplan.planner.search.multistart import from_several_starts
 from linkplan.planner.search.planning import plan_motion, search_for
 from linkplan.planner.search.without_solver import slower
 from linkplan.planner.transcription.mesh import uniform
-from linkplan.planner.transcription.scheme_names import MAX_INTERVALS
 from tests.bench.many_robots import write_robots
 from tests.support.arms import arm
 from tests.support.data import DATA
@@ -191,7 +190,7 @@ def test_a_least_time_at_the_corners_of_robust_is_changed_until_every_machine_ca
 def test_a_least_time_with_joints_along_their_speed_limits_is_proved(tmp_path):
     """Efforts jump where a joint reaches or leaves its speed limit; planned as jumps inside intervals they were refuted."""
     write_robots(tmp_path, ["speed"])
-    plan = linkplan.plan(tmp_path / "spatial-4-speed.toml", prove=True)
+    plan = linkplan.plan(tmp_path / "spatial-4-speed.toml")
     assert plan.status == "optimal"
     assert plan.proof.verdict == "proved"
     assert plan.objective == pytest.approx(0.391782, rel=1e-4)
@@ -307,7 +306,7 @@ def test_a_first_order_scheme_is_refined_until_a_proof_accepts_positions_and_vel
     plan = plan_motion(straight_arm(scheme, duration_s=0.5, minimize="effort"))
     assert plan.status == "optimal"
     assert plan.objective == pytest.approx(ARM_EFFORT, rel=1e-4)
-    assert plan.with_proof().proof.passed
+    assert plan.prove(existence=False).passed
 
 
 @pytest.mark.parametrize("scheme", ["trapezoid", "hermite-simpson"])
@@ -330,11 +329,12 @@ def test_what_a_correction_costs_is_reported_as_a_change_on_a_finer_mesh(monkeyp
     assert "on a finer mesh its objective still changed by 0.2 %" in plan.message
 
 
-@pytest.mark.slow
-def test_a_mesh_that_never_suffices_ends_at_the_largest_legal_number_of_intervals():
-    plan = plan_motion(straight_arm("trapezoid", duration_s="free", minimize="time"))
-    assert plan.status == "feasible"
-    assert len(plan.trajectory.breaks_s) <= MAX_INTERVALS + 1
+def test_a_mesh_that_never_suffices_ends_at_the_largest_legal_number_of_intervals(monkeypatch):
+    monkeypatch.setattr(finer_meshes, "MAX_INTERVALS", 600)
+    monkeypatch.setattr(finer_meshes, "_MAX_RESTORATIONS", 2)
+    found = refined(straight_arm("trapezoid", duration_s="free", minimize="time"), 0.2)
+    assert not finer_meshes.is_sound(found.certificate)
+    assert len(found.motion.breaks_s) <= 601
 
 
 def test_an_effort_jumps_from_one_end_to_the_other_of_what_its_power_permits(in_least_time):
@@ -352,7 +352,7 @@ def test_an_effort_jumps_from_one_end_to_the_other_of_what_its_power_permits(in_
 @pytest.mark.slow
 def test_a_motion_within_a_limit_on_the_jerk_of_a_site_has_segments_that_end_where_the_jerk_turns_about():
     """Its size stays at the limit. On meshes without these ends, the same motion costs 0.3 % more."""
-    plan = linkplan.plan(leg(duration_s=0.28, minimize="effort", limits={"site_jerk_m_s3": {"toe": 2e4}}))
+    plan = plan_motion(leg(duration_s=0.28, minimize="effort", limits={"site_jerk_m_s3": {"toe": 2e4}}))
     assert plan.status == "optimal"
     assert plan.history[-1].segments > 1
     assert plan.objective == pytest.approx(859.65, rel=1e-3)
@@ -367,8 +367,9 @@ def test_a_segment_whose_switch_times_meet_on_finer_meshes_is_removed_and_the_mo
     assert plan.objective == pytest.approx(0.187648, rel=1e-4)
 
 
-def test_a_reference_that_asks_for_a_little_too_much_is_tracked_by_two_motors_and_proved():
+def test_a_reference_that_asks_for_a_little_too_much_is_tracked_by_two_motors_and_proved(monkeypatch):
     """With the refinement of one motor it was "feasible": most of its objective was the smoothing of efforts."""
+    monkeypatch.setattr(finer_meshes, "_MAX_MESHES", 3)
     reference = {
         "frequency_hz": 3.3488,
         "amplitude_deg": {"hip_pitch": 14.0, "knee_motor": 6.6},
@@ -376,7 +377,7 @@ def test_a_reference_that_asks_for_a_little_too_much_is_tracked_by_two_motors_an
         "phase_deg": {"hip_pitch": 180.0},
     }
     mechanism, asked = linkplan.load_mechanism(LEG), {"limits": {"contacts": "note"}}
-    plan = linkplan.plan(linkplan.Problem.periodic(mechanism, reference=reference, mesh={"intervals": 40}, **asked))
+    plan = linkplan.plan(linkplan.Problem.periodic(mechanism, reference=reference, mesh={"intervals": 20}, **asked))
     assert plan.status == "optimal"
     assert plan.proof.passed
     assert plan.details["reference_needs"] < -130.0
@@ -392,7 +393,7 @@ def test_one_motor_and_given_breaks_have_another_search(in_least_time):
 
 def test_least_work_is_refined_like_other_motions_and_its_objective_is_that_of_the_motion():
     """The refinement of one motor, on twice the intervals, has 11.9912, and 12.0035 on these."""
-    plan = linkplan.plan(leg(duration_s=0.3, minimize="work"))
+    plan = plan_motion(leg(duration_s=0.3, minimize="work"))
     assert plan.status == "optimal"
     assert plan.objective == pytest.approx(objective_value(plan.problem, plan.trajectory)[0], rel=1e-5)
     assert plan.objective == pytest.approx(11.9912, rel=2e-4)

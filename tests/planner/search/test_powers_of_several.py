@@ -36,6 +36,7 @@ def digger() -> dict:
             "duration_s": "free",
         },
         "objective": {"minimize": "time"},
+        "mesh": {"intervals": 16},
         "limits": {"power_w": POWERS},
     }
 
