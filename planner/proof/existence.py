@@ -60,15 +60,14 @@ class NoMotionError(ArithmeticError):
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ErrorTube:
-    """Half widths (m, 2 n_s) of a tube around positions and velocities, each up to one of the instants (m,) [s]."""
+    """Half widths (m, 2 n_s) of a tube around positions and velocities, each up to one of the instants (m,) [s].
+
+    `is_guess` is True if they are a guess, not a result of bounds.
+    """
 
     until_s: np.ndarray
     radii: np.ndarray
-
-    @property
-    def is_guess(self) -> bool:
-        """True if the width of the tube is a guess, not a result of bounds."""
-        return len(self.radii) == 1
+    is_guess: bool = False
 
     def at(self, end_s: float) -> np.ndarray:
         """Return the half widths (2 n_s,) that hold up to an instant."""
@@ -77,7 +76,7 @@ class ErrorTube:
 
 def first_tube(trajectory: Trajectory) -> ErrorTube:
     """Return a tube of constant width around a motion."""
-    return ErrorTube(until_s=np.array([np.inf]), radii=_FIRST_TUBE_SHARE * _sizes(trajectory)[None])
+    return ErrorTube(until_s=np.array([np.inf]), radii=_FIRST_TUBE_SHARE * _sizes(trajectory)[None], is_guess=True)
 
 
 class Neighbourhood:

@@ -296,9 +296,12 @@ def certify_iterate(case: Case, found: Iterate) -> CertifiedIterate:
     return CertifiedIterate(found=found, certificate=certificate, report=report)
 
 
-def share_gained(before: float, after: float) -> float:
-    """Return the decrease of an objective, of either sign, as a share of the later one's magnitude."""
-    return (before - after) / max(abs(after), np.finfo(float).tiny)
+def share_gained(before: float, after: float, nothing: float = 0.0) -> float:
+    """Return the decrease of an objective, of either sign, as a share of the later one's magnitude or, if larger, `nothing`.
+
+    `nothing` is the size of an objective that counts as zero.
+    """
+    return (before - after) / max(abs(after), nothing, np.finfo(float).tiny)
 
 
 def error_of(at: CertifiedIterate) -> float:

@@ -56,6 +56,9 @@ _SHARE_ALONG_PRODUCTS = 1.5
 # Largest number of meshes, and the relative change below which the objective has settled. With piecewise constant efforts
 # (least work) its error is only of first order in the interval's length.
 _MAX_MESHES, _SETTLED_CHANGE, _SETTLED_CHANGE_OF_STEPS = 8, 2e-5, 1e-3
+# If the objective of tracking is below this share of its unit, its changes are taken as shares of this. A change of 1e-10 of
+# the unit (rms errors of 1e-5 of the motion's range) has then settled. Otherwise meshes are refined for rounding errors.
+_LEAST_TRACKING = 5e-6
 # If a finer mesh's objective is worse by more than this share, it belongs to another motion.
 _LOST_SHARE = 1e-3
 # The same for the first finer mesh with a given duration: the objective of the first mesh is 0.9 and 1.6 % too small for the
@@ -131,7 +134,7 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
         if finer is None:
             break
         before, at = at, certify_iterate(case, finer)
-        last_gain, gain = gain, share_gained(before.found.solution.objective, finer.solution.objective)
+        last_gain, gain = gain, _gained(case, before.found, finer)
         left = gain
         if gain > 0 and 0 < last_gain < np.inf and not case.enclosed:  # along limits on power, gains decrease irregularly
             left *= min(1.0, gain / last_gain)
@@ -149,7 +152,7 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
     repaired: list[CertifiedIterate] = []
     for one in reversed(kept):
         at = _repaired(one)
-        moved = max(moved, share_gained(at.found.solution.objective, one.at.found.solution.objective))
+        moved = max(moved, _gained(case, at.found, one.at.found))
         repaired.append(at)
         if is_sound(at.certificate):
             break
@@ -181,9 +184,15 @@ def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -
         finer = attempt(case, start, mesh, durations, way.what, close=True, adaptive=adaptive, position_rows=rows)
         if finer is not None:
             found.append(finer)
-            if share_gained(finer.solution.objective, coarse.solution.objective) <= lost:
+            if _gained(case, finer, coarse) <= lost:
                 break
     return min(found, key=lambda finer: finer.solution.objective, default=None)
+
+
+def _gained(case: MechanismCase, before: Iterate, after: Iterate) -> float:
+    """Return the share of its objective that a motion gains; tracking has a least objective to take it of."""
+    least = _LEAST_TRACKING * after.solution.transcribed.units.objective if case.asked.objective.has("tracking") else 0.0
+    return share_gained(before.solution.objective, after.solution.objective, least)
 
 
 def _without_met(mesh: Mesh, durations: np.ndarray) -> tuple[Mesh, np.ndarray]:
@@ -244,7 +253,7 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
             break
         begun_s = until.left_s
         found = nearest_on(case, at.found, mesh, durations, position_rows=kept.rows)
-        if found is not None and share_gained(found.solution.objective, at.found.solution.objective) > _LOST_SHARE:
+        if found is not None and _gained(case, found, at.found) > _LOST_SHARE:
             found = None
         if found is None and not at.passed:  # if efforts and other limits are active together, no freedom is left
             mesh = divided(at.found.mesh, _coarse(case, at))
@@ -317,6 +326,8 @@ def _next_way(case: MechanismCase, at: CertifiedIterate, left: float) -> _Way | 
         return _Way(case, *mesh_with_switches(boundaries, ends, mesh.n_intervals, least=1), what)
     if pieces.max() == 1 or pieces.sum() > _MAX_GROWTH * case.asked.mesh.intervals:
         pieces = 1 + rough_of(at.found.motion)
+    if pieces.sum() > MAX_INTERVALS:
+        return None
     return _Way(case, divided(mesh, pieces), durations, "finer mesh")
 
 

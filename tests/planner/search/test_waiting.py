@@ -11,6 +11,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.proof import prove
 from linkplan.planner.search import waiting, without_solver
 from linkplan.planner.search.methods import FULL_BUDGET, Search
 from linkplan.planner.search.planning import plan_motion, search_for
@@ -211,14 +212,18 @@ def test_a_reach_in_equilibrium_whose_goal_is_its_start_is_answered_by_a_rest_th
     assert plan.objective == pytest.approx(0.0, abs=1e-9)
 
 
-def test_a_reach_whose_goal_is_its_start_is_a_proved_rest_where_holding_costs_something():
+@pytest.mark.parametrize("duration_s", [0.5, 2.0])  # in 2 s no motion of the model is proved near the plan
+def test_a_reach_whose_goal_is_its_start_is_a_proved_rest_where_holding_costs_something(duration_s, monkeypatch):
     """On a sloping rail a motion of the solver's rounding costs as much, and its speed has no digits to prove."""
     sloping = STICK_ON_SLIDER.replace('<body name="slider">', '<body name="slider" euler="0 15 0">')
     ends = {"start_m": {"x": 0.0}, "start_deg": {"q": 165.0}, "goal_m": {"x": 0.0}, "goal_deg": {"q": 165.0}}
-    plan = plan_motion(Problem.reach(sloping, duration_s=0.5, **ends))
+    tubes, neighbourhood = [], prove.Neighbourhood
+    monkeypatch.setattr(prove, "Neighbourhood", lambda *given: tubes.append(given[2]) or neighbourhood(*given))
+    plan = plan_motion(Problem.reach(sloping, duration_s=duration_s, **ends))
     assert plan.status == "optimal", plan.message
-    assert plan.objective == pytest.approx(0.5 * ((2 + MASS_KG) * G * np.sin(np.radians(15.0))) ** 2, rel=1e-9)
+    assert plan.objective == pytest.approx(duration_s * ((2 + MASS_KG) * G * np.sin(np.radians(15.0))) ** 2, rel=1e-9)
     assert plan.prove().verdict == "proved"
+    assert len(tubes) <= 2
 
 
 def test_a_level_arm_is_held_by_its_weight_and_that_is_proved():
