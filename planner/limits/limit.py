@@ -221,8 +221,8 @@ class Margin(Struct, frozen=True, eq=False, kw_only=True):
         """Return a sentence with the worst value, its time and its limit."""
         at, limit = f"at t = {self.time_s:.4g} s", f"{self.limit:.4g} {self.unit}".rstrip()
         if not np.isfinite(self.value):  # such as a jerk where an acceleration jumps
-            amount = as_no_number(self.value) if np.isnan(self.value) else "infinite"
-            return f"{self.title} {'is' if verb == 'comes to' else 'would be'} {amount} {at}; its limit is {limit}"
+            found = f"is {as_no_number(self.value)}" if verb == "comes to" else "would be infinite"
+            return f"{self.title} {found} {at}; its limit is {limit}"
         amount = f"{self.value:.4g} {self.unit}".rstrip()
         off = f"{abs(self.left):.3g} {self.unit}".rstrip()
         return f"{self.title} {verb} {amount} {at}, {off} {self.of.facts.beyond} its limit of {limit}"
