@@ -116,7 +116,8 @@ def strides(
     """
     begins, gaps = np.append(0.0, shares[:-1]), np.diff(shares, prepend=0.0)
     found, steps = list[np.ndarray](), 0  # steps since the last share
-    # In parts of the gaps between shares: the place reached, the end, and the largest size of the next step.
+    # Places and lengths of steps are counted in parts of the gap between two shares. Here: the place reached, the end, and
+    # the largest length of the next step.
     done, last, largest, longest = 0, len(widths_s) * len(shares) * _MOST_PARTS, _MOST_PARTS, _FIRST_STRETCH
     while done < last and steps < _MOST_STEPS and not until.passed:
         check()

@@ -126,7 +126,7 @@ def perturbed_guesses(problem: Problem, start_pose: np.ndarray) -> Iterator[tupl
 
 
 def perturbed(guess: Guess, number: int, span: np.ndarray) -> Guess:
-    """Return a guess plus three half waves of random size, which are zero at the motion's ends.
+    """Return a guess to which three half waves of random size are added; they are zero at the motion's ends.
 
     Together they have half of the size `span` (n_s,); every fourth perturbation is larger. `number` is the random seed.
     """

@@ -296,12 +296,9 @@ def certify_iterate(case: Case, found: Iterate) -> CertifiedIterate:
     return CertifiedIterate(found=found, certificate=certificate, report=report)
 
 
-def share_gained(before: float, after: float, nothing: float = 0.0) -> float:
-    """Return the decrease of an objective, of either sign, as a share of the later one's magnitude or, if larger, `nothing`.
-
-    `nothing` is the size of an objective that counts as zero.
-    """
-    return (before - after) / max(abs(after), nothing, np.finfo(float).tiny)
+def share_gained(before: float, after: float, least: float = 0.0) -> float:
+    """Return the decrease of an objective, of either sign, as a share of the later one's size, or of `least` if larger."""
+    return (before - after) / max(abs(after), least, np.finfo(float).tiny)
 
 
 def error_of(at: CertifiedIterate) -> float:

@@ -22,7 +22,7 @@ from linkplan.planner.refinement.case import Iterate, attempt, with_scheme
 from linkplan.planner.refinement.decision import refine
 from linkplan.planner.refinement.history import recorded
 from linkplan.planner.refinement.state import OPTIMAL_CHANGE, REPORTED_CHANGE, Refined
-from linkplan.planner.search.finer_meshes import refine_several
+from linkplan.planner.search.finer_meshes import EXACT_TRACKING_SHARE, refine_several
 from linkplan.planner.search.methods import Budget, Search
 from linkplan.planner.search.solving import (
     GRID_ERROR_FACTOR,
@@ -39,8 +39,6 @@ from linkplan.planner.transcription.mesh import halved
 _SMOOTHING_WEIGHTS = tuple(share * SMOOTHING_WEIGHT for share in (1e-1, 1e-2, 1e-3))
 # The mesh of a tracking motion is halved up to this number of intervals.
 _MAX_INTERVALS = 160
-# An objective below this share of its unit counts as exact tracking: an rms error of 1e-5 of the motion's range.
-_EXACT_TRACKING_SHARE = 1e-10
 
 
 def plan_from(
@@ -241,7 +239,7 @@ def _unsmoothed(case: MechanismCase, first: Iterate, warm: bool) -> tuple[Refine
     The weight falls to a tenth from solve to solve. The result is the motion with the least weight that passes after its
     refinement, or the first one if none passes.
     """
-    nothing = _EXACT_TRACKING_SHARE * first.solution.transcribed.units.objective
+    nothing = EXACT_TRACKING_SHARE * first.solution.transcribed.units.objective
     solves = [(case, first)]
     for weight in _SMOOTHING_WEIGHTS if objective_of(first) > nothing else ():
         lighter = _smoothed(*solves[-1], weight)

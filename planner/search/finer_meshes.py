@@ -56,9 +56,11 @@ _SHARE_ALONG_PRODUCTS = 1.5
 # Largest number of meshes, and the relative change below which the objective has settled. With piecewise constant efforts
 # (least work) its error is only of first order in the interval's length.
 _MAX_MESHES, _SETTLED_CHANGE, _SETTLED_CHANGE_OF_STEPS = 8, 2e-5, 1e-3
-# If the objective of tracking is below this share of its unit, its changes are taken as shares of this. A change of 1e-10 of
-# the unit (rms errors of 1e-5 of the motion's range) has then settled. Otherwise meshes are refined for rounding errors.
-_LEAST_TRACKING = 5e-6
+# A tracking objective below this share of its unit counts as exact tracking: an rms error of 1e-5 of the motion's range.
+EXACT_TRACKING_SHARE = 1e-10
+# Changes of a tracking objective are compared with at least this share of its unit. A change as small as the objective of
+# exact tracking has then settled. Without this, meshes are refined for rounding errors.
+_LEAST_TRACKING = EXACT_TRACKING_SHARE / _SETTLED_CHANGE
 # If a finer mesh's objective is worse by more than this share, it belongs to another motion.
 _LOST_SHARE = 1e-3
 # The same for the first finer mesh with a given duration: the objective of the first mesh is 0.9 and 1.6 % too small for the
@@ -190,7 +192,7 @@ def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -
 
 
 def _gained(case: MechanismCase, before: Iterate, after: Iterate) -> float:
-    """Return the share of its objective that a motion gains; tracking has a least objective to take it of."""
+    """Return the share of its objective that a motion gains; for tracking, of at least `_LEAST_TRACKING`."""
     least = _LEAST_TRACKING * after.solution.transcribed.units.objective if case.asked.objective.has("tracking") else 0.0
     return share_gained(before.solution.objective, after.solution.objective, least)
 

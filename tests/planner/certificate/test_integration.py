@@ -128,7 +128,7 @@ def test_states_are_those_of_adaptive_steps():
 
 
 def test_steps_are_as_short_as_the_error_requires_and_long_again_after():
-    """A weight on a spring that is stiff within a hundredth of a radian passes it many times."""
+    """A weight passes the middle of its spring, which is much stiffer within a hundredth of a radian there."""
     x, u, tau = ca.SX.sym("x", 2), ca.SX.sym("u"), ca.SX.sym("tau")
     rate = ca.Function("rate", [x, u, tau], [ca.vertcat(x[1], -9.81 * x[0] - 4.0 * x[0] / (1e-4 + x[0] ** 2) + 0 * u * tau)])
     widths, shares, begin = np.array([0.05, 1.2, 0.05]), np.array([0.3, 1.0]), np.array([1.0, 0.0])

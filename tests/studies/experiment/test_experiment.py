@@ -27,7 +27,7 @@ from tests.support.plans import optimal
 from tests.support.refusals import assert_refused
 
 SHORT = "tracking.duration_s=0.01"
-# Two whole blocks and a beginning.
+# Two whole blocks and the beginning of a third.
 SAMPLES = 2 * blocks.BLOCK_SAMPLES + 8
 FEW = Settings(trackers=("pd", "pd+ff"), samples=6)
 
