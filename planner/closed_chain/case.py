@@ -38,6 +38,7 @@ from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.refinement.case import ErrorReport, RefinementTarget, error_report
 from linkplan.planner.refinement.history import progress, recorded
 from linkplan.planner.refinement.marking import Tightening, evened, tightenings_of
+from linkplan.planner.solvers.newton import EQUATION_TOLERANCE
 from linkplan.planner.solvers.solve import Solution
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
@@ -45,6 +46,9 @@ from linkplan.planner.transcription.mesh import Mesh
 
 # The first word of an optimal plan's message, unless the phase plane shows that no motion is quicker.
 LOCALLY = "locally "
+# Corrections satisfy the equations of closed loops within a tolerance. A range of a dependent joint that moves by less than
+# this has no effect on them.
+_LEAST_TIGHTENING = 2.0 * EQUATION_TOLERANCE
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -170,7 +174,7 @@ def _tightened(problem: Problem, certificate: Certificate, *, further: bool) -> 
     for margin in certificate.margins:
         by = margin.of.facts.tightened
         if by is Tightened.IN_PROBLEM or (further and by is Tightened.LATER_IN_PROBLEM):
-            problem = tightened_in(problem, margin, 1.1)
+            problem = tightened_in(problem, margin, 1.1, _LEAST_TIGHTENING)
         elif by is None and not margin.kept and np.isfinite(margin.left):
             problem = margin.of.relaxed(problem, 1.0 + 1.1 * margin.share)
     return problem

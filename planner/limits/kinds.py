@@ -114,9 +114,12 @@ def violation(kind: type[Limit], problem: Problem, motion: Trajectory) -> str | 
     return max(over, key=lambda m: m.overrun.max()).sentence("would have to be") if over else None
 
 
-def tightened_in(problem: Problem, margin: Margin, factor: float) -> Problem:
-    """Return a problem whose limit on a joint, a row of `Limits`, moves inwards by a factor times its overrun."""
+def tightened_in(problem: Problem, margin: Margin, factor: float, least: float) -> Problem:
+    """Return a problem whose limit on a joint, a row of `Limits`, moves inwards by a factor times its overrun.
+
+    A limit that is not satisfied moves by at least `least` [rad or m, per second for speeds].
+    """
     rows = getattr(problem.limits, margin.of.key).copy()
     over = max(0.0, -margin.left) / problem.mechanism.joints[margin.item].shown(1.0)
-    rows[margin.item] += factor * over * np.array([1.0, -1.0])
+    rows[margin.item] += max(factor * over, 0.0 if margin.kept else least) * np.array([1.0, -1.0])
     return with_limits(problem, **{margin.of.key: rows})

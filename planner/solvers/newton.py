@@ -57,7 +57,7 @@ _MOST_PROGRAMS = 12
 # They reach 1e-9 after 43 iterations; rows then hold within 1e-12.
 _PIQP = {"eps_abs": 1e-9, "eps_rel": 0.0, "max_iter": 100, "verbose": False}
 # The last program may leave this violation of nonlinear equations. The certificate measures efforts to 2e-6.
-_EQUATION_TOLERANCE = 1e-8
+EQUATION_TOLERANCE = 1e-8
 # If only a few intervals violate their rows, only their unknowns and those of this number of intervals on each side are
 # changed, because the influence of a change decays along the motion. If more than this share of the violation remains, all
 # unknowns are changed.
@@ -234,7 +234,7 @@ def nearest_feasible(transcribed: Transcribed, x: np.ndarray, deadline: Deadline
     begin, program, p, n = time.perf_counter(), transcribed.program, transcribed.parameters, len(x)
     lower = np.concatenate([transcribed.lower, transcribed.row_lower])
     upper = np.concatenate([transcribed.upper, transcribed.row_upper])
-    tolerance = np.where(lower == upper, _EQUATION_TOLERANCE, SOLVER_TOLERANCE)
+    tolerance = np.where(lower == upper, EQUATION_TOLERANCE, SOLVER_TOLERANCE)
     durations, cost = program.layout.durations(), np.full(n, _COST_OF_STATES)
     cost[program.layout.effort().ravel()] = cost[durations] = _COST_OF_EFFORTS
     x, steps = np.clip(x, transcribed.lower, transcribed.upper), 0

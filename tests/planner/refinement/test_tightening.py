@@ -9,7 +9,8 @@ import pytest
 from linkplan.models.deadline import Deadline
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess, guess_from
-from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
+from linkplan.planner.limits.joints import RANGE_SLACK, RangeLimit, SpeedLimit
+from linkplan.planner.limits.kinds import tightened_in
 from linkplan.planner.limits.limit import LimitedRow, LimitFacts, Margin, Tightened
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.proof.prove import prove
@@ -40,6 +41,17 @@ def test_a_range_is_tightened_in_the_problem_and_not_on_intervals():
     over = Margin(of=RangeLimit(0, None), value=1.1, left=-0.1, overrun=np.full(3, 0.1), **given)
     assert not over.kept
     assert tightenings_of((over,), np.arange(4.0)) == ()
+
+
+@pytest.mark.parametrize(("over", "moves"), [(2e-9, 2e-8), (1e-12, 1.1e-12), (1e-3, 1.1e-3)])
+def test_a_range_moves_by_more_than_the_closure_error_of_a_correction(over, moves):
+    """Corrections hold loops closed within 1e-8: a range that moved by 2e-9 was exceeded by as much each time."""
+    problem = load_problem("knee-reach")
+    joint, unit = int(problem.mechanism.dependent[0]), float(np.degrees(1.0))
+    given = {"name": "J", "unit": "deg", "time_s": 0.0, "upper": True, "size": 1.0, "limit": 1.0, "slack": unit * RANGE_SLACK}
+    margin = Margin(of=RangeLimit(joint, None), value=1.0 + unit * over, left=-unit * over, overrun=np.full(3, over), **given)
+    change = tightened_in(problem, margin, 1.1, 2e-8).limits.position[joint] - problem.limits.position[joint]
+    assert change == pytest.approx([moves, -moves], rel=1e-3, abs=1e-15)
 
 
 def test_an_infinite_overrun_is_not_removed_by_a_tightening():
