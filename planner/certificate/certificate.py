@@ -22,10 +22,10 @@ from linkplan.planner.certificate.integration import (
     waypoint_times,
 )
 from linkplan.planner.files.structs import Beside, InJson
-from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, end_sizes
+from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, EffortLimit, end_sizes
 from linkplan.planner.limits.joints import RANGE_SLACK
 from linkplan.planner.limits.kinds import margins_along
-from linkplan.planner.limits.limit import Margin
+from linkplan.planner.limits.limit import Margin, limit_margin
 from linkplan.planner.limits.samples import Samples, least_between, samples_of, singularity_ratios
 from linkplan.planner.problem.extra import extras_not_finite, not_finite
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
@@ -150,8 +150,9 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         worst[name] = float(time[at])
         return float(values[at])
 
+    of_efforts = [limit_margin(limit, samples) for limit in EffortLimit.of(problem)]
     over = np.maximum(u - limits.effort[:, 1], limits.effort[:, 0] - u).max(axis=1)
-    effort_excess = max(0.0, peak("effort_excess", over))
+    effort_excess = max(0.0, peak("effort_excess", over), *(-margin.left for margin in of_efforts if not margin.kept))
     # A motion at rest counts as having a speed that hardly moves it within its duration.
     speed = max(float(np.abs(v).max()) or INTEGRATION_M / trajectory.duration_s, _MIN_SPAN / trajectory.duration_s)
     slope = trajectory.slope_at(time)

@@ -53,7 +53,10 @@ class EffortLimit(Limit):
 
     def measured(self, at: Samples) -> Measured:
         actuator = at.problem.mechanism.actuators[self.item]
-        return Measured(actuator.name, at.u[:, self.item], at.problem.limits.effort[self.item], actuator.unit)
+        bounds, coefficients = at.problem.limits.effort[self.item], at.trajectory.effort[:, :, self.item]
+        slack = max(share_of(bounds, ROUNDING_SHARE))
+        values = at.u[:, self.item]
+        return Measured(actuator.name, values, bounds, actuator.unit, coefficients=coefficients, slack=slack)
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
         actuator, bounds = problem.mechanism.actuators[self.item], problem.limits.effort[self.item]

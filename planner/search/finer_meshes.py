@@ -272,12 +272,13 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
 def _slowed(case: MechanismCase, at: CertifiedIterate) -> CertifiedIterate | None:
     """Return a motion in slightly more time if it is sound; None with a given duration, or beyond a settled change.
 
-    Inertial efforts are inversely proportional to the square of the duration.
+    Inertial efforts are inversely proportional to the square of the duration. The planned efforts become those of inverse
+    dynamics, which must be within their limits without an allowance.
     """
     if is_sound(at.certificate) or not at.passed or case.asked.motion.duration_s is not None:
         return None
     found, motion, asked = at.found, at.found.motion, case.asked
-    share = INVERSE_DYNAMICS_SHARE * float(at.report.effort_overrun.max())
+    share = INVERSE_DYNAMICS_SHARE * (1.0 + float(at.report.effort_overrun.max()))
     if share > _SETTLED_CHANGE or (1.0 + share) * motion.duration_s > (asked.motion.max_duration_s or np.inf):
         return None
     try:

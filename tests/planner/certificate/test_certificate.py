@@ -13,6 +13,7 @@ from linkplan.planner.certificate.certificate import Certificate, certify, integ
 from linkplan.planner.closed_chain.case import slow_share
 from linkplan.planner.limits.samples import sample_points, samples_of
 from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.bernstein import bernstein_matrix
 from tests.support.bodies import HINGE, LIFT, body_problem
 from tests.support.fourbar import KNEE_PROBLEMS, SHANK, knee
 from tests.support.margins import margin_of
@@ -48,6 +49,23 @@ def test_an_effort_above_its_limit_in_one_interval_is_found():
     certificate = found(replace(motion(), effort=effort))
     assert certificate.effort_excess == pytest.approx(0.001, rel=EXCESS)
     assert motion().breaks_s[17] <= certificate.worst_time_s["effort_excess"] < motion().breaks_s[18]
+
+
+def test_an_effort_above_its_limit_between_two_samples_is_found():
+    """A parabola whose vertex is 1e-3 N.m above the limit, and which is below it at the nearest samples."""
+    points = samples_of(problem_of("knee-reach"), motion()).points
+    near = len(points) // 2
+    vertex, half = 0.5 * (points[near] + points[near + 1]), 0.5 * (points[near + 1] - points[near])
+    degree, effort = motion().effort.shape[0] - 1, np.array(motion().effort)
+    shares = np.linspace(0.0, 1.0, degree + 1)
+    values = 100.0 + 1e-3 * (1.0 - 1.5 * ((shares - vertex) / half) ** 2)
+    effort[:, 17, 0] = np.linalg.solve(bernstein_matrix(degree, shares), values)
+    changed = replace(motion(), effort=effort)
+    samples = samples_of(problem_of("knee-reach"), changed)
+    assert samples.u.max() < 100.0
+    certificate = found(changed)
+    assert certificate.effort_excess == pytest.approx(1e-3, rel=1e-3)
+    assert sentence(certificate, "the effort exceeds its limit")
 
 
 @pytest.mark.parametrize(("share", "is_named"), [(0.5, False), (-0.9, False), (1.1, True), (-2.0, True)])

@@ -48,8 +48,9 @@ def test_a_range_moves_by_more_than_the_closure_error_of_a_correction(over, move
     """Corrections hold loops closed within 1e-8: a range that moved by 2e-9 was exceeded by as much each time."""
     problem = load_problem("knee-reach")
     joint, unit = int(problem.mechanism.dependent[0]), float(np.degrees(1.0))
-    given = {"name": "J", "unit": "deg", "time_s": 0.0, "upper": True, "size": 1.0, "limit": 1.0, "slack": unit * RANGE_SLACK}
-    margin = Margin(of=RangeLimit(joint, None), value=1.0 + unit * over, left=-unit * over, overrun=np.full(3, over), **given)
+    given = {"name": "J", "unit": "deg", "time_s": 0.0, "upper": True, "size": 1.0, "slack": unit * RANGE_SLACK}
+    beyond = {"limit": 1.0, "value": 1.0 + unit * over, "left": -unit * over, "overrun": np.full(3, over)}
+    margin = Margin(of=RangeLimit(joint, None), **given, **beyond)
     change = tightened_in(problem, margin, 1.1, 2e-8).limits.position[joint] - problem.limits.position[joint]
     assert change == pytest.approx([moves, -moves], rel=1e-3, abs=1e-15)
 
