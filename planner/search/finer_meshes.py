@@ -29,6 +29,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.actions import nearest_on
 from linkplan.planner.refinement.case import CertifiedIterate, Iterate, attempt, certify_iterate, share_gained, with_scheme
 from linkplan.planner.refinement.constrained_arcs import path_multipliers
+from linkplan.planner.refinement.hamiltonian import COSTS_OF_HAMILTONIAN, hamiltonian_gaps
 from linkplan.planner.refinement.marking import degree_of, rough_of
 from linkplan.planner.refinement.state import Refined
 from linkplan.planner.refinement.switches import mesh_with_switches
@@ -72,10 +73,11 @@ _MOST_RESIDUAL, _MOST_OVERRUN = 0.2, 3e-4
 # A segment shorter than this share of a mean interval is removed: its switch times have met, and rounding errors determine
 # its accelerations.
 _MET_SHARE = 1e-2
-# Most iterations of a solve that starts from the last mesh's motion; twice as many in another transcription.
+# Most iterations of a solve that starts from the last mesh's motion; twice as many in another transcription if the first
+# barrier has failed.
 _MOST_ITERATIONS = 150
-# Once a motion passes, further meshes take at most this share of the time. The rest is for correcting the motion so that it
-# can be proved.
+# After the first finer mesh with a motion, further meshes take at most this share of the time. The rest is for correcting
+# the motion so that it passes and can be proved.
 _SHARE_OF_MESHES = 2.0 / 3.0
 # Most meshes on which the best motion is corrected; with corners of [robust] up to five are needed.
 _MAX_RESTORATIONS = 6
@@ -124,7 +126,7 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
     way: _Way | None = _first_way(case, at)
     deadline = case.problem.solver.deadline
     rows: frozenset[int] = frozenset()  # coordinates with rows for their ranges between nodes
-    after_passing, until, took_s = deadline.within_share(_SHARE_OF_MESHES), deadline, 0.0
+    in_time, until, took_s = deadline.within_share(_SHARE_OF_MESHES), deadline, 0.0
     for _ in range(_MAX_MESHES):
         check()
         if way is None or until.left_s <= took_s:  # a solve on a finer mesh would take at least as long, without benefit
@@ -140,15 +142,16 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
         left = gain
         if gain > 0 and 0 < last_gain < np.inf and not case.enclosed:  # along limits on power, gains decrease irregularly
             left *= min(1.0, gain / last_gain)
+        left = min(left, _share_of_gaps(way.case, at))
         better = not kept or finer.solution.objective < kept[-1].at.found.solution.objective
         last = _Kept(way.case, at, rows) if better and at.certificate is not None else None
         way = _next_way(way.case, at, left) if at.passed or better else None
+        until = until if last is None else in_time
         if last is not None and at.passed:
             # Nearer to singular poses the objective also changes, for another reason than the mesh.
             alike = bool(kept) and _margin_of(kept[-1].case) == _margin_of(last.case)
             moved = max(gain, 0.0) if alike else 0.0
             kept.append(last)
-            until = after_passing
     if last is not None and last not in kept:
         kept.append(last)
     repaired: list[CertifiedIterate] = []
@@ -175,20 +178,31 @@ def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -
     """
     start, settings = replace(guess_from(coarse.motion), share_of_effort=1.0), way.case.problem.solver
     another = coarse.solution.transcribed.scheme.name != way.case.problem.mesh.scheme
-    most = 2 * _MOST_ITERATIONS if another else _MOST_ITERATIONS
-    few = settings.replace(max_iterations=min(most, settings.max_iterations or most), deadline=until)
-    case = replace(way.case, problem=replace(way.case.problem, solver=few))
     mesh, durations = _without_met(way.mesh, way.durations)
-    free = case.asked.motion.duration_s is None
+    free = way.case.asked.motion.duration_s is None
     lost = _LOST_SHARE_AT_FIRST if another and not free else _LOST_SHARE
     found: list[Iterate] = []
-    for adaptive in (free, not free):
+    for most, adaptive in ((_MOST_ITERATIONS, free), ((1 + another) * _MOST_ITERATIONS, not free)):
+        few = settings.replace(max_iterations=min(most, settings.max_iterations or most), deadline=until)
+        case = replace(way.case, problem=replace(way.case.problem, solver=few))
         finer = attempt(case, start, mesh, durations, way.what, close=True, adaptive=adaptive, position_rows=rows)
         if finer is not None:
             found.append(finer)
             if _gained(case, finer, coarse) <= lost:
                 break
     return min(found, key=lambda finer: finer.solution.objective, default=None)
+
+
+def _share_of_gaps(case: MechanismCase, at: CertifiedIterate) -> float:
+    """Return the share of the objective that efforts on a finer mesh would gain; infinite where it is unknown.
+
+    It is known if the motion passes and its dynamics are exact on this mesh, so that only the efforts can improve.
+    """
+    solution = at.found.solution
+    known = solution.multipliers is not None and set(case.asked.objective.weights) <= COSTS_OF_HAMILTONIAN
+    if not known or case.enclosed or not at.passed or _coarse(case, at).max() > 1:
+        return np.inf
+    return share_gained(solution.objective, solution.objective - float(hamiltonian_gaps(solution).sum()))
 
 
 def _gained(case: MechanismCase, before: Iterate, after: Iterate) -> float:

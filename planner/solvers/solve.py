@@ -142,6 +142,10 @@ def _ipopt(
         # a solve. With several degrees of freedom it costs more than it gains on every mesh; small programs of one degree of
         # freedom use it for better pivots.
         options["ipopt.mumps_permuting_scaling"] = 0
+    if program.layout.n_s > 1:
+        # With second-order corrections, full steps in and out of a joint's dry friction repeat until the iterations end.
+        # Without them, 104 problems of several degrees of freedom take 2 % fewer iterations.
+        options["ipopt.max_soc"] = 0
     if adaptive and close:
         # Near a solution, the filter's safeguard (a barrier that only decreases) takes a hundred iterations instead of
         # forty.

@@ -198,13 +198,13 @@ def test_a_least_time_with_joints_along_their_speed_limits_is_proved(tmp_path):
 
 @pytest.mark.parametrize(
     ("solve_s", "repair_s", "called"),
-    [(15.0, 1.0, ["attempt", "nearest_on"]), (10.0, 14.0, ["attempt"] * 2 + ["nearest_on"])],
+    [(15.0, 1.0, ["attempt", "nearest_on"]), (8.0, 14.0, ["attempt"] * 2 + ["nearest_on"])],
     ids=["a second solve would not end", "a repair ends after the solves' deadline"],
 )
 def test_solves_that_the_time_does_not_allow_are_left_and_repairs_are_certified(
     in_least_time, monkeypatch, solve_s, repair_s, called
 ):
-    """There are 25 s for solves."""
+    """There are 25 s for solves, of which two thirds are for those after the first motion."""
     calls = []
     deadline = Deadline(clock=lambda: sum(seconds for _, seconds in calls)).within(25.0)
     solver = in_least_time.solver.replace(max_time_s=60.0, deadline=deadline)
