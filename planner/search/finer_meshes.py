@@ -273,7 +273,7 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
             found = None
         if found is None and not at.passed:  # if efforts and other limits are active together, no freedom is left
             mesh = divided(at.found.mesh, _coarse(case, at))
-            way = _Way(kept.case, mesh, at.found.durations, "finer mesh")
+            way = _Way(_at_margin(case, _margin_of(kept.case)), mesh, at.found.durations, "finer mesh")
             found = _solved(way, at.found, kept.rows, kept.case.problem.solver.deadline)
         changed = None if found is None else certify_iterate(asked, found)
         took_s = (begun_s - until.left_s) / mesh.n_intervals
