@@ -30,10 +30,11 @@ from linkplan.planner.refinement.actions import nearest_on
 from linkplan.planner.refinement.case import CertifiedIterate, Iterate, attempt, certify_iterate, share_gained, with_scheme
 from linkplan.planner.refinement.constrained_arcs import path_multipliers
 from linkplan.planner.refinement.hamiltonian import COSTS_OF_HAMILTONIAN, hamiltonian_gaps
-from linkplan.planner.refinement.marking import degree_of, rough_of
+from linkplan.planner.refinement.marking import rough_of
 from linkplan.planner.refinement.state import Refined
 from linkplan.planner.refinement.switches import mesh_with_switches
 from linkplan.planner.search.jumps import apart, jumps_of
+from linkplan.planner.search.pieces import for_a_correction, for_a_solve
 from linkplan.planner.solvers.newton import NEAR_INTERVALS
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, divided, uniform, with_ends, without_empty
@@ -67,9 +68,6 @@ _LOST_SHARE = 1e-3
 # The same for the first finer mesh with a given duration: the objective of the first mesh is 0.9 and 1.6 % too small for the
 # excavator, and at most 3e-4 for the other 30 problems of the set.
 _LOST_SHARE_AT_FIRST = 2e-2
-# A mesh is too coarse with more than this share of the allowed residual, and where a limit is overrun between the nodes by
-# more than this share of itself.
-_MOST_RESIDUAL, _MOST_OVERRUN = 0.2, 3e-4
 # A segment shorter than this share of a mean interval is removed: its switch times have met, and rounding errors determine
 # its accelerations.
 _MET_SHARE = 1e-2
@@ -87,10 +85,8 @@ _NEAR_RANGE = 1e-3
 # effort lies between the nodes. It lengthens least times by 2e-6 and, with the next constant, saves 14 of 24 second
 # corrections of 38 problems.
 _DISTANCE_OF_EFFORTS = 2.0
-# The largest number of parts into which one interval is divided, for a solve and for a correction; and the largest number of
-# intervals of a mesh, as a multiple of the required one. Corrections in four parts take a fifth longer, because a second one
-# follows more often.
-_MAX_PIECES, _MAX_PIECES_OF_CORRECTIONS, _MAX_GROWTH = 4, 6, 6
+# The largest number of intervals of a mesh, as a multiple of the required one.
+_MAX_GROWTH = 6
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -200,7 +196,7 @@ def _share_of_gaps(case: MechanismCase, at: CertifiedIterate) -> float:
     """
     solution = at.found.solution
     known = solution.multipliers is not None and set(case.asked.objective.weights) <= COSTS_OF_HAMILTONIAN
-    if not known or case.enclosed or not at.passed or _coarse(case, at).max() > 1:
+    if not known or case.enclosed or not at.passed or for_a_solve(case, at).max() > 1:
         return np.inf
     return share_gained(solution.objective, solution.objective - float(hamiltonian_gaps(solution).sum()))
 
@@ -258,7 +254,7 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
         at = _slowed(asked, at) or at
         if is_sound(at.certificate):
             break
-        pieces = _inexact(case, at)
+        pieces = for_a_correction(case, at, bent=steps > 0)
         if steps and at.certificate is not None and at.overruns:
             # Halving removes an overrun that is an error of this mesh. Tightening removes any other.
             pieces = np.maximum(pieces, 1 + (at.report.overrun > 0))
@@ -272,7 +268,7 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
         if found is not None and _gained(case, found, at.found) > _LOST_SHARE:
             found = None
         if found is None and not at.passed:  # if efforts and other limits are active together, no freedom is left
-            mesh = divided(at.found.mesh, _coarse(case, at))
+            mesh = divided(at.found.mesh, for_a_solve(case, at))
             way = _Way(_at_margin(case, _margin_of(kept.case)), mesh, at.found.durations, "finer mesh")
             found = _solved(way, at.found, kept.rows, kept.case.problem.solver.deadline)
         changed = None if found is None else certify_iterate(asked, found)
@@ -327,7 +323,7 @@ def _next_way(case: MechanismCase, at: CertifiedIterate, left: float) -> _Way | 
     """
     if at.certificate is None:
         return None
-    pieces, mesh, durations = _coarse(case, at), at.found.mesh, at.found.durations
+    pieces, mesh, durations = for_a_solve(case, at), at.found.mesh, at.found.durations
     further = apart(jumps_of(case, at.found), np.concatenate([[0.0], np.cumsum(durations)]), at.found.motion)
     if (nearer := _nearer(case, at.found)) is not case:
         return _Way(nearer, mesh, durations, "nearer to singular poses")
@@ -390,28 +386,3 @@ def _settled_change(case: MechanismCase) -> float:
 
 def _margin_of(case: MechanismCase) -> float:
     return case.problem.limits.singular_margin
-
-
-def _coarse(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
-    """Return the number of parts (n,) of each interval, from the excess of its residual and overruns."""
-    errors = at.report.residual_share / _MOST_RESIDUAL, at.report.overrun / _MOST_OVERRUN
-    return _enough(case, np.maximum(*errors))
-
-
-def _inexact(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
-    """Return the number of parts (n,) of each interval that the certificate and a proof require.
-
-    The distance from the limits on efforts makes room for three allowances. One remains, because the largest effort may lie
-    between the samples.
-    """
-    growth = at.report.growth * (case.target.strictness if case.target.tolerance_given else 1.0)
-    too_large = growth.sum() > 0.5 or not np.isfinite(growth.sum())
-    errors = np.maximum(2.0 * growth * len(growth) * too_large, at.report.effort_overrun)
-    return np.maximum(_coarse(case, at), _enough(case, errors, _MAX_PIECES_OF_CORRECTIONS))
-
-
-def _enough(case: MechanismCase, worst: np.ndarray, most: int = _MAX_PIECES) -> np.ndarray:
-    """Return the number of parts (n,), at most `most`, of intervals whose error is `worst` (n,) times the allowed."""
-    finite, scheme = np.nan_to_num(worst, nan=1e30, posinf=1e30), case.problem.mesh.scheme
-    order = degree_of(scheme) if scheme[-1].isdigit() else 2
-    return np.clip(np.ceil(finite ** (1.0 / order)), 1, most).astype(int)

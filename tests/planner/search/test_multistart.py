@@ -23,7 +23,7 @@ from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.actions import nearest_on
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.history import recording
-from linkplan.planner.search import finer_meshes, multistart
+from linkplan.planner.search import finer_meshes, multistart, pieces
 from linkplan.planner.search.attempts import of_several
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, along_ranges, at_a_distance, gain_at_margin
 from linkplan.planner.search.jumps import effort_jumps
@@ -218,7 +218,7 @@ def test_solves_that_the_time_does_not_allow_are_left_and_repairs_are_certified(
 def test_a_corrected_motion_that_needs_slightly_too_much_effort_takes_slightly_longer(in_least_time, monkeypatch):
     """On a coarser mesh at no distance from the limits on efforts, the correction overruns them between the nodes."""
     monkeypatch.setattr(finer_meshes, "_DISTANCE_OF_EFFORTS", 0.0)
-    monkeypatch.setattr(finer_meshes, "_MAX_PIECES_OF_CORRECTIONS", 2)
+    monkeypatch.setattr(pieces, "_MAX_PIECES_OF_CORRECTIONS", 2)
     corrected, slowed = [], finer_meshes._slowed
     monkeypatch.setattr(finer_meshes, "_slowed", lambda case, at: corrected.append(at) or slowed(case, at))
     found, last = refined(in_least_time, 0.2), corrected[-1]
