@@ -71,8 +71,7 @@ _LOST_SHARE_AT_FIRST = 2e-2
 # A segment shorter than this share of a mean interval is removed: its switch times have met, and rounding errors determine
 # its accelerations.
 _MET_SHARE = 1e-2
-# Most iterations of a solve that starts from the last mesh's motion; twice as many in another transcription if the first
-# barrier has failed.
+# Most iterations of a solve that starts from the last mesh's motion; twice as many in another transcription.
 _MOST_ITERATIONS = 150
 # After the first finer mesh with a motion, further meshes take at most this share of the time. The rest is for correcting
 # the motion so that it passes and can be proved.
@@ -175,12 +174,13 @@ def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -
     start, settings = replace(guess_from(coarse.motion), share_of_effort=1.0), way.case.problem.solver
     another = coarse.solution.transcribed.scheme.name != way.case.problem.mesh.scheme
     mesh, durations = _without_met(way.mesh, way.durations)
-    free = way.case.asked.motion.duration_s is None
+    most = 2 * _MOST_ITERATIONS if another else _MOST_ITERATIONS
+    few = settings.replace(max_iterations=min(most, settings.max_iterations or most), deadline=until)
+    case = replace(way.case, problem=replace(way.case.problem, solver=few))
+    free = case.asked.motion.duration_s is None
     lost = _LOST_SHARE_AT_FIRST if another and not free else _LOST_SHARE
     found: list[Iterate] = []
-    for most, adaptive in ((_MOST_ITERATIONS, free), ((1 + another) * _MOST_ITERATIONS, not free)):
-        few = settings.replace(max_iterations=min(most, settings.max_iterations or most), deadline=until)
-        case = replace(way.case, problem=replace(way.case.problem, solver=few))
+    for adaptive in (free, not free):
         finer = attempt(case, start, mesh, durations, way.what, close=True, adaptive=adaptive, position_rows=rows)
         if finer is not None:
             found.append(finer)
