@@ -115,9 +115,9 @@ def violation(kind: type[Limit], problem: Problem, motion: Trajectory) -> str | 
 
 
 def tightened_in(problem: Problem, margin: Margin, factor: float, least: float) -> Problem:
-    """Return a problem whose limit on a joint, a row of `Limits`, moves inwards by a factor times its overrun.
+    """Return a problem in which one joint's limit is tightened by `factor` times its overrun.
 
-    A limit that is not satisfied moves by at least `least` [rad or m, per second for speeds].
+    If the limit is not satisfied, it is tightened by at least `least` [rad or m, per second for speeds].
     """
     rows = getattr(problem.limits, margin.of.key).copy()
     over = max(0.0, -margin.left) / problem.mechanism.joints[margin.item].shown(1.0)

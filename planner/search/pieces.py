@@ -6,28 +6,28 @@ from linkplan.planner.closed_chain.case import MechanismCase
 from linkplan.planner.refinement.case import CertifiedIterate
 from linkplan.planner.refinement.marking import degree_of
 
-# A mesh is too coarse with more than this share of the allowed residual, and where a limit is overrun between the nodes by
-# more than this share of itself.
+# A mesh is too coarse where the residual of the dynamics exceeds the first share of the allowed one, or where a motion
+# exceeds a limit between the nodes by the second share of that limit.
 _MOST_RESIDUAL, _MOST_OVERRUN = 0.2, 3e-4
 # The largest number of parts into which one interval is divided, for a solve and for a correction. Corrections in four parts
 # take a fifth longer, because a second one follows more often.
 _MAX_PIECES, _MAX_PIECES_OF_CORRECTIONS = 4, 6
-# An interval that is still inexact after a correction has a bend, as where dry friction changes its sign. Its error falls
-# with the length to this power only, and it is divided into up to twice as many parts: two or three corrections of two
-# robots with friction are enough, in place of three to five.
+# An interval that is still inexact after a correction has a bend, as where dry friction changes its sign. Its error is
+# proportional to its length to this power only, so it is divided into up to twice as many parts. Two robots with friction
+# then need two or three corrections instead of three to five.
 _ORDER_OF_BENDS = 2
 # The largest error of the integrated state, as a share of the allowed, that needs no finer mesh.
 _MOST_ERROR = 0.5
 
 
 def for_a_solve(case: MechanismCase, at: CertifiedIterate) -> np.ndarray:
-    """Return the number of parts (n,) of each interval, from the excess of its residual and overruns."""
+    """Return the number of parts (n,) of each interval for a solve, from its residual and overruns."""
     errors = at.report.residual_share / _MOST_RESIDUAL, at.report.overrun / _MOST_OVERRUN
     return _enough(case, np.maximum(*errors))
 
 
 def for_a_correction(case: MechanismCase, at: CertifiedIterate, *, bent: bool) -> np.ndarray:
-    """Return the number of parts (n,) of each interval that the certificate and a proof require.
+    """Return the number of parts (n,) of each interval with which certificate and proof would accept the motion.
 
     An error of the integrated state continues on all intervals after its cause. It is assigned to the intervals by the
     residuals of the dynamics there, times their widths. The distance from the limits on efforts makes room for three
@@ -50,9 +50,9 @@ def for_a_correction(case: MechanismCase, at: CertifiedIterate, *, bent: bool) -
 
 
 def _enough(case: MechanismCase, worst: np.ndarray, most: int = _MAX_PIECES, order: int | None = None) -> np.ndarray:
-    """Return the number of parts (n,), at most `most`, of intervals whose error is `worst` (n,) times the allowed.
+    """Return the number of parts (n,) of intervals with `worst` (n,) times the allowed error; at most `most`.
 
-    The error falls with an interval's length to the power of `order`, by default the scheme's.
+    The error is proportional to an interval's length to the power of `order`, by default the scheme's.
     """
     finite, scheme = np.nan_to_num(worst, nan=1e30, posinf=1e30), case.problem.mesh.scheme
     order = order or (degree_of(scheme) if scheme[-1].isdigit() else 2)

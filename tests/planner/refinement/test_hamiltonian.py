@@ -24,7 +24,7 @@ def solved(intervals: int, *overrides: str, duration: str = '"free"') -> Solutio
 @pytest.mark.parametrize("scheme", ["radau-3", "radau-5"])
 @pytest.mark.parametrize("intervals", [5, 15])
 def test_an_effort_that_should_jump_inside_an_interval_loses_what_the_least_time_lacks(scheme, intervals):
-    """The effort of the quickest turn jumps once, half way, in the middle one of an odd number of intervals."""
+    """In the quickest turn the effort jumps at half time: inside the middle interval if their number is odd."""
     solution = solved(intervals, 'objective.minimize="time"', f'mesh.scheme="{scheme}"')
     gaps, least = hamiltonian_gaps(solution), 2 * np.sqrt(HINGE_INERTIA * TURN / 4)
     assert gaps.sum() == pytest.approx(solution.objective - least, rel=0.15)
