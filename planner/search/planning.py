@@ -22,6 +22,7 @@ from linkplan.planner.refinement.history import Say, progress, recorded, recordi
 from linkplan.planner.refinement.state import REPORTED_CHANGE
 from linkplan.planner.search import attempts, reasons, starts, waiting, without_solver
 from linkplan.planner.search.attempts import of_several
+from linkplan.planner.search.finer_meshes import is_sound
 from linkplan.planner.search.methods import FULL_BUDGET, SHORT_BUDGET, Budget, Repair, Search, SearchMethod, run_search
 from linkplan.planner.search.multistart import from_several_starts
 from linkplan.planner.search.site_path import plan_along_path
@@ -203,21 +204,26 @@ def _planned(problem: Problem, methods: Sequence[SearchMethod], diagnoses: Seque
 
 
 def _or_simpler(search: Search, plan: Plan | None, rest: Plan | None) -> Plan | None:
-    """Return a plan of the methods, or a rest unless it costs more; if none passes, the smooth path that does, or None.
+    """Return a plan of the methods, or a rest unless it costs more; if none is sound, the smooth path if it passes, or None.
 
     The plan's message says "locally optimal" unless the phase plane proves more. A rest that costs as much as an optimal
-    plan is that plan's motion without the solver's rounding.
+    plan is that plan's motion without the solver's rounding. A plan that is not sound passes, but its proof refutes it.
     """
     if plan is not None and plan.status == "optimal" and starts.judged_by_the_phase_plane(search)[0]:
         plan = replace(plan, message=plan.message.removeprefix(LOCALLY))
-    if plan is not None and plan.passed and (rest is None or _costs_less(plan, rest)):
-        return plan
+    sound = plan if plan is not None and plan.passed and is_sound(plan.certificate) else None
+    if sound is not None and (rest is None or _costs_less(sound, rest)):
+        return sound
     if rest is not None:
-        same = plan is not None and plan.status == "optimal"
+        same = sound is not None and sound.status == "optimal"
         return replace(rest, status="optimal", message=rest.message.removesuffix(NOT_SHOWN)) if same else rest
+    smooth = None
     with contextlib.suppress(OutOfTimeError):
-        plan = without_solver.along_smooth_path(search) or plan
-    return plan
+        smooth = without_solver.along_smooth_path(search)
+    if smooth is None or plan is None or not plan.passed:
+        return smooth or plan
+    unsound = f"; one with {plan.objective:.6g} needs more effort than its limits permit"
+    return replace(smooth, message=smooth.message + unsound)
 
 
 def _costs_less(plan: Plan, rest: Plan) -> bool:

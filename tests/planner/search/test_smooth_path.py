@@ -1,7 +1,10 @@
 """The smooth path and its efforts, and first meshes of guesses."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from msgspec import structs
 
 from linkplan.models import deadline
 from linkplan.models.poses.along import needed_effort
@@ -50,6 +53,18 @@ def test_it_answers_however_late_the_search_ends():
     problem = load_problem("five-bar-reach", [STRONG, "solver.max_time_s=20"])
     plan = plan_motion(problem, methods=(late,), diagnoses=(nothing_found,))
     assert plan.status == "feasible", plan.message
+
+
+@pytest.mark.parametrize(("overrun", "sound"), [(0.9, True), (1.1, False)])
+def test_it_takes_the_place_of_a_motion_that_its_proof_must_refute(overrun, sound):
+    best = optimal("five-bar-reach", STRONG)
+    beyond = replace(best, certificate=structs.replace(best.certificate, effort_overrun=np.array([overrun])))
+    method = SearchMethod(name="beyond", run=lambda _search, _budget: beyond, budget=SHORT_BUDGET)
+    plan = plan_motion(best.problem, methods=(method,))
+    assert plan.status == ("optimal" if sound else "feasible")
+    assert plan.objective == best.objective if sound else plan.objective > 1.01 * best.objective
+    assert sound or f"{best.objective:.6g} needs more effort than its limits permit" in plan.message
+    assert plan.prove(existence=False).passed
 
 
 def test_it_is_a_quintic_in_the_independent_joints(smooth):
