@@ -146,6 +146,10 @@ def _ipopt(
         # With second-order corrections, full steps in and out of a joint's dry friction repeat until the iterations end.
         # Without them, 104 problems of several degrees of freedom take 2 % fewer iterations.
         options["ipopt.max_soc"] = 0
+    if min(program.layout.n_s, program.layout.n_u) > 1:
+        # Along directions in which the objective hardly bends (joints with slack time), steps at the optimum violate the
+        # equations by up to 1e-7 until the iterations end. The last correction permits 1e-8, too.
+        options |= {"ipopt.tol": acceptable, "ipopt.constr_viol_tol": acceptable, "ipopt.compl_inf_tol": SOLVER_TOLERANCE}
     if adaptive and close:
         # Near a solution, the filter's safeguard (a barrier that only decreases) takes a hundred iterations instead of
         # forty.
