@@ -83,9 +83,10 @@ def from_several_starts(search: Search, budget: Budget) -> Plan | None:
         a_little = slower(problem, [*known, *(first.found.motion for first in firsts[:1])])
         if a_little is not None:
             return a_little
+        best = None
     best = best or (_in_more_time(search.problem, firsts[0]) if firsts else None)
     if best is None:
-        return plans[0] if plans else None
+        return min(plans, key=lambda plan: not plan.passed, default=None)
     better = firsts[0].objective
     if not (plans and best is plans[0]) and _cheaper(better, best):
         return only_feasible(best, f"; a motion with {better:.6g} was found, but does not pass its certificate")

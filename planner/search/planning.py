@@ -204,14 +204,16 @@ def _planned(problem: Problem, methods: Sequence[SearchMethod], diagnoses: Seque
 
 
 def _or_simpler(search: Search, plan: Plan | None, rest: Plan | None) -> Plan | None:
-    """Return a plan of the methods, or a rest unless it costs more; if none is sound, the smooth path if it passes, or None.
+    """Return a plan of the methods, or a rest unless it costs more; if neither is sound, the smooth path, or None.
 
     The plan's message says "locally optimal" unless the phase plane proves more. A rest that costs as much as an optimal
-    plan is that plan's motion without the solver's rounding. A plan that is not sound passes, but its proof refutes it.
+    plan is that plan's motion without the solver's rounding. With several motors, the proof must refute a plan that is not
+    sound, although its certificate passes.
     """
     if plan is not None and plan.status == "optimal" and starts.judged_by_the_phase_plane(search)[0]:
         plan = replace(plan, message=plan.message.removeprefix(LOCALLY))
-    sound = plan if plan is not None and plan.passed and is_sound(plan.certificate) else None
+    known = plan is not None and plan.passed and (is_sound(plan.certificate) or not of_several(search.problem))
+    sound = plan if known else None
     if sound is not None and (rest is None or _costs_less(sound, rest)):
         return sound
     if rest is not None:
