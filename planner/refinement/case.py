@@ -14,7 +14,8 @@ from linkplan.planner.limits.limit import WhichJoints
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.history import add_step, amend_last_step, progress, recorded, step_of
-from linkplan.planner.solvers.solve import Solution, solve
+from linkplan.planner.solvers.newton import nearest_feasible
+from linkplan.planner.solvers.solve import OUT_OF_ITERATIONS, OUT_OF_TIME, Solution, solve
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh
 
@@ -219,6 +220,9 @@ def attempt(
 ) -> Iterate | None:
     """Solve once, note it in the history, and return the iterate; None if there is no motion or no time is left.
 
+    From a `close` start, the last iterate of a solve that runs out of iterations or time is near the optimum, though it
+    violates the equations. The nearest motion is then the result.
+
     Args:
         case: the problem.
         start: the motion to begin from, of the client's type.
@@ -244,6 +248,9 @@ def attempt(
     except (AssemblyError, OutOfTimeError):  # the loops of the start open between its samples
         return None
     solution = solve(transcribed, settings.solver, warm=warm, close=close, adaptive=adaptive)
+    if close and solution.status in (OUT_OF_ITERATIONS, OUT_OF_TIME):
+        near = nearest_feasible(transcribed, solution.x, settings.solver.certificate_deadline)
+        solution = replace(near, iterations=solution.iterations + near.iterations)
     add_step(step_of(what, transcribed, solution))
     if not solution.converged:
         return None

@@ -17,15 +17,17 @@ from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.actions import nearest_on
 from linkplan.planner.refinement.case import attempt
+from linkplan.planner.refinement.history import recorded, recording
 from linkplan.planner.search import finer_meshes, pieces
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, at_a_distance, gain_at_margin
 from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.solvers.newton import FEASIBLE
 from linkplan.planner.transcription.mesh import uniform
 from tests.bench.many_robots import write_robots
 from tests.support.arms import arm
 from tests.support.legs import LOAD, leg, refined
 
-ARM_EFFORT, KNEE_S = 18.302525, 0.12185127
+ARM_EFFORT, KNEE_S, LEG_S = 18.302525, 0.12185127, 0.18663512
 
 
 @pytest.fixture(scope="module")
@@ -112,6 +114,16 @@ def test_solves_that_the_time_does_not_allow_are_left_and_repairs_are_certified(
     found = refined(replace(in_least_time, solver=solver), 0.2)
     assert [name for name, _ in calls] == called
     assert finer_meshes.is_sound(found.certificate)
+
+
+def test_of_a_solve_that_runs_out_of_iterations_the_nearest_motion_is_used(in_least_time, monkeypatch):
+    monkeypatch.setattr(finer_meshes, "_MOST_ITERATIONS", 8)
+    with recording():
+        found = refined(in_least_time, 0.2)
+        first = recorded()[1]
+    assert (first.what, first.solver_status) == ("jumps of efforts as unknowns", FEASIBLE)
+    assert finer_meshes.is_sound(found.certificate)
+    assert found.motion.duration_s == pytest.approx(LEG_S, rel=1e-4)
 
 
 def test_a_corrected_motion_that_needs_slightly_too_much_effort_takes_slightly_longer(in_least_time, monkeypatch):
