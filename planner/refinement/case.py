@@ -220,8 +220,8 @@ def attempt(
 ) -> Iterate | None:
     """Solve once, note it in the history, and return the iterate; None if there is no motion or no time is left.
 
-    From a `close` start, the last iterate of a solve that runs out of iterations or time is near the optimum, though it
-    violates the equations. The nearest motion is then the result.
+    If a solve from a `close` start runs out of iterations or time, the result is the motion nearest to its last iterate.
+    This iterate violates the equations, but its objective has often settled.
 
     Args:
         case: the problem.

@@ -71,9 +71,9 @@ _LOST_SHARE_AT_FIRST = 2e-2
 # A segment shorter than this share of a mean interval is removed: its switch times have met, and rounding errors determine
 # its accelerations.
 _MET_SHARE = 1e-2
-# Most iterations of a solve that starts from the last mesh's motion; twice as many in another transcription. Of a solve that
-# needs more, the motion nearest to its last iterate is used. 100 iterations suffice for most; but the least time of a digger
-# within limits on power is then 2e-4 longer.
+# Most iterations of a solve that starts from the last mesh's motion; twice as many in another transcription. If a solve
+# needs more, its result is the motion nearest to its last iterate. With 100 iterations, the least time of a digger within
+# limits on power would be 2e-4 longer.
 _MOST_ITERATIONS = 150
 # After the first finer mesh with a motion, further meshes take at most this share of the time. The rest is for correcting
 # the motion so that it passes and can be proved.
@@ -171,8 +171,7 @@ def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -
     """Return the solution of the next solve from a motion; None without one, or without one by a deadline.
 
     With a free duration the barrier parameter follows the iterates. With a given duration it decreases from a small value,
-    which takes fewer iterations. If the motion is lost, the other way is tried too. Of a solve that does not end, the motion
-    nearest to its last iterate is returned.
+    which takes fewer iterations. If the motion is lost, the other way is tried too.
     """
     start, settings = replace(guess_from(coarse.motion), share_of_effort=1.0), way.case.problem.solver
     another = coarse.solution.transcribed.scheme.name != way.case.problem.mesh.scheme

@@ -1,4 +1,4 @@
-"""Into how many parts the intervals of a mesh are divided, from the errors in a motion's certificate."""
+"""The number of parts into which each interval of a mesh is divided, from the errors in a motion's certificate."""
 
 import numpy as np
 
@@ -12,9 +12,9 @@ _MOST_RESIDUAL, _MOST_OVERRUN = 0.2, 3e-4
 # The largest number of parts into which one interval is divided, for a solve and for a correction. Corrections in four parts
 # take a fifth longer, because a second one follows more often.
 _MAX_PIECES, _MAX_PIECES_OF_CORRECTIONS = 4, 6
-# An interval that is still inexact after a correction has a bend, as where dry friction changes its sign. Its error is
-# proportional to its length to this power only, so it is divided into up to twice as many parts. Two robots with friction
-# then need two or three corrections instead of three to five.
+# On an interval that is still inexact after a correction, the needed effort has a bend, for example where dry friction
+# changes its sign. There the error is proportional only to this power of the interval's length, so the interval is divided
+# into up to twice as many parts. Two robots with friction then need two or three corrections instead of three to five.
 _ORDER_OF_BENDS = 2
 # The largest error of the integrated state, as a share of the allowed, that needs no finer mesh.
 _MOST_ERROR = 0.5

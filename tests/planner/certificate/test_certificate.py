@@ -52,7 +52,7 @@ def test_an_effort_above_its_limit_in_one_interval_is_found():
 
 
 def test_an_effort_above_its_limit_between_two_samples_is_found():
-    """The effort is a parabola: 1e-3 N.m above the limit at its vertex, and below it at the samples on both sides."""
+    """The effort is a parabola that exceeds its limit by 1e-3 N.m at the vertex, and not at the samples on both sides."""
     points = samples_of(problem_of("knee-reach"), motion()).points
     near = len(points) // 2
     vertex, half = 0.5 * (points[near] + points[near + 1]), 0.5 * (points[near + 1] - points[near])

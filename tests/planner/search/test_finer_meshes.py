@@ -76,7 +76,7 @@ def test_a_least_time_with_limits_on_the_rates_of_efforts_is_changed_until_a_pro
 
 
 def test_a_least_time_at_the_corners_of_robust_is_changed_until_every_machine_carries_it(in_least_time):
-    """Where efforts of a corner jump inside an interval, the error of the mesh overruns them: tightening does not help."""
+    """Where efforts at a corner jump inside an interval, the mesh error exceeds their limits; tightening does not help."""
     plan = plan_motion(replace(in_least_time, robust=Robust(torque_constant_factor=(0.9, 1.1))))
     assert plan.status == "optimal"
     assert plan.objective == pytest.approx(0.196071, rel=1e-4)  # sqrt(1 / 0.9) times 0.18664 but for gravity
@@ -127,7 +127,7 @@ def test_of_a_solve_that_runs_out_of_iterations_the_nearest_motion_is_used(in_le
 
 
 def test_a_corrected_motion_that_needs_slightly_too_much_effort_takes_slightly_longer(in_least_time, monkeypatch):
-    """On a coarser mesh at no distance from the limits on efforts, the correction overruns them between the nodes."""
+    """With fewer intervals and no distance from the limits on efforts, the corrected motion exceeds them between nodes."""
     monkeypatch.setattr(finer_meshes, "_DISTANCE_OF_EFFORTS", 0.0)
     monkeypatch.setattr(pieces, "_MAX_PIECES_OF_CORRECTIONS", 2)
     corrected, slowed = [], finer_meshes._slowed
@@ -151,7 +151,7 @@ def _out_of_time():
 
 
 def taking(monkeypatch, name: str, calls: list, seconds: float) -> None:
-    """Record the name and the duration of each call of a function of `finer_meshes`."""
+    """Append the name and an assumed duration [s] of each call of a function of `finer_meshes` to `calls`."""
     function = getattr(finer_meshes, name)
 
     def timed(*given, **named):
@@ -234,7 +234,7 @@ def test_a_mesh_that_never_suffices_ends_at_the_largest_legal_number_of_interval
 
 @pytest.mark.slow
 def test_a_motion_within_a_limit_on_the_jerk_of_a_site_has_segments_that_end_where_the_jerk_turns_about():
-    """Its size stays at the limit. On meshes without these ends, the same motion costs 0.3 % more."""
+    """The size of the jerk stays at its limit. If no segment ends where it turns about, the motion costs 0.3 % more."""
     plan = plan_motion(leg(duration_s=0.28, minimize="effort", limits={"site_jerk_m_s3": {"toe": 2e4}}))
     assert plan.status == "optimal"
     assert plan.history[-1].segments > 1
