@@ -85,7 +85,7 @@ def prove(
         existence: whether to search for a motion of the model near the trajectory.
 
     Raises:
-        OutOfTimeError: if the deadline passes before all claims are decided, or the first intervals predict twice that time.
+        OutOfTimeError: if the deadline passes before all claims are decided, or the intervals so far predict this.
     """
     begun, before = time.process_time(), (ctx.prec, ctx.cap)
     ctx.prec = _PRECISION_BITS
@@ -162,8 +162,8 @@ class _Sweep:
             left_s = self.until.left_s
             if self.near and self.near.failure:
                 return
-            if k and not self.near and (begun_s - left_s) * (n - k) > 2 * k * left_s:
-                raise OutOfTimeError(f"{k} of {n} intervals show that the proof takes more than twice the time that it has")
+            if k and not self.near and (begun_s - left_s) * (n - k) > k * left_s:
+                raise OutOfTimeError(f"{k} of {n} intervals show that the proof takes longer than the time that it has")
             piece = Piece.of(trajectory, k)
             anchor = self._start(piece) if anchor is None else anchor
             anchor = self._interval(piece, replace(anchor, slope=0 * anchor.slope, tau=0.0))

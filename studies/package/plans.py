@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from linkplan.studies.output.document import Block, Report
 
 # Without `prove`, a plan is proved if the proof takes at most this share of the planning time, or this many seconds.
-_PROOF_SHARE, _PROOF_SECONDS = 0.25, 1.0
+_PROOF_SHARE, _PROOF_SECONDS = 1.0 / 3.0, 1.3
 PROVING = "proving the limits, then that the model has a motion near the plan (at most a minute)"
 
 
@@ -71,7 +71,7 @@ def _proved(plan: planned.Plan, asked: bool, seconds: float, say: Listener) -> p
     until = NO_DEADLINE.within(max(_PROOF_SHARE * seconds, _PROOF_SECONDS))
     with contextlib.suppress(OutOfTimeError):
         return plan.with_proof(until, existence=False)
-    say.keep("proof skipped: it would take longer than a quarter of the planning; run `linkplan prove` on the saved plan")
+    say.keep("proof skipped: it would take longer than a third of the planning; run `linkplan prove` on the saved plan")
     return plan
 
 
