@@ -117,10 +117,11 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
         found: a first solution.
     """
     case = at_a_distance(case, found.motion.start_pose)
-    at, gain, moved = certify_iterate(case, found), np.inf, 0.0
+    at: CertifiedIterate | None = None  # of the last finer mesh
+    latest, gain, moved = found, np.inf, 0.0
     kept: list[_Kept] = []  # the motions that pass, each better than the previous one, then the last motion
     last: _Kept | None = None
-    way: _Way | None = _first_way(case, at)
+    way: _Way | None = _first_way(case, found)
     deadline = case.problem.solver.deadline
     rows: frozenset[int] = frozenset()  # coordinates with rows for their ranges between nodes
     in_time, until, took_s = deadline.within_share(_SHARE_OF_MESHES), deadline, 0.0
@@ -128,14 +129,14 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
         check()
         if way is None or until.left_s <= took_s:  # a solve on a finer mesh would take at least as long, without benefit
             break
-        rows |= along_ranges(case.asked, at.found.motion)
+        rows |= along_ranges(case.asked, latest.motion)
         begun_s = until.left_s
-        finer = _solved(way, at.found, rows, until)
+        finer = _solved(way, latest, rows, until)
         took_s = begun_s - until.left_s
         if finer is None:
             break
-        before, at = at, certify_iterate(case, finer)
-        last_gain, gain = gain, _gained(case, before.found, finer)
+        last_gain, gain = gain, _gained(case, latest, finer)
+        latest, at = finer, certify_iterate(case, finer)
         left = gain
         if gain > 0 and 0 < last_gain < np.inf and not case.enclosed:  # along limits on power, gains decrease irregularly
             left *= min(1.0, gain / last_gain)
@@ -158,7 +159,7 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
         repaired.append(at)
         if is_sound(at.certificate):
             break
-    at = min(repaired, key=_shortcoming, default=at)
+    at = min(repaired, key=_shortcoming, default=at) or certify_iterate(case, found)
     if at.certificate is None:
         return None
     return Refined(
@@ -303,9 +304,9 @@ def _slowed(case: MechanismCase, at: CertifiedIterate) -> CertifiedIterate | Non
     return slowed if is_sound(slowed.certificate) else None
 
 
-def _first_way(case: MechanismCase, at: CertifiedIterate) -> _Way:
+def _first_way(case: MechanismCase, found: Iterate) -> _Way:
     """Return the solve in the finer transcription, with the jumps of efforts as ends of segments."""
-    asked, found, motion = case.asked, at.found, at.found.motion
+    asked, motion = case.asked, found.motion
     case = replace(case if asked.motion.duration_s is None else _nearer(case, found), ties=TIE_WEIGHT)
     if asked.mesh.refine != "intervals":
         case = with_scheme(case, _FINER_SCHEME)

@@ -111,7 +111,7 @@ def conditions_of(program: Program) -> Conditions:
     functions, n = program.functions, program.layout.size
     x, p, lam = ca.MX.sym("x", n), ca.MX.sym("p", functions["nlp"].size1_in(1)), ca.MX.sym("lam", program.n_rows)
     (_, gradient), (g, J) = functions["grad_f"](x, p), functions["jac_g"](x, p)
-    H = ca.triu2symm(functions["hess_lag"](x, p, 1.0, lam))
+    H = ca.triu2symm(program.hess_lag()(x, p, 1.0, lam))
     K = ca.blockcat([[H, J.T], [J, ca.MX(program.n_rows, program.n_rows)]])
     return Conditions(
         slopes=ca.Function("slopes", [x, p, lam], [ca.densify(gradient), ca.densify(g), K]),

@@ -128,7 +128,7 @@ def _ipopt(
         "ipopt.honor_original_bounds": "yes",
         "grad_f": functions["grad_f"],
         "jac_g": functions["jac_g"],
-        "hess_lag": functions["hess_lag"],
+        "hess_lag": program.hess_lag(),
         # All derivatives are given; CasADi would look for others in compiled functions.
         "no_nlp_grad": True,
         # NaN gives a status, so CasADi's warnings about it are not needed.

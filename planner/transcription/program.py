@@ -136,7 +136,8 @@ class Program:
     layout: Layout
     interval: IntervalFunctions
     mesh: Mesh
-    functions: dict[str, ca.Function]  # "nlp", "grad_f", "jac_g", "hess_lag"
+    functions: dict[str, ca.Function]  # "nlp", "grad_f", "jac_g"
+    hess_lag: Callable[[], ca.Function]  # builds the Hessian of the Lagrangian at the first call; corrections need none
     n_rows: int
     linear: Triplets
 
@@ -209,42 +210,47 @@ def build_program(
     if ends:
         gradient += scatter(ends.gradient_places, layout.size) @ ends.gradient
 
-    lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)
-    lam = ca.reshape(lam_g[: n * interval.n_rows], interval.n_rows, n)
-    first_open_end = interval.n_own + m * n_f
-    lam_nodes = ca.reshape(lam[interval.n_own : first_open_end, :], n_f, m * n)
-    lam_running = ca.reshape(lam_f * ca.DM(interval.weights) @ h, 1, m * n)
-    node_gradient, node_hessian = at_nodes(node.node_hessian)(xi, theta_nodes, ca.vertcat(lam_nodes, lam_running))
-    open_end_gradient, open_end_hessian = open_ends.hessian(lam[first_open_end:, :])
-    gradients_at = ca.vertcat(ca.reshape(node_gradient, n_xi * m, n), open_end_gradient)
-    hess_values = at_intervals(chain.chain_hessian)(
-        w,
-        share,
-        eta,
-        lam[: interval.n_own, :],
-        ca.repmat(lam_f, 1, n),
-        ca.reshape(gradients_at, n_xi, (m + n_open_ends) * n),
-        node_hessian,
-        open_end_hessian,
-        running_gradient,
-    )
-    rows, columns = chain.hessian_pattern
-    first, second = gather[:, rows].ravel(), gather[:, columns].ravel()
-    shape = (layout.size, layout.size)
-    hess_values = ca.vec(hess_values)
-    if ends:
-        hess_values = ca.vertcat(hess_values, ends.hessian(lam_f, lam_g[n_rows - endpoint.n_rows :]))
-        first = np.concatenate([first, ends.hessian_places[0]])
-        second = np.concatenate([second, ends.hessian_places[1]])
-    hessian = _assemble(hess_values, np.minimum(first, second), np.maximum(first, second), shape)
-    signature = ["x", "p", "lam_f", "lam_g"]
+    @functools.cache
+    def hess_lag() -> ca.Function:
+        lam_f, lam_g = ca.MX.sym("lam_f"), ca.MX.sym("lam_g", n_rows)
+        lam = ca.reshape(lam_g[: n * interval.n_rows], interval.n_rows, n)
+        first_open_end = interval.n_own + m * n_f
+        lam_nodes = ca.reshape(lam[interval.n_own : first_open_end, :], n_f, m * n)
+        lam_running = ca.reshape(lam_f * ca.DM(interval.weights) @ h, 1, m * n)
+        node_gradient, node_hessian = at_nodes(node.node_hessian)(xi, theta_nodes, ca.vertcat(lam_nodes, lam_running))
+        open_end_gradient, open_end_hessian = open_ends.hessian(lam[first_open_end:, :])
+        gradients_at = ca.vertcat(ca.reshape(node_gradient, n_xi * m, n), open_end_gradient)
+        hess_values = at_intervals(chain.chain_hessian)(
+            w,
+            share,
+            eta,
+            lam[: interval.n_own, :],
+            ca.repmat(lam_f, 1, n),
+            ca.reshape(gradients_at, n_xi, (m + n_open_ends) * n),
+            node_hessian,
+            open_end_hessian,
+            running_gradient,
+        )
+        rows, columns = chain.hessian_pattern
+        first, second = gather[:, rows].ravel(), gather[:, columns].ravel()
+        shape = (layout.size, layout.size)
+        hess_values = ca.vec(hess_values)
+        if ends:
+            hess_values = ca.vertcat(hess_values, ends.hessian(lam_f, lam_g[n_rows - endpoint.n_rows :]))
+            first = np.concatenate([first, ends.hessian_places[0]])
+            second = np.concatenate([second, ends.hessian_places[1]])
+        hessian = _assemble(hess_values, np.minimum(first, second), np.maximum(first, second), shape)
+        signature = ["x", "p", "lam_f", "lam_g"]
+        return ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian], signature, ["triu_hess_gamma_x_x"])
+
     functions = {
         "nlp": ca.Function("nlp", [x, p], [f, g], ["x", "p"], ["f", "g"]),
         "grad_f": ca.Function("nlp_grad_f", [x, p], [f, gradient], ["x", "p"], ["f", "grad_f_x"]),
         "jac_g": ca.Function("nlp_jac_g", [x, p], [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
-        "hess_lag": ca.Function("nlp_hess_l", [x, p, lam_f, lam_g], [hessian], signature, ["triu_hess_gamma_x_x"]),
     }
-    return Program(layout=layout, interval=interval, mesh=mesh, functions=functions, n_rows=n_rows, linear=linear)
+    return Program(
+        layout=layout, interval=interval, mesh=mesh, functions=functions, hess_lag=hess_lag, n_rows=n_rows, linear=linear
+    )
 
 
 class _OpenEnds:
