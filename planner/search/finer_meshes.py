@@ -35,7 +35,7 @@ from linkplan.planner.refinement.state import Refined
 from linkplan.planner.refinement.switches import mesh_with_switches
 from linkplan.planner.search.jumps import apart, jumps_of
 from linkplan.planner.search.pieces import for_a_correction, for_a_solve
-from linkplan.planner.solvers.newton import NEAR_INTERVALS
+from linkplan.planner.solvers.newton import FEASIBLE, NEAR_INTERVALS
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, divided, uniform, with_ends, without_empty
 from linkplan.planner.transcription.scheme_names import MAX_INTERVALS
@@ -71,9 +71,9 @@ _LOST_SHARE_AT_FIRST = 2e-2
 # A segment shorter than this share of a mean interval is removed: its switch times have met, and rounding errors determine
 # its accelerations.
 _MET_SHARE = 1e-2
-# Most iterations of a solve that starts from the last mesh's motion; twice as many in another transcription. If a solve
-# needs more, its result is the motion nearest to its last iterate. With 100 iterations, the least time of a digger within
-# limits on power would be 2e-4 longer.
+# Most iterations of a solve that starts from the last mesh's motion. If a solve needs more, its result is the motion nearest
+# to its last iterate, and a further mesh follows, whatever this one has gained. With 100 iterations, the least time of a
+# digger within limits on power would be 2e-4 longer.
 _MOST_ITERATIONS = 150
 # After the first finer mesh with a motion, further meshes take at most this share of the time. The rest is for correcting
 # the motion so that it passes and can be proved.
@@ -140,7 +140,7 @@ def refine_several(case: MechanismCase, found: Iterate) -> Refined | None:
         left = gain
         if gain > 0 and 0 < last_gain < np.inf and not case.enclosed:  # along limits on power, gains decrease irregularly
             left *= min(1.0, gain / last_gain)
-        left = min(left, _share_of_gaps(way.case, at))
+        left = np.inf if finer.solution.status == FEASIBLE else min(left, _share_of_gaps(way.case, at))
         better = not kept or finer.solution.objective < kept[-1].at.found.solution.objective
         last = _Kept(way.case, at, rows) if better and at.certificate is not None else None
         way = _next_way(way.case, at, left) if at.passed or better else None
@@ -177,8 +177,7 @@ def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -
     start, settings = replace(guess_from(coarse.motion), share_of_effort=1.0), way.case.problem.solver
     another = coarse.solution.transcribed.scheme.name != way.case.problem.mesh.scheme
     mesh, durations = _without_met(way.mesh, way.durations)
-    most = 2 * _MOST_ITERATIONS if another else _MOST_ITERATIONS
-    few = settings.replace(max_iterations=min(most, settings.max_iterations or most), deadline=until)
+    few = settings.replace(max_iterations=min(_MOST_ITERATIONS, settings.max_iterations or _MOST_ITERATIONS), deadline=until)
     case = replace(way.case, problem=replace(way.case.problem, solver=few))
     free = case.asked.motion.duration_s is None
     lost = _LOST_SHARE_AT_FIRST if another and not free else _LOST_SHARE

@@ -22,6 +22,7 @@ from linkplan.planner.search import finer_meshes, pieces
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, at_a_distance, gain_at_margin
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.solvers.newton import FEASIBLE
+from linkplan.planner.solvers.solve import SUCCEEDED
 from linkplan.planner.transcription.mesh import uniform
 from tests.bench.many_robots import write_robots
 from tests.support.arms import arm
@@ -117,13 +118,15 @@ def test_solves_that_the_time_does_not_allow_are_left_and_repairs_are_certified(
 
 
 def test_of_a_solve_that_runs_out_of_iterations_the_nearest_motion_is_used(in_least_time, monkeypatch):
-    monkeypatch.setattr(finer_meshes, "_MOST_ITERATIONS", 8)
+    """Further meshes follow until a solve ends by itself; if the first small gain counted, the motion took 2e-5 longer."""
+    monkeypatch.setattr(finer_meshes, "_MOST_ITERATIONS", 16)
     with recording():
         found = refined(in_least_time, 0.2)
-        first = recorded()[1]
-    assert (first.what, first.solver_status) == ("jumps of efforts as unknowns", FEASIBLE)
+        _, *finer = [step.solver_status for step in recorded() if step.what != "the same motion on a finer mesh"]
+    assert finer[0] == FEASIBLE
+    assert finer[-1] == SUCCEEDED
     assert finer_meshes.is_sound(found.certificate)
-    assert found.motion.duration_s == pytest.approx(LEG_S, rel=1e-4)
+    assert found.motion.duration_s == pytest.approx(LEG_S, rel=1e-5)
 
 
 def test_a_corrected_motion_that_needs_slightly_too_much_effort_takes_slightly_longer(in_least_time, monkeypatch):
