@@ -24,7 +24,7 @@ from linkplan.planner.problem.reference import Sine
 from linkplan.planner.proof.curve import enclosed
 from linkplan.planner.proof.finding import Finding
 from linkplan.planner.proof.motion import Kinetics, State
-from linkplan.planner.proof.taylor import TaylorForm, Verdict
+from linkplan.planner.proof.taylor import LOOSE_SHARE, TaylorForm, Verdict
 from linkplan.planner.proof.walk import Ball, UnknownOperationError, walk_of
 from linkplan.planner.trajectory import Trajectory
 
@@ -54,6 +54,11 @@ class Claim:
         return (low, high) if self.slack is None else self.slack
 
     @property
+    def least_size(self) -> float:
+        """The size below which a value counts as zero: the allowance of an equation, 0 of a limit."""
+        return max(self.allowed) if self.bounds[0] == self.bounds[1] else 0.0
+
+    @property
     def marks(self) -> tuple[float, float]:
         """The limits [low, high], extended by their allowances."""
         return float(self.bounds[0]) - self.allowed[0], float(self.bounds[1]) + self.allowed[1]
@@ -62,10 +67,6 @@ class Claim:
 def of_kinetics(of: Callable[[Kinetics], Ball]) -> Callable[[State], list[Ball]]:
     """Return the values of a quantity for the one or two `Kinetics` of a motion."""
     return lambda state: [of(kinetics) for kinetics in state.kinetics]
-
-
-# A bound whose remainder is more than this share of it is loose.
-_LOOSE_SHARE = 1e-2
 
 
 @dataclass(eq=False, slots=True, kw_only=True)
@@ -82,12 +83,10 @@ class Record:
     undecided: list[tuple[float, float]] = field(default_factory=list)
 
     def loosened_by(self, verdict: Verdict, form: TaylorForm, claim: Claim) -> bool:
-        """Return True if a bound would extend the known range and consists mostly of the Taylor form's remainder."""
+        """Return True if a bound would extend the known range and a large share of it is the Taylor form's remainder."""
         extends = verdict.least < self.least or verdict.greatest > self.greatest
-        size = max(
-            abs(verdict.least), abs(verdict.greatest), max(claim.allowed) if claim.bounds[0] == claim.bounds[1] else 0.0
-        )
-        return extends and not form.remainder <= _LOOSE_SHARE * size
+        size = max(abs(verdict.least), abs(verdict.greatest), claim.least_size)
+        return extends and not form.remainder <= LOOSE_SHARE * size
 
     def add(self, verdict: Verdict, time_s: float) -> None:
         """Extend the known range by the bounds on a box."""

@@ -20,6 +20,9 @@ from linkplan.planner.proof.walk import Ball, constant_term
 Matrix = dict[tuple[int, int], Ball]
 # Halvings of a polynomial, which divide a box by up to a million.
 _MAX_HALVINGS = 20
+# A bound is loose if more than this share of it is a remainder, or lies beyond a polynomial's values at its ends. The second
+# share shrinks to a quarter with a halving; after this number of halvings no more follow for it.
+LOOSE_SHARE, _TIGHTENING_HALVINGS = 1e-2, 4
 
 
 class NotSeparatedError(ArithmeticError):
@@ -138,8 +141,17 @@ class TaylorForm:
         """Return the value at the box's end, x = 1."""
         return sum(self.coefficients, arb(0)) + arb(0, self.remainder)
 
-    def verdict(self, low: arb, high: arb) -> Verdict:
-        """Return the verdict on whether all values lie between two marks."""
+    def verdict(
+        self, low: arb, high: arb, *, known: tuple[float, float] = (-math.inf, math.inf), size: float = 0.0
+    ) -> Verdict:
+        """Return the verdict on whether all values lie between two marks.
+
+        Args:
+            low: a mark.
+            high: likewise.
+            known: the range of the values on other boxes. Loose bounds beyond it are tightened.
+            size: bounds smaller than this count as this large.
+        """
         if self.whole > low and self.whole < high and not self.remainder.is_finite():
             return Verdict(answer=True, least=below(self.whole), greatest=above(self.whole))
         n, E = len(self.coefficients), arb(0, self.remainder)
@@ -153,7 +165,8 @@ class TaylorForm:
             b, begin, end, depth = pieces.pop()
             values = [c + E for c in b]
             bottom, top = min(v.lower() for v in values), max(v.upper() for v in values)
-            if bottom >= low and top <= high:
+            loose = depth < _TIGHTENING_HALVINGS and _is_loose(values, bottom, top, known, size)
+            if bottom >= low and top <= high and not loose:
                 least, greatest = min(least, below(bottom)), max(greatest, above(top))
                 continue
             for value, at in ((values[0], begin), (values[-1], end)):
@@ -161,13 +174,21 @@ class TaylorForm:
                     return Verdict(answer=False, least=below(value), greatest=above(value), at=at)
             spread = max(c.upper() for c in b) - min(c.lower() for c in b)
             if depth == _MAX_HALVINGS or not spread > self.remainder / 2:
-                answer = None
+                answer = answer if bottom >= low and top <= high else None
                 least, greatest = min(least, below(bottom)), max(greatest, above(top))
                 continue
             left, right = _halves(b)
             middle = 0.5 * (begin + end)
             pieces += [(right, middle, end, depth + 1), (left, begin, middle, depth + 1)]
         return Verdict(answer=answer, least=least, greatest=greatest)
+
+
+def _is_loose(values: list[arb], bottom: arb, top: arb, known: tuple[float, float], size: float) -> bool:
+    """Return True if a bound extends the known range and lies far beyond a polynomial's `values` at its ends."""
+    far = LOOSE_SHARE * max(abs(float(bottom)), abs(float(top)), size)
+    first, last = values[0], values[-1]
+    above_ends = top > known[1] and top - max(first.upper(), last.upper()) > far
+    return above_ends or (bottom < known[0] and min(first.lower(), last.lower()) - bottom > far)
 
 
 def below(value: arb) -> float:

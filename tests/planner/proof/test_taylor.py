@@ -96,6 +96,20 @@ def test_bounds_of_verdicts_contain_the_range_tightly():
         assert values.max() - 1e-9 <= found.greatest <= values.max() + 1e-3
 
 
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_bounds_far_within_the_marks_are_tight_where_they_extend_the_known_range(side):
+    """1 - 8 x^2 + 8 x^4 is -1 to 1. Its Bernstein coefficients are -3 to 1, and those on eighths of the box -1.02 to 1."""
+    curve = form(side, 0.0, -8.0 * side, 0.0, 8.0 * side)
+    loose, tight = (curve.verdict(arb(-9), arb(9), known=(known, -known)) for known in (-math.inf, math.inf))
+    assert sorted((side * loose.least, side * loose.greatest)) == pytest.approx([-3.0, 1.0])
+    assert sorted((side * tight.least, side * tight.greatest)) == pytest.approx([-1.0, 1.0], rel=2e-2)
+    assert loose.answer is tight.answer is True
+    known_already = curve.verdict(arb(-9), arb(9), known=(-3.5, 3.5))
+    assert (known_already.least, known_already.greatest) == (loose.least, loose.greatest)
+    small = curve.verdict(arb(-9), arb(9), known=(math.inf, -math.inf), size=400.0)
+    assert (small.least, small.greatest) == (loose.least, loose.greatest)
+
+
 def entries(A: np.ndarray) -> dict:
     return {(i, j): arb(float(A[i, j])) for i, j in np.argwhere(A)}
 
