@@ -71,9 +71,9 @@ def add_step(step: Step) -> None:
 
 
 def amend_last_step(**values: float | None) -> None:
-    """Change values of the last step, such as the integration error that its certificate found."""
+    """Change values of the last step unless it failed, such as the integration error that its certificate found."""
     steps = _STEPS.get()
-    if steps:
+    if steps and steps[-1].converged:
         steps[-1] = replace(steps[-1], **values)
 
 
