@@ -281,7 +281,7 @@ class Plan:
 
         Raises:
             LinkplanError: if the plan has no motion.
-            OutOfTimeError: if the deadline passes before all claims are decided, or if the intervals so far predict this.
+            OutOfTimeError: if the deadline passes before all claims are decided, or is predicted to do so.
         """
         proof = self._proved(until, existence=existence)
         if proof.passed or not self.passed or self.certificate is None:

@@ -55,7 +55,7 @@ class Claim:
 
     @property
     def least_size(self) -> float:
-        """The size below which a value counts as zero: the allowance of an equation, 0 of a limit."""
+        """The size up to which a value counts as zero: the allowance if the claim is an equation, 0 if it is a limit."""
         return max(self.allowed) if self.bounds[0] == self.bounds[1] else 0.0
 
     @property

@@ -25,9 +25,10 @@ from linkplan.planner.trajectory import JOIN_SHARE, Trajectory
 
 # Bits of the balls' midpoints: 27 more than the coefficients have.
 _PRECISION_BITS = 80
-# Coefficients of a Taylor form before its remainder: of claims, and of the search for a motion of the model near the plan.
-# With 8, proofs of ten plans of several motors take 0.6 to 1 times as long as with 6, those of one motor 0.95 to 1.05 times.
-# In the search, larger boxes widen the tube around a motion; that of the squeezer no longer contracts.
+# The number of coefficients of a Taylor form before its remainder: for claims, and for the search for a motion of the model
+# near the plan. More coefficients permit larger boxes. Claims on ten plans of several motors take 0.6 to 1 of the time that
+# they take with 6, those on three plans of one motor 0.95 to 1.05. The search keeps 6, because larger boxes widen its tube:
+# with 8, it finds no motion near the squeezer's plan.
 TAYLOR_ORDER, _ORDER_NEAR_PLAN = 8, 6
 # Halvings of an interval of the mesh after which a claim is undecided, and boxes in all for each of its intervals.
 _MAX_HALVINGS, _MAX_BOXES_PER_INTERVAL = 32, 200
@@ -85,7 +86,7 @@ def prove(
         existence: whether to search for a motion of the model near the trajectory.
 
     Raises:
-        OutOfTimeError: if the deadline passes before all claims are decided, or the intervals so far predict this.
+        OutOfTimeError: if the deadline passes before all claims are decided, or is predicted to do so.
     """
     begun, before = time.process_time(), (ctx.prec, ctx.cap)
     ctx.prec = _PRECISION_BITS
@@ -107,8 +108,7 @@ def _along(problem: Problem, trajectory: Trajectory, until: Deadline) -> tuple[l
     """Return the findings on the claims at every instant, and the number of boxes."""
     try:
         blocks, (claims, open_limits) = blocks_of(problem.mechanism), claims_of(problem, trajectory)
-        shared = {"problem": problem, "trajectory": trajectory, "blocks": blocks, "until": until}
-        sweep = _Sweep(claims=claims, order=TAYLOR_ORDER, **shared)
+        sweep = _Sweep(problem=problem, trajectory=trajectory, blocks=blocks, claims=claims, until=until, order=TAYLOR_ORDER)
         sweep.run()
     except UnknownOperationError as error:
         reason = f"not proved: the model has an operation that balls do not enclose ({error})"
@@ -126,8 +126,9 @@ def _existence(problem: Problem, trajectory: Trajectory, until: Deadline, *, exi
             blocks, near = blocks_of(problem.mechanism), Neighbourhood(problem.mechanism, trajectory, tube)
         except UnknownOperationError as error:
             return [no_motion(f"the model has an operation that balls do not enclose ({error})")]
-        shared = {"problem": problem, "trajectory": trajectory, "blocks": blocks, "until": until}
-        sweep = _Sweep(claims=[], near=near, order=_ORDER_NEAR_PLAN, **shared)
+        sweep = _Sweep(
+            problem=problem, trajectory=trajectory, blocks=blocks, claims=[], until=until, order=_ORDER_NEAR_PLAN, near=near
+        )
         sweep.run()
         found = near.findings() if near.failure or not sweep.closure.undecided else [no_motion("the branch is lost")]
         tube = near.next_tube

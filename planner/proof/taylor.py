@@ -20,8 +20,9 @@ from linkplan.planner.proof.walk import Ball, constant_term
 Matrix = dict[tuple[int, int], Ball]
 # Halvings of a polynomial, which divide a box by up to a million.
 _MAX_HALVINGS = 20
-# A bound is loose if more than this share of it is a remainder, or lies beyond a polynomial's values at its ends. The second
-# share shrinks to a quarter with a halving; after this number of halvings no more follow for it.
+# A bound is loose if more than this share of it comes from the remainder, or if it lies further than this share beyond the
+# polynomial's values at both ends. Each halving of the polynomial divides that distance by four. This number of halvings is
+# the most for this purpose.
 LOOSE_SHARE, _TIGHTENING_HALVINGS = 1e-2, 4
 
 
@@ -144,13 +145,13 @@ class TaylorForm:
     def verdict(
         self, low: arb, high: arb, *, known: tuple[float, float] = (-math.inf, math.inf), size: float = 0.0
     ) -> Verdict:
-        """Return the verdict on whether all values lie between two marks.
+        """Return whether all values lie between two marks, and bounds on them.
 
         Args:
             low: a mark.
             high: likewise.
-            known: the range of the values on other boxes. Loose bounds beyond it are tightened.
-            size: bounds smaller than this count as this large.
+            known: the range of the values on other boxes. Bounds outside of it are tightened if they are loose.
+            size: the least size of which the share of a loose bound is taken.
         """
         if self.whole > low and self.whole < high and not self.remainder.is_finite():
             return Verdict(answer=True, least=below(self.whole), greatest=above(self.whole))
@@ -184,7 +185,7 @@ class TaylorForm:
 
 
 def _is_loose(values: list[arb], bottom: arb, top: arb, known: tuple[float, float], size: float) -> bool:
-    """Return True if a bound extends the known range and lies far beyond a polynomial's `values` at its ends."""
+    """Return True if a bound outside of the known range lies far beyond the first and last of a polynomial's `values`."""
     far = LOOSE_SHARE * max(abs(float(bottom)), abs(float(top)), size)
     first, last = values[0], values[-1]
     above_ends = top > known[1] and top - max(first.upper(), last.upper()) > far

@@ -72,8 +72,8 @@ _LOST_SHARE_AT_FIRST = 2e-2
 # its accelerations.
 _MET_SHARE = 1e-2
 # Most iterations of a solve that starts from the last mesh's motion. If a solve needs more, its result is the motion nearest
-# to its last iterate, and a further mesh follows, whatever this one has gained. With 75 and 100 iterations, objectives of 14
-# problems change by at most 6e-5.
+# to its last iterate, and a further mesh follows, however little the objective has improved. With 75 or 100 in place of 150,
+# the objectives of 14 problems change by at most 6e-5.
 _MOST_ITERATIONS = 150
 # After the first finer mesh with a motion, further meshes take at most this share of the time. The rest is for correcting
 # the motion so that it passes and can be proved.

@@ -98,7 +98,7 @@ def test_bounds_of_verdicts_contain_the_range_tightly():
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
 def test_bounds_far_within_the_marks_are_tight_where_they_extend_the_known_range(side):
-    """1 - 8 x^2 + 8 x^4 is -1 to 1. Its Bernstein coefficients are -3 to 1, and those on eighths of the box -1.02 to 1."""
+    """1 - 8 x^2 + 8 x^4 is -1 to 1. Its Bernstein coefficients are -3 to 1; on eighths of the box the least is -1.02."""
     curve = form(side, 0.0, -8.0 * side, 0.0, 8.0 * side)
     loose, tight = (curve.verdict(arb(-9), arb(9), known=(known, -known)) for known in (-math.inf, math.inf))
     assert sorted((side * loose.least, side * loose.greatest)) == pytest.approx([-3.0, 1.0])

@@ -23,7 +23,7 @@ def test_an_error_of_the_integrated_state_divides_the_interval_that_caused_it():
 
 @pytest.mark.parametrize(("bent", "expected"), [(False, [1, 2, 3, 6, 1, 1]), (True, [1, 3, 6, 12, 1, 1])])
 def test_a_bend_inside_an_interval_takes_more_parts_than_the_order_of_the_scheme(bent, expected):
-    """Efforts exceed their limit by 8, 27 and 1e6 allowances; the scheme has degree 3."""
+    """Efforts exceed their limit by 8, 27 and 1e6 times the allowance. The scheme has degree 3."""
     assert parts(effort_overrun=[0.5, 8.0, 27.0, 1e6, 0.0, 1.0], bent=bent) == expected
 
 
