@@ -21,7 +21,7 @@ LARGEST_STATE = 1e10
 
 
 class Stepper(Protocol):
-    """Machines that are advanced by control periods: the only mutable state of a simulation.
+    """Machines, advanced one control period at a time: the only mutable state of a simulation.
 
     `running` (n,) marks the machines that are not frozen. `independent` are the columns of a pose that the law measures.
     """

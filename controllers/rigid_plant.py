@@ -35,12 +35,12 @@ class RigidPlant:
     def begin(
         self, reference: SampledReference, machines: Sequence[Imperfections]
     ) -> tuple["RigidStepper", list[str | None]]:
-        """Return the machines at the start of a reference, and None for each, because all can be built."""
+        """Return the machines at the start of a reference, and for each the error None, because all can be built."""
         return RigidStepper(self, reference, machines), [None] * len(machines)
 
 
 class RigidStepper:
-    """Rigid machines that are advanced by control periods; see `Stepper`."""
+    """Rigid machines, advanced one control period at a time; see `Stepper`."""
 
     independent: np.ndarray | slice
     lost = LOST
@@ -98,7 +98,7 @@ class RigidStepper:
 
 
 def _onward(mechanism: Mechanism, steps: int) -> ca.Function:
-    """Return the function ((q, v), what acts, duration [s]) -> final (q, v), loop gap [m]."""
+    """Return the function ((q, v), what acts (`acting`), duration [s]) -> final (q, v), loop gap [m]."""
     dynamics, n_q = mechanism.dynamics, mechanism.n_q
     state, u = ca.MX.sym("state", n_q + mechanism.dof), acting(mechanism)
     duration = ca.MX.sym("duration")

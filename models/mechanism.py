@@ -304,9 +304,10 @@ def load_mechanism(
             choose the branch. The default guess is the model's keyframe "home", else its reference pose.
         independent: names of the independent joints; by default the actuated joints, as far as the closure allows.
         solref: "stiff" simulates with the stiffest equality constraints that the timestep admits; default: the model's own.
-        closure_tolerance_m: the gap [m] that is a file's rounding; by default 1e-6 m, or 1e-5 of a small mechanism's extent.
-        friction_transition: of dry friction [rad/s; extents per second on a slide or tendon]; by default 2 deg/s.
-        selection: what is taken out of a larger model.
+        closure_tolerance_m: the largest gap [m] that counts as rounding of the file; by default 1e-6 m, or 1e-5 of a small
+            mechanism's extent.
+        friction_transition: speed v_0 of dry friction [rad/s; extents per second on a slide or tendon]; by default 2 deg/s.
+        selection: the part of a larger model to use.
 
     Raises:
         ModelError: if the model cannot be used, or the named joints cannot be its coordinates.

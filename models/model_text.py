@@ -59,7 +59,7 @@ def refuse_oversized(content: bytes, what: str) -> None:
 
 
 def _number(word: str) -> float:
-    """Return the number of a word with an optional unit letter, or 0 for another word, which MuJoCo refuses."""
+    """Return the number, with an optional unit letter, that a word is; 0 for any other word, which MuJoCo refuses."""
     try:
         return float(word.rstrip("KMGTPEkmgtpe")) * _UNITS.get(word[-1:].upper(), 1)
     except ValueError:

@@ -1,7 +1,7 @@
 """The selection of one closed sub-chain of a robot, by dropped bodies and locked joints.
 
-A body with locked joints is fixed at its pose in its parent at the locked positions, and its other joints act about the axes
-that they have there. MuJoCo computes the second anchor of a closure between bodies at the reference pose. A lock changes
+A body with locked joints is fixed in its parent, in its pose at the locked positions. Its other joints keep the axes that
+they have in this pose. MuJoCo computes the second anchor of a closure between bodies at the reference pose. A lock changes
 that pose, so the closure is tied to sites at the original anchors.
 """
 
@@ -42,14 +42,14 @@ HOME_KEYFRAME = "home"
 class Selection:
     """What is taken out of a model: keys of the [mechanism] table.
 
-    `keep`: names of bodies or joints. Their bodies are kept with everything that hangs on them, every chain that a loop
-    closes over them, and the bodies between them and the world. All other bodies are dropped. `fix_base`: the joints between
-    the world and the kept bodies are locked, and so is a base that no actuator moves. `lock`: positions by name of joints
-    that are locked, in degrees on hinges and in metres on slides. `keyframe`: the name of the keyframe that gives the home
-    pose and the positions of a fixed base; by default "home", else the model's reference pose. `exclude_contacts`: pairs of
-    names of bodies whose geoms pass through each other. `drive`: names of joints that get a motor, within the effort limit
-    of the joint. `lock_spin`: names of ball joints of rods that do not spin about their own line. `force`: constant forces
-    (3,) [N] in the world's axes by the name of the site on which they act. `gear`, `rotor_inertia`: of motors by actuator.
+    `keep`: names of bodies or joints. Their bodies are kept with everything attached to them, every chain that closes a loop
+    with them, and the bodies between them and the world. All other bodies are dropped. `fix_base`: the joints between the
+    world and the kept bodies are locked, and so is a base that no actuator moves. `lock`: positions by name of joints that
+    are locked, in degrees on hinges and in metres on slides. `keyframe`: the name of the keyframe that gives the home pose
+    and the positions of a fixed base; by default "home", else the model's reference pose. `exclude_contacts`: pairs of names
+    of bodies whose geoms pass through each other. `drive`: names of joints that get a motor, within the effort limit of the
+    joint. `lock_spin`: names of ball joints of rods that do not spin about their own line. `force`: constant forces (3,) [N]
+    in the world's axes by the name of the site on which they act. `gear`, `rotor_inertia`: of motors by actuator.
     """
 
     keep: Sequence[str] = ()

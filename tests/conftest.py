@@ -76,7 +76,7 @@ def mechanisms_loaded_once():
 
 @pytest.fixture(autouse=True, scope="session")
 def blank_figures():
-    """Save figures as empty files, and place nothing in them: both took a fifth of the time of commands' tests."""
+    """Save figures as empty files, without layout: drawing and layout took a fifth of the time of the commands' tests."""
 
     def save(figure, path, *options, **more):
         if isinstance(path, Path):

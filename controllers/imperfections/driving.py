@@ -14,7 +14,7 @@ from linkplan.controllers.imperfections.imperfections import Drives, stacked
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class DriveState:
-    """Drives of simulations (n,): arrays (n, n_u), but `whole`, `late` and `fraction` (n,), `low` and `high` (n_u,).
+    """The drives of n simulations. Arrays are (n, n_u), except `whole`, `late`, `fraction` (n,) and `low`, `high` (n_u,).
 
     `queue` (n, p, n_u) holds the last p = `n_queued` commands; slot k mod p holds the command of instant k. A command acts
     after `whole` periods, `late` simulator steps and a `fraction` of a step. `left` is the share of an initial difference

@@ -5,8 +5,8 @@
 A_k and B_k come from the reduced dynamics' derivatives at t_k, held over one control period (zero-order hold). Where an
 implicit integrator adds a servo's gain and damping to the inertia of every step, they are those of MuJoCo's steps: the
 effect of an effort may be a fraction of what the continuous motion shows. K_k comes from the backward Riccati recursion
-(Anderson & Moore, Optimal Control, 1990, 2.4). It starts from the stationary solution: of the last instant where a motion
-ends at rest, of all instants in turn where it repeats.
+(Anderson & Moore, Optimal Control, 1990, 2.4). It starts from the infinite-horizon solution: for the last instant if a
+motion ends at rest, for the whole cycle if it repeats.
 """
 
 import functools

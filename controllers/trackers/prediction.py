@@ -22,9 +22,9 @@ class Predictor:
     """Programs over blocks of held corrections, with one fourth-order Runge-Kutta step per block.
 
     `step`: (q, v), what acts (`acting`) -> (q, v) after a block. `program`: near pose q, s, v, the references of the blocks
-    ((q, v) at their beginnings, what acts in the mean, and `step` of both), corrections (n_u, blocks), Q, R, P -> Hessian,
-    gradient in the changes of the corrections, loop gap of the first pose [m]. The error after a block is the difference
-    from `step` of the reference, so that the step's own error cancels and no error needs no correction.
+    ((q, v) at their beginnings, the mean of what acts, and `step` of both), corrections (n_u, blocks), Q, R, P -> Hessian,
+    gradient in the changes of the corrections, loop gap of the first pose [m]. The error after a block is measured from
+    `step` of the reference, so that integration errors cancel and a state on the reference needs no correction.
     """
 
     step: ca.Function

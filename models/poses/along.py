@@ -118,7 +118,7 @@ def demanded(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the generalised effort tau (n, n_s) that a motion needs, and Gamma^T B (n, n_s, n_u) along it.
 
-    Forces over time act as at the times (n,) [s]; without times they do not act.
+    Forces over time are those at the times (n,) [s]; without times they are left out.
     """
     if time_s is None:
         tau = sampled(mechanism.dynamics.inverse_dynamics, q, v, a)[:, :, 0]

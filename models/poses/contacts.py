@@ -20,7 +20,8 @@ from linkplan.models.kinematics import BALL, HINGE, data_at, in_body, in_world, 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import close_at
 
-# An overlap up to this share deeper than at home is there by construction: the overlap of two links on a pin varies.
+# An overlap at most this share deeper than at home counts as part of the design: that of two links on a pin varies with the
+# pose.
 _EXTRA_DEPTH_SHARE = 0.1
 
 # No contact is searched for between two instants if the geoms travel less than this share of the extent (30 um on a leg).

@@ -40,14 +40,14 @@ def _least_along(mechanism: Mechanism, poses: np.ndarray, columns: slice | np.nd
 
 
 def _jacobians(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
-    """Return J (n, n_rows, n_q) [m] at poses (n, n_q), with columns per unit step of each joint."""
+    """Return J (n, n_rows, n_q) [m] at poses (n, n_q), each column multiplied by its joint's unit step."""
     return sampled(mechanism.dynamics.closure_jacobian, poses) * unit_steps(mechanism.joints, mechanism.extent_m)
 
 
 def closure_rank(mechanism: Mechanism, q: np.ndarray) -> int:
     """Return the rank of the closure at a pose (n_q,), relative to the least singular value at home.
 
-    At a singular pose it is that at home if the coordinate is only at a dead centre, and less if J loses rank.
+    At a singular pose it equals the rank at home if the coordinate is only at a dead centre; it is smaller if J loses rank.
     """
     values = np.linalg.svd(_jacobians(mechanism, q[None])[0], compute_uv=False)
     return int(np.sum(values[: len(mechanism.dependent)] > _RANK_LOST * least_values(mechanism, mechanism.home)[0]))

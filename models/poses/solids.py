@@ -50,7 +50,7 @@ def outline(points: np.ndarray) -> np.ndarray:
 
 
 def thickened(points: np.ndarray, radius: float) -> np.ndarray:
-    """Return points (n, 2), or the points of the circles of a radius around them if it is positive."""
+    """Return points (n, 2) or, for a positive radius, points on the circles of this radius around them."""
     if radius == 0:
         return points
     angle = np.linspace(0.0, 2 * np.pi, 28, endpoint=False)

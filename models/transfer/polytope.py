@@ -32,7 +32,7 @@ def speed_alone(ratio: np.ndarray, motor_speed: np.ndarray) -> np.ndarray:
 
 
 def speed_box(ratio: np.ndarray, motor_speed: np.ndarray) -> np.ndarray:
-    """Return each joint's largest speed (n, n_o) in any motion of all joints; G is square."""
+    """Return each joint's largest speed (n, n_o) if all joints may move at once; G is square."""
     return np.einsum("nom,m->no", np.abs(_inverse(ratio)), motor_speed)
 
 

@@ -5,10 +5,10 @@ Dependent positions are unknowns at nodes, and dependent speeds are rows at node
 sin^2(alpha / 2), as a share of its value at the largest angle. The row of a tendon is its length in units of its range's
 width.
 
-Pin forces are rows at nodes, or at every instant by Bernstein coefficients of the force's square. With rows at nodes alone,
-efforts that jump can exceed the limit between nodes, as for powers. For limits at every instant the force is an algebraic
-unknown, a polynomial through the nodes, whose error between nodes decreases with the interval's width. The distance from
-singular poses is the determinant of each block of J_z, relative to home.
+Limits on pin forces are rows at nodes, or rows on the Bernstein coefficients of the force's square, which hold at every
+instant. With rows at nodes alone, efforts that jump can exceed the limit between nodes, as for powers. For limits at every
+instant the force is an algebraic unknown, a polynomial through the nodes, whose error between nodes decreases with the
+interval's width. The distance from singular poses is the determinant of each block of J_z, relative to home.
 """
 
 from collections.abc import Callable, Iterator

@@ -171,7 +171,7 @@ class OdeCase:
 
 
 def case_of(problem: OdeProblem, guess: Curves) -> OdeCase:
-    """Return the case with units of order one: sizes in the guess, at the ends, of finite limits; the cost of the guess."""
+    """Return the case with its units: the largest values of guess and ends, else of limits, and the cost of the guess."""
     times, duration, limit = guess.breaks_s, guess.duration_s, problem.effort_limit
     x, u = guess.state_at(times), guess.effort_at(times)
     effort = _first_size(np.minimum(np.abs(u.T), np.abs(limit).max(axis=1, keepdims=True)), limit)

@@ -83,7 +83,7 @@ class MotionTable:
             found |= {f"site_{head}" if taken else head: place[:, k] for k, head in enumerate(heads)}
         for name, angle in self.body_deg.items():
             head = f"body_{name}_deg"
-            found[f"body_{head}" if head in found else head] = angle  # taken by a hinge of that name
+            found[f"body_{head}" if head in found else head] = angle  # a hinge of that name has this head
         return found
 
     def named_arrays(self) -> tuple[dict, dict]:
@@ -111,7 +111,7 @@ class MotionTable:
 
 
 def asked_times(time_s: object, end_s: float = np.inf) -> np.ndarray:
-    """Return times [s], (n,) or a single one (); refuse what are no finite numbers, or not from 0 to a motion's end."""
+    """Return times [s], (n,) or a single one (); refuse values that are not finite numbers from 0 to a motion's end."""
     try:
         time = np.asarray(time_s, dtype=float)
     except (TypeError, ValueError, OverflowError):

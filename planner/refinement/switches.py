@@ -129,7 +129,7 @@ def _jumps_between(along: np.ndarray, motion: PiecewiseMotion, known_s: np.ndarr
 
 
 def is_bang_bang(case: Case, transcribed: Transcribed) -> bool:
-    """Return True if all efforts are at their limits: time is the objective, and no other limits but ranges are active."""
+    """Return True if all efforts are at their limits: time is the objective, and ranges are the only other limits."""
     interval = transcribed.program.interval
     return case.target.bang_bang and interval.n_path == 0 and {*interval.own_kinds} <= {"continuity", "position"}
 
@@ -266,7 +266,7 @@ class _Piece:
     on_path: bool
 
     def switches(self, low: float, high: float, *, short: bool, continuous_efforts: bool) -> list[list[float]]:
-        """Return groups of switch times [s] that the piece shows; the two of a pulse are one group."""
+        """Return the switch times [s] found in the piece, in groups; the two switch times of a pulse are one group."""
         breaks, before, after, n = self.breaks, self.before, self.after, len(self.breaks) - 1
         if self.at_limit:
             return [[float(breaks[0])]] if before else []
@@ -297,7 +297,7 @@ class _Piece:
 
 
 def _switch_time_in(breaks: np.ndarray, coefficients: np.ndarray, u_before: float, u_after: float) -> float:
-    """Return the time in smeared intervals at which a jump between two efforts has the same impulse."""
+    """Return the time at which a jump between two efforts gives the impulse of the efforts of these intervals."""
     impulse = float(np.sum(coefficients.mean(axis=0) * np.diff(breaks)))
     jump = u_before - u_after
     if jump == 0:

@@ -282,7 +282,7 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
 
 
 def _slowed(case: MechanismCase, at: CertifiedIterate) -> CertifiedIterate | None:
-    """Return a motion in slightly more time if it is sound; None with a given duration, or beyond a settled change.
+    """Return a motion in slightly more time if it is sound; None if the duration is given or would change too much.
 
     Inertial efforts are inversely proportional to the square of the duration. The planned efforts become those of inverse
     dynamics, which must be within their limits without an allowance.

@@ -167,7 +167,7 @@ def _enough(found: list[_First]) -> bool:
 
 
 def _different(found: list[_First]) -> list[_First]:
-    """Return the first solutions of different motions, the best first."""
+    """Return one solution for each different motion, in order of objective."""
     different: list[_First] = []
     for first in sorted(found, key=lambda first: first.objective):
         if not different or not _alike(first.objective, different[-1].objective):

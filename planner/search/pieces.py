@@ -6,8 +6,8 @@ from linkplan.planner.closed_chain.case import MechanismCase
 from linkplan.planner.refinement.case import CertifiedIterate
 from linkplan.planner.refinement.marking import degree_of
 
-# A mesh is too coarse where the residual of the dynamics exceeds the first share of the allowed one, or where a motion
-# exceeds a limit between the nodes by the second share of that limit.
+# A mesh is too coarse where the residual of the dynamics exceeds `_MOST_RESIDUAL` times the allowed one, or where a motion
+# exceeds a limit between the nodes by `_MOST_OVERRUN` times that limit.
 _MOST_RESIDUAL, _MOST_OVERRUN = 0.2, 3e-4
 # The largest number of parts into which one interval is divided, for a solve and for a correction. Corrections in four parts
 # take a fifth longer, because a second one follows more often.
@@ -30,8 +30,8 @@ def for_a_correction(case: MechanismCase, at: CertifiedIterate, *, bent: bool) -
     """Return the number of parts (n,) of each interval with which certificate and proof would accept the motion.
 
     An error of the integrated state continues on all intervals after its cause. It is assigned to the intervals by the
-    residuals of the dynamics there, times their widths. The distance from the limits on efforts makes room for three
-    allowances. One remains, because the largest effort may lie between the samples.
+    residuals of the dynamics there, times their widths. With the distance from the limits on efforts, errors of three
+    allowances would pass. Only one is used, because the largest effort may lie between the samples.
 
     Args:
         case: what was solved.

@@ -1,4 +1,4 @@
-"""The input of a transcription: a continuous problem as functions at a node, with the numbers of bounds and parameters.
+"""The input of a transcription: a continuous problem as functions at a node, with the values of bounds and parameters.
 
 All quantities are scaled to order one. Mechanisms and users' differential equations are both converted to a `Formulation`.
 """

@@ -187,7 +187,7 @@ def thinned(poses: np.ndarray, most: int) -> np.ndarray:
 
 
 def swept(mechanism: Mechanism, can: Reach) -> np.ndarray:
-    """Return the poses of a reach; without stops, of one period of a hinge, or of a slide by the extent to both sides."""
+    """Return the poses of a reach; without stops, those of a hinge's period, or of a slide by one extent to either side."""
     index = mechanism.independent[can.coordinate]
     if can.period is not None:
         turns = can.period / turn_of(mechanism, can.coordinate)

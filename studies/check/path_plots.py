@@ -41,8 +41,8 @@ def path_figure(path: KinematicLoopPath, reaches: Sequence[Reach]) -> FigureSpec
 def inspection_figure(found: Inspection) -> FigureSpec:
     """Return the figure of a mechanism over the reach of its first three coordinates.
 
-    The figure has the mechanism, its dependent joints, the reduced inertia, and the holding effort. Up to three coordinates
-    also have a figure loop-N.png each. Spins of rods about their own axis are left out.
+    The figure has the mechanism, its dependent joints, the reduced inertia, and the holding effort. With at most three
+    coordinates, each also has a figure loop-N.png. Spins of rods about their own axis are left out.
     """
     mechanism = found.mechanism
     actuated = [can for can in found.reaches if mechanism.actuated[can.coordinate]]

@@ -50,7 +50,7 @@ def find_gl(asked: str | None) -> GL:
     """Return the first OpenGL that draws a picture.
 
     Args:
-        asked: the value of MUJOCO_GL: a name, "disable", or any; None if it is not set.
+        asked: the value of MUJOCO_GL: a name, "disable", or "enable" for any; None if it is not set.
 
     Raises:
         LinkplanError: if MUJOCO_GL has an unknown value.

@@ -22,7 +22,7 @@ _KINDS = ((kinds.Angles, kinds.Numbers), (kinds.HomeAngles, kinds.HomeLengths))
 
 @dataclass(frozen=True, eq=False, slots=True)
 class _Key:
-    """A key's description, which a section has in place of the key's default.
+    """The description of a key, which stands in the body of a section where a default would stand.
 
     Args:
         meaning: a phrase.

@@ -104,7 +104,8 @@ class FrozenMargins(Margins, frozen=True, kw_only=True, eq=False):
 class AlongMotion(Struct, frozen=True, kw_only=True, eq=False):
     """A tracker along a plan: frozen margins at instants, the largest frozen pole of all samples, the multipliers.
 
-    The instants are evenly spaced, plus the local worst ones between them. `n_loops` is the number of coordinates.
+    The instants are evenly spaced, plus those between them where the margins have a local minimum. `n_loops` is the number
+    of coordinates.
     """
 
     plan: str

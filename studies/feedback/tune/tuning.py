@@ -58,8 +58,8 @@ class MotorGains(Struct, frozen=True, kw_only=True, eq=False):
 class Tuning(Struct, frozen=True, kw_only=True, eq=False):
     """The best gains, whether they meet the requirements at all points (`found`), and the verdict as a sentence.
 
-    `gains` has period and delay, the gains under the keys of a [tracking] table, and those of each motor of one joint.
-    `points` are the loops, joint by joint and pose by pose.
+    `gains` contains period and delay, the gains under the keys of a [tracking] table, and the gains of each motor that
+    drives a single joint. `points` are the loops, joint by joint and pose by pose.
     """
 
     mechanism_name: str = field(name="mechanism")

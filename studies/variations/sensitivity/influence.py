@@ -86,7 +86,7 @@ _Found = tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]
 
 
 def _one_at_a_time(scheme: SamplingScheme, whole: np.ndarray, kept: np.ndarray, seed: int) -> _Found:
-    """Return the range of the figure over both ends and the middle, as a mean over noise draws with Student's interval."""
+    """Return the range of the result over a factor's ends and middle: its mean over noise draws, with Student's interval."""
     from scipy.stats import t
 
     del kept, seed
