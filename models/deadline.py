@@ -101,7 +101,7 @@ def listening(*, to_the_end: bool = False) -> Iterator[None]:
 
 @contextlib.contextmanager
 def solving() -> Iterator[None]:
-    """Let a signal stop the solver in the block, whose callback reads `asked`, and then raise KeyboardInterrupt.
+    """Let a signal stop the block's solver, whose callback reads `asked`, and raise KeyboardInterrupt at the block's end.
 
     Outside of `listening` (in a user's program) only Ctrl-C is handled, and the user's own handler is called after the
     solver has stopped.

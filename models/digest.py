@@ -60,7 +60,7 @@ def part_hashes(model: mujoco.MjModel) -> dict[str, str]:
 
 
 def _wrapped_geoms(model: mujoco.MjModel) -> bytes:
-    """Return the places and radii of the geoms that tendons wrap around as text; nothing without such geoms."""
+    """Return, as text, the places and radii of the geoms that tendons wrap around; empty without such geoms."""
     around = (int(mujoco.mjtWrap.mjWRAP_SPHERE), int(mujoco.mjtWrap.mjWRAP_CYLINDER))
     geoms = [int(geom) for kind, geom in zip(model.wrap_type, model.wrap_objid, strict=True) if int(kind) in around]
     fields = (model.geom_bodyid, model.geom_pos, model.geom_quat, model.geom_size)

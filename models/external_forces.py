@@ -20,7 +20,7 @@ class ForceCurve(Protocol):
     """Columns over time."""
 
     def derivative(self, time_s: np.ndarray, order: int = 0) -> np.ndarray:
-        """Return the derivative of an order at times (n,) [s], as (n, k)."""
+        """Return the derivative of the given order at times (n,) [s], as (n, k)."""
         ...
 
     def inner_times(self, duration_s: float) -> np.ndarray:

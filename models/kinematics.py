@@ -332,6 +332,6 @@ def extent_m(model: mujoco.MjModel) -> float:
 
 
 def clamped_joints(model: mujoco.MjModel, site: int) -> list[int]:
-    """Return the joints that move a site and have an actuatorfrcrange: it clamps the sum of a force there and of motors."""
+    """Return the joints that move a site and whose actuatorfrcrange clamps motor efforts plus a force on the site."""
     bodies = reversed(path_to(model, int(model.site_bodyid[site])))
     return [joint for body in bodies for joint in joints_of(model, body) if model.jnt_actfrclimited[joint]]

@@ -30,7 +30,7 @@ def refuse_oversized(content: bytes, what: str) -> None:
         what: name of the text in messages.
 
     Raises:
-        ModelError: if a limit is exceeded, for zero bytes and XML entities, or with the converter of SDF or xacro.
+        ModelError: if a limit is exceeded, for zero bytes, XML entities, SDF and xacro (with converters for the last two).
     """
     if len(content) > MAX_MODEL_BYTES:
         raise ModelError(f"{what} has {len(content)} bytes; at most {MAX_MODEL_BYTES} are read")

@@ -33,8 +33,8 @@ _MIN_TIME_CONSTANT_STEPS = 2.0
 def closed_pose(model: mujoco.MjModel, data: mujoco.MjData, mechanism: Mechanism, pose: np.ndarray) -> np.ndarray:
     """Return the closed pose (n_q,) near a pose with the same independent coordinates; `data` is overwritten.
 
-    A gap that no joint changes stays: that of a planar loop's pins along their axes, or of pins with several constraints. It
-    takes no part in the motion.
+    A gap that no joint changes stays, such as the offset of a planar loop's pins along their axes, or a gap of pins with
+    several constraints. It takes no part in the motion.
 
     Raises:
         AssemblyError: if the loop does not close there.

@@ -18,9 +18,10 @@ _NOISE_BLOCK_INSTANTS = 256
 class SensorState:
     """Sensors of simulations (n,) with their state: arrays (n, n_s), `filtered` and `pole` (n, 1).
 
-    `filtered` marks velocities that are differences of measured positions, with a filter's `pole` or 0 for none.
-    `before` is the last measured position and `estimate` the last filtered velocity. `generators` make the noise; `drawn`
-    (n, t, 2 n_s) holds its present block, with t = 0 without noise. `measure` changes `before`, `estimate` and `drawn`.
+    `filtered` marks velocities that are differences of measured positions; `pole` belongs to their filter, and is 0 without
+    a filter. `before` is the last measured position and `estimate` the last filtered velocity. `generators` make the noise;
+    `drawn` (n, t, 2 n_s) holds its present block, with t = 0 without noise. `measure` changes `before`, `estimate` and
+    `drawn`.
     """
 
     period_s: float

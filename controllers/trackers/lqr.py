@@ -32,8 +32,8 @@ class Regulator:
     """Optimal feedback w_k = -K_k e_k for e_{k+1} = A_k e_k + B_k w_k, at instants k = 0 to n - 1.
 
     `A` (n, m, m), `B` (n, m, n_u), `gains` K (n, n_u, m). `cost` P (n, m, m): e^T P e is the optimal cost to go. `Q` and `R`
-    are the cost matrices of one period. `after` (n,) is the index of the following instant: the last instant follows
-    itself, or the first follows the last of a cycle.
+    are the cost matrices of one period. `after` (n,) is the index of the following instant: the last instant is followed by
+    itself or, in a cycle, by the first instant.
     """
 
     A: np.ndarray

@@ -80,7 +80,7 @@ def close_home(
     home: Mapping[str, float] | None,
     tolerance_m: float | None,
 ) -> ClosedHome:
-    """Return the closed home of a model, whose anchors are moved along their hinges' axes if only that closes a gap.
+    """Return the closed home of a model; anchors are moved along their hinges' axes if only such a move closes a gap.
 
     Args:
         name: of the mechanism.

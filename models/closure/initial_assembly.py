@@ -2,9 +2,9 @@
 
 A model whose loops are open at its own pose gets the nearest closed pose as text: a keyframe, or keys of [mechanism].
 
-Anchors of a file may lie beside their hinge's axis: a gap that no joint can change. It is the part of phi in the directions
-that no joint moves, the left null space of J at all poses together. In a planar loop this is the offset of the two anchors
-along the hinges' common axis. A shift of one anchor along the axis closes it and changes no motion.
+Anchors in a file may lie beside their hinge's axis, which leaves a gap that no joint can change. It is the part of phi in
+the directions that no joint moves, the left null space of J at all poses together. In a planar loop this is the offset of
+the two anchors along the hinges' common axis. A shift of one anchor along the axis closes it and changes no motion.
 """
 
 import itertools

@@ -148,7 +148,7 @@ _TRIAL_STEP = 0.05
 _LEAST_TRIAL_LENGTH = 0.1
 # A weak singular value that grows by more than this factor on the way is not rounding but a fold nearby.
 _MAX_ROUNDING_GROWTH = 30.0
-# Singular values above this share of the largest, but below the rank's tolerance, contain rounding of the file.
+# Singular values above this share of the largest, but below the rank's tolerance, may come from rounding in the file.
 _EXACT_RANK_SHARE = 1e-13
 
 

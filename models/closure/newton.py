@@ -121,8 +121,8 @@ def root_by_newton(
     """Return the pose of least residual that Newton reaches by moving the joints in `free`, and its residual phi.
 
     The steps have minimum norm, so redundant rows and spare freedom do no harm. Steps are shortened if they are too long or
-    do not reduce the residual. It ends where a step would remove only rounding, or so small a share of a gap that stays that
-    the norm does not show it.
+    do not reduce the residual. The iteration ends where a step would remove only rounding, or a share of the residual that
+    is too small to change its norm.
 
     Args:
         residual: q -> phi, J.

@@ -67,7 +67,7 @@ def guided(free: Mechanism, site: int, curve: Curve, pose: np.ndarray) -> Guided
         free: the mechanism.
         site: the site's index in the model.
         curve: the curve.
-        pose: a closed pose (n_q,) with the site at the curve's begin, which is the home pose.
+        pose: the home pose: a closed pose (n_q,) with the site at the beginning of the curve.
 
     Raises:
         ModelError: if the curve leaves the mechanism further freedoms, or if the drives do not move all of them.

@@ -51,8 +51,8 @@ class ContactPair:
 class Contact(Struct, frozen=True, eq=False, kw_only=True):
     """Two geoms in contact along a motion.
 
-    `since_s` is the first instant of a contact that is not there by construction. It is None for an overlap that is as deep
-    at home, or that is at a pin which the two bodies share.
+    `since_s` is the first instant of a contact that is not part of the design. It is None for an overlap that is as deep at
+    home, or that is at a pin which the two bodies share.
     """
 
     geoms: tuple[str, str]

@@ -234,7 +234,7 @@ def _step(J: np.ndarray, r: np.ndarray, damping: float, low: np.ndarray, high: n
     step = np.linalg.lstsq(stacked, right, rcond=None)[0]
     if np.all((low <= step) & (step <= high)):
         return step
-    # An active set is exact, and for a few coordinates ten times as fast as the interior-point method.
+    # The active-set method is exact, and for a few coordinates it is ten times as fast as the interior-point method.
     bounded = scipy.optimize.lsq_linear(stacked, right, (low, high), method="bvls", max_iter=100 * len(low))
     return np.asarray(bounded.x)
 

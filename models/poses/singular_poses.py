@@ -23,7 +23,7 @@ _ZERO_FORM_SHARE = 1e-3
 
 
 def least_values(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
-    """Return the least relevant singular values (2,) of J and of J_z at q: those of index rank, with the rank at home.
+    """Return the r-th largest singular values (2,) of J and of J_z at q, where r is the rank of the closure at home.
 
     Columns of slides are multiplied by the extent.
     """
@@ -32,7 +32,7 @@ def least_values(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
 
 
 def _least_along(mechanism: Mechanism, poses: np.ndarray, columns: slice | np.ndarray) -> np.ndarray:
-    """Return the least relevant singular value (n,) of some columns of J at poses (n, n_q)."""
+    """Return the r-th largest singular value (n,), r as in `least_values`, of some columns of J at poses (n, n_q)."""
     rank = len(mechanism.dependent)
     if rank == 0:
         return np.ones(len(poses))

@@ -56,7 +56,7 @@ def rest_values(outputs: OutputMap, serial: SerialModel, grid: Grid) -> dict[str
 
     "inertia_rest" (n_o, n_o), "inertia_rest_slope" (n_o, n_o, n_o), its derivatives by the positions along the last axis,
     "damping_rest" (n_o, n_o), "effort_rest" (n_o,), the effort at rest, and, where the linkage has dry friction,
-    "friction_rate" (n_f, n_o), the rates of the joints that rub over those of the outputs. NaN off the map.
+    "friction_rate" (n_f, n_o), the rates of the joints with friction divided by the outputs' rates. NaN off the map.
     """
     shape = tuple(len(axis) for axis in grid.axes)
     q = grid.values["pose"].reshape(len(grid.points), -1)

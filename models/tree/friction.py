@@ -44,7 +44,7 @@ class DryFriction:
 
 
 def transition_speed(asked: float | None) -> float:
-    """Return the asked v_0 [rad/s], or the default.
+    """Return the given v_0 [rad/s], or the default.
 
     Raises:
         ModelError: if the speed is not a number in the legal range.

@@ -25,7 +25,7 @@ SHORTER, ANTICLOCKWISE, CLOCKWISE = "shorter", "anticlockwise", "clockwise"
 def side_of(model: mujoco.MjModel, data: mujoco.MjData, k: int) -> str | None:
     """Return the side of the rope at the geom that is item k of the tendons' paths, or None if it has no expression.
 
-    A side site chooses the way whose middle is nearer to it. Its choice is that of the data's pose.
+    A side site chooses the way whose middle is nearer to it. The choice is made at the pose of `data`.
 
     Args:
         model: the compiled model.
@@ -40,7 +40,7 @@ def side_of(model: mujoco.MjModel, data: mujoco.MjData, k: int) -> str | None:
     if np.linalg.norm(beside) < radius:
         return None
     ends = [turn.T @ (data.site_xpos[int(model.wrap_objid[end])] - centre) for end in (k - 1, k + 1)]
-    if int(model.wrap_type[k]) == SPHERE:  # the plane of the ends turns, and so does the site's side in it
+    if int(model.wrap_type[k]) == SPHERE:  # the plane of the ends turns, so the site may change sides
         return None
     first, second, middle = (np.arctan2(place[1], place[0]) for place in (*ends, beside))
     gammas = [np.arccos(min(1.0, radius / max(np.hypot(*end[:2]), radius))) for end in ends]
@@ -61,7 +61,7 @@ def wrapped_length(model: mujoco.MjModel, frames: Sequence, k: int, side: str, e
         model: the compiled model.
         frames: the bodies' frames in the world.
         k: the index of the geom in the model's list of wrap objects.
-        side: of the rope, by `side_of`.
+        side: the rope's side, from `side_of`.
         ends: the two points.
     """
     geom, r = int(model.wrap_objid[k]), _radius(model, k)

@@ -236,7 +236,7 @@ def errors_along(
         rate: see `strides`.
         widths_s: (n,) [s].
         inputs: (n, k_inputs), constant on each interval.
-        states: (n, 1 + k, n_y) planned at the beginnings, and beside these by `ERROR_STEP` of each judged state's unit.
+        states: (n, 1 + k, n_y) planned at the beginnings, and these with each judged state off by `ERROR_STEP` of its unit.
         judged: the k entries of a state whose errors count.
         ends: (n, k) planned at the intervals' ends.
         unit: (k,) of the judged states.
@@ -260,7 +260,7 @@ def errors_along(
 
 
 def propagated(defects: np.ndarray, transitions: np.ndarray, most: float) -> tuple[np.ndarray, np.ndarray, int]:
-    """Return the errors (n, k) at the begin and at the end of every interval, and the number of restarts.
+    """Return the errors (n, k) at the beginning and at the end of every interval, and the number of restarts.
 
     Args:
         defects: (n, k) that the intervals add to an error, in units.
@@ -306,7 +306,7 @@ def called(function: ca.Function, inputs: np.ndarray, width: float) -> Rate:
 
 @np.errstate(all="ignore")  # a motion may diverge within a step, which is then too long
 def _share_of_error(before: np.ndarray, ends: np.ndarray, errors: np.ndarray, rtol: float) -> np.ndarray:
-    """Return the errors (m,) of steps from states (n, m) to (n, m) in shares of the allowed, from `errors` (2 n, m).
+    """Return the errors (m,) of steps from states (n, m) to (n, m) as shares of the allowed ones, from `errors` (2 n, m).
 
     `errors` are the estimates of orders five and three. The share of a step that diverges is infinite.
     """

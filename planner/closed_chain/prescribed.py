@@ -229,7 +229,7 @@ def _figure(value: float) -> str:
 
 
 def unheld(problem: Problem, holding: Holding) -> tuple[str, dict[str, float]]:
-    """Return a sentence on the reason why no efforts within their limits hold a pose, and its numbers."""
+    """Return a sentence on why no efforts within their limits hold a pose, with the needed effort and its limit."""
     mechanism, needed = problem.mechanism, holding.needed
     nearest = np.clip(needed, *problem.limits.effort.T)
     j = int(np.argmax(np.abs(needed - nearest)))

@@ -249,7 +249,7 @@ def permitted_efforts(problem: Problem, speeds: np.ndarray) -> np.ndarray:
 
 
 def clamped_allowance(problem: Problem, motion: Trajectory, j: int) -> float:
-    """Return the overrun of ctrl that counts as clamped along a motion; 0 if actuator j's force is nowhere clamped."""
+    """Return the overrun of ctrl that is allowed along a motion; 0 if actuator j's force is nowhere clamped."""
     actuator = problem.mechanism.actuators[j]
     clamp = np.abs([end for end in (actuator.lower, actuator.upper) if np.isfinite(end)]).max(initial=0.0)
     if not (clamp and actuator.limits_control):

@@ -179,7 +179,8 @@ class RobustLimit(Limit):
     def measured(self, at: Samples) -> Measured:
         values, actuator = at.corner_efforts[:, self.corner, self.actuator], at.problem.mechanism.actuators[self.actuator]
         limit = self._limit(at.problem)
-        # With several degrees of freedom the allowance is that of the proof. With one, plans satisfy the limit itself.
+        # With several degrees of freedom the allowance is that of the proof. With only one degree of freedom, plans satisfy
+        # the limit itself.
         slack = min(share_of(limit, INVERSE_DYNAMICS_SHARE)) if at.problem.mechanism.dof > 1 else None
         return Measured(self._name(at.problem), values, limit, actuator.unit, slack=slack)
 

@@ -273,7 +273,7 @@ class Limit(ABC):
 
 
 def with_limits(problem: Problem, **changes: Any) -> Problem:
-    """Return a problem with other values in its limits."""
+    """Return a problem with the given `changes` to its limits."""
     return replace(problem, limits=replace(problem.limits, **changes))
 
 

@@ -157,7 +157,7 @@ def known_digits(value: float, error: float) -> str:
 
 
 def out_of_time(problem: OdeProblem) -> str:
-    """Return the words on a time limit that has passed; empty before it has."""
+    """Return a clause on the time limit if it has passed; empty otherwise."""
     if not problem.solver.deadline.passed:
         return ""
     return f"; the plan ran out of its {problem.solver.max_time_s:g} s {OF_TIME}"

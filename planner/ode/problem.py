@@ -125,7 +125,7 @@ class OdeProblem:
         object.__setattr__(self, "functions", functions)
 
     def _check_items(self) -> None:
-        """Refuse indices and guesses of other numbers of states, and boundary states beyond their limits."""
+        """Refuse unknown state indices, guesses of a wrong size, and boundary states beyond their limits."""
         n_x, n_u = self.n_x, self.n_u
         states = all(isinstance(i, int | np.integer) and 0 <= i < n_x for i in self.returns)
         _check((states, f"returns must be states from 0 to {n_x - 1}, got {list(self.returns)}"))

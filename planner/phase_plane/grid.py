@@ -93,7 +93,8 @@ class PhasePlane:
         most = top if below is None else np.minimum(top, below[ahead])
         if np.any(np.isfinite(most)):
             least = np.minimum(least, np.minimum.accumulate(inertia * most - work))
-        # The limits of a place count from the next place on. A leg ends where its energy ends, or where no motion may pass.
+        # A place's limit restricts the energy from the next place on. A leg ends where its energy ends, or where no motion
+        # may pass.
         before = np.concatenate([[free], least[:-1]])
         stops = np.flatnonzero((before + work <= 0) | (top <= 0))
         n = int(stops[0]) if len(stops) else len(inertia)

@@ -213,7 +213,7 @@ class LegField:
         return np.minimum(np.abs(self.effort).max(axis=1), self.line[:, 0])
 
     def keeps(self, s: np.ndarray, v: np.ndarray, effort: np.ndarray) -> bool:
-        """True if efforts (n, n_u) at positions and speeds (n,) satisfy all limits on effort, power, line and pin force."""
+        """True if efforts (n, n_u) at positions and speeds (n,) keep effort, power, torque-speed and pin-force limits."""
         room = _LIMIT_TOLERANCE * np.abs(self.effort).max()
         rate = self.curves(s)[:, 4:] * v[:, None]
         least_of_line, most_of_line = self.line_efforts(s, rate)

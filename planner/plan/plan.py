@@ -248,7 +248,7 @@ class Plan:
         return self
 
     def require_motion(self, use: str) -> Trajectory:
-        """Return the trajectory for a use, a verb.
+        """Return the trajectory for `use` (a verb).
 
         Raises:
             LinkplanError: if the plan has no motion.

@@ -69,10 +69,10 @@ class Motion:
     turns. `duration_s` None is a free duration between `min_duration_s` and `max_duration_s`. `waypoints` are passed in
     order.
 
-    `start_at` and `goal_at` are prescribed places of sites and angles of bodies; `start` and `goal` are then such poses. If
-    degrees of freedom stay open, any such pose ends the motion, `goal` is the initial guess, and `goal_rows` are independent
-    rows among `coordinates_of(goal_at)`. `goal_named` are the columns of s that the goal names: a passive degree of freedom
-    that is not named may end anywhere.
+    `start_at` and `goal_at` are prescribed places of sites and angles of bodies; `start` and `goal` are then poses that
+    satisfy these. If degrees of freedom stay open, any such pose ends the motion, `goal` is the initial guess, and
+    `goal_rows` are independent rows among `coordinates_of(goal_at)`. `goal_named` are the columns of s that the goal names:
+    a passive degree of freedom that is not named may end anywhere.
     """
 
     kind: str
@@ -217,7 +217,7 @@ def _check_reach(mechanism: Mechanism, ranges: np.ndarray | None, what: str, s: 
         if inside:
             if can is None or can.turns_fully:
                 continue
-            lower, upper = can.lower, can.upper  # an end that does not stop the joint is only where the walk ended
+            lower, upper = can.lower, can.upper  # an end that does not stop the joint is only the walk's last position
             interval = (lower.position if lower.stops else -np.inf, upper.position if upper.stops else np.inf)
             inside = interval[0] <= s[column] <= interval[1]
             reason = can.lower.reason if s[column] < interval[0] else can.upper.reason

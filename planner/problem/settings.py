@@ -136,7 +136,7 @@ def other_coordinates(tables: Mapping[str, dict], mechanism: Mechanism) -> list[
 
 
 def coordinates_note(mechanism: Mechanism, named: list[str]) -> str:
-    """Return the note that a motion is planned in the joints that it names."""
+    """Return the note that the joints named by a motion are the coordinates of its plan."""
     unnamed = [joint.name for joint in mechanism.independent_joints if joint.name not in named]
     return (
         f"the motion names {', '.join(named)} and not {', '.join(unnamed)}: it is planned in these joints"

@@ -82,7 +82,8 @@ def first_tube(trajectory: Trajectory) -> ErrorTube:
 class Neighbourhood:
     """The bounds on the boxes of a motion, collected in the order of time.
 
-    `failure` states why there are no bounds. `next_tube` is the tube of the next attempt; None if that would hardly succeed.
+    `failure` states why there are no bounds. `next_tube` is the tube of the next attempt; None if another attempt would
+    hardly succeed.
     """
 
     def __init__(self, mechanism: Mechanism, trajectory: Trajectory, tube: ErrorTube) -> None:

@@ -7,7 +7,7 @@ from msgspec import Struct
 from linkplan.planner.files.structs import Beside, InJson
 
 ANSWERS = ("proved", "refuted", "undecided", "sampled")
-# Begins the names of the findings on a motion of the model near a plan.
+# The beginning of the names of findings on a motion of the model near a plan.
 OWN_MOTION = "the model's own motion under the planned efforts"
 
 

@@ -11,7 +11,7 @@
 | Loosen | the motion passes within tightened limits | the same, on the finer mesh |
 | ReduceEffortOverrun | between nodes the best motion needs more effort than a proof allows | Nocedal and Wright 2006, 18.1 |
 
-The first row that holds counts; a mesh is halved before limits are tightened.
+The first row whose condition holds decides; a mesh is halved before limits are tightened.
 """
 
 import numpy as np

@@ -21,8 +21,8 @@ from linkplan.planner.solvers.solve import SOLVER_TOLERANCE, SUCCEEDED
 LOST_GAIN, LOST_GAIN_INEXACT = 1e-5, 1e-4
 # Relative changes of the objective below this are ignored if an enclosure by coefficients keeps the motion off its limit.
 CHANGE_AT_TOUCHED_LIMIT = 1e-7
-# A relative change of the objective on a finer mesh above this share is reported. With less the mesh is fine enough to stop
-# halving it for the smoothing.
+# A relative change of the objective on a finer mesh above this share is reported. If the change is smaller, the smoothing of
+# efforts does not halve the mesh again.
 REPORTED_CHANGE = 1e-4
 # A plan whose objective changes by more than this share on a finer mesh is "feasible" and not "optimal".
 OPTIMAL_CHANGE = 5e-2
@@ -32,9 +32,9 @@ OPTIMAL_CHANGE = 5e-2
 class Refined(Iterate):
     """An iterate with its certificate, which may not pass.
 
-    `settled` is True if the objective no longer changes from mesh to mesh, where that is required. `moved` is its relative
-    change between the last two meshes on which the motion passed, 0 if there is only one. `objective_error` is the
-    objective's relative error estimated from these meshes, infinite if there is only one.
+    `settled` is True if the objective no longer changes from mesh to mesh, where that is required. `moved` is the
+    objective's relative change between the last two meshes on which the motion passed, 0 if there is only one mesh.
+    `objective_error` is the objective's relative error estimated from these meshes, infinite if there is only one.
     """
 
     certificate: Any  # of the case's own type

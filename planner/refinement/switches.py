@@ -217,11 +217,12 @@ def find_switch_times(
         boundaries_s: instants [s] at which the mesh is cut already; its ends by default.
         on_path: intervals (n,) along a path limit, which are never a smeared switch.
         short: whether arcs at limits may be shorter than an interval. With limits other than those of effort, an effort that
-            leaves its limit so shortly is on one of these.
+            leaves its limit for so short a time follows another limit.
         continuous_efforts: whether efforts have no jumps; intervals between two limits are then an arc, however short.
 
-    A switch inside an interval shows as one smeared interval; its time follows from the impulse, which the smeared
-    interval keeps: u_before (t - t_0) + u_after (t_1 - t) = int u dt. So do the two of an arc that is shorter than that.
+    A switch inside an interval shows as one smeared interval, with efforts between the limits. Its time follows from their
+    impulse: u_before (t - t_0) + u_after (t_1 - t) = int u dt. The two switch times of an arc shorter than an interval
+    follow from the impulse and its middle.
     """
     breaks = trajectory.breaks_s
     boundaries = breaks[[0, -1]] if boundaries_s is None else boundaries_s

@@ -173,7 +173,7 @@ def search_for(
     """Return the search for a problem's motion, whose plans are appended to `plans`.
 
     Raises:
-        ProblemError: if its start contradicts the mechanism.
+        ProblemError: if the problem's start contradicts the mechanism.
     """
     plans = [] if plans is None else plans
     return Search(problem=problem, start_pose=problem.start_pose(), methods=methods, repairs=REPAIRS, plans=plans)

@@ -219,7 +219,7 @@ def _extras_not_finite(search: Search) -> list[str]:
 
 
 def one_limit(search: Search) -> Plan | None:
-    """Return the plan that names the limit without which there is a motion, and its least feasible value."""
+    """Return the plan that names a limit whose removal makes a motion possible, and the limit's least feasible value."""
     return _first_without(search, relaxed_kinds(search.problem))
 
 

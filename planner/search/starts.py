@@ -144,7 +144,7 @@ def may_be_along_limits(search: Search) -> bool:
 
 
 def along_limits(search: Search, _: Budget) -> Plan | None:
-    """Return the plan of legs along all these limits, without a solver; None if its certificate does not pass."""
+    """Return the plan of legs along the phase plane's limits, without a solver; None if its certificate does not pass."""
     progress("the phase plane along its limits, integrated")
     problem, motion = search.problem, legs_motion(search.problem, search.start_pose)
     if motion is None or not (problem.motion.min_duration_s or 0.0) <= motion.duration_s <= longest(problem):

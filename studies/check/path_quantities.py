@@ -172,7 +172,7 @@ def path_figures(path: KinematicLoopPath) -> PathFigures:
 
 
 def _by_name(path: KinematicLoopPath, quantity: Quantity, columns: Sequence[int]) -> Any:
-    """Return a quantity's arrays by the names of its parts, a coordinate's name last; of no part the array itself."""
+    """Return a quantity's arrays by the names of its parts, a coordinate's name last; without parts, the array itself."""
     found: dict[str, Any] = {}
     for curve in path_curves(path, quantity, columns):
         names = curve.names if quantity.of[:1] != _JOINT else curve.names[::-1]

@@ -155,7 +155,7 @@ def _passed(motion: Motion, name: str, path: np.ndarray) -> np.ndarray:
 
 
 def _shade(axes, limits: list[SiteLimit], frame, plane, depths: np.ndarray, colour: str, name: str) -> None:
-    """Shade the region that a site's limits forbid at five depths, in a frame (low, high) of the plane (right, up)."""
+    """Shade the points that a site's limits forbid at all five depths, in a frame (low, high) of the plane (right, up)."""
     if not limits:
         return
     (low, high), (right, up) = frame, plane

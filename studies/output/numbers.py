@@ -56,7 +56,7 @@ def rounded_times(values: np.ndarray) -> list:
 
 
 def drawn_rows(columns: np.ndarray, most: int = MAX_SAMPLES) -> np.ndarray:
-    """Return the indices of the rows to draw of columns (n, k): at most `most`, or `most / 2` evenly spaced and the peaks.
+    """Return the rows of columns (n, k) to draw, as indices: all if n <= `most`, else `most / 2` even ones and the peaks.
 
     Between two of these rows, each column keeps the row furthest from the straight line between them, if the distance is
     more than 1 % of the column's range. A peak of a single sample is therefore drawn.

@@ -10,10 +10,10 @@ import numpy as np
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Quantity:
-    """A quantity: a `field` (n, ...) with an axis for each kind of part in `of`; of two parts of one kind it is symmetric.
+    """A quantity: a `field` (n, ...) with an axis for each kind of part in `of`, symmetric if two axes are of one kind.
 
     `unit` is a text, or a function of the parts. Names contain the parts in braces. A quantity without `column` is not in
-    the table, one without the title of a `plot` is not plotted. `label` names the plot's axis, `line` a line in it.
+    the table; a quantity without a title in `plot` is not plotted. `label` names the plot's axis, `line` a line in it.
     `meaning` is a phrase on the quantity.
     """
 

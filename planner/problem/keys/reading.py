@@ -122,7 +122,7 @@ def suggestion(asked: str, legal: Iterable[str]) -> str:
 
 
 def fault(kind: Any, value: object, where: str, known: Known | None = None) -> str | None:
-    """Return a message on a value that is not of a type; None if it is."""
+    """Return a message if a value is not of the type `kind`, else None."""
     if _is_valid(kind, value):
         return None
     bare, about = without_metadata(kind)

@@ -132,7 +132,7 @@ def hanging_pose(mechanism: Mechanism, near: np.ndarray, held: Mapping[int, floa
 
 
 def least_energy_pose(mechanism: Mechanism, near: np.ndarray, held: Mapping[int, float]) -> np.ndarray | None:
-    """Return the closed pose (n_q,) of least potential energy, which may rest on stops; None if none is found.
+    """Return the closed pose (n_q,) of least potential energy, with joints on stops if need be; None if none is found.
 
     Args:
         mechanism: with the springs and weights that store the energy.

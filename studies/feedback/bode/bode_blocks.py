@@ -320,12 +320,12 @@ def margins_along(study: BodeStudy, scan: Scan, name: str) -> list[Plot | Plane]
         Line(name="disk phase margin", values=scan.column("disk_phase_margin_deg"), unit="deg"),
     ]
     known = np.concatenate([line.values for line in margins])
-    highest = float(np.max(known[np.isfinite(known)], initial=0.0))  # a loop that is unstable everywhere has none
+    highest = float(np.max(known[np.isfinite(known)], initial=0.0))  # a loop that is unstable everywhere has no margin
     lost = np.array([0.0 if not bounds.stable else np.nan for bounds in scan.margins])
     if np.isfinite(lost).any():
         margins.append(Line(name="unstable", values=lost, unit="deg", look="points", colour=4))
     crossings = [Line(name=name, values=scan.column(f"{name}_hz"), unit="Hz") for name in ("crossover", "bandwidth")]
-    crossings = [one for one in crossings if np.isfinite(one.values).any()]  # none of a loop that is unstable everywhere
+    crossings = [one for one in crossings if np.isfinite(one.values).any()]  # none if the loop is unstable everywhere
     title = f"Margins; the worst is at {line.place(scan.positions[scan.worst])}"
     crossed = " and ".join(one.name for one in crossings).capitalize()
     return [

@@ -32,7 +32,7 @@ def frequency_plot(
 
 
 def phase_near(frequency_hz: np.ndarray, phase: np.ndarray, others: Sequence[tuple[np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Return a phase (n,) [deg] shifted by full turns to the most similar of others, each as frequencies [Hz] and phases.
+    """Return a phase (n,) [deg], shifted by full turns to the most similar other phase; `others` are (frequencies, phases).
 
     A phase near 0 or -360 deg at the crossover has a shift of its own that differs from that of a nearly equal pose.
     """

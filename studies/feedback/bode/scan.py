@@ -80,7 +80,7 @@ class Scan:
     margins: tuple[Margins, ...]
 
     def column(self, name: str) -> np.ndarray:
-        """Return one figure (n,) of the margins, NaN where it is None."""
+        """Return the values (n,) of one field of the margins, NaN where it is None."""
         return figures(self.margins, name)
 
     @property

@@ -50,7 +50,7 @@ def measure_plants(
         loops: sampled, with their points; with zero gains the plant is measured in open loop.
         inputs: efforts.
         outputs: positions that some actuator moves.
-        frequency_hz: (n,), moved so that a period has whole samples.
+        frequency_hz: (n,), shifted so that whole cycles take whole samples.
         effort_limit: of the actuators (n_u, 2) [N.m or N].
         setup: the settings of the measurement.
         say: receives progress messages.

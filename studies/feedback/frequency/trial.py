@@ -24,7 +24,7 @@ MAX_TRIAL_PERIODS = 40_000
 def settle_trials(
     loops: Sequence[FeedbackLoop], effort_limit: np.ndarray, most_periods: int = MAX_TRIAL_PERIODS
 ) -> np.ndarray:
-    """Return True for each of n loops of one timing, (n,), that settles in MuJoCo after a small kick to its joints."""
+    """Return a mask (n,) of the loops, all of one timing, that settle in MuJoCo after a small kick to their joints."""
     mechanism, n = loops[0].point.mechanism, len(loops)
     n_s = mechanism.dof
     state = np.array([loop.point.state for loop in loops])

@@ -72,7 +72,7 @@ def tune_plots(tuning: Tuning, loops: Sequence[JudgedLoop], of: str) -> list[Plo
         known = [value for value in (*values.tolist(), *asked) if value > 0]
         highest, lowest = max(known, default=1.0), min(known, default=1.0)
         log = per == "Hz" and highest > 10 * lowest
-        ends = (lowest / 4.0, 1.5 * highest) if log else (0.0, 1.12 * highest)  # room for the limit's name below it
+        ends = (lowest / 4.0, 1.5 * highest) if log else (0.0, 1.12 * highest)  # room for the limit's name below its line
         values = np.maximum(values, ends[0])
         series = [Series(name=what, y=rounded(values)), Series(name="looked at", y=rounded(values), look="points")]
         if len(lost):

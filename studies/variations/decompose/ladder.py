@@ -151,7 +151,7 @@ def _words_of(ran: Mapping[frozenset[str], "_Found"]) -> list[tuple[str, "_Found
 
 # Errors (t, n or 1, n_s), and the reason for each failed run.
 _Found = tuple[np.ndarray, Sequence[str | None]]
-# The step of each key of [imperfections]; all other keys are model errors.
+# The group of each key of [imperfections]; keys without an entry are model errors.
 _GROUPS = {
     **dict.fromkeys(("period_factor", "phase_periods", "delay_periods"), "sampling"),
     **dict.fromkeys(("loop_time_constant_s", "loop_damping_ratio"), "simulator"),

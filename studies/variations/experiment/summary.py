@@ -10,7 +10,7 @@ from linkplan.studies.variations.experiment.experiment import Experiment
 from linkplan.studies.variations.experiment.metrics import Metric
 from linkplan.studies.variations.experiment.statistics import Estimate, Pair, mean_of, pair_of, share_of
 
-# A tracker chatters if its effort's total variation exceeds this multiple of the plan's, and the range of its limits.
+# A tracker chatters if its effort's total variation exceeds this multiple of the plan's variation plus the limits' range.
 CHATTER_FACTOR = 5.0
 
 
@@ -28,7 +28,7 @@ class TrackerSummary(Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Summary(Struct, frozen=True, kw_only=True, eq=False):
-    """All trackers, and all pairs of trackers compared by the rms error of the first unit."""
+    """All trackers, and all pairs of trackers compared by the first rms error in `metrics`."""
 
     samples: int
     trackers: dict[str, TrackerSummary]

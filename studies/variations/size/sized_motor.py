@@ -27,7 +27,7 @@ PEAK, RMS, LINE = "peak effort", "rms effort", "torque-speed line"
 
 
 class Loads(Struct, frozen=True, kw_only=True):
-    """A motion's demands on a motor, in its own effort and speed, and as shares of its limits; None without the limit.
+    """A motion's demands on a motor: the motor's efforts and speeds, and shares of its limits; None for a missing limit.
 
     `rms_effort` is over the motion and the rest after it. `needed_rest_s` is the rest that reduces it to its limit, 0 if
     none is needed; None for a periodic motion.

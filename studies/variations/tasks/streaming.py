@@ -90,7 +90,7 @@ def complete(
 
     Args:
         folder: the folder of parts, locked by this process.
-        tasks: the things that each task does.
+        tasks: the indices of each task's items.
         things: their name.
         engine: runs the tasks.
         work: as for `streamed`.
