@@ -51,18 +51,20 @@ def least_limit_of_starts(problem: Problem, guess: Guess) -> LeastLimit | None:
 
 
 def settled_limit(problem: Problem, found: LeastLimit) -> LeastLimit:
-    """Return the least factor on finer and finer meshes, until it changes by less than 1e-4.
+    """Return the least factor on finer and finer meshes, until it changes by less than 1e-4 (of several freedoms: 1e-3).
 
     A motion can exploit the error of a coarse mesh, and then needs more effort than the factor says.
     """
-    for _ in range(3):  # a message names the factor to four digits
+    # A message names the factor to four digits.
+    tolerance, before = (1e-3, found.first) if problem.mechanism.dof > 1 else (1e-4, np.inf)
+    for _ in range(3):
+        if abs(found.factor - before) <= tolerance * found.factor:
+            break
         mesh = halved(found.mesh, np.ones(found.mesh.n_intervals, dtype=bool))
         finer = least_limit(problem, guess_from(found.trajectory), mesh, found.durations)
         if finer is None:
-            return found
-        before, found = found, finer
-        if abs(found.factor - before.factor) <= 1e-4 * found.factor:
             break
+        before, found = found.factor, finer
     return found
 
 

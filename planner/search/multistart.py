@@ -27,7 +27,7 @@ from linkplan.planner.search.attempts import certified, objective_of, of_several
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, LAST_MARGIN, at_a_distance, is_sound
 from linkplan.planner.search.methods import Budget, Search
 from linkplan.planner.search.solving import first_mesh, with_longer_durations
-from linkplan.planner.search.starts import no_time, of_the_phase_plane
+from linkplan.planner.search.starts import is_too_short, no_time, of_the_phase_plane
 from linkplan.planner.search.without_solver import slower
 from linkplan.planner.solvers.solve import OF_TIME
 
@@ -140,9 +140,9 @@ def _first_solutions(search: Search, budget: Budget) -> tuple[int, bool, list[_F
     problem, wanted = search.within(budget), search.problem.solver.starts
     case, several, most = _first_case(problem, search.start_pose), of_several(problem), max(wanted, _MOST_STARTS)
     after_first = search.deadline.within_share(_SHARE_OF_FIRST)
-    starts = itertools.islice(_starts(search, budget), 20 * most)  # the loops open along some of them
-    closed = (start for start in starts if closes(problem, start[1]))
     number, found = 0, list[_First]()
+    starts = itertools.islice(_starts(search, budget, found), 20 * most)  # the loops open along some of them
+    closed = (start for start in starts if closes(problem, start[1]))
     with contextlib.suppress(OutOfTimeError):
         for number, (what, guess) in enumerate(search.deadline.take(itertools.islice(closed, most)), start=1):
             word, timed = f"start {number} of {wanted}, {what}", case
@@ -198,8 +198,11 @@ def _alike(one: float, other: float) -> bool:
     return abs(share_gained(one, other)) <= _ALIKE_SHARE
 
 
-def _starts(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
-    """Yield starts, each with its name for messages, the most promising first."""
+def _starts(search: Search, budget: Budget, found: list[_First]) -> Iterator[tuple[str, Guess]]:
+    """Yield starts, each with its name for messages, the most promising first.
+
+    If two starts led to no motion in the given time, the least time shows whether more starts are worth it.
+    """
     problem, perturbed = search.problem, perturbed_guesses(search.problem, search.start_pose)
     if not of_several(problem):
         yield from search.first_starts()
@@ -211,6 +214,9 @@ def _starts(search: Search, budget: Budget) -> Iterator[tuple[str, Guess]]:
     yield from own
     if problem.motion.duration_s is not None:
         yield words, smooth
+        yield from itertools.islice(perturbed, 1)
+        if not found and problem.solver.starts == 1 and is_too_short(search):
+            return
         yield from perturbed
     for factor in _STRETCH_FACTORS:
         if problem.motion.max_duration_s is None or factor * smooth.duration_s <= problem.motion.max_duration_s:

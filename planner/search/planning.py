@@ -45,6 +45,13 @@ def _is_worth_a_start(search: Search) -> bool:
     return starts.one_start_is_worth_it(search) and not of_several(search.problem)
 
 
+def _swings_are_worth_it(search: Search) -> bool:
+    """True if swings may lead to a motion in the given time."""
+    if not starts.one_start_is_worth_it(search) or starts.no_time(search):
+        return False
+    return not (of_several(search.problem) and starts.is_too_short(search))
+
+
 def _legs_may_help(search: Search) -> bool:
     """True if no plan passes, and the phase plane knows a motion to the goal."""
     return not search.solved and search.quickest is not None and search.quickest.duration_s <= longest(search.problem)
@@ -90,7 +97,7 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
     ),
     SearchMethod(
         name="swings",
-        tried=lambda search: starts.one_start_is_worth_it(search) and not starts.no_time(search),
+        tried=_swings_are_worth_it,
         run=starts.from_swings,
         budget=SHORT_BUDGET,
         shares_time=_leaves_time_to_wait,

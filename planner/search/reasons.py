@@ -24,7 +24,7 @@ from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_start
 from linkplan.planner.search.methods import SHORT_BUDGET, Search
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.search.solving import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, first_mesh, longest, may_swing, solve_from
-from linkplan.planner.search.starts import enough_time, least_time_plan, no_time, shortest_motion
+from linkplan.planner.search.starts import enough_time, least_time_plan, may_be_too_short, no_time, shortest_motion
 from linkplan.planner.solvers.solve import INVALID, why_stopped
 
 # A duration below this share of the shortest motion's is certainly infeasible, because local least times are within
@@ -106,7 +106,7 @@ def far_too_short(search: Search) -> tuple[str, dict[str, float]] | None:
     degrees of freedom it is planned only if the smooth path needs far more effort than allowed.
     """
     problem, asked = search.problem, longest(search.problem)
-    path = path_effort(problem, search.smooth) if _may_be_too_short(problem) else None
+    path = path_effort(problem, search.smooth) if may_be_too_short(problem) else None
     # Inertial efforts grow with the square of the speed.
     if path is None or path.inertial_factor < 1 / _INFEASIBLE_DURATION_SHARE**2:
         return None
@@ -118,14 +118,6 @@ def far_too_short(search: Search) -> tuple[str, dict[str, float]] | None:
         f" the shortest feasible duration is {about}{shortest:.4g} s"
     )
     return sentence, {"shortest_duration_s": shortest, "smooth_path_limit_factor": path.factor}
-
-
-def _may_be_too_short(problem: Problem) -> bool:
-    """True if a motion's duration may be the reason: of a reach within effort limits, without instants of its waypoints."""
-    motion = problem.motion
-    timed = any(waypoint.time_s is not None for waypoint in motion.waypoints)
-    limited = bool(np.isfinite(longest(problem)) and np.all(np.isfinite(problem.limits.effort)))
-    return motion.kind == "reach" and not motion.stays and not timed and limited
 
 
 def _shortest(search: Search) -> tuple[float | None, str]:
@@ -297,7 +289,9 @@ def nothing_found(search: Search) -> Plan:
     if unknown := _extras_not_finite(search):
         return _failed(search, "; ".join(unknown))
     status = recorded()[-1].solver_status if recorded() else "no initial guess closes the kinematic loops"
-    needs = _needs_of_smooth_path(search)
+    needs, known = _needs_of_smooth_path(search), min((motion.duration_s for motion in search.known.motions), default=0.0)
+    if known > longest(search.problem):
+        needs += f"; the shortest motion found takes {known:.5g} s"
     return _failed(search, f"the solver found neither a motion nor a limit that forbids one ({status}){needs}")
 
 
@@ -358,7 +352,7 @@ def _failed(search: Search, reason: str, details: dict[str, float] | None = None
 
 def shortest_sentence(search: Search, details: dict[str, float]) -> str:
     """Return a phrase on the shortest feasible duration, if it can be found, and add its value to the details."""
-    quickest = shortest_motion(search) if _may_be_too_short(search.problem) else None
+    quickest = shortest_motion(search) if may_be_too_short(search.problem) else None
     if quickest is None:
         return ""
     details["shortest_duration_s"] = quickest.trajectory.duration_s

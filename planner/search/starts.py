@@ -35,6 +35,8 @@ from linkplan.planner.search.without_solver import legs_plan
 
 # The name, among the known motions, of the least-time plan from the phase plane's motion.
 PHASE_PLANE_LEAST_TIME = "least time from the phase plane"
+# A duration above the given one by more than this share is longer: least times are found more accurately than that.
+_CLEARLY_LONGER = 1e-3
 # A solution that costs less than the cheapest legs by more than this share violates the dynamics between its nodes.
 _FALSE_SHARE = 0.1
 
@@ -282,6 +284,20 @@ def at_a_distance(search: Search, budget: Budget) -> Plan | None:
         return found
     why = f"; it keeps a distance from singular poses, {margin:.3g} of that at home; a motion nearer to them may cost less"
     return only_feasible(found, why)
+
+
+def may_be_too_short(problem: Problem) -> bool:
+    """True if a motion's duration may be the reason: of a reach within effort limits, without instants of its waypoints."""
+    motion = problem.motion
+    timed = any(waypoint.time_s is not None for waypoint in motion.waypoints)
+    limited = bool(np.isfinite(longest(problem)) and np.all(np.isfinite(problem.limits.effort)))
+    return motion.kind == "reach" and not motion.stays and not timed and limited
+
+
+def is_too_short(search: Search) -> bool:
+    """True if the shortest motion that a search for it finds takes clearly longer than the given time."""
+    quick = shortest_motion(search) if may_be_too_short(search.problem) else None
+    return quick is not None and quick.trajectory.duration_s > (1.0 + _CLEARLY_LONGER) * longest(search.problem)
 
 
 def shortest_motion(search: Search) -> Plan | None:

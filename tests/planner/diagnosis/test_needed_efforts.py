@@ -12,16 +12,18 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.closed_chain.guess import Guess, guess_from
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import reasons
 from linkplan.planner.search.least_limit import LeastLimit
 from linkplan.planner.search.planning import plan_motion, search_for
-from linkplan.planner.search.reasons import effort_sentence, far_too_short, path_effort, share_sentence
+from linkplan.planner.search.reasons import effort_sentence, far_too_short, nothing_found, path_effort, share_sentence
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import uniform
 from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, PENDULUM, QUARTER_TURN, TURN, body_problem
 from tests.support.data import KNEE_TABLE
 from tests.support.fourbar import G
 from tests.support.fourbar_problems import random_case
+from tests.support.legs import leg
 from tests.support.motions import motion_along
 from tests.support.plans import GOAL, LIMIT, START, planned, problem_of
 from tests.support.slider_crank import CRANK, ROD
@@ -321,3 +323,25 @@ def test_other_mechanisms_are_answered_so_too(problem, words):
 def test_a_weak_motor_that_swings_up_is_not_taken_for_hurried():
     weak = planned("knee-reach", "motion.duration_s=0.2", "limits.effort.act_O=[-0.1, 0.1]")
     assert "times too short" not in weak.message
+
+
+@pytest.mark.slow
+def test_with_several_motors_the_least_time_ends_the_search_for_a_motion_in_too_little_time():
+    least_s, efforts = 0.18663512, {"m_hip_pitch": 130.0, "m_knee_motor": 120.0}
+    asked = {"duration_s": 0.98 * least_s, "minimize": "effort"}
+    plan = plan_motion(leg(**asked))
+    assert plan.status == "infeasible"
+    assert plan.details["shortest_duration_s"] == pytest.approx(least_s, rel=1e-4)
+    failed = [step.what for step in plan.history if not step.converged]
+    assert len(failed) <= 2, failed  # two starts; neither further ones nor swings
+    factor = 1.002 * plan.details["needed_limit_factor"]
+    stronger = {name: [-factor * effort, factor * effort] for name, effort in efforts.items()}
+    assert plan_motion(leg(**asked, limits={"effort": stronger})).status == "optimal"
+
+
+def test_a_search_without_a_motion_and_a_reason_names_the_shortest_known_motion():
+    search = search_for(problem())
+    for duration_s, named in ((0.9, False), (2.0, True)):
+        search.known.motions[:] = [motion_along([0.0, duration_s], np.radians([10.0, 10.0, 100.0, 100.0]))]
+        with recording():
+            assert (f"the shortest motion found takes {duration_s:g} s" in nothing_found(search).message) is named
