@@ -287,7 +287,7 @@ def softness_note(mechanism: Mechanism) -> str | None:
     largest = 0.01 * mechanism.extent_m
 
     def gap_text(gap: float) -> str:
-        return f"{1e3 * gap:.2g} mm" if gap <= largest else f"more than {1e3 * largest:.2g} mm"
+        return f"{round(1e3 * gap, 6):.2g} mm" if gap <= largest else f"more than {1e3 * largest:.2g} mm"
 
     also = f" (and {', '.join(one.name for one in others)})" if others else ""
     gaps = f"{gap_text(worst.weight_gap_m)} at rest at home"

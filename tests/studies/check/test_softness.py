@@ -83,6 +83,13 @@ def test_a_gap_that_is_as_wide_as_the_mechanism_is_not_given_in_millimetres():
     assert f"more than {10 * mechanism.extent_m:.2g} mm with act_O at its limit" in note
 
 
+def test_a_gap_that_is_rounding_is_zero():
+    weightless = SOFT.replace("<worldbody>", '<option gravity="0 0 -1e-30"/><worldbody>')
+    note = softness_note(load_mechanism(weightless))
+    assert note is not None
+    assert "opens by 0 mm at rest at home and by" in note
+
+
 LEAD_M_PER_RAD, MASS_KG, OFFSET_M = 0.0016, 3.0, 0.02
 # A nut that carries a weight, written as the nut's position over the motor's.
 SCREW = f"""<mujoco><option timestep="2e-4"/><worldbody>
