@@ -58,6 +58,17 @@ def test_local_minima_are_found_between_the_places_of_a_scan():
     assert sorted(found)[:3] == pytest.approx(exact, abs=1e-3)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_minimum_next_to_infinite_values_is_found_without_a_warning():
+    """Margins are infinite next to poses without a crossing."""
+
+    def margin(x: float) -> np.float64:
+        return np.float64((x - 0.53) ** 2 if abs(x - 0.53) < 0.031 else np.inf)
+
+    at = np.linspace(0.0, 1.0, 11)
+    assert refined_minima(margin, at) == pytest.approx([0.53], abs=1e-4)
+
+
 def test_dips_that_are_rounding_are_no_minima():
     at, rounding = np.linspace(0.0, 1.0, 101), 1e-13 * np.cos(np.arange(101) * np.pi)
 
