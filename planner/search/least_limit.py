@@ -55,7 +55,8 @@ def settled_limit(problem: Problem, found: LeastLimit) -> LeastLimit:
 
     A motion can exploit the error of a coarse mesh, and then needs more effort than the factor says.
     """
-    # A message names the factor to four digits.
+    # A message names the factor to four digits. With several freedoms, finer meshes take most of the time of a diagnosis and
+    # may lead to a worse local optimum.
     tolerance, before = (1e-3, found.first) if problem.mechanism.dof > 1 else (1e-4, np.inf)
     for _ in range(3):
         if abs(found.factor - before) <= tolerance * found.factor:
