@@ -90,7 +90,7 @@ def site_motion(mechanism: Mechanism, order: int) -> ca.Function:
 
 
 def sliding_friction(mechanism: Mechanism, q: np.ndarray, column: int = 0) -> np.ndarray:
-    """Return the dry friction (n,) [N.m or N] on an independent coordinate at poses (n, n_q) if it alone moves."""
+    """Return the dry friction (n,) [N.m or N] against one independent coordinate at poses (n, n_q); the others rest."""
     if not any(frictions_of(mechanism.model)):
         return np.zeros(len(q))
     # At 1000 transition speeds, joints that move a hundredth as fast still have full friction.

@@ -77,8 +77,8 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
         return null @ (null.T @ unheld @ np.array(mechanism.dynamics.velocity_map(pose))[:, columns])
 
     # On the way to an equilibrium each step reduces the squared effort by more than 1e-10 of it. Smaller reductions lead,
-    # over thousands of steps, to a least effort that is not zero. The unknowns are deflections: they start at zero, where
-    # scipy chooses the length of its first step. From other values the step would have their length.
+    # over thousands of steps, to a least effort that is not zero. The unknowns are deflections from the first pose, so they
+    # start at zero. From other values, scipy's first step would be as long as these values.
     try:
         found = scipy.optimize.least_squares(
             unbalanced, np.zeros(len(columns)), slope, x_scale="jac", xtol=1e-15, ftol=1e-10, gtol=1e-15

@@ -96,7 +96,7 @@ def reference_rows(columns: dict[str, np.ndarray], what: str, mechanism: Mechani
 
 
 def _key_of(head: str, mechanism: Mechanism) -> tuple[str, ...] | None:
-    """Return a column's keys in [reference]; columns are named as in plans: O_deg, slide_m, foot_x_m, body_shank_deg, ..."""
+    """Return the keys in [reference] of a column with a name as in plans: O_deg, slide_m, foot_x_m, body_shank_deg, ..."""
     name, _, unit = head.rpartition("_")
     if unit in ("deg", "m") and name in [joint.name for joint in mechanism.joints]:
         return f"position_{unit}", name

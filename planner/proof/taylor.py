@@ -185,7 +185,7 @@ class TaylorForm:
 
 
 def _is_loose(values: list[arb], bottom: arb, top: arb, known: tuple[float, float], size: float) -> bool:
-    """Return True if a bound outside of the known range lies far beyond the first and last of a polynomial's `values`."""
+    """Return True if a bound lies outside of the known range, and far beyond a polynomial's values at both ends."""
     far = LOOSE_SHARE * max(abs(float(bottom)), abs(float(top)), size)
     first, last = values[0], values[-1]
     above_ends = top > known[1] and top - max(first.upper(), last.upper()) > far

@@ -21,8 +21,8 @@ from linkplan.planner.solvers.solve import SOLVER_TOLERANCE, SUCCEEDED
 LOST_GAIN, LOST_GAIN_INEXACT = 1e-5, 1e-4
 # Relative changes of the objective below this are ignored if an enclosure by coefficients keeps the motion off its limit.
 CHANGE_AT_TOUCHED_LIMIT = 1e-7
-# A relative change of the objective on a finer mesh above this share is reported. If the change is smaller, the smoothing of
-# efforts does not halve the mesh again.
+# If the objective changes on a finer mesh by more than this share, the change is reported. If it changes by less, the mesh
+# is fine enough for the smoothing of efforts, and is not halved again for it.
 REPORTED_CHANGE = 1e-4
 # A plan whose objective changes by more than this share on a finer mesh is "feasible" and not "optimal".
 OPTIMAL_CHANGE = 5e-2

@@ -51,12 +51,12 @@ def least_limit_of_starts(problem: Problem, guess: Guess) -> LeastLimit | None:
 
 
 def settled_limit(problem: Problem, found: LeastLimit) -> LeastLimit:
-    """Return the least factor on finer and finer meshes, until it changes by less than 1e-4 (of several freedoms: 1e-3).
+    """Return the least factor on finer and finer meshes, until it hardly changes.
 
     A motion can exploit the error of a coarse mesh, and then needs more effort than the factor says.
     """
-    # A message names the factor to four digits. With several freedoms, finer meshes take most of the time of a diagnosis and
-    # may lead to a worse local optimum.
+    # A message names the factor to four digits. With several degrees of freedom, a change of 1e-3 is small enough: finer
+    # meshes would take most of the time of a diagnosis, and may lead to a worse local optimum.
     tolerance, before = (1e-3, found.first) if problem.mechanism.dof > 1 else (1e-4, np.inf)
     for _ in range(3):
         if abs(found.factor - before) <= tolerance * found.factor:

@@ -76,6 +76,11 @@ class KnownMotions:
                 self.add(plan.require_motion("know"))
         return self.sought[what]
 
+    @property
+    def least_duration_s(self) -> float | None:
+        """The duration of the shortest motion [s]; None without a motion."""
+        return min((motion.duration_s for motion in self.motions), default=None)
+
     def shorter_than(self, duration_s: float) -> list[Trajectory]:
         """Return the motions that take less than a duration [s], the longest first."""
         shorter = [motion for motion in self.motions if motion.duration_s < duration_s]

@@ -289,8 +289,8 @@ def nothing_found(search: Search) -> Plan:
     if unknown := _extras_not_finite(search):
         return _failed(search, "; ".join(unknown))
     status = recorded()[-1].solver_status if recorded() else "no initial guess closes the kinematic loops"
-    needs, known = _needs_of_smooth_path(search), min((motion.duration_s for motion in search.known.motions), default=0.0)
-    if known > longest(search.problem):
+    needs, known = _needs_of_smooth_path(search), search.known.least_duration_s
+    if known is not None and known > longest(search.problem):
         needs += f"; the shortest motion found takes {known:.5g} s"
     return _failed(search, f"the solver found neither a motion nor a limit that forbids one ({status}){needs}")
 
@@ -337,7 +337,7 @@ def _infeasible(search: Search, sentence: str, details: dict[str, float], *, sho
     """
     problem: Problem = search.problem
     message = sentence + (shortest_sentence(search, details) if shortest else "")
-    known, asked = min((motion.duration_s for motion in search.known.motions), default=None), longest(problem)
+    known, asked = search.known.least_duration_s, longest(problem)
     if known is not None and known <= asked * (1 + 1e-9):
         return _failed(
             search, f"a motion of {known:.7g} s satisfies every limit, one of {asked:.7g} s was not found", details

@@ -287,7 +287,7 @@ def at_a_distance(search: Search, budget: Budget) -> Plan | None:
 
 
 def may_be_too_short(problem: Problem) -> bool:
-    """True if a motion's duration may be the reason: of a reach within effort limits, without instants of its waypoints."""
+    """True for a reach in a limited time, with limits on all efforts and no waypoint at a given instant."""
     motion = problem.motion
     timed = any(waypoint.time_s is not None for waypoint in motion.waypoints)
     limited = bool(np.isfinite(longest(problem)) and np.all(np.isfinite(problem.limits.effort)))

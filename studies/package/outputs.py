@@ -131,7 +131,7 @@ def render(
 
 @dataclasses.dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class Rendered(Shown):
-    """What `render` wrote. `struct` has the file, number and size of its frames, slow-motion factor and renderer."""
+    """The file that `render` wrote. `struct` has its name, its frames' number and size, and its slow-motion factor."""
 
     struct: RenderedFile
 

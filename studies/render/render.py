@@ -31,7 +31,7 @@ Paint = Callable[[Scene], np.ndarray]
 
 
 class RenderedFile(Struct, frozen=True, kw_only=True):
-    """The written file: number and size of frames, frames a second, slowness, and the painter."""
+    """The written file: its frames and their size, its frames per second, its slow-motion factor and its renderer."""
 
     file: str
     frames: int

@@ -45,7 +45,7 @@ def refined_minima(function: Callable[[float], float], at: np.ndarray, values: n
         low, high = float(at[max(0, i - 1)]), float(at[min(len(at) - 1, i + 1)])
         if not low < high:
             continue
-        with np.errstate(invalid="ignore"):  # through infinite values there is no parabola: the section is golden
+        with np.errstate(invalid="ignore"):  # it tries parabolas through infinite values
             best = scipy.optimize.minimize_scalar(
                 function, bounds=(low, high), method="bounded", options={"xatol": 1e-4 * (high - low)}
             )

@@ -28,7 +28,7 @@ class TrackerSummary(Struct, frozen=True, kw_only=True, eq=False):
 
 
 class Summary(Struct, frozen=True, kw_only=True, eq=False):
-    """All trackers, and all pairs of trackers compared by the first rms error in `metrics`."""
+    """The results of each tracker, and of each pair of trackers, compared by the first rms error in `metrics`."""
 
     samples: int
     trackers: dict[str, TrackerSummary]
