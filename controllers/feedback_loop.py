@@ -38,6 +38,10 @@ class Stepper(Protocol):
         """Write the machines' poses (n, n_q) and velocities (n, n_s)."""
         ...
 
+    def share(self, pose: np.ndarray, command: np.ndarray) -> np.ndarray:
+        """Return commands (n, n_u) within limits at poses (n, n_q), as far as other actuators can take over."""
+        ...
+
     def hold(self, command: np.ndarray, applied: np.ndarray, speed: np.ndarray) -> None:
         """Advance the machines by a period under commands (n, n_u), and write mean efforts and actuators' speeds."""
         ...
@@ -93,6 +97,7 @@ def run_loop(stepper: Stepper, law: TrackerWithMemory, instants: int, sensors: S
             command[run], memory[run], raised = _efforts(law, k, s[run], rate[run], memory[run], n_u)
             failed = {int(run[i]): error for i, error in raised.items()}
         log.asked_s[k] = clock() - begin
+        command[...] = stepper.share(q, command)
         # If the sum of squares is finite and small, all states and commands are valid.
         if not row.dot(row) < bound:
             _freeze_failures(log, stepper, k, failed)

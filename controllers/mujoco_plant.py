@@ -21,8 +21,10 @@ from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.controllers.sampling import substeps_of
 from linkplan.models.actuation.actuators import Actuator
+from linkplan.models.actuation.distribution import distribute
 from linkplan.models.errors import LinkplanError, one_line
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import is_redundant, sampled
 
 DIVERGED = "the simulation diverged"
 _STATE_KNOWN = int(mujoco.mjtStage.mjSTAGE_VEL)
@@ -64,7 +66,7 @@ class MujocoPlant:
             [float(one.model.opt.timestep) for one in plants],
             substeps,
             loop.effort_limit,
-            held_before(mechanism, reference),
+            held_before(mechanism, reference, loop.effort_limit),
             line=loop.motor_line,
             slowest=loop.rate_limit,
         )
@@ -152,6 +154,7 @@ class MujocoStepper:
         self._mechanism, self._substeps, self._pushes, self._drives = mechanism, substeps, pushes, drives
         self._servos = servo_inversion(mechanism)
         self._gains = np.zeros((1, self.n_u)) if gains is None else gains
+        self._redundant = is_redundant(mechanism)
         # A servo's ctrl and a motor's line need the actuators' speeds at the beginning of every step.
         by_speed = self._servos is not None or drives.line is not None
         by_speed |= mechanism.forces is not None and begun is not None  # which need the sites' places
@@ -206,6 +209,20 @@ class MujocoStepper:
             pose[i] = mechanism.q_of(qpos, self._near[i])
             velocity[i] = mechanism.rates_of(pose[i], qvel)[self.independent]
         self._near[:] = pose
+
+    def share(self, pose: np.ndarray, command: np.ndarray) -> np.ndarray:
+        """Return the commands (n, n_u) within limits that produce the generalised efforts of commands beyond them.
+
+        Only more actuators than freedoms can; other commands stay.
+        """
+        low, high = self._drives.low, self._drives.high
+        beyond = np.flatnonzero(np.any((command < low) | (command > high), axis=1)) if self._redundant else ()
+        if not len(beyond):
+            return command
+        maps, shared = sampled(self._mechanism.dynamics.effort_map, pose[beyond]), command.copy()
+        tau, limit = np.einsum("ksu,ku->ks", maps, command[beyond]), np.stack([low, high], axis=1)
+        shared[beyond] = distribute(tau, maps, limit, command[beyond])
+        return shared
 
     def hold(self, command: np.ndarray, applied: np.ndarray, speed: np.ndarray) -> None:
         """Advance the machines by a period under commands; `speed` receives the actuators' speeds at its start."""

@@ -78,10 +78,13 @@ def state_at(reference: SampledReference, time_s: float | np.ndarray) -> tuple[n
     return position, np.where(x == 0, v0, slope) / T
 
 
-def sample(mechanism: Mechanism, trajectory: Trajectory, period_s: float, duration_s: float) -> SampledReference:
+def sample(
+    mechanism: Mechanism, trajectory: Trajectory, period_s: float, duration_s: float, limit: np.ndarray | None = None
+) -> SampledReference:
     """Return a trajectory at the control instants of a period [s] over a duration [s].
 
-    A periodic trajectory is repeated. Any other one holds its last position at rest.
+    A periodic trajectory is repeated. Any other one holds its last position at rest. More actuators than freedoms share its
+    efforts as the trajectory does, within limits (n_u, 2) [N.m or N], by default the model's.
     """
     n = max(1, round(duration_s / period_s))
     ratio = trajectory.duration_s / period_s
@@ -93,7 +96,8 @@ def sample(mechanism: Mechanism, trajectory: Trajectory, period_s: float, durati
     pose = follow(mechanism, position, trajectory.start_pose)
     pose_middle = follow(mechanism, trajectory.position_at(middle), trajectory.start_pose)
     rates, accelerations = trajectory.velocity_at(middle), trajectory.acceleration_at(middle)
-    effort, _ = needed_effort(mechanism, pose_middle, rates, accelerations, middle)
+    planned = trajectory.effort_at(middle)
+    effort, _ = needed_effort(mechanism, pose_middle, rates, accelerations, middle, limit=limit, wanted=planned)
     again = np.arange(n) % len(once)
     passed = (np.arange(n) // len(once))[:, None] if cycle is not None else np.zeros((n, 1))
     gone = pose_advance(mechanism, trajectory) if np.any(passed) else np.zeros(mechanism.n_q)

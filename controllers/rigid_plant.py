@@ -68,6 +68,10 @@ class RigidStepper:
         """Write the machines' poses and velocities."""
         pose[...], velocity[...] = self._state[:, : self.n_q], self._state[:, self.n_q :]
 
+    def share(self, pose: np.ndarray, command: np.ndarray) -> np.ndarray:  # noqa: ARG002
+        """Return the commands: there are no limits."""
+        return command
+
     def hold(self, command: np.ndarray, applied: np.ndarray, speed: np.ndarray) -> None:
         """Advance the machines by a period; the actuators' speeds are not computed."""
         take(self._drives, self._k, command)

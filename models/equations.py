@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from linkplan.models.actuation.distribution import distribute
 from linkplan.models.errors import AssemblyError, ModelError, ProblemError, choose
 from linkplan.models.reduction.closing import STEP_RAD, Closing, continued
 from linkplan.models.reduction.reduced import ReducedDynamics
@@ -92,6 +93,7 @@ class Equations:
     home: np.ndarray
     independent: np.ndarray
     extent_m: float  # the size of the moving bodies
+    effort_limit: np.ndarray  # (n_u, 2) of the actuators
 
     def function(self, name: str) -> ca.Function:
         """Return an equation of the closed chain as a CasADi function: for numbers, SX and MX, and for C code (`generate`).
@@ -166,9 +168,14 @@ class Equations:
     def actuator_efforts(
         self, pose_rad: np.ndarray, velocity_rad_s: np.ndarray, acceleration_rad_s2: np.ndarray
     ) -> np.ndarray:
-        """Return the actuators' efforts (..., n_u) [N.m or N] of least norm that a motion needs, as `inverse_dynamics`."""
+        """Return the actuators' efforts (..., n_u) [N.m or N] that a motion needs, as `inverse_dynamics`.
+
+        With more actuators than freedoms they are those of least norm within the model's limits.
+        """
         needed = self.inverse_dynamics(pose_rad, velocity_rad_s, acceleration_rad_s2)
-        return (np.linalg.pinv(self.transmission(pose_rad)) @ needed[..., None])[..., 0]
+        maps = np.broadcast_to(self.transmission(pose_rad), (*needed.shape, len(self.effort_limit)))
+        found = distribute(needed.reshape(-1, needed.shape[-1]), maps.reshape(-1, *maps.shape[-2:]), self.effort_limit)
+        return found.reshape(*needed.shape[:-1], -1)
 
     def forward_dynamics(self, pose_rad: np.ndarray, velocity_rad_s: np.ndarray, effort: np.ndarray) -> np.ndarray:
         """Return the accelerations (..., n_s) [rad/s2 or m/s2] under actuators' efforts (..., n_u) [N.m or N]."""

@@ -29,7 +29,7 @@ from linkplan.models.coordinate_choice import choose_coordinates, refuse_singula
 from linkplan.models.deadline import one_thread_at_a_time
 from linkplan.models.digest import compiled_bytes
 from linkplan.models.equations import Equations
-from linkplan.models.errors import ModelError
+from linkplan.models.errors import ModelError, choose
 from linkplan.models.external_forces import ForcesOverTime
 from linkplan.models.floating import MAX_LOOSE_BODIES, refuse_many_loose
 from linkplan.models.kinematics import extent_m, set_softness
@@ -156,6 +156,11 @@ class Mechanism:
         return np.array([[a.lower, a.upper] for a in self.actuators]).reshape(-1, 2)
 
     @property
+    def pre_tension(self) -> np.ndarray:
+        """The efforts (n_u,) [N.m or N] nearest to which more actuators than freedoms share an effort; 0 by default."""
+        return np.array([self.selection.pre_tension.get(actuator.name, 0.0) for actuator in self.actuators])
+
+    @property
     def actuated(self) -> np.ndarray:
         """A mask (n_s,) of the coordinates that actuators may hold: all but the passive and the coasting ones."""
         return ~np.isin(self.independent, [*self.passive_dofs, *self.coasting_dofs])
@@ -205,8 +210,14 @@ class Mechanism:
     @property
     def equations(self) -> Equations:
         """The equations of the closed chain, as functions of arrays and as CasADi functions."""
-        free, size = self.independent, self.extent_m
-        return Equations(dynamics=self.dynamics, joints=self.joints, home=self.home, independent=free, extent_m=size)
+        return Equations(
+            dynamics=self.dynamics,
+            joints=self.joints,
+            home=self.home,
+            independent=self.independent,
+            extent_m=self.extent_m,
+            effort_limit=self.effort_limit,
+        )
 
     def _repr_html_(self) -> str:
         return mechanism_html(self.name, self.dof, self.joints, self.independent, self.actuators, self.closure_names)
@@ -381,6 +392,8 @@ def load_mechanism(
         faults=tuple(faults),
         source={"model": str(source)} | {key: value for key, value in asked.items() if value is not None},
     )
+    for actuator in selection.pre_tension:
+        choose("actuator in mechanism.pre_tension", actuator, [one.name for one in actuators])
     for array in (mechanism.home, mechanism.reference, rows, free, dependent):
         array.flags.writeable = False
     return mechanism

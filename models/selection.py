@@ -50,6 +50,8 @@ class Selection:
     of bodies whose geoms pass through each other. `drive`: names of joints that get a motor, within the effort limit of the
     joint. `lock_spin`: names of ball joints of rods that do not spin about their own line. `force`: constant forces (3,) [N]
     in the world's axes by the name of the site on which they act. `gear`, `rotor_inertia`: of motors by actuator.
+    `effort_sharing`: the rule by which more actuators than freedoms share an effort, and `pre_tension` the efforts by
+    actuator nearest to which they do so.
     """
 
     keep: Sequence[str] = ()
@@ -62,6 +64,8 @@ class Selection:
     force: Mapping[str, Sequence[float]] = field(default_factory=dict)
     gear: Mapping[str, float] = field(default_factory=dict)
     rotor_inertia: Mapping[str, float] = field(default_factory=dict)
+    effort_sharing: str | None = None
+    pre_tension: Mapping[str, float] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
         return bool(self.table())

@@ -156,12 +156,16 @@ def start_of(
     return pose, closed_rates(model, data, mechanism, pose, rates)
 
 
-def held_before(mechanism: Mechanism, reference: SampledReference) -> np.ndarray:
-    """Return the efforts (n_u,) before the first command: those that hold a start at rest, else the reference's own."""
+def held_before(mechanism: Mechanism, reference: SampledReference, limit: np.ndarray) -> np.ndarray:
+    """Return the efforts (n_u,) before the first command: those that hold a start at rest, else the reference's own.
+
+    More actuators than freedoms, with limits (n_u, 2), hold it by the efforts nearest to the reference's first.
+    """
+    first = reference.effort[0]
     if np.any(reference.velocity_rad_s[0]):
-        return reference.effort[0]
+        return first
     still = np.zeros((1, mechanism.dof))
-    return needed_effort(mechanism, reference.pose_rad[:1], still, still, np.zeros(1))[0][0]
+    return needed_effort(mechanism, reference.pose_rad[:1], still, still, np.zeros(1), limit=limit, wanted=first)[0][0]
 
 
 def scale_masses(model: mujoco.MjModel, data: mujoco.MjData, factor: float) -> None:

@@ -8,16 +8,13 @@ import functools
 import casadi as ca
 import numpy as np
 
+from linkplan.models.actuation.distribution import LEAST_SQUARES, ZERO_ARM_SHARE, distribute
 from linkplan.models.compiled.functions import evaluated, mapped
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.friction import frictions_of
 
 # Violations of a joint's range below this are rounding of the assembly [rad or m].
 RANGE_ROUNDING = 1e-8
-# Moment arms below this share of the largest are zero to rounding, at an actuator's dead centre.
-_ZERO_ARM_SHARE = 1e-12
-# Efforts that miss at most this share of the largest effort count as complete: above rounding, and negligible in practice.
-HOLDING_TOLERANCE = 1e-9
 
 
 def sampled(function: ca.Function, *arguments: np.ndarray) -> np.ndarray:
@@ -102,15 +99,44 @@ def sliding_friction(mechanism: Mechanism, q: np.ndarray, column: int = 0) -> np
 
 
 def needed_effort(
-    mechanism: Mechanism, q: np.ndarray, v: np.ndarray, a: np.ndarray, time_s: np.ndarray | None = None
+    mechanism: Mechanism,
+    q: np.ndarray,
+    v: np.ndarray,
+    a: np.ndarray,
+    time_s: np.ndarray | None = None,
+    *,
+    limit: np.ndarray | None = None,
+    wanted: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the least efforts (n, n_u) for a motion, and the generalised effort (n, n_s) that no effort can produce.
+    """Return the efforts (n, n_u) for a motion by `distributed`, and the generalised effort (n, n_s) that they miss.
 
-    u = (Gamma^T B)^+ tau. The second value is zero if there are enough actuators. `time_s` is that of `demanded`.
+    The second value is zero if there are enough actuators, whatever their limits. `time_s` is that of `demanded`.
     """
     tau, maps = demanded(mechanism, q, v, a, time_s)
-    effort = least_effort(tau, maps)
+    effort = distributed(mechanism, tau, maps, limit, wanted)
     return effort, tau - np.einsum("ksu,ku->ks", maps, effort)
+
+
+def distributed(
+    mechanism: Mechanism,
+    tau: np.ndarray,
+    maps: np.ndarray,
+    limit: np.ndarray | None = None,
+    wanted: np.ndarray | None = None,
+) -> np.ndarray:
+    """Return the efforts (n, n_u) by which the actuators of a mechanism produce generalised efforts tau (n, n_s).
+
+    Args:
+        mechanism: whose `selection` has the rule and the pre-tension.
+        tau: generalised efforts [N.m or N].
+        maps: Gamma^T B (n, n_s, n_u).
+        limit: of the actuators (n_u, 2) or (n, n_u, 2) [N.m or N]; by default the model's own.
+        wanted: efforts (n_u,) or (n, n_u) to which the nearest are taken; by default the pre-tension, which is 0 or given.
+    """
+    limit, rule = mechanism.effort_limit if limit is None else limit, mechanism.selection.effort_sharing
+    if wanted is not None:
+        return distribute(tau, maps, limit, wanted)
+    return distribute(tau, maps, limit, mechanism.pre_tension, rule or LEAST_SQUARES)
 
 
 def demanded(
@@ -127,41 +153,10 @@ def demanded(
     return tau, sampled(mechanism.dynamics.effort_map, q)
 
 
-def least_effort(tau: np.ndarray, maps: np.ndarray) -> np.ndarray:
-    """Return the efforts (n, n_u) of least norm that give generalised efforts tau (n, n_s), in least squares."""
-    same = len(maps) > 1 and bool(np.all(maps == maps[0]))  # motors on the coordinates: one inverse for all samples
-    inverse = (
-        np.broadcast_to(np.linalg.pinv(maps[0], rcond=_ZERO_ARM_SHARE), maps.transpose(0, 2, 1).shape)
-        if same
-        else np.linalg.pinv(maps, rcond=_ZERO_ARM_SHARE)
-    )
-    return np.einsum("kus,ks->ku", inverse, tau)
-
-
-def missed_rounding(limit: np.ndarray) -> float:
-    """Return the effort that may be missed by rounding [N.m or N], of actuators with limits (n_u, 2)."""
-    return HOLDING_TOLERANCE * np.where(np.isfinite(limit), np.abs(limit), 0.0).max(initial=1.0)
-
-
-def effort_within(tau: np.ndarray, maps: np.ndarray, limit: np.ndarray) -> np.ndarray:
-    """Return the efforts (n, n_u) of least norm within limits (n_u, 2) that give tau (n, n_s), in least squares.
-
-    Several actuators of one joint, such as cables that only pull, may share its effort differently than without limits.
-    """
-    import scipy
-
-    effort, (low, high) = least_effort(tau, maps), limit.T
-    for k in np.flatnonzero(np.any((effort < low) | (effort > high), axis=1)):
-        small = 1e-6 * float(np.linalg.norm(maps[k])) * np.eye(len(limit))  # the least of the efforts with the same result
-        rows, wanted = np.vstack([maps[k], small]), np.append(tau[k], np.zeros(len(limit)))
-        within = (low, np.nextafter(high, np.inf))
-        found = scipy.optimize.lsq_linear(rows, wanted, within, method="bvls", max_iter=100 * len(limit))
-        free = found.active_mask == 0  # these give exactly, in all rows, what those at their limits lack
-        held = np.where(free, 0.0, np.clip(found.x, low, high))
-        held[free] = least_effort((tau[k] - maps[k] @ held)[None], maps[k][None, :, free])[0]
-        both = (np.clip(x, low, high) for x in (held, found.x))
-        effort[k] = min(both, key=lambda x: float(np.linalg.norm(tau[k] - maps[k] @ x)))
-    return effort
+def is_redundant(mechanism: Mechanism) -> bool:
+    """Tell if at home several efforts of the actuators produce the same generalised effort."""
+    arms = np.array(mechanism.dynamics.effort_map(mechanism.home))
+    return bool(np.linalg.matrix_rank(arms, rtol=ZERO_ARM_SHARE) < mechanism.n_u)
 
 
 def whole_turns(mechanism: Mechanism, travelled: np.ndarray) -> np.ndarray:

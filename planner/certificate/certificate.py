@@ -8,7 +8,8 @@ model under the planned effort and compares the state with the planned state.
 import numpy as np
 from msgspec import UNSET, Struct, UnsetType
 
-from linkplan.models.poses.along import demanded, least_effort, missed_rounding, sampled, whole_turns
+from linkplan.models.actuation.distribution import distribute, missed_rounding
+from linkplan.models.poses.along import demanded, sampled, whole_turns
 from linkplan.models.poses.contacts import Contact
 from linkplan.models.poses.controls import control_excess
 from linkplan.planner.certificate.flow import INTEGRATION_RTOL
@@ -29,7 +30,7 @@ from linkplan.planner.limits.limit import Margin, limit_margin
 from linkplan.planner.limits.samples import Samples, least_between, samples_of, singularity_ratios
 from linkplan.planner.problem.extra import extras_not_finite, not_finite
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
-from linkplan.planner.problem.limits import exact_bounds
+from linkplan.planner.problem.limits import exact_bounds, free_bounds
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -161,7 +162,9 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     taus = [tau]
     if len(trajectory.position) == len(trajectory.velocity):  # first-order schemes: positions have own accelerations
         taus.append(demanded(mechanism, q, slope, trajectory.bend_at(time), time)[0])
-    needed, carried = np.stack([least_effort(one, maps) for one in taus]), np.einsum("ksu,ku->ks", maps, u)
+    # Those of the motion itself, nearest to the planned efforts: as the proof has them.
+    needed = np.stack([distribute(one, maps, free_bounds(u.shape[1]), u) for one in taus])
+    carried = np.einsum("ksu,ku->ks", maps, u)
     needed_over = np.maximum(needed - limits.effort[:, 1], limits.effort[:, 0] - needed)
     inverse_excess = max(0.0, peak("inverse_dynamics_excess", needed_over.max(axis=(0, 2))))
     residual = np.abs(np.stack(taus) - carried).max(axis=(0, 2))

@@ -321,7 +321,9 @@ def _shortest_duration(problem: Problem, start_pose: np.ndarray) -> float:
     v, a = (np.array([path.derivative(order)(path.breaks[-1] * tau) for path in (unit, twice)]) for order in (1, 2))
     v_1, a_1 = 2 * v[1] - v[0], 4 * a[1] - a[0]
     v_0, a_0 = v[0] - v_1, a[0] - a_1
-    still, ahead, back = (needed_effort(mechanism, poses, r * v_0 + v_1, r**2 * a_0 + r * a_1)[0] for r in (0.0, 1.0, -1.0))
+    still, ahead, back = (
+        needed_effort(mechanism, poses, r * v_0 + v_1, r**2 * a_0 + r * a_1, limit=limit)[0] for r in (0.0, 1.0, -1.0)
+    )
     linear, quadratic = 0.5 * (ahead - back), 0.5 * (ahead + back) - still
 
     def excess(log_duration: float) -> float:

@@ -5,7 +5,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.models.poses.along import demanded, effort_within, least_effort, missed_rounding, needed_effort
+from linkplan.models.actuation.distribution import distribute, missed_rounding
+from linkplan.models.poses.along import demanded, is_redundant, needed_effort
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.closed_chain.guess import Guess, force_times, guess_from, poses_along, reference_guess, stretched
 from linkplan.planner.limits.kinds import limits_of
@@ -21,6 +22,8 @@ from linkplan.planner.transcription.bernstein import bernstein_integral, bernste
 # Degree of the polynomials that represent a smooth reference on an interval. With forty intervals in a period, their
 # interpolation error is at rounding.
 _REFERENCE_DEGREE = 8
+# Halvings of the interval between two samples in which a switch lies: down to rounding of its time.
+_SWITCH_HALVINGS = 50
 
 
 def prescribe(problem: Problem, start_pose: np.ndarray) -> Trajectory:
@@ -53,13 +56,15 @@ def motion_along(problem: Problem, guess: Guess, breaks_s: np.ndarray) -> Trajec
         AssemblyError: if its loops cannot close.
         OutOfTimeError: if the problem's deadline passes meanwhile.
     """
-    mechanism, n, h = problem.mechanism, len(breaks_s) - 1, np.diff(breaks_s)[:, None]
+    mechanism = problem.mechanism
+    if guess.effort is None and is_redundant(mechanism):
+        breaks_s = _with_shared_breaks(problem, guess, breaks_s)
+    n, h = len(breaks_s) - 1, np.diff(breaks_s)[:, None]
     tau = 0.5 - 0.5 * np.cos(np.pi * (np.arange(_REFERENCE_DEGREE + 1) + 0.5) / (_REFERENCE_DEGREE + 1))
     to_bernstein = np.linalg.inv(bernstein_matrix(_REFERENCE_DEGREE, tau))
     time = (breaks_s[:-1, None] + h * tau).ravel()
-    v, a = guess.velocity(time), guess.acceleration(time)
-    poses = poses_along(mechanism, guess, time, problem.solver.deadline)
-    effort = needed_effort(mechanism, poses, v, a, time)[0] if guess.effort is None else guess.effort(time)
+    a = guess.acceleration(time)
+    effort = _efforts_along(problem, guess, time) if guess.effort is None else guess.effort(time)
 
     def coefficients(values: np.ndarray) -> np.ndarray:
         return np.einsum("pj,kjs->pks", to_bernstein, values.reshape(n, _REFERENCE_DEGREE + 1, -1))
@@ -77,6 +82,38 @@ def motion_along(problem: Problem, guess: Guess, breaks_s: np.ndarray) -> Trajec
         start_pose=guess.start_pose,
         periodic=False,
     )
+
+
+def _efforts_along(problem: Problem, guess: Guess, time: np.ndarray) -> np.ndarray:
+    """Return the efforts (n, n_u) of inverse dynamics along a guess at increasing times (n,)."""
+    poses = poses_along(problem.mechanism, guess, time, problem.solver.deadline)
+    v, a = guess.velocity(time), guess.acceleration(time)
+    return needed_effort(problem.mechanism, poses, v, a, time, limit=problem.limits.effort)[0]
+
+
+def _with_shared_breaks(problem: Problem, guess: Guess, breaks_s: np.ndarray) -> np.ndarray:
+    """Return breaks with those instants at which more actuators than freedoms reach or leave their limits.
+
+    Efforts that share a generalised effort within limits have kinks there, which no polynomial follows.
+    """
+
+    def at_limits(time: np.ndarray) -> np.ndarray:
+        effort = _efforts_along(problem, guess, time)
+        return (effort >= problem.limits.effort[:, 1]) * 1 - (effort <= problem.limits.effort[:, 0])
+
+    parts = np.arange(_REFERENCE_DEGREE) / _REFERENCE_DEGREE
+    time = np.append((breaks_s[:-1, None] + np.diff(breaks_s)[:, None] * parts).ravel(), breaks_s[-1])
+    which = at_limits(time)
+    k = np.flatnonzero(np.any(which[1:] != which[:-1], axis=1))
+    low, high, before = time[k], time[k + 1], which[k]
+    for _ in range(_SWITCH_HALVINGS if len(k) else 0):
+        middle = 0.5 * (low + high)
+        same = np.all(at_limits(middle) == before, axis=1)
+        low, high = np.where(same, middle, low), np.where(same, high, middle)
+    every = np.union1d(breaks_s, high)
+    kept = np.diff(every, prepend=-np.inf) > MIN_INTERVAL_SHARE * guess.duration_s
+    kept[-1] = True
+    return every[kept | np.isin(every, breaks_s)]
 
 
 def in_more_time(problem: Problem, motion: Trajectory, factor: float) -> Trajectory:
@@ -164,8 +201,9 @@ SQUARES_AT_REST = {"effort", "copper_loss", "effort_rate", "work", "time"}
 class Holding:
     """The constant efforts that hold a pose at rest within their limits, or the missing ones.
 
-    `effort` (n_u,) are the best within the limits and `needed` (n_u,) the least without them [N.m or N]; `missed` (n_s,) is
-    the part of the holding effort that `effort` does not provide. `best`: no other holding efforts cost less.
+    `needed` (n_u,) [N.m or N] are the best within the limits, else those that violate the limits least, and `effort` (n_u,)
+    the same within the limits; `missed` (n_s,) is the part of the holding effort that `effort` does not provide. `best`: no
+    other holding efforts cost less.
     """
 
     s: np.ndarray  # (n_s,) [rad or m]
@@ -208,14 +246,14 @@ def holding_at(problem: Problem, s: np.ndarray) -> Holding:
     # In units in which the squares of all efforts have the same cost.
     price = objective.weight("effort") + objective.weight("copper_loss") * motor_losses(problem.motors)
     unit = 1.0 / np.sqrt(np.where(price > 0, price, price.max(initial=0.0) or 1.0))
-    effort = unit * effort_within(tau, maps * unit, limit / unit[:, None])[0]
-    effort = np.clip(effort, *limit.T)  # rounding of the units
+    needed = unit * distribute(tau, maps * unit, limit / unit[:, None])[0]
+    effort = np.clip(needed, *limit.T)  # rounding of the units
     unique = bool(np.linalg.matrix_rank(maps[0]) == mechanism.n_u)
     return Holding(
         s=s,
         pose=pose,
         effort=effort,
-        needed=least_effort(tau, maps)[0],
+        needed=needed,
         missed=tau[0] - maps[0] @ effort,
         slack=missed_rounding(limit),
         unique=unique,

@@ -44,7 +44,7 @@ def choose_scales(problem: Problem, guess: Guess) -> Scales:
     """Return units of order one: durations, spans, limits, or the guess's efforts if these are far below the limits."""
     mechanism, limit = problem.mechanism, problem.limits.effort
     times, poses = (samples[::2] for samples in even_poses(problem, guess))
-    need, _ = needed_effort(mechanism, poses, guess.velocity(times), guess.acceleration(times), times)
+    need, _ = needed_effort(mechanism, poses, guess.velocity(times), guess.acceleration(times), times, limit=limit)
     position = position_units(mechanism, guess.position(times))
     # A joint at rest needs almost no effort. Its effort unit is the effort that moves it by its position unit if other
     # joints move, and 1e-6 of that if all are at rest in balance.
@@ -219,7 +219,10 @@ def _start(problem: Problem, guess: Guess, scales: Scales, formulation: Formulat
     def nodes(times: np.ndarray):
         v, a = guess.velocity(times), guess.acceleration(times)
         poses = poses_along(mechanism, guess, times, problem.solver.deadline)
-        effort = guess.effort(times) if guess.effort is not None else needed_effort(mechanism, poses, v, a, times)[0]
+        if guess.effort is not None:
+            effort = guess.effort(times)
+        else:
+            effort, _ = needed_effort(mechanism, poses, v, a, times, limit=problem.limits.effort)
         algebraic = poses[:, mechanism.dependent]
         if formulation.n_z > algebraic.shape[1]:
             maps = sampled(mechanism.dynamics.effort_map, poses)

@@ -13,8 +13,8 @@ import casadi as ca
 import numpy as np
 from flint import arb
 
+from linkplan.models.actuation.distribution import missed_rounding
 from linkplan.models.closure.rank import ROUNDING_SHARE
-from linkplan.models.poses.along import missed_rounding
 from linkplan.planner.certificate.certificate import CLOSURE_M, DYNAMICS_SHARE
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE
 from linkplan.planner.limits.kinds import FURTHER_CLAIMS, limits_of

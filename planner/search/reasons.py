@@ -10,7 +10,7 @@ import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import demanded, least_effort, needed_effort
+from linkplan.models.poses.along import demanded, distributed, needed_effort
 from linkplan.planner.closed_chain.guess import Guess, even_poses
 from linkplan.planner.limits.joints import RangeLimit
 from linkplan.planner.limits.kinds import limits_of, relaxed_kinds, violation, without
@@ -137,9 +137,9 @@ def path_effort(problem: Problem, guess: Guess) -> PathEffort | None:
         return None
     v, a = guess.velocity(time), guess.acceleration(time)
     tau, maps = demanded(mechanism, q, v, a, time)
-    effort = least_effort(tau, maps)
+    effort = distributed(mechanism, tau, maps, limit)
     missed = tau - np.einsum("ksu,ku->ks", maps, effort)
-    held = least_effort(demanded(mechanism, q, 0 * v, 0 * a, time)[0], maps)
+    held = distributed(mechanism, demanded(mechanism, q, 0 * v, 0 * a, time)[0], maps, limit)
     bound = np.where(effort > 0, np.maximum(limit[:, 1], 0.0), np.minimum(limit[:, 0], 0.0))
     widest = np.abs(limit).max(axis=1)  # the scale if an actuator has no effort in the needed direction
     factors = np.abs(effort) / np.where(bound == 0, widest, np.abs(bound))
@@ -204,7 +204,7 @@ def _extras_not_finite(search: Search) -> list[str]:
         return []
     times, poses = even_poses(problem, path)
     v, a = path.velocity(times), path.acceleration(times)
-    effort, _ = needed_effort(problem.mechanism, poses, v, a, times)
+    effort, _ = needed_effort(problem.mechanism, poses, v, a, times, limit=problem.limits.effort)
     motion = (poses, v, a, effort, np.gradient(a, times, axis=0), *problem.mechanism.forces_at(times))
     found = extras_not_finite(problem.extras, problem.mechanism, times, *motion)
     return [f"{sentence} along the smooth path" for sentence in found]

@@ -11,9 +11,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from linkplan.models.actuation.distribution import HOLDING_TOLERANCE
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
+from linkplan.models.poses.along import needed_effort
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.further_checks import negligible_objective, objective_value
 from linkplan.planner.closed_chain.case import finished
@@ -118,7 +119,7 @@ def _is_carried(problem: Problem, guess: Guess) -> bool:
     """True if the actuators can produce a guess within their limits, at its samples."""
     times, poses = even_poses(problem, guess)
     v, a = guess.velocity(times), guess.acceleration(times)
-    effort, missing = needed_effort(problem.mechanism, poses, v, a, times)
+    effort, missing = needed_effort(problem.mechanism, poses, v, a, times, limit=problem.limits.effort)
     low, high = problem.limits.effort.T
     largest = np.abs(effort).max(initial=0.0)
     return bool(

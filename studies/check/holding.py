@@ -2,13 +2,17 @@
 
 import numpy as np
 
+from linkplan.models.actuation.distribution import HOLDING_TOLERANCE, actuator_sizes
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import HOLDING_TOLERANCE, needed_effort
+from linkplan.models.poses.along import demanded, distributed
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedoms
 from linkplan.models.tree.joints import where
 from linkplan.studies.check.drives import motors_hint
+
+# A slight push, as a share of an actuator's limit: above rounding, and too small to matter.
+_SLIGHT_SHARE = 1e-6
 
 
 def require_actuated(mechanism: Mechanism) -> None:
@@ -31,36 +35,44 @@ def held_pose(
             holds the pose.
     """
     require_actuated(mechanism)
+    limit = mechanism.effort_limit if effort_limit is None else effort_limit
     position = np.atleast_1d(position)
-    pose, hold = _held(mechanism, position)
+    pose, hold = _held(mechanism, position, limit)
     free = sprung_freedoms(mechanism)
     if hold is None and free:
         named = {k: float(x) for k, x in enumerate(position) if k not in free}
         rest = spring_equilibrium(mechanism, named, free)
-        pose, hold = (pose, None) if rest is None else _held(mechanism, rest)
+        pose, hold = (pose, None) if rest is None else _held(mechanism, rest, limit)
     channels = list(mechanism.channels)
     at = where([mechanism.independent_joints[k] for k in channels], pose[mechanism.independent][channels])
     if hold is None:
         raise LinkplanError(f"no effort holds '{mechanism.name}' at {at}")
-    limit = mechanism.effort_limit if effort_limit is None else effort_limit
-    for actuator, effort, (low, high) in zip(mechanism.actuators, hold, limit, strict=True):
-        # An actuator at a limit responds in one direction only, so the loop is not linear there.
-        room = HOLDING_TOLERANCE * max(abs(low), abs(high)) if np.isfinite([low, high]).all() else 0.0
-        if not low + room < effort < high - room:
-            shown = effort if abs(effort) > room else 0.0
-            raise LinkplanError(
-                f"'{mechanism.name}' cannot be held at {at}: {actuator.name} would need {shown:.4g}"
-                f" {actuator.unit}, its limits are {low:g} to {high:g}, and a feedback loop needs effort to both sides of"
-                " the holding effort"
-            )
-    return pose, hold
+    excess = np.abs(hold - np.clip(hold, *limit.T)).max(axis=0)
+    if excess.any():
+        j = int(np.argmax(excess / actuator_sizes(limit)))
+        actuator, effort, (low, high) = mechanism.actuators[j], float(hold[0, j]), limit[j]
+        shown = effort if abs(effort) > HOLDING_TOLERANCE * actuator_sizes(limit)[j] else 0.0
+        raise LinkplanError(
+            f"'{mechanism.name}' cannot be held at {at}: {actuator.name} would need {shown:.4g}"
+            f" {actuator.unit}, its limits are {low:g} to {high:g}, and a feedback loop needs effort to both sides of"
+            " the holding effort"
+        )
+    return pose, hold[0]
 
 
-def _held(mechanism: Mechanism, position: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the closed pose (n_q,) at independent positions (n_s,), and the effort (n_u,) that holds it, or None."""
+def _held(mechanism: Mechanism, position: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Return the closed pose (n_q,) at independent positions (n_s,), and efforts (1 + 2 n_u, n_u); None if none hold it.
+
+    The first row holds the pose. The others hold it against a slight push of each actuator to either side: an actuator at
+    its limit responds in one direction only, unless others can take its share.
+    """
     pose, still = close_at(mechanism, position), np.zeros((1, mechanism.dof))
-    (hold,), missed = needed_effort(mechanism, pose[None], still, still)
-    holds = np.all(np.isfinite(hold)) and np.abs(missed).max() <= HOLDING_TOLERANCE * max(1.0, np.abs(hold).max())
+    tau, maps = demanded(mechanism, pose[None], still, still)
+    pushes = _SLIGHT_SHARE * actuator_sizes(limit)[:, None] * maps[0].T
+    every = tau + np.vstack([0 * tau, pushes, -pushes])
+    hold = distributed(mechanism, every, np.broadcast_to(maps, (len(every), *maps.shape[1:])), limit)
+    missed = np.abs(tau[0] - maps[0] @ hold[0]).max()
+    holds = np.all(np.isfinite(hold)) and missed <= HOLDING_TOLERANCE * max(1.0, np.abs(hold[0]).max())
     return pose, hold if holds else None
 
 

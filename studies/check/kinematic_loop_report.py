@@ -20,7 +20,7 @@ from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.coordinate_choice import is_regular, singular_inertia_text
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import least_effort, sampled
+from linkplan.models.poses.along import distributed, sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import Reach
@@ -66,7 +66,7 @@ class KinematicLoopPath(Sweep):
     rates: np.ndarray  # (n, n_q, n_s) every joint's speed per speed of a coordinate
     reflected_inertia: np.ndarray  # (n, n_u), others free; infinite without motion, nan if M_r is singular
     gravity_effort: np.ndarray  # (n, n_s) that holds the weight
-    holding_effort: np.ndarray  # (n, n_u) least effort of the actuators that holds weight and springs
+    holding_effort: np.ndarray  # (n, n_u) of the actuators that hold weight and springs
     unheld_effort: np.ndarray  # (n, n_s) missing part of the holding effort, which the actuators cannot provide
     available_effort: np.ndarray  # (n, n_s, 2) least and largest effort on each coordinate within the actuators' limits
     limit: np.ndarray  # (n_u, 2) of the actuators' efforts
@@ -109,7 +109,7 @@ def measure(
     ratio = sampled(dynamics.effort_map, poses)
     inertia = sampled(dynamics.reduced_inertia, poses)
     weight = sampled(_at_rest(dynamics), poses)[:, :, 0]
-    holding = least_effort(weight, ratio)
+    holding = distributed(mechanism, weight, ratio, limit)
     unheld = weight - np.einsum("ksu,ku->ks", ratio, holding)
     force = sampled(dynamics.closure_force, poses, still, still, holding)[:, :, 0]
     rates = sampled(dynamics.velocity_map, poses)

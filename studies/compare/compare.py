@@ -99,7 +99,8 @@ def tracking_reference(plan: Plan) -> SampledReference:
                 f"tracking over {duration:g} s with tracking.period_s = {settings.period_s:g} s has {many:.3g} {what}; the"
                 f" limit is {most:g}"
             )
-    return sample(plan.problem.mechanism, trajectory, settings.period_s, duration)
+    problem = plan.problem
+    return sample(problem.mechanism, trajectory, settings.period_s, duration, problem.limits.actuators_effort)
 
 
 def build_tracker(asked: TrackerLike, plan: Plan, reference: SampledReference) -> AnyTracker:

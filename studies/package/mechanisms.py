@@ -43,6 +43,8 @@ def load_mechanism(
     force: Mapping[str, Sequence[float]] | None = None,
     gear: Mapping[str, float] | None = None,
     rotor_inertia: Mapping[str, float] | None = None,
+    effort_sharing: str | None = None,
+    pre_tension: Mapping[str, float] | None = None,
 ) -> Mechanism:
     """Return the mechanism of a built-in name, an MJCF file or MJCF text, with closed loops.
 
@@ -71,6 +73,9 @@ def load_mechanism(
         force: constant forces (3,) [N] in the world's axes by site: a load on a foot, a weight on a hook.
         gear: gears of motors by actuator, in place of the model's: the motor's position over that of its joint.
         rotor_inertia: inertia of the motors' rotors [kg m2, or kg] by actuator, before the gear.
+        effort_sharing: how more actuators than degrees of freedom share an effort outside the optimiser, always within their
+            limits: "least_squares" (the default) or "least_peak".
+        pre_tension: efforts [N or N.m] by actuator, nearest to which they do so; by default 0.
 
     Raises:
         LinkplanError: if the model cannot be used (`ModelError`), its loops do not close at the given pose
@@ -94,6 +99,8 @@ def load_mechanism(
         "force": force,
         "gear": gear,
         "rotor_inertia": rotor_inertia,
+        "effort_sharing": effort_sharing,
+        "pre_tension": pre_tension,
     }
     table = {"model": path_or_name} | {key: value for key, value in said.items() if value is not None}
     return mechanism_from_tables({"mechanism": to_toml_types(table)})

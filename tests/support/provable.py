@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from linkplan.models.actuation.distribution import distribute
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism, load_mechanism
-from linkplan.models.poses.along import demanded, least_effort
+from linkplan.models.poses.along import demanded
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE
 from linkplan.planner.limits.samples import samples_of
@@ -100,7 +101,7 @@ def needed(mechanism: Mechanism, trajectory: Trajectory, time: np.ndarray) -> np
     """Return the efforts (n,) by inverse dynamics at times (n,)."""
     q = follow(mechanism, trajectory.position_at(time), trajectory.start_pose)
     tau, maps = demanded(mechanism, q, trajectory.slope_at(time), trajectory.acceleration_at(time))
-    return least_effort(tau, maps)[:, 0]
+    return distribute(tau, maps, np.array([-np.inf, np.inf]))[:, 0]
 
 
 def peak(mechanism: Mechanism, trajectory: Trajectory) -> float:

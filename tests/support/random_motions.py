@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from linkplan.models.actuation.distribution import distribute
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import demanded, least_effort
+from linkplan.models.poses.along import demanded
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.limits.samples import Samples
 from linkplan.planner.problem.limits import free_bounds
@@ -82,4 +83,4 @@ def needed(problem: Problem, motion: Trajectory, time: np.ndarray) -> np.ndarray
     """Return the efforts (n, n_u) by inverse dynamics: the planned ones plus the least that compensate the difference."""
     at = samples_at(problem, motion, time)
     tau, maps = demanded(problem.mechanism, at.q, at.v, at.a)
-    return at.u + least_effort(tau - np.einsum("ksu,ku->ks", maps, at.u), maps)
+    return distribute(tau, maps, np.array([-np.inf, np.inf]), at.u)

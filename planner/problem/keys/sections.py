@@ -93,6 +93,15 @@ class MechanismSection(Section, frozen=True):
     rotor_inertia: kinds.RotorInertias = by_name(
         "inertia of the motors' rotors by actuator, before the gear", "kg m2, kg", "the model's own"
     )
+    effort_sharing: kinds.Sharing = key(
+        "how more actuators than degrees of freedom share an effort outside the optimiser, always within their limits: by"
+        " least squares, or with the least peak",
+        "",
+        "least_squares",
+    )
+    pre_tension: kinds.ActuatorEfforts = by_name(
+        "efforts by actuator, nearest to which they do so: the tension of cables", "N, N.m", "0"
+    )
     closure_tolerance_m: kinds.Positive = key(
         "the largest gap of a loop that counts as rounding of the model", "m", "by the mechanism's size"
     )

@@ -23,7 +23,7 @@ from linkplan.models.floating import floating_joints, floating_words
 from linkplan.models.kinematics import STIFF
 from linkplan.models.library import compile_model
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import demanded, effort_within
+from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.contacts import Contact, ContactPair, contact_pairs
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.urdf_loops import FILTERS
@@ -176,7 +176,7 @@ def raised_limits(mechanism: Mechanism) -> dict[str, list[float]]:
     together.
     """
     still = np.zeros((1, mechanism.dof))
-    hold = effort_within(*demanded(mechanism, mechanism.home[None], still, still), 1e9 * mechanism.effort_limit)[0]
+    (hold,), _ = needed_effort(mechanism, mechanism.home[None], still, still)
     limits = [tuple(float(x) for x in ends) for ends in mechanism.effort_limit]
     factors: dict[tuple[float, ...], float] = {}
     for effort, ends in zip(hold, limits, strict=True):

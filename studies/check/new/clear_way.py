@@ -11,8 +11,7 @@ from linkplan.models.poses.along import (
     RANGE_ROUNDING,
     beyond_balls,
     demanded,
-    effort_within,
-    least_effort,
+    distributed,
     sampled,
     shut_balls,
 )
@@ -106,7 +105,8 @@ def servos_hold(mechanism: Mechanism, poses: np.ndarray, column: int) -> np.ndar
     acting = servos & np.any(maps[:, column] != 0, axis=0)
     if not acting.any():
         return np.ones(len(poses), dtype=bool)
-    excess = control_excess(mechanism, poses, still, effort_within(tau, maps, mechanism.effort_limit))
+    hold = np.clip(distributed(mechanism, tau, maps), *mechanism.effort_limit.T)
+    excess = control_excess(mechanism, poses, still, hold)
     return ~np.any(excess[:, acting] > 0, axis=1)
 
 
@@ -117,13 +117,13 @@ def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
     """
     mechanism, still = problem.mechanism, np.zeros((len(poses), problem.mechanism.dof))
     (tau, maps), limit = demanded(mechanism, poses, still, still), problem.limits.effort
-    free, hold = least_effort(tau, maps), effort_within(tau, maps, limit)
-    missing, lacking = (np.abs(tau - np.einsum("ksu,ku->ks", maps, effort)).max() for effort in (free, hold))
-    if missing >= 1e-9 * np.abs(tau).max():
+    effort = distributed(mechanism, tau, maps, limit)
+    hold = np.clip(effort, *limit.T)
+    if np.abs(tau - np.einsum("ksu,ku->ks", maps, effort)).max() >= 1e-9 * np.abs(tau).max():
         return None
     names = [actuator.name for actuator in mechanism.actuators]
-    if lacking > 1e-6 * np.abs(tau).max():
-        weak = np.any((free < limit[:, 0]) | (free > limit[:, 1]), axis=0)
+    weak = np.any(np.abs(effort - hold) > 1e-6 * np.abs(effort).max(), axis=0)
+    if weak.any():
         return f"actuator {names[int(np.argmax(weak))]} is too weak to hold the weight"
     servos = np.array([actuator.limits_control for actuator in mechanism.actuators], dtype=bool)
     short = servos & np.any(control_excess(mechanism, poses, still, hold) > 0, axis=0)

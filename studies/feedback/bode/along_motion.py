@@ -25,7 +25,8 @@ def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], 
     """Return a tracker's loop along a plan; `settings` replace the plan's gains."""
     plan = replace(plan, problem=replace(plan.problem, tracking=settings))
     mechanism, trajectory = plan.problem.mechanism, plan.require_motion("analyse")
-    reference = sample(mechanism, trajectory, settings.period_s, trajectory.duration_s)
+    limit = plan.problem.limits.actuators_effort
+    reference = sample(mechanism, trajectory, settings.period_s, trajectory.duration_s, limit)
     tracker = build_tracker(law, plan, reference)
     timing = sampling(mechanism, settings.period_s, settings.delay_periods)
     gains = linear_law(tracker).gains
@@ -47,7 +48,7 @@ def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], 
     cycle = None
     if reference.cycle is not None:
         say("Floquet multipliers, predicted and measured")
-        cycle = floquet(mechanism, reference, tracker, timing, plan.problem.limits.actuators_effort)
+        cycle = floquet(mechanism, reference, tracker, timing, limit)
     return AlongMotion(
         plan=plan.problem.name,
         tracker=law,

@@ -83,7 +83,7 @@ def _highest(mechanism: Mechanism, point: OperatingPoint, a: float, effort_limit
             fast = np.flatnonzero(np.any((rates < speeds[:, 0]) | (rates > speeds[:, 1]), axis=0))
             if fast.size:
                 return f"speed of {mechanism.joints[fast[0]].name}"
-            effort, _ = needed_effort(mechanism, poses, sign * v, acceleration)
+            effort, _ = needed_effort(mechanism, poses, sign * v, acceleration, limit=effort_limit)
             past = np.flatnonzero(np.any((effort < effort_limit[:, 0]) | (effort > effort_limit[:, 1]), axis=0))
             if past.size:
                 return f"effort of {mechanism.actuators[past[0]].name}"

@@ -175,13 +175,15 @@ def _rows(mechanism: Mechanism, plan: Plan, run: SampledReference) -> tuple[Samp
     """
     trajectory = plan.require_motion("export")
     whole = int(np.floor(trajectory.duration_s / run.period_s + ROW_SHARE))
-    moving = sample(mechanism, trajectory, run.period_s, (whole + 1) * run.period_s)
+    limit = plan.problem.limits.actuators_effort
+    moving = sample(mechanism, trajectory, run.period_s, (whole + 1) * run.period_s, limit)
     if trajectory.periodic:  # its last row equals the first one, a period later
         return moving, np.append(moving.time_s[:-1], trajectory.duration_s)
     ends = trajectory.position_at(trajectory.breaks_s[[0, -1]])
     poses = np.array([trajectory.start_pose, follow(mechanism, ends[1:], moving.pose_rad[-1])[0]])
     rest = np.zeros_like(ends)
-    effort, _ = needed_effort(mechanism, poses, rest, rest, trajectory.breaks_s[[0, -1]])
+    own = trajectory.effort_at(trajectory.breaks_s[[0, -1]])
+    effort, _ = needed_effort(mechanism, poses, rest, rest, trajectory.breaks_s[[0, -1]], limit=limit, wanted=own)
     held = {"pose_rad": poses, "position_rad": ends, "velocity_rad_s": rest, "effort": effort}
     last = dict(held)
     times = moving.time_s

@@ -180,7 +180,8 @@ def _ideal(experiment: Experiment, asked: TrackerLike) -> list[_Found]:
     """Return the errors on rigid loops at a very short period: with a completed feedforward, and with the tracker's own."""
     plan, coarse = experiment.plan, experiment.reference
     mechanism, T = plan.problem.mechanism, coarse.period_s
-    fine = sample(mechanism, plan.require_motion("track"), T / _PERIOD_DIVISOR, coarse.n * T)
+    limit = plan.problem.limits.actuators_effort
+    fine = sample(mechanism, plan.require_motion("track"), T / _PERIOD_DIVISOR, coarse.n * T, limit)
     law = _unlimited(_rebuilt(experiment, asked, fine))
     whole, found = completed(law, fine), []
     for one in (law,) if whole is law else (whole, law):

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 import linkplan
+from linkplan.models.actuation.distribution import distribute
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.poses.along import least_effort
 from linkplan.studies.check.check_report import path_blocks
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.kinematic_loop_report import measured, reach_sweeps
@@ -80,7 +80,8 @@ def test_of_many_coordinates_what_stays_the_same_is_said_once(tumbling):
 
 def test_at_its_dead_centre_an_actuator_holds_nothing():
     maps = np.array([[[25.0, 0.0], [0.0, 2.6e-13]], [[25.0, 0.0], [0.0, 1e-3]]])
-    assert least_effort(np.array([[50.0, 7.0], [50.0, 7.0]]), maps) == pytest.approx(np.array([[2.0, 0.0], [2.0, 7e3]]))
+    found = distribute(np.array([[50.0, 7.0], [50.0, 7.0]]), maps, np.array([-np.inf, np.inf]))
+    assert found == pytest.approx(np.array([[2.0, 0.0], [2.0, 7e3]]))
 
 
 def test_each_open_loop_is_named_with_the_gap_of_its_own_unit():
