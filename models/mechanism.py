@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator, effort_matrix, lengths, read_actuators
+from linkplan.models.actuation.distribution import ZERO_ARM_SHARE
 from linkplan.models.closure.closed_home import close_home
 from linkplan.models.closure.equations import Closure, gaps_by_unit, read_closures
 from linkplan.models.closure.initial_assembly import (
@@ -140,12 +141,13 @@ class Mechanism:
     def channels(self) -> tuple[int, ...]:
         """The indices of the independent joints that have a feedback loop.
 
-        With fewer actuators than freedoms these are the joints on which an actuator acts; the others move along.
+        If the actuators do not move all freedoms one by one, these are the joints on which an actuator acts; the others
+        move along.
         """
         held = np.flatnonzero(self.actuated).tolist()
-        if self.n_u >= len(held):
-            return tuple(held)
         arms = np.abs(np.array(self.dynamics.effort_map(self.home)))[held]
+        if self.n_u >= len(held) and np.linalg.matrix_rank(arms, rtol=ZERO_ARM_SHARE) == len(held):
+            return tuple(held)
         column: dict[int | None, int] = {int(index): k for k, index in enumerate(self.independent)}
         found = {column.get(actuator.joint, held[int(np.argmax(arms[:, k]))]) for k, actuator in enumerate(self.actuators)}
         return tuple(sorted(found))

@@ -16,8 +16,10 @@ from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.lqr import Regulator, regulate, regulator
 from linkplan.controllers.trackers.tracker import Design, ordered_product
+from linkplan.models.actuation.distribution import distribute
 from linkplan.models.closure.rank import RANK_TOLERANCE
 from linkplan.models.errors import LinkplanError
+from linkplan.models.poses.along import is_redundant, sampled
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -25,12 +27,15 @@ class IntegralLQR:
     """u = u_ref + K_k (x_ref - x, i), gains K (n, n_u, 2 n_s + n_i); the memory is i (n, n_i) [rad.s or m.s].
 
     `integrated` (n_i,) are the columns of s with integrated errors. Integration stops at `effort_limit` (n_u, 2) [N.m or N].
+    `maps` (n, n_s, n_u) are Gamma^T B along the reference if several efforts are equivalent, which are then distributed
+    within the limits; None otherwise.
     """
 
     reference: SampledReference
     gains: np.ndarray
     integrated: np.ndarray
     effort_limit: np.ndarray
+    maps: np.ndarray | None
     name: str = "lqi"
 
     def start(self, n: int) -> np.ndarray:
@@ -45,6 +50,9 @@ class IntegralLQR:
         error = reference.position_rad[k] - position_rad
         state = np.concatenate([error, reference.velocity_rad_s[k] - velocity_rad_s, memory], axis=-1)
         effort = reference.effort[k] + ordered_product(self.gains[k], state)
+        if self.maps is not None:
+            maps = np.broadcast_to(self.maps[k], (len(effort), *self.maps.shape[1:]))
+            effort = distribute(np.einsum("ksu,ku->ks", maps, effort), maps, self.effort_limit, effort)
         low, high = self.effort_limit.T
         free = np.all((effort >= low) & (effort <= high), axis=-1, keepdims=True)
         return effort, np.where(free, memory + reference.period_s * error[..., self.integrated], memory)
@@ -126,4 +134,5 @@ def lqi(design: Design) -> IntegralLQR:
         gains=gains[np.arange(reference.n) % n],
         integrated=actuated[chosen],
         effort_limit=np.array(design.effort_limit, dtype=float),
+        maps=sampled(mechanism.dynamics.effort_map, reference.pose_rad) if is_redundant(mechanism) else None,
     )

@@ -83,10 +83,9 @@ def guided(free: Mechanism, site: int, curve: Curve, pose: np.ndarray) -> Guided
             f" '{free.name}', and it must determine all of them (mechanism.lock holds joints; limits.site has tubes)"
         )
     moved = int(np.linalg.matrix_rank(np.array(free.dynamics.effort_map(pose))))
-    if moved < free.dof or free.n_u > free.dof:
+    if moved < free.dof:
         raise ModelError(
-            f"a path needs one drive for each of the {free.dof} degrees of freedom of '{free.name}', got {free.n_u} drives"
-            f" that move {moved} of them"
+            f"a path needs drives for all {free.dof} degrees of freedom of '{free.name}', got {free.n_u} that move {moved}"
         )
     rows = np.sort(scipy.linalg.qr(jacobian.T, mode="r", pivoting=True)[1][: free.dof])
     tree, x = _with_parameter(build_tree(free.model, home_qpos(free.model), transition=free.friction_transition))

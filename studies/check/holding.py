@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from linkplan.models.actuation.distribution import HOLDING_TOLERANCE, actuator_sizes
+from linkplan.models.actuation.distribution import HOLDING_TOLERANCE, LEAST_PEAK, distribute
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import demanded, distributed
@@ -11,8 +11,8 @@ from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedom
 from linkplan.models.tree.joints import where
 from linkplan.studies.check.drives import motors_hint
 
-# A slight push, as a share of an actuator's limit: above rounding, and too small to matter.
-_SLIGHT_SHARE = 1e-6
+# Share of its effort range that an actuator keeps in reserve at a pose of a feedback loop, if it can.
+_EFFORT_RESERVE = 0.05
 
 
 def require_actuated(mechanism: Mechanism) -> None:
@@ -47,32 +47,42 @@ def held_pose(
     at = where([mechanism.independent_joints[k] for k in channels], pose[mechanism.independent][channels])
     if hold is None:
         raise LinkplanError(f"no effort holds '{mechanism.name}' at {at}")
-    excess = np.abs(hold - np.clip(hold, *limit.T)).max(axis=0)
-    if excess.any():
-        j = int(np.argmax(excess / actuator_sizes(limit)))
-        actuator, effort, (low, high) = mechanism.actuators[j], float(hold[0, j]), limit[j]
-        shown = effort if abs(effort) > HOLDING_TOLERANCE * actuator_sizes(limit)[j] else 0.0
-        raise LinkplanError(
-            f"'{mechanism.name}' cannot be held at {at}: {actuator.name} would need {shown:.4g}"
-            f" {actuator.unit}, its limits are {low:g} to {high:g}, and a feedback loop needs effort to both sides of"
-            " the holding effort"
-        )
-    return pose, hold[0]
+    for actuator, effort, (low, high) in zip(mechanism.actuators, hold, limit, strict=True):
+        # An actuator at a limit responds in one direction only, so the loop is not linear there.
+        room = HOLDING_TOLERANCE * max(abs(low), abs(high)) if np.isfinite([low, high]).all() else 0.0
+        if not low + room < effort < high - room:
+            shown = effort if abs(effort) > room else 0.0
+            raise LinkplanError(
+                f"'{mechanism.name}' cannot be held at {at}: {actuator.name} would need {shown:.4g}"
+                f" {actuator.unit}, its limits are {low:g} to {high:g}, and a feedback loop needs effort to both sides of"
+                " the holding effort"
+            )
+    return pose, hold
+
+
+def reduced_limits(effort_limit: np.ndarray) -> np.ndarray:
+    """Return effort limits (n_u, 2) reduced by a reserve at both ends, so that a loop can respond; infinite ones stay."""
+    limit = np.array(effort_limit, dtype=float)
+    reserve = _EFFORT_RESERVE * np.diff(limit, axis=1).ravel()
+    return limit + np.outer(np.where(np.isfinite(reserve), reserve, 0.0), [1.0, -1.0])
 
 
 def _held(mechanism: Mechanism, position: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
-    """Return the closed pose (n_q,) at independent positions (n_s,), and efforts (1 + 2 n_u, n_u); None if none hold it.
+    """Return the closed pose (n_q,) at independent positions (n_s,), and the effort (n_u,) that holds it, or None.
 
-    The first row holds the pose. The others hold it against a slight push of each actuator to either side: an actuator at
-    its limit responds in one direction only, unless others can take its share.
+    More actuators than freedoms hold it with a reserve to their limits, if they can, else with the largest share of their
+    ranges that all of them can keep free.
     """
     pose, still = close_at(mechanism, position), np.zeros((1, mechanism.dof))
     tau, maps = demanded(mechanism, pose[None], still, still)
-    pushes = _SLIGHT_SHARE * actuator_sizes(limit)[:, None] * maps[0].T
-    every = tau + np.vstack([0 * tau, pushes, -pushes])
-    hold = distributed(mechanism, every, np.broadcast_to(maps, (len(every), *maps.shape[1:])), limit)
-    missed = np.abs(tau[0] - maps[0] @ hold[0]).max()
-    holds = np.all(np.isfinite(hold)) and missed <= HOLDING_TOLERANCE * max(1.0, np.abs(hold[0]).max())
+    inside = reduced_limits(limit)
+    (hold,) = distributed(mechanism, tau, maps, inside)
+    if np.any((hold < inside[:, 0]) | (hold > inside[:, 1])):
+        middle = np.where(np.isfinite(limit).all(axis=1), limit.mean(axis=1), 0.0)
+        left = tau - maps[0] @ middle
+        hold = middle + distribute(left, maps, limit - middle[:, None], rule=LEAST_PEAK)[0]
+    missed = np.abs(tau[0] - maps[0] @ hold).max()
+    holds = np.all(np.isfinite(hold)) and missed <= HOLDING_TOLERANCE * max(1.0, np.abs(hold).max())
     return pose, hold if holds else None
 
 

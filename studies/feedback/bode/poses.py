@@ -12,9 +12,9 @@ from linkplan.models.poses.reach import reach
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.problem.motion import check_asked_pose
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.check.holding import require_actuated
+from linkplan.studies.check.holding import reduced_limits, require_actuated
 from linkplan.studies.feedback.bode.bode import REACH_SHARES, inner_reach
-from linkplan.studies.feedback.bode.scan import PoseLine, coordinate_line, motion_line, reduced_limits
+from linkplan.studies.feedback.bode.scan import PoseLine, coordinate_line, motion_line
 from linkplan.studies.feedback.frequency.feedback_loops import operating_point
 
 _DEFAULT_POSES = 5

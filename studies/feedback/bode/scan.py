@@ -8,6 +8,7 @@ import numpy as np
 
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
+from linkplan.studies.check.holding import reduced_limits
 from linkplan.studies.feedback.frequency.feedback_loops import SampledLaw, operating_point
 from linkplan.studies.feedback.frequency.margins import Margins, margins
 from linkplan.studies.feedback.frequency.worst import refined_minima
@@ -15,8 +16,6 @@ from linkplan.studies.output.plan_blocks import radius_figure
 
 # A parameter below this share of its line is shown as zero: a minimum is only found to the square root of rounding.
 _ZERO_SHARE = 1e-6
-# Share of its effort range that an actuator keeps in reserve at a default pose, so that the loop can respond.
-_EFFORT_RESERVE = 0.05
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -137,13 +136,6 @@ def scan_line(mechanism: Mechanism, line: PoseLine, law: SampledLaw, channel: in
     if not known:
         return None
     return Scan(channel=channel, line=line, positions=np.array([*known]), margins=tuple(known.values()))
-
-
-def reduced_limits(effort_limit: np.ndarray) -> np.ndarray:
-    """Return effort limits (n_u, 2) reduced by a reserve at both ends; infinite limits stay."""
-    limit = np.array(effort_limit, dtype=float)
-    reserve = _EFFORT_RESERVE * np.diff(limit, axis=1).ravel()
-    return limit + np.outer(np.where(np.isfinite(reserve), reserve, 0.0), [1.0, -1.0])
 
 
 def bounds_text(bounds: Margins) -> str:
