@@ -21,13 +21,16 @@ def loaded(text: str, **keys):
 @pytest.mark.parametrize("text", [antagonist(), two_motors(20.0, 0.5), hung_point(), hung_point(corners="1110")])
 def test_check_holds_every_pose_by_the_least_efforts_within_the_limits(text):
     mechanism = loaded(text)
-    found = linkplan.check(mechanism)
-    assert "would need" not in str(found)
-    for path in found.struct.paths:
+    limit, held = mechanism.effort_limit, 0
+    for path in linkplan.check(mechanism).struct.paths:
         for pose, effort in list(zip(path.poses, path.holding_effort, strict=True))[::20]:
-            assert effort == pytest.approx(
-                least_holding_efforts(mechanism, pose, mechanism.effort_limit), rel=1e-6, abs=1e-6
-            )
+            least = least_holding_efforts(mechanism, pose, limit)
+            held += least is not None
+            if least is None:
+                assert np.any((effort < limit[:, 0]) | (effort > limit[:, 1]))
+            else:
+                assert effort == pytest.approx(least, rel=1e-6, abs=1e-6)
+    assert held > 5
 
 
 def test_check_names_the_amount_by_which_the_limits_of_cables_fail():
@@ -75,7 +78,7 @@ def test_margins_and_gains_are_those_of_one_motor_that_is_as_strong():
     problems = [linkplan.Problem.reach(loaded(text), **SWING, tracking=GAINS) for text in (antagonist(), two_motors(20.0))]
     redundant, one = (linkplan.bode(problem, at_deg=[{"e": 10.0}], measure=False) for problem in problems)
     assert redundant.stable
-    loops = [next(iter(one.struct.points[0].loops.values())) for one in (redundant, one)]
+    loops = [one.struct.points[0] for one in (redundant, one)]
     assert loops[0].settles_in_mujoco
     assert loops[0].phase_margin_deg == pytest.approx(loops[1].phase_margin_deg, rel=1e-6)
     redundant, one = (linkplan.tune(problem, bandwidth_hz=3.0) for problem in problems)
