@@ -18,6 +18,7 @@ import numpy as np
 from linkplan.planner.closed_chain.guess import Guess, guess_along
 from linkplan.planner.phase_plane.bang_bang_motions import parts_of, phase_plane_applies
 from linkplan.planner.phase_plane.grid import PhasePlane, grid_of, plane_of
+from linkplan.planner.problem.limits import within_reserve
 from linkplan.planner.problem.problem import Problem
 
 # Cells of the grid, cells of a leg while turning places are tried, and how many are tried on either side of the way.
@@ -136,8 +137,8 @@ class _Way:
         return None if solved is None else _joined(self.plane, parts, solved[0], solved[1] + rest * self.asked)
 
     def _bounds(self, reserve: float) -> tuple[float, float, np.ndarray]:
-        limit = (1 - reserve) * np.sort([self.plane.effort[way][0, 0] for way in (-1, 1)])
-        return (0.0 if self.rest is not None else self.asked), self.asked, limit
+        limit = np.sort([[self.plane.effort[way][0, 0] for way in (-1, 1)]])
+        return (0.0 if self.rest is not None else self.asked), self.asked, within_reserve(limit, reserve)[0]
 
     def _efforts(self, at: np.ndarray, way: int, speed: ca.SX, ds: np.ndarray) -> ca.SX:
         """Return the efforts (n - 1,) of the cells between cell ends (n,) from the speeds (n,) at these ends."""

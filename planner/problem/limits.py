@@ -38,7 +38,7 @@ class Limits(LimitValues):
     actuator; `closure_force` (n_closures,) [N], the largest force of each closure; `singular_margin`, the least |det J_z|
     relative to home; `site`, the `SiteLimit`s [m]; `body`, the `BodyLimit`s [rad]; `site_acceleration` and `site_jerk`, the
     largest by site [m/s2, m/s3].
-    `effort` is the limit for plans; `reserve` is the share of the actuators' own limits that is reserved for feedback.
+    `effort` is the limit for plans, that of the actuators reduced by `reserve` (see `within_reserve`).
     """
 
     def __post_init__(self) -> None:
@@ -55,7 +55,7 @@ class Limits(LimitValues):
     @property
     def actuators_effort(self) -> np.ndarray:
         """The actuators' own limits (n_u, 2) [N.m or N], including the reserve for feedback."""
-        return self.effort / (1.0 - self.reserve)
+        return within_reserve(self.effort, -self.reserve / (1.0 - self.reserve))
 
     @property
     def tasks(self) -> tuple[SiteLimit | BodyLimit, ...]:
@@ -79,7 +79,18 @@ def _efforts(section: Any, _: str, mechanism: Mechanism) -> np.ndarray:
     effort = np.array(mechanism.effort_limit)
     for name, value in section.effort.items():
         effort[actuator_index(mechanism, name, "limits.effort")] = interval(value, f"limits.effort.{name}")
-    return (1.0 - section.reserve) * effort
+    return within_reserve(effort, section.reserve)
+
+
+def within_reserve(effort: np.ndarray, reserve: float) -> np.ndarray:
+    """Return ranges [low, high] (n_u, 2) without the shares at both ends that are reserved for feedback, in equal parts.
+
+    Half the range times `reserve` is free at each end, so that [-L, L] becomes (1 - reserve) [-L, L]. A range with one
+    infinite end counts as [-L, L] if it contains 0; otherwise it has no share, and stays. -r / (1 - r) undoes r.
+    """
+    half = np.diff(effort, axis=1) / 2
+    room = np.where(np.isfinite(half), half, np.maximum(effort * [-1.0, 1.0], 0.0))
+    return np.where(np.isfinite(effort), effort + reserve * np.where(np.isfinite(room), room, 0.0) * [1.0, -1.0], effort)
 
 
 def _ranges(section: Any, _: str, mechanism: Mechanism) -> np.ndarray:

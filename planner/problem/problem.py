@@ -60,7 +60,7 @@ class Problem:
         limits: the keys of [limits], such as `effort`, `range_deg`, `speed_deg_s` and `closure_force`, each by name, and
             `contacts`; `site`, boxes {"foot": {"z": [0.0, inf]}}, walls {"normal": n, "at": p} and tubes {"along": points,
             "radius_m": r}, one or a list by site; `body_deg`, [low, high] by body. By default the model's own.
-        reserve: the share of every effort limit that is reserved for feedback, such as 0.2; also a key of `limits`.
+        reserve: the share of every effort range that is reserved for feedback, such as 0.2; also a key of `limits`.
         motors: by actuator: `torque_constant`, `resistance_ohm`, `stall_effort`, `no_load_speed_deg_s`.
         guess: `path_deg`, positions at equal times by joint, or `plan`, a saved plan's folder.
         mesh, solver: `scheme`, `intervals`, `effort`, `tolerance_deg`, `refine`, `breaks`; `starts`, `compile`, `max_time_s`

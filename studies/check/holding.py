@@ -9,10 +9,11 @@ from linkplan.models.poses.along import demanded, distributed
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.poses.equilibrium import spring_equilibrium, sprung_freedoms
 from linkplan.models.tree.joints import where
+from linkplan.planner.problem.limits import within_reserve
 from linkplan.studies.check.drives import motors_hint
 
-# Share of its effort range that an actuator keeps in reserve at a pose of a feedback loop, if it can.
-_EFFORT_RESERVE = 0.05
+# The reserve of an actuator's effort range at a pose of a feedback loop, so that the loop can respond.
+EFFORT_RESERVE = 0.1
 
 
 def require_actuated(mechanism: Mechanism) -> None:
@@ -60,13 +61,6 @@ def held_pose(
     return pose, hold
 
 
-def reduced_limits(effort_limit: np.ndarray) -> np.ndarray:
-    """Return effort limits (n_u, 2) reduced by a reserve at both ends, so that a loop can respond; infinite ones stay."""
-    limit = np.array(effort_limit, dtype=float)
-    reserve = _EFFORT_RESERVE * np.diff(limit, axis=1).ravel()
-    return limit + np.outer(np.where(np.isfinite(reserve), reserve, 0.0), [1.0, -1.0])
-
-
 def _held(mechanism: Mechanism, position: np.ndarray, limit: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
     """Return the closed pose (n_q,) at independent positions (n_s,), and the effort (n_u,) that holds it, or None.
 
@@ -75,7 +69,7 @@ def _held(mechanism: Mechanism, position: np.ndarray, limit: np.ndarray) -> tupl
     """
     pose, still = close_at(mechanism, position), np.zeros((1, mechanism.dof))
     tau, maps = demanded(mechanism, pose[None], still, still)
-    inside = reduced_limits(limit)
+    inside = within_reserve(limit, EFFORT_RESERVE)
     (hold,) = distributed(mechanism, tau, maps, inside)
     if np.any((hold < inside[:, 0]) | (hold > inside[:, 1])):
         middle = np.where(np.isfinite(limit).all(axis=1), limit.mean(axis=1), 0.0)

@@ -29,7 +29,7 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
     joints = {joint.name: joint for joint in problem.mechanism.joints}
     rows = []
     if problem.limits.reserve:
-        rows.append(("left to feedback", f"{100 * problem.limits.reserve:.3g} % of every effort limit"))
+        rows.append(("left to feedback", f"{100 * problem.limits.reserve:.3g} % of every effort range"))
         for actuator, (low, high), (least, most) in zip(
             problem.mechanism.actuators, problem.limits.effort, problem.limits.actuators_effort, strict=True
         ):

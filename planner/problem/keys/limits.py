@@ -107,7 +107,7 @@ class LimitValues:
         Rows, KeyOf("closure_force", "closure", kinds.ClosureLimits, "the largest force on a closure's pin", "N")
     ] = UNLIMITED
     reserve: Annotated[
-        float, KeyOf("reserve", "", kinds.Margin, "the share of every effort limit that is reserved for feedback")
+        float, KeyOf("reserve", "", kinds.Margin, "the share of every effort range that is reserved for feedback")
     ] = 0.0
     singular_margin: Annotated[
         float,

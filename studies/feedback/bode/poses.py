@@ -10,9 +10,10 @@ from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.reach import reach
 from linkplan.planner.closed_chain.guess import first_guess
+from linkplan.planner.problem.limits import within_reserve
 from linkplan.planner.problem.motion import check_asked_pose
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.check.holding import reduced_limits, require_actuated
+from linkplan.studies.check.holding import EFFORT_RESERVE, require_actuated
 from linkplan.studies.feedback.bode.bode import REACH_SHARES, inner_reach
 from linkplan.studies.feedback.bode.scan import PoseLine, coordinate_line, motion_line
 from linkplan.studies.feedback.frequency.feedback_loops import operating_point
@@ -99,7 +100,7 @@ def _over_reach(mechanism: Mechanism, problem: Problem | None, effort_limit: np.
 
 def _are_held(mechanism: Mechanism, positions: np.ndarray, effort_limit: np.ndarray) -> np.ndarray:
     """Return True for each of the positions (n, n_s) that the actuators hold with a reserve to both limits, (n,)."""
-    inside, held = reduced_limits(effort_limit), np.zeros(len(positions), dtype=bool)
+    inside, held = within_reserve(effort_limit, EFFORT_RESERVE), np.zeros(len(positions), dtype=bool)
     for k, position in enumerate(positions):
         with contextlib.suppress(LinkplanError):
             operating_point(mechanism, position, inside)

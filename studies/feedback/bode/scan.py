@@ -8,7 +8,8 @@ import numpy as np
 
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
-from linkplan.studies.check.holding import reduced_limits
+from linkplan.planner.problem.limits import within_reserve
+from linkplan.studies.check.holding import EFFORT_RESERVE
 from linkplan.studies.feedback.frequency.feedback_loops import SampledLaw, operating_point
 from linkplan.studies.feedback.frequency.margins import Margins, margins
 from linkplan.studies.feedback.frequency.worst import refined_minima
@@ -149,7 +150,7 @@ def judge_of(
     mechanism: Mechanism, line: PoseLine, law: SampledLaw, channels: Sequence[int]
 ) -> Callable[[float], list[Margins]]:
     """Return the function from a line's parameter to the margins of the channels' loops; None where no effort holds it."""
-    inside = reduced_limits(law.effort_limit)
+    inside = within_reserve(law.effort_limit, EFFORT_RESERVE)
 
     @functools.cache
     def judge(x: float) -> list[Margins]:
