@@ -2,12 +2,15 @@
 
 import json
 import re
+import tomllib
 
+import numpy as np
 import pytest
 
 import linkplan
 from linkplan.models.errors import PlanFileError
 from linkplan.models.library import built_in_text
+from linkplan.planner.plan.plan import Plan
 from linkplan.studies.cli.main import main
 from linkplan.studies.output.document import Checklist, Code, Report, Table
 from linkplan.studies.output.plan_sections import plan_report
@@ -128,3 +131,12 @@ def test_a_record_that_is_too_large_is_refused_before_it_is_decoded(name, tmp_pa
     (tmp_path / name).write_text("{}" + " " * 65_000_000)
     with pytest.raises(PlanFileError, match=r"has 65000002 bytes; at most \d+ are read"):
         folder_report(tmp_path)
+
+
+def test_the_problem_of_a_page_has_its_infinite_limits():
+    limits = {"site": {"C": {"z": [-9.0, np.inf]}}, "effort": {"act_O": [-np.inf, 90.0]}}
+    ends = {"start_deg": {"O": -10}, "goal_deg": {"O": 10}, "duration_s": 0.2}
+    problem = linkplan.Problem.reach("optimus-knee", **ends, limits=limits)
+    plan = Plan(problem=problem, status="failed", message="failed: there is none")
+    (code,) = [one for one in blocks(plan_report(plan), Code) if "problem" in one.title]
+    assert tomllib.loads(code.text)["limits"] == limits
