@@ -45,16 +45,14 @@ def _quickest_turn(problem: Problem, start_pose: np.ndarray) -> Guess | None:
 
     The dampers absorb more at a higher initial energy, so the energy gained decreases. Its zero gives the quickest turn.
     """
-    motion, limits = problem.motion, problem.limits
-    if problem.mechanism.dof != 1 or motion.waypoints or motion.goal is not None or not np.all(np.isfinite(limits.effort)):
+    if not is_plain_turn(problem):
         return None
-    first = start_pose[problem.mechanism.independent]
-    places = np.concatenate([first, first + motion.advance])
+    places = turn_places(problem, start_pose)
     way = int(np.sign(places[1] - places[0]))
     grid = grid_of(problem, places, start_pose, _GRID_CELLS)
     if grid is None:
         return None
-    plane = plane_of(problem, *grid, limits.effort)
+    plane = plane_of(problem, *grid, problem.limits.effort)
     start, goal = (plane.at(place) for place in places)
     index = np.arange(start, goal + way, way)
 
@@ -76,6 +74,20 @@ def _quickest_turn(problem: Problem, start_pose: np.ndarray) -> Guess | None:
     w = turned(low)
     speed = float(way * np.sqrt(2 * low))
     return _guess(plane, [Part(places=places, speeds=(speed, speed))], [[(index, w, np.full(len(index), way))]], start_pose)
+
+
+def is_plain_turn(problem: Problem) -> bool:
+    """True for whole turns of one degree of freedom, without waypoints or forces over time, with limits on all efforts."""
+    motion, mechanism = problem.motion, problem.mechanism
+    if mechanism.forces is not None or mechanism.n_equations != 1 or motion.turns is None:
+        return False
+    return not motion.waypoints and motion.goal is None and bool(np.all(np.isfinite(problem.limits.effort)))
+
+
+def turn_places(problem: Problem, start_pose: np.ndarray) -> np.ndarray:
+    """Return the first and the last position (2,) of whole turns."""
+    first = start_pose[problem.mechanism.independent]
+    return np.concatenate([first, first + problem.motion.advance])
 
 
 def phase_plane_applies(problem: Problem) -> bool:

@@ -5,7 +5,8 @@ u = (d(M v^2 / 2) - dW) / (r ds) with the reduced inertia M, the work W of weigh
 speed r per unit of v. Cells are shorter where joints or the inertia change most with s. A linkage may pass a dead centre
 within a thousandth of the motion, which a mesh over time does not resolve. The duration is the sum of 2 ds / (v + v'). The
 remainder of the given time is a rest, with the cost of holding still. A motion goes directly to its goal, or turns back
-once, beyond its start or its goal. Several turning points are tried, then those around the best one.
+once, beyond its start or its goal. Several turning points are tried, then those around the best one. Whole turns are one
+leg that ends at the speed at which it began, and have no rest.
 """
 
 import itertools
@@ -16,7 +17,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.planner.closed_chain.guess import Guess, guess_along
-from linkplan.planner.phase_plane.bang_bang_motions import parts_of, phase_plane_applies
+from linkplan.planner.phase_plane.bang_bang_motions import is_plain_turn, parts_of, phase_plane_applies, turn_places
 from linkplan.planner.phase_plane.grid import PhasePlane, grid_of, plane_of
 from linkplan.planner.problem.limits import within_reserve
 from linkplan.planner.problem.problem import Problem
@@ -46,20 +47,21 @@ class Legs:
 
         ends = self._ends()
         path = scipy.interpolate.CubicHermiteSpline(self.time[ends], self.s[ends, None], self.v[ends, None])
-        return guess_along(path, float(self.time[-1]), start_pose, swings=int(np.count_nonzero(self.v == 0)) - 1)
+        return guess_along(path, float(self.time[-1]), start_pose, swings=max(1, int(np.count_nonzero(self.v == 0)) - 1))
 
     def _ends(self) -> np.ndarray:
-        step = max(1, int(np.ceil((len(self.time) - 1) / 800)))  # at most 800 intervals
-        return np.unique(np.concatenate([np.arange(0, len(self.time), step), np.flatnonzero(self.v == 0)]))
+        last = len(self.time) - 1
+        step = max(1, int(np.ceil(last / 800)))  # at most 800 intervals
+        return np.unique(np.concatenate([np.arange(0, last, step), [last], np.flatnonzero(self.v == 0)]))
 
 
 def legs_apply(problem: Problem) -> bool:
-    """True for squared effort, one actuator, one degree of freedom, and a motion from rest to rest in a fixed duration."""
+    """True for squared effort, one actuator, one degree of freedom, and a fixed duration from rest to rest or of turns."""
     motion = problem.motion
-    if (problem.mechanism.dof, problem.mechanism.n_u) != (1, 1) or not phase_plane_applies(problem):
+    if (problem.mechanism.dof, problem.mechanism.n_u) != (1, 1) or motion.duration_s is None:
         return False
     speeds = [v for v in (motion.start_speed, motion.goal_speed) if v is not None]
-    if motion.duration_s is None or motion.waypoints or np.any(speeds):
+    if not is_plain_turn(problem) and (not phase_plane_applies(problem) or motion.waypoints or np.any(speeds)):
         return False
     return set(problem.objective.weights) <= {"effort", "copper_loss"}
 
@@ -72,13 +74,15 @@ def cheapest_legs(problem: Problem, start_pose: np.ndarray, rest: float | None) 
         start_pose: the closed pose at the start.
         rest: the squared effort [N2 m2 or N2] of a rest at start or goal; None if neither can be held.
     """
-    (part,), asked = parts_of(problem.motion), problem.motion.duration_s
-    grid = grid_of(problem, part.places, start_pose, _GRID_CELLS)
+    asked, turns = problem.motion.duration_s, is_plain_turn(problem)
+    places = turn_places(problem, start_pose) if turns else parts_of(problem.motion)[0].places
+    grid = grid_of(problem, places, start_pose, _GRID_CELLS)
     if grid is None or asked is None:
         return
-    way = _Way(plane=plane_of(problem, *grid, problem.limits.effort), asked=asked, rest=rest)
-    ends = [way.plane.at(place) for place in part.places]
-    tried = {turn: found for turn in way.turns(ends) if (found := way.legs(ends, turn, _FEW_CELLS)) is not None}
+    way = _Way(plane=plane_of(problem, *grid, problem.limits.effort), asked=asked, rest=rest, repeats=turns)
+    ends = [way.plane.at(place) for place in places]
+    first = [None] if turns else way.turns(ends)
+    tried = {turn: found for turn in first if (found := way.legs(ends, turn, _FEW_CELLS)) is not None}
     if not tried:
         return
     best = min(tried, key=lambda turn: tried[turn].cost)
@@ -94,11 +98,15 @@ def cheapest_legs(problem: Problem, start_pose: np.ndarray, rest: float | None) 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class _Way:
-    """The phase plane of the legs, the required duration [s], and the squared effort of a rest or None."""
+    """The phase plane of the legs, the required duration [s], and the squared effort of a rest or None.
+
+    A motion that `repeats` is one leg that ends at its first speed; other legs begin and end at rest.
+    """
 
     plane: PhasePlane
     asked: float
     rest: float | None
+    repeats: bool
 
     def turns(self, ends: list[int], near: int | None = None) -> Iterator[int | None]:
         """Yield the cell ends at which a motion may turn back (None: it goes directly), or those next to a given one."""
@@ -122,19 +130,27 @@ class _Way:
             way = 1 if last > first else -1
             step = max(1, abs(last - first) // cells)
             at = np.append(np.arange(first, last, way * step), last)
-            inner = ca.SX.sym("v", len(at) - 2)
-            speed, ds = ca.vertcat(0, inner, 0), np.abs(np.diff(self.plane.s[at]))
+            free = ca.SX.sym("v", len(at) - (1 if self.repeats else 2))
+            speed, ds = self._speeds(free), np.abs(np.diff(self.plane.s[at]))
             taken = 2 * ds / (speed[1:] + speed[:-1])
             effort = self._efforts(at, way, speed, ds)
             time, cost = time + ca.sum1(taken), cost + ca.dot(effort**2, taken)
             share = np.abs(self.plane.s[at] - self.plane.s[first])[1:-1] / ds.sum()
-            efforts, unknowns = [*efforts, effort], [*unknowns, inner]
-            begin.append(4 * ds.sum() * np.sqrt(share * (1 - share)))
-            parts.append((at, way, ds))
+            efforts, unknowns = [*efforts, effort], [*unknowns, free]
+            begin.append(ds.sum() * (np.ones(len(at) - 1) if self.repeats else 4 * np.sqrt(share * (1 - share))))
+            parts.append((at, way))
         rest = self.rest or 0.0
         bounds, first = self._bounds(reserve), np.concatenate(begin)
         solved = _solved(ca.vertcat(*unknowns), cost - rest * time, time, ca.vertcat(*efforts), first, bounds)
-        return None if solved is None else _joined(self.plane, parts, solved[0], solved[1] + rest * self.asked)
+        if solved is None:
+            return None
+        found = np.split(solved[0], np.cumsum([len(one) for one in begin])[:-1])
+        speeds = [np.array(self._speeds(ca.DM(one))).ravel() for one in found]
+        return _joined(self.plane, parts, speeds, solved[1] + rest * self.asked)
+
+    def _speeds(self, free: ca.SX | ca.DM) -> ca.SX | ca.DM:
+        """Return the speeds (n,) at the cell ends of a leg from the unknown ones."""
+        return ca.vertcat(free, free[0]) if self.repeats else ca.vertcat(0, free, 0)
 
     def _bounds(self, reserve: float) -> tuple[float, float, np.ndarray]:
         limit = np.sort([[self.plane.effort[way][0, 0] for way in (-1, 1)]])
@@ -173,23 +189,22 @@ def _solved(
     return (np.array(found["x"]).ravel(), float(found["f"]) / scale) if solver.stats()["success"] else None
 
 
-def _joined(plane: PhasePlane, parts: list, speeds: np.ndarray, cost: float) -> Legs:
-    """Return consecutive legs as one motion, from the speeds at the inner cell ends.
+def _joined(plane: PhasePlane, parts: list, speeds: list[np.ndarray], cost: float) -> Legs:
+    """Return consecutive legs as one motion, from the speeds at their cell ends.
 
     Within a cell the energy is interpolated smoothly, and the speed follows from the energy and the inertia there.
     """
     import scipy
 
-    time, s, v, used = [np.zeros(1)], [plane.s[parts[0][0][:1]]], [np.zeros(1)], 0
+    time, s, v = [np.zeros(1)], [plane.s[parts[0][0][:1]]], [parts[0][1] * speeds[0][:1]]
     inertia = scipy.interpolate.CubicSpline(plane.s, np.log(plane.inertia))
-    for at, way, _ in parts:
-        speed = np.concatenate([[0.0], speeds[used : used + len(at) - 2], [0.0]])
-        used += len(at) - 2
+    for (at, way), speed in zip(parts, speeds, strict=True):
+        ends = speed[[0, -1]]
         along = way * plane.s[at]
         energy = scipy.interpolate.PchipInterpolator(along, 0.5 * plane.inertia[at] * speed**2)
         fine = np.interp(np.arange(8 * (len(at) - 1) + 1) / 8, np.arange(len(at)), along)
         speed = np.sqrt(2 * np.maximum(energy(fine), 0.0) / np.exp(inertia(way * fine)))
-        speed[[0, -1]] = 0.0
+        speed[[0, -1]] = ends
         time.append(time[-1][-1] + np.cumsum(2 * np.diff(fine) / (speed[1:] + speed[:-1])))
         s.append(way * fine[1:])
         v.append(way * speed[1:])

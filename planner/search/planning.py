@@ -53,8 +53,10 @@ def _swings_are_worth_it(search: Search) -> bool:
 
 
 def _legs_may_help(search: Search) -> bool:
-    """True if no plan passes, and the phase plane knows a motion to the goal."""
-    return not search.solved and search.quickest is not None and search.quickest.duration_s <= longest(search.problem)
+    """True if no plan passes, and the phase plane knows a motion to the goal, or the motion is a turn without damping."""
+    if search.solved or search.quickest is None:
+        return not search.solved and search.problem.motion.turns is not None
+    return search.quickest.duration_s <= longest(search.problem)
 
 
 SEARCH_METHODS: tuple[SearchMethod, ...] = (

@@ -163,7 +163,7 @@ def along_limits(search: Search, _: Budget) -> Plan | None:
 def _cheapest(search: Search) -> Guess | None:
     """Return dynamic programming's motion to one goal in more than the phase plane's least time; None if there is none."""
     problem, motion = search.problem, search.problem.motion
-    if motion.duration_s is None or motion.waypoints or not enough_time(search):
+    if motion.duration_s is None or motion.waypoints or not phase_plane_applies(problem) or not enough_time(search):
         return None
     assert search.quickest is not None  # there is enough time for it
     return cheapest_guess(problem, search.start_pose, search.quickest)

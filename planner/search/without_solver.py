@@ -42,7 +42,7 @@ NOT_SHOWN = "; it is not shown that no motion costs less"
 
 
 def along_smooth_path(search: Search) -> Plan | None:
-    """Return the smooth path from start to goal as a "feasible" plan; None if its certificate does not pass.
+    """Return the smooth path of a reach or a periodic motion as a "feasible" plan; None if its certificate does not pass.
 
     If the duration is free, the first of several that passes is taken.
 
@@ -50,7 +50,7 @@ def along_smooth_path(search: Search) -> Plan | None:
         OutOfTimeError: if the deadline for judging motions passes.
     """
     asked = search.problem
-    if asked.motion.kind != "reach" or search.verdicts:
+    if asked.motion.kind not in ("reach", "periodic") or search.verdicts:
         return None
     # The later deadline ensures that a search that ran out of time still has this motion.
     problem = replace(asked, solver=asked.solver.replace(deadline=Deadline().within(asked.solver.max_time_s)))
@@ -63,7 +63,7 @@ def along_smooth_path(search: Search) -> Plan | None:
                 continue
             progress(f"the smooth path itself in {guess.duration_s:.4g} s")
             mesh, durations = first_mesh(problem, guess)
-            motion = motion_along(problem, guess, mesh.breaks(durations))
+            motion = replace(motion_along(problem, guess, mesh.breaks(durations)), periodic=asked.motion.kind == "periodic")
             within = f" within {asked.solver.max_time_s:g} s" if search.stopped == OUT_OF_TIME else ""
             along = f"motion of {motion.duration_s:.6g} s along the smooth path, which satisfies every limit"
             said = f"{along}; the solver found no better motion{within}"
@@ -142,7 +142,9 @@ def _of_legs(search: Search) -> Plan | None:
     problem, asked = search.problem, search.problem.motion.duration_s
     assert asked is not None, "legs of the phase plane answer a problem with a duration"
     progress("the cheapest legs of the phase plane")
-    holdings = {end: found for end in ("start", "goal") if (found := held(problem, end)) is not None}
+    repeats = problem.motion.kind == "periodic"
+    ends = () if repeats else ("start", "goal")
+    holdings = {end: found for end in ends if (found := held(problem, end)) is not None}
     costs = {end: float(np.sum(np.square(found.effort))) for end, found in holdings.items()}
     end = min(costs, key=lambda one: costs[one], default="start")
     plan = None
@@ -151,7 +153,7 @@ def _of_legs(search: Search) -> Plan | None:
         wait = asked - guess.duration_s
         if end not in holdings or wait <= MIN_INTERVAL_SHARE * asked:
             guess, breaks, wait = stretched(guess, asked), breaks * (asked / guess.duration_s), 0.0
-        motion, rest = motion_along(problem, guess, breaks), ""
+        motion, rest = replace(motion_along(problem, guess, breaks), periodic=repeats), ""
         if wait:
             motion = joined(motion, holdings[end].lasting(wait), first=end == "start")
             rest = f", {wait:.4g} s of it a rest at the {end}"
