@@ -1,6 +1,6 @@
 """A motion as continuous functions of time: piecewise polynomials of position, velocity and effort."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -24,7 +24,8 @@ class Trajectory(OnIntervals):
     `breaks_s` (n + 1,) are the intervals' ends. Coefficients are Bernstein's on each interval: `position`
     (degree + 1, n, n_s) [rad or m], `velocity` (degree + 1, n, n_s), `effort` (degree + 1, n, n_u) [N.m or N]. Efforts may
     jump at a break, where the later interval's value holds. `start_pose` (n_q,) is the closed pose at the start: with s(t)
-    it determines the dependent joints. A `periodic` motion continues beyond its ends, shifted by `advance` per period; any
+    it determines the dependent joints. `along` (degree + 1, n, 1) is the parameter of the path that a site follows [m], or
+    (1, n, 0) without a path. A `periodic` motion continues beyond its ends, shifted by `advance` per period; any
     other motion rests at its end states.
     """
 
@@ -34,22 +35,26 @@ class Trajectory(OnIntervals):
     effort: np.ndarray
     start_pose: np.ndarray
     periodic: bool
+    along: np.ndarray = field(default_factory=lambda: np.zeros((1, 0, 0)))
 
     def __post_init__(self) -> None:
-        for name in ("breaks_s", "position", "velocity", "effort", "start_pose"):
+        for name in ("breaks_s", "position", "velocity", "effort", "start_pose", "along"):
             value = np.array(getattr(self, name), dtype=float)
             if not np.all(np.isfinite(value)):
                 raise ValueError(f"trajectory.{name} has values that are not finite")
             value.flags.writeable = False
             object.__setattr__(self, name, value)
-        dimensions = [getattr(self, name).ndim for name in ("breaks_s", "position", "velocity", "effort", "start_pose")]
-        if dimensions != [1, 3, 3, 3, 1]:
-            raise ValueError(f"trajectory has arrays of {dimensions} dimensions in place of [1, 3, 3, 3, 1]")
-        if len(self.position) < 2 or not len(self.velocity) or not len(self.effort):
+        pieces = ("position", "velocity", "effort", "along")
+        dimensions = [getattr(self, name).ndim for name in ("breaks_s", *pieces, "start_pose")]
+        if dimensions != [1, 3, 3, 3, 3, 1]:
+            raise ValueError(f"trajectory has arrays of {dimensions} dimensions in place of [1, 3, 3, 3, 3, 1]")
+        if len(self.position) < 2 or not all(len(getattr(self, name)) for name in pieces):
             raise ValueError("trajectory polynomials lack coefficients")
         n = len(self.breaks_s) - 1
-        shapes = [self.position.shape[1], self.velocity.shape[1], self.effort.shape[1]]
-        if n < 1 or np.any(np.diff(self.breaks_s) <= 0) or shapes != [n, n, n]:
+        if not self.along.size:
+            object.__setattr__(self, "along", np.zeros((1, max(n, 0), 0)))
+        shapes = [getattr(self, name).shape[1] for name in pieces]
+        if n < 1 or np.any(np.diff(self.breaks_s) <= 0) or shapes != [n] * len(pieces):
             raise ValueError(f"trajectory has {n} intervals, its coefficients {shapes}; breaks must increase")
 
     @property
@@ -136,6 +141,11 @@ class Trajectory(OnIntervals):
             steps = np.vstack([rest[0] * after[0], after[1:] - before[:-1], rest[1] * -before[-1]])
         size = NO_JUMP_SHARE * max(float(np.abs(coefficients).max()), float(np.finfo(float).tiny))
         return np.where(np.abs(steps) > size, steps, 0.0)
+
+    def along_at(self, time_s: np.ndarray) -> np.ndarray:
+        """Return the parameter (n,) [m] of the followed path at times (n,); infinite for a motion without one."""
+        found = PiecewisePolynomial(self.along, self.breaks_s)(self.times_within(time_s))
+        return found[:, 0] if self.along.size else np.full(len(found), np.inf)
 
     def effort_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return u (n, n_u) [N.m or N] at times (n,); outside the motion that of the nearer end."""

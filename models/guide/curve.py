@@ -16,8 +16,6 @@ from linkplan.models.errors import ModelError
 
 # Two points closer than this share of a path's length are one.
 _SAME_POINT_SHARE = 1e-9
-# The longest piece of an arc [rad]: from its chord Newton's method finds the nearest point.
-_LONGEST_ARC = 0.5 * np.pi
 # Sine of the angle between two segments below which they are one line.
 _STRAIGHT_SINE = 1e-9
 
@@ -62,7 +60,7 @@ def _horner(coefficients: ca.SX, x: ca.SX) -> ca.SX:
 class Curve:
     """A curve of pieces one after another, over a parameter [m] that begins at 0 and ends at `length`."""
 
-    pieces: tuple[Arc, ...] | tuple[Polynomial, ...]
+    pieces: tuple[Arc] | tuple[Polynomial, ...]
 
     @cached_property
     def starts(self) -> np.ndarray:
@@ -81,7 +79,7 @@ class Curve:
 
     def place(self, x: ca.SX) -> ca.SX:
         """Return the place (3,) [m] at a parameter as an expression; beyond its ends the curve continues."""
-        if isinstance(self.pieces[0], Arc):  # all pieces are of one circle
+        if isinstance(self.pieces[0], Arc):
             return self.pieces[0].place(x)
         # A choice of numbers, not of places: the derivatives of one polynomial are cheap however many pieces there are.
         n = max(len(piece.coefficients) for piece in self.pieces)
@@ -105,24 +103,6 @@ class Curve:
     def places(self, x: np.ndarray) -> np.ndarray:
         """Return the places (n, 3) [m] at parameters (n,)."""
         return np.array(self.function.map(len(x))(np.asarray(x)[None])[0]).T
-
-    def nearest(self, points: np.ndarray) -> np.ndarray:
-        """Return the parameters (n,) [m] of the curve's points that are nearest to points (n, 3)."""
-        import scipy
-
-        coarse = np.linspace(0.0, self.length, 40 * len(self.pieces) + 1)
-        x = coarse[scipy.spatial.cKDTree(self.places(coarse)).query(points)[1]]
-        function = self.function.map(len(x))
-        for _ in range(12):
-            place, slope, bend = (np.array(one).T for one in function(x[None]))
-            off = place - points
-            curvature = np.sum(slope**2, axis=1) + np.maximum(np.sum(off * bend, axis=1), 0.0)
-            x = np.clip(x - np.sum(off * slope, axis=1) / curvature, 0.0, self.length)
-        return x
-
-    def distance(self, points: np.ndarray) -> np.ndarray:
-        """Return the distances (n,) [m] of points (n, 3) from the curve."""
-        return np.linalg.norm(self.places(self.nearest(points)) - points, axis=1)
 
 
 def line(points: np.ndarray, blend_m: float, where: str) -> Curve:
@@ -204,19 +184,23 @@ def arc(points: np.ndarray, where: str) -> Curve:
     first = (a - centre) / radius
     second = np.cross(normal / np.sqrt(size), first)
     angle = float(np.arctan2((c - centre) @ second, (c - centre) @ first)) % (2 * np.pi)
-    parts = int(np.ceil(angle / _LONGEST_ARC))
-    turns = angle / parts * np.arange(parts)
-    axes = [(np.cos(t) * first + np.sin(t) * second, np.cos(t) * second - np.sin(t) * first) for t in turns]
-    length = radius * angle / parts
-    return Curve(tuple(Arc(centre=centre, first=a, second=b, radius=radius, length=length) for a, b in axes))
+    return Curve((Arc(centre=centre, first=first, second=second, radius=radius, length=radius * angle),))
 
 
-def spline(points: np.ndarray) -> Curve:
-    """Return the natural cubic spline through points (n, 3), over the lengths of the chords."""
+def spline(points: np.ndarray, where: str) -> Curve:
+    """Return the natural cubic spline through points (n, 3), over the lengths of the chords.
+
+    Raises:
+        ModelError: if it turns back on itself, where its slope is zero.
+    """
     import scipy
 
     chords = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     found = scipy.interpolate.CubicSpline(chords, points, bc_type="natural")
+    at = np.array([x for axis in found.derivative().roots(extrapolate=False) for x in [*axis, *chords] if np.isfinite(x)])
+    slow = at[np.linalg.norm(found(at, 1), axis=1) <= _STRAIGHT_SINE]
+    if len(slow):
+        raise ModelError(f"{where} turns back on itself at {_text(found(slow[0]))}; end it there")
     return Curve(
         tuple(Polynomial(coefficients=found.c[::-1, k], length=float(length)) for k, length in enumerate(np.diff(chords)))
     )
@@ -224,7 +208,7 @@ def spline(points: np.ndarray) -> Curve:
 
 SHAPES: dict[str, Callable[[np.ndarray, float, str], Curve]] = {
     "polyline": line,
-    "spline": lambda points, _blend_m, _where: spline(points),
+    "spline": lambda points, _blend_m, where: spline(points, where),
     "arc": lambda points, _blend_m, where: arc(points, where),
 }
 

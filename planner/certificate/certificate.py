@@ -316,7 +316,18 @@ def end_state_error(problem: Problem, trajectory: Trajectory, speed: float) -> f
         relative_violation(ends, exact_bounds(asked, free), span),
         relative_violation(speeds, exact_bounds(wanted, still), speed),
     ]
-    return max(*apart, *(_waypoint_error(problem, trajectory, waypoint, span, speed) for waypoint in motion.waypoints))
+    apart += [_waypoint_error(problem, trajectory, waypoint, span, speed) for waypoint in motion.waypoints]
+    return max(*apart, _path_error(problem, trajectory))
+
+
+def _path_error(problem: Problem, trajectory: Trajectory) -> float:
+    """Return the largest error of the path's parameter at both ends and where intervals join, relative to its length."""
+    if problem.path is None:
+        return 0.0
+    if not trajectory.along.size:
+        return np.inf
+    of, length = trajectory.along[:, :, 0], problem.path.curve.length
+    return float(np.abs([of[0, 0], of[-1, -1] - length, *(of[0, 1:] - of[-1, :-1])]).max()) / length
 
 
 def _waypoint_error(problem: Problem, trajectory: Trajectory, waypoint: Waypoint, span: float, speed: float) -> float:

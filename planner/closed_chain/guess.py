@@ -60,18 +60,19 @@ def guess_from(trajectory: Trajectory) -> Guess:
     )
 
 
-def first_guess(problem: Problem, start_pose: np.ndarray) -> Guess:
+def first_guess(problem: Problem, start_pose: np.ndarray, *, rests: bool = False) -> Guess:
     """Return the first motion to start from: the reference, or the smoothest path through the phase boundaries.
 
-    A free duration is the shortest that the effort limits allow on this path.
+    With `rests`, or if the loops do not close otherwise, it rests at the waypoints. A free duration is the shortest that the
+    effort limits allow on this path.
     """
     motion = problem.motion
     if follows_reference(problem):
         return reference_guess(problem, start_pose)
-    duration = motion.duration_s or _within(problem, _shortest_duration(problem, start_pose))
+    duration = motion.duration_s or _within(problem, _shortest_duration(problem, start_pose, rests=rests))
     boundaries = boundary_times(problem, duration)
-    guess = guess_along(_smooth_path(problem, duration), duration, start_pose, boundaries)
-    if motion.waypoints and not closes(problem, guess):
+    guess = guess_along(_smooth_path(problem, duration, rests), duration, start_pose, boundaries)
+    if motion.waypoints and not rests and not closes(problem, guess):
         return guess_along(_smooth_path(problem, duration, rests=True), duration, start_pose, boundaries)
     return guess
 
@@ -299,7 +300,7 @@ def _smooth_path(problem: Problem, duration: float, rests: bool = False) -> Piec
     return PiecewisePolynomial.through(times, s, v)
 
 
-def _shortest_duration(problem: Problem, start_pose: np.ndarray) -> float:
+def _shortest_duration(problem: Problem, start_pose: np.ndarray, *, rests: bool = False) -> float:
     """Return the duration at which the smooth path needs exactly the effort limit, by bisection in the log of time.
 
     It is 1 s if the loops cannot close along the path, if no duration is enough, or if no actuator has a limit.
@@ -308,7 +309,7 @@ def _shortest_duration(problem: Problem, start_pose: np.ndarray) -> float:
     if given:
         return _LAST_WAYPOINT_STRETCH * given[-1]
     mechanism, limit = problem.mechanism, problem.limits.effort
-    unit = _smooth_path(problem, 1.0)
+    unit = _smooth_path(problem, 1.0, rests)
     tau = np.linspace(0.0, 1.0, GUESS_SAMPLES)
     try:
         poses = follow(mechanism, unit(tau), start_pose, problem.solver.deadline)
@@ -317,7 +318,7 @@ def _shortest_duration(problem: Problem, start_pose: np.ndarray) -> float:
 
     # With the pace r = 1 / T, speeds are r v_0 + v_1 and accelerations r^2 a_0 + r a_1; the prescribed speeds at the ends
     # give v_1 and a_1. Efforts are quadratic in r except for nonlinear dampers, so three paces determine all others.
-    twice = _smooth_path(problem, 2.0)
+    twice = _smooth_path(problem, 2.0, rests)
     v, a = (np.array([path.derivative(order)(path.breaks[-1] * tau) for path in (unit, twice)]) for order in (1, 2))
     v_1, a_1 = 2 * v[1] - v[0], 4 * a[1] - a[0]
     v_0, a_0 = v[0] - v_1, a[0] - a_1

@@ -119,7 +119,8 @@ def _with_shared_breaks(problem: Problem, guess: Guess, breaks_s: np.ndarray) ->
 def in_more_time(problem: Problem, motion: Trajectory, factor: float) -> Trajectory:
     """Return a motion that takes `factor` times as long, by inverse dynamics; errors as of `motion_along`."""
     guess = stretched(guess_from(motion), factor * motion.duration_s)
-    return replace(motion_along(problem, guess, factor * motion.breaks_s), periodic=motion.periodic)
+    found = motion_along(problem, guess, factor * motion.breaks_s)
+    return replace(found, periodic=motion.periodic, along=motion.along)
 
 
 def rounded_down(value: float) -> float:
@@ -173,7 +174,7 @@ def at_rate_along(problem: Problem, motion: Trajectory, rate: float) -> Trajecto
     """
     faster = stretched(guess_from(motion), motion.duration_s / rate)
     found = motion_along(problem, faster, (motion.breaks_s - motion.breaks_s[0]) / rate)
-    return replace(found, periodic=motion.periodic)
+    return replace(found, periodic=motion.periodic, along=motion.along)
 
 
 def highest_kept_rate(keeps: Callable[[float], bool], slowest: float, fastest: float) -> float | None:

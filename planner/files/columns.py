@@ -23,7 +23,7 @@ from linkplan.models.reading import MAX_FILE_BYTES, read_file
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.scheme_names import MAX_INTERVALS
 
-ARRAYS = ("breaks_s", "position", "velocity", "effort", "start_pose")
+ARRAYS, ALONG = ("breaks_s", "position", "velocity", "effort", "start_pose"), "along"
 # Twice the coefficients of the highest degree: on the largest mesh, more would need gigabytes.
 _MAX_COEFFICIENTS = 24
 # The units in which column headers end; the first one that fits counts.
@@ -65,9 +65,9 @@ def read_trajectory(path: Path) -> Trajectory:
             periodic = _array(archive, "periodic", bool)
             if periodic.size != 1:
                 raise ValueError(f"periodic must be one word, got {periodic.size}")
-            arrays = {name: _array(archive, name, float) for name in ARRAYS}
+            arrays = {name: _array(archive, name, float) for name in (*ARRAYS, ALONG) if f"{name}.npy" in held}
             trajectory = Trajectory(**arrays, periodic=bool(periodic.ravel()[0]))
-            n, most = len(trajectory.breaks_s) - 1, max(len(arrays[name]) for name in ("position", "velocity", "effort"))
+            n, most = len(trajectory.breaks_s) - 1, max(len(of) for of in arrays.values() if of.ndim == 3)
             if n > MAX_INTERVALS or most > _MAX_COEFFICIENTS:
                 raise ValueError(
                     f"it has {n} intervals of {most} coefficients; at most {MAX_INTERVALS} of {_MAX_COEFFICIENTS} are read"

@@ -150,8 +150,8 @@ class Claimed:
         unit: of its display, `per_unit` times SI.
         bounds: [low, high].
         value: a function of a `proof.motion.Kinetics` (of a `State` if `of_planned`) with balls as values; or a CasADi
-            function of the pose q or of the first of `motion_symbols`; or one function of q for each interval of the
-            trajectory.
+            function of the pose q or of the first of `motion_symbols`; or one function of q and of the parameter of the
+            followed path for each interval of the trajectory.
         of_planned: whether the value needs planned positions and efforts only, and no speeds, or is of one kinetics.
         slack: the allowances of both bounds; those for rounding by default.
         unknown: why the value cannot be enclosed.

@@ -11,7 +11,6 @@ from typing import ClassVar, Self
 import casadi as ca
 import numpy as np
 
-from linkplan.models.guide.curve import Arc, Polynomial
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
@@ -20,14 +19,7 @@ from linkplan.planner.limits.samples import Poses, Samples
 from linkplan.planner.problem.instant import Scales
 from linkplan.planner.problem.path import SitePath
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.trajectory import Trajectory
-
-# Most Newton steps from the chord's parameter to that of a piece's nearest point, and their allowed error as a share of the
-# piece's length: a squared distance then has an error of 1e-16 of the squared length.
-_NEWTON_STEPS, _MISSED_SHARE = 6, 1e-8
-# Shares of an interval at which the nearest piece is searched. They avoid the ends, because plans have nodes at the ends of
-# pieces.
-_SHARES = np.array([1e-6, 0.25, 0.5, 0.75, 1 - 1e-6])
+from linkplan.planner.trajectory import JOIN_SHARE, Trajectory
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,27 +48,32 @@ class OnPathLimit(Limit):
     def measured(self, at: Poses) -> Measured:
         path, mechanism = at.problem.path, at.problem.mechanism
         assert path is not None
+        title, bounds = f"the distance of site {path.site} from its path", (-np.inf, path.within_m)
+        if not isinstance(at, Samples):
+            return Measured(title, np.zeros(len(at.q)), bounds, "m", path.within_m)  # a pose alone has no place along it
 
-        def values(q: np.ndarray) -> np.ndarray:
-            return path.curve.distance(places_of(mechanism, path.index, q))
+        def values(q: np.ndarray, time: np.ndarray) -> np.ndarray:
+            along = at.trajectory.along_at(time)
+            apart = np.linalg.norm(places_of(mechanism, path.index, q) - path.curve.places(along), axis=1)
+            return np.where(np.isfinite(along), apart, np.inf)
 
         def at_times(time: np.ndarray) -> np.ndarray:
             motion, until = at.trajectory, at.problem.solver.judging_deadline
-            return values(follow(mechanism, motion.position_at(time), motion.start_pose, until))
+            return values(follow(mechanism, motion.position_at(time), motion.start_pose, until), time)
 
-        finer = at_times if isinstance(at, Samples) else None
-        title = f"the distance of site {path.site} from its path"
-        return Measured(title, values(at.q), (-np.inf, path.within_m), "m", path.within_m, at_times=finer)
+        return Measured(title, values(at.q, at.time), bounds, "m", path.within_m, at_times=at_times)
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
         path = problem.path
         assert path is not None
         places = functools.cache(functools.partial(_squared_distance, problem.mechanism, path))
+        known = trajectory.along.size > 0
         yield Claimed(
             name=f"squared distance of site {path.site} from its path",
             unit="m2",
             bounds=(-np.inf, path.within_m**2),
-            value=[places(pieces) for pieces in _pieces_near(problem, trajectory)],
+            value=[places(pieces) for pieces in _pieces_passed(path, trajectory)] if known else (),
+            unknown="" if known else "the motion does not state its place along the path",
             of_planned=True,
             slack=(0.0, 0.0),
         )
@@ -88,43 +85,22 @@ class OnPathLimit(Limit):
         return replace(problem, path=replace(problem.path, within_m=problem.path.within_m * min(factor, 1e12)))
 
 
-def _pieces_near(problem: Problem, trajectory: Trajectory) -> list[tuple[int, ...]]:
-    """Return the pieces of the path nearest to the site on each interval."""
-    path, mechanism = problem.path, problem.mechanism
-    assert path is not None
-    q = trajectory.position_at(trajectory.times_at(_SHARES))
-    q = follow(mechanism, q, trajectory.start_pose, problem.solver.judging_deadline)
-    nearest = path.curve.nearest(places_of(mechanism, path.index, q))
-    pieces = np.searchsorted(path.curve.starts, nearest, side="right") - 1
-    return [tuple(range(min(of), max(of) + 1)) for of in pieces.reshape(-1, len(_SHARES)).tolist()]
+def _pieces_passed(path: SitePath, trajectory: Trajectory) -> list[tuple[int, ...]]:
+    """Return the pieces of the path that a motion passes on each interval, from the coefficients of its parameter."""
+    of, rounding = trajectory.along[:, :, 0], JOIN_SHARE * path.curve.length
+    ends = np.stack([of.min(axis=0) + rounding, np.maximum(of.max(axis=0) - rounding, of.min(axis=0) + rounding)])
+    first, last = np.clip(np.searchsorted(path.curve.starts, ends, side="right") - 1, 0, None)
+    return [tuple(range(low, high + 1)) for low, high in zip(first.tolist(), last.tolist(), strict=True)]
 
 
 def _squared_distance(mechanism: Mechanism, path: SitePath, pieces: tuple[int, ...]) -> ca.Function:
-    """Return an upper bound [m2] of the squared distance of the site from pieces, to rounding the distance, by the pose."""
-    q = ca.SX.sym("q", mechanism.n_q)
-    p = mechanism.dynamics.site_places(q)[:, path.index]
-    of = [path.curve.pieces[k] for k in pieces]
-    squared = functools.reduce(ca.fmin, (ca.sumsqr(piece.place(_nearest(piece, p)) - p) for piece in of))
-    return ca.Function("path", [q], [ca.densify(squared)])
+    """Return the least squared distance [m2] of the site from the places of pieces at the path's parameter, by pose and x.
 
-
-def _nearest(piece: Arc | Polynomial, p: ca.SX) -> ca.SX:
-    """Return the parameter of the point of a piece that is nearest to p: of its chord's, then by Newton's method.
-
-    It takes only as many steps as the piece's points need, because each step doubles the width of a ball around the
-    parameter.
+    Beyond the end of a piece, its last place counts.
     """
-    x, q = ca.SX.sym("x"), ca.SX.sym("p", 3)
-    place = piece.place(x)
-    slope = ca.jacobian(place, x)
-    step = ca.Function("step", [x, q], [x - ca.dot(slope, place - q) / ca.sumsqr(slope)])
-    first, last = (ca.DM(ca.evalf(piece.place(ca.SX(end)))) for end in (0.0, piece.length))
-    way = last - first
-    found = piece.length * ca.fmax(0.0, ca.fmin(1.0, ca.dot(q - first, way) / ca.sumsqr(way)))
-    along = np.linspace(0.0, piece.length, 20)
-    for _ in range(_NEWTON_STEPS):
-        found = ca.fmax(0.0, ca.fmin(piece.length, step(found, q)))
-        missed = ca.Function("missed", [x], [ca.substitute(found, q, place) - x]).map(len(along))
-        if np.abs(np.array(missed(along[None]))).max() <= _MISSED_SHARE * piece.length:
-            break
-    return ca.substitute(found, q, p)
+    q, x = ca.SX.sym("q", mechanism.n_q), ca.SX.sym("x")
+    p = mechanism.dynamics.site_places(q)[:, path.index]
+    of = [(path.curve.pieces[k], float(path.curve.starts[k])) for k in pieces]
+    places = (piece.place(ca.fmax(0.0, ca.fmin(piece.length, x - start))) for piece, start in of)
+    squared = functools.reduce(ca.fmin, (ca.sumsqr(place - p) for place in places))
+    return ca.Function("path", [q, x], [ca.densify(squared)])

@@ -15,7 +15,7 @@ from linkplan.models.errors import AssemblyError, CertificateError, LinkplanErro
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.demands import Demand
 from linkplan.planner.certificate.further_checks import disagreements, with_contacts
-from linkplan.planner.files.columns import ARRAYS, csv_bytes, parquet_bytes, read_trajectory
+from linkplan.planner.files.columns import ALONG, ARRAYS, csv_bytes, parquet_bytes, read_trajectory
 from linkplan.planner.files.folders import complete, write_json
 from linkplan.planner.files.structs import json_values
 from linkplan.planner.files.tables import apply_override
@@ -106,7 +106,7 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
     beside = _from(place or folder, plan.problem)
     write_json(folder / "plan.json", structs.replace(record_of(plan), model_from_here=beside))
     trajectory = plan.trajectory
-    arrays = {name: getattr(trajectory, name) for name in ARRAYS}
+    arrays = {name: of for name in (*ARRAYS, ALONG) if (of := getattr(trajectory, name)).size}
     table = motion_table(plan.problem, plan.trajectory, jumps=jumps)
     if table.site or table.body_deg:  # in addition to the motion: samples at the times of trajectory.csv
         arrays |= {"time_s": table.time_s} | {f"site_{name}_m": places for name, places in table.site.items()}
@@ -117,10 +117,8 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
         about = {"linkplan": metadata.version("linkplan"), "plan": plan.problem.name}
         (folder / "trajectory.parquet").write_bytes(parquet_bytes(table.columns(), about))
     read = read_trajectory(folder / "trajectory.npz")
-    known = (
-        plan.certificate if all(np.array_equal(getattr(read, name), getattr(trajectory, name)) for name in ARRAYS) else None
-    )
-    again = _certified(folder, read_plan_record(folder), read, plan.problem, known)
+    same = all(np.array_equal(getattr(read, name), getattr(trajectory, name)) for name in (*ARRAYS, ALONG))
+    again = _certified(folder, read_plan_record(folder), read, plan.problem, plan.certificate if same else None)
     if plan.passed and not again.passed:
         raise CertificateError(f"the plan is not saved, because its files could not be used: {again.message}")
 

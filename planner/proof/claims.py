@@ -159,7 +159,7 @@ def _values(one: Claimed, problem: Problem) -> Callable[[State], list[Ball]]:
     value = one.value
     if isinstance(value, Sequence):
         walks = [walk_of(function) for function in value]
-        return lambda state: [walks[state.piece.index](state.q)[0][0, 0]]
+        return lambda state: [walks[state.piece.index](state.q, state.along)[0][0, 0]]
     if not isinstance(value, ca.Function):
         return (lambda state: [value(state)]) if one.of_planned else of_kinetics(value)
     walk, of_s = walk_of(value), list(problem.mechanism.independent)

@@ -36,7 +36,10 @@ def end_findings(problem: Problem, trajectory: Trajectory) -> list[Finding]:
     largest = _largest_of_unit(problem, np.abs(trajectory.velocity).max(axis=(0, 1)))
     speeds = np.maximum(largest, 1e-9 / trajectory.duration_s)
     found = []
-    for what, of, size in (("position", trajectory.position, span), ("velocity", trajectory.velocity, speeds)):
+    joined = [("position", trajectory.position, span), ("velocity", trajectory.velocity, speeds)]
+    if problem.path is not None:
+        joined.append(("the place along the path", trajectory.along, np.array([problem.path.curve.length])))
+    for what, of, size in joined:
         jumps = (np.abs(of[0, 1:] - of[-1, :-1]) / size).max(axis=1)
         at = int(np.argmax(jumps)) if len(jumps) else 0
         value = float(jumps.max(initial=0.0))

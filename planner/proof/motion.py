@@ -38,6 +38,7 @@ class Piece:
     position: tuple[arb_poly, ...]
     velocity: tuple[arb_poly, ...]
     effort: tuple[arb_poly, ...]
+    along: tuple[arb_poly, ...]
     one_velocity: bool  # the planned velocity is the slope of the planned position, to rounding
 
     @classmethod
@@ -46,7 +47,7 @@ class Piece:
         begin, end = (float(x) for x in trajectory.breaks_s[k : k + 2])
         named = {
             name: tuple(arb_poly(power_form(column)) for column in getattr(trajectory, name)[:, k].T)
-            for name in ("position", "velocity", "effort")
+            for name in ("position", "velocity", "effort", "along")
         }
         since = arb(begin) - arb(float(trajectory.breaks_s[0]))
         width, one_velocity = arb(end) - arb(begin), _agrees(trajectory, k)
@@ -174,6 +175,7 @@ def _squared(A: Matrix, n_rows: int) -> Matrix:
 class State:
     """A motion as series of x over a box: positions s (n_s,), pose q (n_q,), planned velocity v and efforts u.
 
+    `along` (1,) is the parameter of the path that a site follows, empty without a path.
     `rate` is dx/dt [1/s], `time` is the time since the start of the motion [s].
     """
 
@@ -185,6 +187,7 @@ class State:
     u: Sequence[arb_series]
     rate: arb
     time: arb_series
+    along: Sequence[arb_series] = ()
     _kept: dict[str, list[Ball]] = field(default_factory=dict)
 
     def of_pose(self, name: str) -> list[Ball]:

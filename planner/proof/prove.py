@@ -323,17 +323,18 @@ def states_of(
     """
     r, everywhere = arb(box[1]), arb(0, 1)
     along = arb_poly([arb(box[0]), r])
-    local = [[p(along) for p in of] for of in (piece.position, piece.velocity, piece.effort)]  # of x in [-1, 1]
+    local = [[p(along) for p in of] for of in (piece.position, piece.velocity, piece.effort, piece.along)]  # of x in [-1, 1]
     point = krawczyk(blocks, [p(arb(0)) for p in local[0]], guess)
     root = krawczyk(blocks, [p(everywhere) + more for p, more in zip(local[0], slack, strict=True)], guess)
 
     def state(x: arb, z: Sequence[arb], cap: int) -> State:
         ctx.cap = cap
         about = arb_poly([x, 1])
-        s, v, u = ([arb_series(p(about).coeffs(), prec=cap) for p in of] for of in local)
+        s, v, u, path = ([arb_series(p(about).coeffs(), prec=cap) for p in of] for of in local)
         half = piece.width * r
         time = arb_series((piece.since + piece.width * along)(about).coeffs(), prec=cap)
-        return State(blocks=blocks, piece=piece, s=s, z=series_of(blocks, s, z, cap), v=v, u=u, rate=1 / half, time=time)
+        more = {"z": series_of(blocks, s, z, cap), "rate": 1 / half, "time": time}
+        return State(blocks=blocks, piece=piece, s=s, v=v, u=u, along=path, **more)
 
     return state(arb(0), point.enclosure, order + 2), state(everywhere, root.enclosure, order + 3), root
 

@@ -121,7 +121,8 @@ def _in_more_time(problem: Problem, first: _First) -> Plan | None:
         fixed = replace(problem.motion, duration_s=duration, min_duration_s=None, max_duration_s=None)
         asked = replace(problem, objective="effort", motion=fixed)
         case, guess = _first_case(asked, motion.start_pose), stretched(guess_from(motion), duration)
-        found = attempt(case, guess, *first_mesh(case.problem, guess), f"{factor:g} times slower", adaptive=True)
+        mesh, durations = first.found.mesh, factor * first.found.durations
+        found = attempt(case, guess, mesh, durations, f"{factor:g} times slower", adaptive=True)
         plan = None if found is None else certified(asked, found)
         if plan is not None and plan.passed:
             found = plan.require_motion("bound the duration with")

@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from linkplan.models.deadline import Deadline
 from linkplan.models.guide.guided import GuidedMechanism
 from linkplan.models.poses.along import accelerations, joint_rates
 from linkplan.models.poses.assembly import follow
@@ -23,6 +24,7 @@ from linkplan.planner.problem.limits import OF_JOINTS, free_bounds
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.transcription.bernstein import bernstein_part
 
 # Factor on the number of intervals for the guided mechanism: the drive at its limit changes often along a path, and the
 # program of one degree of freedom is small. With 1, 2 and 3, least times exceed those of an independent path
@@ -40,11 +42,13 @@ def plan_along_path(problem: Problem, start_pose: np.ndarray, plan_of: Callable[
     found = plan_of(_guided_problem(problem, mechanism))
     if found.trajectory is None or not found.passed:
         return replace(found, problem=problem, trajectory=None, certificate=None, objective=None)
-    motion = _in_joints(problem, mechanism, found.trajectory)
+    # A search that ran out of time still has its motion.
+    judged = replace(problem, solver=problem.solver.replace(deadline=Deadline().within(problem.solver.max_time_s)))
+    motion = _in_joints(judged, mechanism, found.trajectory)
     objective, _ = objective_value(problem, motion)
     sentence, further = found.message.partition(";")[::2]
     said = f"{sentence}, along the path of site {problem.path.site}" + f";{further}" * bool(further)
-    plan = finished(problem, motion, certify(problem, motion), objective, said, optimal=found.status == "optimal")
+    plan = finished(problem, motion, certify(judged, motion), objective, said, optimal=found.status == "optimal")
     return replace(plan, history=found.history)
 
 
@@ -95,4 +99,7 @@ def _in_joints(problem: Problem, mechanism: GuidedMechanism, along: Trajectory) 
     )
     n = _PIECES_FOR_JERK if any(limit.rows.jerk for limit in limits_of(problem)) else 1
     motion = motion_along(problem, guess, np.append(along.times_at(np.arange(n) / n), along.breaks_s[-1]))
-    return replace(motion, effort=np.clip(motion.effort, *problem.limits.effort.T))  # rounding
+    degree = len(along.position) - 1
+    parts = [np.einsum("pi,iks->pks", bernstein_part(degree, k / n, (k + 1) / n), along.position) for k in range(n)]
+    place = np.stack(parts, axis=2).reshape(degree + 1, -1, 1)
+    return replace(motion, effort=np.clip(motion.effort, *problem.limits.effort.T), along=place)  # rounding

@@ -12,13 +12,13 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.models.actuation.distribution import HOLDING_TOLERANCE
-from linkplan.models.deadline import Deadline
+from linkplan.models.deadline import Deadline, OutOfTimeError
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import needed_effort
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.further_checks import negligible_objective, objective_value
 from linkplan.planner.closed_chain.case import finished
-from linkplan.planner.closed_chain.guess import Guess, even_poses, guess_from, stretched
+from linkplan.planner.closed_chain.guess import Guess, even_poses, first_guess, guess_from, stretched
 from linkplan.planner.closed_chain.prescribed import SQUARES_AT_REST, Holding, holding_at, in_more_time, motion_along
 from linkplan.planner.phase_plane.cheapest_legs import cheapest_legs, legs_apply
 from linkplan.planner.plan.plan import Plan
@@ -44,18 +44,25 @@ NOT_SHOWN = "; it is not shown that no motion costs less"
 def along_smooth_path(search: Search) -> Plan | None:
     """Return the smooth path of a reach or a periodic motion as a "feasible" plan; None if its certificate does not pass.
 
-    If the duration is free, the first of several that passes is taken.
-
-    Raises:
-        OutOfTimeError: if the deadline for judging motions passes.
+    With waypoints, the path that rests at each of them is the answer if it is better.
     """
     asked = search.problem
     if asked.motion.kind not in ("reach", "periodic") or search.verdicts:
         return None
     # The later deadline ensures that a search that ran out of time still has this motion.
     problem = replace(asked, solver=asked.solver.replace(deadline=Deadline().within(asked.solver.max_time_s)))
-    for factor in _LONGER_FACTORS if asked.motion.duration_s is None else (1.0,):
-        guess = stretched(search.smooth, factor * search.smooth.duration_s)
+    found = []
+    with contextlib.suppress(OutOfTimeError):
+        for rests in (True, False) if asked.motion.waypoints else (False,):
+            path = first_guess(problem, search.start_pose, rests=True) if rests else search.smooth
+            found.append(_along(search, problem, path))
+    return min((plan for plan in found if plan is not None), key=lambda plan: plan.objective, default=None)
+
+
+def _along(search: Search, problem: Problem, path: Guess) -> Plan | None:
+    """Return the plan along a path, if the duration is free the first of several that passes; None if none does."""
+    for factor in _LONGER_FACTORS if problem.motion.duration_s is None else (1.0,):
+        guess = stretched(path, factor * path.duration_s)
         if factor > 1 and guess.duration_s > longest(problem):
             break
         with contextlib.suppress(AssemblyError):
@@ -63,8 +70,9 @@ def along_smooth_path(search: Search) -> Plan | None:
                 continue
             progress(f"the smooth path itself in {guess.duration_s:.4g} s")
             mesh, durations = first_mesh(problem, guess)
-            motion = replace(motion_along(problem, guess, mesh.breaks(durations)), periodic=asked.motion.kind == "periodic")
-            within = f" within {asked.solver.max_time_s:g} s" if search.stopped == OUT_OF_TIME else ""
+            periodic = problem.motion.kind == "periodic"
+            motion = replace(motion_along(problem, guess, mesh.breaks(durations)), periodic=periodic)
+            within = f" within {problem.solver.max_time_s:g} s" if search.stopped == OUT_OF_TIME else ""
             along = f"motion of {motion.duration_s:.6g} s along the smooth path, which satisfies every limit"
             said = f"{along}; the solver found no better motion{within}"
             plan = without_solving(problem, motion, objective_value(problem, motion)[0], said)

@@ -231,6 +231,55 @@ def test_a_polyline_with_rounded_corners_is_followed_and_saved(tmp_path):
     again = read_plan(tmp_path)
     assert again.problem.path.curve.length == plan.problem.path.curve.length
     np.testing.assert_array_equal(again.trajectory.position, plan.trajectory.position)
+    np.testing.assert_array_equal(again.trajectory.along, plan.trajectory.along)
+
+
+# From the arm's reach: a closed spline, a figure of eight, a closed polyline, and a hairpin whose sides are 10 mm apart.
+CIRCLE = [[0.5, 0.0, -0.1], [0.55, 0.0, 0.0], [0.5, 0.0, 0.1], [0.45, 0.0, 0.0], [0.5, 0.0, -0.1]]
+EIGHT = [[0.5, 0, -0.1], [0.55, 0, -0.05], [0.45, 0, 0.05], [0.5, 0, 0.1], [0.55, 0, 0.05], [0.45, 0, -0.05], [0.5, 0, -0.1]]
+SQUARE = [[0.45, 0.0, -0.05], [0.55, 0.0, -0.05], [0.55, 0.0, 0.05], [0.45, 0.0, 0.05], [0.45, 0.0, -0.05]]
+HAIRPIN = [[0.45, 0.0, 0.0], [0.55, 0.0, 0.0], [0.55, 0.0, 0.01], [0.45, 0.0, 0.01]]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "path",
+    [
+        {"points": CIRCLE, "shape": "spline"},
+        {"points": EIGHT, "shape": "spline"},
+        {"points": SQUARE, "blend_m": 0.02},
+        {"points": HAIRPIN, "blend_m": 0.004},
+    ],
+    ids=["circle", "eight", "square", "hairpin"],
+)
+def test_paths_that_close_cross_or_come_near_themselves_are_followed_and_proved(path):
+    problem = followed(path={"site": "tip", **path}, minimize="effort", duration_s=1.5, mesh={"intervals": 12})
+    plan = plan_motion(problem)
+    assert plan.status == "optimal"
+    (finding,) = [one for one in prove(problem, plan.trajectory, existence=False).findings if "its path" in one.name]
+    assert finding.answer == "proved"
+
+
+@pytest.mark.slow
+def test_a_motion_that_leaves_out_a_part_of_a_crossing_path_is_not_on_it():
+    """It follows a path that crosses the long one at its middle, and states the places along the long one."""
+    long = [[0.45, 0, -0.1], [0.5, 0, 0.0], [0.55, 0, 0.05], [0.55, 0, -0.05], [0.5, 0, 0.0], [0.45, 0, 0.1]]
+    whole = followed(path={"site": "tip", "points": long, "shape": "spline"}, minimize="effort", duration_s=1.0)
+    short = {"site": "tip", "points": [long[0], long[0]], "shape": "spline"}
+    short["points"] = whole.path.curve.places(np.linspace(0.0, whole.path.curve.starts[1], 9)).tolist()
+    part = plan_motion(followed(path=short, minimize="effort", duration_s=1.0, mesh={"intervals": 12}))
+    assert part.passed
+    failures = certify(whole, part.trajectory).failures
+    assert any("boundary conditions" in one for one in failures)
+    bare = replace(part.trajectory, along=np.zeros((1, 0, 0)))
+    assert any("distance of site tip from its path is not finite" in one for one in certify(part.problem, bare).failures)
+
+
+@pytest.mark.slow
+def test_a_corner_too_tight_to_be_passed_at_speed_is_passed_nearly_at_rest():
+    corner = [[0.55, 0.0, -0.15], [0.55, 0.0, 0.0], [0.45, 0.0, 0.1]]
+    plan = plan_motion(followed(path={"site": "tip", "points": corner, "blend_m": 1e-6}, solver={"max_time_s": 6.0}))
+    assert plan.passed
 
 
 @pytest.mark.slow
