@@ -13,10 +13,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
+from linkplan.models.poses.along import demanded, missed_rounding
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
+from linkplan.models.tree.friction import frictions_of
 from linkplan.models.tree.joints import POSITION_ROUNDING
 from linkplan.planner.certificate.integration import POSE_SLACK
 from linkplan.planner.limits.kinds import limits_of
@@ -103,6 +105,7 @@ def plain_contradiction(problem: Problem) -> str | None:
         _pose_beyond,
         no_way_to_stop,
         _mean_speed,
+        _too_weak_at_an_end,
     )
     return next((sentence for look in looks if (sentence := look(problem)) is not None), None)
 
@@ -249,6 +252,42 @@ def only_way(problem: Problem) -> np.ndarray | None:
         return follow(mechanism, between, close_at(mechanism, motion.start), problem.solver.deadline)
     except AssemblyError:  # the loops open on the path, which another check reports
         return None
+
+
+def _too_weak_at_an_end(problem: Problem) -> str | None:
+    """Return the sentence on an end of a path at which no efforts within their limits accelerate along the path, or None.
+
+    From rest, the efforts u and the acceleration a along the path satisfy B u = tau_0 + g a, with more equations than
+    freedoms. The linear program min t over a, u and t, within the limits widened by t times their sizes, shows by how much
+    the limits fail.
+    """
+    import scipy
+
+    mechanism, limit, poses = problem.mechanism, problem.limits.effort, only_way(problem)
+    if mechanism.n_equations == mechanism.dof or poses is None or mechanism.forces is not None:
+        return None
+    if any(frictions_of(mechanism.model)) or not np.all(np.isfinite(limit)):
+        return None
+    ends, still = poses[[0, -1]], np.zeros((2, 1))
+    tau, maps = demanded(mechanism, ends, still, still)
+    along = demanded(mechanism, ends, still, still + 1.0)[0] - tau
+    size, n_u = np.abs(limit).max(axis=1, keepdims=True), mechanism.n_u
+    rows = np.block([[np.eye(n_u), -size, np.zeros((n_u, 1))], [-np.eye(n_u), -size, np.zeros((n_u, 1))]])
+    for k, (name, ways) in enumerate((("beginning", (0.0, None)), ("end", (None, 0.0)))):
+        equal = np.column_stack([maps[k], np.zeros(len(tau[k])), -along[k]])
+        cost, bounds = [0.0] * n_u + [1.0, 0.0], [(None, None)] * n_u + [(0.0, None), ways]
+        found = scipy.optimize.linprog(cost, rows, np.append(limit[:, 1], -limit[:, 0]), equal, tau[k], bounds)
+        if found.success and found.x[n_u] * size.max() > missed_rounding(limit):
+            effort = found.x[:n_u]
+            nearest = np.clip(effort, *limit.T)
+            j = int(np.argmax(np.abs(effort - nearest) / size[:, 0]))
+            actuator = mechanism.actuators[j]
+            return (
+                f"infeasible: at rest at the path's {name}, {actuator.name} on {actuator.target} would have to give at least"
+                f" {effort[j]:.4g} {actuator.unit}, {abs(effort[j] - nearest[j]):.4g} {actuator.unit} beyond its limit of"
+                f" {nearest[j]:.4g} {actuator.unit}, to keep its site on the path"
+            )
+    return None
 
 
 def _beyond_ctrl(problem: Problem) -> str | None:

@@ -234,6 +234,20 @@ def test_a_polyline_with_rounded_corners_is_followed_and_saved(tmp_path):
     np.testing.assert_array_equal(again.trajectory.along, plan.trajectory.along)
 
 
+def test_motors_too_weak_to_leave_the_beginning_are_named_without_a_search():
+    """The least overrun of the limits over all accelerations along the line, by the arm's own formulas on a grid."""
+    x, pace = np.zeros(2001), np.linspace(0.0, 20.0, 2001)
+    q, slope, _ = along_line(x)
+    given = np.array(torques(q, (0 * x, 0 * x), (slope[0] * pace, slope[1] * pace)))
+    limit = np.array([[4.0], [1.0]])
+    best = int(np.argmin(np.max((np.abs(given) - limit) / limit, axis=0)))
+    assert np.abs(given[0, best]) > 4.0
+    plan = plan_motion(followed(limits={"effort": {"m1": [-4.0, 4.0], "m2": [-1.0, 1.0]}}), methods=())
+    assert plan.status == "infeasible"
+    assert f"at rest at the path's beginning, m1 on joint q1 would have to give at least {given[0, best]:.3g}" in plan.message
+    assert not plan_motion(followed(limits={"effort": {"m1": [-13.9, 13.9], "m2": [-4.9, 4.9]}}), methods=()).message.startswith("infeasible")
+
+
 # From the arm's reach: a closed spline, a figure of eight, a closed polyline, and a hairpin whose sides are 10 mm apart.
 CIRCLE = [[0.5, 0.0, -0.1], [0.55, 0.0, 0.0], [0.5, 0.0, 0.1], [0.45, 0.0, 0.0], [0.5, 0.0, -0.1]]
 EIGHT = [[0.5, 0, -0.1], [0.55, 0, -0.05], [0.45, 0, 0.05], [0.5, 0, 0.1], [0.55, 0, 0.05], [0.45, 0, -0.05], [0.5, 0, -0.1]]
