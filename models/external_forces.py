@@ -17,7 +17,12 @@ from linkplan.models.kinematics import clamped_joints
 
 
 class ForceCurve(Protocol):
-    """Columns over time."""
+    """Columns over time, which may repeat."""
+
+    @property
+    def periodic(self) -> bool:
+        """Whether the columns repeat."""
+        ...
 
     def derivative(self, time_s: np.ndarray, order: int = 0) -> np.ndarray:
         """Return the derivative of the given order at times (n,) [s], as (n, k)."""
@@ -34,6 +39,11 @@ class ForcesOverTime:
 
     sites: tuple[str, ...]
     curve: ForceCurve
+
+
+def omitted_forces(forces: ForcesOverTime | None, where: str) -> str | None:
+    """Return the note that forces over time, which belong to a motion, are omitted in a study without one, or None."""
+    return None if forces is None else f"force_over_time on {', '.join(forces.sites)} is omitted {where}"
 
 
 # The site at the world's origin whose axes are those of the forces.

@@ -15,7 +15,7 @@ from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.keys.kinds import MIN_INTERVAL_SHARE
 from linkplan.planner.problem.objective import motor_losses
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.problem.reference import is_whole
+from linkplan.planner.problem.reference import repeats_in
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_integral, bernstein_matrix
 
@@ -41,7 +41,8 @@ def prescribe(problem: Problem, start_pose: np.ndarray) -> Trajectory:
     counts = np.ceil(least - 1e-9).astype(int)
     parts = [np.linspace(knots[k], knots[k + 1], int(n), endpoint=False) for k, n in enumerate(counts)]
     motion = motion_along(problem, guess, np.append(np.concatenate(parts), T))
-    return replace(motion, periodic=reference.periodic and is_whole(T / period_s))
+    forces = problem.mechanism.forces
+    return replace(motion, periodic=repeats_in(reference, T) and (forces is None or forces.curve.periodic))
 
 
 def motion_along(problem: Problem, guess: Guess, breaks_s: np.ndarray) -> Trajectory:

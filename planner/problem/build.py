@@ -39,7 +39,7 @@ from linkplan.planner.problem.limits import actuator_index, closure_index, limit
 from linkplan.planner.problem.motion_table import motion_of
 from linkplan.planner.problem.objective import Objective, objective_from
 from linkplan.planner.problem.path import path_rows, site_path_of
-from linkplan.planner.problem.reference import Reference, guess_of, reference_of
+from linkplan.planner.problem.reference import Reference, guess_of, reference_of, repeats_in
 from linkplan.planner.problem.settings import (
     DEFAULT_PERIOD_S,
     MeshSettings,
@@ -98,7 +98,7 @@ def problem_arguments(
         path = site_path_of(asked.path, mechanism)
     motion = motion_of(asked.motion, mechanism, reference, limits, path)
     if asked.force_over_time is not None:
-        mechanism = replace(mechanism, forces=forces_of(asked.force_over_time, mechanism, motion))
+        mechanism = replace(mechanism, forces=forces_of(asked.force_over_time, mechanism, motion, reference))
         notes += force_notes(asked.force_over_time)
     elif mechanism.forces is not None:
         mechanism = replace(mechanism, forces=None)
@@ -227,7 +227,14 @@ def _in_coordinates(tables: Tables, mechanism: Mechanism, named: list[str], fold
 
 
 def _duration_notes(motion: MotionSection, objective: Objective, reference: Reference | None) -> list[str]:
-    """Return a note if the duration is free by default."""
+    """Return a note if the duration is free by default, or if it ends within a period of the reference."""
+    given = motion.duration_s
+    if motion.kind == "track" and isinstance(given, float) and reference is not None and reference.periodic:
+        periods = given / reference.period_s
+        part = (
+            f"motion.duration_s = {given:g} s is {periods:.4g} periods of the reference, of {reference.period_s:g} s each:"
+        )
+        return [] if repeats_in(reference, given) else [f"{part} the motion ends within a period, and does not repeat"]
     is_given = any(value is not None for value in (motion.duration_s, motion.min_duration_s, motion.max_duration_s))
     if is_given or reference is not None or objective.has("time"):
         return []

@@ -8,9 +8,10 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.external_forces import ForcesOverTime
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.dynamics import site_index
+from linkplan.planner.problem.keys.kinds import MAX_INTERVALS
 from linkplan.planner.problem.keys.motion import ForceSection
 from linkplan.planner.problem.motion import Motion
-from linkplan.planner.problem.reference import is_whole
+from linkplan.planner.problem.reference import Reference, is_whole, repeats_in
 from linkplan.planner.problem.sites import AXES
 from linkplan.planner.problem.table_reference import Spline, returns, times_of, with_period
 
@@ -33,13 +34,16 @@ def force_rows(columns: dict[str, np.ndarray], what: str, _mechanism: Mechanism)
     return {"time_s": columns["time_s"].tolist(), "on": on}
 
 
-def forces_of(section: ForceSection, mechanism: Mechanism, motion: Motion) -> ForcesOverTime:
+def forces_of(
+    section: ForceSection, mechanism: Mechanism, motion: Motion, reference: Reference | None = None
+) -> ForcesOverTime:
     """Return the forces of a [force_over_time] table.
 
     Args:
         section: the table; its first row is at the motion's start.
         mechanism: with the sites.
         motion: in whose time the table is given.
+        reference: of the motion; the table repeats with a motion that repeats, if its last row equals the first.
 
     Raises:
         ProblemError: for a table that cannot be read, or whose times do not fit the motion's.
@@ -60,15 +64,17 @@ def forces_of(section: ForceSection, mechanism: Mechanism, motion: Motion) -> Fo
         own: dict[str, list[float]] = {axis: [0.0] * len(time) for axis in AXES} | dict(axes)
         columns += [own[axis] for axis in AXES]
     time, rows = with_period(time, np.array(columns).T, section.period_s, _KEY)
-    repeats = section.period_s is not None or motion.kind == "periodic"
     duration, last = motion.duration_s, float(time[-1])
     assert duration is not None  # as checked above
-    if motion.kind == "periodic" and not returns(rows):
+    tracked = motion.kind == "track" and reference is not None and repeats_in(reference, duration)
+    again = motion.kind == "periodic" or (tracked and returns(rows))
+    repeats = section.period_s is not None or again
+    if again and not returns(rows):
         raise ProblemError(
             f"the last row of {_KEY} of a periodic motion must equal the first (or give {_KEY}.period_s), got"
             f" {_shown(rows[0])} first and {_shown(rows[-1])} N last"
         )
-    if motion.kind == "periodic" and not is_whole(duration / last):
+    if again and not is_whole(duration / last):
         raise ProblemError(
             f"{_KEY} repeats after {last:g} s; motion.duration_s must be a multiple of this, got {duration:g}"
         )
@@ -77,7 +83,12 @@ def forces_of(section: ForceSection, mechanism: Mechanism, motion: Motion) -> Fo
             f"{_KEY}.time_s ends at {last:g} s from its first row, before the motion's end at {duration:g} s; add rows up"
             f" to the end, or {_KEY}.period_s if it repeats"
         )
-    if motion.kind == "periodic":
+    if repeats and duration / last * (len(time) - 1) > MAX_INTERVALS:
+        raise ProblemError(
+            f"{_KEY} repeats {duration / last:.6g} times in motion.duration_s = {duration:g} s; with {len(time) - 1} rows,"
+            f" at most {MAX_INTERVALS // (len(time) - 1)} times are legal"
+        )
+    if again:
         rows[-1] = rows[0]
     curve = Spline(knots_s=time, coefficients=_coefficients(time, rows, section.interpolation, repeats), periodic=repeats)
     return ForcesOverTime(tuple(section.on), curve)

@@ -70,6 +70,11 @@ def is_whole(number: float) -> bool:
     return round(number) >= 1 and abs(number - round(number)) < 1e-9 * max(1.0, number)
 
 
+def repeats_in(reference: Reference, duration_s: float) -> bool:
+    """Return True if a duration is a whole number of periods of a reference that repeats."""
+    return reference.periodic and is_whole(duration_s / reference.period_s)
+
+
 def reference_of(section: ReferenceSection, mechanism: Mechanism, ranges: np.ndarray) -> tuple[Reference, list[str]]:
     """Return the reference of a [reference] table, and a note if the table does not name its spline.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from linkplan.controllers.trackers.names import LINEAR
-from linkplan.inputs import Poses, Subject, note_forces, poses_of
+from linkplan.inputs import Poses, Subject, poses_of
 from linkplan.loops import loop_of
 from linkplan.models.errors import ProblemError, choose
 from linkplan.planner.problem.settings import number
@@ -82,11 +82,12 @@ def tune(
         stiffness=None if stiffness is None else number(stiffness, "stiffness", positive=True),
     )
     mechanism, problem, settings, limit = loop_of(subject, tracking, {"period_s": period_s, "delay_periods": delay_periods})
-    note_forces(mechanism, say, "at the poses of tune")
     looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
     points = [operating_point(mechanism, position, limit) for position in looked.positions]
     law = sampled_law(mechanism, tracker, settings, limit)
-    return TuneResult(tuning=tuning.tune(points, wanted, law, say=say, line=looked.line, note=looked.note))
+    return TuneResult(
+        tuning=tuning.tune(points, wanted, law, say=say, line=looked.line, note=looked.said(mechanism, "tune"))
+    )
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)

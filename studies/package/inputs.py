@@ -7,6 +7,7 @@ from pathlib import Path
 
 from linkplan.models.catalogue import MODELS, unknown_source
 from linkplan.models.errors import InfeasibleError, ModelError, ProblemError
+from linkplan.models.external_forces import omitted_forces
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import Tables, apply_override, read_tables, refuse_saved_plan
@@ -108,10 +109,11 @@ def read_subject(subject: Subject) -> tuple[Mechanism, Problem | None, dict]:
     raise ProblemError(f"the subject must be a mechanism, a Problem, or the name or path of either, got {subject!r}")
 
 
-def note_forces(mechanism: Mechanism, say: Listener, where: str) -> None:
-    """Pass a note that forces over time belong to a motion, and are omitted in a study of poses or of a model."""
-    if mechanism.forces is not None:
-        say.keep(f"force_over_time on {', '.join(mechanism.forces.sites)} is omitted {where}")
+def note_forces(mechanism: Mechanism, say: Listener) -> None:
+    """Pass a note that forces over time belong to a motion, and are omitted in an exported model."""
+    note = omitted_forces(mechanism.forces, "in the exported model")
+    if note is not None:
+        say.keep(note)
 
 
 def plan_of(plan: PlanLike, say: Listener, doing: str) -> Plan:

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import structs
 
 from linkplan.controllers.trackers.names import LINEAR
-from linkplan.inputs import Poses, Subject, note_forces, numbers, plan_of, poses_of, read_subject, tracking_table
+from linkplan.inputs import Poses, Subject, numbers, plan_of, poses_of, read_subject, tracking_table
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.paths import drawn
@@ -106,7 +106,6 @@ def bode(
     say = listener(progress)
     given = {"kp": kp, "kd": kd, "period_s": period_s, "delay_periods": delay_periods}
     mechanism, problem, settings, limit = loop_of(subject, tracking, given)
-    note_forces(mechanism, say, "at the poses of bode, but along the motion (along)")
     if along and problem is None:
         raise ProblemError("along needs a problem with a motion, got a model")
     for name, is_asked in (("map", map), ("large", large)):
@@ -117,7 +116,7 @@ def bode(
     looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
     setup = Setup(amplitude=None if amplitude is None else joint.read(amplitude)) if measure else None
     at_hz = None if frequency_hz is None else np.array(numbers(frequency_hz, "frequency_hz", positive=True))
-    common = {"law": tracker, "setup": setup, "frequency_hz": at_hz, "note": looked.note}
+    common = {"law": tracker, "setup": setup, "frequency_hz": at_hz, "note": looked.said(mechanism, "bode")}
     if is_plant:
         named = list(from_effort), list(to_position)
         return PlantResult(study=plant_study(mechanism, looked.positions, *named, settings, limit, say, **common))

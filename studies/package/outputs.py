@@ -206,7 +206,7 @@ def export(
         raise ProblemError(f"'{to}' needs a plan; a model can only be exported as 'c'")
     answer = plan_of(plan, say, "export")
     if to in ("keyframes", "mjcf"):
-        note_forces(answer.problem.mechanism, say, "in the exported model")
+        note_forces(answer.problem.mechanism, say)
     content = exported(answer, str(to), every_s, names)
     write_new(place, content)
     record = FileRecord(file=str(place), format=to, bytes=len(content), plan=answer.problem.name)
@@ -267,7 +267,7 @@ def _exported_c(
         if tolerance is not None:
             raise ProblemError("tolerance applies to the tables of a plan's law in C; a model's code has no tables")
         mechanism, _ = subject_of(cast(Subject, subject))
-        note_forces(mechanism, say, "in the exported model")
+        note_forces(mechanism, say)
         code = model_code(with_outputs(mechanism, joints) if joints else mechanism)
         say(f"{code.mechanism.name}: C code")
         made = functools.partial(write_model, code, compiled=sizes or None)

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from linkplan.inputs import PlanLike, Subject, note_forces, numbers, plan_of, subject_of
+from linkplan.inputs import PlanLike, Subject, numbers, plan_of, subject_of
 from linkplan.models.errors import LinkplanError, ProblemError, choose
 from linkplan.models.transfer.rest import OutputMotion, rest_effort
 from linkplan.planner.problem.settings import to_toml_types
@@ -77,7 +77,6 @@ def transfer(
         raise ProblemError(f"joints must be a list of names, got {joints!r}")
     mechanism, problem = subject_of(subject)
     say = listener(progress)
-    note_forces(mechanism, say, "in the table, whose efforts are those at rest")
     gains = {"joint_kp": joint_kp, "joint_kd": joint_kd, "motor_kp": motor_kp, "motor_kd": motor_kd}
     ends = {}
     for key, table in (("range_deg", range_deg), ("range_m", range_m)):

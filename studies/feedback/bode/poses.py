@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.models.errors import LinkplanError, ProblemError
+from linkplan.models.external_forces import omitted_forces
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.reach import reach
 from linkplan.planner.closed_chain.guess import first_guess
@@ -31,6 +32,11 @@ class LoopPoses:
     positions: np.ndarray
     note: str | None = None
     line: PoseLine | None = None
+
+    def said(self, mechanism: Mechanism, command: str) -> str | None:
+        """Return the note of a command on the poses' choice, and on forces over time that do not act at them."""
+        notes = [self.note, omitted_forces(mechanism.forces, f"at the poses of {command}")]
+        return "; ".join(filter(None, notes)) or None
 
 
 def loop_poses(

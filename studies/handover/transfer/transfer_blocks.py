@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from linkplan.models.external_forces import omitted_forces
 from linkplan.models.transfer.polytope import effort_box, effort_corners
 from linkplan.models.transfer.table import REFINED
 from linkplan.studies.handover.transfer.columns import QUANTITIES, curves
@@ -36,7 +37,9 @@ def transfer_blocks(transfer: Transfer) -> list[Block]:
 def notes(transfer: Transfer) -> list[str]:
     """Return sentences on what the table omits."""
     table, outputs = transfer.table, transfer.outputs
-    mechanism, found = outputs.mechanism, []
+    mechanism = outputs.mechanism
+    forces = omitted_forces(mechanism.forces, "in the table, whose efforts are those at rest")
+    found = [] if forces is None else [forces]
     off = int(np.sum(~table.known))
     if off:
         found.append(f"{off} of {table.known.size} nodes are outside the map; the column status has the reason")

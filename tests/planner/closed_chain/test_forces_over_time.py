@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import scipy
 
+import linkplan
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.along import needed_effort
@@ -52,9 +53,11 @@ def steered() -> Plan:
     return plan_motion(steering()).require()
 
 
-def curve(interpolation: str):
+def curve(interpolation: str, *, repeats: bool = False):
     """Return the function from times (n,) [s] to the push (n,) [N], by numpy or scipy."""
-    return (lambda t: np.interp(t, ROWS, PUSH)) if interpolation == "linear" else scipy.interpolate.CubicSpline(ROWS, PUSH)
+    if interpolation == "linear":
+        return lambda t: np.interp(t, ROWS, PUSH)
+    return scipy.interpolate.CubicSpline(ROWS, PUSH, bc_type="periodic" if repeats else "not-a-knot")
 
 
 def followed(interpolation: str = "linear", **arguments) -> Problem:
@@ -81,7 +84,7 @@ def test_the_efforts_of_a_followed_motion_are_those_of_mujocos_inverse_dynamics_
             of(t)[0] for of in (motion.position_at, motion.velocity_at, motion.acceleration_at)
         )
         mujoco.mj_inverse(model, data)
-        applied, push = np.zeros(2), curve(interpolation)(t)[0] * np.array([1.0, 0.0, 2.0])
+        applied, push = np.zeros(2), curve(interpolation, repeats=True)(t)[0] * np.array([1.0, 0.0, 2.0])
         mujoco.mj_applyFT(model, data, push, np.zeros(3), data.site_xpos[foot], model.site_bodyid[foot], applied)
         off.append(motion.effort_at(t)[0] - (data.qfrc_inverse - applied))
         assert np.abs(applied).max() < 50
@@ -344,6 +347,49 @@ def test_a_motion_whose_instants_are_free_is_refused(arguments, words):
 def test_a_force_of_another_period_than_the_motion_s_is_refused(forces, words):
     mechanism = load_mechanism(arm(UPPER, LOWER))
     assert_refused(lambda: Problem.periodic(mechanism, reference=SWING, duration_s=T, force_over_time=forces), words)
+
+
+def test_a_table_repeats_with_a_tracked_motion_that_repeats():
+    problem = followed()
+    late = np.array([0.06, 0.2]) + 3 * T
+    np.testing.assert_allclose(problem.mechanism.forces_at(late)[0][:, 0], [8.0, 25.0], atol=1e-9)
+    assert plan_motion(problem).trajectory.periodic
+
+
+def test_a_tracked_motion_under_a_table_that_does_not_return_is_made_once():
+    plan = plan_motion(followed(force_over_time=table(z=PUSH + ROWS)))
+    assert plan.trajectory is not None
+    assert not plan.trajectory.periodic
+
+
+def test_a_period_that_does_not_fit_a_tracked_motion_is_refused():
+    forces = {"time_s": [0.0, 0.1], "on": {"foot": {"z": [0.0, 9.0]}}, "period_s": 0.3}
+    assert_refused(lambda: followed(force_over_time=forces), "motion.duration_s must be a multiple")
+
+
+def test_a_part_of_a_period_is_tracked_with_a_note():
+    problem = Problem.track(load_mechanism(arm(UPPER, LOWER)), reference=SWING, duration_s=0.3)
+    (note,) = (one for one in problem.notes if "periods of" in one)
+    assert "0.75 periods of the reference, of 0.4 s" in note
+    assert not any("periods of" in one for one in followed().notes)
+
+
+def test_rows_times_periods_of_a_table_are_bounded():
+    forces = {"time_s": [0.0, 5e-6], "on": {"tyre": {"y": [0.0, 1.0]}}, "period_s": 1e-5}
+    assert_refused(lambda: steering(force_over_time=forces), "repeats 40000 times in motion.duration_s = 0.4 s; with 2 rows")
+    rare = forces | {"time_s": [0.0, 5e-5], "period_s": 1e-4}
+    assert steering(force_over_time=rare).mechanism.forces is not None
+
+
+@pytest.mark.parametrize("study", ["bode", "tune", "transfer"])
+def test_studies_of_poses_say_that_they_omit_the_force(study):
+    problem, at = steering(tracking={"kp": 5e4, "kd": 2e3}), {"at_m": [{"rack": 0.0}]}
+    made = {
+        "bode": lambda: linkplan.bode(problem, **at, measure=False),
+        "tune": lambda: linkplan.tune(problem, bandwidth_hz=2.0, **at),
+        "transfer": lambda: linkplan.transfer(problem, ["rack"]),
+    }
+    assert "force_over_time on tyre is omitted" in str(made[study]())
 
 
 def test_a_hold_is_refused():
