@@ -204,6 +204,8 @@ def with_closed_pose(
 
     A tolerance is offered only for a gap that rounding may leave in a mechanism of the size `extent_m`.
     """
+    if error.home:
+        return error
     pose = nearest_closed_pose(loop, reference)
     if pose is not None:
         return _offering(error, loop, pose)
@@ -289,13 +291,22 @@ def _assemble(loop: KinematicLoop, reference: np.ndarray, asked: dict[int, float
     # Unnamed joints may belong to another branch than the reference's: quarter turns of them are further starts.
     starts = [start, *(_turned(loop, start, unnamed) if len(asked) > 1 else [])]
     from_reference = [newton.follow(loop, near, asked)] if gap <= loop.closed_m else []
+    nearest, least = None, np.inf
     for pose, gap in itertools.chain(from_reference, _trial_poses(loop, starts, list(asked), unnamed)):
         away = max(abs(pose[i] - value) for i, value in asked.items())
         if gap <= loop.closed_m and away <= HOME_TOLERANCE:
             return pose
+        if gap <= loop.closed_m and away < least:
+            nearest, least = pose, away
     gap = min(newton.least_gap(loop, trial, unnamed)[0] for trial in starts) if measured else np.inf
     at = where([loop.joints[i] for i in asked], asked.values(), 6)
-    raise AssemblyError(f"mechanism '{loop.name}' does not close at {at}: the loop stays open by {1e3 * gap:.3g} mm")
+    error = UnassembledError(
+        f"mechanism '{loop.name}' does not close at {at}: the loop stays open by {1e3 * gap:.3g} mm", gap
+    )
+    if nearest is None:
+        raise error
+    turns = np.array([joint.kind == "hinge" and joint.chart is None for joint in loop.joints])
+    raise _offering(error, loop, nearest - 2 * np.pi * np.round((nearest - start) / (2 * np.pi)) * turns)
 
 
 def _trial_poses(

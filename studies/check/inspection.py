@@ -272,7 +272,11 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
     """Return the problems and notes on the home pose, closures, masses, actuators and keyframes."""
     problems, notes = [], []
     if mechanism.home_gap_m > OPEN_M:
-        problems.append(f"loop {_open_loops(mechanism)} at the model's reference pose: the simulator closes it abruptly")
+        loops = f"loop {_open_loops(mechanism)} at the model's reference pose"
+        if mechanism.source.keys() & {"home_deg", "home_m"}:
+            notes.append(f"{loops}, and closed at mechanism.home_deg, from which linkplan starts")
+        else:
+            problems.append(f"{loops}: the simulator closes it abruptly")
         notes.append(f"this keyframe in the model closes it: {keyframe_of(mechanism.coordinates, mechanism.home)}")
     problems += outside_at_home(mechanism)
     for ball, angle in zip(mechanism.balls, ball_angles(mechanism, mechanism.home[None])[0], strict=True):

@@ -13,6 +13,7 @@ from linkplan.models.errors import UnassembledError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.files.tables import parse_value
 from linkplan.planner.problem.build import mechanism_from_tables
+from linkplan.studies.check.inspection import inspect
 from tests.support.mechanisms import replaced
 
 # A five-bar leg drawn with all its links along x: its feet stand half a metre apart, and no Newton step closes them.
@@ -204,3 +205,32 @@ def test_the_sparse_jacobian_of_the_loops_is_read_into_its_places():
     assert function.nnz_out(1) < function.numel_out(1)
     for found, wanted in zip(loop.residual(squeezer.home + 0.1), function(squeezer.home + 0.1), strict=True):
         np.testing.assert_array_equal(found, np.array(wanted).reshape(found.shape))
+
+
+# A crank of 0.1 m, a coupler of 0.28 m and a rocker of 0.22 m on a base of 0.3 m, all drawn along x.
+FLAT = """<mujoco model="flat"><option gravity="0 0 0"/><default><geom type="capsule" size=".005" contype="0"
+conaffinity="0"/><joint axis="0 -1 0"/></default><worldbody><body><joint name="o"/><geom fromto="0 0 0 .1 0 0"/>
+<body pos=".1 0 0"><joint name="a"/><geom fromto="0 0 0 .28 0 0"/><site name="k" pos=".28 0 0"/></body></body>
+<body pos=".3 0 0"><joint name="d"/><geom fromto="0 0 0 .22 0 0"/><site name="r" pos=".22 0 0"/></body></worldbody>
+<equality><connect name="B" site1="k" site2="r"/></equality>
+<actuator><motor joint="o" ctrlrange="-3 3"/></actuator></mujoco>"""
+
+
+def test_a_named_pose_that_is_far_off_is_answered_with_the_nearest_one_that_keeps_its_first_joint():
+    with pytest.raises(UnassembledError, match="does not close at o = 60 deg, d = 80 deg") as refused:
+        load_mechanism(FLAT, home={"o": np.radians(60.0), "d": np.radians(80.0)})
+    assert str(refused.value).count("nearest closed pose found") == 1
+    home = refused.value.home["home_deg"]
+    assert home == pytest.approx({"o": 60.0, "a": -31.555829, "d": 90.99}, abs=1e-4)
+    crank, coupler, rocker = np.radians([home["o"], home["o"] + home["a"], home["d"]])
+    ends = 0.1 * np.exp(1j * crank) + 0.28 * np.exp(1j * coupler), 0.3 + 0.22 * np.exp(1j * rocker)
+    assert abs(ends[0] - ends[1]) < 1e-8
+    taken = load_mechanism(FLAT, home={name: np.radians(angle) for name, angle in home.items()})
+    np.testing.assert_allclose(np.degrees(taken.home), [home["o"], home["a"], home["d"]], atol=1e-4)
+
+
+def test_a_named_closed_home_of_an_open_model_is_no_problem():
+    mechanism = mechanism_from_tables({"mechanism": {"model": FLAT, "home_deg": {"o": 60.0, "d": 91.0}}})
+    found = inspect(mechanism, [])
+    assert not found.problems
+    assert any("closed at mechanism.home_deg" in note for note in found.notes)
