@@ -4,13 +4,16 @@ import argparse
 import re
 import sys
 from collections.abc import Callable, Sequence
-from typing import NoReturn
+from typing import TYPE_CHECKING, NoReturn
 
 from linkplan.models.errors import closest, nearest, one_line
 from linkplan.names import C_TRACKERS, FOLDER_FORMATS, FORMATS, KEYS_TEXT, LINEAR
 from linkplan.studies.cli import option_values as values
 from linkplan.studies.cli.exit_codes import BAD_INPUT
-from linkplan.studies.cli.printing import put
+from linkplan.studies.cli.printing import delivered, put
+
+if TYPE_CHECKING:
+    from _typeshed import SupportsWrite
 
 # Positional arguments, and their names in error messages.
 POSITIONAL = ("subject", "problem", "plan", "cases", "model", "result", "file", "shell", "command")
@@ -35,6 +38,13 @@ class Parser(argparse.ArgumentParser):
         message = re.sub(r"invalid (?:float|int) value: (.*)", r"takes a number, got \1", message)
         put(sys.stderr, f"{self.prog}: {one_line(message)} ({self.prog} --help says more)\n")
         raise SystemExit(BAD_INPUT)
+
+    def print_help(self, file: "SupportsWrite[str] | None" = None) -> None:
+        """Print the help; end with an exit code that is not 0 if it cannot be written."""
+        del file
+        lost = put(sys.stdout, self.format_help())
+        if lost is not None:
+            raise SystemExit(delivered(self.prog.partition(" ")[2], lost, BAD_INPUT))
 
     def commands(self) -> dict[str, "Parser"]:
         """Return the parsers of the commands by name."""

@@ -7,6 +7,7 @@ seconds.
 
 import argparse
 import errno
+import io
 import os
 import sys
 import time
@@ -50,8 +51,16 @@ def put(stream: TextIO | None, text: str) -> OSError | None:
     if stream is None or stream.closed:
         return OSError(errno.EBADF, os.strerror(errno.EBADF))
     encoding = getattr(stream, "encoding", None) or "utf-8"
+    encoded = text.encode(encoding, "backslashreplace")
+    raw = getattr(stream, "buffer", None)
     try:
-        stream.write(text.encode(encoding, "backslashreplace").decode(encoding))
+        if isinstance(
+            raw, io.RawIOBase
+        ):  # unbuffered (python -u), where the stream loses what the file does not take at once
+            while encoded:
+                encoded = encoded[raw.write(encoded) or 0 :]
+        else:
+            stream.write(encoded.decode(encoding))
         stream.flush()
     except OSError as error:
         return error

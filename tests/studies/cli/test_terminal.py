@@ -165,6 +165,7 @@ def test_progress_never_lands_in_the_json(tmp_path):
         ("L list | (exec <&-)", 141),
         ("L list > /dev/full", 2),
         ("L --version >&-", 2),
+        ("L --help > /dev/full", 2),
         ("L nonsense 2> /dev/full", 2),
         ("L nonsense 2>&-", 2),
         ("L 2>&-", 2),
@@ -188,6 +189,31 @@ def test_what_a_stream_has_no_characters_for_is_escaped():
     stream = io.TextIOWrapper(written, encoding="ascii")
     assert put(stream, "grün \udcff") is None
     assert written.getvalue() == rb"gr\xfcn \udcff"
+
+
+class Small(io.RawIOBase):
+    """A file that takes a thousand bytes at once, on a disk with room for a number of bytes."""
+
+    def __init__(self, room: int) -> None:
+        self.room, self.taken = room, b""
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, content) -> int:
+        taken = bytes(content)[: min(1000, self.room - len(self.taken))]
+        if content and not taken:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        self.taken += taken
+        return len(taken)
+
+
+def test_an_unbuffered_stream_gets_the_whole_text_or_the_error():
+    for room, error in ((5000, None), (4096, errno.ENOSPC)):
+        small = Small(room)
+        lost = put(io.TextIOWrapper(small, encoding="utf-8", write_through=True), "x" * 5000)
+        assert (lost and lost.errno) == error
+        assert len(small.taken) == room
 
 
 def test_a_stream_that_was_closed_is_an_error_and_raises_nothing():
