@@ -12,8 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linkplan.models.actuation.distribution import missed_rounding
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import demanded, missed_rounding
+from linkplan.models.poses.along import demanded
 from linkplan.models.poses.assembly import close_at, follow
 from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.reach import reach
