@@ -1,7 +1,9 @@
 """Solution of a program by IPOPT, and the names of IPOPT's statuses."""
 
 import contextlib
+import functools
 import io
+import mmap
 import threading
 import time
 from dataclasses import dataclass
@@ -33,6 +35,8 @@ INVALID = "Invalid_Number_Detected"
 OF_TIME = "(solver.max_time_s)"
 # Interpreting this number of nodes times iterations takes as long as compiling: 0.06 ms each against 0.26 s on four-bars.
 _COMPILING_COST = 4000
+# OpenBLAS allocates this once for each thread, and repeats the request until it is granted, deaf to interrupts.
+_OPENBLAS_BUFFER_BYTES = 128 << 20
 # The fewest iterations before a solve is restarted with compiled functions.
 _MIN_PATIENCE_ITERATIONS = 20
 
@@ -97,13 +101,29 @@ def build_solver(
 
     Raises:
         ProblemError: when the solver cannot be set up for the program.
+        MemoryError: without the memory that its linear algebra needs.
     """
     settings = settings or SolverSettings()
     iterations = MAX_ITERATIONS if settings.max_iterations is None else settings.max_iterations
     try:
+        _hold_linear_algebra_buffer()
         return _ipopt(program, iterations, settings, warm=warm, close=close, adaptive=adaptive)
     except RuntimeError as error:
         raise ProblemError(f"IPOPT cannot be set up: {one_line(error)}") from error
+
+
+@functools.cache
+def _hold_linear_algebra_buffer() -> None:
+    """Let CasADi's OpenBLAS allocate the buffer that it keeps; without memory for it, MUMPS would wait for ever.
+
+    Raises:
+        MemoryError: if there is no memory for the buffer.
+    """
+    try:
+        mmap.mmap(-1, _OPENBLAS_BUFFER_BYTES).close()
+    except OSError as error:
+        raise MemoryError(f"the solver needs {_OPENBLAS_BUFFER_BYTES >> 20} MB more memory") from error
+    ca.solve(ca.DM.eye(2), ca.DM.ones(2), "lapacklu")
 
 
 def _ipopt(
