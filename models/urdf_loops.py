@@ -226,6 +226,8 @@ def _close_loop_joint(spec: mujoco.MjSpec, loop: ET.Element) -> None:
     name = loop.get("name", "loop")
     what = f"loop_joint '{name}' has"
     kind = choose(f"type of loop_joint '{name}'", loop.get("type", "continuous"), CLOSING)
+    if next(loop.iter("origin"), None) is not None:
+        raise ModelError(f"{what} an <origin>; its points are the attributes xyz and rpy of <link1> and <link2>")
     ends, turns = [], []
     for tag in ("link1", "link2"):
         end = _only(loop, tag, f"{what} {{}} <{tag}>; it has 1")

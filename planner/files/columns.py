@@ -72,6 +72,8 @@ def read_trajectory(path: Path) -> Trajectory:
                 raise ValueError(
                     f"it has {n} intervals of {most} coefficients; at most {MAX_INTERVALS} of {_MAX_COEFFICIENTS} are read"
                 )
+            if trajectory.breaks_s[0] != 0:
+                raise ValueError(f"its breaks_s begin at {trajectory.breaks_s[0]:.9g} s, and a saved motion begins at 0")
             return trajectory
     except PlanFileError:
         raise
@@ -124,6 +126,14 @@ def csv_bytes(columns: Mapping[str, np.ndarray]) -> bytes:
     return text.getvalue().encode("utf-8")
 
 
+def _cells(line: str, where: str) -> list[str]:
+    """Return the cells of a line of CSV."""
+    try:
+        return next(csv.reader([line]))
+    except csv.Error as error:  # a cell of more than 131,072 characters
+        raise ProblemError(f"{where} is not CSV: {error}") from error
+
+
 def read_csv(path: Path, what: str) -> dict[str, np.ndarray]:
     """Return the columns (n,) of a CSV file of numbers by their heads; empty lines and lines from # on are skipped.
 
@@ -135,7 +145,7 @@ def read_csv(path: Path, what: str) -> dict[str, np.ndarray]:
     except UnicodeDecodeError as error:
         raise ProblemError(f"{what} is not UTF-8 text") from error
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")]
-    heads = [head.strip() for head in next(csv.reader([lines[0][1]]))] if lines else []
+    heads = [head.strip() for head in _cells(lines[0][1], f"{what}, line {lines[0][0]},")] if lines else []
     if len(heads) < 2 or len(set(heads)) < len(heads) or len(lines) < 3:
         raise ProblemError(
             f"{what} must have a line of different column names, separated by commas, and two or more rows of numbers; got"
@@ -143,7 +153,7 @@ def read_csv(path: Path, what: str) -> dict[str, np.ndarray]:
         )
     rows = []
     for number, line in lines[1:]:
-        cells = next(csv.reader([line]))
+        cells = _cells(line, f"{what}, line {number},")
         try:
             row = [float(cell) for cell in cells]
         except ValueError:

@@ -79,13 +79,17 @@ def write_report(report: Report, path: Path) -> WrittenPage:
     """Write a report's HTML file and return its path. An earlier report there is replaced, any other file is refused.
 
     Raises:
-        PlanFileError: if another file exists at this path, or the file cannot be written.
+        PlanFileError: for a name of another format, if another file exists at this path, or if it cannot be written.
     """
-    write_file_whole(path, lambda place: place.write_bytes(report_html(report).encode("utf-8", "replace")), mark=PAGE_MARK)
+    write_file_whole(
+        path, lambda place: place.write_bytes(report_html(report).encode("utf-8", "replace")), SUFFIXES, PAGE_MARK
+    )
     return WrittenPage(path)
 
 
 DOCUMENT, PAGE = "report.json", "report.html"
+# The suffixes of a page's name.
+SUFFIXES = (".html", ".htm")
 
 
 def save_report(report: Report, place: Path, *, page: bool) -> None:

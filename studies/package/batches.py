@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from linkplan.models.errors import ProblemError
-from linkplan.paths import path_of
+from linkplan.paths import check_flags, path_of
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.reporting import Progress, listener
@@ -49,6 +49,7 @@ def batch(
     """
     from linkplan.planner.search.batch_file import batch_from, read_batch
 
+    check_flags(parquet=parquet)
     engine = engine_of(workers, cluster)
     if isinstance(cases, Mapping):
         problem = cases.get("problem")

@@ -11,7 +11,7 @@ from msgspec import Struct
 
 from linkplan.inputs import Source, source_of
 from linkplan.models.errors import ProblemError
-from linkplan.paths import file_to_write
+from linkplan.paths import check_flags, file_to_write
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.plans import Plan
@@ -58,6 +58,7 @@ def new(
     from linkplan.studies.check.new.first_motion import first_motion
     from linkplan.studies.check.new.problem_text import file_tables, first_text
 
+    check_flags(fix_base=fix_base)
     source = source_of(model)
     target = None if path is None else file_to_write(path)
     if source.is_problem:

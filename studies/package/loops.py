@@ -14,7 +14,7 @@ from linkplan.controllers.trackers.names import LINEAR
 from linkplan.inputs import Poses, Subject, numbers, plan_of, poses_of, read_subject, tracking_table
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
-from linkplan.paths import drawn
+from linkplan.paths import check_flags, drawn
 from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import Tracking, number
@@ -102,6 +102,7 @@ def bode(
         print(loop.stable, loop.message)
     """
     choose("tracker", str(tracker), LINEAR, ProblemError)
+    check_flags(measure=measure, map=map, large=large, along=along)
     is_plant = _asks_for_plant(from_effort, to_position, {"map": map, "large": large, "along": along})
     say = listener(progress)
     given = {"kp": kp, "kd": kd, "period_s": period_s, "delay_periods": delay_periods}
@@ -113,6 +114,9 @@ def bode(
             refuse_several_freedoms(mechanism, name)
     amplitude = None if amplitude_deg is None else number(amplitude_deg, "amplitude_deg", positive=True)
     joint = mechanism.independent_joints[0]
+    most = joint.shown(np.pi if joint.kind == "hinge" else mechanism.extent_m)
+    if amplitude is not None and amplitude > most:
+        raise ProblemError(f"amplitude_deg must be at most {most:.4g} {joint.unit}, got {amplitude:g}")
     looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
     setup = Setup(amplitude=None if amplitude is None else joint.read(amplitude)) if measure else None
     at_hz = None if frequency_hz is None else np.array(numbers(frequency_hz, "frequency_hz", positive=True))

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 from linkplan.inputs import Poses, Source, Subject, poses_of, source_of, subject_of
 from linkplan.models.floating import floating_bodies
 from linkplan.models.mechanism import Mechanism
+from linkplan.paths import check_flags
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.results import Result
@@ -85,6 +86,7 @@ def load_mechanism(
 
         knee = linkplan.load_mechanism("optimus-knee", payload="shank")
     """
+    check_flags(fix_base=fix_base)
     said = {"home_deg": home_deg, "home_m": home_m, "independent": independent, "payload": payload, "solref": solref}
     said["closure_tolerance_m"] = closure_tolerance_m
     said["friction_transition_deg_s"] = friction_transition_deg_s

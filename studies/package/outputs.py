@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, cast
 from linkplan.inputs import PlanLike, Source, Subject, note_forces, plan_of, source_of, subject_of
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
-from linkplan.paths import file_to_write, folder_to_write, path_of
+from linkplan.paths import check_flags, file_to_write, folder_to_write, path_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.reporting import Listener, Progress, listener
 from linkplan.results import Result, Shown
@@ -45,10 +45,10 @@ def report(
         linkplan.report(linkplan.plan("knee-reach"), "reach.html")
     """
     from linkplan.planner.files.single_file import check_file_target
-    from linkplan.studies.output.report_file import PAGE_MARK, write_report
+    from linkplan.studies.output.report_file import PAGE_MARK, SUFFIXES, write_report
 
     place, say = path_of(path, "path"), listener(progress)
-    check_file_target(place, mark=PAGE_MARK)
+    check_file_target(place, SUFFIXES, PAGE_MARK)
     say(f"reading {result}" if isinstance(result, str | Path) else "writing the report")
     return write_report(_document(result), place)
 
@@ -112,6 +112,7 @@ def render(
     from linkplan.studies.render.settings import SUFFIXES, RenderSettings
 
     choose("tracker", tracker, TRACKERS, ProblemError)
+    check_flags(there_and_back=there_and_back)
     place, say = path_of(path, "path"), listener(progress)
     check_file_target(place, SUFFIXES)
     settings = RenderSettings(
@@ -190,6 +191,7 @@ def export(
     from linkplan.studies.handover.export.formats import FOLDER_FORMATS, FORMATS
 
     choose("format", str(to), (*FORMATS, *FOLDER_FORMATS), ProblemError)
+    check_flags(sizes=sizes)
     say, names = listener(progress), list(joints)
     if to in FOLDER_FORMATS:
         if every_s is not None:

@@ -6,12 +6,21 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from linkplan.models.errors import ProblemError, refusals
+from linkplan.models.errors import ProblemError, refusals, shown
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from linkplan.studies.output.figure_spec import FigureSpec
+
+
+def check_flags(**given: object) -> None:
+    """Refuse an argument that is neither True nor False; the arguments are those of the caller, by name."""
+    import numpy as np
+
+    for key, value in given.items():
+        if not isinstance(value, bool | np.bool_):
+            raise ProblemError(f"{key} must be True or False, got {shown(repr(value), 60)}")
 
 
 def path_of(value: object, key: str) -> Path:

@@ -14,7 +14,7 @@ from msgspec import UNSET, structs
 from linkplan.inputs import PlanLike, Source, given_problem, plan_of, source_of, with_motion
 from linkplan.models.deadline import NO_DEADLINE, OutOfTimeError
 from linkplan.models.errors import ProblemError
-from linkplan.paths import drawn, path_of
+from linkplan.paths import check_flags, drawn, path_of
 from linkplan.planner.files.folders import plain_record, write_whole
 from linkplan.planner.plan import folder as plan_folder
 from linkplan.planner.plan import plan as planned
@@ -55,6 +55,7 @@ def plan(problem: Problem | Source | str | Path, progress: Progress | None = Non
 
         print(linkplan.plan("knee-reach"))
     """
+    check_flags(prove=prove)
     say, begun = listener(progress), time.process_time()
     found = plan_motion(given_problem(problem), say)
     found = with_price(found, price_of(found, say))
@@ -90,6 +91,7 @@ def prove(plan: PlanLike, *, existence: bool = True, progress: Progress | None =
 
         print(linkplan.prove("knee-reach", existence=False))
     """
+    check_flags(existence=existence)
     say = listener(progress)
     if isinstance(plan, Source | str | Path) and Path(source_of(plan).name).is_dir():
         source = source_of(plan)
@@ -160,6 +162,7 @@ def read_plan(
         linkplan.plan("knee-reach").save("reach")
         print(linkplan.read_plan("reach").duration_s)
     """
+    check_flags(anyway=anyway)
     folder = path_of(folder, "folder")
     answer = plan_folder.read_plan(folder, anyway=anyway, extra_costs=extra_costs, extra_limits=extra_limits)
     note = plan_folder.unchecked(folder)
@@ -255,6 +258,7 @@ class Plan(planned.Plan, Reported):
         Raises:
             LinkplanError: if the plan has no motion, the folder has other files, or it cannot be written.
         """
+        check_flags(jumps=jumps, parquet=parquet, report=report)
         self.require_motion("save")
         from linkplan.studies.output.draw_plan import save_plan
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, cast
 
 from linkplan.models.errors import LinkplanError
 from linkplan.models.extras import load_extra
-from linkplan.paths import drawn, path_of
+from linkplan.paths import check_flags, drawn, path_of
 
 if TYPE_CHECKING:
     import pandas
@@ -155,6 +155,7 @@ class Result(Reported):
         from linkplan.studies.output.figure import save_figures
         from linkplan.studies.output.report_file import save_report
 
+        check_flags(report=report, parquet=parquet)
         if parquet and not self.has_parquet:
             raise LinkplanError(
                 f"parquet applies to the tables of track, compare and transfer; a {type(self).__name__} has no such table"

@@ -80,6 +80,8 @@ def transfer(
     gains = {"joint_kp": joint_kp, "joint_kd": joint_kd, "motor_kp": motor_kp, "motor_kd": motor_kd}
     ends = {}
     for key, table in (("range_deg", range_deg), ("range_m", range_m)):
+        if not isinstance(table, Mapping | None):
+            raise ProblemError(f"{key} must be a table of joint = [low, high], got {table!r}")
         for name, both in to_toml_types(table or {}).items():
             joint = mechanism.joints[mechanism.joint_index(name, ProblemError)]
             values = numbers(both, f"{key}.{name}")

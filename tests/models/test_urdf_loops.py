@@ -302,6 +302,7 @@ def test_a_joint_of_gazebo_that_closes_no_loop_is_named(tmp_path):
         ('type="continuous"', 'type="prismatic"', "unknown type of loop_joint 'B' 'prismatic'; legal: revolute"),
         ("<axis", "<axis/><axis", "loop_joint 'B' has 2 <axis>"),
         ("<link2", "<link1/><link2", "loop_joint 'B' has 2 <link1>"),
+        ("<axis", '<origin xyz="0 0 1"/><axis', "loop_joint 'B' has an <origin>; its points are the attributes xyz and rpy"),
         ("<link2", "<link3", "loop_joint 'B' has no <link2>"),
         ('link="rocker"', 'link="coupler"', "loop_joint 'B' has link1 and link2 = 'coupler'"),
     ],

@@ -67,7 +67,14 @@ def _rows(path: Path, what: str) -> list[dict[str, object]]:
         text = read_file(path, what, MOST_TOML_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ProblemError(f"{what} is not UTF-8 text") from error
-    rows = list(csv.DictReader(text.splitlines(), skipinitialspace=True))
+    reader = csv.DictReader(text.splitlines(), skipinitialspace=True)
+    try:
+        rows, heads = list(reader), [head.strip() for head in reader.fieldnames or ()]
+    except csv.Error as error:  # a cell of more than 131,072 characters
+        raise ProblemError(f"{what} is not CSV: {error}") from error
+    twice = [head for head, count in Counter(heads).items() if count > 1]
+    if twice:
+        raise ProblemError(f"{what} must have different keys in its first row, got '{twice[0]}' twice")
     if any(None in row for row in rows):
         raise ProblemError(f"{what} has a row with more cells than its first row has keys")
     filled = [{key.strip(): cell.strip() for key, cell in row.items() if cell and cell.strip()} for row in rows]

@@ -222,6 +222,7 @@ BROKEN: dict[str, tuple[Callable[[Path], object], str]] = {
     "an array of objects": (with_arrays(effort=np.array([{}], dtype=object)), "truncated or not a trajectory"),
     "a value that is not a number": (with_arrays(effort=np.full((3, 40, 1), np.nan)), "not finite"),
     "breaks that run back": (with_arrays(breaks_s=np.linspace(1, 0, 41)), "breaks must increase"),
+    "breaks that begin late": (with_arrays(breaks_s=0.06 + np.linspace(0, 0.16, 41)), "its breaks_s begin at 0.06 s"),
     "a single break": (with_arrays(breaks_s=np.array(0.16)), "trajectory.npz"),
     "an interval missing": (with_arrays(effort=ONES[:3, 1:]), "intervals"),
     "two joints": (with_arrays(position=np.ones((5, 40, 2)), velocity=np.ones((4, 40, 2))), "does not fit mechanism"),

@@ -156,6 +156,7 @@ BAD_FILES = [
     ),
     ("time_s,J_deg\n0,1\n", "two or more rows of numbers"),
     ("", "two or more rows of numbers; got nothing"),
+    (f"time_s,J_deg\n0,1\n0.5,{'1' * 140_000}\n", "line 3, is not CSV: field larger than field limit"),
 ]
 
 

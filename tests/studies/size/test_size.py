@@ -160,6 +160,8 @@ def test_lists_that_cannot_be_are_refused_in_one_line_before_planning(ask, tmp_p
         ("name,peak_effort\nM,much\n", "motor.M.peak_effort must be a positive number, got 'much'"),
         ("name,peak_effort\nM,1,2\n", "has a row with more cells than its first row has keys"),
         ("name,torque\nM,1\n", "unknown key 'motor.M.torque'"),
+        ("name,peak_effort,peak_effort\nM,1,2\n", "must have different keys in its first row, got 'peak_effort' twice"),
+        (f"name,peak_effort\n{'M' * 140_000},1\n", "is not CSV: field larger than field limit"),
     ],
 )
 def test_rows_that_cannot_be_are_refused(tmp_path, text, said):
