@@ -36,6 +36,7 @@ from linkplan.studies.check.drives import (
     undriven,
 )
 from linkplan.studies.check.kinematic_loop_report import KinematicLoopPath, thinned
+from linkplan.studies.check.pin_places import stray_pins
 from linkplan.studies.check.softness import massless_findings, softness_note, units_notes
 from linkplan.studies.check.tendon_ranges import coincident_sites, tendon_findings
 
@@ -284,7 +285,7 @@ def _home_findings(mechanism: Mechanism) -> tuple[list[str], list[str]]:
             by, most = np.degrees([angle, ball.largest])
             problems.append(f"ball joint {ball.name} is turned by {by:.4g} deg at home, beyond its range of {most:.4g} deg")
     problems += [sentence for sentence in (shut_balls(mechanism),) if sentence is not None] + pressed_stops(mechanism)
-    notes += units_notes(mechanism)
+    notes += [*units_notes(mechanism), *stray_pins(mechanism)]
     if not mechanism.closure_names:
         notes.append("the model has no active loop closure: it is an open tree")
     soft = softness_note(mechanism)
