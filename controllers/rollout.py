@@ -43,7 +43,8 @@ class Rollout:
     Positions are in rad, those of slides in m. `commanded` is the tracker's output and `applied` the mean effort of the
     period, both (n, n_u) [N.m or N]. `gap_m` (n,) is the largest distance between points or slides that a closure ties;
     `gap_rad` (n,) is the largest gap of tied angles, empty if there are none. `failure` is the reason why the log ends
-    early, None if it does not. `asked_s` (n,) [s] is the measured computing time of the tracker.
+    early, None if it does not. `asked_s` (n,) [s] is the measured computing time of the tracker. `returns` is False if a
+    machine that starts beside a pose at rest moves away from one that starts in it.
     """
 
     tracker: str
@@ -61,6 +62,7 @@ class Rollout:
     conditions: dict
     asked_s: np.ndarray = field(default_factory=lambda: np.empty(0))
     gap_rad: np.ndarray = field(default_factory=lambda: np.empty(0))
+    returns: bool = True
 
     @property
     def finite(self) -> bool:
@@ -85,8 +87,8 @@ class Rollout:
 
     @property
     def stable(self) -> bool:
-        """True if the run stayed finite without a limit cycle between effort limits."""
-        return self.finite and not any(self._is_limit_cycle(j) for j in range(self.applied.shape[1]))
+        """True if the run stayed finite without a limit cycle between effort limits, and returns to a pose at rest."""
+        return self.finite and self.returns and not any(self._is_limit_cycle(j) for j in range(self.applied.shape[1]))
 
     def _is_limit_cycle(self, j: int) -> bool:
         """Return True if an effort swings between its limits at least 6 times, and at 2 % of all instants or more.

@@ -6,14 +6,16 @@ from typing import Any
 
 import numpy as np
 
+from linkplan.controllers.imperfections.imperfections import Imperfections, Start
 from linkplan.controllers.mujoco_plant import MujocoPlant
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop, Rollout
-from linkplan.controllers.simulate import simulate_one
+from linkplan.controllers.simulate import simulate, simulate_one
 from linkplan.controllers.trackers.names import BUILT_IN, LINEAR, TRACKERS
 from linkplan.controllers.trackers.tracker import AnyTracker, Design, Errors
 from linkplan.models.errors import GainError, ProblemError, choose
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import Delay
 from linkplan.planner.problem.keys.reading import read
@@ -28,6 +30,13 @@ from linkplan.studies.compare.user_tracker import TrackerLike, users_tracker
 _MIN_CONTROL_PERIODS = 10
 # Most control instants (a log of a gigabyte) and most simulator steps (an hour).
 _MAX_INSTANTS, _MAX_STEPS = 2e6, 1e8
+# The time [s] over which a pose is held to see if a machine beside it returns: unstable machines of some metres fall in it.
+_LEAST_REST_S = 5.0
+# Positions and speeds of a plan that stands still change by less than this, which is rounding [rad, m; per second].
+_STANDS_STILL = 1e-9
+# How far beside the pose that machine starts [rad; extents on a slide], and the factor by which it has moved away. A stable
+# loop may move away by a smaller factor before it returns.
+_BESIDE, _MOVED_AWAY = 1e-4, 10.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -144,7 +153,27 @@ def track(
 ) -> Rollout:
     """Return one tracker's run on a plan, optionally with a mismatch; `reference` is the sampled plan, if available."""
     reference = tracking_reference(plan) if reference is None else reference
-    return simulate_one(_plant(plan, mismatch), build_tracker(asked, plan, reference), reference)
+    plant = _plant(plan, mismatch)
+    rollout = simulate_one(plant, build_tracker(asked, plan, reference), reference)
+    return replace(rollout, returns=_returns_to_rest(plant, asked, plan, reference))
+
+
+def _returns_to_rest(plant: MujocoPlant, asked: TrackerLike, plan: Plan, reference: SampledReference) -> bool:
+    """Return False if a machine that starts beside a pose at rest moves away from one that starts in it.
+
+    Without a disturbance, a machine stays even in an unstable equilibrium. The pose is held for `_LEAST_REST_S` or longer.
+    """
+    if max(np.ptp(reference.position_rad, axis=0).max(), np.abs(reference.velocity_rad_s).max()) > _STANDS_STILL:
+        return True
+    at = np.minimum(np.arange(max(reference.n, round(_LEAST_REST_S / reference.period_s))), reference.n - 1)
+    longer = replace(reference.part(at), time_s=reference.period_s * np.arange(len(at)))
+    unit = unit_steps(plan.problem.mechanism.independent_joints, plan.problem.mechanism.extent_m)
+    beside = Imperfections(start=Start(position_error=_BESIDE * unit))
+    logs = simulate(plant, build_tracker(asked, plan, longer), longer, [Imperfections(), beside])
+    if any(logs.failure):
+        return logs.failure[0] is not None  # only the second one ended early
+    apart = np.linalg.norm(np.diff(logs.pose[:, :, plan.problem.mechanism.independent], axis=1)[:, 0] / unit, axis=1)
+    return bool(apart[len(apart) // 2 :].max() <= _MOVED_AWAY * apart[0])
 
 
 def compare(
@@ -159,10 +188,11 @@ def compare(
         GainError: if no tracker has a gain.
     """
     reference = tracking_reference(plan)
-    built, missing = [], []
+    built, missing, given = [], [], {}
     for one in asked:
         try:
             built.append(build_tracker(one, plan, reference))
+            given[built[-1].name] = one
         except GainError as error:
             missing.append((one, error))
     if missing and not built:
@@ -177,7 +207,8 @@ def compare(
         plant = _plant(plan, case)  # built once, for all trackers
         for name, tracker in trackers.items():
             say(f"{name}, {'nominal' if case is None else case.name}: {reference.n} control periods")
-            results[name] = simulate_one(plant, tracker, reference)
+            rollout = simulate_one(plant, tracker, reference)
+            results[name] = replace(rollout, returns=_returns_to_rest(plant, given[name], plan, reference))
     needs = {name: run_time(trackers[name], plan.problem.mechanism, rollout) for name, rollout in runs[0].items()}
     left_out = tuple(f"{name} is left out: {error}" for name, error in missing)
     return Comparison(plan=plan, nominal=runs[0], mismatch=mismatch, mismatched=runs[1], run_time=needs, left_out=left_out)

@@ -51,7 +51,13 @@ def comparison_notes(comparison: Comparison) -> list[str]:
     found = [(name, note) for name, run in runs if (note := gap_note(comparison.plan, run)) is not None]
     slow = servo_note(comparison.plan.problem.mechanism)
     soft = [f"{name}, {note}" for name, note in found[:1]]
-    told = [*comparison.left_out, *ended_early(comparison), *default_gains(comparison), *lost_notes(comparison)]
+    told = [
+        *comparison.left_out,
+        *ended_early(comparison),
+        *default_gains(comparison),
+        *lost_notes(comparison),
+        *left_notes(comparison),
+    ]
     return [*told, *pushed[:1], *([] if slow is None else [slow]), *soft]
 
 
@@ -98,6 +104,14 @@ def lost_notes(comparison: Comparison) -> list[str]:
                 " only means that a run stays finite and does not oscillate between the effort limits"
             )
     return notes
+
+
+def left_notes(comparison: Comparison) -> list[str]:
+    """Return the sentence on trackers that do not return to a pose at rest."""
+    left = {name: None for _, runs in comparison.cases for name, run in runs.items() if not run.returns}
+    if not left:
+        return []
+    return [f"unstable: a machine that starts beside the held pose moves away from it, under {', '.join(left)}"]
 
 
 def servo_note(mechanism: Mechanism) -> str | None:
