@@ -107,6 +107,20 @@ def simulated(
     return A, new, B - new
 
 
+def held_over(A: np.ndarray, B: np.ndarray, timing: Sampling) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return A, B and B_late of a period of x' = A x + B u (m, m) and (m, n_u) under held commands, without a simulator.
+
+    The exponential of [[A, B], [0, 0]] h has the exact maps of a step h (Van Loan, IEEE Trans. Autom. Control 23, 1978).
+    """
+    import scipy
+
+    m, n_u = B.shape
+    block = scipy.linalg.expm(timing.timestep_s * np.block([[A, B], [np.zeros((n_u, m + n_u))]]))
+    A_T, B_T = repeat(block[:m, :m], block[:m, m:], timing.substeps)
+    new = repeat(block[:m, :m], block[:m, m:], timing.substeps - timing.late)[1]
+    return A_T, new, B_T - new
+
+
 def augmented(A: np.ndarray, B: np.ndarray, B_late: np.ndarray, timing: Sampling) -> tuple[np.ndarray, np.ndarray]:
     """Return A (..., M, M) and B (..., M, n_u) for the state (x, u_{k-1}, ..., u_{k-memory}) and the input u_k."""
     m, n_u = B.shape[-2:]

@@ -21,10 +21,12 @@ from linkplan.studies.feedback.bode.touching import contact_sentence, touched
 from linkplan.studies.feedback.frequency.excitation import EXCITATIONS, Setup
 from linkplan.studies.feedback.frequency.feedback_loops import (
     CONTINUOUS,
+    EXACT,
     FeedbackLoop,
     OperatingPoint,
     SampledLaw,
     broken_at,
+    feedback_loop,
     label_differences,
     operating_point,
     outputs_of,
@@ -38,6 +40,7 @@ from linkplan.studies.feedback.frequency.plant_modes import plant_modes
 from linkplan.studies.feedback.frequency.response import Response, largest_deviation
 from linkplan.studies.feedback.frequency.sinestream import measure
 from linkplan.studies.feedback.frequency.trial import MAX_TRIAL_PERIODS, settle_trials
+from linkplan.studies.output.plan_blocks import radius_figure
 
 # Default poses as shares of the reach: five evenly spaced, and one close to each end, where gains are extreme. The end
 # itself may be singular.
@@ -181,6 +184,7 @@ def _point(
         broken_at=broken_at(loop.point.mechanism, channel),
         settles_in_mujoco=settles,
         continuous=margins(ideal, channel),
+        machine_spectral_radius=feedback_loop(loop.point, loop.gain, loop.timing, EXACT).radius,
         measured=responses or UNSET,
         plant=plant_modes(loop.point, channel) if along else UNSET,
         channel=channel,
@@ -278,6 +282,11 @@ def _message(points: Sequence[BodePoint], disputed: Sequence[str], loop: str) ->
         )
     text = f"stable at {f'all {counted}' if count > 1 else 'the pose'}: {loop}"
     known = [(margin, p.point.name) for p in points if (margin := p.phase_margin_deg) is not None]
+    wrong = [(radius, p.point.name) for p in points if (radius := p.machine_spectral_radius or 0.0) >= 1]
+    if wrong:
+        largest, where = max(wrong)
+        steps = "the machine itself, sampled without the damping that the simulator's steps add,"
+        return f"{text}; {steps} is unstable at {where}: largest pole {radius_figure(largest)}"
     if known:
         least, where = min(known)
         of_several = f", least phase margin of these {counted} {least:.1f} deg ({where})"

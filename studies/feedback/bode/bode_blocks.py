@@ -76,6 +76,8 @@ def _margins(study: BodeStudy) -> Table:
     heads += ["bandwidth [Hz]", "resonance [dB]", "peak of |S|"]
     lowered = any(_less_gain_is_nearer(entry) for entry in study.points)
     heads += ["gain reduction margin [dB]"] if lowered else []
+    differs = any(entry.stable and (entry.machine_spectral_radius or 0.0) >= 1 for entry in study.points)
+    heads += ["largest pole of the machine"] if differs else []
     pulled = any(_is_pulled_away(entry) for entry in study.points)
     heads += ["response at rest"] if pulled else []
     rows = []
@@ -85,6 +87,7 @@ def _margins(study: BodeStudy) -> Table:
         figures = [m.gain_margin_db, m.phase_margin_deg, delay, m.disk_margin]
         figures += [m.crossover_hz, m.bandwidth_hz, m.resonance_db, m.sensitivity_peak]
         figures += [m.gain_reduction_margin_db] if lowered else []
+        figures += [radius_figure(entry.machine_spectral_radius)] if differs else []
         figures += [m.response_at_rest] if pulled else []
         inertia = entry.point.inertia[entry.channel, entry.channel]
         verdicts = [bool(m.stable), bool(entry.settles_in_mujoco), radius_figure(m.spectral_radius)]

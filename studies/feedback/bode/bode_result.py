@@ -31,6 +31,7 @@ class BodePoint(Margins, frozen=True, kw_only=True, eq=False):
     broken_at: str
     settles_in_mujoco: bool
     continuous: Margins
+    machine_spectral_radius: float | None = None  # of the loop sampled exactly, without the damping of the simulator's steps
     measured: dict[str, Response] | UnsetType = UNSET
     plant: dict[str, PlantModes] | UnsetType = UNSET
     channel: Beside[int] = NOT_READ

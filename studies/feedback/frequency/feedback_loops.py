@@ -1,4 +1,4 @@
-"""Linear models of feedback loops about an operating point: continuous, sampled, and sampled in MuJoCo's own steps.
+"""Linear models of feedback loops about an operating point: continuous, sampled exactly, and in MuJoCo's own steps.
 
     command u = u_hold + K (x_ref - x),   x = (s, v),   X = G U
 
@@ -19,7 +19,7 @@ import numpy as np
 
 from linkplan.controllers.linearisation import linearise
 from linkplan.controllers.reference import SampledReference
-from linkplan.controllers.sampling import Sampling, augmented, closed, sampling, simulated, spectral_radius
+from linkplan.controllers.sampling import Sampling, augmented, closed, held_over, sampling, simulated, spectral_radius
 from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.controllers.trackers.tracker import Design, Errors
 from linkplan.models.deadline import check
@@ -34,7 +34,7 @@ from linkplan.studies.feedback.frequency.response import Response
 if TYPE_CHECKING:
     import control
 
-CONTINUOUS, SIMULATED = "continuous", "sampled, MuJoCo's steps"
+CONTINUOUS, SIMULATED, EXACT = "continuous", "sampled, MuJoCo's steps", "sampled, exact"
 # The unit of each response: {q} is the joint's unit, {u} the effort's.
 QUANTITIES = {
     "plant": "{q}/{u}",
@@ -178,7 +178,7 @@ def with_lqr_errors(
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class FeedbackLoop:
-    """A law with gain K (n_u, 2 n_s) about an operating point: continuous, or sampled in MuJoCo's steps (`kind`).
+    """A law with gain K (n_u, 2 n_s) about an operating point: continuous, or sampled exactly or in MuJoCo's steps (`kind`).
 
     Continuous: x' = A x + B u. Sampled: x_{k+1} = A x_k + B u_{k-d} + B_late u_{k-d-1}.
     """
@@ -337,6 +337,8 @@ def feedback_loop(point: OperatingPoint, gain: np.ndarray, timing: Sampling, kin
     if kind == CONTINUOUS:
         A, B = point.linearised()
         late = np.zeros_like(B)
+    elif kind == EXACT:
+        A, B, late = held_over(*point.linearised(), timing)
     else:
         A, B, late = point.sampled(timing)
     return FeedbackLoop(point=point, gain=gain, timing=timing, kind=kind, A=A, B=B, B_late=late)
