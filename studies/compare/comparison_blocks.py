@@ -9,7 +9,7 @@ from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.studies.compare.compare import ERRORS, Comparison, actuated_by_unit, gap_units, run_figures, tracking_reference
 from linkplan.studies.compare.comparison_notes import comparison_notes
-from linkplan.studies.compare.document import document_rows
+from linkplan.studies.compare.document import AS_PRINTED, CORRECTED, document_rows
 from linkplan.studies.output.document import Block, Plot, Table, Text, table_of
 from linkplan.studies.output.figure_spec import FigureSpec, one_screen, side_by_side
 from linkplan.studies.output.lines import TIME, Line, overlaid_width, plots, tracker_colour
@@ -240,6 +240,8 @@ def document_figure(runs: Mapping[tuple[str, float, float], Rollout]) -> FigureS
 def _document_plots(runs: Mapping[tuple[str, float, float], Rollout]) -> list[Plot]:
     found = []
     for (model, kp, kd), run in runs.items():
+        if model not in (AS_PRINTED, CORRECTED):
+            continue
         lines = [
             Line(name="actual", values=np.degrees(run.position_rad[:, 0]), unit="deg", look="line", colour=1),
             Line(name="desired", values=np.degrees(run.reference_rad[:, 0]), unit="deg", look="dash", colour=0),

@@ -1,6 +1,11 @@
-"""The source document's experiment: a sinusoid under PD with two gain sets, on the printed and on the corrected model."""
+"""The source document's experiment: a sinusoid under PD with two gain sets, on the printed and on the corrected model.
+
+Its loop reads `data.sensordata` before `mj_step`. MuJoCo computes sensors before it integrates, so the loop sees the state
+of one step earlier. Every run is made so, and with the present state.
+"""
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,8 +23,34 @@ from linkplan.planner.problem.reference import Sine
 DOCUMENT_GAINS = ((200.0, 1.0), (200.0, 10.0))
 _DURATION_S = 2.0
 AS_PRINTED, CORRECTED = "as printed", "corrected"
+# The same models with the other sensors: the printed one with the present state, the corrected one with late sensors.
+PRINTED_IN_TIME, CORRECTED_LATE = "printed, present state", "corrected, late sensors"
 # Runs by (model, KP, KD).
 DocumentRuns = dict[tuple[str, float, float], Rollout]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class LateSensors:
+    """A law of one state that sees the state of one control period earlier; the first period has the first state."""
+
+    law: StateFeedback
+
+    @property
+    def name(self) -> str:
+        """The law's name."""
+        return self.law.name
+
+    def start(self, n: int) -> np.ndarray:
+        """Return the memory (n, 2 n_s): the state before, of which the first one is not a number."""
+        return np.full((n, 2 * self.law.reference.position_rad.shape[1]), np.nan)
+
+    def step(
+        self, k: int, position_rad: np.ndarray, velocity_rad_s: np.ndarray, memory: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return efforts (n, n_u) [N.m or N] and the next memory."""
+        now = np.hstack([position_rad, velocity_rad_s])
+        position, velocity = np.split(np.where(np.isnan(memory), now, memory), 2, axis=1)
+        return self.law.effort(k, position, velocity), now
 
 
 def is_the_documents(plan: Plan) -> bool:
@@ -50,8 +81,10 @@ def _corrected_runs(plan: Plan, gains: Sequence[tuple[float, float]], say: Calla
     plant = MujocoPlant(mechanism=mechanism, loop=ControlLoop(effort_limit=plan.problem.limits.effort))
     reference = sample(mechanism, plan.require_motion("track"), float(mechanism.model.opt.timestep), _DURATION_S)
     for kp, kd in gains:
-        say(f"{CORRECTED}, KP = {kp:g}, KD = {kd:g}")
-        runs[CORRECTED, kp, kd] = simulate_one(plant, pd(mechanism, reference, kp, kd), reference)
+        law = pd(mechanism, reference, kp, kd)
+        for model, of in ((CORRECTED, law), (CORRECTED_LATE, LateSensors(law))):
+            say(f"{model}, KP = {kp:g}, KD = {kd:g}")
+            runs[model, kp, kd] = simulate_one(plant, of, reference)
     return runs
 
 
@@ -67,10 +100,11 @@ def _printed_runs(sine: Sine, gains: Sequence[tuple[float, float]], say: Callabl
         effort=np.stack([still, still + 0.1], axis=1),  # the document sets its second actuator to a constant 0.1 N
     )  # fmt: skip
     for kp, kd in gains:
-        say(f"{AS_PRINTED}, KP = {kp:g}, KD = {kd:g}")
         gain = np.tile(pd_gain(np.diag(of_O), kp, kd), (reference.n, 1, 1))
         law = StateFeedback(reference=reference, gains=gain, name="pd+ff", feedforward=True)
-        runs[AS_PRINTED, kp, kd] = simulate_one(plant, law, reference)
+        for model, of in ((AS_PRINTED, LateSensors(law)), (PRINTED_IN_TIME, law)):
+            say(f"{model}, KP = {kp:g}, KD = {kd:g}")
+            runs[model, kp, kd] = simulate_one(plant, of, reference)
     return runs
 
 

@@ -127,9 +127,10 @@ def test_compare_of_the_sine_draws_the_documents_figure_for_its_gains_and_those_
     assert said["trackers"]["pd"]["rms_error_deg"] < SINE_RMS_DEG
     rows = {(row["model"], row["kp"], row["kd"]): row for row in said["document"]}
     gains, models = [(200.0, 1.0), (200.0, 10.0), (300.0, 1.0)], ("as printed", "corrected")
-    assert list(rows) == [(model, *pair) for model in models for pair in gains]
-    assert [row["stable"] for row in rows.values()] == [True, False, True] * 2
-    assert [row["contacts"] > 0 for row in rows.values()] == [True] * 3 + [False] * 3
+    both = (("as printed", "printed, present state"), ("corrected", "corrected, late sensors"))
+    assert list(rows) == [(model, *pair) for pairs in both for pair in gains for model in pairs]
+    assert [row["stable"] for row in rows.values()] == [True, True, False, False, True, True] * 2
+    assert [row["contacts"] > 0 for row in rows.values()] == [True] * 6 + [False] * 6
     # the own run and the tracker's run are the same experiment, made by two routes
     again = rows["corrected", 300.0, 1.0]["rms_error_deg"]
     assert again == pytest.approx(said["trackers"]["pd"]["rms_error_deg"], rel=1e-6)
