@@ -28,7 +28,7 @@ from linkplan.models.selection import Selection
 from linkplan.models.tree.dynamics import site_index
 from linkplan.planner.files.columns import read_csv
 from linkplan.planner.files.tables import Tables, resolve_path, set_key, toml_text
-from linkplan.planner.problem.consistency import no_actuator
+from linkplan.planner.problem.consistency import no_actuator, rest_notes
 from linkplan.planner.problem.extra import Extra, ExtraCost, extras_text
 from linkplan.planner.problem.force_table import force_notes, force_rows, forces_of
 from linkplan.planner.problem.imperfections import imperfections_of
@@ -122,7 +122,7 @@ def problem_arguments(
         "solver": SolverSettings(**tables.get("solver", {})),
         "tracking": _tracking(tables.get("tracking", {}), mechanism),
         "source": tables,
-        "notes": (*notes, *_duration_notes(asked.motion, objective, reference)),
+        "notes": (*notes, *_duration_notes(asked.motion, objective, reference), *rest_notes(motion, mechanism, limits)),
     }
 
 

@@ -6,8 +6,10 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from linkplan.models.audit import audit
-from linkplan.models.errors import ProblemError
+from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.poses.along import demanded, effort_within, missed_rounding, sliding_friction
+from linkplan.models.poses.assembly import close_at
 from linkplan.planner.problem.instant import Robust, corner_out_of_reach
 from linkplan.planner.problem.keys.limits import Motor
 from linkplan.planner.problem.limits import Limits
@@ -119,6 +121,31 @@ def check_node_at_end(motion: Motion, mechanism: Mechanism, mesh: MeshSettings) 
             f"{needs_node[0]} needs a mesh.scheme with a node at the end (radau, trapezoid, hermite-simpson), got"
             f" {mesh.scheme}"
         )
+
+
+def rest_notes(motion: Motion, mechanism: Mechanism, limits: Limits) -> list[str]:
+    """Return the notes on a start and a goal at rest that no efforts within their limits hold, apart from dry friction."""
+    notes = []
+    for name in ("start", "goal") if motion.kind in ("reach", "follow") and mechanism.forces is None else ():
+        s, speed = getattr(motion, name), getattr(motion, f"{name}_speed")
+        if s is None or (name == "goal" and motion.goal_is_free) or (speed is not None and np.any(speed)):
+            continue
+        try:
+            pose, still = close_at(mechanism, s)[None], np.zeros((1, mechanism.dof))
+        except AssemblyError:  # the search says so
+            continue
+        tau, maps = demanded(mechanism, pose, still, still)
+        missed = (tau - np.einsum("ksu,ku->ks", maps, effort_within(tau, maps, limits.effort)))[0]
+        rub = [float(sliding_friction(mechanism, pose, column)[0]) for column in range(mechanism.dof)]
+        over = np.abs(missed) - missed_rounding(limits.effort) - rub
+        row = int(np.argmax(over))
+        if over[row] > 0:
+            joint = mechanism.independent_joints[row]
+            notes.append(
+                f"the motors cannot hold the {name} at rest: their limits lack {abs(missed[row]):.4g} {joint.si_units[1]} on"
+                f" joint {joint.name}, so the machine leaves it at once"
+            )
+    return notes
 
 
 def check_turning_joints(motion: Motion, mechanism: Mechanism, limits: Limits) -> None:
