@@ -15,6 +15,10 @@ _REST_SHARE = 1e-9
 # Largest jump between two pieces, and largest difference of a planned velocity from the slope of the position, as a share
 # of the motion's span or largest speed: rounding of the program's solution. Measured: 2e-10 on fine meshes.
 JOIN_SHARE = 1e-8
+# The same for first-order schemes, whose slopes and velocities differ by their own order, and for the integrated velocity.
+VELOCITY_SHARE = 0.02
+# The rounding of coefficients of positions, in units of their last place: three times the largest measured on fine meshes.
+_ROUNDED_PLACES = 8.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -109,6 +113,22 @@ class Trajectory(OnIntervals):
     def slope_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return s' (n, n_s), the slope of the planned position; it equals v except for first-order schemes."""
         return PiecewisePolynomial(self.position, self.breaks_s).derivative()(self.times_within(time_s))
+
+    def slope_rounding(self) -> np.ndarray:
+        """Return the errors of s' (n_intervals, n_s) due to the rounding of positions, which short intervals amplify."""
+        places = _ROUNDED_PLACES * np.finfo(float).eps * np.abs(self.position).max(axis=0)
+        return (len(self.position) - 1) * places / np.diff(self.breaks_s)[:, None]
+
+    def slope_errors(self, time_s: np.ndarray) -> np.ndarray:
+        """Return |s' - v| (n, n_s) at times (n,) of the motion, less what is due to rounding."""
+        index = np.searchsorted(self.breaks_s[1:-1], time_s, side="right")
+        apart = np.abs(self.slope_at(time_s) - self.velocity_at(time_s))
+        return np.maximum(apart - self.slope_rounding()[index], 0.0)
+
+    @property
+    def slope_share(self) -> float:
+        """The allowed difference of s' from v, as a share of the largest speed."""
+        return JOIN_SHARE if len(self.position) == len(self.velocity) + 1 else VELOCITY_SHARE
 
     def bend_at(self, time_s: np.ndarray) -> np.ndarray:
         """Return s'' (n, n_s) of the planned position; it equals v' except for first-order schemes."""

@@ -8,14 +8,12 @@ model under the planned effort and compares the state with the planned state.
 import numpy as np
 from msgspec import UNSET, Struct, UnsetType
 
-from linkplan.models.actuation.distribution import distribute, missed_rounding
-from linkplan.models.poses.along import demanded, sampled, whole_turns
+from linkplan.models.poses.along import whole_turns
 from linkplan.models.poses.contacts import Contact
 from linkplan.models.poses.controls import control_excess
 from linkplan.planner.certificate.flow import INTEGRATION_RTOL
 from linkplan.planner.certificate.integration import (
     BOUNDARY_SHARE,
-    VELOCITY_SHARE,
     ends_off_m,
     integrate,
     relative_violation,
@@ -30,10 +28,10 @@ from linkplan.planner.limits.limit import Margin, limit_margin
 from linkplan.planner.limits.samples import Samples, least_between, samples_of, singularity_ratios
 from linkplan.planner.problem.extra import extras_not_finite, not_finite
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
-from linkplan.planner.problem.limits import exact_bounds, free_bounds
+from linkplan.planner.problem.limits import exact_bounds
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
-from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.trajectory import VELOCITY_SHARE, Trajectory
 
 # Largest gap of a kinematic loop [m], unless the assembly itself is less exact.
 CLOSURE_M = 1e-9
@@ -41,9 +39,6 @@ CLOSURE_M = 1e-9
 INTEGRATION_M = 1e-5
 # Smallest span [rad or m] that errors are related to.
 _MIN_SPAN = 1e-9
-# Largest error of the planned effort between nodes, as a share of the largest effort: with a larger error the effort does
-# not belong to the motion.
-DYNAMICS_SHARE = 0.02
 
 
 class Certificate(Struct, frozen=True, eq=False, kw_only=True):
@@ -75,6 +70,7 @@ class Certificate(Struct, frozen=True, eq=False, kw_only=True):
     effort_overrun: Beside[np.ndarray]  # (n_intervals,) needed effort beyond its limit, as a share of a proof's allowance
     worst_time_s: dict[str, float]
     failures: tuple[str, ...]
+    needs_more: Beside[str] = ""  # the failure of an effort by inverse dynamics, empty without one
     # Failures that no other mesh removes: a servo's range, contacts, a rounded loop's gap.
     unrepairable: Beside[tuple[str, ...]] = ()
     contacts: tuple[Contact, ...] = ()  # of geoms along the motion, see linkplan.planner.certificate.further_checks
@@ -88,6 +84,11 @@ class Certificate(Struct, frozen=True, eq=False, kw_only=True):
     def passed(self) -> bool:
         """Whether there is no failure."""
         return not self.failures
+
+    @property
+    def is_carried(self) -> bool:
+        """Whether there is no failure, or only that of an effort by inverse dynamics, which is an error of the mesh."""
+        return not any(failure != self.needs_more for failure in self.failures)
 
     @InJson
     def closure_gap_m(self) -> float:
@@ -143,7 +144,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     """
     mechanism, limits, until = problem.mechanism, problem.limits, problem.solver.certificate_deadline
     samples = samples_of(problem, trajectory)
-    time, q, v, a, u = samples.time, samples.q, samples.v, samples.a, samples.u
+    time, q, v, u = samples.time, samples.q, samples.v, samples.u
     worst: dict[str, float] = {}
 
     def peak(name: str, values: np.ndarray) -> float:
@@ -151,23 +152,16 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         worst[name] = float(time[at])
         return float(values[at])
 
-    of_efforts = [limit_margin(limit, samples) for limit in EffortLimit.of(problem)]
-    over = np.maximum(u - limits.effort[:, 1], limits.effort[:, 0] - u).max(axis=1)
-    effort_excess = max(0.0, peak("effort_excess", over), *(-margin.left for margin in of_efforts if not margin.kept))
+    beyond = [margin for limit in EffortLimit.of(problem) if not (margin := limit_margin(limit, samples)).kept]
+    peak("effort_excess", np.maximum(u - limits.effort[:, 1], limits.effort[:, 0] - u).max(axis=1))
+    effort_excess = max([-margin.left for margin in beyond], default=0.0)
     # A motion at rest counts as having a speed that hardly moves it within its duration.
     speed = max(float(np.abs(v).max()) or INTEGRATION_M / trajectory.duration_s, _MIN_SPAN / trajectory.duration_s)
-    slope = trajectory.slope_at(time)
-    velocity_residual = peak("velocity_residual", np.abs(slope - v).max(axis=1)) / speed
-    tau, maps = demanded(mechanism, q, v, a, time)
-    taus = [tau]
-    if len(trajectory.position) == len(trajectory.velocity):  # first-order schemes: positions have own accelerations
-        taus.append(demanded(mechanism, q, slope, trajectory.bend_at(time), time)[0])
-    # Those of the motion itself, nearest to the planned efforts: as the proof has them.
-    needed = np.stack([distribute(one, maps, free_bounds(u.shape[1]), u) for one in taus])
-    carried = np.einsum("ksu,ku->ks", maps, u)
+    velocity_residual = peak("velocity_residual", trajectory.slope_errors(time).max(axis=1)) / speed
+    needed, allowed = samples.needed_efforts, samples.lacking_allowed
     needed_over = np.maximum(needed - limits.effort[:, 1], limits.effort[:, 0] - needed)
     inverse_excess = max(0.0, peak("inverse_dynamics_excess", needed_over.max(axis=(0, 2))))
-    residual = np.abs(np.stack(taus) - carried).max(axis=(0, 2))
+    residual = np.abs(samples.lacking).max(axis=(0, 2))
     dynamics_residual = peak("dynamics_residual", residual)
     closure_gap = peak("closure_gap_m", mechanism.gaps_m(q))
     closure_gaps = {unit: float(gap.max()) for unit, gap in mechanism.gaps_by_unit(q).items()}
@@ -185,15 +179,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     velocity_error, growth = integrated.velocity, integrated.growth
 
     power = u * samples.actuator_speeds
-    inertial = np.abs(np.einsum("kst,kt->ks", sampled(mechanism.dynamics.reduced_inertia, q), a)).max()
-    # Without any effort, as for a crank that turns freely, rounding of the inertia's effort is allowed (measured: 1e-7).
-    allowed = max(DYNAMICS_SHARE * float(np.abs(carried).max()), missed_rounding(limits.effort), 1e-6 * float(inertial))
-    allowances = np.maximum(INVERSE_DYNAMICS_SHARE * end_sizes(limits.effort), 1e-12)
-    inside = np.stack([needed - limits.effort[:, 0], limits.effort[:, 1] - needed], axis=-1)  # (kinetics, sample, motor, 2)
-    left = np.divide(inside, allowances, out=np.zeros_like(inside), where=np.isfinite(inside))
-    # By end of a limit, interval and sample.
-    left = np.moveaxis(left, 1, 0).reshape(len(growth), len(samples.points), -1).transpose(2, 0, 1)
-    least = least_between(left, samples.points).reshape(len(left), -1).min(axis=0, initial=0.0)
+    overrun, needs_more = _effort_overrun(samples)
     gaps = " or ".join(f"{gap:.3g} {unit}" for unit, gap in closure_gaps.items())
     rounded = mechanism.closed_m > CLOSURE_M
     accepts = f"; mechanism.closure_tolerance_m = {1.1 * closure_gap:.2g} accepts that of a rounded file" if rounded else ""
@@ -203,10 +189,12 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         (
             dynamics_residual > allowed,
             f"between nodes the motion needs {dynamics_residual:.3g} more effort than planned"
-            f" at t = {worst['dynamics_residual']:.4g} s (allowed: {allowed:.3g})",
+            f" at t = {worst['dynamics_residual']:.4g} s (allowed: {allowed:.3g})"
+            f"{_dead_centre(samples, worst['dynamics_residual'])}",
         ),
+        (bool(needs_more), needs_more),
         (
-            velocity_residual > VELOCITY_SHARE or not velocity_error <= VELOCITY_SHARE,
+            velocity_residual > trajectory.slope_share or not velocity_error <= VELOCITY_SHARE,
             "the planned velocity is not that of the planned position:"
             f" {100 * max(velocity_residual, velocity_error):.3g} % of the largest speed apart",
         ),
@@ -219,7 +207,7 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
     )
     failures = [sentence for broken, sentence in findings if broken]
     figures = {
-        "the effort that the motion needs": np.hstack([tau, *needed]),
+        "the effort that the motion needs": np.hstack([*samples.demanded[0], *needed]),
         "a joint's speed": samples.joint_rates,
         "a loop's gap": mechanism.gaps_m(q),
         "a closure's force": samples.closure_forces,
@@ -253,11 +241,46 @@ def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
         growth=growth,
         dynamics_allowed=allowed,
         residual_share=residual.reshape(len(growth), -1).max(axis=1) / allowed,
-        effort_overrun=-least,
+        effort_overrun=overrun,
         worst_time_s=worst | {margin.bound.removeprefix("the "): margin.time_s for margin in of_limits},
         failures=tuple(failures),
+        needs_more=needs_more,
         unrepairable=(*unrepairable, *((opened,) if rounded else ())),
     )
+
+
+def _effort_overrun(samples: Samples) -> tuple[np.ndarray, str]:
+    """Return the overruns (n_intervals,) of efforts by inverse dynamics, and a sentence if they are not allowed.
+
+    Overruns are shares of the allowance, and are also looked for between the samples.
+    """
+    needed, limit, n = samples.needed_efforts, samples.problem.limits.effort, len(samples.points)
+    allowances = np.maximum(INVERSE_DYNAMICS_SHARE * end_sizes(limit), 1e-12)
+    inside = np.stack([needed - limit[:, 0], limit[:, 1] - needed], axis=-1)  # (kinetics, sample, motor, 2)
+    left = np.divide(inside, allowances, out=np.zeros_like(inside), where=np.isfinite(inside))
+    left = np.moveaxis(left, 1, -1).reshape(len(needed), *limit.shape, -1, n)  # by interval and point at last
+    least = least_between(left, samples.points).reshape(left.shape[:-1])
+    worst = np.unravel_index(int(np.argmin(least)), least.shape)
+    overrun = -least.min(axis=(0, 1, 2), initial=0.0)
+    if not least[worst] < -1.0:
+        return overrun, ""
+    _, j, end, interval = worst
+    actuator, bound, over = samples.problem.mechanism.actuators[j], limit[j, end], -least[worst] * allowances[j, end]
+    time_s = float(samples.time.reshape(-1, n)[interval, int(np.argmin(left[worst]))])
+    return overrun, (
+        f"between nodes the motion needs {bound + (over if end else -over):.9g} {actuator.unit} of '{actuator.name}' at"
+        f" t = {time_s:.4g} s, {over:.3g} {actuator.unit} beyond its limit (allowed: {allowances[j, end]:.3g})"
+        f"{_dead_centre(samples, time_s)}"
+    )
+
+
+def _dead_centre(samples: Samples, time_s: float) -> str:
+    """Return a phrase that names a dead centre near a time of the samples; empty if there is none."""
+    at = int(np.argmin(np.abs(samples.time - time_s)))
+    if samples.leverage.transmission(samples.demanded[1][[at]])[0] > 10 * samples.leverage.least:
+        return ""
+    names = " and ".join(f"'{actuator.name}'" for actuator in samples.problem.mechanism.actuators)
+    return f"; {names} {'is' if len(samples.problem.mechanism.actuators) == 1 else 'are'} near a dead centre there"
 
 
 def _integration_failures(in_deg: float, in_m: float) -> list[str]:

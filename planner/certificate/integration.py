@@ -36,15 +36,12 @@ from linkplan.planner.problem.instant import position_units
 from linkplan.planner.problem.motion import Waypoint
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import BodyAngle, Task, key_of
-from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.trajectory import VELOCITY_SHARE, Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_part, bernstein_value
 
 # Boundary states, and sites and bodies at them, are constraints of the program and kept to rounding: the allowed error as a
 # share of the motion's span or largest speed, or of the mechanism's extent.
 BOUNDARY_SHARE = 1e-6
-# Largest difference of the planned velocity from the slope of the planned position and from the integrated velocity, as a
-# share of the largest speed. First-order schemes differ by their own order, a wrongly assembled plan by more.
-VELOCITY_SHARE = 0.02
 Bounds = tuple[np.ndarray, np.ndarray] | np.ndarray
 # Start and goal may exceed a limit by this share of its size, because inverse kinematics and rounding are inexact.
 POSE_SLACK = 2e-9

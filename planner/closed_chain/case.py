@@ -95,6 +95,7 @@ class MechanismCase:
         """Return the certificate's findings that refinement needs."""
         return error_report(
             certificate,
+            passed=certificate.is_carried,
             exact=is_exact(self.asked, certificate),
             repairable=certificate.repairable,
             leaves_positions=any(

@@ -23,7 +23,7 @@ from linkplan.planner.limits.limit import (
     limited_rows,
     with_limits,
 )
-from linkplan.planner.limits.samples import Samples
+from linkplan.planner.limits.samples import Samples, samples_for_claims
 from linkplan.planner.problem.instant import Corner, Instant, Robust, Scales
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -54,17 +54,17 @@ class EffortLimit(Limit):
     def measured(self, at: Samples) -> Measured:
         actuator = at.problem.mechanism.actuators[self.item]
         bounds, coefficients = at.problem.limits.effort[self.item], at.trajectory.effort[:, :, self.item]
-        slack = max(share_of(bounds, ROUNDING_SHARE))
-        values = at.u[:, self.item]
+        slack, values = share_of(bounds, ROUNDING_SHARE), at.u[:, self.item]
         return Measured(actuator.name, values, bounds, actuator.unit, coefficients=coefficients, slack=slack)
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
         actuator, bounds = problem.mechanism.actuators[self.item], problem.limits.effort[self.item]
+        leverage = samples_for_claims(problem, trajectory).leverage
         yield Claimed(
             name=f"effort of {actuator.name} by inverse dynamics",
             unit=actuator.unit,
             bounds=bounds,
-            value=lambda at: at.efforts()[self.item],
+            value=lambda at: at.efforts(leverage=leverage)[self.item],
             slack=share_of(bounds, INVERSE_DYNAMICS_SHARE),
         )
         yield Claimed(

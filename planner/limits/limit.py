@@ -121,7 +121,8 @@ class Measured:
     """A limited quantity at poses or along a motion: its `values` (n,), their bounds [low, high], and their unit.
 
     `name` is that of the limit's actuator, joint, closure, tendon or site. Overruns are shares of `size`, by default of the
-    limit itself. Overruns up to `slack`, by default a share of the limit, are due to rounding. Intervals with a `bent`
+    limit itself. Overruns up to `slack`, by default `rounding_of` the limit, are due to rounding, or up to those of both
+    bounds. Intervals with a `bent`
     sample (n,) have a kink. `coefficients` (n_nodes, n_intervals) are the Bernstein coefficients of values that are
     polynomials. `at_times` gives the values at other instants (m,) [s], for samples near the limit, where parabolas are too
     coarse. Closed poses are exact to a share of `pose_size`, by default the size. `known_from` returns True if the tasks of
@@ -133,7 +134,7 @@ class Measured:
     bounds: Sequence[float] | np.ndarray
     unit: str = ""
     size: float | None = None
-    slack: float | None = None
+    slack: float | tuple[float, float] | None = None
     bent: np.ndarray | None = None
     coefficients: np.ndarray | None = None
     at_times: Callable[[np.ndarray], np.ndarray] | None = None
@@ -284,6 +285,11 @@ def _scaled(values: np.ndarray | Mapping[str, float], factor: float) -> np.ndarr
     return values * factor if np.isfinite(factor) else np.broadcast_to([-np.inf, np.inf], np.shape(values)).copy()
 
 
+def rounding_of(bound: float) -> float:
+    """Return the overrun of a bound that is due to rounding, in the certificate as in a proof."""
+    return ROUNDING_SHARE * max(1.0, abs(bound)) if np.isfinite(bound) else 0.0
+
+
 def squared_claim(what: str, unit: str, most: float, value: Callable[[Any], Any] | ca.Function) -> Claimed:
     """Return the claim that a size, given by its square `value`, is at most `most`, except for rounding."""
     slack = 2 * ROUNDING_SHARE * max(1.0, most) * most
@@ -328,6 +334,7 @@ def margin_of(of: Limit | LimitedRow, measured: Measured, points: np.ndarray, ti
     left = float(least.min())
     value = values[at] if not np.isfinite(left) else limit - left if limit == high else limit + left
     size = float(measured.size or abs(limit) or 1.0)
+    slack = measured.slack[int(limit == high)] if isinstance(measured.slack, tuple) else measured.slack
     margin = Margin(
         of=of,
         name=measured.name,
@@ -339,7 +346,7 @@ def margin_of(of: Limit | LimitedRow, measured: Measured, points: np.ndarray, ti
         overrun=np.maximum(0.0, -least) / size,
         upper=bool(limit == high),
         size=size,
-        slack=ROUNDING_SHARE * max(1.0, abs(limit)) if measured.slack is None else measured.slack,
+        slack=rounding_of(float(limit)) if slack is None else slack,
     )
     return margin if measured.at_times is None else _sampled_finely(margin, measured, time.reshape(-1, len(points)))
 

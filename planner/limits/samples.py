@@ -1,15 +1,41 @@
 """Poses and dense samples of a motion, at which limits are measured."""
 
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
-from linkplan.models.poses.along import joint_rates, sampled
+from linkplan.models.actuation.distribution import missed_rounding
+from linkplan.models.errors import AssemblyError
+from linkplan.models.poses.along import demanded, joint_rates, sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.problem.instant import corner_efforts_along
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
+
+# Largest generalised effort that planned efforts may lack between nodes, as a share of the largest that they give: with a
+# larger error they do not belong to the motion.
+DYNAMICS_SHARE = 0.02
+# Actuators are at a dead centre where their least transmission is below this share of its largest value along a motion. The
+# effort by inverse dynamics divides by it: there no effort makes up for what the joints lack, which is judged itself.
+DEAD_CENTRE_SHARE = 1e-2
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Leverage:
+    """Units (n_s, n_u) of Gamma^T B, zero for coordinates and actuators without effect, and the least transmission.
+
+    Below the least transmission the actuators are at a dead centre.
+    """
+
+    units: np.ndarray
+    least: float
+
+    def transmission(self, maps: np.ndarray) -> np.ndarray:
+        """Return the least singular value (n,) of maps (n, n_s, n_u) in these units."""
+        rows, columns = np.flatnonzero(self.units.any(axis=1)), np.flatnonzero(self.units.any(axis=0))
+        scaled = (maps * self.units)[:, rows[:, None], columns]
+        return np.linalg.svd(scaled, compute_uv=False)[:, -1] if scaled.size else np.ones(len(maps))
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -89,6 +115,64 @@ class Samples(Poses):
         return actuator_speeds(self.problem, self.q, self.v)
 
     @cached_property
+    def demanded(self) -> tuple[np.ndarray, np.ndarray]:
+        """The generalised efforts (n_kinetics, n, n_s) that the motion needs, and Gamma^T B (n, n_s, n_u).
+
+        In first-order schemes positions have accelerations of their own, which are the second kinetics.
+        """
+        motion, mechanism = self.trajectory, self.problem.mechanism
+        tau, maps = demanded(mechanism, self.q, self.v, self.a, self.time)
+        taus = [tau]
+        if len(motion.position) == len(motion.velocity):
+            taus.append(demanded(mechanism, self.q, motion.slope_at(self.time), motion.bend_at(self.time), self.time)[0])
+        return np.stack(taus), maps
+
+    @property
+    def lacking(self) -> np.ndarray:
+        """The generalised efforts (n_kinetics, n, n_s) that the planned efforts lack."""
+        taus, maps = self.demanded
+        return taus - np.einsum("ksu,ku->ks", maps, self.u)
+
+    @cached_property
+    def lacking_allowed(self) -> float:
+        """The largest generalised effort that the planned efforts may lack.
+
+        Without any effort, as for a crank that turns freely, rounding of the inertia's effort is allowed (measured: 1e-7).
+        """
+        inertia, limit = sampled(self.problem.mechanism.dynamics.reduced_inertia, self.q), self.problem.limits.effort
+        inertial, given = np.einsum("kst,kt->ks", inertia, self.a), np.einsum("ksu,ku->ks", self.demanded[1], self.u)
+        largest, rounding = DYNAMICS_SHARE * float(np.abs(given).max()), 1e-6 * float(np.abs(inertial).max())
+        return max(largest, missed_rounding(limit), rounding)
+
+    @cached_property
+    def leverage(self) -> Leverage:
+        """The units of transmissions: efforts at their limits, and what these give at most along the motion."""
+        limit, (_, maps) = self.problem.limits.effort, self.demanded
+        effort = np.where(np.isfinite(limit), np.abs(limit), np.abs(self.u).max(axis=0)[:, None]).max(axis=1)
+        effort = np.where(effort > 0, effort, 1.0) * maps.any(axis=(0, 1))
+        given = (np.abs(maps) @ effort).max(axis=0)
+        units = np.divide(effort, given[:, None], out=np.zeros(maps.shape[1:]), where=given[:, None] > 0)
+        return Leverage(units, DEAD_CENTRE_SHARE * float(Leverage(units, 0.0).transmission(maps).max()))
+
+    @cached_property
+    def at_dead_centre(self) -> np.ndarray:
+        """True (n,) where the actuators are at a dead centre."""
+        near = self.leverage.transmission(_distinct(self.demanded[1])) < self.leverage.least
+        return np.broadcast_to(near, len(self.time))
+
+    @cached_property
+    def needed_efforts(self) -> np.ndarray:
+        """The efforts (n_kinetics, n, n_u) by inverse dynamics.
+
+        They are the planned efforts, and except at a dead centre the least efforts that give what these lack.
+        """
+        lacking, apart = self.lacking, ~self.at_dead_centre
+        inverse = np.linalg.pinv(_distinct(self.demanded[1][apart]), rcond=1e-12)
+        found = np.stack([self.u] * len(lacking))
+        found[:, apart] += (inverse @ lacking[:, apart, :, None])[..., 0]
+        return found
+
+    @cached_property
     def joint_rates(self) -> np.ndarray:
         """The rates (n, n_q) of all joints."""
         return joint_rates(self.problem.mechanism, self.q, self.v)
@@ -118,6 +202,21 @@ def samples_of(problem: Problem, trajectory: Trajectory) -> Samples:
     until = problem.solver.judging_deadline
     q = follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose, until)
     return Samples(problem=problem, trajectory=trajectory, points=points, time=time, q=q)
+
+
+@lru_cache(maxsize=2)
+def samples_for_claims(problem: Problem, trajectory: Trajectory) -> Samples:
+    """Return the samples whose allowances the claims of a proof share; the start alone if the loops open on the way."""
+    try:
+        return samples_of(problem, trajectory)
+    except AssemblyError:
+        start = {"points": np.zeros(1), "time": trajectory.breaks_s[:1], "q": trajectory.start_pose[None]}
+        return Samples(problem=problem, trajectory=trajectory, **start)
+
+
+def _distinct(maps: np.ndarray) -> np.ndarray:
+    """Return maps (n, n_s, n_u), or one (1, n_s, n_u) if all are the same, as those of motors on the coordinates."""
+    return maps[:1] if np.all(maps == maps[:1]) else maps
 
 
 def sample_points(n_nodes: int) -> np.ndarray:

@@ -13,12 +13,11 @@ import casadi as ca
 import numpy as np
 from flint import arb
 
-from linkplan.models.actuation.distribution import missed_rounding
-from linkplan.models.closure.rank import ROUNDING_SHARE
-from linkplan.planner.certificate.certificate import CLOSURE_M, DYNAMICS_SHARE
+from linkplan.planner.certificate.certificate import CLOSURE_M
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE
 from linkplan.planner.limits.kinds import FURTHER_CLAIMS, limits_of
-from linkplan.planner.limits.limit import Claimed
+from linkplan.planner.limits.limit import Claimed, rounding_of
+from linkplan.planner.limits.samples import samples_for_claims
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.reference import Sine
 from linkplan.planner.proof.curve import enclosed
@@ -49,8 +48,8 @@ class Claim:
 
     @property
     def allowed(self) -> tuple[float, float]:
-        """The allowances on [low, high]. For rounding, as in the certificate: 1e-9, or 1e-9 of a limit above one."""
-        low, high = (ROUNDING_SHARE * max(1.0, abs(float(x))) if np.isfinite(x) else 0.0 for x in self.bounds)
+        """The allowances on [low, high]; by default for rounding."""
+        low, high = (rounding_of(float(x)) for x in self.bounds)
         return (low, high) if self.slack is None else self.slack
 
     @property
@@ -226,13 +225,8 @@ def _enclosed_sine(sine: Sine, i: int, time: Ball) -> Ball:
 
 def _residuals(problem: Problem, trajectory: Trajectory) -> Iterator[Claim]:
     """Yield the claims that the planned efforts produce the motion, with the certificate's allowance."""
-    mechanism = problem.mechanism
-    largest = np.abs(np.array(mechanism.dynamics.effort_map(trajectory.start_pose))) @ np.abs(trajectory.effort).max((0, 1))
-    inertia = np.abs(np.array(mechanism.dynamics.reduced_inertia(trajectory.start_pose)))
-    acceleration = np.abs(trajectory.acceleration_at(trajectory.dense_times(4))).max(axis=0)
-    rounding = missed_rounding(problem.limits.effort)
-    allowed = max(DYNAMICS_SHARE * float(largest.max(initial=0.0)), rounding, 1e-6 * float((inertia @ acceleration).max()))
-    for i, joint in enumerate(mechanism.independent_joints):
+    allowed = samples_for_claims(problem, trajectory).lacking_allowed
+    for i, joint in enumerate(problem.mechanism.independent_joints):
         name, unit = f"effort on {joint.name} that the planned effort lacks", joint.si_units[1]
         lacking = of_kinetics(lambda kinetics, i=i: kinetics.residual[i])
         yield Claim(name, unit, (0.0, 0.0), lacking, (allowed, allowed))

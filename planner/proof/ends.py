@@ -6,7 +6,7 @@ from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.certificate.certificate import end_state_error
 from linkplan.planner.certificate.further_checks import disagreements
-from linkplan.planner.certificate.integration import BOUNDARY_SHARE, VELOCITY_SHARE, ends_off_m
+from linkplan.planner.certificate.integration import BOUNDARY_SHARE, ends_off_m
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.problem import Problem
@@ -112,11 +112,12 @@ def _slope(trajectory: Trajectory, speed: np.ndarray) -> Finding:
     slope = PiecewisePolynomial(trajectory.position, trajectory.breaks_s).derivative().coefficients
     name, velocity = "the planned velocity is the slope of the planned position", trajectory.velocity
     if slope.shape == velocity.shape:  # coefficients of the difference bound it
-        return finding_of(name, float((np.abs(slope - velocity) / speed).max()), JOIN_SHARE, "of the largest speed")
-    time = trajectory.dense_times(24)
-    apart = (np.abs(trajectory.slope_at(time) - trajectory.velocity_at(time)) / speed).max()
-    if apart > VELOCITY_SHARE:
-        return finding_of(name, float(apart), VELOCITY_SHARE, "of the largest speed")
+        apart = np.maximum(np.abs(slope - velocity) - trajectory.slope_rounding(), 0.0) / speed
+    else:
+        apart = trajectory.slope_errors(trajectory.dense_times(24)) / speed
+    share, apart = trajectory.slope_share, float(apart.max())
+    if slope.shape == velocity.shape or apart > share:
+        return finding_of(name, apart, share, "of the largest speed")
     reason = f"at samples it differs by {apart:.2g} of the largest speed: the scheme is not second-order consistent"
     return Finding(name=name, answer="sampled", reason=reason)
 

@@ -29,7 +29,6 @@ from flint import arb, arb_poly, arb_series, ctx
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.certificate.certificate import INTEGRATION_M
-from linkplan.planner.certificate.integration import VELOCITY_SHARE
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.proof.branch import krawczyk, pose_of, series_of
 from linkplan.planner.proof.contraction import LinearBox, contracted, size_of
@@ -38,7 +37,7 @@ from linkplan.planner.proof.finding import OWN_MOTION, Finding, no_motion
 from linkplan.planner.proof.motion import Piece, State
 from linkplan.planner.proof.taylor import NotSeparatedError, TaylorForm, above, solve_enclosed
 from linkplan.planner.proof.walk import Ball, Walk, constant_term, dense, force_symbols, walk_of
-from linkplan.planner.trajectory import Trajectory
+from linkplan.planner.trajectory import VELOCITY_SHARE, Trajectory
 
 # The largest contraction Z: Newton-Kantorovich's condition.
 MAX_CONTRACTION = 0.5
@@ -100,7 +99,7 @@ class Neighbourhood:
         if self.failure:
             return True
         piece = states[0].piece
-        if not piece.one_velocity:
+        if piece.kinetics != ("of_position",):
             self.failure = "the planned velocity is not the slope of the planned position"
             return True
         box, last = None, halvings >= _MAX_HALVINGS

@@ -8,10 +8,11 @@ from math import comb
 import numpy as np
 from flint import arb, arb_poly, arb_series
 
+from linkplan.planner.limits.samples import Leverage
 from linkplan.planner.problem.instant import Corner
 from linkplan.planner.proof.branch import pose_of
 from linkplan.planner.proof.curve import forces_over
-from linkplan.planner.proof.taylor import Matrix, product, solve_enclosed, transposed
+from linkplan.planner.proof.taylor import Matrix, NotSeparatedError, product, solve_enclosed, transposed
 from linkplan.planner.proof.walk import Ball, Blocks, dense, larger, loaded_tree, pose_walk
 from linkplan.planner.trajectory import JOIN_SHARE, Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
@@ -39,7 +40,7 @@ class Piece:
     velocity: tuple[arb_poly, ...]
     effort: tuple[arb_poly, ...]
     along: tuple[arb_poly, ...]
-    one_velocity: bool  # the planned velocity is the slope of the planned position, to rounding
+    kinetics: tuple[str, ...]  # the names of the motion's kinetics in `State`
 
     @classmethod
     def of(cls, trajectory: Trajectory, k: int) -> "Piece":
@@ -50,20 +51,29 @@ class Piece:
             for name in ("position", "velocity", "effort", "along")
         }
         since = arb(begin) - arb(float(trajectory.breaks_s[0]))
-        width, one_velocity = arb(end) - arb(begin), _agrees(trajectory, k)
-        return cls(index=k, begin_s=begin, since=since, width=width, one_velocity=one_velocity, **named)
+        return cls(
+            index=k, begin_s=begin, since=since, width=arb(end) - arb(begin), kinetics=_kinetics(trajectory, k), **named
+        )
 
 
-def _agrees(trajectory: Trajectory, k: int) -> bool:
-    """Return True if, on interval k, planned velocity and acceleration are derivatives of the position, up to rounding."""
+def _kinetics(trajectory: Trajectory, k: int) -> tuple[str, ...]:
+    """Return the names of the kinetics on interval k: one of them if velocity and acceleration are those of the position.
+
+    Positions suffice unless a short interval amplifies their rounding; planned velocities do not amplify it.
+    """
     slope = PiecewisePolynomial(trajectory.position, trajectory.breaks_s).derivative()
     velocity = PiecewisePolynomial(trajectory.velocity, trajectory.breaks_s)
     if slope.coefficients.shape != velocity.coefficients.shape:
-        return False
-    return all(
-        np.abs(one.coefficients[:, k] - other.coefficients[:, k]).max() <= JOIN_SHARE * np.abs(other.coefficients).max()
-        for one, other in ((slope, velocity), (slope.derivative(), velocity.derivative()))
-    )
+        return "of_position", "of_velocity"
+    of_slope = trajectory.slope_rounding()[k]
+    of_bend = 2 * (len(trajectory.position) - 2) * of_slope / (trajectory.breaks_s[k + 1] - trajectory.breaks_s[k])
+    pairs = ((slope, velocity, of_slope), (slope.derivative(), velocity.derivative(), of_bend))
+    alike = rounded = True
+    for one, other, rounding in pairs:
+        apart, share = np.abs(one.coefficients[:, k] - other.coefficients[:, k]), np.abs(other.coefficients).max()
+        alike = alike and bool(apart.max() <= JOIN_SHARE * share)
+        rounded = rounded and bool((apart - rounding).max() <= JOIN_SHARE * share)
+    return ("of_position",) if alike else ("of_velocity",) if rounded else ("of_position", "of_velocity")
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -101,12 +111,17 @@ class Kinetics:
         """The reduced efforts tau (n_s,) and the multipliers of the nominal model."""
         return self.needed()
 
-    def efforts(self, corner: Corner | None = None) -> list[Ball]:
+    def efforts(self, corner: Corner | None = None, leverage: Leverage | None = None) -> list[Ball]:
         """Return the efforts (n_u,) of the actuators by inverse dynamics.
 
         If the numbers of actuators and of degrees of freedom differ, they are the planned efforts plus the least efforts
-        that compensate the difference: u + P^+ (tau - P u).
+        that compensate the difference: u + P^+ (tau - P u). With a `leverage` they are the planned efforts at a dead centre.
+
+        Raises:
+            NotSeparatedError: if a box is partly at a dead centre.
         """
+        if leverage is not None and self.state.at_dead_centre(leverage):
+            return list(self.state.u)
         if corner not in self._efforts:
             self._efforts[corner] = self._by_inverse_dynamics(corner)
         return self._efforts[corner]
@@ -176,7 +191,8 @@ class State:
     """A motion as series of x over a box: positions s (n_s,), pose q (n_q,), planned velocity v and efforts u.
 
     `along` (1,) is the parameter of the path that a site follows, empty without a path.
-    `rate` is dx/dt [1/s], `time` is the time since the start of the motion [s].
+    `rate` is dx/dt [1/s], `time` is the time since the start of the motion [s]. `middle` is the state at the box's middle,
+    of the state over the box.
     """
 
     blocks: Blocks
@@ -188,7 +204,29 @@ class State:
     rate: arb
     time: arb_series
     along: Sequence[arb_series] = ()
+    middle: "State | None" = None
     _kept: dict[str, list[Ball]] = field(default_factory=dict)
+
+    def at_dead_centre(self, leverage: Leverage) -> bool:
+        """Return True if the actuators are at a dead centre on the whole box, False if they are nowhere.
+
+        Transmissions within twice the least one count as either, so that every box of a small enough size is one of both.
+
+        Raises:
+            NotSeparatedError: if the box must be halved.
+        """
+        if self.middle is not None:
+            return self.middle.at_dead_centre(leverage)
+        maps = np.zeros((3, len(self.s), len(self.u)))
+        for (i, k), entry in self.effort_map.items():
+            numbers = [float(x.mid()) for x in (entry.coeffs() if isinstance(entry, arb_series) else [entry])]
+            maps[:, i, k] = np.polynomial.polynomial.polyval([-1.0, 0.0, 1.0], numbers)
+        if not np.isfinite(maps).all():
+            raise NotSeparatedError("a transmission is not enclosed")
+        least = leverage.transmission(maps)
+        if least.min() < leverage.least < 0.5 * least.max():
+            raise NotSeparatedError("a box is partly at a dead centre")
+        return bool(least.min() < leverage.least)
 
     def of_pose(self, name: str) -> list[Ball]:
         """Return the value of a column of the reduced dynamics that depends only on the pose."""
@@ -291,4 +329,4 @@ class State:
     @property
     def kinetics(self) -> list[Kinetics]:
         """The kinetics of the motion: one, or two if the planned velocity is not the derivative of the planned position."""
-        return [self.of_position] if self.piece.one_velocity else [self.of_position, self.of_velocity]
+        return [getattr(self, name) for name in self.piece.kinetics]

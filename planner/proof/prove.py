@@ -327,16 +327,17 @@ def states_of(
     point = krawczyk(blocks, [p(arb(0)) for p in local[0]], guess)
     root = krawczyk(blocks, [p(everywhere) + more for p, more in zip(local[0], slack, strict=True)], guess)
 
-    def state(x: arb, z: Sequence[arb], cap: int) -> State:
+    def state(x: arb, z: Sequence[arb], cap: int, middle: State | None = None) -> State:
         ctx.cap = cap
         about = arb_poly([x, 1])
         s, v, u, path = ([arb_series(p(about).coeffs(), prec=cap) for p in of] for of in local)
         half = piece.width * r
         time = arb_series((piece.since + piece.width * along)(about).coeffs(), prec=cap)
         more = {"z": series_of(blocks, s, z, cap), "rate": 1 / half, "time": time}
-        return State(blocks=blocks, piece=piece, s=s, v=v, u=u, along=path, **more)
+        return State(blocks=blocks, piece=piece, s=s, v=v, u=u, along=path, middle=middle, **more)
 
-    return state(arb(0), point.enclosure, order + 2), state(everywhere, root.enclosure, order + 3), root
+    middle = state(arb(0), point.enclosure, order + 2)
+    return middle, state(everywhere, root.enclosure, order + 3, middle), root
 
 
 def _linked(anchor: _Anchor, region: list[arb], begin: list[arb], box: _Box) -> bool:

@@ -74,6 +74,7 @@ class ErrorReport:
     """The errors of an iterate, read from its certificate.
 
     Attributes:
+        passed: no limit is violated, except that of an effort by inverse dynamics.
         exact: the integration error is within the tolerance.
         repairable: a finer mesh can remove the reason why the certificate does not pass.
         leaves_positions: a state leaves its range between the nodes.
@@ -87,6 +88,7 @@ class ErrorReport:
         integration_error: as a share of the states' sizes, of a differential equation.
     """
 
+    passed: bool
     exact: bool
     repairable: bool
     leaves_positions: bool
@@ -176,7 +178,7 @@ def error_report(certificate: Any, **found: Any) -> ErrorReport:
     """
     none = np.zeros(len(certificate.growth))
     over = [margin.overrun for margin in certificate.margins if margin.of.facts.tightened is not None]
-    errors: dict[str, Any] = {"residual_share": none, "effort_overrun": none} | found
+    errors: dict[str, Any] = {"passed": certificate.passed, "residual_share": none, "effort_overrun": none} | found
     return ErrorReport(
         overruns=not all(margin.kept for margin in certificate.margins),
         overrun=np.max([none, *over], axis=0),
@@ -277,8 +279,8 @@ class CertifiedIterate:
 
     @property
     def passed(self) -> bool:
-        """True if its certificate passes."""
-        return self.certificate is not None and self.certificate.passed
+        """True if its certificate passes, or needs only less effort between the nodes."""
+        return self.report is not None and self.report.passed
 
     @property
     def overruns(self) -> bool:

@@ -24,7 +24,7 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt, share_gained
 from linkplan.planner.refinement.history import progress
 from linkplan.planner.search.attempts import certified, objective_of, of_several, only_feasible, without_solving
-from linkplan.planner.search.finer_meshes import FIRST_MARGIN, LAST_MARGIN, at_a_distance, is_sound
+from linkplan.planner.search.finer_meshes import FIRST_MARGIN, LAST_MARGIN, at_a_distance
 from linkplan.planner.search.methods import Budget, Search
 from linkplan.planner.search.solving import first_mesh, with_longer_durations
 from linkplan.planner.search.starts import is_too_short, no_time, of_the_phase_plane
@@ -78,12 +78,11 @@ def from_several_starts(search: Search, budget: Budget) -> Plan | None:
         if plan.passed:
             break
     best = plans[-1] if plans and plans[-1].passed else None
-    if problem.motion.duration_s is None and (best is None or not is_sound(best.certificate)):
+    if problem.motion.duration_s is None and best is None:
         known = [plan.trajectory for plan in plans if plan.trajectory is not None]
         a_little = slower(problem, [*known, *(first.found.motion for first in firsts[:1])])
         if a_little is not None:
             return a_little
-        best = None
     best = best or (_in_more_time(search.problem, firsts[0]) if firsts else None)
     if best is None:
         return min(plans, key=lambda plan: not plan.passed, default=None)
@@ -128,7 +127,7 @@ def _in_more_time(problem: Problem, first: _First) -> Plan | None:
             found = plan.require_motion("bound the duration with")
             late = replace(problem, solver=problem.solver.replace(deadline=problem.solver.judging_deadline))
             bound = without_solving(late, found, objective_value(problem, found)[0], f"motion of {duration:.6g} s")
-            return bound if is_sound(bound.certificate) else slower(problem, [found])
+            return bound if bound.passed else slower(problem, [found])
     return None
 
 

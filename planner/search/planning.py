@@ -22,7 +22,6 @@ from linkplan.planner.refinement.history import Say, progress, recorded, recordi
 from linkplan.planner.refinement.state import REPORTED_CHANGE
 from linkplan.planner.search import attempts, reasons, starts, waiting, without_solver
 from linkplan.planner.search.attempts import of_several
-from linkplan.planner.search.finer_meshes import is_sound
 from linkplan.planner.search.methods import FULL_BUDGET, SHORT_BUDGET, Budget, Repair, Search, SearchMethod, run_search
 from linkplan.planner.search.multistart import from_several_starts
 from linkplan.planner.search.site_path import plan_along_path
@@ -216,13 +215,11 @@ def _or_simpler(search: Search, plan: Plan | None, rest: Plan | None) -> Plan | 
     """Return a plan of the methods, or a rest unless it costs more; if neither is sound, the smooth path, or None.
 
     The plan's message says "locally optimal" unless the phase plane proves more. A rest that costs as much as an optimal
-    plan is that plan's motion without the solver's rounding. With several motors, the proof must refute a plan that is not
-    sound, although its certificate passes.
+    plan is that plan's motion without the solver's rounding.
     """
     if plan is not None and plan.status == "optimal" and starts.judged_by_the_phase_plane(search)[0]:
         plan = replace(plan, message=plan.message.removeprefix(LOCALLY))
-    known = plan is not None and plan.passed and (is_sound(plan.certificate) or not of_several(search.problem))
-    sound = plan if known else None
+    sound = plan if plan is not None and plan.passed else None
     if sound is not None and (rest is None or _costs_less(sound, rest)):
         return sound
     if rest is not None:
@@ -231,10 +228,7 @@ def _or_simpler(search: Search, plan: Plan | None, rest: Plan | None) -> Plan | 
     smooth = None
     with contextlib.suppress(OutOfTimeError):
         smooth = without_solver.along_smooth_path(search)
-    if smooth is None or plan is None or not plan.passed:
-        return smooth or plan
-    unsound = f"; one with {plan.objective:.6g} needs more effort than its limits permit"
-    return replace(smooth, message=smooth.message + unsound)
+    return smooth or plan
 
 
 def _costs_less(plan: Plan, rest: Plan) -> bool:

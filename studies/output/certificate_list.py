@@ -7,7 +7,6 @@ from linkplan.planner.certificate.certificate import (
     BOUNDARY_SHARE,
     CLOSURE_M,
     INTEGRATION_M,
-    VELOCITY_SHARE,
     Certificate,
 )
 from linkplan.planner.certificate.further_checks import geom_names
@@ -15,6 +14,7 @@ from linkplan.planner.limits.limit import Margin
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.sites import task_words
+from linkplan.planner.trajectory import VELOCITY_SHARE
 from linkplan.studies.output.document import Checklist, Item
 from linkplan.studies.output.draw_plan import LEAST_SHOWN
 from linkplan.studies.output.numbers import significant
@@ -74,14 +74,16 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
     kinds = {joint.kind for joint in mechanism.independent_joints}
     allowed_residual, residual = certificate.dynamics_allowed, certificate.dynamics_residual
     efforts = " or ".join(dict.fromkeys(joint.si_units[1] for joint in mechanism.independent_joints))
+    carried = residual <= allowed_residual and not certificate.needs_more
     velocity_kept = not any(failure.startswith(_NOT_ITS_VELOCITY) for failure in certificate.failures)
+    allowed_slope = VELOCITY_SHARE if plan.trajectory is None else plan.trajectory.slope_share
     ends = "error at start and goal, relative to the range or the largest speed"
     # label, passed, worst, limit, unit, time of the worst value
     rows: list[tuple] = [
-        ("effort by inverse dynamics minus the planned effort", residual <= allowed_residual, residual,
+        ("effort by inverse dynamics minus the planned effort", carried, residual,
          allowed_residual, efforts, when.get("dynamics_residual")),
         ("velocity minus the derivative of the position", velocity_kept, 100 * certificate.velocity_residual,
-         100 * VELOCITY_SHARE, "%", when.get("velocity_residual")),
+         100 * allowed_slope, "%", when.get("velocity_residual")),
         (ends, certificate.boundary_error <= BOUNDARY_SHARE, certificate.boundary_error, BOUNDARY_SHARE, "", None),
     ]  # fmt: skip
     if motion.tasks:

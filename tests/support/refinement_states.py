@@ -68,7 +68,7 @@ def iterate(
     certificate = structs.replace(first.certificate, failures=() if passed else ("errs",))
     report = {"growth": growth, "residual_share": residual, "effort_overrun": beyond} | report
     report = {"repairable": True, "leaves_positions": False, "integration_error_deg": 1e-3} | report
-    report = ErrorReport(exact=exact, overruns=bool(overrun.any()), overrun=overrun, **report)
+    report = ErrorReport(passed=passed, exact=exact, overruns=bool(overrun.any()), overrun=overrun, **report)
     return CertifiedIterate(found=replace(first.found, solution=solution), certificate=certificate, report=report)
 
 

@@ -235,10 +235,11 @@ def test_a_motion_without_effort_is_allowed_a_millionth_of_the_effort_of_its_ine
     problem, motion = motion_of(load_mechanism("five-bar"), np.random.default_rng(3))
     still = replace(motion, effort=np.zeros_like(motion.effort))
     marks = {claim.marks for claim in claims_of(problem, still)[0] if "that the planned effort lacks" in claim.name}
-    M = np.array(problem.mechanism.dynamics.reduced_inertia(motion.start_pose))
-    peak = np.abs(motion.acceleration_at(motion.dense_times(4))).max(axis=0)
-    allowed = 1e-6 * max(abs(M[0]) @ peak, abs(M[1]) @ peak)
-    assert sorted(marks) == [(pytest.approx(-allowed), pytest.approx(allowed))]
+    time = motion.dense_times(50)
+    poses = follow(problem.mechanism, motion.position_at(time), motion.start_pose)
+    inertias = (np.array(problem.mechanism.dynamics.reduced_inertia(q)) for q in poses)
+    allowed = 1e-6 * max(np.abs(M @ a).max() for M, a in zip(inertias, motion.acceleration_at(time), strict=True))
+    assert sorted(marks) == [(pytest.approx(-allowed, rel=0.05), pytest.approx(allowed, rel=0.05))]  # of coarser samples
 
 
 def test_the_distance_from_a_reference_is_that_of_its_sine():

@@ -113,8 +113,8 @@ def test_a_piece_knows_its_width_and_when_it_begins_in_the_motion():
         exact = two.position_at(np.array([1.8 + share * 0.3 - 1e-12 * share]))[0, 0]
         assert float(piece.position[0](arb(share)).mid()) == pytest.approx(exact, abs=1e-10)
     # The second interval is shorter than the first, whose speeds it has.
-    assert Piece.of(two, 0).one_velocity
-    assert not piece.one_velocity
+    assert Piece.of(two, 0).kinetics == ("of_position",)
+    assert piece.kinetics == ("of_position", "of_velocity")
 
 
 KNOTS = np.array([0.0, 0.2, 0.25, 0.6, 1.0])

@@ -188,7 +188,7 @@ def test_the_soundest_of_the_corrected_motions_is_the_answer(monkeypatch):
 
     def unsound(kept):
         overrun = next(overruns)
-        certificate = structs.replace(kept.at.certificate, effort_overrun=np.array([overrun]))
+        certificate = structs.replace(kept.at.certificate, effort_overrun=np.array([overrun]), failures=("errs",))
         seen.append(overrun)
         return replace(kept.at, certificate=certificate)
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from msgspec import structs
 
 import linkplan
 from linkplan.planner.closed_chain.case import case_of
@@ -67,17 +66,11 @@ def test_a_margin_that_is_asked_for_is_kept():
     assert at_a_distance(case_of(problem), problem.start_pose()).problem.limits.singular_margin == 0.3
 
 
-@pytest.mark.parametrize("unsound", [False, True], ids=["fails", "must be refuted"])
-def test_a_slower_motion_bounds_a_least_time_that_cannot_be_proved(in_least_time, monkeypatch, unsound):
+def test_a_slower_motion_bounds_a_least_time_that_cannot_be_proved(in_least_time, monkeypatch):
     own = multistart.certified
 
     def failing(problem, found):
-        if problem.motion.duration_s:
-            return own(problem, found)
-        if not unsound:
-            return Plan(problem=problem, status="failed", message="")
-        plan = own(problem, found)
-        return replace(plan, certificate=structs.replace(plan.certificate, effort_overrun=np.array([1.1])))
+        return own(problem, found) if problem.motion.duration_s else Plan(problem=problem, status="failed", message="")
 
     monkeypatch.setattr(multistart, "certified", failing)
     monkeypatch.setattr(multistart, "slower", lambda *_: None)

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from msgspec import structs
 
 from linkplan.models import deadline
 from linkplan.models.poses.along import needed_effort
@@ -55,15 +54,13 @@ def test_it_answers_however_late_the_search_ends():
     assert plan.status == "feasible", plan.message
 
 
-@pytest.mark.parametrize(("overrun", "sound"), [(0.9, True), (1.1, False)])
-def test_it_takes_the_place_of_a_motion_that_its_proof_must_refute(overrun, sound):
+def test_it_takes_the_place_of_a_motion_that_fails():
     best = optimal("five-bar-reach", STRONG)
-    beyond = replace(best, certificate=structs.replace(best.certificate, effort_overrun=np.array([overrun])))
+    beyond = replace(best, status="failed", message="failed: it needs more effort than its limits permit")
     method = SearchMethod(name="beyond", run=lambda _search, _budget: beyond, budget=SHORT_BUDGET)
     plan = plan_motion(best.problem, methods=(method,))
-    assert plan.status == ("optimal" if sound else "feasible")
-    assert plan.objective == best.objective if sound else plan.objective > 1.01 * best.objective
-    assert sound or f"{best.objective:.6g} needs more effort than its limits permit" in plan.message
+    assert plan.status == "feasible"
+    assert plan.objective > 1.01 * best.objective
     assert plan.prove(existence=False).passed
 
 
