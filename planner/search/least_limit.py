@@ -1,5 +1,6 @@
 """The least limits with which a motion exists, as an initial guess or as the reason why there is no plan."""
 
+import contextlib
 import itertools
 from dataclasses import dataclass
 
@@ -9,7 +10,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, perturbed_guesses
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
 from linkplan.planner.limits.kinds import factor_of
-from linkplan.planner.limits.limit import Limit
+from linkplan.planner.limits.limit import RELAXED_FACTOR, Limit
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import add_step, step_of
 from linkplan.planner.refinement.switches import MESH_ERROR_SHARE, find_bang_efforts, find_switch_times, mesh_with_switches
@@ -132,15 +133,15 @@ def least_relaxation(
         mesh: of the solves.
         durations: of the mesh's segments in the motion [s].
     """
-    factor = factor_of(kind, problem, motion)
-    if factor is None:
-        return motion
-    near, far = 1.0, factor
+    near, far = 1.0, factor_of(kind, problem, motion) or RELAXED_FACTOR  # of an infinite overrun no factor is known
     transcribed = transcribe(kind.relaxed(problem, far), guess_from(motion), mesh, durations)
     best = solve(transcribed, problem.solver)
     add_step(step_of(f"least {kind.key}", transcribed, best))
     if not best.converged:
         return motion
+    with contextlib.suppress(AssemblyError):
+        loose = trajectory_of(transcribed, best.x, problem.limits.effort)
+        far = min(far, factor_of(kind, problem, loose) or far)
     solver = build_solver(transcribed.program, problem.solver, warm=True)
     for _ in range(13):  # resolves the factor to four digits of its range
         if problem.solver.deadline.passed:

@@ -1,6 +1,7 @@
 """Limits on acceleration and jerk, and the cost on jerk, against closed forms and slopes of sampled motions."""
 
 import functools
+import re
 from dataclasses import replace
 
 import casadi as ca
@@ -19,9 +20,11 @@ from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.prove import prove
+from linkplan.planner.search import reasons
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_matrix
+from tests.support.bodies import body_problem, cart
 from tests.support.motions import motion_along
 
 MASS = """<mujoco><option gravity="0 0 0"/>
@@ -263,3 +266,14 @@ def test_an_own_limit_on_jerk_needs_accelerations_that_change_within_intervals()
 def test_limits_that_mean_nothing_are_refused(limits, mesh, words):
     with pytest.raises(ProblemError, match=words):
         Problem.from_tables("knee", {**KNEE, "limits": limits, "mesh": mesh})
+
+
+def test_the_least_jerk_of_a_motion_in_too_little_time_is_named_and_not_an_infinite_one(monkeypatch):
+    """A way d takes 32 d / T^3 in the time T. Without a limit, accelerations jump, and the jerk is infinite."""
+    reach = 'kind = "reach"\nstart_m = { x = 0.0 }\ngoal_m = { x = 0.3 }\nduration_s = 1.0\n'
+    monkeypatch.setattr(reasons, "shortest_sentence", lambda *_: "")
+    problem = body_problem(cart("-60 60"), reach, "limits.jerk_m_s3.x=2", 'objective.minimize="effort"')
+    plan = plan_motion(problem, methods=(), diagnoses=(reasons.one_limit, reasons.nothing_found))
+    assert plan.status == "infeasible"
+    named = re.search(r"jerk of joint x would have to be (-?[\d.]+) m/s3 at .* beyond its limit of -?2 m/s3", plan.message)
+    assert abs(float(named[1])) == pytest.approx(32 * 0.3, rel=5e-3), plan.message
