@@ -5,10 +5,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from linkplan.models.actuation.distribution import missed_rounding
 from linkplan.models.audit import audit
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import demanded, effort_within, missed_rounding, sliding_friction
+from linkplan.models.poses.along import demanded, distributed, sliding_friction
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.problem.instant import Robust, corner_out_of_reach
 from linkplan.planner.problem.keys.limits import Motor
@@ -135,7 +136,8 @@ def rest_notes(motion: Motion, mechanism: Mechanism, limits: Limits) -> list[str
         except AssemblyError:  # the search says so
             continue
         tau, maps = demanded(mechanism, pose, still, still)
-        missed = (tau - np.einsum("ksu,ku->ks", maps, effort_within(tau, maps, limits.effort)))[0]
+        effort = np.clip(distributed(mechanism, tau, maps, limits.effort), *limits.effort.T)
+        missed = (tau - np.einsum("ksu,ku->ks", maps, effort))[0]
         rub = [float(sliding_friction(mechanism, pose, column)[0]) for column in range(mechanism.dof)]
         over = np.abs(missed) - missed_rounding(limits.effort) - rub
         row = int(np.argmax(over))

@@ -36,7 +36,7 @@ _LEAST_REST_S = 5.0
 _STANDS_STILL = 1e-9
 # How far beside the pose that machine starts [rad; extents on a slide], and the factor by which it has moved away. A stable
 # loop may move away by a smaller factor before it returns.
-_BESIDE, _MOVED_AWAY = 1e-4, 10.0
+_START_OFFSET, _MOVED_AWAY = 1e-4, 10.0
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -168,7 +168,7 @@ def _returns_to_rest(plant: MujocoPlant, asked: TrackerLike, plan: Plan, referen
     at = np.minimum(np.arange(max(reference.n, round(_LEAST_REST_S / reference.period_s))), reference.n - 1)
     longer = replace(reference.part(at), time_s=reference.period_s * np.arange(len(at)))
     unit = unit_steps(plan.problem.mechanism.independent_joints, plan.problem.mechanism.extent_m)
-    beside = Imperfections(start=Start(position_error=_BESIDE * unit))
+    beside = Imperfections(start=Start(position_error=_START_OFFSET * unit))
     logs = simulate(plant, build_tracker(asked, plan, longer), longer, [Imperfections(), beside])
     if any(logs.failure):
         return logs.failure[0] is not None  # only the second one ended early
