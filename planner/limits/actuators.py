@@ -48,7 +48,9 @@ class PowerLimit(Limit):
     """
 
     key: ClassVar[str] = "power"
-    facts: ClassVar[LimitFacts] = LimitFacts(kind=key, words="the power of {}", enclosable=True, jumps_with_effort=True)
+    facts: ClassVar[LimitFacts] = LimitFacts(
+        kind=key, words="the power of {}", enclosable=True, jumps_with_effort=True, followed_with=np.inf
+    )
     item: int
     column: int | None = None
     levers: tuple[int, ...] = ()
@@ -116,7 +118,10 @@ class MotorLimit(Limit):
 
     key: ClassVar[str] = "motor"
     facts: ClassVar[LimitFacts] = LimitFacts(
-        kind=key, words="the torque-speed line of {} (effort / stall + speed / no-load)", jumps_with_effort=True
+        kind=key,
+        words="the torque-speed line of {} (effort / stall + speed / no-load)",
+        jumps_with_effort=True,
+        followed_with=np.inf,
     )
     item: int
     column: int | None = None
@@ -181,6 +186,7 @@ class ControlLimit(Limit):
         tightened=Tightened.IN_UNITS,
         jumps_with_effort=True,
         narrows_efforts=True,
+        followed_with=np.inf,
         by_size=True,
     )
     item: int

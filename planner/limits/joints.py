@@ -19,9 +19,10 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import sampled
+from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
+    Affine,
     Bounds,
     Claimed,
     Limit,
@@ -56,6 +57,7 @@ class ClosureForceLimit(Limit):
         tightened=Tightened.SQUARED,
         enclosable=True,
         jumps_with_effort=True,
+        followed_with=1,
     )
     item: int
     places: tuple[int, ...] = ()
@@ -107,6 +109,13 @@ class ClosureForceLimit(Limit):
             return sum((x * x for x in at.closure_forces[own]), 0 * at.state.q[0])
 
         yield squared_claim(f"closure force of {mechanism.closure_names[self.item]}", "N2", rating, squared)
+
+    def affine(self, problem: Problem) -> Affine | None:
+        mechanism, rating = problem.mechanism, float(problem.limits.closure_force[self.item])
+        if sliding_friction(mechanism, mechanism.home[None]).any():
+            return None  # dry friction makes it jump with the speed's direction
+        own, force = mechanism.closure_slice(self.item), mechanism.dynamics.closure_force
+        return Affine(lambda q, v, a, u: sampled(force, q, v, a, u)[:, own, 0], (-np.inf, rating))
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
@@ -222,6 +231,7 @@ class SpeedLimit(Limit):
         bound="the speed limit of {}",
         tightened=Tightened.LATER_IN_PROBLEM,
         in_phase_plane=True,
+        followed_with=1,
     )
     item: int
     column: int | None = None

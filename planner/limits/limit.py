@@ -63,6 +63,7 @@ class LimitFacts:
         second_order: whether efforts act only on the second derivative of its row, as far as known; by default if it is
             `of_position`.
         in_phase_plane: whether the phase plane's motions satisfy it.
+        followed_with: the largest number of actuators with which legs of the phase plane follow it; 0 if they never do.
         narrows_efforts: whether it restricts the efforts at a pose, which the phase plane ignores.
         by_size: whether a factor moves its bounds by a share of its size instead of multiplying them.
     """
@@ -79,6 +80,7 @@ class LimitFacts:
     at_given_poses: bool = False
     second_order: bool | None = None
     in_phase_plane: bool = False
+    followed_with: float = 0
     narrows_efforts: bool = False
     by_size: bool = False
 
@@ -166,6 +168,18 @@ class Claimed:
     slack: tuple[float, float] | None = None
     per_unit: float = 1.0
     unknown: str = ""
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Affine:
+    """A limited quantity that is affine in the acceleration and the effort at a pose and speeds: one value, or a vector.
+
+    `value` gives it (n, n_rows) from q (n, n_q), v and a (n, n_s), u (n, n_u). One value is within the `bounds` [low, high];
+    the size of a vector is at most the second one.
+    """
+
+    value: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+    bounds: Sequence[float] | np.ndarray
 
 
 class Margin(Struct, frozen=True, eq=False, kw_only=True):
@@ -266,6 +280,10 @@ class Limit(ABC):
     @abstractmethod
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
         """Yield the claims of a proof, at least one."""
+
+    def affine(self, problem: Problem) -> Affine | None:
+        """Return the quantity that bounds the acceleration of one degree of freedom at a pose and speed; None by default."""
+        return None
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:

@@ -18,6 +18,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import accelerations, joint_jerk, joint_rates, sampled, site_motion
 from linkplan.planner.limits.joints import bounds_of_joint, claim_of_joint, measured_of_joint
 from linkplan.planner.limits.limit import (
+    Affine,
     Bounds,
     Claimed,
     Limit,
@@ -56,7 +57,7 @@ class AccelerationLimit(Limit):
 
     @property
     def facts(self) -> LimitFacts:
-        return _facts_of_joint(self.key, self.column, jumps=self.jumps)
+        return replace(_facts_of_joint(self.key, self.column, jumps=self.jumps), followed_with=1)
 
     @property
     def rows(self) -> Rows:
@@ -74,6 +75,10 @@ class AccelerationLimit(Limit):
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
         yield claim_of_joint(self, problem, "/s2", lambda at: at.accelerations[self.item])
+
+    def affine(self, problem: Problem) -> Affine:
+        mechanism, own = problem.mechanism, [self.item]
+        return Affine(lambda q, v, a, _: accelerations(mechanism, q, v, a)[:, own], problem.limits.acceleration[self.item])
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,7 +137,7 @@ class SiteAccelerationLimit(Limit):
     @property
     def facts(self) -> LimitFacts:
         words, squared = "the acceleration of site {}", Tightened.SQUARED
-        return LimitFacts(kind=self.key, words=words, tightened=squared, jumps_with_effort=self.jumps)
+        return LimitFacts(kind=self.key, words=words, tightened=squared, jumps_with_effort=self.jumps, followed_with=1)
 
     @property
     def rows(self) -> Rows:
@@ -149,6 +154,11 @@ class SiteAccelerationLimit(Limit):
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
         at, symbols = free_instant(problem.mechanism)
         yield _claim_of_site(self, problem, "acceleration", "m2/s4", symbols[:4], at.site_accelerations)
+
+    def affine(self, problem: Problem) -> Affine:
+        motion = site_motion(problem.mechanism, 2)
+        bounds = -np.inf, _limit(self, problem)[1]
+        return Affine(lambda q, v, a, _: sampled(motion, q, v, a)[:, :, self.site], bounds)
 
 
 @dataclass(frozen=True, slots=True)

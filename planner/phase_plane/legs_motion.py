@@ -13,6 +13,8 @@ import numpy as np
 
 from linkplan.models.deadline import Deadline
 from linkplan.planner.limits.actuators import ControlLimit, MotorLimit
+from linkplan.planner.limits.joints import ClosureForceLimit
+from linkplan.planner.limits.rates import SiteAccelerationLimit
 from linkplan.planner.phase_plane.leg_field import AT_LINE
 from linkplan.planner.phase_plane.power_legs import Leg, power_legs
 from linkplan.planner.problem.problem import Problem
@@ -25,7 +27,7 @@ from linkplan.planner.transcription.schemes import scheme
 _LIMIT_RESERVE, _POLYNOMIAL_TOLERANCE = 1e-8, 3e-9
 LEGS_SCHEME = "radau-7"
 # Shares of an interval at which it is checked.
-_CHECKED_AT = np.linspace(0.0, 1.0, 12)
+_CHECKED_AT = np.linspace(1 / 32, 1.0, 12)  # a leg may begin at a singular point of its limit, where its law is 0 / 0
 
 
 def legs_motion(problem: Problem, start_pose: np.ndarray) -> Trajectory | None:
@@ -38,11 +40,11 @@ def legs_motion(problem: Problem, start_pose: np.ndarray) -> Trajectory | None:
         start_pose: the closed pose (n_q,) at the start.
     """
     limits = problem.limits
-    rated = (1.0 - _LIMIT_RESERVE) * limits.closure_force
-    effort, power, speed = (_inside(of) for of in (limits.effort, limits.power, limits.speed))
-    inside = replace(limits, effort=effort, power=power, speed=speed, closure_force=rated)
-    lined = ControlLimit.relaxed(MotorLimit.relaxed(problem, 1.0 - _LIMIT_RESERVE), 1.0 - _LIMIT_RESERVE)
-    found = power_legs(replace(lined, limits=inside), start_pose)
+    inside = {key: _inside(getattr(limits, key)) for key in ("effort", "power", "speed", "acceleration")}
+    tightened = replace(problem, limits=replace(limits, **inside))
+    for kind in (ClosureForceLimit, SiteAccelerationLimit, MotorLimit, ControlLimit):
+        tightened = kind.relaxed(tightened, 1.0 - _LIMIT_RESERVE)
+    found = power_legs(tightened, start_pose)
     if found is None:
         return None
     legs, boundaries = found
@@ -150,8 +152,8 @@ def _collocated(leg: Leg, held: np.ndarray, t: float, h: float, at: np.ndarray):
         for c in (position, velocity, efforts, np.linalg.solve(known.effort_at, a))
     )
     asked, pushed = law(s, v)
-    # Along a line or a pin force the effort may pass through zero: errors are then relative to the whole limit.
-    size = np.abs(asked) if np.all(np.abs(held) < AT_LINE) else leg.field.strength
+    # Along a line, a pin force or an acceleration the effort may pass through zero: errors are relative to the whole limit.
+    size = np.abs(asked) if np.all(np.abs(held) < AT_LINE) else leg.field.limit_sizes(s, held)
     values = leg.field.curves(s)
     strength = np.abs(values[:, 4:] * size).sum(axis=1) / values[:, 0]
     if np.any(np.abs(u - asked) > _POLYNOMIAL_TOLERANCE * size) or np.any(

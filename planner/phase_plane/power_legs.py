@@ -1,9 +1,10 @@
-"""Least-time motions of one degree of freedom as legs along limits on power, line, pin force and speed.
+"""Least-time motions of one degree of freedom as legs along limits on power, line, pin force, acceleration and speed.
 
 One leg accelerates from the start with all the effort that the limits allow. Another leg brakes into the goal. They cross
-at the switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985). Limits on speeds add the maximum velocity
-curve. Where this curve falls and the motion can brake as fast, the legs into the goal follow it. Where the curve rises
-faster than the motion can accelerate, a leg from the start leaves it and later meets a leg into the goal.
+at the switch (Bobrow, Dubowsky & Gibson, Int. J. Robotics Research 4, 1985). Limits on speeds, and those that
+no effort satisfies at high speeds, add the maximum velocity curve. Where this curve falls and the motion can brake as fast,
+the legs into the goal follow it. Where the curve rises faster than the motion can accelerate, a leg from the start leaves it
+and later meets a leg into the goal.
 
 Under a power limit, the motion from rest begins with a bang arc, after which the effort decreases. This bang arc may last
 a hundred-thousandth of the motion, which neither a grid over position nor a mesh over time resolves. The integrated legs
@@ -21,6 +22,7 @@ from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.phase_plane.bang_bang_motions import Part, parts_of
 from linkplan.planner.phase_plane.leg_field import AT_POWER, POSES_PER_PART, LegField, field_along
+from linkplan.planner.phase_plane.maximum_velocity import MaximumVelocity
 from linkplan.planner.problem.problem import Problem
 
 # The integration's relative tolerance, and its absolute one as a share of the way and of the largest speed: a bang arc from
@@ -28,6 +30,12 @@ from linkplan.planner.problem.problem import Problem
 _INTEGRATION_RTOL, _INTEGRATION_ATOL = 1e-10, 1e-14
 # Speeds that differ by at most this share are the same.
 _SAME_SPEED = 1e-9
+# The limits held on the velocity curve where the room for efforts vanishes: no motion follows it.
+NO_ROOM = np.zeros(1, dtype=int)
+# The step off a place where the room vanishes, as a share of the span, and the change of energy on it, as a share.
+_LAUNCH_STEP, _LAUNCH_ENERGY = 1e-6, 1e-3
+# A leg may integrate past the end of its room by this share, which the events detect.
+_ROOM_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -69,6 +77,8 @@ class Leg:
         """True if at every examined instant an effort satisfies all limits."""
         s, v = self.state(self._looks())
         field, held = self.field, self.held
+        if held is NO_ROOM:
+            return False
         effort = field.at(s, v, towards=self.towards)[1] if held is None else field.along(s, v, held)[0]
         return field.keeps(s, v, effort)
 
@@ -159,6 +169,12 @@ class _Way:
         return float(np.sqrt(2 * self.span * (force / values[:, 0]).max()))
 
     @cached_property
+    def curve(self) -> MaximumVelocity:
+        """The maximum velocity curve."""
+        most = 10 * (self.fastest + max(abs(v) for v in self.part.speeds))
+        return MaximumVelocity(field=self.field, span=self.span, most=most)
+
+    @cached_property
     def top_speed(self) -> float:
         """The largest speed that limits on speeds and the lines allow at any position; infinite without them."""
         with np.errstate(divide="ignore"):
@@ -189,30 +205,56 @@ class _Way:
         def stalled(_t: float, y: np.ndarray) -> float:
             return way * y[1]
 
-        there.terminal = stalled.terminal = True
-        stalled.direction = -1.0
+        def roomy(_t: float, y: np.ndarray) -> float:
+            return float(field.room(*y)) + _ROOM_TOLERANCE
+
+        events = [there, stalled] if field.affine is None or held is not None else [there, stalled, roomy]
+        for event in events:
+            event.terminal = True
+        stalled.direction = roomy.direction = -1.0
+        first, v_first, taken = (begin, v, 0.0) if held is not None else self._launched(begin, v, towards=towards)
         until = 1e9 * self.span / self.fastest  # a thousand million times what full effort takes
         found = scipy.integrate.solve_ivp(
-            rates, (0.0, until if towards else -until), [begin, v], method="LSODA", events=(there, stalled),
+            rates, (taken, until if towards else -until), [first, v_first], method="LSODA", events=events,
             dense_output=True, rtol=_INTEGRATION_RTOL, atol=_INTEGRATION_ATOL * np.array([self.span, self.fastest]),
         )  # fmt: skip
-        ends = np.sort([0.0, found.t[-1]])
-        return Leg(
-            field=field, state=found.sol, steps=np.sort(found.t), towards=towards, begin=ends[0], end=ends[1], held=held
-        )
+
+        def state(t: Any) -> np.ndarray:
+            a, late = (v_first - v) / (taken or 1.0), found.sol(t)
+            return np.where(np.abs(t) < abs(taken), [begin + v * t + 0.5 * a * np.square(t), v + a * t], late)
+
+        steps = np.unique([0.0, *found.t])
+        return Leg(field=field, state=state, steps=steps, towards=towards, begin=steps[0], end=steps[-1], held=held)
+
+    def _launched(self, place: float, v: float, *, towards: bool) -> tuple[float, float, float]:
+        """Return place, speed and time at which the integration of a leg begins, after one short implicit Euler step.
+
+        The step leads off the velocity curve at a place where the room vanishes. There the law of the leg may be 0 / 0, or
+        its slope infinite. Both ways off such a place are stable, so the step's error decreases along the leg.
+        """
+        import scipy
+
+        field, way = self.field, self.field.way
+        top, joint = self.curve.at(place)
+        if not v or joint >= 0 or way * v < (1 - _SAME_SPEED) * top or not np.isfinite(top):
+            return place, v, 0.0
+        strong = max(abs(float(field.driven(place, v, towards=ahead)[2])) for ahead in (True, False))
+        step = min(_LAUNCH_STEP * self.span, _LAUNCH_ENERGY * v**2 / strong)
+        first = place + step * (way if towards else -way)
+
+        def missed(energy: float) -> float:
+            return (
+                energy - 0.5 * v**2 - (first - place) * float(field.at(first, way * np.sqrt(2 * energy), towards=towards)[2])
+            )
+
+        room = 2 * step * strong
+        energy = scipy.optimize.brentq(missed, 0.5 * v**2 - room, 0.5 * v**2 + room, xtol=1e-300, rtol=1e-15)
+        v_first = way * np.sqrt(2 * energy)
+        return first, v_first, 2 * (first - place) / (v + v_first)
 
     def _fastest_at(self, place: Any) -> np.ndarray:
-        """Return the maximum velocity curve (...) at positions; infinite without limits on speeds."""
-        curve = self.field.velocity_curve
-        return np.full(np.shape(place), np.inf) if curve is None else curve.at(place)[0]
-
-    def _excess(self, place: Any, *, towards: bool) -> np.ndarray:
-        """Return the acceleration along the velocity curve minus that under full effort towards the end, or full braking."""
-        curve, way = self.field.velocity_curve, self.field.way
-        assert curve is not None  # its callers are on it
-        with np.errstate(all="ignore"):  # the curve may be infinite at some places
-            top, joint = curve.at(place)
-            return way * (curve.acceleration(place, top, joint) - self.field.at(place, way * top, towards=towards)[2])
+        """Return the maximum velocity curve (...) at positions; infinite where no limit bounds the speed."""
+        return self.curve.at(place)[0]
 
     def _back(self) -> list[Leg] | None:
         """Return the legs, in order, of the fastest motion that arrives at the goal; None if it does not reach the start.
@@ -226,7 +268,7 @@ class _Way:
             top = self._fastest_at(place)
             if way * v > (1 + _SAME_SPEED) * top:
                 return None
-            follows = not follows and way * v > (1 - _SAME_SPEED) * top and self._excess(place, towards=False) >= 0
+            follows = not follows and way * v > (1 - _SAME_SPEED) * top and self.curve.excess(place, towards=False) >= 0
             if follows:
                 first = self._followed_from(place)
                 found += reversed(list(self._curve_legs(first, place)))
@@ -248,13 +290,15 @@ class _Way:
 
         way, t = self.field.way, np.linspace(leg.begin, leg.end, POSES_PER_PART)[:: 1 if leg.towards else -1]
         s, v = leg.state(t)
-        above = (way * v > top(s)) & (np.abs(s - s[0]) > self.beside)
+        # A leg may reach the end of its room without crossing it.
+        share = 1.0 if self.field.affine is None else 1.0 - 0.25 * _SAME_SPEED
+        above = (way * v > share * top(s)) & (np.abs(s - s[0]) > self.beside)
         if not above.any():
             return None
 
         def apart(at: float) -> float:
             place, speed = leg.state(at)
-            return float(way * speed - top(place))
+            return float(way * speed - share * top(place))
 
         k = int(np.argmax(above))
         while apart(t[k]) <= 0 and k + 1 < len(t):  # `top` is less exact for many places than for one
@@ -266,38 +310,41 @@ class _Way:
     def _followed_from(self, place: float) -> float:
         """Return the first position from which the motion can follow the velocity curve to a given position."""
         before = self.places[self.field.way * (self.places - place) < 0][::-1]
-        return self._sign_change(np.concatenate([[place], before]), towards=False, sign=-1.0)
-
-    def _sign_change(self, places: np.ndarray, *, towards: bool, sign: float) -> float:
-        """Return the first of positions (n,), refined, at which the excess has a given sign; otherwise the last one."""
-        import scipy
-
-        has = sign * self._excess(places, towards=towards) > 0
-        k = int(np.argmax(has))
-        if not has.any() or k == 0:
-            return float(places[-1] if not has.any() else places[0])
-        return float(scipy.optimize.brentq(lambda at: float(self._excess(at, towards=towards)), places[k - 1], places[k]))
+        return self.curve.sign_change(np.concatenate([[place], before]), towards=False, sign=-1.0)
 
     def _curve_legs(self, first: float, last: float) -> Iterator[Leg]:
-        """Yield the legs along the velocity curve between two positions, one for each joint that is at its limit in turn."""
-        import scipy
-
-        curve, way = self.field.velocity_curve, self.field.way
-        assert curve is not None
+        """Yield the legs along the velocity curve between two positions, one for each limit that determines it in turn."""
+        way = self.field.way
         inside = self.places[(way * (self.places - first) > 0) & (way * (last - self.places) > 0)]
         places = np.concatenate([[first], inside, [last]])
-        joints, edges = curve.at(places)[1], [first]
+        joints, edges = self.curve.at(places)[1], [first]
         for k in np.flatnonzero(joints[1:] != joints[:-1]):
-            pair = [joints[k], joints[k + 1]]
-
-            def apart(at: float, pair: list = pair) -> float:
-                return float(np.diff(curve.shares(at)[pair]).item())
-
-            edges.append(float(scipy.optimize.brentq(apart, places[k], places[k + 1])))
+            before, after = places[k], places[k + 1]
+            for _ in range(50):  # to rounding
+                middle = 0.5 * (before + after)
+                before, after = (middle, after) if self.curve.at(middle)[1] == joints[k] else (before, middle)
+            edges.append(float(after))
         for begin, end in zip(edges, [*edges[1:], last], strict=True):
-            held = np.array([self.field.at_speed + int(curve.at(0.5 * (begin + end))[1])])
-            if abs(end - begin) > self.beside:
+            joint = int(self.curve.at(0.5 * (begin + end))[1])
+            if abs(end - begin) > self.beside and joint >= 0:
+                held = np.array([self.field.at_speed + joint])
                 yield self._leg(begin, way * float(self._fastest_at(begin)), end, towards=True, held=held)
+            elif abs(end - begin) > self.beside:
+                followed = not self.curve.excess(np.linspace(begin, end, 13)[1:-1], towards=True).any()
+                v = way * float(self._fastest_at(begin))
+                held = self.field.at_end_of_room(begin, v) if followed else NO_ROOM
+                yield self._leg(begin, v, end, towards=True, held=held) if followed else self._bound(begin, end)
+
+    def _bound(self, begin: float, end: float) -> Leg:
+        """Return the velocity curve between two positions as a leg that no motion follows; its time is the position."""
+        way = self.field.way
+
+        def state(t: Any) -> np.ndarray:
+            place = way * np.asarray(t)
+            return np.stack([place, way * self._fastest_at(place)])
+
+        ends = way * np.array([begin, end])
+        return Leg(field=self.field, state=state, steps=ends, towards=True, begin=ends[0], end=ends[1], held=NO_ROOM)
 
     def _ahead(self, back: list[Leg]) -> list[Leg] | None:
         """Return the legs at full acceleration up to the legs into the goal, then these; None if they never cross.
@@ -335,10 +382,12 @@ class _Way:
             if way * (last - place) <= self.beside:
                 continue
             own = replace(leg, begin=leg.time_at(place))
+            if leg.held is NO_ROOM:
+                return found, float(own.state(own.begin)[0])
             if leg.held is not None:
                 first = float(own.state(own.begin)[0])
                 inside = self.places[(way * (self.places - first) > self.beside) & (way * (last - self.places) > 0)]
-                left_at = self._sign_change(np.concatenate([[first], inside, [last]]), towards=True, sign=1.0)
+                left_at = self.curve.sign_change(np.concatenate([[first], inside, [last]]), towards=True, sign=1.0)
                 if left_at != last:
                     return [*found, replace(own, end=own.time_at(left_at))], left_at
             found.append(own)

@@ -18,7 +18,6 @@ from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess
 from linkplan.planner.phase_plane.cheapest_motion import cheapest_guess
-from linkplan.planner.phase_plane.leg_field import knows_lines, knows_speeds, supports_pin_limits
 from linkplan.planner.phase_plane.legs_motion import LEGS_SCHEME, legs_motion
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
@@ -128,19 +127,14 @@ def of_the_phase_plane(search: Search, budget: Budget) -> Iterator[tuple[str, Gu
 
 
 def may_be_along_limits(search: Search) -> bool:
-    """True if a least time of one degree of freedom may lie along limits on power, line, pin force or speed."""
+    """True if a least time of one degree of freedom may lie along limits that legs of the phase plane follow."""
     problem, motion = search.problem, search.problem.motion
     return (
         search.only_time_counts
         and motion.duration_s is None
         and problem.guess is None
         and problem.mesh.effort == "polynomial"
-        and (
-            bool(np.any(np.isfinite(problem.limits.power)))
-            or knows_lines(problem)
-            or supports_pin_limits(problem)
-            or knows_speeds(problem)
-        )
+        and any(problem.mechanism.n_u <= limit.facts.followed_with for limit in limits_of(problem))
         and phase_plane_applies(problem)
     )
 

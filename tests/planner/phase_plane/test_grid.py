@@ -8,7 +8,7 @@ import pytest
 from linkplan.models.poses.along import sampled
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.grid import PhasePlane, _around, _drag, _kept, grid_of, plane_of
-from linkplan.planner.phase_plane.leg_field import AT_FORCE, AT_POWER, LegField, PinForces
+from linkplan.planner.phase_plane.leg_field import AT_FORCE, AT_POWER, AffineBounds, LegField
 from linkplan.planner.phase_plane.power_legs import Leg
 from linkplan.planner.problem.problem import Problem, load_problem
 from tests.support.even_plane import even_plane
@@ -172,31 +172,35 @@ def test_a_grid_keeps_the_margin_to_singular_poses():
 SPEED = 2.0
 
 
-def pin(still: tuple, by_effort: tuple, square: tuple = (0.0, 0.0), linear: tuple = (0.0, 0.0)) -> PinForces:
+# The acceleration without effort, and that of a unit of effort, on which these pin forces do not depend.
+NO_ACCELERATION = np.zeros((2, 1))[:, 0]
+
+
+def pin(still: tuple, by_effort: tuple, square: tuple = (0.0, 0.0), linear: tuple = (0.0, 0.0)) -> AffineBounds:
     """Return the forces of one pin with two components, in shares of its rating."""
-    curves = np.array([still, square, linear, by_effort])
-    return PinForces(curves=lambda _: curves, rows=(slice(0, 2),))
+    curves = np.array([still, square, linear, (0.0, 0.0), by_effort])
+    return AffineBounds(curves=lambda _: curves, rows=(slice(0, 2),), bounds=np.array([[-np.inf, 1.0]]))
 
 
 @pytest.mark.parametrize("still", [(0.6, 0.0), (0.0, 0.6), (-0.6, 0.3)])
 def test_at_the_least_and_largest_effort_a_pin_bears_its_rating(still):
     by = np.array([0.5, 0.25])
-    least, most, bears = pin(still, tuple(by)).efforts(0.0, SPEED)
-    assert bears.all()
+    least, most, over = pin(still, tuple(by)).efforts(0.0, SPEED, *NO_ACCELERATION)
+    assert over < 0
     assert least[0] < most[0]
     for effort in (least[0], most[0]):
         assert np.linalg.norm(np.array(still) + by * effort) == pytest.approx(1.0, rel=1e-12)
 
 
 def test_a_pin_force_grows_with_speed_and_its_square():
-    moving = pin((0.1, 0.0), (0.5, 0.0), square=(0.05, 0.0), linear=(-0.03, 0.0)).efforts(0.0, SPEED)
-    still = pin((0.1 + 0.05 * SPEED**2 - 0.03 * SPEED, 0.0), (0.5, 0.0)).efforts(0.0, 0.0)
+    moving = pin((0.1, 0.0), (0.5, 0.0), square=(0.05, 0.0), linear=(-0.03, 0.0)).efforts(0.0, SPEED, *NO_ACCELERATION)
+    still = pin((0.1 + 0.05 * SPEED**2 - 0.03 * SPEED, 0.0), (0.5, 0.0)).efforts(0.0, 0.0, *NO_ACCELERATION)
     np.testing.assert_allclose(moving, still)
 
 
 def test_beyond_what_any_effort_relieves_a_pin_bears_none():
-    least, most, bears = pin((0.0, 1.5), (0.5, 0.0)).efforts(0.0, SPEED)
-    assert not bears.any()
+    least, most, over = pin((0.0, 1.5), (0.5, 0.0)).efforts(0.0, SPEED, *NO_ACCELERATION)
+    assert over > 0
     assert least == most == pytest.approx(0.0)
 
 
@@ -225,25 +229,26 @@ def test_where_the_effort_s_limit_exceeds_the_power_the_power_is_held(towards, s
 @pytest.mark.parametrize(("still", "keeps"), [(0.0, True), (4.0, False), (-4.0, False)])
 def test_a_state_is_kept_only_by_an_effort_that_the_actuator_and_the_pin_both_bear(still, keeps):
     """The pin bears efforts from -2 - 2 F to 2 - 2 F, F its force without effort, and the actuator from -4 to 5."""
-    limited = replace(field(np.inf), pins=pin((still, 0.0), (0.5, 0.0)))
+    limited = replace(field(np.inf), affine=pin((still, 0.0), (0.5, 0.0)))
     at, speed = np.zeros(1), np.array([SPEED])
     limited = replace(limited, curves=lambda _: np.array([[2.0, 1.0, -0.5, -0.25, 3.0]]))
     for towards in (True, False):
         assert limited.keeps(at, speed, limited.at(at, speed, towards=towards)[1]) is keeps
 
 
-def two_pins(first: tuple[float, float], second: tuple[float, float]) -> PinForces:
+def two_pins(first: tuple[float, float], second: tuple[float, float]) -> AffineBounds:
     """Return two pins that bear efforts between these: |F + u / 2| <= 1 of either, scaled to its range."""
     by = [2.0 / (high - low) for low, high in (first, second)]
     still = [-b * (low + high) / 2 for b, (low, high) in zip(by, (first, second), strict=True)]
-    curves = np.array([[still[0], 0.0, still[1], 0.0], np.zeros(4), np.zeros(4), [by[0], 0.0, by[1], 0.0]])
-    return PinForces(curves=lambda _: curves, rows=(slice(0, 2), slice(2, 4)))
+    curves = np.array([[still[0], 0.0, still[1], 0.0], *np.zeros((3, 4)), [by[0], 0.0, by[1], 0.0]])
+    rows, bounds = (slice(0, 2), slice(2, 4)), np.array([[-np.inf, 1.0]] * 2)
+    return AffineBounds(curves=lambda _: curves, rows=rows, bounds=bounds)
 
 
 @pytest.mark.parametrize(("first", "second", "tighter"), [((-2, 2), (-1, 1), 1), ((-1, 1), (-2, 2), 0)])
 @pytest.mark.parametrize("towards", [True, False])
 def test_the_tighter_of_two_pins_holds_the_effort(first, second, tighter, towards):
-    of, effort = replace(field(np.inf), pins=two_pins(first, second)), 1.0 if towards else -1.0
+    of, effort = replace(field(np.inf), affine=two_pins(first, second)), 1.0 if towards else -1.0
     for limit in (1.5, 9.0):
         limited = replace(of, effort=np.array([[-limit, limit]]))
         held, efforts, a = limited.at(0.0, SPEED, towards=towards)
@@ -254,9 +259,9 @@ def test_the_tighter_of_two_pins_holds_the_effort(first, second, tighter, toward
 
 @pytest.mark.parametrize("towards", [True, False])
 def test_no_effort_keeps_two_pins_that_contradict_each_other(towards):
-    assert kept(replace(field(np.inf), pins=two_pins((-2.0, 2.0), (1.0, 3.0))), towards)
-    assert not kept(replace(field(np.inf), pins=two_pins((-2.0, 2.0), (3.0, 4.5))), towards)
-    assert not kept(replace(field(np.inf), pins=two_pins((3.0, 4.5), (-2.0, 2.0))), towards)
+    assert kept(replace(field(np.inf), affine=two_pins((-2.0, 2.0), (1.0, 3.0))), towards)
+    assert not kept(replace(field(np.inf), affine=two_pins((-2.0, 2.0), (3.0, 4.5))), towards)
+    assert not kept(replace(field(np.inf), affine=two_pins((3.0, 4.5), (-2.0, 2.0))), towards)
 
 
 def kept(limited: LegField, towards: bool = True) -> bool:
@@ -267,7 +272,7 @@ def kept(limited: LegField, towards: bool = True) -> bool:
 
 @pytest.mark.parametrize("towards", [True, False])
 def test_a_state_at_the_power_s_limit_is_kept(towards):
-    loose = replace(field(12.0), pins=pin((0.0, 0.0), (1e-3, 0.0)))
+    loose = replace(field(12.0), affine=pin((0.0, 0.0), (1e-3, 0.0)))
     assert abs(loose.at(0.0, SPEED, towards=towards)[0][0]) == AT_POWER
     assert kept(loose, towards)
 

@@ -134,9 +134,9 @@ def test_the_field_has_the_mechanism_s_pin_forces(start, goal):
         pose = close_at(mechanism, np.array([s]))[None]
         a = np.array(mechanism.dynamics.acceleration(pose[0], v[0], u[0])).reshape(1, 1)
         exact = closure_forces(problem, pose, v, a, u)[0, closure] / 400.0
-        still, square, linear, by = found.pins.curves(s)
-        force = still + square * v[0, 0] ** 2 + linear * v[0, 0] + by * effort
-        assert np.linalg.norm(force) == pytest.approx(exact, rel=1e-6)
+        still, square, linear, by_a, by = found.affine.curves(s)
+        force = still + square * v[0, 0] ** 2 + linear * v[0, 0] + by_a * a.item() + by * effort
+        assert np.linalg.norm(force) / 400.0 == pytest.approx(exact, rel=1e-6)
 
 
 def test_a_descent_that_no_effort_brakes_has_no_legs():
