@@ -11,6 +11,9 @@ import numpy as np
 
 from linkplan.models.library import mujoco_warnings
 
+# Commands at the rate limit exceed it by rounding.
+_RATE_ROUNDING = 1e-9
+
 
 @contextlib.contextmanager
 def divergence_expected() -> Iterator[None]:
@@ -24,7 +27,8 @@ class ControlLoop:
     """The feedback loop's properties between a tracker and the mechanism.
 
     `effort_limit` (n_u, 2) [N.m or N] saturates commands. `motor_line` (n_u, 2) are stall efforts and no-load speeds, which
-    limit efforts at every speed, and `rate_limit` (n_u,) [per second] their changes; infinite without a limit. A command
+    limit efforts at every speed, and `rate_limit` (n_u,) [per second] their changes; infinite without a limit.
+    `initial_effort` (n_u,) are efforts before the first command, infinite where they hold the start at rest. A command
     acts after `delay_periods`, which may be a fraction. `mass_factor` multiplies the payload's mass and inertia, or those of
     all moving bodies if there is no payload.
     """
@@ -32,8 +36,25 @@ class ControlLoop:
     effort_limit: np.ndarray
     motor_line: np.ndarray | None = None
     rate_limit: np.ndarray | None = None
+    initial_effort: np.ndarray | None = None
     delay_periods: float = 0
     mass_factor: float = 1.0
+
+    def saturates(self, commanded: np.ndarray, period_s: float, held: np.ndarray) -> np.ndarray:
+        """Return a mask (n,) of instants at which a drive without delay cannot give the commands (n, n_u).
+
+        A command is beyond a limit on the effort, or farther from the effort before it than the rate limit allows within a
+        period; `held` (n_u,) is the effort before the first command.
+        """
+        low, high = self.effort_limit.T
+        beyond = np.any((commanded < low) | (commanded > high), axis=1)
+        if self.rate_limit is None or not np.isfinite(self.rate_limit).any():
+            return beyond
+        step, given = self.rate_limit * period_s * (1 + _RATE_ROUNDING), held
+        for k, command in enumerate(np.clip(commanded, low, high)):
+            given = np.clip(command, given - step, given + step)
+            beyond[k] |= np.any(given != command)
+        return beyond
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -43,8 +64,9 @@ class Rollout:
     Positions are in rad, those of slides in m. `commanded` is the tracker's output and `applied` the mean effort of the
     period, both (n, n_u) [N.m or N]. `gap_m` (n,) is the largest distance between points or slides that a closure ties;
     `gap_rad` (n,) is the largest gap of tied angles, empty if there are none. `failure` is the reason why the log ends
-    early, None if it does not. `asked_s` (n,) [s] is the measured computing time of the tracker. `returns` is False if a
-    machine that starts beside a pose at rest moves away from one that starts in it.
+    early, None if it does not. `saturated` (n,) is True where the drives' limits on effort or rate do not allow the command.
+    `asked_s` (n,) [s] is the measured computing time of the tracker. `returns` is False if a machine that starts beside a
+    pose at rest moves away from one that starts in it.
     """
 
     tracker: str
@@ -62,6 +84,7 @@ class Rollout:
     conditions: dict
     asked_s: np.ndarray = field(default_factory=lambda: np.empty(0))
     gap_rad: np.ndarray = field(default_factory=lambda: np.empty(0))
+    saturated: np.ndarray = field(default_factory=lambda: np.zeros(1, dtype=bool))
     returns: bool = True
 
     @property
@@ -81,9 +104,8 @@ class Rollout:
 
     @property
     def saturated_fraction(self) -> float:
-        """The share of control instants with a command beyond a limit."""
-        low, high = self.effort_limit.T
-        return float(np.mean(np.any((self.commanded < low) | (self.commanded > high), axis=1)))
+        """The share of control instants with a command that the drives cannot give."""
+        return float(np.mean(self.saturated))
 
     @property
     def stable(self) -> bool:

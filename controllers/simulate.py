@@ -8,6 +8,7 @@ import numpy as np
 
 from linkplan.controllers.feedback_loop import Stepper, run_loop, states_of
 from linkplan.controllers.imperfections.imperfections import Imperfections
+from linkplan.controllers.imperfections.plant import held_before
 from linkplan.controllers.imperfections.sensing import sensing
 from linkplan.controllers.mujoco_plant import MujocoPlant, PlantAsItStands, simulation_conditions
 from linkplan.controllers.reference import SampledReference, state_at
@@ -134,6 +135,9 @@ def rollout_of(plant: MujocoPlant | PlantAsItStands, ensemble: Ensemble, referen
         failure=ensemble.failure[0],
         asked_s=ensemble.asked_s[kept],
         effort_limit=np.array(loop.effort_limit),
+        saturated=loop.saturates(
+            ensemble.commanded[kept, 0], reference.period_s, held_before(mechanism, reference, loop.initial_effort)
+        ),
         conditions={
             "mechanism": mechanism.name,
             **simulation_conditions(mechanism.model),

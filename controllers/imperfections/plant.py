@@ -156,16 +156,20 @@ def start_of(
     return pose, closed_rates(model, data, mechanism, pose, rates)
 
 
-def held_before(mechanism: Mechanism, reference: SampledReference, limit: np.ndarray) -> np.ndarray:
+def held_before(
+    mechanism: Mechanism, reference: SampledReference, limit: np.ndarray, given: np.ndarray | None = None
+) -> np.ndarray:
     """Return the efforts (n_u,) before the first command: those that hold a start at rest, else the reference's own.
 
-    More actuators than freedoms, with limits (n_u, 2), hold it by the efforts nearest to the reference's first.
+    More actuators than freedoms, with limits (n_u, 2), hold it by the efforts nearest to the reference's first. Efforts that
+    are `given` (n_u,), where they are finite, replace them.
     """
-    first = reference.effort[0]
-    if np.any(reference.velocity_rad_s[0]):
-        return first
-    still = np.zeros((1, mechanism.dof))
-    return needed_effort(mechanism, reference.pose_rad[:1], still, still, np.zeros(1), limit=limit, wanted=first)[0][0]
+    held = reference.effort[0]
+    if not np.any(reference.velocity_rad_s[0]):
+        still = np.zeros((1, mechanism.dof))
+        pose = reference.pose_rad[:1]
+        held = needed_effort(mechanism, pose, still, still, np.zeros(1), limit=limit, wanted=held)[0][0]
+    return held if given is None else np.where(np.isfinite(given), given, held)
 
 
 def scale_masses(model: mujoco.MjModel, data: mujoco.MjData, factor: float) -> None:

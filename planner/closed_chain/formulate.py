@@ -17,6 +17,7 @@ from linkplan.planner.closed_chain.mechanics import (
     node_numbers,
 )
 from linkplan.planner.limits.body import expression_of, scaled_coordinate, unit_of
+from linkplan.planner.limits.efforts import holds_at_rest
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import Limit, WhichJoints
 from linkplan.planner.limits.rates import smooth_columns
@@ -135,6 +136,8 @@ def formulate(
         free_at_end=free_at_end if motion.kind == "periodic" else (),
         advance=_advance(problem, scales, returns),
         smooth=objective.is_smoothed or objective.efforts("smooth") or bool(rows.rate_columns),
+        holds_at_rest=holds_at_rest(problem),
+        initial_effort=problem.limits.initial_effort if motion.kind == "reach" else None,
         eta=np.concatenate(eta),
         theta=_theta(problem, asked, scales, value),
         tightening=tightening_over(tightenings, asked.rows, path) if tightenings else None,

@@ -112,6 +112,11 @@ class EffortRateLimit(Limit):
         actuator, bounds = at.problem.mechanism.actuators[self.item], at.problem.limits.effort_rate[self.item]
         rate, jumps = effort_rates(at.trajectory, at.time)
         values = np.where(np.isnan(jumps[:, self.item]), rate[:, self.item], jumps[:, self.item])
+        ends, before = [0, -1], at.problem.limits.initial_effort[self.item, 0]
+        # An effort has jumped at a start or goal at rest that it does not hold, and at a start with another effort before.
+        jumped = holds_at_rest(at.problem) & at.acceleration_jumps[ends].any(axis=1)
+        jumped[0] |= np.isfinite(before) and abs(at.u[0, self.item] - before) > _jump_size(at.trajectory)
+        values[ends] = np.where(jumped, np.inf, values[ends])
         return Measured(actuator.name, values, bounds, f"{actuator.unit}/s")
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
@@ -129,16 +134,30 @@ class EffortRateLimit(Limit):
         return with_limits(problem, effort_rate=problem.limits.effort_rate * min(factor, RELAXED_FACTOR))
 
 
+def holds_at_rest(problem: Problem) -> tuple[bool, bool]:
+    """Return for start and goal if a motion that rests there is held, because the rates of all efforts are limited.
+
+    Initial efforts that are given need not hold the start.
+    """
+    limits, fully_driven = problem.limits, problem.mechanism.n_u >= problem.mechanism.dof
+    held = problem.motion.kind == "reach" and fully_driven and bool(np.isfinite(limits.effort_rate).any(axis=1).all())
+    return held and not np.isfinite(limits.initial_effort).any(), held
+
+
 def effort_rates(trajectory: Trajectory, time: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Return u' (n, n_u) within intervals, and jumps (n, n_u): infinite with the jump's sign after a jump, else NaN."""
     rate = PiecewisePolynomial(trajectory.effort, trajectory.breaks_s).derivative()(time)
     index = np.searchsorted(trajectory.breaks_s[1:-1], time, side="right")
     jumps = np.full((len(time), trajectory.n_u), np.nan)
     step = trajectory.effort[0, 1:] - trajectory.effort[-1, :-1]
-    size = 1e-7 * max(float(np.abs(trajectory.effort).max()), np.finfo(float).tiny)
-    for k, j in zip(*np.nonzero(np.abs(step) > size), strict=True):
+    for k, j in zip(*np.nonzero(np.abs(step) > _jump_size(trajectory)), strict=True):
         jumps[np.flatnonzero(index == k + 1)[:1], j] = np.inf * np.sign(step[k, j])
     return rate, jumps
+
+
+def _jump_size(trajectory: Trajectory) -> float:
+    """Return the largest change of effort that is due to rounding."""
+    return 1e-7 * max(float(np.abs(trajectory.effort).max()), np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, slots=True)

@@ -34,10 +34,10 @@ class Limits(LimitValues):
     """Limits at every instant as rows [low, high], infinite without a limit.
 
     `effort` (n_u, 2) [N.m or N]; `position`, `speed`, `acceleration` and `jerk` (n_q, 2) [rad or m, and per second, its
-    square and cube] of all joints; `effort_rate` (n_u, 2) [N.m/s or N/s]; `power` (n_u, 2) [W], mechanical, of each
-    actuator; `closure_force` (n_closures,) [N], the largest force of each closure; `singular_margin`, the least |det J_z|
-    relative to home; `site`, the `SiteLimit`s [m]; `body`, the `BodyLimit`s [rad]; `site_acceleration` and `site_jerk`, the
-    largest by site [m/s2, m/s3].
+    square and cube] of all joints; `effort_rate` (n_u, 2) [N.m/s or N/s]; `initial_effort` (n_u, 2), before the start;
+    `power` (n_u, 2) [W], mechanical, of each actuator; `closure_force` (n_closures,) [N], the largest force of each
+    closure; `singular_margin`, the least |det J_z| relative to home; `site`, the `SiteLimit`s [m]; `body`, the `BodyLimit`s
+    [rad]; `site_acceleration` and `site_jerk`, the largest by site [m/s2, m/s3].
     `effort` is the limit for plans, that of the actuators reduced by `reserve` (see `within_reserve`).
     """
 
@@ -118,6 +118,16 @@ def _of_actuators(section: Any, key: str, mechanism: Mechanism) -> np.ndarray:
     return rows
 
 
+def _initial_efforts(section: Any, key: str, mechanism: Mechanism) -> np.ndarray:
+    """Return the efforts before the start as rows [effort, effort] (n_u, 2), infinite where they are not given."""
+    rows = free_bounds(mechanism.n_u)
+    for name, value in section.initial_effort.items():
+        rows[actuator_index(mechanism, name, f"limits.{key}")] = value
+        if name not in section.effort_rate:
+            raise ProblemError(f"limits.{key}.{name} needs limits.effort_rate.{name}: other efforts may begin with a jump")
+    return rows
+
+
 def _of_joints(section: Any, key: str, mechanism: Mechanism) -> np.ndarray:
     """Return [low, high] (n_q, 2), in SI, of a limit by joint whose key is in SI or, for hinges, in degrees."""
     rows = free_bounds(mechanism.n_q)
@@ -150,6 +160,7 @@ def _of_sites(section: Any, key: str, mechanism: Mechanism) -> dict[str, float]:
 # The functions that give a key's values in SI: for single limits, and by the kind of part that has the values.
 _MADE: dict[str, Callable[[Any, str, Mechanism], Any]] = {
     "effort": _efforts,
+    "initial_effort": _initial_efforts,
     "position": _ranges,
     "site": lambda section, _, mechanism: site_limits_of(section.site, mechanism) if section.site else (),
     "body": lambda section, _, mechanism: body_limits_of(section.body_deg, mechanism) if section.body_deg else (),

@@ -150,7 +150,7 @@ def _accelerations_without_jumps(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield columns and coefficients (n, k) of rows that are zero: accelerations with a bounded rate have no jumps.
 
-    Neither have they where the motion begins or ends at rest.
+    Neither have they where the motion begins or ends at rest, nor do those of a motion that holds there.
     """
     first, last = chosen.acceleration_coefficients[[0, -1]]
     speeds = slice(layout.n_s, 2 * layout.n_s)
@@ -160,9 +160,11 @@ def _accelerations_without_jumps(
         following = np.roll(at, -1, axis=0)
         pairs = np.hstack([at, following])[: None if formulation.periodic else -1]
         yield pairs, np.tile(np.concatenate([last, -first]), (len(pairs), 1))
-        for rest, end, of in ((rests[0], 0, first), (rests[1], -1, last)):
-            if rest[column] and not formulation.periodic:
-                yield at[[end]], of[None, :]
+    for rest, holds, end, of in zip(rests, formulation.holds_at_rest, (0, -1), (first, last), strict=True):
+        held = range(layout.n_s) if holds and rest.all() else formulation.rows.smooth_columns
+        for column in () if formulation.periodic else held:
+            if rest[column]:
+                yield layout.acceleration()[[end], :, column], of[None, :]
 
 
 def _boundary_groups(formulation: Formulation, mesh: Mesh):
@@ -212,6 +214,9 @@ def bounds(
     if not layout.n_extra or formulation.peak is not None:
         lower[layout.effort()] = formulation.effort[:, 0] / unit
         upper[layout.effort()] = formulation.effort[:, 1] / unit
+    if formulation.initial_effort is not None:
+        place, given = layout.effort()[0, 0], formulation.initial_effort / unit[:, None]
+        lower[place], upper[place] = np.maximum(lower[place], given[:, 0]), np.minimum(upper[place], given[:, 1])
     lower[layout.extra()] = 0.0
     bang = bang_coefficients(bang_efforts, mesh, layout)
     if bang is not None:

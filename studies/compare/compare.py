@@ -231,6 +231,7 @@ def control_loop(problem: Problem) -> ControlLoop:
         effort_limit=np.array(problem.limits.actuators_effort),
         motor_line=np.array([(np.inf, np.inf) if line is None else line for line in lines]),
         rate_limit=np.abs(problem.limits.effort_rate).max(axis=1),
+        initial_effort=problem.limits.initial_effort[:, 0],
         delay_periods=int(problem.tracking.delay_periods),
     )
 

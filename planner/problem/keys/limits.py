@@ -99,6 +99,16 @@ class LimitValues:
             "N.m/s, N/s",
         ),
     ] = UNLIMITED
+    initial_effort: Annotated[
+        Rows,
+        KeyOf(
+            "initial_effort",
+            "actuator",
+            kinds.ActuatorEfforts,
+            "efforts before the start, of actuators with effort_rate; by default those that hold a start at rest",
+            "N.m, N",
+        ),
+    ] = UNLIMITED
     power: Annotated[
         Rows,
         KeyOf("power_w", "actuator", kinds.ActuatorLimits, "mechanical power by actuator: a number, or [low, high]", "W"),

@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from msgspec import Struct
 
+from linkplan.controllers.imperfections.plant import held_before
 from linkplan.controllers.reference import state_at
 from linkplan.controllers.simulate import Ensemble
 from linkplan.models.mechanism import Mechanism
@@ -55,7 +56,6 @@ def measured(ensemble: Ensemble, i: int, experiment: Experiment) -> dict:
     wanted = state_at(reference, time)[0]
     error = wanted - position
     inside = np.all(np.abs(error) <= experiment.tube, axis=1)
-    low, high = experiment.loop.effort_limit.T
     # Overshoot is the distance beyond the range of the whole path.
     beyond = np.maximum(
         np.maximum(position - reference.position_rad.max(axis=0), reference.position_rad.min(axis=0) - position), 0
@@ -65,12 +65,13 @@ def measured(ensemble: Ensemble, i: int, experiment: Experiment) -> dict:
         found[f"overshoot_{unit}"] = float(factor * np.linalg.norm(beyond[:, which], axis=1).max())
     period = float(time[1] - time[0]) if len(time) > 1 else reference.period_s
     size = np.sqrt(np.sum(applied**2, axis=1))
+    held = held_before(mechanism, reference, experiment.loop.initial_effort)
     return found | {
         "settling_s": _settling_s(time, inside, experiment.end_s),
         "rms_effort": float(np.sqrt(np.mean(size**2))),
         "energy_j": float(period * np.sum(np.ascontiguousarray(ensemble.power[:, i]))),
         "peak_effort": float(np.abs(applied).max()),
-        "saturated_share": float(np.mean(np.any((commanded < low) | (commanded > high), axis=1))),
+        "saturated_share": float(np.mean(experiment.loop.saturates(commanded, period, held))),
         "chatter": float(np.sum(np.abs(np.diff(applied, axis=0)))),
         "loop_gap_um": float(1e6 * ensemble.gap_m[i]),
     }

@@ -72,7 +72,7 @@ def test_a_least_time_with_limits_on_the_rates_of_efforts_is_changed_until_a_pro
     rates = np.array([[-13931.0, 13931.0], [-12859.0, 12859.0]])  # across all of its range in a tenth of the motion
     plan = plan_motion(with_limits(in_least_time, effort_rate=rates))
     assert plan.status == "optimal"
-    assert plan.objective == pytest.approx(0.186965, rel=1e-4)
+    assert plan.objective == pytest.approx(0.197298, rel=1e-4)  # 0.18664 and the ramps from rest and to rest
     assert plan.certificate.effort_overrun.max() <= 1.0
 
 
