@@ -155,7 +155,7 @@ class Mechanism:
     @property
     def effort_limit(self) -> np.ndarray:
         """The actuators' limits (n_u, 2) [N.m or N]."""
-        return np.array([[a.lower, a.upper] for a in self.actuators]).reshape(-1, 2)
+        return np.array([a.effort_ends for a in self.actuators]).reshape(-1, 2)
 
     @property
     def pre_tension(self) -> np.ndarray:

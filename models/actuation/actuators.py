@@ -63,6 +63,17 @@ class Actuator:
         return self.is_servo and bool(limited) and not any(self.gains[1:]) and self.has_length
 
     @property
+    def effort_ends(self) -> tuple[float, float]:
+        """The least and largest effort: its clamps, or twice the stall effort if a back-EMF or another speed gain limits it.
+
+        By its ctrl alone it does not exceed its no-load speed, and brakes from there with at most twice its stall effort.
+        """
+        stall = [abs(self.gain * end + self.biases[0]) for end in (self.control_lower, self.control_upper)]
+        slows = self.limits_control and not self.biases[1] and self.biases[2] < 0
+        largest = 2 * max(stall) if slows else np.inf
+        return max(self.lower, -largest), min(self.upper, largest)
+
+    @property
     def gain(self) -> float:
         """The effort per unit of MuJoCo's ctrl at zero length and speed."""
         return self.gains[0]

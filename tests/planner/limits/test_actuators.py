@@ -6,6 +6,7 @@ import casadi as ca
 import mujoco
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 import linkplan
 from linkplan.models.poses.assembly import close_at
@@ -24,6 +25,7 @@ from linkplan.planner.limits.kinds import margins_along
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, SERVO_ARM, body_problem
 from tests.support.motions import motion_along
@@ -198,3 +200,24 @@ def test_a_servo_s_ctrl_is_the_one_with_which_mujoco_gives_the_effort():
     mujoco.mj_forward(mechanism.model, data)
     (effort,), (length,), (speed,) = data.actuator_force, data.actuator_length, data.actuator_velocity
     assert _ctrl(actuator, effort, length, speed) == pytest.approx(1.1, rel=1e-12)
+
+
+VOLTAGE_MOTOR = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="j" axis="0 1 0"/>
+<inertial pos="0 0 0" mass="1" diaginertia="0.1 0.1 0.1"/></body></worldbody><actuator>
+<dcmotor name="m" joint="j" motorconst="0.5" resistance="0.5" ctrlrange="-10 10" ctrllimited="true"/></actuator></mujoco>"""
+
+
+def test_a_motor_with_a_limited_voltage_takes_the_least_time_of_its_back_emf():
+    """Stall effort 10 N.m, no-load speed 20 rad/s, time constant 0.2 s: w' = (+-20 - w) / 0.2."""
+    no_load, constant, turn = 20.0, 0.2, np.pi / 2
+
+    def turned(driven: float) -> tuple[float, float]:
+        speed = no_load * (1 - np.exp(-driven / constant))
+        braked = constant * np.log1p(speed / no_load)
+        return no_load * driven - constant * speed - no_load * braked + constant * speed, driven + braked
+
+    driven = brentq(lambda t: turned(t)[0] - turn, 1e-3, 2.0, xtol=1e-14)
+    ends = {"start_deg": {"j": 0.0}, "goal_deg": {"j": 90.0}}
+    plan = plan_motion(Problem.reach(VOLTAGE_MOTOR, **ends, minimize="time"))
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(turned(driven)[1], rel=2e-8)
