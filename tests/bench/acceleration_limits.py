@@ -1,7 +1,7 @@
 """Random least times of one motor under limits on accelerations of joints and sites, against a grid in (s, s'^2).
 
 `python -m tests.bench.acceleration_limits [FIRST [N]]` prints one line for each problem: status, least time, that of the
-grid, the difference as a share, and the limits. The four-bar drives a rocker, the slider-crank a slider. The site of the arm
+grid, the difference as a share, and the limits. The four-bar drives a rocker, the slider-crank a slider. The arm's site
 moves on a circle, along which the limit is a curve that the motion follows.
 """
 
