@@ -18,8 +18,9 @@ from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import SolverSettings
-from linkplan.planner.refinement.case import Iterate
+from linkplan.planner.refinement.case import Iterate, share_gained
 from linkplan.planner.refinement.history import recorded
+from linkplan.planner.refinement.state import REPORTED_CHANGE
 from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts, settled_limit
 from linkplan.planner.solvers.solve import INVALID, OF_TIME, OUT_OF_TIME
 from linkplan.planner.trajectory import Trajectory
@@ -151,9 +152,17 @@ class Search:
 
     @property
     def best(self) -> Plan | None:
-        """The current answer: a verdict, the last optimal plan, the last feasible one, or the first plan; else None."""
-        passed = sorted((plan for plan in reversed(self.plans) if plan.passed), key=lambda plan: plan.status != "optimal")
-        return next(iter([*self.verdicts, *passed, *self.plans]), None)
+        """The current answer: a verdict, the cheapest plan that passes, or the first plan; else None.
+
+        Of plans that cost the same, an optimal one is the answer, and of several the last one.
+        """
+        passed = [plan for plan in reversed(self.plans) if plan.passed]
+        least = min((plan.objective for plan in passed if plan.objective is not None), default=None)
+        cheap = [
+            plan for plan in passed if least is None or plan.objective is None or _costs_as_little(plan.objective, least)
+        ]
+        cheap.sort(key=lambda plan: plan.status != "optimal")
+        return next(iter([*self.verdicts, *cheap, *self.plans]), None)
 
     @property
     def solved(self) -> bool:
@@ -195,6 +204,10 @@ class Repair:
     tried: Callable[[Problem, Plan], bool]
     repair: Callable[[Problem, Iterate], Plan | None]
     always: bool = True  # or only if every repair is tried
+
+
+def _costs_as_little(objective: float, least: float) -> bool:
+    return share_gained(objective, least) <= REPORTED_CHANGE
 
 
 def run_search(search: Search) -> Plan | None:

@@ -105,7 +105,7 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
     ),
     SearchMethod(
         name="the least time, and waiting",
-        tried=lambda search: not search.solved and waiting.may_wait(search),
+        tried=lambda search: waiting.may_wait(search) and (not search.solved or starts.swings_may_be_better(search)),
         run=waiting.from_waiting,
         budget=FULL_BUDGET,
     ),

@@ -53,7 +53,7 @@ def other_limits(problem: Problem) -> bool:
 def phase_plane_may_help(search: Search) -> bool:
     """True if the phase plane has a motion and no plan passes, or if a better one than the plan that passes may exist."""
     if search.solved:
-        return search.only_time_counts or _swings_may_be_better(search)
+        return search.only_time_counts or swings_may_be_better(search)
     return one_start_is_worth_it(search) and search.quickest is not None and not no_time(search)
 
 
@@ -80,7 +80,7 @@ def enough_time(search: Search) -> bool:
     return search.quickest is not None and longest(search.problem) >= GRID_ERROR_FACTOR * search.quickest.duration_s
 
 
-def _swings_may_be_better(search: Search) -> bool:
+def swings_may_be_better(search: Search) -> bool:
     """True if a plan between start and goal reaches its effort limits, and the motion of least time swings."""
     problem = search.problem
     # A limit is reached within a thousandth.

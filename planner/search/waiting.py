@@ -33,7 +33,8 @@ def may_wait(search: Search) -> bool:
 def from_waiting(search: Search, budget: Budget) -> Plan | None:
     """Return the cheapest plan of a known motion and a rest; None if no certificate of one passes.
 
-    The known motions are that of least time, and a slightly slower one that costs far less.
+    The known motions are that of least time, and a slightly slower one that costs far less. If the slower one takes the
+    whole duration, it needs no rest.
     """
     quick = shortest_motion(search) if set(search.problem.objective.weights) <= _STILL_TERMS else None
     if quick is None:
@@ -43,11 +44,12 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
     assert asked is not None  # a free duration needs no rest
     if asked - quick.trajectory.duration_s <= MIN_INTERVAL_SHARE * asked:
         return None
+    restless = None
     if len(search.known.motions) == 1 and quick.solved is not None:
         longer = _a_little_longer(search, budget, quick)
         if longer is not None and longer.trajectory.duration_s >= (1 - MIN_INTERVAL_SHARE) * asked:
-            return longer
-        if longer is not None:
+            restless = longer
+        elif longer is not None:
             search.known.add(longer.require_motion("wait after"))
     wholes = []
     for end, motion in itertools.product(("start", "goal"), search.known.shorter_than(asked)):
@@ -60,10 +62,12 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
             )
             wholes.append((objective_value(problem, whole)[0], whole, said))
     for objective, whole, said in sorted(wholes, key=lambda one: one[0]):
+        if restless is not None and restless.objective <= objective:
+            break
         plan = without_solving(problem, whole, objective, said)
         if plan.passed:
             return plan
-    return None
+    return restless
 
 
 def _a_little_longer(search: Search, budget: Budget, quick: Plan) -> Plan | None:

@@ -255,3 +255,20 @@ def test_the_least_factor_of_a_pure_inertia_is_exact_once_its_switch_is_known():
     for factor, same in ((1 + 0.9e-7, True), (1 - 0.9e-7, True), (1 + 1.2e-7, False), (1 - 1.2e-7, False)):
         again = least_limit.least_limit(problem, guess, mesh, durations, known=factor * found.first)
         assert (again is None) is same, factor
+
+
+def test_a_feasible_plan_that_costs_less_than_a_locally_optimal_one_is_the_answer(hinge_plan):
+    def costing(objective: float, status: str):
+        return replace(hinge_plan, objective=objective, status=status)
+
+    search = search_for(hinge_plan.problem)
+    search.plans.extend([costing(3.0, "optimal"), costing(2.0, "feasible")])
+    assert search.best.objective == 2.0
+    search.plans.append(costing(2.0, "optimal"))
+    search.plans.append(costing(2.0 + 1e-12, "feasible"))
+    assert search.best.status == "optimal"
+
+
+@pytest.fixture(scope="module")
+def hinge_plan():
+    return plan_motion(body_problem(HINGE, QUARTER_TURN + 'duration_s = "free"\n', "objective.minimize=time"))

@@ -282,3 +282,27 @@ def test_a_hold_that_is_asked_to_move_is_refused():
     tables = {"motion": {"kind": "hold", "start_deg": {"q": 0.0}, "goal_deg": {"q": 10.0}, "duration_s": 1.0}}
     with pytest.raises(ProblemError, match=r"motion.goal_deg belongs to a motion, but motion.kind 'hold' stays"):
         Problem.from_tables("hold", tables, mechanism=linkplan.load_mechanism(ONE))
+
+
+# A random four-bar. Its direct motion of 0.8087 s is at the limit of the effort and costs 3.757; that of least time swings.
+SWINGING = """<mujoco><compiler angle="degree" autolimits="true"/><option><flag contact="disable"/></option><worldbody>
+<body pos="0 0 1"><joint name="J1" axis="0 1 0" range="-180 180"/>
+<inertial pos="0.02544675114650236 0 0.07606415154526104" mass="1.7249742961286216"
+diaginertia="0.013280561785203303 0.013280561785203303 0.013280561785203303"/>
+<body pos="0 0 0.2564812051359891" euler="0 108.86453924086246 0"><joint name="J2" axis="0 1 0"/>
+<inertial pos="0.006117832076229466 0 0.10379494811144316" mass="0.44344950179996134"
+diaginertia="0.0020826252647760573 0.0020826252647760573 0.0020826252647760573"/>
+<site name="tip" pos="0 0 0.19896648578065446"/></body></body>
+<body pos="0.1297216822783873 0 1" euler="0 16.94861042502845 0"><joint name="J3" axis="0 1 0"/>
+<inertial pos="0.02935037234701824 0 0.07808107954108828" mass="1.3280808300749736"
+diaginertia="0.006125459372013351 0.006125459372013351 0.006125459372013351"/>
+<site name="pin" pos="0 0 0.20087363367296407"/></body></worldbody><equality><connect site1="tip" site2="pin"/></equality>
+<actuator><motor joint="J1" ctrlrange="-2.2522627784765348 2.2522627784765348"/></actuator></mujoco>"""
+
+
+@pytest.mark.slow
+def test_the_cost_of_a_shorter_motion_and_a_rest_bounds_that_of_a_plan():
+    ends = {"start_deg": {"J1": -40.15037593984961}, "goal_deg": {"J1": -172.78195488721806}}
+    plan = plan_motion(Problem.reach(SWINGING, **ends, duration_s=0.8087291935427037, minimize="effort"))
+    assert plan.passed, plan.message
+    assert plan.objective < 3.433
