@@ -6,6 +6,10 @@ mechanism may change its branch or gain a freedom. Least singular values detect 
 a change of sign because two loops fold at once.
 """
 
+import functools
+from dataclasses import dataclass
+
+import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
@@ -36,7 +40,42 @@ def _least_along(mechanism: Mechanism, poses: np.ndarray, columns: slice | np.nd
     rank = len(mechanism.dependent)
     if rank == 0:
         return np.ones(len(poses))
-    return np.linalg.svd(_jacobians(mechanism, poses)[:, :, columns], compute_uv=False)[:, rank - 1]
+    chosen, unit = np.arange(mechanism.n_q)[columns], unit_steps(mechanism.joints, mechanism.extent_m)
+    found = []
+    for part in _parts(mechanism):
+        moves = len(poses) > 0 and bool(np.ptp(poses[:, part.columns], axis=0).any())
+        J = sampled(part.jacobian, poses if moves else poses[:1]) * unit[part.columns]
+        values = np.linalg.svd(J[:, :, np.isin(part.columns, chosen)], compute_uv=False)
+        found.append(np.broadcast_to(values, (len(poses), values.shape[1])))
+    return np.sort(np.hstack(found), axis=1)[:, -rank]
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class _Part:
+    """Loops that share joints with no others: the joints `columns` of the mechanism, and their Jacobian by the pose."""
+
+    columns: np.ndarray
+    jacobian: ca.Function
+
+
+@functools.lru_cache(maxsize=16)
+def _parts(mechanism: Mechanism) -> list[_Part]:
+    """Return the parts of the closure that depend on different joints; J is block diagonal, with one block for each."""
+    import scipy
+
+    q, n_q = ca.SX.sym("q", mechanism.n_q), mechanism.n_q
+    J = mechanism.dynamics.closure_jacobian(q)
+    pattern = np.array(ca.DM(mechanism.dynamics.closure.jac_sparsity(0, 0), 1.0), dtype=bool)
+    rows, columns = np.nonzero(pattern)
+    edges = scipy.sparse.coo_array((np.ones(len(rows)), (n_q + rows, columns)), shape=(n_q + len(pattern),) * 2)
+    n_parts, of = scipy.sparse.csgraph.connected_components(edges, directed=False)
+    found = []
+    for part in range(n_parts):
+        columns, rows = np.flatnonzero(of[:n_q] == part), np.flatnonzero(of[n_q:] == part)
+        if len(columns) and len(rows):
+            block = ca.densify(J[rows.tolist(), columns.tolist()])
+            found.append(_Part(columns, ca.Function("part", [q], [block])))
+    return found
 
 
 def _jacobians(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:
