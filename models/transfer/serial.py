@@ -159,20 +159,31 @@ def _drop(spec: mujoco.MjSpec, mechanism: Mechanism, removed: list[str], motors:
     J = np.array(mechanism.dynamics.closure_jacobian(mechanism.home + 1e-3))
     dofs = [d for d in range(model.nv) if model.joint(model.dof_jntid[d]).name in removed]
     touched = {one.index for one in mechanism.closures if np.any(J[one.rows][:, dofs])}
-    gone = {*removed, *motors}
+    over = [tendon for k, tendon in enumerate(spec.tendons) if _runs_over(model, k, removed)]
+    tendons = {tendon.name for tendon in over if tendon.name}
+    gone = {*removed, *motors, *tendons}
     for index, equality in reversed(list(enumerate(spec.equalities))):
-        if index in touched or {equality.name1, equality.name2} & set(removed):
+        if index in touched or {equality.name1, equality.name2} & {*removed, *tendons}:
             spec.delete(equality)
     for sensor in list(spec.sensors):
         if sensor.objname in gone or sensor.refname in gone:
             spec.delete(sensor)
     for actuator in list(spec.actuators):
-        if actuator.name in motors or actuator.target in removed:
+        if actuator.name in motors or actuator.target in {*removed, *tendons}:
             spec.delete(actuator)
+    for tendon in over:
+        spec.delete(tendon)
     for key in list(spec.keys):
         spec.delete(key)
     for name in removed:
         spec.delete(spec.joint(name))
+
+
+def _runs_over(model: mujoco.MjModel, tendon: int, joints: list[str]) -> bool:
+    """Return True if a fixed tendon runs over one of some joints."""
+    wraps = range(model.tendon_adr[tendon], model.tendon_adr[tendon] + model.tendon_num[tendon])
+    over = [k for k in wraps if model.wrap_type[k] == mujoco.mjtWrap.mjWRAP_JOINT]
+    return any(model.joint(int(model.wrap_objid[k])).name in joints for k in over)
 
 
 def _loaded(spec: mujoco.MjSpec) -> Mechanism:

@@ -184,3 +184,29 @@ def test_an_output_that_moves_on_the_linkage_has_no_serial_equivalent():
     outputs = output_map(load_mechanism("five-bar", independent=["O1", "P"]), ["O1", "P"])
     with pytest.raises(ModelError, match="joint P moves on a part of the linkage"):
         serial_model(outputs, outputs.effort_limit)
+
+
+# A motor of the knee on the hip's axis, with a belt that passes the hip.
+BELT = """<mujoco model="belt"><default><geom contype="0" conaffinity="0" type="capsule" size=".015"/>
+<joint axis="0 -1 0"/></default><worldbody><body name="base" pos="0 0 1">
+<body name="pulley"><joint name="km" armature=".02"/>
+<inertial pos="0 0 0" mass=".05" diaginertia="1e-5 1e-5 1e-5"/></body>
+<body name="thigh"><joint name="hip" armature=".03"/><geom fromto="0 0 0 0 0 -.3" mass="1.1"/>
+<body name="shank" pos="0 0 -.3"><joint name="knee" range="-140 10"/><geom fromto="0 0 0 0 0 -.28" mass=".5"/>
+</body></body></body>
+</worldbody><equality><tendon tendon1="run"/></equality>
+<tendon><fixed name="run"><joint joint="km" coef=".03"/><joint joint="hip" coef="-.045"/>
+<joint joint="knee" coef="-.045"/></fixed>
+<fixed><joint joint="knee" coef=".1"/></fixed></tendon>
+<actuator><motor name="mh" joint="hip" ctrlrange="-25 25"/>
+<motor name="mk" joint="km" ctrlrange="-25 25"/></actuator></mujoco>"""
+
+
+def test_a_belt_over_a_removed_joint_leaves_its_ratio_in_the_serial_equivalent():
+    outputs = output_map(load_mechanism(BELT, independent=["hip", "knee"]), ["hip", "knee"])
+    serial = serial_model(outputs, outputs.effort_limit)
+    assert serial.removed == ("km",)
+    np.testing.assert_allclose(serial.armature, 1.5**2 * (0.02 + 1e-5), rtol=1e-9)
+    np.testing.assert_allclose(serial.effort_limit[:, 1], [25.0 + 1.5 * 25.0, 1.5 * 25.0], rtol=1e-9)
+    model = mujoco.MjModel.from_xml_string(serial.text)
+    assert (model.njnt, model.neq, model.ntendon) == (2, 0, 1)  # the tendon over the knee alone stays
