@@ -274,6 +274,12 @@ def unheld(problem: Problem, holding: Holding) -> tuple[str, dict[str, float]]:
     nearest = np.clip(needed, *problem.limits.effort.T)
     j = int(np.argmax(np.abs(needed - nearest)))
     off = float(abs(needed[j] - nearest[j]))
+    row = int(np.argmax(np.abs(holding.missed)))
+    joint, missed = mechanism.independent_joints[row], float(holding.missed[row])
+    lacking = f"{_figure(missed)} {joint.si_units[1]} on joint {joint.name}"
+    if off > holding.slack and not holding.unique:
+        sentence = f"holding the start needs {lacking} more than all actuators together give within their limits"
+        return sentence, {"needed": missed, "limit": 0.0}
     if off > holding.slack:
         actuator = mechanism.actuators[j]
         sentence = (
@@ -281,8 +287,5 @@ def unheld(problem: Problem, holding: Holding) -> tuple[str, dict[str, float]]:
             f" {_figure(off)} {actuator.unit} beyond its limit of {_figure(nearest[j])} {actuator.unit}"
         )
         return sentence, {"needed": float(needed[j]), "limit": float(nearest[j])}
-    row = int(np.argmax(np.abs(holding.missed)))
-    joint, missed = mechanism.independent_joints[row], float(holding.missed[row])
-    lacking = f"{_figure(missed)} {joint.si_units[1]} on joint {joint.name}"
     sentence = f"the start is no equilibrium: no actuator can give the {lacking} needed to hold it"
     return sentence, {"needed": missed, "limit": 0.0}

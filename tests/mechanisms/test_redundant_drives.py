@@ -42,6 +42,13 @@ def test_check_names_the_amount_by_which_the_limits_of_cables_fail():
     assert "would need" in str(found)
 
 
+def test_a_hold_beyond_all_motors_names_what_they_lack_together():
+    """At e = 0 the weight of 1.5 kg at 0.15 m needs 2.20725 N.m; two motors of 0.5 N.m lack 1.20725 N.m."""
+    plan = linkplan.plan(linkplan.Problem.hold(loaded(two_motors(0.5, 0.5)), start_deg={"e": 0.0}, duration_s=0.2))
+    assert plan.status == "infeasible"
+    assert "1.207 N.m on joint e more than all actuators together give" in plan.message
+
+
 @pytest.mark.parametrize("text", [antagonist(), two_motors(20.0, 0.5)])
 def test_a_reference_is_followed_exactly_within_the_limits(text):
     plan = linkplan.plan(linkplan.Problem.track(loaded(text), reference=TABLE))
