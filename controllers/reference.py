@@ -47,7 +47,7 @@ class SampledReference:
         """The dynamics' arguments at the instants (n, ...): poses, velocities, efforts, and forces over time."""
         return self.pose_rad, self.velocity_rad_s, self.effort, *self.forces
 
-    def part(self, which: slice, cycle: int | None = None) -> "SampledReference":
+    def part(self, which: slice | np.ndarray, cycle: int | None = None) -> "SampledReference":
         """Return a reference of some of the instants, which repeats after `cycle` of them."""
         arrays = {name: getattr(self, name)[which] for name in _ARRAYS}
         return replace(self, cycle=cycle, forces=tuple(w[which] for w in self.forces), **arrays)

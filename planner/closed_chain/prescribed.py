@@ -33,6 +33,7 @@ def prescribe(problem: Problem, start_pose: np.ndarray) -> Trajectory:
     each.
     """
     guess, reference = reference_guess(problem, start_pose), problem.reference
+    assert reference is not None  # as of `reference_guess`
     T, period_s = guess.duration_s, reference.period_s
     inner = np.sort(np.concatenate([reference.inner_times(T), force_times(problem)]))
     inner = inner[np.diff(inner, prepend=0.0) > MIN_INTERVAL_SHARE * T]

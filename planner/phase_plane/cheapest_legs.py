@@ -12,6 +12,7 @@ leg that ends at the speed at which it began, and have no rest.
 import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -148,7 +149,7 @@ class _Way:
         speeds = [np.array(self._speeds(ca.DM(one))).ravel() for one in found]
         return _joined(self.plane, parts, speeds, solved[1] + rest * self.asked)
 
-    def _speeds(self, free: ca.SX | ca.DM) -> ca.SX | ca.DM:
+    def _speeds(self, free: Any) -> Any:
         """Return the speeds (n,) at the cell ends of a leg from the unknown ones."""
         return ca.vertcat(free, free[0]) if self.repeats else ca.vertcat(0, free, 0)
 

@@ -12,7 +12,7 @@ from linkplan.planner.problem.keys.motion import MotionSection, WaypointSection
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion, Waypoint
 from linkplan.planner.problem.path import SitePath, check_path
-from linkplan.planner.problem.reference import Reference, repeats_in
+from linkplan.planner.problem.reference import Reference, is_whole
 from linkplan.planner.problem.settings import DERIVED, joint_values
 from linkplan.planner.problem.sites import Task, key_of, pose_at, tasks_of
 
@@ -40,7 +40,7 @@ def motion_of(
         duration = reference.period_s
     duration = None if duration == "free" else duration
     repeats = kind == "periodic" and reference is not None and duration is not None
-    if repeats and reference.periodic and not repeats_in(reference, duration):
+    if repeats and not is_whole(duration / reference.period_s):
         raise ProblemError(
             f"motion.duration_s of a periodic motion must be a whole number of the reference's periods of"
             f" {reference.period_s:g} s, got {duration:g}"
