@@ -66,7 +66,7 @@ class MujocoPlant:
             [float(one.model.opt.timestep) for one in plants],
             substeps,
             loop.effort_limit,
-            held_before(mechanism, reference, loop.effort_limit, loop.initial_effort),
+            held_before(mechanism, reference, loop),
             line=loop.motor_line,
             slowest=loop.rate_limit,
         )

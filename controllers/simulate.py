@@ -135,9 +135,7 @@ def rollout_of(plant: MujocoPlant | PlantAsItStands, ensemble: Ensemble, referen
         failure=ensemble.failure[0],
         asked_s=ensemble.asked_s[kept],
         effort_limit=np.array(loop.effort_limit),
-        saturated=loop.saturates(
-            ensemble.commanded[kept, 0], reference.period_s, held_before(mechanism, reference, loop.initial_effort)
-        ),
+        saturated=loop.saturates(ensemble.commanded[kept, 0], reference.period_s, held_before(mechanism, reference, loop)),
         conditions={
             "mechanism": mechanism.name,
             **simulation_conditions(mechanism.model),

@@ -156,15 +156,13 @@ def start_of(
     return pose, closed_rates(model, data, mechanism, pose, rates)
 
 
-def held_before(
-    mechanism: Mechanism, reference: SampledReference, limit: np.ndarray, given: np.ndarray | None = None
-) -> np.ndarray:
+def held_before(mechanism: Mechanism, reference: SampledReference, loop: ControlLoop) -> np.ndarray:
     """Return the efforts (n_u,) before the first command: those that hold a start at rest, else the reference's own.
 
-    More actuators than freedoms, with limits (n_u, 2), hold it by the efforts nearest to the reference's first. Efforts that
-    are `given` (n_u,), where they are finite, replace them.
+    More actuators than freedoms hold it by the efforts within their limits that are nearest to the reference's first. The
+    loop's initial efforts, where they are finite, replace them.
     """
-    held = reference.effort[0]
+    held, limit, given = reference.effort[0], loop.effort_limit, loop.initial_effort
     if not np.any(reference.velocity_rad_s[0]):
         still = np.zeros((1, mechanism.dof))
         pose = reference.pose_rad[:1]

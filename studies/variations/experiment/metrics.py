@@ -65,7 +65,7 @@ def measured(ensemble: Ensemble, i: int, experiment: Experiment) -> dict:
         found[f"overshoot_{unit}"] = float(factor * np.linalg.norm(beyond[:, which], axis=1).max())
     period = float(time[1] - time[0]) if len(time) > 1 else reference.period_s
     size = np.sqrt(np.sum(applied**2, axis=1))
-    held = held_before(mechanism, reference, experiment.loop.initial_effort)
+    held = held_before(mechanism, reference, experiment.loop)
     return found | {
         "settling_s": _settling_s(time, inside, experiment.end_s),
         "rms_effort": float(np.sqrt(np.mean(size**2))),
