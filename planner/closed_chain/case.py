@@ -141,7 +141,7 @@ def _target(problem: Problem, *, kinks: bool, enclosed: bool) -> RefinementTarge
     lines = any(motor is not None and motor.line is not None for motor in problem.motors)
     bent = continuous_efforts and bool(np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent])))
     tolerance = 1e-7 if switches and (lines or bent) else None
-    if any(limit.rows.jerk for limit in limits_of(problem)) or objective.has("peak_effort"):
+    if any(limit.rows.jerk for limit in limits_of(problem)) or objective.has("peak_effort") or objective.has("jerk"):
         tolerance = 1e-5  # looser, because jerk, and efforts within their limits, may jump inside intervals
     return RefinementTarget(
         effort_limit=problem.limits.effort,

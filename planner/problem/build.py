@@ -247,6 +247,8 @@ def _mesh(section: dict, objective: Objective, *, rated: bool) -> dict:
     # cost is evaluated only at nodes. Efforts with limited rates cannot jump, so they are piecewise linear.
     smeared = objective.has("work") and {*objective.weights} <= {"work", "time"}
     values: dict = {"effort": "linear" if rated else "constant"} if smeared else {}
+    if objective.has("jerk"):
+        values["scheme"] = "radau-5"  # the least jerk is quadratic between limits, and the acceleration cubic
     if "scheme" in section:
         values["refine"] = "intervals"  # a named transcription is kept, unless the refinement is also given
     if "breaks" in section and "intervals" in section:

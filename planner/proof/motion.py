@@ -8,6 +8,7 @@ from math import comb
 import numpy as np
 from flint import arb, arb_poly, arb_series
 
+from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.planner.limits.samples import Leverage
 from linkplan.planner.problem.instant import Corner
 from linkplan.planner.proof.branch import pose_of
@@ -56,6 +57,10 @@ class Piece:
         )
 
 
+# Rounding below this share of the largest value is far below every claim's allowance.
+_SMALL_SHARE = 0.1 * ROUNDING_SHARE
+
+
 def _kinetics(trajectory: Trajectory, k: int) -> tuple[str, ...]:
     """Return the names of the kinetics on interval k: one of them if velocity and acceleration are those of the position.
 
@@ -71,7 +76,7 @@ def _kinetics(trajectory: Trajectory, k: int) -> tuple[str, ...]:
     alike = rounded = True
     for one, other, rounding in pairs:
         apart, share = np.abs(one.coefficients[:, k] - other.coefficients[:, k]), np.abs(other.coefficients).max()
-        alike = alike and bool(apart.max() <= JOIN_SHARE * share)
+        alike = alike and bool(apart.max() <= JOIN_SHARE * share and rounding.max() <= _SMALL_SHARE * share)
         rounded = rounded and bool((apart - rounding).max() <= JOIN_SHARE * share)
     return ("of_position",) if alike else ("of_velocity",) if rounded else ("of_position", "of_velocity")
 

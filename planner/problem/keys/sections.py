@@ -134,7 +134,7 @@ class GuessSection(Section, frozen=True):
 class MeshSection(Section, frozen=True):
     """The discretisation: the transcription and the first mesh."""
 
-    scheme: kinds.Scheme = key("the transcription", default="radau-3")
+    scheme: kinds.Scheme = key("the transcription", otherwise="radau-3; radau-5 for least jerk", default="radau-3")
     intervals: kinds.Intervals = key("the initial number of equal intervals", default=40)
     effort: kinds.EffortForm = key(
         "the shape of efforts on an interval",
