@@ -85,7 +85,8 @@ def guided(free: Mechanism, site: int, curve: Curve, pose: np.ndarray) -> Guided
     moved = int(np.linalg.matrix_rank(np.array(free.dynamics.effort_map(pose))))
     if moved < free.dof:
         raise ModelError(
-            f"a path needs drives for all {free.dof} degrees of freedom of '{free.name}', got {free.n_u} that move {moved}"
+            f"a path needs drives for all {free.dof} degrees of freedom of '{free.name}', got {free.n_u} drives that move"
+            f" {moved} of them"
         )
     rows = np.sort(scipy.linalg.qr(jacobian.T, mode="r", pivoting=True)[1][: free.dof])
     tree, x = _with_parameter(build_tree(free.model, home_qpos(free.model), transition=free.friction_transition))

@@ -61,20 +61,18 @@ class _Part:
 @functools.lru_cache(maxsize=16)
 def _parts(mechanism: Mechanism) -> list[_Part]:
     """Return the parts of the closure that depend on different joints; J is block diagonal, with one block for each."""
-    import scipy
-
-    q, n_q = ca.SX.sym("q", mechanism.n_q), mechanism.n_q
+    q = ca.SX.sym("q", mechanism.n_q)
     J = mechanism.dynamics.closure_jacobian(q)
     pattern = np.array(ca.DM(mechanism.dynamics.closure.jac_sparsity(0, 0), 1.0), dtype=bool)
-    rows, columns = np.nonzero(pattern)
-    edges = scipy.sparse.coo_array((np.ones(len(rows)), (n_q + rows, columns)), shape=(n_q + len(pattern),) * 2)
-    n_parts, of = scipy.sparse.csgraph.connected_components(edges, directed=False)
+    of = np.arange(mechanism.n_q)  # joints that a row ties are of one part
+    for tied in pattern[pattern.any(axis=1)]:
+        of[np.isin(of, of[tied])] = of[tied].min()
     found = []
-    for part in range(n_parts):
-        columns, rows = np.flatnonzero(of[:n_q] == part), np.flatnonzero(of[n_q:] == part)
-        if len(columns) and len(rows):
-            block = ca.densify(J[rows.tolist(), columns.tolist()])
-            found.append(_Part(columns, ca.Function("part", [q], [block])))
+    for part in np.unique(of[pattern.any(axis=0)]):
+        columns = np.flatnonzero(of == part)
+        rows = np.flatnonzero(pattern[:, columns].any(axis=1))
+        block = ca.densify(J[rows.tolist(), columns.tolist()])
+        found.append(_Part(columns, ca.Function("part", [q], [block])))
     return found
 
 

@@ -227,7 +227,9 @@ def _or_simpler(search: Search, plan: Plan | None, rest: Plan | None) -> Plan | 
         return replace(rest, status="optimal", message=rest.message.removesuffix(NOT_SHOWN)) if same else rest
     smooth = None
     with contextlib.suppress(OutOfTimeError):
-        smooth = without_solver.along_smooth_path(search)
+        if plan is not None and plan.certificate is not None and plan.certificate.is_carried and plan.trajectory is not None:
+            smooth = without_solver.slower(search.problem, [plan.trajectory])  # its mesh errs by a little effort
+        smooth = smooth or without_solver.along_smooth_path(search)
     return smooth or plan
 
 

@@ -218,7 +218,7 @@ def _colour(runs: Mapping[str, Rollout], name: str) -> int:
 def document_blocks(runs: Mapping[tuple[str, float, float], Rollout]) -> list[Block]:
     """Return the source document's experiment, with runs by (model, KP, KD): a table, and the desired and actual angles."""
     heads = ["model", "KP [N.m/rad]", "KD [N.m.s/rad]", "rms error [deg]", "mean gap [um]"]
-    heads += ["largest gap [um]", "contacts", "at the limit [%]", "stable"]
+    heads += ["max gap [um]", "contacts", "at limit [%]", "stable"]
     cells = []
     for row in document_rows(runs):
         gaps = [1e6 * row["steady_gap_mean_m"], 1e6 * row["steady_gap_max_m"]]

@@ -24,7 +24,7 @@ DOCUMENT_GAINS = ((200.0, 1.0), (200.0, 10.0))
 _DURATION_S = 2.0
 AS_PRINTED, CORRECTED = "as printed", "corrected"
 # The same models with the other sensors: the printed one with the present state, the corrected one with late sensors.
-PRINTED_IN_TIME, CORRECTED_LATE = "printed, present state", "corrected, late sensors"
+PRINTED_IN_TIME, CORRECTED_LATE = "printed, in time", "corrected, late"
 # Runs by (model, KP, KD).
 DocumentRuns = dict[tuple[str, float, float], Rollout]
 

@@ -74,7 +74,8 @@ def _numerics(plan: Plan, certificate: Certificate) -> list[Item]:
     kinds = {joint.kind for joint in mechanism.independent_joints}
     allowed_residual, residual = certificate.dynamics_allowed, certificate.dynamics_residual
     efforts = " or ".join(dict.fromkeys(joint.si_units[1] for joint in mechanism.independent_joints))
-    carried = residual <= allowed_residual and not certificate.needs_more
+    # Planned efforts beyond a limit have a row of their own.
+    carried = residual <= allowed_residual and not (certificate.needs_more and not certificate.effort_excess)
     velocity_kept = not any(failure.startswith(_NOT_ITS_VELOCITY) for failure in certificate.failures)
     allowed_slope = VELOCITY_SHARE if plan.trajectory is None else plan.trajectory.slope_share
     ends = "error at start and goal, relative to the range or the largest speed"

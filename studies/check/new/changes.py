@@ -177,6 +177,12 @@ def raised_limits(mechanism: Mechanism) -> dict[str, list[float]]:
     """
     still = np.zeros((1, mechanism.dof))
     (hold,), _ = needed_effort(mechanism, mechanism.home[None], still, still)
+    low, high = mechanism.effort_limit.T
+    if np.all((hold >= low) & (hold <= high)):
+        return {}
+    # The ends beyond zero alone are raised: a cable still pulls, and need not pull more.
+    widened = np.stack([np.where(low < 0, -np.inf, low), np.where(high > 0, np.inf, high)], axis=1)
+    (hold,), _ = needed_effort(mechanism, mechanism.home[None], still, still, limit=widened)
     limits = [tuple(float(x) for x in ends) for ends in mechanism.effort_limit]
     factors: dict[tuple[float, ...], float] = {}
     for effort, ends in zip(hold, limits, strict=True):

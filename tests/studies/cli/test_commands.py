@@ -127,7 +127,7 @@ def test_compare_of_the_sine_draws_the_documents_figure_for_its_gains_and_those_
     assert said["trackers"]["pd"]["rms_error_deg"] < SINE_RMS_DEG
     rows = {(row["model"], row["kp"], row["kd"]): row for row in said["document"]}
     gains, models = [(200.0, 1.0), (200.0, 10.0), (300.0, 1.0)], ("as printed", "corrected")
-    both = (("as printed", "printed, present state"), ("corrected", "corrected, late sensors"))
+    both = (("as printed", "printed, in time"), ("corrected", "corrected, late"))
     assert list(rows) == [(model, *pair) for pairs in both for pair in gains for model in pairs]
     assert [row["stable"] for row in rows.values()] == [True, True, False, False, True, True] * 2
     assert [row["contacts"] > 0 for row in rows.values()] == [True] * 6 + [False] * 6
