@@ -29,7 +29,7 @@ _ROUNDING_SHARE = 1e-13
 def distribute(
     tau: np.ndarray, maps: np.ndarray, limit: np.ndarray, wanted: np.ndarray | float = 0.0, rule: str = LEAST_SQUARES
 ) -> np.ndarray:
-    """Return the efforts (n, n_u) that produce generalised efforts tau (n, n_s), in least squares where they cannot.
+    """Return the efforts (n, n_u) that produce generalised efforts tau (n, n_s), or the nearest where none produce them.
 
     Args:
         tau: generalised efforts [N.m or N].

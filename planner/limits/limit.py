@@ -123,12 +123,11 @@ class Measured:
     """A limited quantity at poses or along a motion: its `values` (n,), their bounds [low, high], and their unit.
 
     `name` is that of the limit's actuator, joint, closure, tendon or site. Overruns are shares of `size`, by default of the
-    limit itself. Overruns up to `slack`, by default `rounding_of` the limit, are due to rounding, or up to those of both
-    bounds. Intervals with a `bent`
-    sample (n,) have a kink. `coefficients` (n_nodes, n_intervals) are the Bernstein coefficients of values that are
-    polynomials. `at_times` gives the values at other instants (m,) [s], for samples near the limit, where parabolas are too
-    coarse. Closed poses are exact to a share of `pose_size`, by default the size. `known_from` returns True if the tasks of
-    an open pose determine the values.
+    limit itself. Overruns up to `slack` are due to rounding: one number, or one for each of [low, high]; by default
+    `rounding_of` the limit. Intervals with a `bent` sample (n,) have a kink. `coefficients` (n_nodes, n_intervals) are the
+    Bernstein coefficients of values that are polynomials. `at_times` gives the values at other instants (m,) [s], for
+    samples near the limit, where parabolas are too coarse. Closed poses are exact to a share of `pose_size`, by default the
+    size. `known_from` returns True if the tasks of an open pose determine the values.
     """
 
     name: str

@@ -23,9 +23,9 @@ from linkplan.planner.phase_plane.bang_bang_motions import Part
 from linkplan.planner.problem.problem import Problem
 
 # Numbers of the limits that an actuator is held at. 1 and -1 are the upper and lower limit of its effort, `AT_POWER` is its
-# power and `AT_LINE` its motor's or servo's line. `AT_FORCE` is the first limit on an affine quantity, such as a
-# closure's force; the numbers of further ones follow, then as many for a motion along the end of their room, where the
-# effort is that of their least size, and then those of the joints with a limited speed. An affine quantity has a positive
+# power and `AT_LINE` its motor's or servo's line. `AT_FORCE` is the first of n limits on affine quantities, such as a
+# closure's force. The next n numbers belong to motions along the maximum velocity curve of the same limits, where one effort
+# alone satisfies the limit. The numbers after these belong to joints with a limited speed. An affine quantity has a positive
 # number where a larger effort reaches its limit, a negative one where a smaller effort does.
 AT_POWER, AT_LINE, AT_FORCE = 2, 3, 4
 # The share by which rounding may exceed limits on efforts, powers and forces.

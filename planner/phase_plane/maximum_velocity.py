@@ -16,7 +16,7 @@ from linkplan.planner.phase_plane.leg_field import POSES_PER_PART, LegField
 _SLOPE_STEP = 1e-3
 # The excess that is due to the rounding of the curve's slope, as a share of its squared speed over the span.
 _EXCESS_ROUNDING = 1e-6
-# The parts of an interval of speeds in which the end of the room is searched at once, shared by the positions.
+# Each round of the search for the largest feasible speeds evaluates about this number of speeds, at all positions together.
 _SPEED_SECTIONS = 64
 
 

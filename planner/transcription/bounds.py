@@ -150,7 +150,7 @@ def _accelerations_without_jumps(
 ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Yield columns and coefficients (n, k) of rows that are zero: accelerations with a bounded rate have no jumps.
 
-    Neither have they where the motion begins or ends at rest, nor do those of a motion that holds there.
+    A motion that begins or ends at rest has no jump there either: its acceleration is zero at that end.
     """
     first, last = chosen.acceleration_coefficients[[0, -1]]
     speeds = slice(layout.n_s, 2 * layout.n_s)

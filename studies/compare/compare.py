@@ -161,7 +161,7 @@ def track(
 def _returns_to_rest(plant: MujocoPlant, asked: TrackerLike, plan: Plan, reference: SampledReference) -> bool:
     """Return False if a machine that starts beside a pose at rest moves away from one that starts in it.
 
-    Without a disturbance, a machine stays even in an unstable equilibrium. The pose is held for `_LEAST_REST_S` or longer.
+    Without a disturbance, a machine would stay in an unstable equilibrium, too. The runs last at least `_LEAST_REST_S`.
     """
     if max(np.ptp(reference.position_rad, axis=0).max(), np.abs(reference.velocity_rad_s).max()) > _STANDS_STILL:
         return True
