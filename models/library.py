@@ -21,15 +21,15 @@ import mujoco
 import numpy as np
 
 from linkplan.models.catalogue import MODELS, is_text, unknown_source
-from linkplan.models.conversion import compile_hint, conversion_notes
 from linkplan.models.deadline import one_thread_at_a_time
-from linkplan.models.deletion import couple_narrow_tendons, leave_out_large_textures, leave_out_missing_files
 from linkplan.models.errors import ModelError, listed, one_line, shown
-from linkplan.models.model_text import COMMENT, MAX_MODEL_BYTES, refuse_oversized, robot_element, urdf_root
+from linkplan.models.foreign.conversion import compile_hint, conversion_notes
+from linkplan.models.foreign.deletion import couple_narrow_tendons, leave_out_large_textures, leave_out_missing_files
+from linkplan.models.foreign.model_text import COMMENT, MAX_MODEL_BYTES, refuse_oversized, robot_element, urdf_root
+from linkplan.models.foreign.urdf_loops import complete, lost_when_attached
 from linkplan.models.payload import MAX_SI_VALUE, Payload, attach
 from linkplan.models.reading import read_file
 from linkplan.models.selection import Selection, select
-from linkplan.models.urdf_loops import complete, lost_when_attached
 
 # Attributes that older versions of MuJoCo read and that no plan depends on.
 _RETIRED = re.compile(rb"""\s(sensornoise|apirate|collision)\s*=\s*["'](?:\d+|enable|disable|all|predefined|dynamic)["']""")

@@ -32,7 +32,7 @@ from linkplan.models.digest import compiled_bytes
 from linkplan.models.equations import Equations
 from linkplan.models.errors import ModelError, choose
 from linkplan.models.external_forces import ForcesOverTime
-from linkplan.models.floating import MAX_LOOSE_BODIES, refuse_many_loose
+from linkplan.models.foreign.floating import MAX_LOOSE_BODIES, refuse_many_loose
 from linkplan.models.kinematics import extent_m, set_softness
 from linkplan.models.library import NOTHING_SELECTED, compile_model
 from linkplan.models.mechanism_html import mechanism_html

@@ -11,10 +11,12 @@ from dataclasses import asdict, dataclass, field
 import mujoco
 import numpy as np
 
-from linkplan.models.deletion import delete_users, leave_the_ground
 from linkplan.models.errors import ModelError, choose, listed
 from linkplan.models.external_forces import add_forces
-from linkplan.models.floating import floating_bodies, floating_of
+from linkplan.models.foreign.deletion import delete_users, leave_the_ground
+from linkplan.models.foreign.floating import floating_bodies, floating_of
+from linkplan.models.foreign.rod_spins import add_universal_joints, asked_spins
+from linkplan.models.foreign.urdf_loops import add_motors
 from linkplan.models.gearing import set_gearing
 from linkplan.models.kinematics import (
     BALL,
@@ -31,8 +33,6 @@ from linkplan.models.kinematics import (
     tied_bodies,
     tied_points,
 )
-from linkplan.models.rod_spins import add_universal_joints, asked_spins
-from linkplan.models.urdf_loops import add_motors
 
 # The keyframe at which a mechanism is assembled by default.
 HOME_KEYFRAME = "home"

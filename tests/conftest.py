@@ -1,5 +1,6 @@
-"""What tests have of their own, so that nothing found on the machine decides one: a cache of compiled functions, signals."""
+"""What all tests have: a cache of compiled functions and signals of their own, and the command line."""
 
+import json
 import os
 import signal
 from pathlib import Path
@@ -7,6 +8,7 @@ from pathlib import Path
 import pytest
 from matplotlib.figure import Figure
 
+from linkplan.cli.main import main
 from linkplan.models.catalogue import MODELS
 from linkplan.planner.problem import build
 from linkplan.studies.output import figure as figures
@@ -48,7 +50,7 @@ def own_cache(tmp_path_factory):
 def time_for_proofs():
     """Give the proof that comes with a plan a minute: on a slow machine it would be skipped, and a note says so."""
     patch = pytest.MonkeyPatch()
-    patch.setattr("linkplan.plans._PROOF_SECONDS", 60.0)
+    patch.setattr("linkplan.api.plans._PROOF_SECONDS", 60.0)
     yield
     patch.undo()
 
@@ -115,3 +117,28 @@ def default_signals():
     yield
     for number, handler in before.items():
         signal.signal(number, handler)
+
+
+@pytest.fixture
+def ask(capsys):
+    """Run a command; return its exit code, its stdout and its stderr."""
+
+    def run(*argv: str) -> tuple[int, str, str]:
+        capsys.readouterr()
+        code = main(list(argv))
+        out, err = capsys.readouterr()
+        return code, out, err
+
+    return run
+
+
+@pytest.fixture
+def ask_json(ask):
+    """Run a command with --json; return its exit code and the one object that it prints."""
+
+    def run(*argv: str) -> tuple[int, dict]:
+        code, out, _ = ask(*argv, "--json")
+        assert out.count("\n") == 1
+        return code, json.loads(out)
+
+    return run

@@ -19,9 +19,9 @@ CONTROLLERS_MAY = {"planner.trajectory"}
 # its package's own folder is a room of its own.
 ROOMS = {
     "models": (
-        "errors", "extras", "deadline", "work_folders", "compiled", "reading", "catalogue", "model_text", "payload",
-        "kinematics", "deletion", "conversion", "urdf_links", "urdf_loops", "rod_spins", "external_forces", "gearing",
-        "floating", "selection", "library", "digest", "tree", "closure", "reduction", "actuation", "audit",
+        "errors", "extras", "deadline", "work_folders", "compiled", "reading", "catalogue", "payload", "kinematics",
+        "foreign", "external_forces", "gearing", "selection", "library", "digest",
+        "tree", "closure", "reduction", "actuation", "audit",
         "coordinate_choice", "equations", "mechanism_html", "mechanism", "selected_model", "poses", "transfer", "guide",
     ),
     "planner": (
@@ -33,7 +33,7 @@ ROOMS = {
         "feedback_loop", "rigid_plant", "mujoco_plant", "simulate", "controls", "playback",
     ),
     "studies": (
-        "output", "check", "compare", "variations", "feedback", "render", "handover", "report", "explore", "demo", "cli",
+        "output", "check", "compare", "variations", "feedback", "render", "handover", "report", "explore", "demo",
     ),
 }  # fmt: skip
 TRANSCRIPTION_MAY = {
@@ -45,19 +45,19 @@ TRANSCRIPTION_MAY = {
 
 
 def test_every_package_has_sources_to_look_at():
-    assert {path.relative_to(ROOT).parts[0] for path in SOURCES} == set(PACKAGES)
+    assert {path.relative_to(ROOT).parts[0] for path in SOURCES} == {*PACKAGES, "linkplan"}
     assert sum(arrows().values()) > 300  # imports are read: the tests below cannot pass for want of any
 
 
 def test_every_room_is_listed_and_says_what_comes_in_and_what_goes_out():
     for package, rooms in ROOMS.items():
-        folders = {path.parent.name for path in (ROOT / package).glob("*/__init__.py")} - {"package"}
+        folders = {path.parent.name for path in (ROOT / package).glob("*/__init__.py")}
         files = {path.stem for path in (ROOT / package).glob("*.py")} - {"__init__"}
         assert set(rooms) == folders | files, package
         for folder in folders:
             said = ast.get_docstring(ast.parse((ROOT / package / folder / "__init__.py").read_text(encoding="utf-8")))
             assert said, folder
-            if package != "studies" or folder not in ("cli", "demo"):
+            if folder != "demo":
                 assert "In: " in said, folder
                 assert "Out: " in said, folder
 
@@ -78,8 +78,6 @@ def test_imports_run_downwards(module):
         return
     package, room = room_of(module)
     for name in ours:
-        if room_of(name) is None and room == "cli":
-            continue  # the command line calls the public package
         assert room_of(name) is not None, f"{module} imports the public package: {name}"
         other_package, other = room_of(name)
         assert PACKAGES.index(other_package) <= PACKAGES.index(package), f"{module} imports {name}"
@@ -140,11 +138,14 @@ def test_no_test_imports_from_another_test_module():
         assert not others, f"{path.relative_to(ROOT)} imports {sorted(others)}"
 
 
-def test_the_folder_linkplan_holds_a_link_to_every_package_and_every_file_of_its_root():
-    links = {path.name: path.resolve() for path in (ROOT / "linkplan").iterdir() if path.name != "__pycache__"}
-    linked = [*(ROOT / package for package in PACKAGES), *filter(Path.is_file, PUBLIC.iterdir())]
-    assert links == {path.name: path for path in linked}
-    assert not [path for path in (ROOT / "linkplan").iterdir() if path.is_symlink() and path.readlink().is_absolute()]
+def test_the_only_links_of_the_public_package_lead_to_the_four_folders():
+    links = {path.name: path.readlink() for path in PUBLIC.rglob("*") if path.is_symlink()}
+    assert links == {package: Path("..", package) for package in PACKAGES}
+
+
+def test_public_functions_do_not_import_the_command_line():
+    for path in (PUBLIC / "api").glob("*.py"):
+        assert not [name for name in imports(path) if name.startswith("linkplan.cli")], path
 
 
 def test_imports_lead_into_the_tree_from_the_tree_and_from_elsewhere(tmp_path):
@@ -165,7 +166,7 @@ def test_all_data_files_are_listed_in_the_project_file():
 
 def test_help_loads_nothing_heavy():
     code = (
-        "import sys; from linkplan.studies.cli.main import main; main(['plan', '--help']);"
+        "import sys; from linkplan.cli.main import main; main(['plan', '--help']);"
         "heavy = {'casadi', 'mujoco', 'matplotlib', 'control', 'scipy', 'numpy'} & set(sys.modules);"
         "print('HEAVY', sorted(heavy))"
     )

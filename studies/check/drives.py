@@ -7,7 +7,7 @@ import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.closure.rank import ROUNDING_SHARE
-from linkplan.models.floating import floating_joints
+from linkplan.models.foreign.floating import floating_joints
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import RANGE_ROUNDING
 from linkplan.models.poses.assembly import in_loops

@@ -11,7 +11,7 @@ from linkplan.models.closure.initial_assembly import keyframe_of
 from linkplan.models.closure.newton import OPEN_M
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import AssemblyError, ProblemError, listed
-from linkplan.models.floating import floating_sentence
+from linkplan.models.foreign.floating import floating_sentence
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import RANGE_ROUNDING, ball_angles, shut_balls
 from linkplan.models.poses.assembly import close_at

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import FrameType
 
 ROOT = Path(__file__).resolve().parents[2]
-PACKAGES = ("models", "planner", "controllers", "studies")
+PACKAGES = ("models", "planner", "controllers", "studies", "linkplan")
 COMPREHENSIONS = ("<genexpr>", "<listcomp>", "<dictcomp>", "<setcomp>")
 
 

@@ -152,7 +152,7 @@ def case_of(number: int, seed: int, plan: Path, folder: Path) -> tuple[str, list
 
 def run_case(number: int, seed: int, plan: Path) -> Outcome:
     """Return what became of one case, run in this process."""
-    from linkplan.studies.cli import main as program
+    from linkplan.cli import main as program
 
     caught: list[str] = []
     program.unforeseen = lambda command, error: caught.append(f"{command}: {error!r}") or 2
@@ -176,7 +176,7 @@ def run_case(number: int, seed: int, plan: Path) -> Outcome:
 def _child(numbers: list[int], seed: int, plan: Path, pipe) -> None:
     import warnings
 
-    from linkplan.studies.cli.main import main as program
+    from linkplan.cli.main import main as program
 
     warnings.simplefilter("ignore")
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
@@ -220,7 +220,7 @@ def fuzz(numbers: list[int], seed: int, plan: Path) -> list[Outcome]:
 
 def main() -> int:
     """Run N cases of a seed and print what came of them; 1 where something was wrong."""
-    from linkplan.studies.cli.main import main as program
+    from linkplan.cli.main import main as program
 
     with tempfile.TemporaryDirectory() as place:
         plan = Path(place) / "plan"

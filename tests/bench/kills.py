@@ -74,7 +74,7 @@ COMMANDS = {
 
 def forked(root: Path, words: tuple[str, ...], before: Callable[[], None]) -> tuple[int | None, str]:
     """Return exit code and stderr of a command in a child of this process; None where it hangs."""
-    from linkplan.studies.cli.main import main as program
+    from linkplan.cli.main import main as program
 
     child = os.fork()
     if child == 0:

@@ -132,7 +132,7 @@ def table_answer(words: str, _: float = 0.0) -> dict:
     import contextlib
     import io
 
-    from linkplan.studies.cli.main import main as linkplan
+    from linkplan.cli.main import main as linkplan
 
     with contextlib.redirect_stdout(io.StringIO()) as said, contextlib.redirect_stderr(io.StringIO()):
         code = linkplan([*words.split(), "--json"])

@@ -47,7 +47,7 @@ def size_table() -> str:
         by_room.setdefault((package, Path(place).stem), []).append(path)
     rows = [
         row(name, (p for (package, _), paths in by_room.items() if package == name for p in paths), outgoing(ends, name))
-        for name in PACKAGES
+        for name in (*PACKAGES, "linkplan")
     ]
     rows.append(row("all", SOURCES, ends))
     tests = [lines_of(path) for path in (ROOT / "tests").rglob("*.py")]

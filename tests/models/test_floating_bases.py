@@ -4,7 +4,7 @@ import mujoco
 import pytest
 
 from linkplan.models.errors import LinkplanError, ModelError
-from linkplan.models.floating import MAX_LOOSE_BODIES, floating_joints, floating_sentence
+from linkplan.models.foreign.floating import MAX_LOOSE_BODIES, floating_joints, floating_sentence
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.selection import Selection
 from tests.support.mechanisms import replaced

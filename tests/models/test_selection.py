@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 
 import linkplan
+from linkplan.cli.main import main
 from linkplan.models.errors import LinkplanError
 from linkplan.models.library import compile_model
 from linkplan.models.selected_model import whole_model_text
 from linkplan.models.selection import Selection
-from linkplan.studies.cli.main import main
 from tests.support.linkages import ROD
 from tests.support.refusals import assert_refused
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from linkplan.models.conversion import conversion_notes
+from linkplan.models.foreign.conversion import conversion_notes
+from linkplan.models.foreign.model_text import urdf_root
 from linkplan.models.mechanism import load_mechanism
-from linkplan.models.model_text import urdf_root
 from linkplan.models.poses.reach import reach
 
 LINK = (

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 import linkplan
+from linkplan.cli.main import main
 from linkplan.models.errors import LinkplanError
-from linkplan.studies.cli.main import main
 from tests.support.four_bar_urdf import CUT, FOUR_BAR, FRAMES, LOOP_JOINT, TRANSMISSION, YAML, joint, link, robot, written
 from tests.support.refusals import assert_refused
 

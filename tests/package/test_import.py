@@ -1,7 +1,6 @@
 """`import linkplan`: a dozen names that load nothing before they are used; sentences without the command line's words."""
 
 import ast
-import importlib
 import inspect
 import os
 import re
@@ -14,7 +13,7 @@ import pytest
 import linkplan
 
 ROOT = Path(__file__).resolve().parents[2]
-PUBLIC = ROOT / "studies" / "package"
+PUBLIC = ROOT / "linkplan"
 HEAVY = {"casadi", "mujoco", "numpy", "scipy", "matplotlib", "control"}
 # Strings of the library that hold a dash and are no message: what is handed to a compiler, and commands to type.
 NO_MESSAGES = {"functions.py", "typed_commands.py"}
@@ -48,7 +47,7 @@ def test_planning_loads_no_plots():
 
 
 def test_a_planned_reach_loads_no_more_than_it_needs():
-    run = "import os; os.environ['MUJOCO_GL'] = 'disable'; from linkplan.studies.cli.main import main"
+    run = "import os; os.environ['MUJOCO_GL'] = 'disable'; from linkplan.cli.main import main"
     modules = "', '.join(m for m in sys.modules if m.count('.') < 2)"
     code = f"{run}; main(['plan', 'knee-reach']); import sys; print({modules})"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.splitlines()[-1]
@@ -58,7 +57,7 @@ def test_a_planned_reach_loads_no_more_than_it_needs():
 
 
 def test_the_names_that_list_prints_load_neither_solver_nor_simulator():
-    loaded = loaded_by("from linkplan.studies.cli.main import main; main(['list'])")
+    loaded = loaded_by("from linkplan.cli.main import main; main(['list'])")
     assert "linkplan" in loaded
     assert not loaded & {"casadi", "mujoco", "scipy", "matplotlib", "control"}
 
@@ -83,13 +82,10 @@ def test_editors_see_the_names_where_the_program_finds_them():
     assert sorted(seen) == sorted(linkplan.__all__)
 
 
-def test_no_module_of_the_package_bears_a_public_name():
-    modules = {path.stem for path in PUBLIC.glob("*.py")}
-    assert len(modules) > 5
-    assert not modules & set(linkplan.__all__)
-    for name in modules - {"__init__", "__main__"}:
-        importlib.import_module(f"linkplan.{name}")
-    assert callable(linkplan.plan)
+def test_no_folder_of_the_package_bears_a_public_name():
+    names = {path.stem for path in PUBLIC.iterdir()}
+    assert {"api", "cli", "models"} <= names
+    assert not names & set(linkplan.__all__)
 
 
 def test_the_version_is_that_of_the_installed_package():
@@ -120,6 +116,7 @@ def test_messages_of_the_library_know_no_command_line():
 
 
 def test_positions_and_velocities_state_their_unit_in_their_names():
+    from linkplan.api.transfers import TransferResult
     from linkplan.controllers.reference import SampledReference
     from linkplan.controllers.rollout import Rollout
     from linkplan.controllers.trackers.tracker import TrackerWithMemory
@@ -128,7 +125,6 @@ def test_positions_and_velocities_state_their_unit_in_their_names():
     from linkplan.planner.plan.plan import MotionTable
     from linkplan.planner.problem.extra import NamedInstant
     from linkplan.planner.search.replan import NextMotion
-    from linkplan.transfers import TransferResult
 
     arrays = (SampledReference, Rollout, MotionTable, Certificate, NextMotion, NamedInstant)
     names = {f"{kind.__name__}.{name}" for kind in arrays for name in dir(kind)}

@@ -241,8 +241,8 @@ def test_a_plan_comes_with_a_proof_if_there_is_time_for_one(monkeypatch):
     proof = linkplan.plan("cart-pole-swing-up").proof
     assert proof is not None
     assert proof.passed
-    monkeypatch.setattr("linkplan.plans._PROOF_SECONDS", 0.0)
-    monkeypatch.setattr("linkplan.plans._PROOF_SHARE", 0.0)
+    monkeypatch.setattr("linkplan.api.plans._PROOF_SECONDS", 0.0)
+    monkeypatch.setattr("linkplan.api.plans._PROOF_SHARE", 0.0)
     said: list[str] = []
     assert linkplan.plan("cart-pole-swing-up", said.append).proof is None
     assert any(line.startswith("proof skipped") for line in said)

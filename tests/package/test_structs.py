@@ -6,9 +6,9 @@ import msgspec
 import pytest
 
 import linkplan
+from linkplan.api.results import MechanismResult, Result
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.files.structs import Beside, read_value
-from linkplan.results import MechanismResult, Result
 from linkplan.studies.handover.export import c_files
 from linkplan.studies.output.text import text_of
 from tests.support.ode import least_time_reach

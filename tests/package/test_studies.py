@@ -9,10 +9,10 @@ import pytest
 from matplotlib.figure import Figure
 
 import linkplan
+from linkplan.cli.command_line import build_parser
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.pd import pd
 from linkplan.models.errors import LinkplanError, ProblemError
-from linkplan.studies.cli.command_line import build_parser
 from tests.support.refusals import assert_refused
 
 

@@ -100,10 +100,9 @@ def test_a_wheel_has_one_name_at_the_top_and_all_modules_below_it(wheel):
     assert "linkplan/py.typed" in names
     for package in INNER:
         for source in [*(ROOT / package).rglob("*.py"), *(ROOT / package).rglob("*.xml"), *(ROOT / package).rglob("*.toml")]:
-            if source.is_relative_to(ROOT / "studies" / "package"):
-                assert f"linkplan/{source.name}" in kept
-            else:
-                assert f"linkplan/{source.relative_to(ROOT).as_posix()}" in kept
+            assert f"linkplan/{source.relative_to(ROOT).as_posix()}" in kept
+    for source in [path for folder in (".", "api", "cli") for path in (ROOT / "linkplan" / folder).glob("*.py")]:
+        assert source.relative_to(ROOT).as_posix() in kept
 
 
 @pytest.mark.parametrize("name", INNER)

@@ -20,9 +20,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import linkplan
+from linkplan.cli.main import main
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.batch_file import read_batch
-from linkplan.studies.cli.main import main
 from linkplan.studies.variations.size.candidates import read_motors
 
 # What may stand in a page, and is run or read. Directives ("{toctree}") are the site's own.

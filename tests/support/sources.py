@@ -9,18 +9,20 @@ from pathlib import Path
 ROOT = Path(__file__).resolve().parents[2]
 # Each package may import those before it: models <- planner <- controllers <- studies.
 PACKAGES = ("models", "planner", "controllers", "studies")
-# The root of the public package: installed as `linkplan` itself, above everything.
-PUBLIC = ROOT / "studies" / "package"
-SOURCES = sorted(path for package in PACKAGES for path in (ROOT / package).rglob("*.py"))
+# The public package, above everything; its rooms `api` and `cli` are its own folders, the four packages are links in it.
+PUBLIC = ROOT / "linkplan"
+SOURCES = sorted(
+    [path for package in PACKAGES for path in (ROOT / package).rglob("*.py")]
+    + [path for folder in (".", "api", "cli") for path in (PUBLIC / folder).glob("*.py")]
+)
 # Numbers that say nothing by themselves where they stand in an expression.
 PLAIN = (0, 1, 2)
 
 
 def module_of(path: Path) -> str:
     """Return the name under which a source file is imported."""
-    below, base = (PUBLIC, "linkplan") if path.is_relative_to(PUBLIC) else (ROOT, "linkplan")
-    parts = path.relative_to(below).with_suffix("").parts
-    return ".".join((base, *(parts[:-1] if parts[-1] == "__init__" else parts)))
+    parts = path.relative_to(PUBLIC if path.is_relative_to(PUBLIC) else ROOT).with_suffix("").parts
+    return ".".join(("linkplan", *(parts[:-1] if parts[-1] == "__init__" else parts)))
 
 
 MODULES = {module_of(path): path for path in SOURCES}

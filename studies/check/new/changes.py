@@ -19,14 +19,14 @@ import numpy as np
 from linkplan.models.actuation.actuators import label
 from linkplan.models.audit import audit
 from linkplan.models.errors import LinkplanError, UnassembledError, listed
-from linkplan.models.floating import floating_joints, floating_words
+from linkplan.models.foreign.floating import floating_joints, floating_words
+from linkplan.models.foreign.urdf_loops import FILTERS
 from linkplan.models.kinematics import STIFF
 from linkplan.models.library import compile_model
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.contacts import Contact, ContactPair, contact_pairs
 from linkplan.models.tree.coordinates import joint_label
-from linkplan.models.urdf_loops import FILTERS
 from linkplan.planner.problem.build import mechanism_from_tables, model_from_tables
 from linkplan.studies.check.new.locks import (
     HOLD_MULTIPLE,

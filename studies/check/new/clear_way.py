@@ -4,7 +4,7 @@ import numpy as np
 
 from linkplan.models.audit import audit
 from linkplan.models.errors import AssemblyError, ProblemError, listed, one_line
-from linkplan.models.floating import floating_sentence
+from linkplan.models.foreign.floating import floating_sentence
 from linkplan.models.kinematics import may_collide
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import (

@@ -4,13 +4,13 @@ import mujoco
 import numpy as np
 
 from linkplan.models.closure.rank import FILE_ROUNDING_SHARE, ROUNDING_SHARE
+from linkplan.models.foreign.rod_spins import spin_refusal
 from linkplan.models.kinematics import data_at, rod_line
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import RANGE_ROUNDING, demanded, sliding_friction
 from linkplan.models.poses.assembly import in_loops
 from linkplan.models.poses.contacts import contact_pairs
 from linkplan.models.poses.reach import reach
-from linkplan.models.rod_spins import spin_refusal
 from linkplan.models.tree.coordinates import joint_label
 from linkplan.models.tree.joints import unit_steps
 from linkplan.studies.check.drives import pressed_joints, sprung_stops

@@ -9,6 +9,7 @@ import pytest
 from msgspec import structs
 from scipy.optimize import brentq
 
+from linkplan.cli.main import main
 from linkplan.models.errors import CertificateError, ProblemError
 from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
@@ -24,7 +25,6 @@ from linkplan.planner.plan.folder import read_plan, record_of, write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.planning import plan_motion
-from linkplan.studies.cli.main import main
 from tests.support.bodies import body_plan
 from tests.support.tolerances_planner import TOUCHING
 

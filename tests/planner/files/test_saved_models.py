@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from linkplan.cli.main import main
 from linkplan.models.errors import PlanFileError, ProblemError
 from linkplan.planner.plan.folder import read_plan
 from linkplan.planner.problem.problem import load_problem
-from linkplan.studies.cli.main import main
 
 ARM = """<mujoco model="arm">
   <option timestep="1e-4"/>

@@ -12,6 +12,7 @@ import jsonschema
 import msgspec
 import pytest
 
+from linkplan.cli.main import main
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.files.tables import BUILT_IN, apply_override, built_in_text
 from linkplan.planner.problem.keys.key_table import json_schema, key_table
@@ -21,7 +22,6 @@ from linkplan.planner.problem.keys.reading import KEYS, kind_of
 from linkplan.planner.problem.keys.sections import ProblemFile
 from linkplan.planner.problem.objective import TERMS
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.cli.main import main
 
 DOCS = Path(__file__).resolve().parents[3] / "docs" / "problem-files.md"
 EXAMPLES = re.findall(r"```toml\n(.*?)```", DOCS.read_text(encoding="utf-8"), flags=re.DOTALL)

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from linkplan.cli.main import main
 from linkplan.models.errors import PlanFileError, ProblemError
 from linkplan.planner.plan.folder import write_plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search.batch import check_batch, plan_cases
 from linkplan.planner.search.batch_file import read_batch
 from linkplan.planner.search.planning import plan_motion, silent
-from linkplan.studies.cli.main import main
 from linkplan.studies.report.reading import folder_report
 from linkplan.studies.variations.batch import study
 from linkplan.studies.variations.batch.block import Planned, case_blocks, packed, unpacked

@@ -5,10 +5,10 @@ import json
 import pytest
 
 import linkplan
+from linkplan.cli.main import main
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.check.inspection import inspect
-from linkplan.studies.cli.main import main
 from tests.support.mechanisms import replaced
 
 BAR = """<mujoco model="bar"><worldbody>

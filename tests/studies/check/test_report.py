@@ -8,6 +8,7 @@ import mujoco
 import numpy as np
 import pytest
 
+from linkplan.cli.main import main
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.reach import reach, toggles
@@ -25,7 +26,6 @@ from linkplan.studies.check.kinematic_loop_report import (
 )
 from linkplan.studies.check.path_plots import inspection_figure, path_plots
 from linkplan.studies.check.path_quantities import path_figures
-from linkplan.studies.cli.main import main
 from linkplan.studies.output.figure import figure_of
 from linkplan.studies.output.text import text_of
 from tests.support.data import KNEE_TABLE

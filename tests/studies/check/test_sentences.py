@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 import linkplan
+from linkplan.cli.main import main
 from linkplan.models.actuation.distribution import distribute
 from linkplan.models.mechanism import load_mechanism
 from linkplan.studies.check.check_report import path_blocks
@@ -14,7 +15,6 @@ from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.kinematic_loop_report import measured, reach_sweeps
 from linkplan.studies.check.path_quantities import path_figures
 from linkplan.studies.check.whole_check import check_whole
-from linkplan.studies.cli.main import main
 from linkplan.studies.output.text import text_of
 
 # Two motors turn a platform's pitch and roll by gears, as ankles have: either alone runs into the roll's range.

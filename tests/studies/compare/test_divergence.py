@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
+from linkplan.cli.main import main
 from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.rigid_plant import RigidPlant
 from linkplan.controllers.simulate import simulate
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion
-from linkplan.studies.cli.main import main
 from linkplan.studies.compare.compare import Comparison, _plant, run_figures, track, tracking_reference
 from linkplan.studies.compare.comparison_blocks import comparison_figure
 from linkplan.studies.output.figure import figure_of

@@ -12,10 +12,10 @@ import pytest
 from msgspec import structs
 
 import linkplan
+from linkplan.cli.main import main
 from linkplan.models.errors import PlanFileError, ProblemError
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search.planning import silent
-from linkplan.studies.cli.main import main
 from linkplan.studies.variations.experiment import block as blocks
 from linkplan.studies.variations.experiment import conduct as conducting
 from linkplan.studies.variations.experiment.block import replay

@@ -17,11 +17,11 @@ from urllib.parse import urlsplit
 
 import pytest
 
+from linkplan.api.viewing import SavedProblem
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.studies.explore.server import Server
 from linkplan.studies.explore.session import Session
-from linkplan.viewing import SavedProblem
 from tests.support.browser import chromium, violations
 
 

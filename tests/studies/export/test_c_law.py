@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import linkplan
+from linkplan.cli.main import main
 from linkplan.models.errors import ProblemError
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion
-from linkplan.studies.cli.main import main
 from linkplan.studies.compare.compare import build_tracker, track, tracking_reference
 from linkplan.studies.handover.export.c_law import write_law
 from linkplan.studies.handover.export.law_tables import LawTables, law_tables

@@ -13,11 +13,11 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from linkplan.cli.main import main
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.assembly import advance, follow
 from linkplan.planner.problem.build import mechanism_from_tables
-from linkplan.studies.cli.main import main
 from linkplan.studies.handover.export import c_files
 from linkplan.studies.handover.export.c_files import write_model
 from linkplan.studies.handover.export.c_model import ModelCode, header_text, model_code, random_states

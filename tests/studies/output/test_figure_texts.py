@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from msgspec import structs
 
 import linkplan
+from linkplan.api.plans import Plan
 from linkplan.models.mechanism import load_mechanism
-from linkplan.plans import Plan
 from linkplan.studies.check.inspection import inspect
 from linkplan.studies.check.path_plots import inspection_figure
 from linkplan.studies.output.document import Axis, Bar, Bars, DrawnLimit, Plane, Plot, Series, Span

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from linkplan.cli.main import main
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.cli.main import main
 from linkplan.studies.output.document import Facts, Table, Text, table_of
 from linkplan.studies.output.terminal import drawn
 from linkplan.studies.output.text import brief_rows, in_brief, notes_of, table, text_of

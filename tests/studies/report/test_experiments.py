@@ -6,8 +6,8 @@ import msgspec
 import numpy as np
 import pytest
 
+from linkplan.cli.main import main
 from linkplan.planner.search.planning import silent
-from linkplan.studies.cli.main import main
 from linkplan.studies.output.document import Bars, Code, Plot, Table
 from linkplan.studies.report.reading import folder_report
 from linkplan.studies.variations.decompose.decomposition import Decomposition

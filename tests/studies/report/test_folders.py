@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import linkplan
+from linkplan.cli.main import main
 from linkplan.models.errors import PlanFileError
 from linkplan.models.library import built_in_text
 from linkplan.planner.plan.plan import Plan
-from linkplan.studies.cli.main import main
 from linkplan.studies.output.document import Checklist, Code, Report, Table
 from linkplan.studies.output.plan_sections import plan_report
 from linkplan.studies.output.report_file import DOCUMENT, document_json, save_report, write_report

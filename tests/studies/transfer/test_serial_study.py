@@ -10,9 +10,9 @@ import pytest
 import scipy.interpolate
 
 import linkplan
+from linkplan.cli.main import main
 from linkplan.models.errors import LinkplanError
 from linkplan.models.transfer.rest import OutputMotion
-from linkplan.studies.cli.main import main
 from linkplan.studies.handover.transfer.serial_study import motion_of_plan
 from linkplan.studies.handover.transfer.serial_urdf import reductions, urdf_notes, urdf_text
 from tests.support import parallel_ankle

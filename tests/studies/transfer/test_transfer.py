@@ -11,7 +11,7 @@ import pyarrow.parquet
 import pytest
 
 import linkplan
-from linkplan.studies.cli.main import main
+from linkplan.cli.main import main
 from linkplan.studies.handover.transfer.columns import columns_of
 from linkplan.studies.handover.transfer.cpp_header import cpp_header
 from tests.support import parallel_ankle

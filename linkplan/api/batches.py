@@ -1,0 +1,104 @@
+"""`batch`: many variations of one problem, each planned from the previous solution."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from linkplan.api.paths import check_flags, path_of
+from linkplan.api.reporting import Progress, listener
+from linkplan.api.results import Result
+from linkplan.models.errors import ProblemError
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.settings import to_toml_types
+from linkplan.studies.output.document import Block, Report
+from linkplan.studies.variations.batch.batch_blocks import batch_blocks, batch_report
+from linkplan.studies.variations.batch.study import BatchOutcome, run_batch
+from linkplan.studies.variations.tasks.cluster import engine_of
+
+
+def batch(
+    cases: str | Path | Mapping,
+    folder: str | Path | None = None,
+    *,
+    workers: int = 1,
+    cluster: str | None = None,
+    parquet: bool = False,
+    progress: Progress | None = None,
+) -> BatchResult:
+    """Return the plans of many variations of one problem, as a table and a record; write them if a folder is given.
+
+    Args:
+        cases: the path of a batch file, or its table: `problem` (a built-in name or a problem file), `set` (settings for all
+            cases), and either `sweep`, lists of values by dotted key whose combinations are the cases, or `case`, a list of
+            tables with `name` and `set`. Keys have their units in their names. `problem` may be a `Problem`.
+        folder: for the plans, written completely or not at all. Finished parts are kept next to it, and the same call
+            continues from them.
+        workers: number of processes; more than one needs `if __name__ == "__main__":` in the caller's module.
+        cluster: the address of a Dask scheduler, whose workers share the work.
+        parquet: whether every plan also has a trajectory.parquet.
+        progress: called with lines on the progress.
+
+    Raises:
+        LinkplanError: for an invalid case, before any case is planned, or if the folder has other files.
+
+    Example::
+
+        linkplan.batch({"problem": "knee-reach", "sweep": {"motion.duration_s": [0.16, 0.2]}})
+    """
+    from linkplan.planner.search.batch_file import batch_from, read_batch
+
+    check_flags(parquet=parquet)
+    engine = engine_of(workers, cluster)
+    if isinstance(cases, Mapping):
+        problem = cases.get("problem")
+        asked = batch_from(
+            to_toml_types({**cases, "problem": _text_of(problem)} if isinstance(problem, Problem) else cases), Path()
+        )
+    else:
+        asked = read_batch(path_of(cases, "cases"))
+    target = None if folder is None else path_of(folder, "folder")
+    return BatchResult(outcome=run_batch(asked, target, listener(progress), engine=engine, parquet=parquet))
+
+
+def _text_of(problem: Problem) -> str:
+    """Return a problem as the text of a problem file, which workers can read.
+
+    Raises:
+        ProblemError: for a problem with costs or limits given as expressions, which a file cannot contain.
+    """
+    if problem.extras:
+        raise ProblemError(
+            f"a batch needs problems that a file can contain; '{problem.name}' has costs or limits given as Python"
+            " expressions"
+        )
+    return problem.to_toml()
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class BatchResult(Result):
+    """The plans of a batch. `str(result)` is the table; `to_dict()` has every case's record, with units in the names."""
+
+    outcome: BatchOutcome
+
+    @property
+    def passed(self) -> bool:
+        """Whether every case has a certified plan."""
+        return not self.outcome.failures
+
+    @property
+    def failures(self) -> tuple[str, ...]:
+        """A sentence for each case without a plan."""
+        return tuple(self.outcome.failures)
+
+    def blocks(self) -> list[Block]:
+        """Return the table of the cases."""
+        return batch_blocks(self.outcome.rows, self.outcome.failures)
+
+    def document(self) -> Report:
+        """Return the report."""
+        return batch_report(self.outcome.rows, self.outcome.failures)
+
+    def __repr__(self) -> str:
+        return f"BatchResult({len(self.outcome.rows)} cases, {len(self.outcome.failures)} without a plan)"

@@ -1,0 +1,215 @@
+"""`experiment`: trackers on many imperfect machines, the same machines for each."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from linkplan.api.inputs import PlanLike, listed, plan_of, problem_of, with_imperfections
+from linkplan.api.paths import drawn, path_of
+from linkplan.api.reporting import Progress, listener
+from linkplan.api.results import Result
+from linkplan.api.typed_commands import sample_again
+from linkplan.controllers.trackers.names import LINEAR
+from linkplan.models.errors import ProblemError, choose
+from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.settings import whole
+from linkplan.studies.compare.named_run import NamedRun
+from linkplan.studies.compare.user_tracker import TrackerLike, name_of, refuse_unpicklable
+from linkplan.studies.output.document import Block, Report
+from linkplan.studies.output.figure_spec import FigureSpec
+from linkplan.studies.variations.experiment.block import replay
+from linkplan.studies.variations.experiment.experiment import Settings, plan_digest
+from linkplan.studies.variations.experiment.experiment_blocks import outcome_blocks, sensitivity
+from linkplan.studies.variations.experiment.sensitivity import Sensitivity
+from linkplan.studies.variations.experiment.sensitivity_blocks import tornado_figure, tornado_figures
+from linkplan.studies.variations.experiment.statistics import Estimate
+from linkplan.studies.variations.experiment.study import ExperimentOutcome, experiment_figures, run_experiment
+from linkplan.studies.variations.tasks.cluster import engine_of
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+def experiment(
+    plan: PlanLike,
+    trackers: Sequence[TrackerLike] = LINEAR,
+    *,
+    samples: int = 200,
+    imperfections: Mapping | None = None,
+    seed: int = 0,
+    design: str = "latin-hypercube",
+    levels: int = 3,
+    tube_deg: float = 1.0,
+    tube_m: float = 0.01,
+    folder: str | Path | None = None,
+    workers: int = 1,
+    cluster: str | None = None,
+    threads: int = 0,
+    progress: Progress | None = None,
+) -> ExperimentResult:
+    """Return trackers' metrics on many imperfect machines in MuJoCo, with 95 % confidence intervals.
+
+    Args:
+        plan: a plan with a motion; a problem, which is planned if results are missing; or the name or path of either.
+        trackers: built-in names, or your own trackers: objects, classes or functions as for `track`, "module:object", or a
+            name that an installed package defines. In the results, an object has the name "own:" plus its own name. With
+            several workers an object must be picklable.
+        samples: number of machines; for a grid, the levels determine it.
+        imperfections: the table [imperfections] of a problem file; by default that of the problem or, without one, the
+            default table (docs/experiments.md).
+        seed: of all random numbers.
+        design: "latin-hypercube" or "grid"; or "one-at-a-time", "morris" or "sobol" for the sensitivity to imperfections,
+            with as many whole groups of machines as fit into `samples`.
+        levels: of each random imperfection in a grid.
+        tube_deg: a run succeeds if every hinge stays within this angle of the path.
+        tube_m: likewise, for slides.
+        folder: for the results, written completely or not at all. Finished parts are kept next to it, and the same call
+            continues from them.
+        workers: number of processes; more than one needs `if __name__ == "__main__":` in the caller's module.
+        cluster: the address of a Dask scheduler, whose workers share the work.
+        threads: of the simulator for each worker; 0 for an equal share of the cores.
+        progress: called with lines on the progress.
+
+    Raises:
+        LinkplanError: if the plan has no motion, an argument is invalid, or the folder has other files.
+
+    Example::
+
+        print(linkplan.experiment(linkplan.plan("knee-reach"), ["pd+ff"], samples=8))
+    """
+    say = listener(progress)
+    listed(trackers, "names, objects, classes or functions")
+    own = {name_of(one): one for one in trackers if not isinstance(one, str)}
+    names = tuple(one if isinstance(one, str) else name_of(one) for one in trackers)
+    engine = engine_of(workers, cluster)
+    whole(threads, "threads", 0, 10_000)
+    if own and (workers > 1 or cluster is not None):
+        refuse_unpicklable(own)
+    settings = Settings(
+        trackers=names,
+        samples=samples,
+        seed=seed,
+        design=design,
+        levels=levels,
+        tube_deg=tube_deg,
+        tube_m=tube_m,
+    )
+    target = None if folder is None else path_of(folder, "folder")
+    problem, answer = problem_of(plan), None
+    if problem is None:
+        answer = plan_of(plan, say, "track")
+        problem = answer.problem
+    problem = with_imperfections(problem, imperfections)
+    source: dict = {"name": problem.name, **problem.source}
+    digest = None
+    if answer is None:
+        source["model_hash"] = problem.mechanism.fingerprint()
+    else:
+        answer = replace(answer, problem=problem)
+        digest = plan_digest(answer)
+
+    def made() -> Plan:
+        return plan_of(problem, say, "track") if answer is None else answer
+
+    outcome = run_experiment(source, digest, made, settings, target, say, engine=engine, threads=threads, own=own)
+    return ExperimentResult(outcome=outcome, folder=target)
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class ExperimentResult(Result):
+    """An experiment's results. `str(result)` is the table; `to_dict()` has every figure with its unit and direction."""
+
+    outcome: ExperimentOutcome
+    folder: Path | None = None
+    """The folder with the results, if one was given."""
+
+    @property
+    def passed(self) -> bool:
+        """Whether the plan passes."""
+        return self.outcome.experiment.plan.passed
+
+    @property
+    def results(self) -> dict[str, np.ndarray]:
+        """Every run as a row: columns by name, sample by sample and tracker by tracker."""
+        return dict(self.outcome.results)
+
+    @property
+    def sensitivity(self) -> SensitivityResult | None:
+        """The sensitivity of each tracker to each imperfection; None if the design is not one of sensitivity analysis."""
+        found = self.outcome.sensitivity
+        return None if found is None else SensitivityResult(found=found, outcome=self.outcome)
+
+    def replay(self, tracker: str, sample: int) -> NamedRun:
+        """Run one sample again and return the run with its log."""
+        experiment = self.outcome.experiment
+        return NamedRun.of(replay(experiment, tracker, sample)[0], experiment.plan.problem.mechanism)
+
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield the distributions of each tracker's metrics, and the influence of each imperfection."""
+        return experiment_figures(self.outcome)
+
+    def blocks(self) -> list[Block]:
+        """Return the trackers' metrics, or the influence of every imperfection."""
+        return outcome_blocks(self.outcome)
+
+    def document(self) -> Report:
+        """Return the report; if a folder was given, it contains the commands that run samples again."""
+        from linkplan.studies.variations.experiment.experiment_sections import experiment_report
+
+        return experiment_report(self.outcome, None if self.folder is None else functools.partial(sample_again, self.folder))
+
+    def __repr__(self) -> str:
+        one = self.outcome.experiment
+        return f"ExperimentResult({one.plan.problem.name!r}: {one.n} machines, {', '.join(one.settings.trackers)})"
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class SensitivityResult(Result):
+    """The sensitivity of each tracker and metric to each imperfection. `str(result)` is the table.
+
+    A metric is a name of `ExperimentResult.results`, by default the rms error.
+    """
+
+    record_name = "sensitivity"
+    found: Sensitivity
+    outcome: ExperimentOutcome
+
+    def ranking(self, tracker: str, metric: str | None = None) -> tuple[str, ...]:
+        """Return the imperfections' labels, the most important first."""
+        return self.found.ranking(*self._asked(tracker, metric))
+
+    def importance(self, tracker: str, metric: str | None = None) -> dict[str, Estimate]:
+        """Return each imperfection's importance with its 95 % interval, by label (defined in docs/experiments.md)."""
+        asked = self._asked(tracker, metric)
+        return {label: self.found.importance(*asked, label) for label in self.found.imperfections}
+
+    def blocks(self) -> list[Block]:
+        """Return the tables and the charts of the influences."""
+        return sensitivity(self.outcome)
+
+    def document(self) -> Report:
+        """Return the report of the experiment."""
+        return ExperimentResult(outcome=self.outcome).document()
+
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield the chart of each rms error."""
+        return tornado_figures(self.outcome.name, self.found)
+
+    def plot(self, path: str | Path | None = None, metric: str | None = None) -> Figure:
+        """Return the tornado chart of a metric, with a panel for each tracker, saved at `path` if it is given."""
+        _, asked = self._asked(next(iter(self.found.trackers)), metric)
+        return drawn(path, lambda: tornado_figure(self.outcome.name, self.found, asked))
+
+    def _asked(self, tracker: str, metric: str | None) -> tuple[str, str]:
+        choose("tracker", tracker, tuple(self.found.trackers), ProblemError)
+        return tracker, choose("metric", metric or self.found.mains[0], tuple(self.found.metrics), ProblemError)
+
+    def __repr__(self) -> str:
+        one = self.outcome.experiment
+        return f"SensitivityResult({one.plan.problem.name!r}: {self.found.design}, {one.n} machines)"

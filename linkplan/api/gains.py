@@ -1,0 +1,130 @@
+"""`tune`: gains of a feedback loop for requirements."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from linkplan.api.inputs import Poses, Subject, poses_of
+from linkplan.api.loops import loop_of
+from linkplan.api.reporting import Progress, listener
+from linkplan.api.results import MechanismResult
+from linkplan.controllers.trackers.names import LINEAR
+from linkplan.models.errors import ProblemError, choose
+from linkplan.planner.problem.settings import number
+from linkplan.studies.feedback.bode.poses import loop_poses
+from linkplan.studies.feedback.frequency.feedback_loops import operating_point, sampled_law
+from linkplan.studies.feedback.tune import tune as tuning
+from linkplan.studies.feedback.tune import tune_report
+from linkplan.studies.feedback.tune.requirements import LEAST_DAMPING_RATIO, Requirements
+from linkplan.studies.feedback.tune.tuning import Tuning
+from linkplan.studies.output.document import Block, Report
+from linkplan.studies.output.figure_spec import FigureSpec
+
+
+def tune(
+    subject: Subject,
+    *,
+    bandwidth_hz: float,
+    phase_margin_deg: float = 60.0,
+    sensitivity_peak: float | None = None,
+    settling_s: float | None = None,
+    damping_ratio: float = LEAST_DAMPING_RATIO,
+    stiffness: float | None = None,
+    tracker: str = "pd",
+    period_s: float | None = None,
+    delay_periods: float | None = None,
+    tracking: Mapping[str, float | Mapping[str, float]] | None = None,
+    at_deg: Poses = (),
+    at_m: Poses = (),
+    progress: Progress | None = None,
+) -> TuneResult:
+    """Return gains that meet the requirements at the worst pose, or the nearest gains with the reason why none meet them.
+
+    With several degrees of freedom every joint has its own PD gains, found one loop at a time with the others closed.
+
+    Args:
+        subject: a mechanism with an actuator, a `Problem`, or the name or path of either.
+        bandwidth_hz: least bandwidth of every joint's loop [Hz]: the first frequency at which the complementary
+            sensitivity is below -3 dB.
+        phase_margin_deg: least phase margin [deg].
+        sensitivity_peak: the largest allowed peak of the sensitivity; by default there is no limit.
+        settling_s: the longest time [s] in which an error settles to 2 %; by default 5 over the bandwidth.
+        damping_ratio: the least damping ratio of the closed loop's poles.
+        stiffness: the least stiffness at rest [N.m/rad or N/m] of every joint; by default so that a joint settles within 5 %
+            of a small step of its reference, in spite of weight and springs.
+        tracker: a linear feedback law: "pd", "pd+ff" or "lqr". The other trackers have no frequency response.
+        period_s: control period [s], as for `bode`.
+        delay_periods: computing delay in control periods, as for `bode`.
+        tracking: settings that replace the problem's, as for `bode`; only the period and the delay matter.
+        at_deg: poses, as for `bode`.
+        at_m: likewise, for slides [m].
+        progress: called with lines on the progress.
+
+    Raises:
+        LinkplanError: for a bandwidth above half the sampling rate, LQR with several degrees of freedom, or an
+            invalid argument.
+
+    Example::
+
+        gains = linkplan.tune("optimus-knee", bandwidth_hz=10.0, at_deg=[{"O": 0.0}])
+        print(gains.tracking)
+    """
+    choose("tracker", str(tracker), LINEAR, ProblemError)
+    say = listener(progress)
+    wanted = Requirements(
+        bandwidth_hz=number(bandwidth_hz, "bandwidth_hz", positive=True),
+        phase_margin_deg=number(phase_margin_deg, "phase_margin_deg", at_least_zero=True),
+        sensitivity_peak=None if sensitivity_peak is None else number(sensitivity_peak, "sensitivity_peak", positive=True),
+        **({} if settling_s is None else {"settling_s": number(settling_s, "settling_s", positive=True)}),
+        damping_ratio=number(damping_ratio, "damping_ratio", at_least_zero=True),
+        stiffness=None if stiffness is None else number(stiffness, "stiffness", positive=True),
+    )
+    mechanism, problem, settings, limit = loop_of(subject, tracking, {"period_s": period_s, "delay_periods": delay_periods})
+    looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
+    points = [operating_point(mechanism, position, limit) for position in looked.positions]
+    law = sampled_law(mechanism, tracker, settings, limit)
+    return TuneResult(
+        tuning=tuning.tune(points, wanted, law, say=say, line=looked.line, note=looked.said(mechanism, "tune"))
+    )
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class TuneResult(MechanismResult):
+    """The gains found by `tune`. `str(result)` is the report; `to_dict()` has every value, with units in the names."""
+
+    record_name = "tune"
+    tuning: Tuning
+
+    @property
+    def found(self) -> bool:
+        """Whether the gains meet the requirements at every pose; otherwise they are the nearest ones."""
+        return self.tuning.found
+
+    @property
+    def passed(self) -> bool:
+        """Whether the gains were found."""
+        return self.found
+
+    @property
+    def tracking(self) -> dict[str, float | dict[str, float]]:
+        """The gains as the `tracking` table of problems, `track`, `compare` and `bode`."""
+        return self.tuning.tracking
+
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield tune, bandwidth and margins over the poses."""
+        yield "tune", tune_report.tune_figure(self.tuning)
+
+    def blocks(self) -> list[Block]:
+        """Return the gains and the margins that they reach at every pose."""
+        return tune_report.tune_blocks(self.tuning)
+
+    def document(self) -> Report:
+        """Return the report."""
+        return tune_report.tune_report(self.tuning)
+
+    def write_files(self, place: Path, *, parquet: bool) -> None:
+        """Write tracking.toml, the gains as the table of a problem file."""
+        del parquet
+        (place / "tracking.toml").write_text(tune_report.tracking_table(self.tuning), encoding="utf-8")

@@ -1,0 +1,289 @@
+"""`bode`: a tracker's feedback loop over the mechanism's poses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from msgspec import structs
+
+from linkplan.api.inputs import Poses, Subject, numbers, plan_of, poses_of, read_subject, tracking_table
+from linkplan.api.paths import check_flags, drawn
+from linkplan.api.plants import PlantResult
+from linkplan.api.reporting import Progress, listener
+from linkplan.api.results import MechanismResult
+from linkplan.controllers.trackers.names import LINEAR
+from linkplan.models.errors import ProblemError, choose
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.problem.build import tracking_from_tables
+from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.settings import Tracking, number
+from linkplan.studies.feedback.bode.along_motion import along_motion
+from linkplan.studies.feedback.bode.bode import bode_study
+from linkplan.studies.feedback.bode.bode_blocks import summary
+from linkplan.studies.feedback.bode.bode_report import bode_figure, bode_figures, bode_report
+from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy
+from linkplan.studies.feedback.bode.large_study import large_study
+from linkplan.studies.feedback.bode.loop_blocks import along_blocks, large_blocks, map_blocks
+from linkplan.studies.feedback.bode.map_study import map_study
+from linkplan.studies.feedback.bode.plant_study import plant_study
+from linkplan.studies.feedback.bode.poses import loop_poses
+from linkplan.studies.feedback.frequency.excitation import Setup
+from linkplan.studies.feedback.frequency.feedback_loops import QUANTITIES, refuse_several_freedoms
+from linkplan.studies.feedback.frequency.margins import frequency_grid
+from linkplan.studies.output.document import Block, Report, Section
+from linkplan.studies.output.figure_spec import FigureSpec, panels_of
+
+if TYPE_CHECKING:
+    import control
+    from matplotlib.figure import Figure
+
+
+def bode(
+    subject: Subject,
+    *,
+    tracker: str = "pd",
+    kp: float | None = None,
+    kd: float | None = None,
+    period_s: float | None = None,
+    delay_periods: float | None = None,
+    tracking: Mapping[str, float | Mapping[str, float]] | None = None,
+    at_deg: Poses = (),
+    at_m: Poses = (),
+    from_effort: Sequence[str] = (),
+    to_position: Sequence[str] = (),
+    measure: bool = True,
+    frequency_hz: Sequence[float] | None = None,
+    amplitude_deg: float | None = None,
+    map: bool = False,  # noqa: A002 (the option's name)
+    large: bool = False,
+    along: bool = False,
+    progress: Progress | None = None,
+) -> BodeResult | PlantResult:
+    """Return a loop's frequency response, margins and sampled stability: predicted, and measured in MuJoCo.
+
+    With `from_effort` and `to_position` it returns the plant's response instead: poles and zeros, gain and phase from each
+    effort to each position, with all other efforts constant. The tracker then only holds the plant for the measurement.
+
+    Args:
+        subject: a mechanism with an actuator, a `Problem`, or the name or path of either. Joints that no actuator drives
+            move along; `plant to JOINT` is the response to them.
+        tracker: a linear feedback law: "pd", "pd+ff" or "lqr". The other trackers have no frequency response.
+        kp: proportional gain of every joint [N.m/rad or N/m]; by default that of `tracking`. Likewise the next three.
+        kd: derivative gain [N.m.s/rad or N.s/m].
+        period_s: control period [s].
+        delay_periods: computing delay in control periods, which may be a fraction.
+        tracking: settings that replace the problem's, by the keys of its [tracking] table: kp, kd, period_s,
+            lqr_position_deg, ...
+        at_deg: poses to analyse, each the independent hinges' angles [deg] by joint name, or a number for the only joint; by
+            default five over the problem's motion, seven over the reach, or home with several degrees of freedom.
+        at_m: likewise, for slides [m].
+        from_effort: inputs of the plant: names of actuators, or of driven joints for the total effort on the joint.
+        to_position: outputs of the plant: names of joints; "foot.z" for a site's coordinate in the world; "body.shank" for
+            the angle of a body that turns about one axis.
+        measure: whether responses are measured in MuJoCo, by a sinestream.
+        frequency_hz: frequencies to measure [Hz], below half the sampling rate; by default twenty around the crossover,
+            or around a plant's resonances.
+        amplitude_deg: of the test signal's motion at the joint, in degrees (metres on a slide); by default small.
+        map: whether the stable gains are mapped over all positions and tried in MuJoCo next to the stability boundary.
+        large: whether signals beyond the effort limit are measured and compared with the describing function.
+        along: whether the tracked motion of the problem is analysed: margins at frozen instants, Floquet multipliers.
+        progress: called with lines on the progress.
+
+    Raises:
+        LinkplanError: if a pose cannot be held, or an argument is invalid.
+
+    Example::
+
+        loop = linkplan.bode("optimus-knee", at_deg=[{"O": 0.0}], measure=False)
+        print(loop.stable, loop.message)
+    """
+    choose("tracker", str(tracker), LINEAR, ProblemError)
+    check_flags(measure=measure, map=map, large=large, along=along)
+    is_plant = _asks_for_plant(from_effort, to_position, {"map": map, "large": large, "along": along})
+    say = listener(progress)
+    given = {"kp": kp, "kd": kd, "period_s": period_s, "delay_periods": delay_periods}
+    mechanism, problem, settings, limit = loop_of(subject, tracking, given)
+    if along and problem is None:
+        raise ProblemError("along needs a problem with a motion, got a model")
+    for name, is_asked in (("map", map), ("large", large)):
+        if is_asked:
+            refuse_several_freedoms(mechanism, name)
+    amplitude = None if amplitude_deg is None else number(amplitude_deg, "amplitude_deg", positive=True)
+    joint = mechanism.independent_joints[0]
+    most = joint.shown(np.pi if joint.kind == "hinge" else mechanism.extent_m)
+    if amplitude is not None and amplitude > most:
+        raise ProblemError(f"amplitude_deg must be at most {most:.4g} {joint.unit}, got {amplitude:g}")
+    looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
+    setup = Setup(amplitude=None if amplitude is None else joint.read(amplitude)) if measure else None
+    at_hz = None if frequency_hz is None else np.array(numbers(frequency_hz, "frequency_hz", positive=True))
+    common = {"law": tracker, "setup": setup, "frequency_hz": at_hz, "note": looked.said(mechanism, "bode")}
+    if is_plant:
+        named = list(from_effort), list(to_position)
+        return PlantResult(study=plant_study(mechanism, looked.positions, *named, settings, limit, say, **common))
+    study = bode_study(mechanism, looked.positions, settings, limit, say, line=looked.line, **common)
+    further = {
+        "map": map_study(study, say) if map else None,
+        "large": large_study(study, None if problem is None else problem.limits, say) if large else None,
+        "along": along_motion(plan_of(problem, say, "analyse"), tracker, study.law.settings, say)
+        if along and problem
+        else None,
+    }
+    return BodeResult(study=structs.replace(study, **further))
+
+
+def _asks_for_plant(efforts: object, positions: object, others: Mapping[str, bool]) -> bool:
+    """Tell if a plant is asked for.
+
+    Refuse an input without output or the reverse, and a plant together with studies of a loop.
+    """
+    for name, value in (("from_effort", efforts), ("to_position", positions)):
+        if isinstance(value, str) or not isinstance(value, Sequence) or not all(isinstance(one, str) for one in value):
+            raise ProblemError(f"{name} must be a list of names, got {value!r}")
+    if bool(efforts) != bool(positions):
+        given, missing = ("from_effort", "to_position") if efforts else ("to_position", "from_effort")
+        raise ProblemError(f"{given} also needs {missing}: a plant has inputs and outputs")
+    for name, is_asked in others.items():
+        if efforts and is_asked:
+            raise ProblemError(
+                f"{name} analyses the loop of a tracker; it cannot be combined with from_effort and to_position"
+            )
+    return bool(efforts)
+
+
+def loop_of(
+    subject: Subject, tracking: object, given: Mapping[str, float | None]
+) -> tuple[Mechanism, Problem | None, Tracking, np.ndarray]:
+    """Return the mechanism, its problem or None, the tracking settings and the effort limits (n_u, 2)."""
+    mechanism, problem, own = read_subject(subject)
+    table = tracking_table(own, tracking)
+    settings = tracking_from_tables({"tracking": {key: x for key, x in table.items() if key != "delay_periods"}}, mechanism)
+    asked = {"delay_periods": table.get("delay_periods", 0)} | {key: x for key, x in given.items() if x is not None}
+    for key, value in asked.items():
+        number(
+            value, key if given.get(key) is not None else f"tracking.{key}", positive=key == "period_s", at_least_zero=True
+        )
+    settings = settings.replace(**asked)
+    if not settings.acts:
+        raise ProblemError("kp and kd are both 0: there is no feedback")
+    limit = mechanism.effort_limit if problem is None else problem.limits.actuators_effort
+    return mechanism, problem, settings, limit
+
+
+@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
+class BodeResult(MechanismResult):
+    """A loop's frequency response, with the additional studies `map`, `large` and `along` if they were asked for."""
+
+    record_name = "bode"
+    study: BodeStudy
+
+    @property
+    def passed(self) -> bool:
+        """Whether the sampled loop is stable at every analysed pose."""
+        return self.study.stable
+
+    @property
+    def stable(self) -> bool:
+        """Whether the sampled loop is stable at every analysed pose."""
+        return self.study.stable
+
+    @property
+    def poses(self) -> tuple[str, ...]:
+        """The names of the analysed poses, for `lti` and `frd`."""
+        return tuple(dict.fromkeys(entry.point.name for entry in self.study.points))
+
+    def lti(self, pose: str | None = None, *, closed: bool = False) -> control.StateSpace:
+        """Return the sampled loop at a pose as python-control's state space, with its period as `dt` [s].
+
+        The open loop is cut at the actuators: it maps commands u (n_u,) [N.m or N] to the law's output K x (n_u,) of the
+        linearised plant. The closed loop maps commands, added to the law's, to the state x = (s, s') (2 n_s,) [rad or m, and
+        per second]. Past commands are further states.
+
+        Args:
+            pose: one of `poses`; by default the first one.
+            closed: whether the loop is closed.
+
+        Raises:
+            LinkplanError: for an unknown pose.
+        """
+        return self._entry(pose, None).sampled.system(closed=closed)
+
+    def frd(
+        self, quantity: str = "loop", pose: str | None = None, *, joint: str | None = None, measured: bool = False
+    ) -> control.FrequencyResponseData:
+        """Return a response at a pose as python-control's frequency response data, over frequencies in rad/s.
+
+        Args:
+            quantity: "plant", "loop", "sensitivity", "complementary", "control", "reference" or "reference+ff"; angles are
+                in radians.
+            pose: one of `poses`; by default the first one.
+            joint: of the loop; by default the first independent joint.
+            measured: whether the response is the one measured in MuJoCo, instead of the prediction.
+
+        Raises:
+            LinkplanError: for an unknown name, or a response that was not measured.
+        """
+        entry = self._entry(pose, joint)
+        choose("response", quantity, QUANTITIES, ProblemError)
+        if measured:
+            if quantity not in entry.responses:
+                known = ", ".join(entry.responses) or "none"
+                raise ProblemError(f"'{quantity}' was not measured at {entry.point.name}; measured: {known}")
+            return entry.responses[quantity].frd()
+        frequency_hz = frequency_grid(self.study.law.timing.period_s)[:-1]  # below the Nyquist frequency
+        return entry.sampled.response(quantity, frequency_hz, entry.channel).frd()
+
+    def _entry(self, pose: str | None, joint: str | None) -> BodePoint:
+        at, channel = (
+            choose("pose", self.poses[0] if pose is None else str(pose), self.poses, ProblemError),
+            self._channel(joint),
+        )
+        return next(entry for entry in self.study.points if entry.point.name == at and entry.channel == channel)
+
+    def _channel(self, joint: str | None) -> int:
+        """Return the index of an independent joint, by default of the first one."""
+        names = [one.name for one in self.study.mechanism.independent_joints]
+        return names.index(choose("independent joint", names[0] if joint is None else str(joint), names, ProblemError))
+
+    def blocks(self) -> list[Block]:
+        """Return the margins at every pose, and the further studies."""
+        return [*summary(self.study), *(block for section in self._further.values() for block in section.blocks)]
+
+    @property
+    def _further(self) -> dict[str, Section]:
+        found: dict[str, Section] = {}
+        if (stable := self.study.map) is not None:
+            found["map"] = Section(title="Stability map", blocks=map_blocks(stable), depth=2)
+        if (large := self.study.large) is not None:
+            found["large"] = Section(title="Large signals", blocks=large_blocks(large), depth=2)
+        if (along := self.study.along) is not None:
+            found["along"] = Section(title="Along the motion", blocks=along_blocks(along), depth=2)
+        return found
+
+    def document(self) -> Report:
+        """Return the report."""
+        return bode_report(self.study, list(self._further.values()))
+
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield bode, nyquist, sensitivity, margins and the figures of further studies."""
+        yield from bode_figures(self.study)
+        for name, section in self._further.items():
+            panels = panels_of(section.blocks)
+            yield name, FigureSpec(panels=panels, title=section.title, columns=3, panel_in=(6.0, 4.6))
+
+    def plot(self, path: str | Path | None = None, *, joint: str | None = None) -> Figure:
+        """Return the figure of the open-loop and closed-loop responses at every pose, saved at `path` if it is given.
+
+        Args:
+            path: of the picture.
+            joint: of the loop, for several degrees of freedom; by default the first independent joint.
+
+        Raises:
+            LinkplanError: if the joint is not independent.
+        """
+        channel = self._channel(joint)
+        entries = [entry for entry in self.study.points if entry.channel == channel]
+        return drawn(path, lambda: bode_figure(self.study, entries))

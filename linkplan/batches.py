@@ -1,1 +1,0 @@
-../studies/package/batches.py

@@ -1,0 +1,250 @@
+"""The commands. Each calls the public function with the same name, and prints or writes the result."""
+
+import argparse
+import contextlib
+import inspect
+import json
+from collections.abc import Container, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import linkplan
+from linkplan.api import names
+from linkplan.cli.exit_codes import DONE, NO, ExitCode, saved_fault_report
+from linkplan.cli.printing import Progress, flush_streams, progress, refuse, show
+from linkplan.models.errors import PlanFileError, ProblemError
+
+if TYPE_CHECKING:
+    from linkplan.api.inputs import Source
+    from linkplan.api.outputs import Exported, Rendered
+    from linkplan.api.plans import Plan
+    from linkplan.api.results import Result
+
+# Options that write additional files into a result's folder.
+_WITH_OUTPUT = {"report": "report.html", "parquet": "tables as Parquet", "jumps": "both sides of jumps"}
+# Options that select a part of a model: keys of [mechanism].
+_SELECTION = ("keep", "fix_base", "lock", "keyframe", "drive")
+
+
+@contextlib.contextmanager
+def naming(option: str) -> Iterator[None]:
+    """Prefix errors about an option's value with the option's name."""
+    try:
+        yield
+    except (PlanFileError, ProblemError) as error:
+        raise type(error)(f"{option}: {error}".replace(f"{option}: {option}", option)) from error
+
+
+def output_folder(arguments: argparse.Namespace) -> Path | None:
+    """Return the output folder; an unusable folder is refused before the work starts."""
+    if arguments.output is None:
+        for option, what in _WITH_OUTPUT.items():
+            if getattr(arguments, option, False):
+                raise ProblemError(f"--{option} writes {what} into the folder of -o; add -o DIR")
+        return None
+    return folder_asked(arguments)
+
+
+def folder_asked(arguments: argparse.Namespace) -> Path:
+    """Return the folder of -o after a check that it can be written."""
+    if not arguments.output:
+        raise ProblemError("-o takes a folder, got an empty name")
+    from linkplan.api.paths import folder_to_write, require_parquet
+
+    if getattr(arguments, "parquet", False):
+        require_parquet("--parquet")
+    with naming("-o"):
+        return folder_to_write(arguments.output, f"{arguments.command}.json")
+
+
+def file_asked(arguments: argparse.Namespace) -> Path:
+    """Return the file of -o."""
+    if not arguments.output:
+        raise ProblemError("-o takes a file, got an empty name")
+    return Path(arguments.output)
+
+
+def new_file(arguments: argparse.Namespace) -> Path | None:
+    """Return the file of -o; an existing or unwritable file is refused before the work starts."""
+    if arguments.output is None:
+        return None
+    from linkplan.api.paths import file_to_write
+
+    with naming("-o"):
+        return file_to_write(file_asked(arguments))
+
+
+def source_asked(arguments: argparse.Namespace, name: str, parameters: Container[str]) -> "Source":
+    """Return a source with the options for reading it, except those that the function takes as its own `parameters`."""
+    from linkplan.api.inputs import Source
+
+    selection = {key: getattr(arguments, key, None) for key in _SELECTION if key not in parameters}
+    return Source(
+        name=name,
+        settings=tuple(arguments.set),
+        selection={key: list(value) if isinstance(value, tuple) else value for key, value in selection.items() if value},
+        anyway=getattr(arguments, "anyway", False),
+    )
+
+
+def answered(arguments: argparse.Namespace, result: "Result | Plan | Rendered | Exported") -> ExitCode:
+    """Print a result and return its exit code: 1 if the result is negative."""
+    show(arguments, result.to_dict, result.blocks)
+    return DONE if result.passed else NO
+
+
+def called(arguments: argparse.Namespace, say: Progress | None, **further: object):
+    """Call the public function with the command's name and options, and return its result."""
+    function = getattr(linkplan, arguments.command)
+    parameters = inspect.signature(function).parameters
+    given = {name: getattr(arguments, name) for name in parameters if hasattr(arguments, name)} | further
+    if "progress" in parameters:
+        given["progress"] = say
+    first = next(iter(parameters))
+    name = given.get(first)
+    if hasattr(arguments, "set") and isinstance(name, str):
+        given[first] = source_asked(arguments, name, parameters)
+    return function(**given)
+
+
+def run_study(arguments: argparse.Namespace) -> int:
+    """Run a study, and save, draw and print its result; return 1 if the result is negative."""
+    target, say = output_folder(arguments), progress(arguments)
+    result = called(arguments, say)
+    if target is not None:
+        result.save(target, report=arguments.report, parquet=getattr(arguments, "parquet", False))
+    return answered(arguments, result)
+
+
+run_track = run_compare = run_decompose = run_bode = run_tune = run_transfer = run_size = run_study
+
+
+def run_plan(arguments: argparse.Namespace) -> int:
+    """Plan a motion; 1 if there is none."""
+    target, say = output_folder(arguments), progress(arguments)
+    plan = called(arguments, say)
+    if plan.passed and target is not None:
+        plan.save(target, jumps=arguments.jumps, parquet=arguments.parquet, report=arguments.report)
+        say.keep(f"saved in {target}")
+    elif target is not None:
+        say.keep(f"nothing written: {plan.status}")
+    return answered(arguments, plan)
+
+
+def run_prove(arguments: argparse.Namespace) -> int:
+    """Prove a plan's limits at every instant; 1 if one of them is refuted."""
+    return answered(arguments, called(arguments, progress(arguments)))
+
+
+def run_batch(arguments: argparse.Namespace) -> int:
+    """Plan the cases of a batch file, or continue an interrupted batch; 1 if one of them has no plan."""
+    target, say = output_folder(arguments), progress(arguments)
+    result = called(arguments, say, folder=target)
+    if target is not None:
+        say.keep(f"saved in {target}")
+    return answered(arguments, result)
+
+
+def run_experiment(arguments: argparse.Namespace) -> int:
+    """Run or continue an experiment; 1 if the plan has no motion."""
+    target = output_folder(arguments)
+    result = called(arguments, progress(arguments), folder=target)
+    if arguments.report and target is not None:
+        result.report(target / "report.html")
+    return answered(arguments, result)
+
+
+def run_view(arguments: argparse.Namespace) -> int:
+    """Play a tracked plan in the viewer; 1 if the plan does not pass."""
+    said = called(arguments, progress(arguments))
+    if arguments.json:
+        show(arguments, said, "")
+    return DONE if said["passed"] else NO
+
+
+def run_render(arguments: argparse.Namespace) -> int:
+    """Draw a tracked plan as a film or a picture; 1 if the plan does not pass."""
+    return answered(arguments, called(arguments, progress(arguments), path=file_asked(arguments)))
+
+
+def run_demo(arguments: argparse.Namespace) -> int:
+    """Run all studies of the knee."""
+    said, blocks = called(arguments, progress(arguments), folder=folder_asked(arguments))
+    show(arguments, said, blocks)
+    return DONE
+
+
+def run_report(arguments: argparse.Namespace) -> int:
+    """Write the report of a saved folder as one HTML file."""
+    say = progress(arguments)
+    path = called(arguments, say, path=file_asked(arguments))
+    size = path.stat().st_size
+    show(arguments, {"report": str(path), "bytes": size}, f"{path}: {size / 1e6:.2g} MB, opens in any browser, offline too")
+    return DONE
+
+
+def run_explore(arguments: argparse.Namespace) -> int:
+    """Serve the page with a problem's sliders until Ctrl-C."""
+
+    def tell(error: BaseException) -> None:
+        refuse("explore", saved_fault_report(error))
+
+    page = called(arguments, progress(arguments), path=new_file(arguments), tell=tell)
+    said = {"problem": page.name, "address": page.address}
+    show(arguments, said, f"open {page.address} in a browser; Ctrl-C ends")
+    flush_streams()  # flushed, because the user needs the address while the command runs
+    page.serve()
+    return DONE
+
+
+def run_new(arguments: argparse.Namespace) -> int:
+    """Write a problem file for a mechanism; 1 if no motion was found for it."""
+    say = progress(arguments)
+    target = new_file(arguments)
+    found = called(arguments, say, path=target)
+    verdict, notes = found.verdict, [f"note: {note}" for note in found.struct.notes]
+    if target is None:
+        for line in (f"{found.description}: {verdict}", *notes):
+            say.keep(line)
+        show(arguments, found.to_dict, found.text.rstrip("\n"))
+    else:
+        lines = [f"{target}: {found.description}", f"{verdict[0].upper()}{verdict[1:]}", *notes]
+        show(arguments, found.to_dict, "\n".join(lines))
+    return DONE if found.planned else NO
+
+
+def run_export(arguments: argparse.Namespace) -> int:
+    """Write a plan or a model for another program; 1 if the plan does not pass."""
+    say = progress(arguments)
+    with naming("-o"):
+        path = folder_asked(arguments) if arguments.to in names.FOLDER_FORMATS else new_file(arguments)
+    return answered(arguments, called(arguments, say, path=path))
+
+
+def run_list(arguments: argparse.Namespace) -> int:
+    """Print the built-in names."""
+    from linkplan.studies.output.document import Facts, table_of
+
+    problems = names.problem_descriptions()
+    words = {"payloads": names.PAYLOADS, "schemes": names.SCHEMES, "trackers": names.TRACKERS}
+    said = {"models": dict(names.MODELS), "problems": problems} | {what: list(some) for what, some in words.items()}
+    tables = [
+        table_of("", [what, "description"], list(rows.items()))
+        for what, rows in (("model", names.MODELS), ("problem", problems))
+    ]
+    show(arguments, said, [*tables, Facts(rows=[(what, ", ".join(some)) for what, some in words.items()])])
+    return DONE
+
+
+def run_schema(arguments: argparse.Namespace) -> int:
+    """Print the JSON Schema of a kind of file, or write it into a file."""
+    from linkplan.api.paths import write_schema
+
+    said = called(arguments, None)
+    text = json.dumps(said, indent=2)
+    if arguments.output is not None:
+        with naming("-o"):
+            write_schema(arguments.output, text)
+    if arguments.output is None or arguments.json:
+        show(arguments, said, text)
+    return DONE

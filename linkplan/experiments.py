@@ -1,1 +1,0 @@
-../studies/package/experiments.py

@@ -1,1 +1,0 @@
-../studies/package/first_motion.py

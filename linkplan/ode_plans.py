@@ -1,1 +1,0 @@
-../studies/package/ode_plans.py

@@ -1,1 +1,0 @@
-../studies/package/outputs.py

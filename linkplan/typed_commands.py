@@ -1,1 +1,0 @@
-../studies/package/typed_commands.py
