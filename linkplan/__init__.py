@@ -53,29 +53,29 @@ if TYPE_CHECKING:  # for editors and type checkers; `_MODULES` below has the sam
 
     __version__: str
 
-# The public names by their modules, loaded when a name is first used (PEP 562).
+# The public names by their modules, loaded when a name is first used (PEP 562); the help lists commands in this order.
 _MODULES = {
-    "linkplan.controllers.trackers.tracker": ("Tracker",),
-    "linkplan.api.decompositions": ("decompose",),
-    "linkplan.api.experiments": ("experiment",),
-    "linkplan.api.gains": ("tune",),
-    "linkplan.api.loops": ("bode",),
-    "linkplan.api.batches": ("batch",),
     "linkplan.api.mechanisms": ("check", "load_mechanism"),
-    "linkplan.models.errors": ("LinkplanError",),
-    "linkplan.models.mechanism": ("Mechanism",),
-    "linkplan.api.motors": ("size",),
-    "linkplan.api.names": ("schema",),
-    "linkplan.api.ode_plans": ("solve_ocp",),
-    "linkplan.planner.ode.problem": ("OdeProblem",),
-    "linkplan.planner.problem.extra": ("ExtraCost", "ExtraLimit"),
-    "linkplan.planner.problem.problem": ("Problem",),
     "linkplan.api.plans": ("Plan", "Planner", "plan", "prove", "read_plan"),
-    "linkplan.api.first_motion": ("new",),
+    "linkplan.api.batches": ("batch",),
+    "linkplan.api.motors": ("size",),
     "linkplan.api.tracking": ("compare", "track"),
+    "linkplan.api.experiments": ("experiment",),
+    "linkplan.api.decompositions": ("decompose",),
+    "linkplan.api.loops": ("bode",),
+    "linkplan.api.gains": ("tune",),
     "linkplan.api.transfers": ("transfer",),
     "linkplan.api.viewing": ("demo", "explore", "view"),
     "linkplan.api.outputs": ("export", "render", "report"),
+    "linkplan.api.first_motion": ("new",),
+    "linkplan.api.names": ("schema",),
+    "linkplan.api.ode_plans": ("solve_ocp",),
+    "linkplan.controllers.trackers.tracker": ("Tracker",),
+    "linkplan.models.errors": ("LinkplanError",),
+    "linkplan.models.mechanism": ("Mechanism",),
+    "linkplan.planner.ode.problem": ("OdeProblem",),
+    "linkplan.planner.problem.extra": ("ExtraCost", "ExtraLimit"),
+    "linkplan.planner.problem.problem": ("Problem",),
 }
 _HOMES = {name: module for module, names in _MODULES.items() for name in names}
 __all__ = sorted(_HOMES)  # pyright: ignore[reportUnsupportedDunderAll]  its names are those of the imports above

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from linkplan.api.command import command
 from linkplan.api.paths import check_flags, path_of
 from linkplan.api.reporting import Progress, listener
 from linkplan.api.results import Result
@@ -18,6 +19,7 @@ from linkplan.studies.variations.batch.study import BatchOutcome, run_batch
 from linkplan.studies.variations.tasks.cluster import engine_of
 
 
+@command("plan the cases of a batch file, each starting from the previous solution", record="batch")
 def batch(
     cases: str | Path | Mapping,
     folder: str | Path | None = None,
@@ -33,10 +35,11 @@ def batch(
         cases: the path of a batch file, or its table: `problem` (a built-in name or a problem file), `set` (settings for all
             cases), and either `sweep`, lists of values by dotted key whose combinations are the cases, or `case`, a list of
             tables with `name` and `set`. Keys have their units in their names. `problem` may be a `Problem`.
-        folder: for the plans, written completely or not at all. Finished parts are kept next to it, and the same call
-            continues from them.
-        workers: number of processes; more than one needs `if __name__ == "__main__":` in the caller's module.
-        cluster: the address of a Dask scheduler, whose workers share the work.
+        folder: the folder for the plans, written completely or not at all. Finished parts are kept next to it, and the
+            same call continues from them.
+        workers: number of processes on this machine. More than one needs
+            `if __name__ == "__main__":` in the caller's module.
+        cluster: the address of a Dask scheduler, such as tcp://head:8786, whose workers share the work.
         parquet: whether every plan also has a trajectory.parquet.
         progress: called with lines on the progress.
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, listed, plan_of, with_imperfections
+from linkplan.api.names import LINEAR
 from linkplan.api.reporting import Progress, listener
 from linkplan.api.results import Result
-from linkplan.controllers.trackers.names import LINEAR
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import whole
 from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
@@ -23,12 +24,17 @@ from linkplan.studies.variations.decompose.decomposition_blocks import (
 )
 
 
+@command(
+    "split each tracker's error among its causes: plan, sampling and delay, simulator, devices, model, limits",
+    record="decompose",
+    showing=("report",),
+)
 def decompose(
     plan: PlanLike,
     trackers: Sequence[TrackerLike] = LINEAR,
     *,
     imperfections: Mapping | None = None,
-    samples: int = study.DEFAULT_SAMPLES,
+    samples: int = 16,
     seed: int = 0,
     progress: Progress | None = None,
 ) -> DecompositionResult:
@@ -44,7 +50,7 @@ def decompose(
         imperfections: the table [imperfections] of a problem file; by default that of the problem or, without one, the
             default table (docs/experiments.md).
         samples: number of random machines; there is a single one if nothing is random.
-        seed: of all random numbers.
+        seed: seed of all random numbers.
         progress: called with lines on the progress.
 
     Raises:

@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, listed, plan_of, problem_of, with_imperfections
+from linkplan.api.names import LINEAR, Design
 from linkplan.api.paths import drawn, path_of
 from linkplan.api.reporting import Progress, listener
 from linkplan.api.results import Result
 from linkplan.api.typed_commands import sample_again
-from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import ProblemError, choose
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import whole
@@ -36,6 +37,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@command("run every tracker on the same many imperfect machines", record="experiment", showing=("report",))
 def experiment(
     plan: PlanLike,
     trackers: Sequence[TrackerLike] = LINEAR,
@@ -43,7 +45,7 @@ def experiment(
     samples: int = 200,
     imperfections: Mapping | None = None,
     seed: int = 0,
-    design: str = "latin-hypercube",
+    design: Design = "latin-hypercube",
     levels: int = 3,
     tube_deg: float = 1.0,
     tube_m: float = 0.01,
@@ -63,17 +65,18 @@ def experiment(
         samples: number of machines; for a grid, the levels determine it.
         imperfections: the table [imperfections] of a problem file; by default that of the problem or, without one, the
             default table (docs/experiments.md).
-        seed: of all random numbers.
+        seed: seed of all random numbers.
         design: "latin-hypercube" or "grid"; or "one-at-a-time", "morris" or "sobol" for the sensitivity to imperfections,
             with as many whole groups of machines as fit into `samples`.
-        levels: of each random imperfection in a grid.
+        levels: values of each random imperfection in a grid.
         tube_deg: a run succeeds if every hinge stays within this angle of the path.
         tube_m: likewise, for slides.
-        folder: for the results, written completely or not at all. Finished parts are kept next to it, and the same call
-            continues from them.
-        workers: number of processes; more than one needs `if __name__ == "__main__":` in the caller's module.
-        cluster: the address of a Dask scheduler, whose workers share the work.
-        threads: of the simulator for each worker; 0 for an equal share of the cores.
+        folder: the folder for the results, written completely or not at all. Finished parts are kept next to it, and the
+            same call continues from them.
+        workers: number of processes on this machine. More than one needs
+            `if __name__ == "__main__":` in the caller's module.
+        cluster: the address of a Dask scheduler, such as tcp://head:8786, whose workers share the work.
+        threads: threads of the simulator for each worker; 0 for an equal share of the cores.
         progress: called with lines on the progress.
 
     Raises:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from msgspec import Struct
 
+from linkplan.api.command import command
 from linkplan.api.inputs import Source, source_of
 from linkplan.api.paths import check_flags, file_to_write
 from linkplan.api.plans import Plan
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from linkplan.studies.output.document import Block
 
 
+@command("write a first problem file for a mechanism, with a feasible motion")
 def new(
     model: str | Path | Source,
     path: str | Path | None = None,
@@ -38,10 +40,11 @@ def new(
 
     Args:
         model: a built-in name, or the path of an MJCF or URDF file.
-        path: of the new problem file; no file is written without it.
-        keep: names of the bodies or joints of a larger robot to read. This and the next three are as in `load_mechanism`.
+        path: the new problem file, which must not exist yet; without it none is written, and the command prints it.
+        keep: names of the only bodies or joints of a larger robot to read. This and the next
+            four are as in `load_mechanism`.
         fix_base: whether the joints between the world and the kept bodies are locked.
-        lock: positions of joints that do not move, in degrees on hinges and in metres on slides.
+        lock: joints to lock at an angle [deg], or slides at a position [m].
         keyframe: the model's keyframe that gives the home pose.
         drive: names of joints that get a motor, within their effort limits, if the model has no actuators.
         progress: called with lines on the progress.

@@ -6,23 +6,29 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from linkplan.api.command import command
 from linkplan.api.inputs import Poses, Subject, poses_of
 from linkplan.api.loops import loop_of
+from linkplan.api.names import LINEAR, Law
 from linkplan.api.reporting import Progress, listener
 from linkplan.api.results import MechanismResult
-from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import ProblemError, choose
 from linkplan.planner.problem.settings import number
 from linkplan.studies.feedback.bode.poses import loop_poses
 from linkplan.studies.feedback.frequency.feedback_loops import operating_point, sampled_law
 from linkplan.studies.feedback.tune import tune as tuning
 from linkplan.studies.feedback.tune import tune_report
-from linkplan.studies.feedback.tune.requirements import LEAST_DAMPING_RATIO, Requirements
+from linkplan.studies.feedback.tune.requirements import Requirements
 from linkplan.studies.feedback.tune.tuning import Tuning
 from linkplan.studies.output.document import Block, Report
 from linkplan.studies.output.figure_spec import FigureSpec
 
 
+@command(
+    "find PD gains or LQR weights for a bandwidth and margins at the worst pose",
+    record="tune",
+    showing=("report",),
+)
 def tune(
     subject: Subject,
     *,
@@ -30,9 +36,9 @@ def tune(
     phase_margin_deg: float = 60.0,
     sensitivity_peak: float | None = None,
     settling_s: float | None = None,
-    damping_ratio: float = LEAST_DAMPING_RATIO,
+    damping_ratio: float = 0.4,
     stiffness: float | None = None,
-    tracker: str = "pd",
+    tracker: Law = "pd",
     period_s: float | None = None,
     delay_periods: float | None = None,
     tracking: Mapping[str, float | Mapping[str, float]] | None = None,
@@ -55,10 +61,11 @@ def tune(
         stiffness: the least stiffness at rest [N.m/rad or N/m] of every joint; by default so that a joint settles within 5 %
             of a small step of its reference, in spite of weight and springs.
         tracker: a linear feedback law: "pd", "pd+ff" or "lqr". The other trackers have no frequency response.
-        period_s: control period [s], as for `bode`.
-        delay_periods: computing delay in control periods, as for `bode`.
+        period_s: control period [s]; by default the problem's.
+        delay_periods: computing delay in control periods, which may be a fraction.
         tracking: settings that replace the problem's, as for `bode`; only the period and the delay matter.
-        at_deg: poses, as for `bode`.
+        at_deg: poses to look at, each the independent hinges' angles [deg] by joint name, or a number for the only joint; by
+            default as for `bode`.
         at_m: likewise, for slides [m].
         progress: called with lines on the progress.
 

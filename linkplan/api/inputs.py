@@ -71,6 +71,7 @@ class Source:
         return Problem.from_tables(*self._with_settings(*read_tables(self.name)))
 
 
+ProblemLike = Problem | Source | str | Path
 Subject = Mechanism | Problem | Source | str | Path
 PlanLike = Plan | Problem | Source | str | Path
 Poses = Sequence[Mapping[str, float] | float]

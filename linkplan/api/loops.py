@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 from msgspec import structs
 
+from linkplan.api.command import command
 from linkplan.api.inputs import Poses, Subject, numbers, plan_of, poses_of, read_subject, tracking_table
+from linkplan.api.names import LINEAR, Frequencies, Law
 from linkplan.api.paths import check_flags, drawn
 from linkplan.api.plants import PlantResult
 from linkplan.api.reporting import Progress, listener
 from linkplan.api.results import MechanismResult
-from linkplan.controllers.trackers.names import LINEAR
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.build import tracking_from_tables
@@ -42,10 +43,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@command(
+    "frequency response, margins and sampled stability of a feedback loop, predicted and measured in MuJoCo",
+    record="bode",
+    showing=("report",),
+)
 def bode(
     subject: Subject,
     *,
-    tracker: str = "pd",
+    tracker: Law = "pd",
     kp: float | None = None,
     kd: float | None = None,
     period_s: float | None = None,
@@ -56,7 +62,7 @@ def bode(
     from_effort: Sequence[str] = (),
     to_position: Sequence[str] = (),
     measure: bool = True,
-    frequency_hz: Sequence[float] | None = None,
+    frequency_hz: Frequencies | None = None,
     amplitude_deg: float | None = None,
     map: bool = False,  # noqa: A002 (the option's name)
     large: bool = False,
@@ -72,9 +78,10 @@ def bode(
         subject: a mechanism with an actuator, a `Problem`, or the name or path of either. Joints that no actuator drives
             move along; `plant to JOINT` is the response to them.
         tracker: a linear feedback law: "pd", "pd+ff" or "lqr". The other trackers have no frequency response.
-        kp: proportional gain of every joint [N.m/rad or N/m]; by default that of `tracking`. Likewise the next three.
-        kd: derivative gain [N.m.s/rad or N.s/m].
-        period_s: control period [s].
+        kp: proportional gain of every joint [N.m/rad or N/m]; by default the problem's, 200. In Python `tracking` can
+            set this and the next three, too.
+        kd: derivative gain [N.m.s/rad or N.s/m]; by default the problem's, 1.
+        period_s: control period [s]; by default the problem's.
         delay_periods: computing delay in control periods, which may be a fraction.
         tracking: settings that replace the problem's, by the keys of its [tracking] table: kp, kd, period_s,
             lqr_position_deg, ...
@@ -87,7 +94,7 @@ def bode(
         measure: whether responses are measured in MuJoCo, by a sinestream.
         frequency_hz: frequencies to measure [Hz], below half the sampling rate; by default twenty around the crossover,
             or around a plant's resonances.
-        amplitude_deg: of the test signal's motion at the joint, in degrees (metres on a slide); by default small.
+        amplitude_deg: amplitude of the test signal's motion at the joint, in degrees (metres on a slide); by default small.
         map: whether the stable gains are mapped over all positions and tried in MuJoCo next to the stability boundary.
         large: whether signals beyond the effort limit are measured and compared with the describing function.
         along: whether the tracked motion of the problem is analysed: margins at frozen instants, Floquet multipliers.

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from linkplan.api.command import command
 from linkplan.api.inputs import Poses, Source, Subject, poses_of, source_of, subject_of
 from linkplan.api.paths import check_flags
 from linkplan.api.results import Result
@@ -63,10 +64,10 @@ def load_mechanism(
             in the file prevent it; by default 1e-6 m, or 1e-5 of a small mechanism's size.
         friction_transition_deg_s: the speed v_0 of the dry friction f tanh(v / v_0); by default 2. For slides and tendons,
             this speed in rad/s is multiplied by the mechanism's extent.
-        keep: names of bodies or joints of a larger robot. Only these bodies are read, with everything attached to them, the
-            chains that close loops with them, and the bodies between them and the world. `notes` names what was dropped.
-        fix_base: True locks the joints between the world and the kept bodies, and a base without actuators.
-        lock: positions of joints to lock, by name: degrees for hinges, metres for slides.
+        keep: names of the only bodies or joints of a larger robot to read, with everything attached to them and their loops.
+            The bodies between them and the world are read, too. `notes` names what was dropped.
+        fix_base: whether the joints between the world and the kept bodies, and a base without actuators, are locked.
+        lock: joints to lock at an angle [deg], or slides at a position [m], in addition to a file's locks.
         keyframe: the model's keyframe that gives the home pose and the pose of a fixed base; by default "home".
         exclude_contacts: pairs of names of bodies whose geoms pass through each other.
         drive: names of joints that get a motor, within the joint's effort limit; many URDFs define no motors.
@@ -108,6 +109,11 @@ def load_mechanism(
     return mechanism_from_tables({"mechanism": to_toml_types(table)})
 
 
+@command(
+    "report on a mechanism: degrees of freedom, closure, reach, singular poses, ratios, inertias, forces, faults",
+    record="check",
+    showing=("all", "report"),
+)
 def check(subject: Subject, *, at_deg: Poses = (), at_m: Poses = ()) -> CheckResult:
     """Return the report on a mechanism before planning, along the motion of a problem if one is given.
 

@@ -6,13 +6,13 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from linkplan.api.inputs import Source, given_problem
+from linkplan.api.command import command
+from linkplan.api.inputs import ProblemLike, given_problem
 from linkplan.api.paths import path_of
 from linkplan.api.reporting import Progress, listener
 from linkplan.api.results import Result
 from linkplan.models.errors import ProblemError
 from linkplan.planner.plan.plan import Plan
-from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import number
 from linkplan.studies.output.document import Block, Report
 from linkplan.studies.output.figure_spec import FigureSpec
@@ -21,8 +21,13 @@ from linkplan.studies.variations.size.sizing import Sizing, size_motors
 from linkplan.studies.variations.size.sizing_blocks import sizing_blocks, sizing_figure, sizing_report
 
 
+@command(
+    "find which motors of a list, behind which gears, can drive a problem's motion, and their margins",
+    record="size",
+    showing=("report",),
+)
 def size(
-    problem: Problem | Source | str | Path,
+    problem: ProblemLike,
     motors: str | Path | Sequence[Mapping],
     *,
     actuator: str | None = None,

@@ -1,5 +1,10 @@
 """The legal names of arguments, from modules that load quickly, and the schema of problem files."""
 
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from linkplan.api.command import command
 from linkplan.controllers.controls import KEYS_TEXT
 from linkplan.controllers.trackers.names import LINEAR, TRACKERS
 from linkplan.models.catalogue import MODELS, PAYLOADS
@@ -19,6 +24,8 @@ __all__ = [
     "PAYLOADS",
     "PROBLEMS",
     "SCHEMES",
+    "SELECTION",
+    "SHELLS",
     "TRACKERS",
     "problem_descriptions",
     "problem_keys",
@@ -27,6 +34,13 @@ __all__ = [
 
 DESIGNS = ("latin-hypercube", "grid", "one-at-a-time", "morris", "sobol")
 FILE_KINDS = ("problem", "batch", "motors")
+# The shells for which completion scripts exist.
+SHELLS = ("bash", "zsh", "fish")
+# Keys of [mechanism] that select a part of a model.
+SELECTION = ("keep", "fix_base", "lock", "keyframe", "drive")
+# Types of parameters, by which the command line knows the legal words: names of `LINEAR`, `C_TRACKERS`, `TRACKERS`, ...
+Law = CLaw = TrackerName = Design = FileKind = ExportFormat = Shell = str
+Frequencies = Sequence[float]
 
 
 def problem_descriptions() -> dict[str, str]:
@@ -43,14 +57,16 @@ def problem_keys() -> tuple[str, ...]:
     return tuple(f"{section}.{key}" for section, keys in KEYS.items() for key in keys)
 
 
-def schema(file: str = "problem") -> dict:
+@command("print the JSON Schema of problem files, batch files or lists of motors, for editors")
+def schema(file: FileKind = "problem", path: str | Path | None = None) -> dict:
     """Return the JSON Schema of problem files, of batch files or of lists of motors, for completion in editors.
 
     Args:
         file: "problem", "batch" or "motors".
+        path: the JSON file to write the schema into; an older schema of linkplan's is replaced.
 
     Raises:
-        LinkplanError: for another kind of file.
+        LinkplanError: for another kind of file, or if another file exists at the path.
 
     Example::
 
@@ -59,4 +75,12 @@ def schema(file: str = "problem") -> dict:
     from linkplan.models.errors import ProblemError, choose
     from linkplan.planner.problem.keys.key_table import FILES, json_schema
 
-    return json_schema(choose("kind of file", file, FILES, ProblemError))
+    found = json_schema(choose("kind of file", file, FILES, ProblemError))
+    if path is not None:
+        from linkplan.api.paths import path_of
+        from linkplan.planner.files.single_file import write_file_whole
+
+        text = f"{json.dumps(found, indent=2)}\n"
+        mark = '"title": "linkplan '  # that of the whole schema
+        write_file_whole(path_of(path, "path"), lambda place: place.write_text(text, encoding="utf-8"), mark=mark)
+    return found

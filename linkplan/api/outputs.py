@@ -9,7 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
+from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, Source, Subject, note_forces, plan_of, source_of, subject_of
+from linkplan.api.names import CLaw, ExportFormat, TrackerName
 from linkplan.api.paths import check_flags, file_to_write, folder_to_write, path_of
 from linkplan.api.reporting import Listener, Progress, listener
 from linkplan.api.results import Result, Shown
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from linkplan.studies.render.render import RenderedFile
 
 
+@command("make one HTML file of a saved folder: animation, plots, certificate; it opens offline")
 def report(
     result: Result | Plan | str | Path, path: str | Path = "report.html", *, progress: Progress | None = None
 ) -> Path:
@@ -34,7 +37,7 @@ def report(
     Args:
         result: of `plan`, `prove`, `track`, `compare`, `bode`, `tune`, `experiment`, `decompose`, `batch`, `check` or
             `transfer`; or a folder in which a command or `save` wrote one.
-        path: of the file. An older report is replaced, any other file is refused.
+        path: the file to write. An older report is replaced, any other file is refused.
         progress: called with lines on the progress.
 
     Raises:
@@ -66,11 +69,12 @@ def _document(result: object) -> Report:
     raise ProblemError(f"a report takes a result of linkplan, or the folder of one, got {result!r}")
 
 
+@command("draw a tracked plan as a film (.mp4, .gif) or a picture (.png), without a screen")
 def render(
     plan: PlanLike,
     path: str | Path,
     *,
-    tracker: str = "pd+ff",
+    tracker: TrackerName = "pd+ff",
     slow: float | None = None,
     fps: float = 25.0,
     size_px: tuple[int, int] = (800, 600),
@@ -85,7 +89,7 @@ def render(
 
     Args:
         plan: a plan with a motion, a problem, or the name or path of either.
-        path: of the file: .mp4, .gif or .png.
+        path: the file to write: .mp4, .gif or .png; a file that linkplan did not write is not replaced.
         tracker: a built-in name.
         slow: how many times slower than real time; by default the film lasts a few seconds.
         fps: frames per second.
@@ -154,13 +158,14 @@ class Rendered(Shown):
         return f"Rendered('{self.struct.file}')"
 
 
+@command("write a plan, or a model in C, for other programs")
 def export(
     plan: PlanLike | Subject,
     path: str | Path,
-    to: str,
+    to: ExportFormat,
     *,
     joints: Sequence[str] = (),
-    tracker: str = "pd+ff",
+    tracker: CLaw = "pd+ff",
     sizes: bool = False,
     tolerance: float | None = None,
     every_s: float | None = None,
@@ -170,7 +175,7 @@ def export(
 
     Args:
         plan: with a motion; or its problem, or the name or path of either; for "c" also a model.
-        path: of the new file; for "c" of a folder, whose older code is replaced.
+        path: the file to write, which must not exist yet; for "c" a folder, whose older code is replaced.
         to: "keyframes", "mjcf", "ros", "mat", "csv", "parquet" or "c". Angles are in radians, except in "csv" and "parquet",
             whose column names state the units.
         joints: for "ros", and for a model in C: the output joints as coordinates; by default the independent joints.

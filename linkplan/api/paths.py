@@ -74,18 +74,6 @@ def require_parquet(what: str) -> None:
     load_extra("pyarrow.parquet", what)
 
 
-def write_schema(path: str, text: str) -> None:
-    """Write a JSON Schema into a file; an older schema of linkplan's is replaced.
-
-    Raises:
-        LinkplanError: if another file exists at the path.
-    """
-    from linkplan.planner.files.single_file import write_file_whole
-
-    mark = '"title": "linkplan '  # that of the whole schema
-    write_file_whole(path_of(path, "path"), lambda place: place.write_text(f"{text}\n", encoding="utf-8"), mark=mark)
-
-
 def plain_json(record: object) -> str:
     """Return a record as one line of JSON."""
     from linkplan.planner.files.folders import to_json_types

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 
 from msgspec import UNSET, structs
 
-from linkplan.api.inputs import PlanLike, Source, given_problem, plan_of, source_of, with_motion
+from linkplan.api.command import command
+from linkplan.api.inputs import PlanLike, ProblemLike, Source, given_problem, plan_of, source_of, with_motion
 from linkplan.api.paths import check_flags, drawn, path_of
 from linkplan.api.reporting import LOG, Listener, Progress, listener
 from linkplan.api.results import Reported, Result
@@ -37,7 +38,8 @@ _PROOF_SHARE, _PROOF_SECONDS = 1.0 / 3.0, 1.3
 PROVING = "proving the limits, then that the model has a motion near the plan (at most a minute)"
 
 
-def plan(problem: Problem | Source | str | Path, progress: Progress | None = None, *, prove: bool = False) -> Plan:
+@command("plan a motion and certify it between the nodes", record="plan", showing=("all", "report", "parquet", "jumps"))
+def plan(problem: ProblemLike, progress: Progress | None = None, *, prove: bool = False) -> Plan:
     """Return the plan of a problem; without a motion, its `message` has the reason.
 
     If the problem has a reserve or ranges, the nominal machine is planned too, to state the price of robustness. The motion
@@ -76,6 +78,11 @@ def _proved(plan: planned.Plan, asked: bool, seconds: float, say: Listener) -> p
     return plan
 
 
+@command(
+    "prove the limits of a plan at every instant, in ball arithmetic, from its saved polynomials",
+    showing=("all",),
+    without=("anyway",),
+)
 def prove(plan: PlanLike, *, existence: bool = True, progress: Progress | None = None) -> ProofResult:
     """Return the proof of a plan's limits at every instant, in ball arithmetic, from its polynomials.
 

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING
 
 from msgspec import structs
 
+from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, Source, listed, plan_of, source_of, tracking_table
+from linkplan.api.names import LINEAR
 from linkplan.api.paths import drawn
 from linkplan.api.reporting import Listener, Progress, listener
 from linkplan.api.results import Result
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
+@command("run one tracker on a plan in MuJoCo", record="track", showing=("all", "report", "parquet"))
 def track(
     plan: PlanLike,
     tracker: TrackerLike = "pd+ff",
@@ -107,9 +110,14 @@ def _replayed(place: str, tracker: TrackerLike, sample: int) -> TrackingResult:
     return TrackingResult(figures=figures, comparison=comparison, record_name="track")
 
 
+@command(
+    "run trackers on a plan and compare them, nominal and with a mismatch",
+    record="compare",
+    showing=("all", "report", "parquet"),
+)
 def compare(
     plan: PlanLike,
-    trackers: Sequence[TrackerLike] = study.LINEAR,
+    trackers: Sequence[TrackerLike] = LINEAR,
     *,
     mass_factor: float = 1.2,
     delay_periods: float = 1,

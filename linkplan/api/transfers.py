@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, Subject, numbers, plan_of, subject_of
 from linkplan.api.reporting import Progress, listener
 from linkplan.api.results import MechanismResult
@@ -30,6 +31,11 @@ Gains = float | Sequence[float]
 Rows = Sequence[Sequence[float]] | np.ndarray
 
 
+@command(
+    "convert efforts, inertia, friction and gains between motors and output joints of a linkage, as tables",
+    record="transfer",
+    showing=("report", "parquet"),
+)
 def transfer(
     subject: Subject,
     joints: Sequence[str],

@@ -8,7 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, Source, Subject, plan_of, source_of
+from linkplan.api.names import KEYS_TEXT, TrackerName
 from linkplan.api.paths import file_to_write, folder_to_write
 from linkplan.api.reporting import Listener, Progress, listener
 from linkplan.models.errors import ProblemError, choose
@@ -22,10 +24,11 @@ if TYPE_CHECKING:
 _ALTERNATIVES = "render writes the same motion as a film or a picture, report as a page"
 
 
+@command("play a tracked plan in MuJoCo's interactive viewer, where keys change its gains", note=KEYS_TEXT)
 def view(
     plan: PlanLike,
     *,
-    tracker: str = "pd+ff",
+    tracker: TrackerName = "pd+ff",
     slow: float = 4.0,
     seconds: float | None = None,
     progress: Progress | None = None,
@@ -35,7 +38,7 @@ def view(
     Args:
         plan: with a motion; or its problem, or the name or path of either.
         tracker: a built-in name.
-        slow: how many times slower than real time.
+        slow: playback is this many times slower than real time.
         seconds: the window closes after this time; by default when you close it.
         progress: called with lines on the progress.
 
@@ -46,7 +49,7 @@ def view(
 
         linkplan.view("knee-reach", slow=10.0)
     """
-    from linkplan.controllers.controls import KEYS_TEXT, Controls
+    from linkplan.controllers.controls import Controls
     from linkplan.controllers.playback import has_screen, play
     from linkplan.controllers.trackers.names import TRACKERS
     from linkplan.studies.render.gl import find_gl
@@ -74,6 +77,7 @@ def view(
     return said | {"passed": answer.passed}
 
 
+@command("open a web page with sliders; the plan and the tracking result update as you move them")
 def explore(
     subject: Subject,
     path: str | Path | None = None,
@@ -86,8 +90,8 @@ def explore(
 
     Args:
         subject: a `Problem`, or its name or path; or a mechanism or its name, for which a first motion is searched.
-        path: of the problem file that the page's button writes; it must not exist yet. By default problem.toml.
-        port: of 127.0.0.1; 0 for a free one.
+        path: the problem file that the page's button writes, by default problem.toml; it must not exist yet.
+        port: port of 127.0.0.1; 0 for a free one.
         tell: called with unexpected errors of requests.
         progress: called with lines on the progress.
 
@@ -181,11 +185,12 @@ class SavedProblem:
         return str(self.place)
 
 
+@command("check, plan and track the Optimus knee, with margins; write all into one folder", record="demo")
 def demo(folder: str | Path = "linkplan-demo", *, progress: Progress | None = None) -> tuple[dict, list]:
     """Run all studies of the Optimus knee into one folder; return their records and the document.
 
     Args:
-        folder: an older demo in it is replaced.
+        folder: the folder for the results; an older demo in it is replaced.
         progress: called with lines on the progress.
 
     Raises:

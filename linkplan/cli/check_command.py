@@ -21,7 +21,9 @@ def run_check(arguments: argparse.Namespace) -> int:
         found.save(target, report=arguments.report)
 
     def blocks() -> "list[Block]":
-        summed_up = not (arguments.all or arguments.at_deg or arguments.at_m) or found.mechanism is None
+        summed_up = (
+            not (arguments.all or hasattr(arguments, "at_deg") or hasattr(arguments, "at_m")) or found.mechanism is None
+        )
         return [*found.summary(), *_what_is_next(found, arguments)] if summed_up else found.blocks()
 
     show(arguments, found.to_dict, blocks)
@@ -58,9 +60,12 @@ def _what_is_next(found: "CheckResult", arguments: argparse.Namespace) -> "list[
 def _options(arguments: argparse.Namespace) -> list[str]:
     """Return the options of this command that select a part of the model or set keys; the next command repeats them."""
     words = [
-        word for key in ("keep", "drive") if (names := getattr(arguments, key)) for word in (f"--{key}", ",".join(names))
+        word
+        for key in ("keep", "drive")
+        if (names := getattr(arguments, key, None))
+        for word in (f"--{key}", ",".join(names))
     ]
     words += ["--fix-base"] if arguments.fix_base else []
-    words += [word for joint, value in (arguments.lock or {}).items() for word in ("--lock", f"{joint}={value:g}")]
-    words += [] if arguments.keyframe is None else ["--keyframe", arguments.keyframe]
+    words += [word for joint, value in getattr(arguments, "lock", {}).items() for word in ("--lock", f"{joint}={value:g}")]
+    words += ["--keyframe", arguments.keyframe] if hasattr(arguments, "keyframe") else []
     return words + [word for setting in arguments.set for word in ("--set", setting)]

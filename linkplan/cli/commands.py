@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import linkplan
 from linkplan.api import names
+from linkplan.api.command import command
 from linkplan.cli.exit_codes import DONE, NO, ExitCode, saved_fault_report
 from linkplan.cli.printing import Progress, flush_streams, progress, refuse, show
 from linkplan.models.errors import PlanFileError, ProblemError
@@ -19,11 +20,10 @@ if TYPE_CHECKING:
     from linkplan.api.outputs import Exported, Rendered
     from linkplan.api.plans import Plan
     from linkplan.api.results import Result
+    from linkplan.studies.output.document import Block
 
 # Options that write additional files into a result's folder.
 _WITH_OUTPUT = {"report": "report.html", "parquet": "tables as Parquet", "jumps": "both sides of jumps"}
-# Options that select a part of a model: keys of [mechanism].
-_SELECTION = ("keep", "fix_base", "lock", "keyframe", "drive")
 
 
 @contextlib.contextmanager
@@ -78,7 +78,7 @@ def source_asked(arguments: argparse.Namespace, name: str, parameters: Container
     """Return a source with the options for reading it, except those that the function takes as its own `parameters`."""
     from linkplan.api.inputs import Source
 
-    selection = {key: getattr(arguments, key, None) for key in _SELECTION if key not in parameters}
+    selection = {key: getattr(arguments, key, None) for key in names.SELECTION if key not in parameters}
     return Source(
         name=name,
         settings=tuple(arguments.set),
@@ -112,7 +112,8 @@ def run_study(arguments: argparse.Namespace) -> int:
     target, say = output_folder(arguments), progress(arguments)
     result = called(arguments, say)
     if target is not None:
-        result.save(target, report=arguments.report, parquet=getattr(arguments, "parquet", False))
+        further = {option: getattr(arguments, option) for option in _WITH_OUTPUT if hasattr(arguments, option)}
+        result.save(target, **further)
     return answered(arguments, result)
 
 
@@ -125,9 +126,8 @@ def run_plan(arguments: argparse.Namespace) -> int:
     plan = called(arguments, say)
     if plan.passed and target is not None:
         plan.save(target, jumps=arguments.jumps, parquet=arguments.parquet, report=arguments.report)
-        say.keep(f"saved in {target}")
-    elif target is not None:
-        say.keep(f"nothing written: {plan.status}")
+    if target is not None:
+        say.keep(f"saved in {target}" if plan.passed else f"nothing written: {plan.status}")
     return answered(arguments, plan)
 
 
@@ -137,21 +137,17 @@ def run_prove(arguments: argparse.Namespace) -> int:
 
 
 def run_batch(arguments: argparse.Namespace) -> int:
-    """Plan the cases of a batch file, or continue an interrupted batch; 1 if one of them has no plan."""
+    """Run or continue a batch or an experiment, which writes its folder itself; 1 if the result is negative."""
     target, say = output_folder(arguments), progress(arguments)
     result = called(arguments, say, folder=target)
     if target is not None:
         say.keep(f"saved in {target}")
+        if getattr(arguments, "report", False):
+            result.report(target / "report.html")
     return answered(arguments, result)
 
 
-def run_experiment(arguments: argparse.Namespace) -> int:
-    """Run or continue an experiment; 1 if the plan has no motion."""
-    target = output_folder(arguments)
-    result = called(arguments, progress(arguments), folder=target)
-    if arguments.report and target is not None:
-        result.report(target / "report.html")
-    return answered(arguments, result)
+run_experiment = run_batch
 
 
 def run_view(arguments: argparse.Namespace) -> int:
@@ -221,8 +217,9 @@ def run_export(arguments: argparse.Namespace) -> int:
     return answered(arguments, called(arguments, say, path=path))
 
 
-def run_list(arguments: argparse.Namespace) -> int:
-    """Print the built-in names."""
+@command("list the built-in models, problems, payloads, schemes and trackers")
+def list_command() -> "tuple[dict, list[Block]]":
+    """Return the built-in names as JSON and as blocks."""
     from linkplan.studies.output.document import Facts, table_of
 
     problems = names.problem_descriptions()
@@ -232,19 +229,19 @@ def run_list(arguments: argparse.Namespace) -> int:
         table_of("", [what, "description"], list(rows.items()))
         for what, rows in (("model", names.MODELS), ("problem", problems))
     ]
-    show(arguments, said, [*tables, Facts(rows=[(what, ", ".join(some)) for what, some in words.items()])])
+    return said, [*tables, Facts(rows=[(what, ", ".join(some)) for what, some in words.items()])]
+
+
+def run_list(arguments: argparse.Namespace) -> int:
+    """Print the built-in names."""
+    show(arguments, *list_command())
     return DONE
 
 
 def run_schema(arguments: argparse.Namespace) -> int:
     """Print the JSON Schema of a kind of file, or write it into a file."""
-    from linkplan.api.paths import write_schema
-
-    said = called(arguments, None)
-    text = json.dumps(said, indent=2)
-    if arguments.output is not None:
-        with naming("-o"):
-            write_schema(arguments.output, text)
+    with naming("-o"):
+        said = called(arguments, None, path=arguments.output)
     if arguments.output is None or arguments.json:
-        show(arguments, said, text)
+        show(arguments, said, json.dumps(said, indent=2))
     return DONE

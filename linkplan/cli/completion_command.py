@@ -5,32 +5,14 @@ The script is static, so a completion does not start Python; with argcomplete ev
 
 import argparse
 
-from linkplan.api.names import DESIGNS, FILE_KINDS, FOLDER_FORMATS, FORMATS, LINEAR, MODELS, PROBLEMS, TRACKERS, problem_keys
-from linkplan.cli.command_line import SHELLS, build_parser
+from linkplan.api.command import command
+from linkplan.api.names import SHELLS, Shell, problem_keys
+from linkplan.cli.command_line import build_parser
 from linkplan.cli.exit_codes import DONE
+from linkplan.cli.option_kinds import KINDS, Kind
 from linkplan.cli.printing import show
 from linkplan.models.errors import ProblemError, choose
 
-# The words and file name patterns that an argument accepts, by the argument's name in the help.
-_TAKES: dict[str, tuple[tuple[str, ...], tuple[str, ...]]] = {
-    "MODEL": ((*MODELS, *PROBLEMS), ("*.xml", "*.mjcf", "*.toml")),
-    "MODEL-or-PROBLEM": ((*MODELS, *PROBLEMS), ("*.xml", "*.mjcf", "*.toml")),
-    "PROBLEM": (PROBLEMS, ("*.toml",)),
-    "PROBLEM-or-PLAN": (PROBLEMS, ("*.toml",)),
-    "PLAN": (PROBLEMS, ("*.toml",)),
-    "PLAN-or-MODEL": ((*PROBLEMS, *MODELS), ("*.toml", "*.xml", "*.mjcf")),
-    "BATCH": ((), ("*.toml",)),
-    "DIR": ((), ()),
-    "FILE": ((), ("*",)),
-    "NAME": (TRACKERS, ()),
-    "NAMES": ((*TRACKERS, "all"), ()),
-    "LAW": (LINEAR, ()),
-    "DESIGN": (DESIGNS, ()),
-    "KIND": (FILE_KINDS, ()),
-    "FORMAT": ((*FORMATS, *FOLDER_FORMATS), ()),
-    "SHELL": (SHELLS, ()),
-}
-_WORDS_ONLY = ("NAME", "NAMES", "LAW", "DESIGN", "KIND", "FORMAT", "SHELL")
 # A value follows the "=" of a setting without a space.
 _SETTINGS = tuple(f"{key}=" for key in problem_keys())
 _BASH_WITHOUT_BLANK = """
@@ -44,37 +26,40 @@ complete -o bashdefault -F _linkplan_without_blank linkplan
 
 def run_completion(arguments: argparse.Namespace) -> int:
     """Print a shell's completion script."""
-    shell = choose("shell", arguments.shell, SHELLS, ProblemError)
-    text = completion_script(shell)
-    show(arguments, {"shell": shell, "script": text}, text.rstrip("\n"))
+    text = completion_command(arguments.shell)
+    show(arguments, {"shell": arguments.shell, "script": text}, text.rstrip("\n"))
     return DONE
 
 
-def completion_script(shell: str) -> str:
-    """Return a shell's completion script."""
+@command("print a shell's completion script")
+def completion_command(shell: Shell) -> str:
+    """Return a shell's completion script.
+
+    Args:
+        shell: bash, zsh or fish; e.g. linkplan completion bash > ~/.local/share/bash-completion/completions/linkplan
+
+    Raises:
+        ProblemError: for another shell.
+    """
     import shtab
 
+    choose("shell", shell, SHELLS, ProblemError)
+    by_metavar = {kind.metavar: kind for kind in KINDS.values() if kind.words or kind.patterns or kind.folders}
     parser = build_parser()
-    for command in (parser, *parser.commands().values()):
-        for action in command._actions:
-            takes = _completed(str(action.metavar))
-            if takes is not None:
-                action.complete = takes
+    for one in (parser, *parser.commands().values()):
+        for action in one._actions:
+            metavar = str(action.metavar)
+            if metavar == "KEY=VALUE":
+                action.complete = _function("settings", Kind(metavar=metavar, words=_SETTINGS))
+            elif metavar in by_metavar:
+                action.complete = _function(metavar.lower().replace("-", "_"), by_metavar[metavar])
     text = shtab.complete(parser, shell)
     return text + _BASH_WITHOUT_BLANK if shell == "bash" else text
 
 
-def _completed(metavar: str) -> dict | None:
-    """Return the completion of an argument in each shell, in the form of shtab; None for an unknown argument."""
-    if metavar == "KEY=VALUE":
-        return _function("settings", _SETTINGS, (), folders=False)
-    if metavar not in _TAKES:
-        return None
-    return _function(metavar.lower().replace("-", "_"), *_TAKES[metavar], folders=metavar not in _WORDS_ONLY)
-
-
-def _function(name: str, words: tuple[str, ...], patterns: tuple[str, ...], *, folders: bool) -> dict:
+def _function(name: str, kind: Kind) -> dict:
     """Return a completion by words, files that match patterns, and folders, as a function in the preamble of each shell."""
+    words, patterns, folders = kind.words, kind.patterns, kind.folders
     function, said = f"_linkplan_{name}", " ".join(words)
     bash = [f"{function}() {{", f'  compgen -W "{said}" -- "$1"' if words else ""]
     bash += [f"  compgen -f -X '!{pattern}' -- \"$1\"" for pattern in patterns if pattern != "*"]

@@ -16,7 +16,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import cast
 
-from linkplan.cli.command_line import POSITIONAL, build_parser
+from linkplan.cli.command_line import build_parser
 from linkplan.cli.exit_codes import BAD_INPUT, DONE, NO, SIGNAL_BASE, is_of_memory, saved_fault_report
 from linkplan.cli.printing import delivered, flush_streams, keep_closed_streams_closed, put, quiet, refuse, show
 from linkplan.models.deadline import check, ended_by, listening
@@ -165,7 +165,7 @@ def _result_at(target: str | None) -> str | None:
 def by_option(arguments: argparse.Namespace, text: str) -> str:
     """Return an error message with the option's name in place of the parameter's name at its beginning."""
     name = re.match(r"(\w+)(?= (?!')|[:,]|$)", text)
-    if name is None or name[1] in POSITIONAL or not hasattr(arguments, name[1]):
+    if name is None or name[1] == arguments.positional or not hasattr(arguments, name[1]):
         return text
     return f"--{name[1].replace('_', '-')}{text[name.end() :]}"
 

@@ -8,7 +8,7 @@ from linkplan.api.names import TRACKERS
 
 
 class Tabled(argparse.Action):
-    """A repeatable option NAME=VALUE. Its value is a table with one entry per name, or None if the option is not given."""
+    """A repeatable option NAME=VALUE. Its value is a table with one entry per name."""
 
     def __call__(
         self, parser: argparse.ArgumentParser, namespace: argparse.Namespace, values: Any, option_string: str | None = None
@@ -16,7 +16,7 @@ class Tabled(argparse.Action):
         """Add a value under its name."""
         del parser, option_string
         name, value = values
-        table = getattr(namespace, self.dest) or {}
+        table = getattr(namespace, self.dest, {})
         if name in table:
             raise argparse.ArgumentError(self, f"names joint {name} twice; give one value per joint")
         setattr(namespace, self.dest, {**table, name: value})

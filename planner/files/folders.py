@@ -23,7 +23,6 @@ from linkplan.models.errors import PlanFileError, refusals
 from linkplan.models.work_folders import locked, sweep, sync, sync_folder, work_folder
 from linkplan.planner.files.manifest import (
     MANIFEST,
-    RECORDS,
     Manifest,
     files_in,
     is_unchanged,
@@ -102,8 +101,11 @@ def _refuse_folder(target: Path, place: Path, record: str) -> None:
     manifest = read_manifest(place)
     if manifest is None:
         if any(place.iterdir()):
-            other = [name for name in RECORDS if (place / name).is_file()]
-            held = f"{other[0]} without the {MANIFEST} of a result" if other else "files that are not linkplan's"
+            held = (
+                f"{record} without the {MANIFEST} of a result"
+                if (place / record).is_file()
+                else "files that are not linkplan's"
+            )
             raise PlanFileError(f"'{target}' holds {held}; name a new or an empty folder")
         return
     if manifest.record != record:

@@ -11,8 +11,10 @@ import pytest
 
 import linkplan
 from linkplan.api.inputs import Source
-from linkplan.cli.command_line import SHELLS, build_parser
-from linkplan.cli.completion_command import completion_script
+from linkplan.api.names import SELECTION, SHELLS
+from linkplan.cli import signatures
+from linkplan.cli.command_line import build_parser
+from linkplan.cli.completion_command import completion_command
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.planner.problem.keys.key_table import FILES
 from linkplan.studies.variations.experiment.design import DESIGNS
@@ -47,7 +49,7 @@ printf '%s\\n' "${COMPREPLY[@]}"
 
 @pytest.mark.parametrize("shell", SHELLS)
 def test_every_command_and_long_option_is_in_every_script(shell):
-    script = completion_script(shell)
+    script = completion_command(shell)
     (commands,) = (action.choices for action in build_parser()._actions if isinstance(action, argparse._SubParsersAction))
     assert len(commands) > 10
     for name, command in commands.items():
@@ -58,7 +60,7 @@ def test_every_command_and_long_option_is_in_every_script(shell):
 
 @pytest.mark.parametrize(("name", "legal"), [("DESIGN", DESIGNS), ("LAW", LINEAR), ("KIND", tuple(FILES))])
 def test_words_that_are_completed_are_those_that_are_legal(name, legal):
-    script = completion_script("bash")
+    script = completion_command("bash")
     assert f'_linkplan_{name.lower()}() {{\n  compgen -W "{" ".join(legal)}" -- "$1"\n}}' in script
 
 
@@ -66,7 +68,7 @@ def test_words_that_are_completed_are_those_that_are_legal(name, legal):
 @pytest.mark.parametrize(("line", "meant"), TYPED, ids=[line for line, _ in TYPED])
 def test_bash_completes(line, meant, tmp_path):
     (tmp_path / "drawing.xml").write_text("", encoding="utf-8")
-    (tmp_path / "script").write_text(completion_script("bash"), encoding="utf-8")
+    (tmp_path / "script").write_text(completion_command("bash"), encoding="utf-8")
     words = line.split()
     done = subprocess.run(
         ["bash", "-c", BASH, "-", "./script", *words], cwd=tmp_path, capture_output=True, text=True, check=True
@@ -77,7 +79,7 @@ def test_bash_completes(line, meant, tmp_path):
 @pytest.mark.skipif(shutil.which("fish") is None, reason="there is no fish here")
 def test_fish_completes(tmp_path):
     (tmp_path / "drawing.xml").write_text("", encoding="utf-8")
-    (tmp_path / "script").write_text(completion_script("fish"), encoding="utf-8")
+    (tmp_path / "script").write_text(completion_command("fish"), encoding="utf-8")
     asked = "; ".join(f'echo "== {line}"; complete -C "{line}"' for line, _ in TYPED)
     done = subprocess.run(
         ["fish", "--no-config", "-c", f"source script; {asked}"], cwd=tmp_path, capture_output=True, text=True, check=True
@@ -89,7 +91,7 @@ def test_fish_completes(tmp_path):
 
 @pytest.mark.skipif(shutil.which("zsh") is None, reason="there is no zsh here")
 def test_zsh_reads_the_script(tmp_path):
-    (tmp_path / "script").write_text(completion_script("zsh"), encoding="utf-8")
+    (tmp_path / "script").write_text(completion_command("zsh"), encoding="utf-8")
     subprocess.run(["zsh", "-n", "script"], cwd=tmp_path, check=True)
 
 
@@ -101,56 +103,28 @@ def test_writing_a_script_loads_neither_solver_nor_simulator():
     assert not loaded & {"casadi", "mujoco", "scipy", "matplotlib", "control", "numpy", "pyarrow"}
 
 
-# Options on showing and writing only: where the result goes and what of it is printed.
-SHOWING = {"json", "output", "report", "parquet", "jumps", "all", "help"}
-# Options that say how the first argument is read: `load_mechanism`, `Problem.from_file` and `read_plan` take them in Python.
-READING = {"set", "keep", "fix_base", "lock", "keyframe", "drive", "anyway"}
-# Parameters that stand for such options: the place of the result, --set tracking.KEY and --set imperfections.KEY, and what a
-# process has of its own: its progress, its environment, its errors.
-OF_PYTHON = {"folder", "path", "tracking", "imperfections", "progress", "mujoco_gl", "tell"}
-# Commands on the command line itself.
-OWN = {"list", "completion"}
+def test_every_command_is_a_public_function_with_a_sentence_on_every_option():
+    found = signatures.commands()
+    assert len(found) > 18
+    assert set(found) - {"list", "completion"} <= set(linkplan.__all__)
+    for command in found.values():
+        for parameter in command.parameters:
+            assert parameter.text, f"{command.name} {parameter.name}"
 
 
-def commands() -> dict[str, argparse.ArgumentParser]:
-    (actions,) = [a for a in build_parser()._actions if isinstance(a, argparse._SubParsersAction)]
-    return dict(actions.choices)
-
-
-def options_of(parser: argparse.ArgumentParser) -> dict[str, argparse.Action]:
-    return {action.dest: action for action in parser._actions if action.dest not in SHOWING}
-
-
-def test_there_are_commands_to_look_at():
-    assert len(commands()) > 18
-    assert set(commands()) - OWN <= set(linkplan.__all__)
-
-
-def _frozen(value: object) -> object:
-    return tuple(value) if isinstance(value, list) else value
-
-
-@pytest.mark.parametrize("name", sorted(set(commands()) - OWN))
-def test_options_have_the_names_and_defaults_of_the_functions_parameters(name):
-    parameters = dict(inspect.signature(getattr(linkplan, name)).parameters)
-    options = options_of(commands()[name])
-    if not READING - {"set", "anyway"} <= set(parameters):
-        options = {dest: action for dest, action in options.items() if dest not in READING}
-    else:
-        options = {dest: action for dest, action in options.items() if dest not in ("set", "anyway")}
-    assert set(options) == set(parameters) - OF_PYTHON - SHOWING, name
-    for dest, action in options.items():
-        default = parameters[dest].default
-        is_needed = action.required and action.nargs is None
-        assert (default is inspect.Parameter.empty) == is_needed, dest
-        if not is_needed:
-            assert _frozen(action.default) == _frozen(default), dest
+def test_what_is_read_from_the_source_is_what_python_has():
+    for name, command in signatures.commands().items():
+        if name not in ("list", "completion"):
+            has = inspect.signature(getattr(linkplan, name)).parameters
+            for parameter in command.parameters:
+                default = has[parameter.name].default
+                assert (default is inspect.Parameter.empty) == (not parameter.is_optional)
+                assert not parameter.is_optional or default == parameter.default, f"{name} {parameter.name}"
 
 
 def test_a_source_has_the_options_that_say_how_an_argument_is_read():
     assert set(inspect.signature(Source).parameters) == {"name", "settings", "selection", "anyway"}
-    loading = set(inspect.signature(linkplan.load_mechanism).parameters)
-    assert READING - {"set", "anyway"} <= loading
+    assert set(SELECTION) <= set(inspect.signature(linkplan.load_mechanism).parameters)
 
 
 def test_the_command_line_imports_the_public_package_and_renderers_alone():

@@ -1,6 +1,5 @@
 """The studies' functions: `check`, `track`, `compare`, `bode`, `tune`, `experiment`, and trackers of one's own."""
 
-import inspect
 import json
 from dataclasses import dataclass
 
@@ -9,7 +8,6 @@ import pytest
 from matplotlib.figure import Figure
 
 import linkplan
-from linkplan.cli.command_line import build_parser
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.controllers.trackers.pd import pd
 from linkplan.models.errors import LinkplanError, ProblemError
@@ -242,11 +240,6 @@ def shank_plan():
         knee, start_deg={"O": -49.07}, goal_deg={"O": 56.27}, duration_s=0.16, tracking=tracking
     )
     return linkplan.plan(problem).require()
-
-
-def test_trackers_are_by_default_those_of_the_command():
-    asked = build_parser().parse_args(["experiment", "knee-reach"])
-    assert inspect.signature(linkplan.experiment).parameters["trackers"].default == asked.trackers
 
 
 def test_an_experiment_is_a_table_columns_and_runs_again(shank_plan):

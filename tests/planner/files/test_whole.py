@@ -11,7 +11,7 @@ from linkplan.models import work_folders
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files import folders
 from linkplan.planner.files.folders import check_target, write_json, write_whole
-from linkplan.planner.files.manifest import MANIFEST, RECORDS
+from linkplan.planner.files.manifest import MANIFEST
 from linkplan.planner.files.single_file import MADE_BY, check_file_target, write_file_whole
 from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.studies.output.report_file import PAGE_MARK
@@ -64,13 +64,11 @@ def test_an_empty_folder_may_be_filled(tmp_path):
     assert (tmp_path / "plan" / "plan.json").is_file()
 
 
-@pytest.mark.parametrize("name", RECORDS)
-def test_a_result_is_replaced_by_its_own_kind_only(name, tmp_path):
-    write_whole(tmp_path / "run", lambda new: write_json(new / name, {}), name)
-    check_target(tmp_path / "run", name)
-    other = next(record for record in RECORDS if record != name)
-    with pytest.raises(PlanFileError, match=rf"another result \({name}\)"):
-        check_target(tmp_path / "run", other)
+def test_a_result_is_replaced_by_its_own_kind_only(tmp_path):
+    write_whole(tmp_path / "run", lambda new: write_json(new / "tune.json", {}), "tune.json")
+    check_target(tmp_path / "run", "tune.json")
+    with pytest.raises(PlanFileError, match=r"another result \(tune.json\)"):
+        check_target(tmp_path / "run", "bode.json")
 
 
 def test_a_file_in_the_way_is_not_overwritten(tmp_path):
