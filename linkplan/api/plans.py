@@ -24,6 +24,7 @@ from linkplan.planner.plan import plan as planned
 from linkplan.planner.problem.extra import ExtraCost, ExtraLimit
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion, price_of, saved_price, with_price
+from linkplan.planner.search.refutations import proved_after_refinement
 from linkplan.planner.search.replan import NextMotion, Replanner
 
 if TYPE_CHECKING:
@@ -61,21 +62,31 @@ def plan(problem: ProblemLike, progress: Progress | None = None, *, prove: bool 
     say, begun = listener(progress), time.process_time()
     found = plan_motion(given_problem(problem), say)
     found = with_price(found, price_of(found, say))
-    return Plan.of(_proved(found, prove, time.process_time() - begun, say))
+    return Plan.of(_proved(found, prove, begun, say))
 
 
-def _proved(plan: planned.Plan, asked: bool, seconds: float, say: Listener) -> planned.Plan:
-    """Return a plan with its proof, if the proof is asked for or takes little of the plan's processor time [s]."""
+def _proved(plan: planned.Plan, asked: bool, begun: float, say: Listener) -> planned.Plan:
+    """Return a plan with its proof, if the proof is asked for or takes little of the processor time since `begun` [s].
+
+    A motion that the proof refutes is refined within the rest of the planning time.
+    """
     if plan.trajectory is None or not (plan.passed or asked):
         return plan
-    if asked:
-        say(PROVING)
-        return plan.with_proof()
-    until = NO_DEADLINE.within(max(_PROOF_SHARE * seconds, _PROOF_SECONDS))
-    with contextlib.suppress(OutOfTimeError):
-        return plan.with_proof(until, existence=False)
-    say.keep("proof skipped: it would take longer than a third of the planning; run `linkplan prove` on the saved plan")
-    return plan
+
+    def proved(plan: planned.Plan) -> planned.Plan:
+        if asked:
+            say(PROVING)
+            return plan.with_proof()
+        until = NO_DEADLINE.within(max(_PROOF_SHARE * (time.process_time() - begun), _PROOF_SECONDS))
+        with contextlib.suppress(OutOfTimeError):
+            return plan.with_proof(until, existence=False)
+        say.keep("proof skipped: it would take longer than a third of the planning; run `linkplan prove` on the saved plan")
+        return plan
+
+    if not plan.passed:
+        return proved(plan)
+    left_s = plan.problem.solver.max_time_s - (time.process_time() - begun)
+    return proved_after_refinement(plan, proved, NO_DEADLINE.within(left_s), say)
 
 
 @command(

@@ -5,6 +5,8 @@ and checks the loops' gap, every joint's range and speed, and the distance to a 
 model under the planned effort and compares the state with the planned state.
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from msgspec import UNSET, Struct, UnsetType
 
@@ -135,15 +137,20 @@ def integration_rtol(problem: Problem) -> float:
     return INTEGRATION_RTOL if tolerance_deg is None else max(INTEGRATION_RTOL, 1e-6 * float(np.radians(tolerance_deg)))
 
 
-def certify(problem: Problem, trajectory: Trajectory) -> Certificate:
+def certify(problem: Problem, trajectory: Trajectory, also: Sequence[float] = ()) -> Certificate:
     """Return the certificate of a motion against its problem's limits.
+
+    Args:
+        problem: the problem with its limits.
+        trajectory: the motion.
+        also: shares of the duration of further samples, see `samples_of`.
 
     Raises:
         AssemblyError: when the loops cannot close along the motion.
         OutOfTimeError: when the certificate's deadline passes before its poses are known.
     """
     mechanism, limits, until = problem.mechanism, problem.limits, problem.solver.certificate_deadline
-    samples = samples_of(problem, trajectory)
+    samples = samples_of(problem, trajectory, also)
     time, q, v, u = samples.time, samples.q, samples.v, samples.u
     worst: dict[str, float] = {}
 

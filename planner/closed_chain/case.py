@@ -63,6 +63,7 @@ class MechanismCase:
     smoothing: float = SMOOTHING_WEIGHT  # see `formulate`
     enclosed: bool = False  # whether limits on power and pin force are imposed at every instant
     ties: float = 0.0  # see `formulate`
+    sampled_at: tuple[float, ...] = ()  # shares of the duration of further samples: a proof refuted a motion there
     target: RefinementTarget = field(init=False)
 
     def __post_init__(self) -> None:
@@ -87,7 +88,7 @@ class MechanismCase:
     def certify(self, motion: Trajectory) -> Certificate | None:
         """Return a trajectory's certificate; None if it leaves its assembly branch or the deadline passes."""
         try:
-            return certify(self.asked, motion)
+            return certify(self.asked, motion, self.sampled_at)
         except (AssemblyError, OutOfTimeError):
             return None
 

@@ -1,5 +1,6 @@
 """Poses and dense samples of a motion, at which limits are measured."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
@@ -16,6 +17,8 @@ from linkplan.planner.trajectory import Trajectory
 # Largest generalised effort that planned efforts may lack between nodes, as a share of the largest that they give: with a
 # larger error they do not belong to the motion.
 DYNAMICS_SHARE = 0.02
+# Samples that are nearer, in shares of an interval, count as one: divided differences would be rounding errors.
+_LEAST_DISTANCE = 1e-6
 # Actuators are at a dead centre where their least transmission is below this share of its largest value along a motion. The
 # effort by inverse dynamics divides by it: there no effort makes up for what the joints lack, which is judged itself.
 DEAD_CENTRE_SHARE = 1e-2
@@ -190,14 +193,19 @@ class Samples(Poses):
         return corner_efforts_along(problem.mechanism, problem.robust.corners, *motion)
 
 
-def samples_of(problem: Problem, trajectory: Trajectory) -> Samples:
+def samples_of(problem: Problem, trajectory: Trajectory, also: Sequence[float] = ()) -> Samples:
     """Return a motion's samples.
+
+    Args:
+        problem: of the motion.
+        trajectory: the motion.
+        also: shares of the duration, at which samples are also taken: at their place in an interval, in every interval.
 
     Raises:
         AssemblyError: when the loops cannot close along the motion.
         OutOfTimeError: when the certificate's deadline passes before its poses are known.
     """
-    points = sample_points(trajectory.velocity.shape[0] - 1)
+    points = _with_places(sample_points(trajectory.velocity.shape[0] - 1), trajectory.breaks_s, also)
     time = trajectory.times_at(points)
     until = problem.solver.judging_deadline
     q = follow(problem.mechanism, trajectory.position_at(time), trajectory.start_pose, until)
@@ -227,6 +235,16 @@ def sample_points(n_nodes: int) -> np.ndarray:
     n = max(12, 3 * n_nodes)  # three for each node, and as many as parabolas through them need
     points = 0.5 - 0.5 * np.cos(np.pi * np.arange(n + 1) / n)
     points[-1] = 1.0 - 1e-12  # the end that still belongs to this interval
+    return points
+
+
+def _with_places(points: np.ndarray, breaks_s: np.ndarray, also: Sequence[float]) -> np.ndarray:
+    """Return the shares (n,) of an interval of a mesh with breaks [s], with the places of shares of the duration."""
+    time = breaks_s[0] + np.asarray(also) * (breaks_s[-1] - breaks_s[0])
+    interval = np.clip(np.searchsorted(breaks_s, time, side="right") - 1, 0, len(breaks_s) - 2)
+    for place in (time - breaks_s[interval]) / np.diff(breaks_s)[interval]:
+        if np.abs(points - place).min() > _LEAST_DISTANCE:
+            points = np.sort(np.append(points, place))
     return points
 
 

@@ -142,6 +142,28 @@ def certified(
         better, change = _unsmoothed(case, found, warm)
     else:
         better, change = _refined(case, found, warm=warm), None
+    return _plan_of(problem, better, change)
+
+
+def certified_at(problem: Problem, plan: Plan, shares: tuple[float, ...]) -> Plan | None:
+    """Return a plan refined at shares of its duration, where a proof refutes it; None if a finer mesh has no motion.
+
+    Its certificate has samples there, too. A plan without a program has no finer mesh.
+    """
+    if plan.solved is None:
+        return None
+    solved, motion = plan.solved, plan.require_motion("refine")
+    of = {"smoothing": solved.origin.smoothing, "ties": solved.origin.ties, "sampled_at": shares}
+    case = replace(with_scheme(case_of(problem), solved.scheme.name), **of)
+    marked = np.histogram(motion.breaks_s[0] + np.array(shares) * motion.duration_s, motion.breaks_s)[0] > 0
+    mesh, durations = solved.program.mesh, np.bincount(solved.program.mesh.segment, np.diff(motion.breaks_s))
+    what = "finer mesh where the proof refutes a limit"
+    found = attempt(case, case.start_from(motion), halved(mesh, marked), durations, what, warm=True)
+    return None if found is None else _plan_of(problem, refine(case, found, warm=True), None)
+
+
+def _plan_of(problem: Problem, better: Refined | None, change: float | None) -> Plan:
+    """Return the plan of a refined motion; `change` is its objective's relative change on a finer mesh, if known."""
     if better is None:
         message = "failed: the motion that the solver returned leaves the branch on which the mechanism was assembled"
         if problem.solver.judging_deadline.passed:

@@ -2,10 +2,12 @@
 
 from dataclasses import replace
 
+import casadi as ca
 import numpy as np
 import pytest
 from msgspec import structs
 
+import linkplan
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE
@@ -132,3 +134,21 @@ def test_plans_of_random_problems_get_one_answer_of_both(number):
     plan = plan_motion(Problem.from_tables(str(number), tables))
     assert plan.trajectory is not None
     assert plan.with_proof(existence=False).status == plan.status
+
+
+def test_an_instant_at_which_the_proof_refutes_a_limit_is_a_place_to_refine():
+    """Within 0.01 rad the speed is limited; the samples of four intervals miss it, and the motion passes there too fast."""
+
+    def speed_at_the_spot(at):
+        return at.velocity_rad_s["J"] * ca.exp(-(((at.position_rad["J"] - 0.7123) / 0.01) ** 2))
+
+    spot = linkplan.ExtraLimit(name="speed at a spot", expression=speed_at_the_spot, upper=2.0, unit="rad/s")
+    asked = {"start_deg": {"J": 0.0}, "goal_deg": {"J": 90.0}, "duration_s": 1.0, "mesh": {"intervals": 4}}
+    problem = linkplan.Problem.reach(HINGE, **asked, minimize="effort", extra_limits=[spot])
+    at_once = plan_motion(problem)
+    assert at_once.passed
+    assert at_once.with_proof(existence=False).status == "failed"
+    plan = linkplan.plan(problem, prove=True)
+    assert plan.status == "optimal", plan.message
+    assert plan.proof.complete
+    assert plan.objective > at_once.objective
