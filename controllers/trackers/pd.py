@@ -7,6 +7,7 @@ import numpy as np
 
 from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.tracker import Design, StateFeedback, with_feedforward
+from linkplan.models.actuation.distribution import unit_efforts
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 
@@ -48,4 +49,4 @@ def pd_gain(effort_map: np.ndarray, kp: float | np.ndarray, kd: float | np.ndarr
 
 def _effort_maps(mechanism: Mechanism, reference: SampledReference) -> np.ndarray:
     """Return the maps (n, n_u, n_s) from joint to actuator efforts along a reference."""
-    return np.linalg.pinv(sampled(mechanism.dynamics.effort_map, reference.pose_rad))
+    return unit_efforts(sampled(mechanism.dynamics.effort_map, reference.pose_rad))

@@ -62,6 +62,16 @@ def distribute(
     return effort
 
 
+def unit_efforts(maps: np.ndarray) -> np.ndarray:
+    """Return the efforts (..., n_u, n_s) of least norm that produce a unit on each coordinate, by maps (..., n_s, n_u).
+
+    They are the pseudo-inverses; equal maps, as of motors on coordinates, have one.
+    """
+    same = maps.ndim == 3 and len(maps) > 1 and bool(np.all(maps == maps[0]))
+    found = np.linalg.pinv(maps[:1] if same else maps, rcond=ZERO_ARM_SHARE)
+    return np.broadcast_to(found, (*maps.shape[:-2], *found.shape[-2:]))
+
+
 def missed_rounding(limit: np.ndarray) -> float:
     """Return the effort that may be missed by rounding [N.m or N], of actuators with limits (..., n_u, 2)."""
     return HOLDING_TOLERANCE * np.where(np.isfinite(limit), np.abs(limit), 0.0).max(initial=1.0)
@@ -75,14 +85,7 @@ def actuator_sizes(limit: np.ndarray) -> np.ndarray:
 
 def _least_norm(tau: np.ndarray, maps: np.ndarray) -> np.ndarray:
     """Return the efforts (n, n_u) of least norm that give generalised efforts tau (n, n_s), in least squares."""
-    return np.einsum("kus,ks->ku", _pseudo_inverses(maps), tau)
-
-
-def _pseudo_inverses(matrices: np.ndarray) -> np.ndarray:
-    """Return the pseudo-inverses (n, j, i) of matrices (n, i, j); equal ones, as of motors on coordinates, have one."""
-    same = len(matrices) > 1 and bool(np.all(matrices == matrices[0]))
-    found = np.linalg.pinv(matrices[:1] if same else matrices, rcond=ZERO_ARM_SHARE)
-    return np.broadcast_to(found, (len(matrices), *found.shape[1:]))
+    return np.einsum("kus,ks->ku", unit_efforts(maps), tau)
 
 
 def _null_spaces(maps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -109,8 +112,8 @@ def _moved(null: np.ndarray, free: np.ndarray, ends: tuple[np.ndarray, ...], abo
         if active is not None:
             at = np.flatnonzero(active)
             bound = np.where(active[at] > 0, high[left][:, at], low[left][:, at])
-            z = np.einsum("kzj,kj->kz", _pseudo_inverses(N[:, at]), bound)
-            pull = -active[at] * np.einsum("kjz,kz->kj", _pseudo_inverses(N[:, at].transpose(0, 2, 1)), z)
+            z = np.einsum("kzj,kj->kz", unit_efforts(N[:, at]), bound)
+            pull = -active[at] * np.einsum("kjz,kz->kj", unit_efforts(N[:, at].transpose(0, 2, 1)), z)
             u = np.einsum("kuz,kz->ku", N, z)
             inside = (u >= low[left] - _BOUND_TOLERANCE) & (u <= high[left] + _BOUND_TOLERANCE)
             right = inside.all(axis=1) & np.all(pull >= -_BOUND_TOLERANCE, axis=1) & (free[left] == free[k])

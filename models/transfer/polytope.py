@@ -4,6 +4,8 @@ import itertools
 
 import numpy as np
 
+from linkplan.models.actuation.distribution import unit_efforts
+
 # Motors up to whose number the corners of the effort polytope are listed: 2^4 = 16 of them.
 MOST_CORNER_MOTORS = 4
 
@@ -57,5 +59,5 @@ def _inverse(ratio: np.ndarray) -> np.ndarray:
     known = np.isfinite(ratio).all(axis=(1, 2))
     values = np.linalg.svd(ratio[known], compute_uv=False)
     regular = np.flatnonzero(known)[values[:, -1] > 1e-12 * values[:, 0]]
-    found[regular] = np.linalg.pinv(ratio[regular])
+    found[regular] = unit_efforts(ratio[regular])
     return found

@@ -6,7 +6,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from linkplan.models.actuation.distribution import missed_rounding
+from linkplan.models.actuation.distribution import distribute, missed_rounding
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import demanded, joint_rates, sampled
 from linkplan.models.poses.assembly import follow
@@ -169,10 +169,9 @@ class Samples(Poses):
 
         They are the planned efforts, and except at a dead centre the least efforts that give what these lack.
         """
-        lacking, apart = self.lacking, ~self.at_dead_centre
-        inverse = np.linalg.pinv(_distinct(self.demanded[1][apart]), rcond=1e-12)
-        found = np.stack([self.u] * len(lacking))
-        found[:, apart] += (inverse @ lacking[:, apart, :, None])[..., 0]
+        (taus, maps), apart, unlimited = self.demanded, ~self.at_dead_centre, np.array([-np.inf, np.inf])
+        found = np.stack([self.u] * len(taus))
+        found[:, apart] = [distribute(tau[apart], maps[apart], unlimited, self.u[apart]) for tau in taus]
         return found
 
     @cached_property

@@ -6,10 +6,11 @@ import mujoco
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
+from linkplan.models.actuation.distribution import distribute
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.foreign.floating import floating_joints
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import RANGE_ROUNDING
+from linkplan.models.poses.along import RANGE_ROUNDING, needed_effort
 from linkplan.models.poses.assembly import in_loops
 from linkplan.models.poses.equilibrium import rests_on_stops, sprung_freedoms, stop_sentence
 from linkplan.models.reduction.reduced import acceleration_at, linearised
@@ -146,7 +147,7 @@ def pressed_joints(mechanism: Mechanism) -> list[tuple[Joint, float]]:
     mobility = np.linalg.solve(np.array(dynamics.reduced_inertia(home)), arms)
     falling = acceleration_at(dynamics, home, still, np.zeros(mechanism.n_u))
     driven = np.abs(arms).max(axis=1, initial=0.0) > ROUNDING_SHARE * np.abs(arms).max(initial=0.0)
-    hold = np.clip(np.linalg.pinv(mobility[driven]) @ -falling[driven], limit[:, 0], limit[:, 1])
+    hold = np.clip(distribute(-falling[None, driven], mobility[None, driven], limit)[0], limit[:, 0], limit[:, 1])
     gained = falling + mobility @ hold
     rates = np.array(dynamics.velocity_map(home)) @ gained
     least = ROUNDING_SHARE * np.abs(falling).max(initial=0.0)
@@ -216,8 +217,7 @@ def steerable_columns(mechanism: Mechanism) -> np.ndarray:
     """
     n_s, still = mechanism.dof, np.zeros(mechanism.dof)
     dynamics, pose = mechanism.dynamics, mechanism.home
-    holding = np.array(dynamics.inverse_dynamics(pose, still, still)).ravel()
-    effort = np.linalg.pinv(np.array(dynamics.effort_map(pose))) @ holding
+    (effort,), _ = needed_effort(mechanism, pose[None], still[None], still[None])
     by_s, by_v, by_u = linearised(dynamics, pose, still, effort)
     A = np.block([[np.zeros((n_s, n_s)), np.eye(n_s)], [by_s, by_v]])
     rate = max(float(np.abs(np.linalg.eigvals(A)).max()), 1.0)

@@ -22,6 +22,7 @@ from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.sampling import Sampling, augmented, closed, held_over, sampling, simulated, spectral_radius
 from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.controllers.trackers.tracker import Design, Errors
+from linkplan.models.actuation.distribution import unit_efforts
 from linkplan.models.deadline import check
 from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import Mechanism
@@ -356,7 +357,7 @@ def channel_effort(point: OperatingPoint, channel: int) -> tuple[np.ndarray, np.
         return np.ones(1), np.ones(1)
     effort_map = np.array(point.mechanism.dynamics.effort_map(point.pose))[channels]
     i = channels.index(channel)
-    return effort_map[i], np.linalg.pinv(effort_map)[:, i]
+    return effort_map[i], unit_efforts(effort_map)[:, i]
 
 
 def channel_unit(point: OperatingPoint, channel: int) -> str:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from linkplan.models.actuation.distribution import unit_efforts
 from linkplan.models.errors import LinkplanError, nearest
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled, site_motion
@@ -77,7 +78,7 @@ def plant_input(mechanism: Mechanism, name: str, what: str) -> PlantInput:
 
     def shared(point: OperatingPoint) -> np.ndarray:
         effort_map = np.array(mechanism.dynamics.effort_map(point.pose))[channels]
-        return np.linalg.pinv(effort_map)[:, i]
+        return unit_efforts(effort_map)[:, i]
 
     return PlantInput(name=name, unit=mechanism.independent_joints[channels[i]].si_units[1], push=shared)
 

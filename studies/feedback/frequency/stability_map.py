@@ -11,6 +11,7 @@ from msgspec import Struct
 
 from linkplan.controllers.sampling import Sampling, closed, sampling, spectral_radius
 from linkplan.controllers.trackers.pd import pd_gain
+from linkplan.models.actuation.distribution import unit_efforts
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.search.planning import silent
 from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, OperatingPoint, feedback_loop
@@ -53,7 +54,7 @@ class StabilityMap(Struct, frozen=True, kw_only=True, eq=False):
 
 def effort_map(point: OperatingPoint) -> np.ndarray:
     """Return the map (n_u, n_s) from PD's joint efforts to actuator efforts."""
-    return np.linalg.pinv(np.array(point.mechanism.dynamics.effort_map(point.pose)))
+    return unit_efforts(np.array(point.mechanism.dynamics.effort_map(point.pose)))
 
 
 def pd_loop(point: OperatingPoint, kp: float, kd: float, timing: Sampling) -> FeedbackLoop:

@@ -71,3 +71,11 @@ def test_the_joint_that_is_pressed_farther_is_held_first_and_may_free_the_other(
         </tendon></mujoco>"""
     )
     assert rests_on_stops(tied, {}, (0, 1)) == pytest.approx({0: -0.1})
+
+
+def test_a_load_that_one_of_two_ropes_holds_is_not_pressed_onto_its_stop():
+    mechanism = linkplan.load_mechanism("""<mujoco><worldbody><body><joint name="z" type="slide" axis="0 0 1" range="0 1"/>
+    <inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody><actuator>
+    <motor name="up" joint="z" ctrlrange="0 100"/><motor name="down" joint="z" gear="-1" ctrlrange="0 100"/>
+    </actuator></mujoco>""")
+    assert pressed_joints(mechanism) == []
