@@ -17,6 +17,7 @@ import numpy as np
 ZERO_ARM_SHARE = 1e-12
 # Efforts that miss at most this share of the largest effort count as complete: above rounding, and negligible in practice.
 HOLDING_TOLERANCE = 1e-9
+UNLIMITED = np.array([-np.inf, np.inf])
 LEAST_SQUARES, LEAST_PEAK = "least_squares", "least_peak"
 # The weight of |z|^2 beside a violation or a peak, in units of the limits: it decides only between equal ones.
 _TIE_WEIGHT = 1e-8

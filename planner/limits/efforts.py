@@ -23,7 +23,7 @@ from linkplan.planner.limits.limit import (
     limited_rows,
     with_limits,
 )
-from linkplan.planner.limits.samples import Samples, samples_for_claims
+from linkplan.planner.limits.samples import Leverage, Samples, samples_for_claims
 from linkplan.planner.problem.instant import Corner, Instant, Robust, Scales
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -204,11 +204,12 @@ class RobustLimit(Limit):
         return Measured(self._name(at.problem), values, limit, actuator.unit, slack=slack)
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        leverage = leverage_at_dead_centres(problem, trajectory)
         yield Claimed(
             name=f"effort of {self._name(problem)}",
             unit=problem.mechanism.actuators[self.actuator].unit,
             bounds=self._limit(problem),
-            value=lambda at: at.efforts(self.corners[self.corner])[self.actuator],
+            value=lambda at: at.efforts(self.corners[self.corner], leverage)[self.actuator],
             slack=share_of(self._limit(problem), INVERSE_DYNAMICS_SHARE),
         )
 
@@ -223,6 +224,29 @@ class RobustLimit(Limit):
         if not np.isfinite(factor):
             return replace(problem, robust=Robust())
         return replace(problem, robust=problem.robust.replace(room=factor * problem.robust.room))
+
+
+def leverage_at_dead_centres(problem: Problem, trajectory: Trajectory) -> Leverage | None:
+    """Return the leverage of a motion that passes a dead centre; None for any other."""
+    samples = samples_for_claims(problem, trajectory)
+    return samples.leverage if samples.at_dead_centre.any() else None
+
+
+def lacking_corner_claims(problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+    """Yield the claims that planned efforts suffice at dead centres for the machines at the corners of [robust]."""
+    leverage = leverage_at_dead_centres(problem, trajectory) if problem.robust.corners else None
+    if leverage is None:
+        return
+    allowed = samples_for_claims(problem, trajectory).corner_allowed
+    for corner in problem.robust.corners:
+        for i, joint in enumerate(problem.mechanism.independent_joints):
+            yield Claimed(
+                name=f"effort on {joint.name} that planned efforts lack at a dead centre with {corner.description}",
+                unit=joint.si_units[1],
+                bounds=(0.0, 0.0),
+                value=lambda at, corner=corner, i=i: at.lacking(corner, leverage)[i],
+                slack=(allowed, allowed),
+            )
 
 
 def _is_implied(problem: Problem, corner: Corner, actuator: int) -> bool:

@@ -10,7 +10,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.planner import limits
 from linkplan.planner.limits.actuators import further_control_claims
-from linkplan.planner.limits.efforts import EffortLimit
+from linkplan.planner.limits.efforts import EffortLimit, lacking_corner_claims
 from linkplan.planner.limits.limit import Limit, Margin, WhichJoints, limit_margin, with_limits
 from linkplan.planner.limits.samples import Samples, samples_of
 from linkplan.planner.problem.instant import unit_scales
@@ -43,7 +43,7 @@ KINDS: tuple[type[Limit], ...] = tuple(sorted(_kinds(), key=_place))
 # factor.
 BETWEEN_NODES_FACTOR = 1.001
 # Claims of a proof in addition to the limits of the program.
-FURTHER_CLAIMS = (further_control_claims,)
+FURTHER_CLAIMS = (further_control_claims, lacking_corner_claims)
 
 
 def limits_of(problem: Problem, *, enclosed: bool = False, position_rows: WhichJoints = False) -> tuple[Limit, ...]:

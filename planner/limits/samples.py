@@ -6,11 +6,11 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from linkplan.models.actuation.distribution import distribute, missed_rounding
+from linkplan.models.actuation.distribution import UNLIMITED, distribute, missed_rounding
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import demanded, joint_rates, sampled
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.problem.instant import corner_efforts_along
+from linkplan.planner.problem.instant import corner_demands_along, corner_efforts_along
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 
@@ -28,11 +28,13 @@ DEAD_CENTRE_SHARE = 1e-2
 class Leverage:
     """Units (n_s, n_u) of Gamma^T B, zero for coordinates and actuators without effect, and the least transmission.
 
-    Below the least transmission the actuators are at a dead centre.
+    Below the least transmission the actuators are at a dead centre. `given` is the largest generalised effort of actuators
+    at their limits.
     """
 
     units: np.ndarray
     least: float
+    given: float
 
     def transmission(self, maps: np.ndarray) -> np.ndarray:
         """Return the least singular value (n,) of maps (n, n_s, n_u) in these units."""
@@ -155,7 +157,8 @@ class Samples(Poses):
         effort = np.where(effort > 0, effort, 1.0) * maps.any(axis=(0, 1))
         given = (np.abs(maps) @ effort).max(axis=0)
         units = np.divide(effort, given[:, None], out=np.zeros(maps.shape[1:]), where=given[:, None] > 0)
-        return Leverage(units, DEAD_CENTRE_SHARE * float(Leverage(units, 0.0).transmission(maps).max()))
+        largest = float(given.max())
+        return Leverage(units, DEAD_CENTRE_SHARE * float(Leverage(units, 0.0, largest).transmission(maps).max()), largest)
 
     @cached_property
     def at_dead_centre(self) -> np.ndarray:
@@ -169,9 +172,9 @@ class Samples(Poses):
 
         They are the planned efforts, and except at a dead centre the least efforts that give what these lack.
         """
-        (taus, maps), apart, unlimited = self.demanded, ~self.at_dead_centre, np.array([-np.inf, np.inf])
+        (taus, maps), apart = self.demanded, ~self.at_dead_centre
         found = np.stack([self.u] * len(taus))
-        found[:, apart] = [distribute(tau[apart], maps[apart], unlimited, self.u[apart]) for tau in taus]
+        found[:, apart] = [distribute(tau[apart], maps[apart], UNLIMITED, self.u[apart]) for tau in taus]
         return found
 
     @cached_property
@@ -186,10 +189,27 @@ class Samples(Poses):
 
     @cached_property
     def corner_efforts(self) -> np.ndarray:
-        """The efforts (n, n_corners, n_u) of machines at the corners of the ranges in [robust]."""
-        problem = self.problem
-        motion = (self.q, self.v, self.a, self.u, *self.forces)
-        return corner_efforts_along(problem.mechanism, problem.robust.corners, *motion)
+        """The efforts (n, n_corners, n_u) of machines at the corners of the ranges in [robust].
+
+        At a dead centre they are the planned efforts if these lack no more than `corner_allowed`.
+        """
+        mechanism, corners, motion = self.problem.mechanism, self.problem.robust.corners, (self.q, self.v, self.a)
+        found = corner_efforts_along(mechanism, corners, *motion, self.u, *self.forces)
+        at = np.flatnonzero(self.at_dead_centre)
+        if not at.size:
+            return found
+        planned = np.einsum("ksu,ku->ks", self.demanded[1], self.u)
+        lacking = corner_demands_along(mechanism, corners, *motion, *self.forces) - planned[:, None]
+        given = self.at_dead_centre[:, None] & (np.abs(lacking).max(axis=2) <= self.corner_allowed)
+        return np.where(given[:, :, None], self.u[:, None], found)
+
+    @property
+    def corner_allowed(self) -> float:
+        """The largest generalised effort that planned efforts may lack for a machine of [robust] at a dead centre.
+
+        It is a share of what actuators at their limits give at most, of which they give less than half there.
+        """
+        return DYNAMICS_SHARE * self.leverage.given
 
 
 def samples_of(problem: Problem, trajectory: Trajectory, also: Sequence[float] = ()) -> Samples:

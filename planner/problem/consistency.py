@@ -11,7 +11,7 @@ from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import demanded, distributed, sliding_friction
 from linkplan.models.poses.assembly import close_at
-from linkplan.planner.problem.instant import Robust, corner_out_of_reach
+from linkplan.planner.problem.instant import Robust, corner_out_of_reach, near_home
 from linkplan.planner.problem.keys.limits import Motor
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.problem.motion import Motion
@@ -178,7 +178,8 @@ def check_robust(robust: Robust, mechanism: Mechanism) -> None:
     """Refuse ranges that do not apply to this mechanism."""
     for joint in (*robust.viscous_friction, *robust.coulomb_friction):
         mechanism.joint_index(joint, ProblemError)
-    driven = int(np.linalg.matrix_rank(np.array(mechanism.dynamics.effort_map(mechanism.home)))) if robust.corners else 0
+    maps = [np.array(mechanism.dynamics.effort_map(q)) for q in near_home(mechanism)] if robust.corners else []
+    driven = max((int(np.linalg.matrix_rank(one)) for one in maps), default=0)
     if tuple(robust.payload_factor) != (1.0, 1.0) and mechanism.payload is None:
         raise ProblemError("robust.payload_factor needs a mechanism.payload; there is none")
     if robust.corners and driven < mechanism.dof:

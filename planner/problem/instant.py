@@ -19,6 +19,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
+from linkplan.models.actuation.distribution import UNLIMITED, distribute
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import joint_acceleration, joint_jerk, sampled, site_derivative
@@ -108,6 +109,15 @@ def _needed(at: "Instant", corners: Sequence[Corner]) -> list[ca.SX]:
     return found
 
 
+def near_home(mechanism: Mechanism) -> list[np.ndarray]:
+    """Return home and a pose (n_q,) close to it, because home may be at a dead centre."""
+    beside = mechanism.home[mechanism.independent] + 0.05 * np.random.default_rng(0).normal(size=mechanism.dof)
+    try:
+        return [mechanism.home, close_at(mechanism, beside, mechanism.home)]
+    except AssemblyError:
+        return [mechanism.home]
+
+
 def corner_out_of_reach(mechanism: Mechanism, corners: Sequence[Corner]) -> Corner | None:
     """Return the first corner whose difference actuators cannot compensate; None if they can compensate all.
 
@@ -118,13 +128,8 @@ def corner_out_of_reach(mechanism: Mechanism, corners: Sequence[Corner]) -> Corn
     # The forces over time are the same for all machines, and cancel.
     needed = ca.substitute(needed, at.forces, ca.SX.zeros(*at.forces.shape))
     function = ca.Function("needed", symbols[:3], [ca.densify(needed)])
-    rng = np.random.default_rng(0)
-    beside = mechanism.home[mechanism.independent] + 0.05 * rng.normal(size=mechanism.dof)
-    try:
-        poses = [mechanism.home, close_at(mechanism, beside, mechanism.home)]
-    except AssemblyError:
-        poses = [mechanism.home]
-    for q in poses:
+    rng = np.random.default_rng(1)
+    for q in near_home(mechanism):
         P = np.array(mechanism.dynamics.effort_map(q))
         needed = np.array(function(q, *rng.normal(size=(2, mechanism.dof))))
         added = needed[:, 1:] - needed[:, :1]
@@ -140,15 +145,20 @@ def corner_efforts_along(mechanism: Mechanism, corners: tuple[Corner, ...], q, v
 
     `forces` are those of `Mechanism.forces_at`.
     """
-    found = sampled(_function(mechanism, corners), q, v, a, u, *forces)
-    return found.reshape(len(q), len(corners), mechanism.n_u)
+    taus, maps = corner_demands_along(mechanism, corners, q, v, a, *forces), sampled(mechanism.dynamics.effort_map, q)
+    return np.stack([distribute(taus[:, k], maps, UNLIMITED, u) for k in range(len(corners))], axis=1)
+
+
+def corner_demands_along(mechanism: Mechanism, corners: tuple[Corner, ...], q, v, a, *forces: np.ndarray) -> np.ndarray:
+    """Return generalised efforts (n, n_corners, n_s), over the torque factor, along samples as `corner_efforts_along`."""
+    return sampled(_function(mechanism, corners), q, v, a, *forces).reshape(len(q), len(corners), mechanism.dof)
 
 
 @functools.lru_cache(maxsize=16)
 def _function(mechanism: Mechanism, corners: tuple[Corner, ...]) -> ca.Function:
     at, symbols = free_instant(mechanism)
-    inputs = [*symbols[:4], *force_inputs(at)]
-    return ca.Function("corners", inputs, [ca.densify(ca.vertcat(*at.corner_efforts(corners)))])
+    taus = [tau / corner.torque_factor for tau, corner in zip(_needed(at, corners), corners, strict=True)]
+    return ca.Function("corners", [*symbols[:3], *force_inputs(at)], [ca.densify(ca.vertcat(*taus))])
 
 
 def with_parameters(dynamics: ReducedDynamics, parameters: ca.SX) -> Callable[..., ca.SX]:

@@ -140,7 +140,7 @@ class Kinetics:
         if n_s == n_u == len(rows) == len(columns):
             (found,) = solve_enclosed(P, [tau])
             return [x / factor for x in found]
-        left = [t / factor - c for t, c in zip(tau, product(P, state.u, n_s), strict=True)]
+        left = self._left(corner)
         P = {(rows.index(i), columns.index(k)): x for (i, k), x in P.items()}
         added = dict(zip(columns, _least(P, [left[i] for i in rows], len(columns)), strict=True))
         return [u + added[k] if k in added else u for k, u in enumerate(state.u)]
@@ -148,8 +148,19 @@ class Kinetics:
     @cached_property
     def residual(self) -> list[Ball]:
         """The reduced efforts (n_s,) that the planned efforts do not provide, tau - P u."""
-        tau, state = self.tau[0], self.state
-        return [t - c for t, c in zip(tau, product(state.effort_map, state.u, len(tau)), strict=True)]
+        return self._left(None)
+
+    def lacking(self, corner: Corner, leverage: Leverage) -> list[Ball]:
+        """Return the reduced efforts (n_s,) that the planned efforts do not provide at a corner; zero off a dead centre.
+
+        Raises:
+            NotSeparatedError: if a box is partly at a dead centre.
+        """
+        return self._left(corner) if self.state.at_dead_centre(leverage) else [arb(0)] * len(self.state.s)
+
+    def _left(self, corner: Corner | None) -> list[Ball]:
+        tau, factor = (self.tau[0], 1.0) if corner is None else (self.needed(corner)[0], corner.torque_factor)
+        return [t / factor - c for t, c in zip(tau, product(self.state.effort_map, self.state.u, len(tau)), strict=True)]
 
     @cached_property
     def multipliers(self) -> list[Ball]:

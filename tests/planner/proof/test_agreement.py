@@ -119,6 +119,15 @@ def spoilt(problem: Problem, motion: Trajectory, angle: float) -> Certificate:
     return certify(problem, replace(motion, position=position, velocity=velocity))
 
 
+def test_a_motion_past_a_dead_centre_at_home_passes_both_for_weaker_motors():
+    plan = plan_motion(past_a_dead_centre("mesh.intervals=20", "robust.torque_constant_factor=[0.9,1]"))
+    assert plan.status == "optimal", plan.message
+    proof = plan.prove(existence=False)
+    assert proof.complete, [one.sentence() for one in (*proof.of("refuted"), *proof.of("undecided"))]
+    names = [one.name for one in proof.findings]
+    assert "effort on crank that planned efforts lack at a dead centre with torque constant 0.9" in names
+
+
 def test_efforts_that_a_motion_lacks_at_a_dead_centre_are_said_to_lack_there():
     plan = plan_motion(past_a_dead_centre("mesh.intervals=20"))
     for angle, named in ((0.0, True), (np.radians(15.0), False)):
