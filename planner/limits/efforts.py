@@ -32,6 +32,8 @@ from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 # Allowed overrun of the motion's effort by inverse dynamics, as a share of the limit. Proofs refuse larger overruns, and the
 # planner refines meshes until the overrun is smaller.
 INVERSE_DYNAMICS_SHARE = 2e-6
+# Largest jump of an effort with a limited rate, as a share of the largest effort.
+EFFORT_JUMP_SHARE = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,7 +159,7 @@ def effort_rates(trajectory: Trajectory, time: np.ndarray) -> tuple[np.ndarray, 
 
 def _jump_size(trajectory: Trajectory) -> float:
     """Return the largest change of effort that is due to rounding."""
-    return 1e-7 * max(float(np.abs(trajectory.effort).max()), np.finfo(float).tiny)
+    return EFFORT_JUMP_SHARE * max(float(np.abs(trajectory.effort).max()), np.finfo(float).tiny)
 
 
 @dataclass(frozen=True, slots=True)

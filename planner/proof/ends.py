@@ -7,7 +7,7 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.planner.certificate.certificate import end_state_error
 from linkplan.planner.certificate.further_checks import disagreements
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE, ends_off_m
-from linkplan.planner.limits.efforts import holds_at_rest
+from linkplan.planner.limits.efforts import EFFORT_JUMP_SHARE, holds_at_rest
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.problem import Problem
@@ -16,8 +16,6 @@ from linkplan.planner.proof.finding import Finding, finding_of
 from linkplan.planner.trajectory import JOIN_SHARE, NO_JUMP_SHARE, Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial
 
-# Largest jump of an effort with a limited rate, as a share of the largest effort: as in the certificate.
-_EFFORT_JUMP = 1e-7
 # Largest difference of the start pose from the problem's own [rad or m].
 START_POSE_ERROR = 1e-6
 
@@ -73,15 +71,18 @@ def _places(problem: Problem, trajectory: Trajectory) -> list[Finding]:
 
 
 def _effort_jumps(problem: Problem, trajectory: Trajectory) -> list[Finding]:
-    """Return the findings on jumps of efforts with a limited rate, including the jump from one period to the next."""
+    """Return the findings on jumps of efforts with a limited rate, also from one period to the next and at the start."""
     ahead = trajectory.effort[0] if trajectory.periodic else trajectory.effort[0, 1:]
     before = trajectory.effort[-1, np.arange(-1 if trajectory.periodic else 0, len(trajectory.breaks_s) - 2)]
-    jumps = np.abs(ahead - before).max(axis=0, initial=0.0)
+    jumps, given = np.abs(ahead - before).max(axis=0, initial=0.0), problem.limits.initial_effort[:, 0]
     size = max(float(np.abs(trajectory.effort).max()), float(np.finfo(float).tiny))
+    off = np.abs(trajectory.effort[0, 0] - given)
+    found = (("the pieces of effort of {} join", jumps), ("the effort of {} begins at limits.initial_effort", off))
     return [
-        finding_of(f"the pieces of effort of {actuator.name} join", float(jumps[j]) / size, _EFFORT_JUMP, "of the largest")
+        finding_of(name.format(actuator.name), float(of[j]) / size, EFFORT_JUMP_SHARE, "of the largest")
+        for name, of in found
         for j, actuator in enumerate(problem.mechanism.actuators)
-        if np.isfinite(problem.limits.effort_rate[j]).any()
+        if np.isfinite(problem.limits.effort_rate[j]).any() and (of is jumps or np.isfinite(given[j]))
     ]
 
 

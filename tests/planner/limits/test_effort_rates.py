@@ -8,6 +8,7 @@ import pytest
 from linkplan.controllers.rollout import ControlLoop
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.proof.prove import prove
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import cart
@@ -55,6 +56,11 @@ def test_an_initial_effort_replaces_the_one_that_holds_the_start():
     assert plan.status == "optimal", plan.message
     assert plan.objective < 0.95 * LEAST
     np.testing.assert_allclose(plan.trajectory.effort_at(np.array([0.0, plan.objective]))[:, 0], [10.0, 0.0], atol=1e-6)
+    assert plan.prove(existence=False).complete
+    other = reach(initial_effort={"push": 9.9})
+    refuted = [one.name for one in prove(other, plan.trajectory, existence=False).of("refuted")]
+    assert refuted == ["the effort of push begins at limits.initial_effort"]
+    assert not certify(other, plan.trajectory).passed
 
 
 def test_commands_that_the_rate_limit_does_not_allow_count_as_saturated():
