@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from linkplan.models.actuation.distribution import missed_rounding
+from linkplan.models.actuation.distribution import distribute, missed_rounding
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import demanded
 from linkplan.models.poses.assembly import close_at, follow
@@ -95,6 +95,9 @@ def _beyond_the_range(problem: Problem, end: _End) -> str | None:
 # Poses on the only path may exceed a limit by this share of the quantity's size; the solver and the certificate decide on
 # smaller overruns.
 ONLY_WAY_SLACK = 1e-6
+# Every so many poses of the only path are checked for too weak motors, and the share of the motors' generalised efforts that
+# a unit of acceleration or speed has there, in the units in which limits are violated.
+_POSES_APART, _WEAK_SHARE = 25, 1e-4
 
 
 def plain_contradiction(problem: Problem) -> str | None:
@@ -106,7 +109,7 @@ def plain_contradiction(problem: Problem) -> str | None:
         _pose_beyond,
         no_way_to_stop,
         _mean_speed,
-        _too_weak_at_an_end,
+        _too_weak_on_the_path,
     )
     return next((sentence for look in looks if (sentence := look(problem)) is not None), None)
 
@@ -255,40 +258,49 @@ def only_way(problem: Problem) -> np.ndarray | None:
         return None
 
 
-def _too_weak_at_an_end(problem: Problem) -> str | None:
-    """Return the sentence on an end of a path at which no efforts within their limits accelerate along the path, or None.
+def _too_weak_on_the_path(problem: Problem) -> str | None:
+    """Return the sentence on a pose of a path at which no efforts within their limits keep its site on the path, or None.
 
-    From rest, the efforts u and the acceleration a along the path satisfy B u = tau_0 + g a, with more equations than
-    freedoms. The linear program min t over a, u and t, within the limits widened by t times their sizes, shows by how much
-    the limits fail.
+    With more equations than freedoms, the efforts u satisfy B u = tau_0 + g a + d v + c w, for the acceleration a, the speed
+    v and its square w along the path. Here a, v and w are efforts of three further actuators, so weak that only motors
+    violate their limits: v and w are at least 0, and 0 at the ends, from where the path leads forward in time.
     """
-    import scipy
-
     mechanism, limit, poses = problem.mechanism, problem.limits.effort, only_way(problem)
     if mechanism.n_equations == mechanism.dof or poses is None or mechanism.forces is not None:
         return None
     if any(frictions_of(mechanism.model)) or not np.all(np.isfinite(limit)):
         return None
-    ends, still = poses[[0, -1]], np.zeros((2, 1))
-    tau, maps = demanded(mechanism, ends, still, still)
-    along = demanded(mechanism, ends, still, still + 1.0)[0] - tau
-    size, n_u = np.abs(limit).max(axis=1, keepdims=True), mechanism.n_u
-    rows = np.block([[np.eye(n_u), -size, np.zeros((n_u, 1))], [-np.eye(n_u), -size, np.zeros((n_u, 1))]])
-    for k, (name, ways) in enumerate((("beginning", (0.0, None)), ("end", (None, 0.0)))):
-        equal = np.column_stack([maps[k], np.zeros(len(tau[k])), -along[k]])
-        cost, bounds = [0.0] * n_u + [1.0, 0.0], [(None, None)] * n_u + [(0.0, None), ways]
-        found = scipy.optimize.linprog(cost, rows, np.append(limit[:, 1], -limit[:, 0]), equal, tau[k], bounds)
-        if found.success and found.x[n_u] * size.max() > missed_rounding(limit):
-            effort = found.x[:n_u]
-            nearest = np.clip(effort, *limit.T)
-            j = int(np.argmax(np.abs(effort - nearest) / size[:, 0]))
-            actuator = mechanism.actuators[j]
-            return (
-                f"infeasible: at rest at the path's {name}, {actuator.name} on {actuator.target} would have to give at least"
-                f" {effort[j]:.4g} {actuator.unit}, {abs(effort[j] - nearest[j]):.4g} {actuator.unit} beyond its limit of"
-                f" {nearest[j]:.4g} {actuator.unit}, to keep its site on the path"
-            )
-    return None
+    poses, size, n_u = poses[::_POSES_APART], np.abs(limit).max(axis=1), mechanism.n_u
+    still = np.zeros((len(poses), 1))
+    tau, maps = demanded(mechanism, poses, still, still)
+    of_a, once, twice, thrice = (
+        demanded(mechanism, poses, still + v, still + a)[0] - tau for v, a in ((0, 1), (1, 0), (2, 0), (3, 0))
+    )
+    of_w = 0.5 * twice - once
+    of_v = once - of_w
+    ends = [0, -1]
+    if np.abs(3 * of_v + 9 * of_w - thrice).max() > 1e-9 * np.abs(thrice).max():  # damping of other powers of the speed
+        poses, tau, maps, of_a, of_v, of_w = (values[ends] for values in (poses, tau, maps, of_a, of_v, of_w))
+    further = -np.stack([of_a, of_v, of_w], axis=2)
+    weak = _WEAK_SHARE * (np.abs(maps) @ size).max() / np.maximum(np.abs(further).max(axis=(0, 1)), np.finfo(float).tiny)
+    limits = np.tile(np.vstack([limit, [[-np.inf, np.inf], [0, np.inf], [0, np.inf]]]), (len(poses), 1, 1))
+    limits[ends, n_u:] = 0.0
+    limits[0, n_u, 1], limits[-1, n_u, 0] = np.inf, -np.inf
+    effort = distribute(tau, np.concatenate([maps, weak * further], axis=2), limits)[:, :n_u]
+    nearest = np.clip(effort, *limit.T)
+    off = np.abs(effort - nearest)
+    k, j = np.unravel_index(int(np.argmax(off / size)), off.shape)
+    if off[k, j] <= missed_rounding(limit):
+        return None
+    actuator, share = mechanism.actuators[j], k / (len(poses) - 1)
+    where = {0.0: "at rest at the path's beginning", 1.0: "at rest at the path's end"}.get(
+        share, f"{share:.0%} along the path"
+    )
+    return (
+        f"infeasible: {where}, {actuator.name} on {actuator.target} would"
+        f" have to give {effort[k, j]:.4g} {actuator.unit}, {off[k, j]:.4g} {actuator.unit} beyond its limit of"
+        f" {nearest[k, j]:.4g} {actuator.unit}, to keep its site on the path"
+    )
 
 
 def _beyond_ctrl(problem: Problem) -> str | None:
