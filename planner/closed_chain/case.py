@@ -61,7 +61,7 @@ class MechanismCase:
     n_tightenings: int = 0
     kinks: bool = True  # whether to search kinks of continuous efforts
     smoothing: float = SMOOTHING_WEIGHT  # see `formulate`
-    enclosed: bool = False  # whether limits on power and pin force are imposed at every instant
+    enclosed: bool = False  # whether enclosable limits are imposed at every instant
     ties: float = 0.0  # see `formulate`
     sampled_at: tuple[float, ...] = ()  # shares of the duration of further samples: a proof refuted a motion there
     target: RefinementTarget = field(init=False)
@@ -120,10 +120,13 @@ def case_of(problem: Problem, *, kinks: bool = True, enclosed: bool = False) -> 
     """Return the case of a problem; with `kinks`, refinement searches the kinks of continuous efforts.
 
     With several degrees of freedom, limits on power are imposed at every instant. With one, the phase plane's legs satisfy
-    them; with `enclosed`, limits on power and pin force are imposed at every instant there, too.
+    them. Jerks of dependent joints and of sites are also limited at every instant: where they jump inside an interval, no
+    finer mesh removes their overrun. With `enclosed`, all enclosable limits are imposed at every instant.
     """
     powers = problem.mesh.effort == "polynomial" and bool(np.any(np.isfinite(problem.limits.power)))
-    return MechanismCase(problem, problem, kinks=kinks, enclosed=enclosed or (powers and problem.mechanism.dof > 1))
+    jerks = any(limit.rows.jerk and limit.rows.node is not None and limit.facts.enclosable for limit in limits_of(problem))
+    enclosed = enclosed or jerks or (powers and problem.mechanism.dof > 1)
+    return MechanismCase(problem, problem, kinks=kinks, enclosed=enclosed)
 
 
 def _target(problem: Problem, *, kinks: bool, enclosed: bool) -> RefinementTarget:
@@ -132,7 +135,7 @@ def _target(problem: Problem, *, kinks: bool, enclosed: bool) -> RefinementTarge
     Efforts jump between their limits, zero and constrained arcs if time or work is minimised. Efforts are continuous with
     kinks at their limits if squared efforts are minimised. In least time they are at their limits wherever no other limit
     binds. The change of the objective is checked where limits on coefficients may cost something that the motion itself does
-    not show. Switches are not searched if limits on power are imposed at every instant; jumps may then lie inside intervals.
+    not show. Switches are not searched if limits are imposed at every instant; jumps may then lie inside intervals.
     """
     objective = problem.objective
     continuous_efforts = objective.efforts("bend")
@@ -142,8 +145,10 @@ def _target(problem: Problem, *, kinks: bool, enclosed: bool) -> RefinementTarge
     lines = any(motor is not None and motor.line is not None for motor in problem.motors)
     bent = continuous_efforts and bool(np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent])))
     tolerance = 1e-7 if switches and (lines or bent) else None
-    if any(limit.rows.jerk for limit in limits_of(problem)) or objective.has("peak_effort") or objective.has("jerk"):
-        tolerance = 1e-5  # looser, because jerk, and efforts within their limits, may jump inside intervals
+    if enclosed or any(limit.rows.jerk for limit in limits_of(problem)):
+        tolerance = 1e-6  # looser, because efforts or jerk may jump inside intervals
+    if objective.has("peak_effort") or objective.has("jerk"):
+        tolerance = 1e-5  # still looser, because there efforts within their limits jump, or a limit on acceleration binds
     return RefinementTarget(
         effort_limit=problem.limits.effort,
         switches=switches,
@@ -151,7 +156,7 @@ def _target(problem: Problem, *, kinks: bool, enclosed: bool) -> RefinementTarge
         continuous_efforts=continuous_efforts,
         strictness=_strictness(problem),
         tolerance_given=problem.mesh.tolerance_deg is not None,
-        objective_tolerance=1e-6 if enclosed else tolerance,  # looser, because jumps may lie inside intervals
+        objective_tolerance=tolerance,
         kinks_at_limits=True,
         enclosed=enclosed,
         has_boundary_layers=any(frictions_of(problem.mechanism.model)),  # thin layers where dry friction changes its sign

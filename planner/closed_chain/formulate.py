@@ -89,7 +89,7 @@ def formulate(
         problem: what to plan.
         scales: units of its unknowns.
         position_rows: impose the ranges of independent joints between the nodes too, of all or of some by their index.
-        enclosed: impose limits on power and pin force between the nodes too.
+        enclosed: impose enclosable limits (power, pin force, accelerations, jerk) between the nodes too.
         least_limit: omit the objective, because only a feasible motion is needed.
         tightenings: amounts by which limits are tightened along the motion, because it overran them between nodes.
         smoothing: the weight of the squared effort rate if the objective leaves efforts non-smooth, in scaled units.

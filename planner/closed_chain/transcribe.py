@@ -13,6 +13,7 @@ from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import WhichJoints
 from linkplan.planner.problem.instant import Scales, position_units
 from linkplan.planner.problem.problem import Problem
+from linkplan.planner.refinement.constrained_arcs import interval_rows
 from linkplan.planner.refinement.marking import Tightening
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import PiecewisePolynomial, bernstein_gram
@@ -100,7 +101,7 @@ def transcribe(
         durations: guessed durations of the segments.
         scales: units; chosen from the guess by default.
         position_rows: impose the ranges of independent joints between the nodes too, of all or of some by their index.
-        enclosed: impose limits on power and pin force between the nodes too.
+        enclosed: impose enclosable limits (power, pin force, accelerations, jerk) between the nodes too.
         least_limit: minimise the common factor on the effort limits instead of the objective.
         bang_efforts: (n_segments, n_u) efforts fixed over whole segments, NaN where they are free.
         constrained_paths: (n_segments, n_path) path quantities fixed at their upper limit (1) or lower limit (-1) over whole
@@ -141,7 +142,26 @@ def transcribe(
         ties=ties,
         tie_weights=tie_weights(problem, 0.0 if least_limit else ties),
     )
-    return replace(transcribed, origin=origin)
+    return replace(transcribed, origin=origin, start=_with_limits_unknowns(transcribed, _n_unknowns(problem, formulation)))
+
+
+def _n_unknowns(problem: Problem, formulation: Formulation) -> int:
+    """Return the number of the limits' algebraic unknowns at a node."""
+    return sum(limit.rows.n_unknowns for limit in limits_of(problem, enclosed=formulation.rows.encloses))
+
+
+def _with_limits_unknowns(transcribed: Transcribed, n_unknowns: int) -> np.ndarray:
+    """Return a program's start with the limits' unknowns at nodes, the last ones, equal to the values that they stand for.
+
+    Their equations, also the last ones, are value - unknown = 0.
+    """
+    x, interval = np.array(transcribed.start), transcribed.program.interval
+    if n_unknowns:
+        n, m, n_rows = transcribed.program.mesh.n_intervals, interval.n_nodes, interval.n_equations + interval.n_path
+        of_nodes = slice(interval.n_own, interval.n_own + m * n_rows)
+        off = interval_rows(transcribed, x)[:, of_nodes].reshape(n, m, n_rows)[:, :, : interval.n_equations]
+        x[transcribed.program.layout.dependent()[:, :, -n_unknowns:]] += off[:, :, -n_unknowns:]
+    return x
 
 
 def renumbered(
@@ -209,9 +229,7 @@ def _integrated_squares(coefficients: np.ndarray, motion: Trajectory) -> np.ndar
 def _start(problem: Problem, guess: Guess, scales: Scales, formulation: Formulation) -> Start:
     """Return a guess as a scaled start, with closed loops, and efforts by inverse dynamics if the guess has none."""
     mechanism = problem.mechanism
-    rate = scales.position / scales.time_s
-    limits = [limit.rows for limit in limits_of(problem, enclosed=formulation.rows.encloses)]
-    starts = [rows.start_of_unknowns for rows in limits if rows.start_of_unknowns is not None]
+    rate, n_unknowns = scales.position / scales.time_s, _n_unknowns(problem, formulation)
 
     def states(times: np.ndarray) -> np.ndarray:
         return np.hstack([guess.position(times) / scales.position, guess.velocity(times) / rate])
@@ -226,10 +244,9 @@ def _start(problem: Problem, guess: Guess, scales: Scales, formulation: Formulat
         algebraic = poses[:, mechanism.dependent]
         if formulation.n_z > algebraic.shape[1]:
             maps = sampled(mechanism.dynamics.effort_map, poses)
-            n_works = formulation.n_z - algebraic.shape[1] - sum(rows.n_unknowns for rows in limits)
-            spent = np.maximum(effort * np.einsum("ksu,ks->ku", maps, v) / scales.power, 0.0)[:, :n_works]
-            own = [of(problem, scales, (poses, v, a, effort, *mechanism.forces_at(times))) for of in starts]
-            algebraic = np.column_stack([algebraic, spent, *own])
+            spent = np.maximum(effort * np.einsum("ksu,ks->ku", maps, v) / scales.power, 0.0)
+            n_works = formulation.n_z - algebraic.shape[1] - n_unknowns
+            algebraic = np.column_stack([algebraic, spent[:, :n_works], np.zeros((len(times), n_unknowns))])
         return a / (rate / scales.time_s), np.zeros((len(times), 0)), algebraic, effort
 
     return Start(states=states, nodes=nodes, share_of_effort=guess.share_of_effort)

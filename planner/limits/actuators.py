@@ -14,7 +14,6 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator, ranged_control
-from linkplan.models.poses.along import sampled
 from linkplan.planner.limits.joints import own_column
 from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
@@ -23,7 +22,6 @@ from linkplan.planner.limits.limit import (
     Limit,
     LimitFacts,
     Measured,
-    MotionArrays,
     Rows,
     Tightened,
     limited_rows,
@@ -79,16 +77,10 @@ class PowerLimit(Limit):
             leverage = ca.diag(rate) @ at.of_pose("effort_map") @ ca.diag(at.units["effort"]) / at.units["power"]
             return "leverage", [leverage[s, self.item] for s in columns]
 
-        def start(problem: Problem, scales: Scales, motion: MotionArrays) -> np.ndarray:
-            maps = sampled(problem.mechanism.dynamics.effort_map, motion[0])
-            rate = scales.position / scales.time_s
-            return maps[:, columns, self.item] * scales.effort[self.item] * rate[columns] / scales.power
-
         return Rows(
             interval=lambda own: ("power_levers", (self.item, tuple(zip(own, columns, strict=True)))),
             n_unknowns=len(columns),
             unknowns=unknowns,
-            start_of_unknowns=start,
         )
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:

@@ -8,7 +8,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.planner.limits.limit import Bounds, Claimed, Limit, LimitFacts, Measured, Rows, Tightened
-from linkplan.planner.limits.rates import smooth_columns
+from linkplan.planner.limits.rates import rows_at_nodes, smooth_columns
 from linkplan.planner.limits.samples import Poses, Samples
 from linkplan.planner.problem.extra import Expression, ExtraLimit, expressed, extra_along, jerk_of, uses
 from linkplan.planner.problem.instant import Scales, free_instant, motion_symbols
@@ -27,9 +27,10 @@ class ExtraPathLimit(Limit):
     moved_by: tuple[int, ...]  # the independent joints on whose jerk it depends
     of_position: bool
     extra: ExtraLimit = field(compare=False)
+    enclosed: bool = False
 
     @classmethod
-    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, *, enclosed: bool = False, **_: bool) -> list[Self]:
         if not problem.extra_limits:
             return []
         depends = [uses(one, problem.mechanism) for one in problem.extra_limits]
@@ -42,6 +43,7 @@ class ExtraPathLimit(Limit):
                 jerk_of(one, problem.mechanism),
                 not (of["v"] or of["a"] or of["u"] or of["j"]),
                 one,
+                enclosed and of["j"],
             )
             for item, (one, of) in enumerate(zip(problem.extra_limits, depends, strict=True))
         ]
@@ -52,6 +54,7 @@ class ExtraPathLimit(Limit):
             kind=self.key,
             words="the extra limit '{}'",
             tightened=Tightened.IN_UNITS,
+            enclosable=bool(self.moved_by),
             jumps_with_effort=self.jumps_with_effort,
             of_position=self.of_position,
             second_order=True,  # unknown, so assumed: effort may act on it
@@ -60,12 +63,8 @@ class ExtraPathLimit(Limit):
 
     @property
     def rows(self) -> Rows:
-        return Rows(
-            node=lambda at, numbers: expressed(self.extra, at) / numbers,
-            n_numbers=1,
-            numbers=lambda problem: (problem.extra_limits[self.item].size,),
-            jerk=self.moved_by,
-        )
+        rows = rows_at_nodes(self, lambda at, numbers: expressed(self.extra, at) / numbers, self.moved_by or None)
+        return replace(rows, n_numbers=1, numbers=lambda problem: (problem.extra_limits[self.item].size,))
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         limit = problem.extra_limits[self.item]

@@ -28,7 +28,6 @@ from linkplan.planner.limits.limit import (
     Limit,
     LimitFacts,
     Measured,
-    MotionArrays,
     Rows,
     Tightened,
     WhichJoints,
@@ -79,18 +78,14 @@ class ClosureForceLimit(Limit):
         def unknowns(at: Instant, numbers: ca.SX) -> tuple[str, list[ca.SX]]:
             return "bearing", ca.vertsplit(at.closure_force[list(self.places)] / numbers)
 
-        def start(problem: Problem, _: Scales, motion: MotionArrays) -> np.ndarray:
-            return sampled(problem.mechanism.forced.closure_force, *motion)[:, list(self.places), 0] / rating(problem)
-
         if not self.places:
             return Rows(node=node, n_numbers=1, numbers=lambda problem: (1.0 / np.square(rating(problem)),))
         return Rows(
             n_numbers=1,
             numbers=lambda problem: (rating(problem),),
-            interval=lambda own: ("squared_sums", own),
+            interval=lambda own: ("squared_sums", (self.key, own)),
             n_unknowns=len(self.places),
             unknowns=unknowns,
-            start_of_unknowns=start,
         )
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:

@@ -30,7 +30,6 @@ from linkplan.planner.trajectory import Trajectory
 Bounds = tuple[float, float]
 # Independent joints with rows: none, all, or some by their index.
 WhichJoints = bool | Collection[int]
-MotionArrays = tuple[np.ndarray, ...]  # q (n, n_q), v and a (n, n_s), u (n, n_u), and those of `Mechanism.forces_at`
 # Limits that cannot be removed from a problem are widened by this factor.
 RELAXED_FACTOR = 1e3
 
@@ -103,7 +102,6 @@ class Rows:
         interval: the limit's field of `IntervalRows` and its entry there, of the places of its unknowns.
         interval_numbers: the values of the parameters of that row.
         unknowns: the kind of equation of its `n_unknowns` algebraic unknowns, and the expressions that they equal.
-        start_of_unknowns: their values along a motion (n, n_unknowns).
         jerk: the independent coordinates on whose jerk the row depends; their accelerations have no jumps.
     """
 
@@ -114,7 +112,6 @@ class Rows:
     interval_numbers: Callable[[Problem, Scales], Sequence[float]] = lambda *_: ()
     n_unknowns: int = 0
     unknowns: Callable[[Instant, ca.SX], tuple[str, list[ca.SX]]] | None = None
-    start_of_unknowns: Callable[[Problem, Scales, MotionArrays], np.ndarray] | None = None
     jerk: tuple[int, ...] = ()
 
 

@@ -1,15 +1,16 @@
 """Limits on the accelerations and jerks of joints and sites.
 
 Those of independent joints are polynomials of the program, whose coefficients are bounded at every instant. Those of
-dependent joints and of sites are functions of the independent joints' motion, and are bounded at nodes, and at open ends if
-they may jump there. Independent joints on whose jerk a limit depends have continuous accelerations (`bounds.linear_rows`),
-which are zero where the motion begins or ends with the joint at rest.
+dependent joints and of sites are functions of the independent joints' motion. They are bounded at nodes, and at open ends if
+they may jump there. If they are enclosed, the coefficients of the polynomials through the nodes' values are bounded instead.
+Independent joints on whose jerk a limit depends have continuous accelerations (`bounds.linear_rows`), which are zero where
+the motion begins or ends with the joint at rest.
 """
 
 import functools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Any, ClassVar, Self
 
 import casadi as ca
 import numpy as np
@@ -47,12 +48,14 @@ class AccelerationLimit(Limit):
     item: int
     column: int | None = None
     jumps: bool = False
+    enclosed: bool = False
 
     @classmethod
-    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, *, enclosed: bool = False, **_: bool) -> list[Self]:
         limited = limited_joints(problem, problem.limits.acceleration)
         return [
-            cls(joint, column, column is None and not _is_smooth(problem, moving_joint, joint)) for joint, column in limited
+            cls(joint, column, column is None and not _is_smooth(problem, moving_joint, joint), enclosed)
+            for joint, column in limited
         ]
 
     @property
@@ -63,7 +66,7 @@ class AccelerationLimit(Limit):
     def rows(self) -> Rows:
         if self.column is not None:
             return Rows(interval=lambda _: ("acceleration_columns", self.column))
-        return Rows(node=lambda at, _: at.units["time"] ** 2 * at.joint_accelerations[self.item])
+        return rows_at_nodes(self, lambda at, _: at.units["time"] ** 2 * at.joint_accelerations[self.item])
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return bounds_of_joint(self, problem, scales, 2)
@@ -89,11 +92,12 @@ class JerkLimit(Limit):
     item: int
     column: int | None
     moved_by: tuple[int, ...]
+    enclosed: bool = False
 
     @classmethod
-    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, *, enclosed: bool = False, **_: bool) -> list[Self]:
         return [
-            cls(joint, column, moving_joint(problem.mechanism, joint) if column is None else (column,))
+            cls(joint, column, moving_joint(problem.mechanism, joint) if column is None else (column,), enclosed)
             for joint, column in limited_joints(problem, problem.limits.jerk)
         ]
 
@@ -105,7 +109,7 @@ class JerkLimit(Limit):
     def rows(self) -> Rows:
         if self.column is not None:
             return Rows(interval=lambda _: ("jerk_columns", self.column), jerk=self.moved_by)
-        return _node_rows(self.moved_by, lambda at, _: at.units["time"] ** 3 * at.joint_jerks[self.item])
+        return rows_at_nodes(self, lambda at, _: at.units["time"] ** 3 * at.joint_jerks[self.item], self.moved_by)
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return bounds_of_joint(self, problem, scales, 3)
@@ -128,20 +132,25 @@ class SiteAccelerationLimit(Limit):
     item: int
     site: int
     jumps: bool
+    enclosed: bool = False
 
     @classmethod
-    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, *, enclosed: bool = False, **_: bool) -> list[Self]:
         sites = [problem.mechanism.model.site(name).id for name in problem.limits.site_acceleration]
-        return [cls(item, site, not _is_smooth(problem, moving_site, site)) for item, site in enumerate(sites)]
+        return [cls(item, site, not _is_smooth(problem, moving_site, site), enclosed) for item, site in enumerate(sites)]
 
     @property
     def facts(self) -> LimitFacts:
         words, squared = "the acceleration of site {}", Tightened.SQUARED
-        return LimitFacts(kind=self.key, words=words, tightened=squared, jumps_with_effort=self.jumps, followed_with=1)
+        jumps = self.jumps
+        return LimitFacts(
+            kind=self.key, words=words, tightened=squared, enclosable=True, jumps_with_effort=jumps, followed_with=1
+        )
 
     @property
     def rows(self) -> Rows:
-        return _shares_of_largest(self, Rows(node=lambda at, share: ca.sumsqr(at.site_accelerations[:, self.site] * share)))
+        rows = rows_at_nodes(self, lambda at, share: at.site_accelerations[:, self.site] * share, n_values=3)
+        return _shares_of_largest(self, rows)
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return -np.inf, 1.0
@@ -167,20 +176,21 @@ class SiteJerkLimit(Limit):
 
     key: ClassVar[str] = "site_jerk"
     facts: ClassVar[LimitFacts] = LimitFacts(
-        kind=key, words="the jerk of site {}", tightened=Tightened.SQUARED, jumps_with_effort=True
+        kind=key, words="the jerk of site {}", tightened=Tightened.SQUARED, enclosable=True, jumps_with_effort=True
     )
     item: int
     site: int
     moved_by: tuple[int, ...]
+    enclosed: bool = False
 
     @classmethod
-    def of(cls, problem: Problem, **_: bool) -> list[Self]:
+    def of(cls, problem: Problem, *, enclosed: bool = False, **_: bool) -> list[Self]:
         sites = [problem.mechanism.model.site(name).id for name in problem.limits.site_jerk]
-        return [cls(item, site, moving_site(problem.mechanism, site)) for item, site in enumerate(sites)]
+        return [cls(item, site, moving_site(problem.mechanism, site), enclosed) for item, site in enumerate(sites)]
 
     @property
     def rows(self) -> Rows:
-        rows = _node_rows(self.moved_by, lambda at, share: ca.sumsqr(at.site_jerks[:, self.site] * share))
+        rows = rows_at_nodes(self, lambda at, share: at.site_jerks[:, self.site] * share, self.moved_by, n_values=3)
         return _shares_of_largest(self, rows)
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
@@ -201,8 +211,8 @@ class SiteJerkLimit(Limit):
 def _facts_of_joint(key: str, column: int | None, *, jumps: bool) -> LimitFacts:
     words = f"the {key} of joint {{}}"
     if column is not None:
-        return LimitFacts(kind=key, words=words, tightened=None)
-    return LimitFacts(kind=key, words=words, jumps_with_effort=jumps)
+        return LimitFacts(kind=key, words=words, tightened=None, enclosable=True)
+    return LimitFacts(kind=key, words=words, enclosable=True, jumps_with_effort=jumps)
 
 
 def _limit(limit: SiteAccelerationLimit | SiteJerkLimit, problem: Problem) -> tuple[str, float]:
@@ -223,9 +233,29 @@ def _claim_of_site(
     return squared_claim(f"{what} of site {name}", unit, most, ca.Function(limit.key, inputs, [squared]))
 
 
-def _node_rows(moved_by: tuple[int, ...], node: Callable[[Instant, ca.SX], ca.SX]) -> Rows:
-    """Return the row of a jerk at a node; none for a joint or site that no coordinate moves."""
-    return Rows(node=node, jerk=moved_by) if moved_by else Rows(node=lambda *_: ca.SX(0))
+def rows_at_nodes(
+    limit: Any,
+    values: Callable[[Instant, ca.SX], ca.SX],
+    moved_by: tuple[int, ...] | None = None,
+    *,
+    n_values: int = 1,
+) -> Rows:
+    """Return the rows of a value at a node, or of the squared size of several (n_values,).
+
+    If the limit is `enclosed`, they are rows on the polynomials through the nodes' values. `moved_by` are the coordinates on
+    whose jerk the values depend; a jerk that no coordinate moves is zero.
+    """
+    if moved_by == ():
+        return Rows(node=lambda *_: ca.SX(0))
+    jerk, one = moved_by or (), n_values == 1
+    if not limit.enclosed:
+        return Rows(node=values if one else lambda at, numbers: ca.sumsqr(values(at, numbers)), jerk=jerk)
+    return Rows(
+        interval=lambda own: ("through_nodes", (limit.key, *own)) if one else ("squared_sums", (limit.key, own)),
+        n_unknowns=n_values,
+        unknowns=lambda at, numbers: (limit.key, ca.vertsplit(ca.densify(values(at, numbers)))),
+        jerk=jerk,
+    )
 
 
 def smooth_columns(problem: Problem) -> tuple[int, ...]:

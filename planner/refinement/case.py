@@ -52,7 +52,7 @@ class RefinementTarget:
         objective_tolerance: the largest relative change of the objective from mesh to mesh; None if it is not checked.
         objective_tolerance_given: the user set this tolerance, too; otherwise it is satisfied only if that is cheap.
         kinks_at_limits: the motion is smooth where no limit binds, so the integration error alone measures the mesh.
-        enclosed: limits on power and pin force hold at every instant, by rows on Bernstein coefficients.
+        enclosed: enclosable limits hold at every instant, by rows on Bernstein coefficients.
         has_boundary_layers: the motion has thin layers; the error falls only once the mesh resolves them.
     """
 

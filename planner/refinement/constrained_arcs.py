@@ -75,7 +75,7 @@ def _all_path_arcs(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     limit = transcribed.formulation.path.reshape(-1, 2)
     if n_path == 0:
         return np.zeros((n, 0), dtype=int)
-    rows = _rows(transcribed, x)
+    rows = interval_rows(transcribed, x)
     n_f = interval.n_equations + n_path
     values = rows[:, interval.n_own : interval.n_own + m * n_f].reshape(n, m, n_f)[:, :, interval.n_equations :]
     # Each end of a limit has its own size, because one end may be 900 W and the other a million.
@@ -131,7 +131,7 @@ def off_limit_intervals(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     return off
 
 
-def _rows(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
+def interval_rows(transcribed: Transcribed, x: np.ndarray) -> np.ndarray:
     """Return the intervals' rows (n, n_rows) at unknowns x."""
     program = transcribed.program
     n, n_rows = program.mesh.n_intervals, program.interval.n_rows
@@ -143,7 +143,7 @@ def _coefficients(transcribed: Transcribed, x: np.ndarray) -> Iterator[tuple[str
     interval = transcribed.program.interval
     what = list(zip(interval.own_kinds, interval.own_items, strict=True))
     limited = sorted({(kind, item) for kind, item in what if kind != "continuity"})
-    rows = _rows(transcribed, x) if limited else np.empty((0, 0))
+    rows = interval_rows(transcribed, x) if limited else np.empty((0, 0))
     for kind, item in limited:
         columns = [row for row, of in enumerate(what) if of == (kind, item)]
         yield kind, rows[:, columns], transcribed.formulation.own[kind][item]

@@ -133,8 +133,7 @@ def _finer(state: RefinementState, over: np.ndarray) -> Action | None:
     if higher is not None:
         return RaiseDegree(higher)
     marked = _marked(state, uneven if state.target.enclosed and uneven.any() else inexact | uneven, over)
-    crowded = state.target.enclosed and grown(at.found.mesh, marked) > _comfortable(state)
-    if at.overruns and (crowded or not marked.any()):
+    if at.overruns and (not marked.any() or (state.target.enclosed and _should_tighten(state, inexact, marked))):
         return Tighten()
     if not marked.any():
         marked = np.ones(at.n_intervals, dtype=bool)
@@ -146,6 +145,16 @@ def _finer(state: RefinementState, over: np.ndarray) -> Action | None:
         return None if higher is None else RaiseDegree(higher)
     late = state.rounds - state.read_in >= HALVINGS_BEFORE_TIGHTENING * (2 if over.any() else 1)
     return Halve(marked, tightens=late and at.overruns and not state.target.enclosed, tells=not np.any(uneven & ~marked))
+
+
+def _should_tighten(state: RefinementState, inexact: np.ndarray, marked: np.ndarray) -> bool:
+    """Return True if tightening enclosed limits costs less than the objective's tolerance, or the mesh is large.
+
+    Only motions that pass show that the objective has settled. Tightening costs about the share of the overrun.
+    """
+    at = state.iterate
+    cheap = at.report is not None and at.report.overrun.max(initial=0.0) <= (state.objective_tolerance or 0.0)
+    return (cheap and not inexact.any()) or grown(at.found.mesh, marked) > _comfortable(state)
 
 
 def _towards_the_optimum(state: RefinementState) -> Action | None:

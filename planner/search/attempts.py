@@ -222,14 +222,14 @@ def from_next_to_it(problem: Problem, found: Iterate) -> Plan | None:
 
 
 def may_be_enclosed(problem: Problem, plan: Plan) -> bool:
-    """True if limits on power or pin force are overrun between the nodes and rows on coefficients may prevent it."""
+    """True if limits are overrun between the nodes and rows on coefficients may prevent it."""
     margins = () if plan.certificate is None else plan.certificate.margins
     overrun = any(margin.of.facts.enclosable and not margin.kept for margin in margins)
     return problem.mesh.effort == "polynomial" and overrun and not case_of(problem).enclosed
 
 
 def enclosed(problem: Problem, found: Iterate) -> Plan | None:
-    """Return the plan with limits on power and pin force at every instant; None if it does not pass."""
+    """Return the plan with enclosable limits at every instant; None if it does not pass."""
     plan = certified(problem, found, enclosed=True)
     return plan if plan.passed else None
 

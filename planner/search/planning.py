@@ -119,7 +119,7 @@ SEARCH_METHODS: tuple[SearchMethod, ...] = (
 
 REPAIRS: tuple[Repair, ...] = (
     Repair(
-        name="limits on power and pin force satisfied at every instant",
+        name="limits satisfied at every instant, by rows on coefficients",
         tried=attempts.may_be_enclosed,
         repair=attempts.enclosed,
     ),

@@ -47,7 +47,8 @@ class IntervalRows:
     * `power_columns`: pairs (effort, coordinate) with the product u v.
     * `power_levers`: pairs (effort, levers) with the effort times the sum of lever times speed; a lever is a pair
       (algebraic unknown, coordinate).
-    * `squared_sums`: algebraic unknowns, as polynomials through the nodes, with the sum of their squares.
+    * `through_nodes`: pairs (kind, algebraic unknown), as a polynomial through the nodes.
+    * `squared_sums`: pairs (kind, algebraic unknowns) with the sum of the squares of such polynomials.
     * `open_end_path`: path quantities that jump with the effort and are therefore bounded at open ends too.
     * `jerk_path`: path quantities that depend on the rates of accelerations.
     * `smooth_columns`: second-order coordinates whose acceleration has no jumps, because a limit or a cost is on its rate.
@@ -65,15 +66,16 @@ class IntervalRows:
     motor_columns: tuple[tuple[int, int], ...] = ()
     power_columns: tuple[tuple[int, int], ...] = ()
     power_levers: tuple[tuple[int, tuple[tuple[int, int], ...]], ...] = ()
-    squared_sums: tuple[tuple[int, ...], ...] = ()
+    through_nodes: tuple[tuple[str, int], ...] = ()
+    squared_sums: tuple[tuple[str, tuple[int, ...]], ...] = ()
     open_end_path: tuple[int, ...] = ()
     jerk_path: tuple[int, ...] = ()
     smooth_columns: tuple[int, ...] = ()
 
     @property
     def encloses(self) -> bool:
-        """Whether limits on power and force are rows on coefficients."""
-        return bool(self.power_columns or self.power_levers or self.squared_sums)
+        """Whether limits that can be imposed at every instant are rows on coefficients."""
+        return bool(self.power_columns or self.power_levers or self.squared_sums or self.through_nodes)
 
     def n_eta(self, n_u: int, n_s: int) -> int:
         """Return the number of an interval's own parameters: weights of its costs, then alpha and beta of each motor."""
@@ -326,6 +328,9 @@ def _own_rows(parts: _Parts, scheme: Scheme, system: System, rows: IntervalRows,
         kinds.extend([kind] * coefficients.numel())
         items.extend([item] * coefficients.numel())
 
+    def following(kind: str) -> int:
+        return len({item for of, item in zip(kinds, items, strict=True) if of == kind})
+
     def speed(column: int) -> ca.SX:
         return parts.v0[column] + h * (matrix["velocity_coefficients"] @ parts.a)[:, column]
 
@@ -350,14 +355,16 @@ def _own_rows(parts: _Parts, scheme: Scheme, system: System, rows: IntervalRows,
     for item, (effort, column) in enumerate(rows.power_columns):
         add("power", item, ca.vertcat(*bernstein_product(parts.u[:, effort], speed(column))))
     through_nodes = ca.DM(np.linalg.inv(bernstein_matrix(scheme.n_nodes - 1, np.array(scheme.nodes))))
-    for item, (effort, levers) in enumerate(rows.power_levers, start=len(rows.power_columns)):
+    for effort, levers in rows.power_levers:
         parts_of_speed = [bernstein_product(through_nodes @ parts.z[:, lever], speed(column)) for lever, column in levers]
         whole = ca.vertcat(*(sum(terms) for terms in zip(*parts_of_speed, strict=True)))
-        add("power", item, ca.vertcat(*bernstein_product(parts.u[:, effort], whole)))
-    for item, unknowns in enumerate(rows.squared_sums):
+        add("power", following("power"), ca.vertcat(*bernstein_product(parts.u[:, effort], whole)))
+    for kind, unknown in rows.through_nodes:
+        add(kind, following(kind), through_nodes @ parts.z[:, unknown])
+    for kind, unknowns in rows.squared_sums:
         squares = [bernstein_product(one, one) for one in (through_nodes @ parts.z[:, k] for k in unknowns)]
         total = [functools.reduce(operator.add, terms) for terms in zip(*squares, strict=True)]
-        add("closure_force", item, ca.vertcat(*total))
+        add(kind, following(kind), ca.vertcat(*total))
     first = eta.numel() - 2 * len(rows.motor_columns)
     for item, (effort, column) in enumerate(rows.motor_columns):
         alpha, beta = eta[first + 2 * item], eta[first + 2 * item + 1]

@@ -7,7 +7,6 @@ import pytest
 
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
-from linkplan.planner.closed_chain.formulate import formulate
 from linkplan.planner.closed_chain.guess import (
     _shortest_duration,
     _smooth_path,
@@ -16,11 +15,12 @@ from linkplan.planner.closed_chain.guess import (
     swinging_guesses,
 )
 from linkplan.planner.closed_chain.prescribed import rounded_down
-from linkplan.planner.closed_chain.transcribe import _start, choose_scales, own_objective
+from linkplan.planner.closed_chain.transcribe import choose_scales, own_objective, transcribe
 from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.refinement.constrained_arcs import interval_rows
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
-from linkplan.planner.transcription.system import build_node
+from linkplan.planner.transcription.mesh import uniform
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, body_problem
 from tests.support.motions import motion_along
 from tests.support.refinement_states import guessed
@@ -209,19 +209,18 @@ WORK = "objective.minimize=work"
         ("five-bar-reach", ["limits.closure_force.E2=300"], 3),  # the components of a pin's force
         ("knee-reach", [WORK], 1),  # the positive power
         ("knee-sprint", [WORK, "limits.closure_force.B=3000"], 4),
+        ("knee-reach", ["limits.jerk_deg_s3.A=1e6"], 1),  # the jerk of a dependent joint
     ],
 )
 def test_the_equations_of_a_node_hold_where_a_guess_starts_it(name, overrides, n_unknowns):
     problem = load_problem(name, overrides)
-    guess = first_guess(problem, problem.start_pose())
-    scales = choose_scales(problem, guess)
-    formulation = formulate(problem, scales, enclosed=True)
-    system, start = formulation.build_system(), _start(problem, guess, scales, formulation)
-    time = guess.duration_s * np.array([0.2, 0.5, 0.9])
-    acceleration, _, algebraic, effort = start.nodes(time)
-    assert algebraic.shape[1] == len(problem.mechanism.dependent) + n_unknowns
-    xi = np.hstack([start.states(time), acceleration, algebraic, effort / scales.effort])
-    value = build_node(system).node_value
-    for node, theta in zip(xi, formulation.theta(time[None])[0], strict=True):
-        rows = np.array(value(node, theta)).ravel()[: system.n_equations]
-        assert np.abs(rows).max() < ROWS
+    guess = replace(first_guess(problem, problem.start_pose()), share_of_effort=1.0)
+    program = transcribe(problem, guess, uniform(50), np.array([guess.duration_s]), enclosed=True)
+    interval, mesh = program.program.interval, program.program.mesh
+    assert program.program.layout.n_z == len(problem.mechanism.dependent) + n_unknowns
+    n, n_rows = interval.n_nodes, interval.n_equations + interval.n_path
+    of_nodes = interval_rows(program, program.start)[:, interval.n_own : interval.n_own + n * n_rows]
+    rows = of_nodes.reshape(mesh.n_intervals, n, n_rows)[:, :, : interval.n_equations]
+    kinds = np.array(interval.node_kinds[: interval.n_equations])
+    assert np.abs(rows[:, :, ~np.isin(kinds, ["closure", "dynamics"])]).max(initial=0.0) < ROWS
+    assert np.abs(rows[:, :, kinds == "closure"]).max() < ROWS
