@@ -68,6 +68,31 @@ def test_the_least_time_of_a_mass_with_limited_jerk_is_that_of_seven_segments(wa
     assert prove(plan.problem, plan.trajectory, existence=False).passed
 
 
+PARALLELOGRAM = """<mujoco><option gravity="0 0 0"/>
+  <worldbody>
+    <body><joint name="P" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 0 0 .1" size=".01"/>
+      <body name="coupler" pos="0 0 .1"><joint name="Q" axis="0 1 0"/><geom type="capsule" fromto="0 0 0 .2 0 0" size=".01"/>
+      </body></body>
+    <body name="rocker" pos=".2 0 0"><joint name="R" axis="0 1 0"/>
+      <geom type="capsule" fromto="0 0 0 0 0 .1" size=".01"/></body>
+  </worldbody>
+  <equality><connect body1="coupler" body2="rocker" anchor=".2 0 0"/></equality>
+  <actuator><motor name="M" joint="P" ctrlrange="-50 50"/></actuator>
+</mujoco>"""
+
+
+@pytest.mark.slow
+def test_the_least_time_with_limited_jerk_of_a_rocker_parallel_to_the_crank_is_that_of_seven_segments():
+    """Both turn by the same angle. Rows at nodes would permit an overrun where the jerk reverses inside an interval."""
+    problem = Problem.reach(
+        load_mechanism(PARALLELOGRAM), start_deg={"P": -50.0}, goal_deg={"P": 50.0}, duration_s="free", minimize="time",
+        limits={"acceleration_deg_s2": {"R": 2000.0}, "jerk_deg_s3": {"R": 5e4}},
+    )  # fmt: skip
+    plan = plan_motion(problem)
+    assert plan.status == "optimal", plan.message
+    assert plan.objective == pytest.approx(seven_segments(100.0, 1e9, 2000.0, 5e4), rel=2e-6)
+
+
 def test_the_least_time_of_a_mass_with_limited_acceleration_is_that_of_a_trapezoid():
     plan = plan_motion(mass(0.93, speed_m_s=1.0, acceleration_m_s2=4.0))
     assert plan.objective == pytest.approx(0.93 + 1 / 4, rel=1e-8)
