@@ -19,6 +19,9 @@ from linkplan.planner.solvers.solve import build_solver, run_solver, solve
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh, halved
 
+# The bisection of a factor on a limit ends at this relative distance.
+_FACTOR_RESOLUTION = 1e-4
+
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class LeastLimit:
@@ -143,9 +146,8 @@ def least_relaxation(
         loose = trajectory_of(transcribed, best.x, problem.limits.effort)
         far = min(far, factor_of(kind, problem, loose) or far)
     solver = build_solver(transcribed.program, problem.solver, warm=True)
-    for _ in range(13):  # resolves the factor to four digits of its range
-        if problem.solver.deadline.passed:
-            break
+    # A message names the limit to four digits; an infinite overrun leaves a range up to `RELAXED_FACTOR`.
+    while abs(far - near) > _FACTOR_RESOLUTION * abs(far) and not problem.solver.deadline.passed:
         middle = 0.5 * (near + far)
         trial = run_solver(solver, renumbered(best.transcribed, kind.relaxed(problem, middle), best.x))
         if trial.converged:
