@@ -105,12 +105,17 @@ class CertificateError(PlanFileError):
     """A saved plan whose motion fails its certificate when it is read."""
 
 
-class InfeasibleError(LinkplanError):
-    """Raised by `Plan.require()` on a plan that is not optimal. `plan` is that plan."""
+class PlanError(LinkplanError):
+    """Raised by `Plan.require()` if no motion passes; `plan` is that plan, and `verdict` the reason as data."""
 
     def __init__(self, message: str, plan: object = None) -> None:
         LinkplanError.__init__(self, message)
         self.plan = plan
+
+    @property
+    def verdict(self) -> object:
+        """The plan's verdict; None without a plan."""
+        return getattr(self.plan, "verdict", None)
 
 
 # Other units in a key, and the unit that files use.

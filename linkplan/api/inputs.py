@@ -7,7 +7,7 @@ from pathlib import Path
 
 from linkplan.api.reporting import Listener
 from linkplan.models.catalogue import MODELS, unknown_source
-from linkplan.models.errors import InfeasibleError, ModelError, ProblemError
+from linkplan.models.errors import ModelError, PlanError, ProblemError
 from linkplan.models.external_forces import omitted_forces
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
@@ -121,7 +121,7 @@ def plan_of(plan: PlanLike, say: Listener, doing: str) -> Plan:
     """Return a plan with a motion: as given, saved in a folder, or computed for a problem. `doing` is its use.
 
     Raises:
-        InfeasibleError: if it has no motion; the error has the plan.
+        PlanError: if it has no motion; the error has the plan.
         LinkplanError: if it is none of these, or cannot be read.
     """
     problem = problem_of(plan)
@@ -205,13 +205,13 @@ def with_motion(plan: object, doing: str) -> Plan:
     """Return a plan if it has a motion. `doing` is its use.
 
     Raises:
-        InfeasibleError: if it has no motion; the error has the plan.
+        PlanError: if it has no motion; the error has the plan.
         ProblemError: if it is not a plan.
     """
     if not isinstance(plan, Plan):
         raise ProblemError(f"to {doing}, give a Plan, a problem, or the name of either, got {plan!r}")
     if plan.trajectory is None:
-        raise InfeasibleError(f"cannot {doing}: the plan has no motion: {plan.message}", plan)
+        raise PlanError(f"cannot {doing}: the plan has no motion: {plan.message}", plan)
     return plan
 
 

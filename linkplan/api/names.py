@@ -3,6 +3,7 @@
 import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 from linkplan.api.command import command
 from linkplan.controllers.controls import KEYS_TEXT
@@ -39,8 +40,14 @@ SHELLS = ("bash", "zsh", "fish")
 # Keys of [mechanism] that select a part of a model.
 SELECTION = ("keep", "fix_base", "lock", "keyframe", "drive")
 # Types of parameters, by which the command line knows the legal words: names of `LINEAR`, `C_TRACKERS`, `TRACKERS`, ...
-Law = CLaw = TrackerName = Design = FileKind = ExportFormat = Shell = str
-Frequencies = Sequence[float]
+Law: TypeAlias = str
+CLaw: TypeAlias = str
+TrackerName: TypeAlias = str
+Design: TypeAlias = str
+FileKind: TypeAlias = str
+ExportFormat: TypeAlias = str
+Shell: TypeAlias = str
+Frequencies: TypeAlias = Sequence[float]
 
 
 def problem_descriptions() -> dict[str, str]:

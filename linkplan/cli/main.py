@@ -20,7 +20,7 @@ from linkplan.cli.command_line import build_parser
 from linkplan.cli.exit_codes import BAD_INPUT, DONE, NO, SIGNAL_BASE, is_of_memory, saved_fault_report
 from linkplan.cli.printing import delivered, flush_streams, keep_closed_streams_closed, put, quiet, refuse, show
 from linkplan.models.deadline import check, ended_by, listening
-from linkplan.models.errors import CertificateError, InfeasibleError, LinkplanError, ProblemError, one_line, shown
+from linkplan.models.errors import CertificateError, LinkplanError, PlanError, ProblemError, one_line, shown
 
 # Commands with a module of their own; the others are in `commands.py`.
 _ALONE = ("check", "completion")
@@ -113,7 +113,7 @@ def _run(arguments: argparse.Namespace) -> int:
         run: Callable[[argparse.Namespace], int] = getattr(module, f"run_{arguments.command}")
         try:
             code = run(arguments)
-        except InfeasibleError as none:
+        except PlanError as none:
             import linkplan
 
             plan = linkplan.Plan.of(cast("linkplan.Plan", none.plan))

@@ -1,5 +1,6 @@
 """A mechanism's planning problem as a case for refinement, and the plan of a certified or prescribed motion."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -30,6 +31,7 @@ from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
 from linkplan.planner.limits.kinds import limits_of, tightened_in
 from linkplan.planner.limits.limit import Margin, Tightened
 from linkplan.planner.plan.plan import Plan, tracking_errors
+from linkplan.planner.plan.verdict import Overrun, Verdict, failed, infeasible
 from linkplan.planner.problem.extra import as_no_number
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.problem import Problem
@@ -44,8 +46,6 @@ from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh
 
-# The first word of an optimal plan's message, unless the phase plane shows that no motion is quicker.
-LOCALLY = "locally "
 # Corrections satisfy the equations of closed loops within a tolerance. A range of a dependent joint that moves by less than
 # this has no effect on them.
 _LEAST_TIGHTENING = 2.0 * EQUATION_TOLERANCE
@@ -211,20 +211,27 @@ def finished(
     trajectory: Trajectory,
     certificate: Certificate,
     objective: float,
-    message: str | None,
+    words: str | None,
     *,
     optimal: bool = True,
+    further: Sequence[str] = (),
 ) -> Plan:
     """Return the plan of a certified motion; every search and every prescribed motion ends here.
 
     The plan passes if its certificate, including contacts along the motion, passes and the tolerance is met. Its status is
-    then "optimal" if the motion is locally optimal as far as known, else "feasible".
+    then "optimal" if the motion is locally optimal as far as known, else "feasible". `words` are those of a motion that was
+    not found by a solver, `further` are phrases after them.
     """
     certificate = with_contacts(problem, trajectory, certificate)
+    verdict = Verdict(
+        kind="optimal" if optimal else "feasible",
+        words=words or f"motion of {trajectory.duration_s:.6g} s",
+        objective="" if words else problem.objective.name,
+        further=tuple(further),
+    )
     plan = Plan(
         problem=problem,
-        status="optimal" if optimal else "feasible",
-        message=message or "",
+        verdict=verdict,
         objective=objective,
         trajectory=trajectory,
         certificate=certificate,
@@ -232,56 +239,54 @@ def finished(
     )
     failure = _failure(plan)
     details: dict[str, float] = {}
-    best = optimality(problem) if optimal else ""
-    sentence = message or f"{best}motion of {trajectory.duration_s:.6g} s"
     errors = tracking_errors(plan)
-    if errors is not None and message is None and problem.objective.has("tracking"):
+    if errors is not None and words is None and problem.objective.has("tracking"):
         joint = problem.mechanism.independent_joints[0]
         details |= {
             f"tracking_rms_{joint.unit}": joint.shown(errors[0]),
             f"tracking_max_{joint.unit}": joint.shown(errors[1]),
         }
-        sentence = (
+        nearest = (
             f"nearest motion to the reference: {joint.shown(errors[0]):.4g} {joint.unit} rms,"
             f" {joint.shown(errors[1]):.4g} {joint.unit} at most away from it"
         )
+        verdict = verdict.replace(words=nearest, objective="")
         over = reference_overrun(replace(problem, solver=SolverSettings()), trajectory.start_pose)
         if over is not None:
-            sentence += f"; on the reference itself {over.sentence()}"
+            verdict = verdict.adding(f"on the reference itself {over.sentence()}")
             details |= {"reference_needs": over.value, "reference_needs_at_s": over.time_s}
     slow = None if failure is not None else slow_share(problem.mechanism, trajectory)
     if slow is not None and slow[0] > 0.1:  # smaller shares are its start, end and turning points
         share, joint = slow
         details["slow_friction_share"] = share
-        sentence += (
-            f"; during {share:.0%} of it {joint} is so slow that less than nine tenths of its dry friction are planned"
+        verdict = verdict.adding(
+            f"during {share:.0%} of it {joint} is so slow that less than nine tenths of its dry friction are planned"
             " (reduce mechanism.friction_transition_deg_s for more)"
         )
     if failure is not None:
-        return replace(plan, status="failed", message=f"failed: {failure}", objective=None, details=details)
-    return replace(plan, message=sentence, details=details)
+        return replace(plan, verdict=failure, objective=None, details=details)
+    return replace(plan, verdict=verdict, details=details)
 
 
-def optimality(problem: Problem) -> str:
-    """Return the first words of an optimal plan's message: no solver shows more than a local optimum."""
-    return f"{LOCALLY}{problem.objective.name.replace('_', ' ')}-optimal "
-
-
-def _failure(plan: Plan) -> str | None:
-    """Return the reason why a motion's certificate fails or its tolerance is missed; else None."""
+def _failure(plan: Plan) -> Verdict | None:
+    """Return the verdict on a motion whose certificate fails or whose tolerance is missed; else None."""
     certificate, tolerance = plan.certificate, plan.problem.mesh.tolerance_deg
     assert certificate is not None  # of a motion
     if not certificate.passed:
-        return f"the solver converged, but the certificate does not pass: {'; '.join(certificate.failures)}"
+        overruns = tuple(Overrun.of(margin) for margin in certificate.margins if not margin.kept)
+        words = f"the solver converged, but the certificate does not pass: {'; '.join(certificate.failures)}"
+        late = plan.problem.solver.certificate_deadline.passed
+        return failed(words, "certificate", known_by="certificate", overruns=overruns, out_of_time=late)
     if plan.objective is not None and not np.isfinite(plan.objective):
-        return f"the objective ({plan.problem.objective.name}) is {as_no_number(plan.objective)}"
+        return failed(f"the objective ({plan.problem.objective.name}) is {as_no_number(plan.objective)}", "numbers")
     if tolerance is None or is_exact(plan.problem, certificate):
         return None
-    return (
+    words = (
         f"the state integrated under the planned effort ends {certificate.integration_error_deg:.3g} deg from the"
         f" planned state on {plan.intervals} intervals,"
         f" more than mesh.tolerance_deg = {tolerance:g}"
     )
+    return failed(words, "certificate", known_by="certificate")
 
 
 # Factors on a reference's speed that are tried if the problem has no bounds on a free duration.
@@ -308,25 +313,28 @@ def _too_fast(problem: Problem, start_pose: np.ndarray, over: Margin) -> Plan:
     nearest = 'motion.kind = "{}" plans the nearest motion that does'
     if problem.mechanism.forces is not None:  # forces over time would not scale with the rate
         kind = "periodic" if problem.reference.periodic else "reach"
-        message = f"infeasible: {sentence}; {nearest.format(kind)} not break it"
-        return Plan(problem=problem, status="infeasible", message=message, details=details)
+        verdict = _beyond_on_reference(sentence, over).adding(f"{nearest.format(kind)} not break it")
+        return Plan(problem=problem, verdict=verdict, details=details)
     progress("searching for the highest feasible rate")
     rate, reference = highest_rate(problem, start_pose, _LOWEST_RATE, 1.0), problem.reference
     at = "at this amplitude" if isinstance(reference, Sine) else "along these positions"
-    remedy = "no slower one satisfies the limits"
+    remedy, would_do = "no slower one satisfies the limits", {}
     if rate is not None:
         details["least_duration_s"] = reference.period_s / rate
-        remedy = f"in {rounded_up(reference.period_s / rate):g} s or more it satisfies every limit"
+        would_do = {"motion.duration_s": rounded_up(reference.period_s / rate)}
+        remedy = f"in {would_do['motion.duration_s']:g} s or more it satisfies every limit"
     if rate is not None and isinstance(reference, Sine):
         details["highest_frequency_hz"] = rate * reference.frequency_hz
-        remedy = f"up to {rounded_down(rate * reference.frequency_hz):g} Hz it satisfies every limit"
+        would_do = {"reference.frequency_hz": rounded_down(rate * reference.frequency_hz)}
+        remedy = f"up to {would_do['reference.frequency_hz']:g} Hz it satisfies every limit"
     kind = "periodic" if reference.periodic else "reach"
-    return Plan(
-        problem=problem,
-        status="infeasible",
-        message=f"infeasible: {sentence}; {at} {remedy}; {nearest.format(kind)}",
-        details=details,
-    )
+    verdict = _beyond_on_reference(sentence, over, remedy=would_do).adding(f"{at} {remedy}", nearest.format(kind))
+    return Plan(problem=problem, verdict=verdict, details=details)
+
+
+def _beyond_on_reference(words: str, over: Margin, **more: Any) -> Verdict:
+    """Return the verdict on a reference that violates a limit."""
+    return infeasible(words, known_by="reference", overruns=(Overrun.of(over),), **more)
 
 
 def _plan_fastest(problem: Problem, start_pose: np.ndarray) -> Plan:
@@ -339,11 +347,11 @@ def _plan_fastest(problem: Problem, start_pose: np.ndarray) -> Plan:
     if rate is None:
         margins = rate_margins(problem, start_pose, slowest)
         worst = min(margins, key=lambda margin: margin.share)
-        sentence = f"infeasible: even in {own_s / slowest:.4g} s, on the reference {worst.sentence()}"
-        return Plan(problem=problem, status="infeasible", message=sentence)
+        words = f"even in {own_s / slowest:.4g} s, on the reference {worst.sentence()}"
+        return Plan(problem=problem, verdict=_beyond_on_reference(words, worst))
     if rate == fastest and motion.min_duration_s is None:
-        message = f"failed: no limit is reached at {fastest:g} times the speed of the reference; set motion.min_duration_s"
-        return Plan(problem=problem, status="failed", message=message)
+        words = f"no limit is reached at {fastest:g} times the speed of the reference; set motion.min_duration_s"
+        return Plan(problem=problem, verdict=failed(words, "duration"))
     trajectory = prescribe(at_rate(problem, rate), start_pose)
     binding = min(rate_margins(problem, start_pose, rate), key=lambda margin: margin.share)
     said = (
@@ -362,8 +370,8 @@ def plan_hold(problem: Problem) -> Plan:
     assert motion.duration_s is not None
     holding = holding_at(problem, motion.start)
     if not holding.holds:
-        sentence, details = unheld(problem, holding)
-        return Plan(problem=problem, status="infeasible", message=f"infeasible: {sentence}", details=details)
+        words, details = unheld(problem, holding)
+        return Plan(problem=problem, verdict=infeasible(words, known_by="every motion"), details=details)
     rest = holding.lasting(motion.duration_s)
     certificate = certify(problem, rest)
     objective, _ = objective_value(problem, rest)
@@ -371,6 +379,8 @@ def plan_hold(problem: Problem) -> Plan:
     plan = finished(problem, rest, certificate, objective, said, optimal=holding.best)
     over = [margin.sentence() for margin in certificate.margins if not margin.kept]
     if over and set(certificate.failures) <= set(over) and holding.unique:
-        sentence = f"infeasible: only these efforts hold the start, and {'; '.join(over)}"
-        return replace(plan, status="infeasible", message=sentence, trajectory=None, certificate=None)
+        words = f"only these efforts hold the start, and {'; '.join(over)}"
+        overruns = tuple(Overrun.of(margin) for margin in certificate.margins if not margin.kept)
+        verdict = infeasible(words, known_by="every motion", overruns=overruns)
+        return replace(plan, verdict=verdict, trajectory=None, certificate=None)
     return plan

@@ -105,13 +105,13 @@ def factor_of(kind: type[Limit], problem: Problem, motion: Trajectory) -> float 
     return fall / BETWEEN_NODES_FACTOR if fall is not None else BETWEEN_NODES_FACTOR * max(ratios)
 
 
-def violation(kind: type[Limit], problem: Problem, motion: Trajectory) -> str | None:
-    """Return a sentence on the worst overrun of a kind's limits; None if a motion satisfies them."""
+def violation(kind: type[Limit], problem: Problem, motion: Trajectory) -> Margin | None:
+    """Return the worst overrun of a kind's limits; None if a motion satisfies them."""
     try:
         over = overrun_margins(kind, problem, motion)
     except AssemblyError:
         return None
-    return max(over, key=lambda m: m.overrun.max()).sentence("would have to be") if over else None
+    return max(over, key=lambda m: m.overrun.max(), default=None)
 
 
 def tightened_in(problem: Problem, margin: Margin, factor: float, least: float) -> Problem:

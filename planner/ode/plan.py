@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.models.deadline import one_thread_at_a_time
-from linkplan.models.errors import InfeasibleError
+from linkplan.models.errors import PlanError
 from linkplan.planner.ode.case import case_of, guesses_of
 from linkplan.planner.ode.certificate import OdeCertificate, functions_not_finite
 from linkplan.planner.ode.problem import OdeProblem
@@ -59,10 +59,10 @@ class OdePlan:
         """Return this plan if it is optimal.
 
         Raises:
-            InfeasibleError: carrying the plan, if it is not.
+            PlanError: carrying the plan, if it is not.
         """
         if self.status != "optimal":
-            raise InfeasibleError(self.message, self)
+            raise PlanError(self.message, self)
         return self
 
 

@@ -21,6 +21,7 @@ from linkplan.planner.files.structs import json_values
 from linkplan.planner.files.tables import apply_override
 from linkplan.planner.plan.plan import Plan, motion_table, not_honoured
 from linkplan.planner.plan.record import PLAN_FORMAT, MeshRecord, PlanRecord, extra_records, read_plan_record
+from linkplan.planner.plan.verdict import Verdict, failed
 from linkplan.planner.problem.extra import ExtraCost, ExtraLimit, extras_text
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -48,6 +49,7 @@ def record_of(plan: Plan) -> PlanRecord:
         name=problem.name,
         status=plan.status,
         message=plan.message,
+        verdict=plan.verdict,
         objective=plan.objective,
         objective_kind=problem.objective.name,
         duration_s=plan.duration_s,
@@ -176,7 +178,7 @@ def read_to_prove(folder: str | Path) -> Plan:
     except PlanFileError as error:
         if not isinstance(error.__cause__, AssemblyError):
             raise
-        return Plan(problem=problem, status="failed", message=str(error.__cause__), trajectory=trajectory)
+        return Plan(problem=problem, verdict=failed(str(error.__cause__), "certificate"), trajectory=trajectory)
 
 
 def _read(
@@ -224,17 +226,17 @@ def _certified(
         raise PlanFileError(
             f"'{folder / 'trajectory.npz'}' contains a motion that the mechanism cannot make: {error}"
         ) from error
-    status, message = saved.status, saved.message
+    verdict = (saved.verdict or Verdict(kind=saved.status, words=saved.message)).replace(kind=saved.status)
     lost_cost = not problem.objective.extra and any(one.kind == "cost" for one in saved.extras)
     misses = (*certificate.failures, *disagreements(problem, trajectory, None if lost_cost else saved.objective))
     if misses:
         certificate = structs.replace(certificate, failures=misses)
-        status, message = "failed", f"failed: the motion on disk does not pass its certificate: {'; '.join(misses)}"
+        words = f"the motion on disk does not pass its certificate: {'; '.join(misses)}"
+        verdict = failed(words, "certificate", known_by="certificate")
     return Plan(
         problem=problem,
-        status=status,
-        message=message,
-        objective=None if status == "failed" else saved.objective,
+        verdict=verdict,
+        objective=None if verdict.kind == "failed" else saved.objective,
         trajectory=trajectory,
         certificate=certificate,
         history=saved.history,

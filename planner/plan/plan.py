@@ -6,13 +6,13 @@ A motion is given at any times in the units of files: positions and speeds of al
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from msgspec import structs
 
 from linkplan.models.deadline import NO_DEADLINE, Deadline
-from linkplan.models.errors import InfeasibleError, LinkplanError, ProblemError
+from linkplan.models.errors import LinkplanError, PlanError, ProblemError
 from linkplan.models.extras import load_extra
 from linkplan.models.poses.along import joint_rates, whole_turns
 from linkplan.models.poses.assembly import follow
@@ -22,6 +22,7 @@ from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.demands import Demand, demands_of
 from linkplan.planner.certificate.further_checks import contact_notes
 from linkplan.planner.files.columns import head_of
+from linkplan.planner.plan.verdict import Kind, Verdict, failed
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import AXES, angles_of
 from linkplan.planner.proof.finding import Proof
@@ -188,9 +189,6 @@ if TYPE_CHECKING:
     import pandas  # pyright: ignore[reportMissingImports]
     import xarray
 
-# The legal values of a plan's status, and those of plans with a motion that passes.
-STATUSES, PASSED = ("optimal", "feasible", "infeasible", "failed"), ("optimal", "feasible")
-
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class Plan:
@@ -203,13 +201,8 @@ class Plan:
     """
 
     problem: Problem
-    status: str
-    """The status: "optimal" (converged and certified), "feasible" (certified), "infeasible" or "failed".
-
-    A feasible motion may not be locally optimal; `message` has the reason.
-    """
-    message: str
-    """The answer in a sentence; without a motion, it names the limit, the joint, the instant and the excess."""
+    verdict: Verdict
+    """What was found and by what it is known, as data: the kind, the limits that are exceeded, what would do."""
     objective: float | None = None
     """The value of the objective in SI units: effort [N2 m2 s], time [s], tracking [rad2 s], ...; None if unknown.
 
@@ -232,19 +225,36 @@ class Plan:
         kept = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "solved"}
         return _unpickled, (type(self), kept | {"read_scheme": self.scheme})
 
+    def adding(self, *further: str, **changes: Any) -> Self:
+        """Return this plan with further phrases in its verdict, and with changes of the verdict."""
+        return replace(self, verdict=self.verdict.adding(*further, **changes))
+
+    @property
+    def status(self) -> Kind:
+        """The kind of the verdict: "optimal" (converged and certified), "feasible" (certified), "infeasible" or "failed".
+
+        A feasible motion may not be locally optimal; `message` has the reason.
+        """
+        return self.verdict.kind
+
+    @property
+    def message(self) -> str:
+        """The verdict in a sentence; without a motion, it names the limit, the joint, the instant and the excess."""
+        return self.verdict.sentence
+
     @property
     def passed(self) -> bool:
         """Whether it has a motion that passes its certificate, optimal or not."""
-        return self.status in PASSED
+        return self.verdict.passed
 
     def require(self) -> Self:
         """Return this plan if its motion is certified (optimal or feasible).
 
         Raises:
-            InfeasibleError: otherwise: a `LinkplanError` with the message and with the plan as `.plan`.
+            PlanError: otherwise: a `LinkplanError` with the message, with the plan as `.plan` and its `.verdict`.
         """
         if not self.passed:
-            raise InfeasibleError(self.message, self)
+            raise PlanError(self.message, self)
         return self
 
     def require_motion(self, use: str) -> Trajectory:
@@ -288,8 +298,9 @@ class Plan:
             return replace(self, proof=proof)
         refuted = tuple(f"the proof refutes: {finding.sentence()}" for finding in proof.of("refuted"))
         certificate = structs.replace(self.certificate, failures=refuted)
-        message = f"failed: the motion does not pass its certificate between the samples: {'; '.join(refuted)}"
-        return replace(self, proof=proof, status="failed", message=message, objective=None, certificate=certificate)
+        words = f"the motion does not pass its certificate between the samples: {'; '.join(refuted)}"
+        verdict = failed(words, "certificate", known_by="proof")
+        return replace(self, proof=proof, verdict=verdict, objective=None, certificate=certificate)
 
     def _proved(self, until: Deadline, *, existence: bool) -> Proof:
         from linkplan.planner.proof.prove import prove

@@ -9,7 +9,7 @@ from msgspec import UNSET, Struct, UnsetType
 
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.manifest import read_record
-from linkplan.planner.plan.plan import STATUSES
+from linkplan.planner.plan.verdict import Kind, Verdict
 from linkplan.planner.problem.extra import Extra
 from linkplan.planner.refinement.history import Step
 
@@ -45,8 +45,9 @@ class PlanRecord(Struct, frozen=True, eq=False, kw_only=True):
 
     format: int
     name: str
-    status: str
+    status: Kind
     message: str
+    verdict: Verdict | None = None
     objective: float | None = None
     objective_kind: NotRead = None
     duration_s: NotRead = None
@@ -90,8 +91,6 @@ def read_plan_record(folder: Path) -> PlanRecord:
             f"'{folder}' is not a plan: it has no plan.json; a plan is a folder with that and trajectory.npz{inside}"
         )
     saved = read_record(path, PlanRecord)
-    if saved.status not in STATUSES:
-        raise PlanFileError(f"'{path}' has status '{saved.status}'; it must be one of {', '.join(STATUSES)}")
     if saved.format != PLAN_FORMAT:
         raise PlanFileError(f"'{path}' has format {saved.format}; this linkplan reads {PLAN_FORMAT}")
     return saved

@@ -12,11 +12,12 @@ import numpy as np
 
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.further_checks import surely_collides, unavoidable
-from linkplan.planner.closed_chain.case import MechanismCase, case_of, finished, optimality
+from linkplan.planner.closed_chain.case import MechanismCase, case_of, finished
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT
 from linkplan.planner.closed_chain.guess import Guess, closes
 from linkplan.planner.closed_chain.transcribe import own_objective
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.plan.verdict import failed, out_of_time
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt, with_scheme
 from linkplan.planner.refinement.decision import refine
@@ -31,7 +32,6 @@ from linkplan.planner.search.solving import (
     graded_mesh,
     with_longer_durations,
 )
-from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import halved
 
@@ -70,7 +70,7 @@ def plan_from(
             continue
         found, unbounded = with_longer_durations(problem, found)
         if unbounded is not None:
-            search.verdicts.append(Plan(problem=search.problem, status="failed", message=unbounded))
+            search.verdicts.append(Plan(problem=search.problem, verdict=unbounded))
             return None
         # The refinement of a motion that was found in few iterations may take more iterations.
         missed = refined(search, search.within(replace(budget, iterations=None)), found, repaired=repaired)
@@ -165,24 +165,25 @@ def certified_at(problem: Problem, plan: Plan, shares: tuple[float, ...]) -> Pla
 def _plan_of(problem: Problem, better: Refined | None, change: float | None) -> Plan:
     """Return the plan of a refined motion; `change` is its objective's relative change on a finer mesh, if known."""
     if better is None:
-        message = "failed: the motion that the solver returned leaves the branch on which the mechanism was assembled"
+        verdict = failed("the motion that the solver returned leaves the branch on which the mechanism was assembled")
         if problem.solver.judging_deadline.passed:
-            message = f"failed: {why_stopped(OUT_OF_TIME, problem.solver.max_time_s)}"
-        return Plan(problem=problem, status="failed", message=message, history=recorded())
+            verdict = out_of_time(problem.solver.max_time_s)
+        return Plan(problem=problem, verdict=verdict, history=recorded())
     solution = better.solution
     objective = own_objective(solution.transcribed, solution.objective, better.motion)
     moved = better.moved if change is None else change
     against = better.arcs_with_wrong_sign
     optimal = not len(against) and moved <= OPTIMAL_CHANGE
     plan = finished(problem, better.motion, better.certificate, objective, None, optimal=optimal)
-    said = f"; on a finer mesh its objective still changed by {100 * moved:.1g} %" if moved > REPORTED_CHANGE else ""
+    said = f"on a finer mesh its objective still changed by {100 * moved:.1g} %" if moved > REPORTED_CHANGE else ""
+    at_arc = ""
     if len(against):
-        said += (
-            f"; on the arc at t = {against[0]:.4g} s the optimum would leave the limit (Pontryagin's principle): not a"
+        at_arc = (
+            f"on the arc at t = {against[0]:.4g} s the optimum would leave the limit (Pontryagin's principle): not a"
             " local optimum"
         )
     if plan.passed:
-        plan = replace(plan, message=plan.message + said)
+        plan = plan.adding(said, at_arc)
     return replace(plan, solved=replace(solution.transcribed, start=solution.x))
 
 
@@ -191,22 +192,19 @@ def without_solving(
     motion: Trajectory,
     objective: float,
     said: str,
-    *,
+    *further: str,
     best: str | None = None,
 ) -> Plan:
     """Return the plan of a motion that was constructed without a solve: "feasible" if its certificate passes.
 
-    It is "optimal", with the message `best`, if its efforts equal those by inverse dynamics.
+    `said` are its words, `further` phrases after them. It is "optimal", with the words `best`, if its efforts equal those by
+    inverse dynamics.
     """
     certificate = certify(problem, motion)
     # Efforts that differ by at most this share of the largest effort count as equal.
     optimal = best is not None and certificate.dynamics_residual <= 1e-6 * np.abs(motion.effort).max()
-    return finished(problem, motion, certificate, objective, best if optimal else said, optimal=optimal)
-
-
-def only_feasible(plan: Plan, why: str) -> Plan:
-    """Return a plan that passes with the status "feasible" and the reason in its message."""
-    return replace(plan, status="feasible", message=plan.message.removeprefix(optimality(plan.problem)) + why)
+    words = best if optimal else said
+    return finished(problem, motion, certificate, objective, words, optimal=optimal, further=() if optimal else further)
 
 
 def unsound(plan: Plan) -> bool:

@@ -226,8 +226,9 @@ def run_search(search: Search) -> Plan | None:
     best = search.best
     if best is None:
         return None
-    # The message of a plan without a motion already names the time limit.
+    # The words of a plan without a motion already names the time limit.
     cut = search.stopped == OUT_OF_TIME and best.trajectory is not None
     found = "the best found within" if best.passed else "the search ran out of"
-    said = f"; {found} its {search.problem.solver.max_time_s:g} s {OF_TIME}" if cut else ""
-    return replace(best, problem=search.problem, history=recorded(), message=best.message + said)
+    said = f"{found} its {search.problem.solver.max_time_s:g} s {OF_TIME}" if cut else ""
+    best = best.adding(said, out_of_time=best.verdict.out_of_time or cut)
+    return replace(best, problem=search.problem, history=recorded())

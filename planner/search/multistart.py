@@ -23,7 +23,7 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt, share_gained
 from linkplan.planner.refinement.history import progress
-from linkplan.planner.search.attempts import certified, objective_of, of_several, only_feasible, without_solving
+from linkplan.planner.search.attempts import certified, objective_of, of_several, without_solving
 from linkplan.planner.search.finer_meshes import FIRST_MARGIN, LAST_MARGIN, at_a_distance
 from linkplan.planner.search.methods import Budget, Search
 from linkplan.planner.search.solving import first_mesh, with_longer_durations
@@ -43,7 +43,7 @@ _ALIKE_SHARE = 1e-3
 _MOST_REFINED = 3
 # Factors on the duration of a motion that does not pass, for the search for a motion of little effort.
 _SLOWER_FACTORS = (1.05, 1.3)
-_TIES = f"; joints with slack time move smoothly by a weight of {TIE_WEIGHT:g} on squared efforts, which breaks ties"
+_TIES = f"joints with slack time move smoothly by a weight of {TIE_WEIGHT:g} on squared efforts, which breaks ties"
 # Factors on the duration of the smooth path, as initial guesses of a free duration.
 _STRETCH_FACTORS = (0.7, 1.5, 1.0)
 
@@ -68,7 +68,7 @@ def from_several_starts(search: Search, budget: Budget) -> Plan | None:
         progress(f"refining the motion from {first.what}")
         found, unbounded = with_longer_durations(problem, first.found)
         if unbounded is not None:
-            search.verdicts.append(Plan(problem=search.problem, status="failed", message=unbounded))
+            search.verdicts.append(Plan(problem=search.problem, verdict=unbounded))
             return None
         plan = certified(problem, found)
         if wanted > 1:
@@ -88,15 +88,15 @@ def from_several_starts(search: Search, budget: Budget) -> Plan | None:
         return min(plans, key=lambda plan: not plan.passed, default=None)
     better = firsts[0].objective
     if not (plans and best is plans[0]) and _cheaper(better, best):
-        return only_feasible(best, f"; a motion with {better:.6g} was found, but does not pass its certificate")
+        return best.adding(f"a motion with {better:.6g} was found, but does not pass its certificate", kind="feasible")
     if tried < wanted:
         share = f"in their share of the {problem.solver.max_time_s:g} s {OF_TIME}"
         why = "and the loops open along all others" if in_time else share
-        best = replace(best, message=f"{best.message}; {tried} of the {wanted} starts were tried {why}")
+        best = best.adding(f"{tried} of the {wanted} starts were tried {why}", out_of_time=not in_time)
     if not of_several(problem):
         return best
     said = _TIES if np.any(tie_weights(problem, TIE_WEIGHT)) else ""
-    return replace(best, message=best.message + said + _margin_kept(problem, best))
+    return best.adding(said, _margin_kept(problem, best))
 
 
 def _margin_kept(problem: Problem, plan: Plan) -> str:
@@ -105,7 +105,7 @@ def _margin_kept(problem: Problem, plan: Plan) -> str:
     met = [margin for margin in (FIRST_MARGIN, LAST_MARGIN) if 0.9 * margin <= ratio <= 1.02 * margin]
     if not met or met[0] <= problem.limits.singular_margin:
         return ""
-    return f"; it keeps a distance from singular poses, {met[0]:g} of that at home; a motion nearer to them may cost less"
+    return f"it keeps a distance from singular poses, {met[0]:g} of that at home; a motion nearer to them may cost less"
 
 
 def _in_more_time(problem: Problem, first: _First) -> Plan | None:

@@ -13,8 +13,9 @@ from dataclasses import replace
 from msgspec import Struct
 
 from linkplan.models.deadline import ONE_THREAD, OutOfTimeError
-from linkplan.planner.closed_chain.case import LOCALLY, plan_hold, plan_prescribed
+from linkplan.planner.closed_chain.case import plan_hold, plan_prescribed
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.plan.verdict import out_of_time
 from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import share_gained
@@ -26,8 +27,6 @@ from linkplan.planner.search.methods import FULL_BUDGET, SHORT_BUDGET, Budget, R
 from linkplan.planner.search.multistart import from_several_starts
 from linkplan.planner.search.site_path import plan_along_path
 from linkplan.planner.search.solving import longest
-from linkplan.planner.search.without_solver import NOT_SHOWN
-from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 
 __all__ = ["DIAGNOSES", "REPAIRS", "SEARCH_METHODS", "Say", "plan_motion", "silent"]
 # The key of the nominal plan's objective in a plan's details, in the objective's SI unit.
@@ -170,8 +169,7 @@ def plan_motion(
         try:
             plan = _planned(begun, methods, diagnoses, plans)
         except OutOfTimeError:
-            message = f"failed: {why_stopped(OUT_OF_TIME, problem.solver.max_time_s)}"
-            plan = Plan(problem=problem, status="failed", message=message, history=recorded())
+            plan = Plan(problem=problem, verdict=out_of_time(problem.solver.max_time_s), history=recorded())
     return replace(plan, problem=problem)
 
 
@@ -214,17 +212,17 @@ def _planned(problem: Problem, methods: Sequence[SearchMethod], diagnoses: Seque
 def _or_simpler(search: Search, plan: Plan | None, rest: Plan | None) -> Plan | None:
     """Return a plan of the methods, or a rest unless it costs more; if neither is sound, the smooth path, or None.
 
-    The plan's message says "locally optimal" unless the phase plane proves more. A rest that costs as much as an optimal
+    An optimal plan is locally optimal unless the phase plane proves more. A rest that costs as much as an optimal
     plan is that plan's motion without the solver's rounding.
     """
     if plan is not None and plan.status == "optimal" and starts.judged_by_the_phase_plane(search)[0]:
-        plan = replace(plan, message=plan.message.removeprefix(LOCALLY))
+        plan = plan.adding(is_global=True, known_by="phase plane")
     sound = plan if plan is not None and plan.passed else None
     if sound is not None and (rest is None or _costs_less(sound, rest)):
         return sound
     if rest is not None:
         same = sound is not None and sound.status == "optimal"
-        return replace(rest, status="optimal", message=rest.message.removesuffix(NOT_SHOWN)) if same else rest
+        return replace(rest, verdict=rest.verdict.replace(kind="optimal", further=())) if same else rest
     smooth = None
     with contextlib.suppress(OutOfTimeError):
         if plan is not None and plan.certificate is not None and plan.certificate.is_carried and plan.trajectory is not None:

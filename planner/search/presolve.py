@@ -20,12 +20,13 @@ from linkplan.models.poses.controls import needed_controls
 from linkplan.models.poses.reach import reach
 from linkplan.models.poses.singular_poses import all_regular
 from linkplan.models.tree.friction import frictions_of
-from linkplan.models.tree.joints import POSITION_ROUNDING
+from linkplan.models.tree.joints import POSITION_ROUNDING, Joint
 from linkplan.planner.certificate.integration import POSE_SLACK
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import Limit
 from linkplan.planner.limits.samples import Poses
 from linkplan.planner.phase_plane.grid import plane_of
+from linkplan.planner.plan.verdict import Overrun, Verdict, infeasible
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import Task
 
@@ -42,8 +43,8 @@ class _End:
     other_speed: float
 
 
-def no_way_to_stop(problem: Problem) -> str | None:
-    """Return the sentence on a speed at start or goal that no effort can stop or reach within the joint's range, or None."""
+def no_way_to_stop(problem: Problem) -> Verdict | None:
+    """Return the verdict on a speed at start or goal that no effort can stop or reach within the joint's range, or None."""
     motion, mechanism = problem.motion, problem.mechanism
     if mechanism.dof != 1 or motion.kind != "reach" or motion.goal_is_free or not np.all(np.isfinite(problem.limits.effort)):
         return None
@@ -58,7 +59,7 @@ def no_way_to_stop(problem: Problem) -> str | None:
     return next((found for end in ends if end.speed and (found := _beyond_the_range(problem, end)) is not None), None)
 
 
-def _beyond_the_range(problem: Problem, end: _End) -> str | None:
+def _beyond_the_range(problem: Problem, end: _End) -> Verdict | None:
     mechanism, limit = problem.mechanism, problem.limits.position
     way, (joint,) = int(np.sign(end.speed)), mechanism.independent_joints
     step = way * end.along
@@ -85,11 +86,12 @@ def _beyond_the_range(problem: Problem, end: _End) -> str | None:
         return None
     does = "stops" if end.along > 0 else "gathers"
     room = abs(joint.shown(bound - end.position))
-    return (
-        f"infeasible: no effort within its limits {does} the {abs(joint.shown(end.speed)):.4g} {joint.unit}/s of joint"
+    words = (
+        f"no effort within its limits {does} the {abs(joint.shown(end.speed)):.4g} {joint.unit}/s of joint"
         f" {joint.name} at the {end.name} within the {room:.4g} {joint.unit} to the end of its range at"
         f" {joint.text(bound, 5)} {joint.unit}"
     )
+    return infeasible(words, known_by="phase plane")
 
 
 # Poses on the only path may exceed a limit by this share of the quantity's size; the solver and the certificate decide on
@@ -100,8 +102,8 @@ ONLY_WAY_SLACK = 1e-6
 _POSES_APART, _WEAK_SHARE = 25, 1e-4
 
 
-def plain_contradiction(problem: Problem) -> str | None:
-    """Return the sentence on a limit that no motion can satisfy, found without solving, or None."""
+def plain_contradiction(problem: Problem) -> Verdict | None:
+    """Return the verdict on a limit that no motion can satisfy, found without solving, or None."""
     looks = (
         _speed_at_an_end,
         _branches_on_the_way,
@@ -111,26 +113,28 @@ def plain_contradiction(problem: Problem) -> str | None:
         _mean_speed,
         _too_weak_on_the_path,
     )
-    return next((sentence for look in looks if (sentence := look(problem)) is not None), None)
+    return next((verdict for look in looks if (verdict := look(problem)) is not None), None)
 
 
-def _speed_at_an_end(problem: Problem) -> str | None:
-    """Return the sentence on a speed at start or goal beyond its limit, or None."""
+def _speed_at_an_end(problem: Problem) -> Verdict | None:
+    """Return the verdict on a speed at start or goal beyond its limit, or None."""
     mechanism, motion = problem.mechanism, problem.motion
     for name in ("start_speed", "goal_speed"):
         value = getattr(motion, name)
         for column, joint in enumerate(mechanism.independent_joints):
             low, high = problem.limits.speed[mechanism.independent[column]]
             if value is not None and not low <= value[column] <= high:
-                return (
-                    f"infeasible: motion.{name} of joint {joint.name} is {joint.text(value[column], 4)} {joint.unit}/s,"
-                    f" beyond its speed limit of {joint.text(high if value[column] > 0 else low, 4)} {joint.unit}/s"
+                bound = high if value[column] > 0 else low
+                words = (
+                    f"motion.{name} of joint {joint.name} is {joint.text(value[column], 4)} {joint.unit}/s,"
+                    f" beyond its speed limit of {joint.text(bound, 4)} {joint.unit}/s"
                 )
+                return infeasible(words, known_by="every motion", overruns=(_speed(joint, value[column], bound),))
     return None
 
 
-def _mean_speed(problem: Problem) -> str | None:
-    """Return the sentence on a joint whose mean speed between start and goal is beyond its limit, or None."""
+def _mean_speed(problem: Problem) -> Verdict | None:
+    """Return the verdict on a joint whose mean speed between start and goal is beyond its limit, or None."""
     mechanism, motion = problem.mechanism, problem.motion
     if motion.kind != "reach" or motion.duration_s is None or motion.goal_is_free:
         return None
@@ -140,16 +144,23 @@ def _mean_speed(problem: Problem) -> str | None:
         if not low <= mean <= high:
             bound = high if mean > 0 else low
             shortest = (motion.goal[column] - motion.start[column]) / bound if bound else np.inf
-            return (
-                f"infeasible: joint {joint.name} would have to move at {joint.text(mean, 4)} {joint.unit}/s on average"
+            words = (
+                f"joint {joint.name} would have to move at {joint.text(mean, 4)} {joint.unit}/s on average"
                 f" over {motion.duration_s:.4g} s, beyond its speed limit of {joint.text(bound, 4)} {joint.unit}/s; this"
                 f" limit alone requires {shortest:.4g} s"
             )
+            return infeasible(words, known_by="every motion", overruns=(_speed(joint, mean, bound),))
     return None
 
 
-def _branches_on_the_way(problem: Problem) -> str | None:
-    """Return the sentence on a pose from start to goal at which the loops of one degree of freedom lose rank, or None."""
+def _speed(joint: Joint, speed: float, bound: float) -> Overrun:
+    """Return the overrun of a joint's speed limit, both in SI units."""
+    value, limit = float(joint.shown(speed)), float(joint.shown(bound))
+    return Overrun(limit="speed", name=joint.name, value=value, bound=limit, unit=f"{joint.unit}/s")
+
+
+def _branches_on_the_way(problem: Problem) -> Verdict | None:
+    """Return the verdict on a pose from start to goal at which the loops of one degree of freedom lose rank, or None."""
     mechanism, motion = problem.mechanism, problem.motion
     if mechanism.dof != 1 or motion.start is None or motion.goal is None:
         return None
@@ -161,23 +172,24 @@ def _branches_on_the_way(problem: Problem) -> str | None:
     can = reach(mechanism)
     for position, rank in can.branching:
         if low < position < high and position not in can.single:
-            return (
-                f"infeasible: between start and goal, at {joint.name} = {joint.text(position, 5)} {joint.unit}, the"
+            words = (
+                f"between start and goal, at {joint.name} = {joint.text(position, 5)} {joint.unit}, the"
                 f" closure's rank falls from {len(mechanism.dependent)} to {rank}: the loops do not determine the motion"
                 " beyond it, and no effort of the actuators does"
             )
+            return infeasible(words, "motion", known_by="every motion")
     return None
 
 
-def _pose_beyond(problem: Problem) -> str | None:
-    """Return the sentence on a limit that start, goal, a waypoint or a pose on the only path overruns, or None."""
+def _pose_beyond(problem: Problem) -> Verdict | None:
+    """Return the verdict on a limit that start, goal, a waypoint or a pose on the only path overruns, or None."""
     limits = [limit for limit in limits_of(problem) if limit.facts.of_position]
     for when, pose, open_at in _known_poses(problem) if limits else ():
-        sentence = sentence_beyond(problem, limits, pose[None], when, POSE_SLACK, open_at)
-        if sentence is not None:
-            return sentence
+        verdict = pose_beyond(problem, limits, pose[None], when, POSE_SLACK, open_at)
+        if verdict is not None:
+            return verdict
     poses = only_way(problem) if limits else None
-    return None if poses is None else sentence_beyond(problem, limits, poses, None, ONLY_WAY_SLACK)
+    return None if poses is None else pose_beyond(problem, limits, poses, None, ONLY_WAY_SLACK)
 
 
 def _known_poses(problem: Problem) -> Iterator[tuple[str, np.ndarray, tuple[Task, ...] | None]]:
@@ -197,15 +209,15 @@ def _known_poses(problem: Problem) -> Iterator[tuple[str, np.ndarray, tuple[Task
                 yield f"at motion.waypoints[{k}]", pose, waypoint.at if waypoint.at_rows else None
 
 
-def sentence_beyond(
+def pose_beyond(
     problem: Problem,
     limits: list[Limit],
     poses: np.ndarray,
     when: str | None,
     slack: float,
     tasks: tuple[Task, ...] | None = None,
-) -> str | None:
-    """Return the sentence on the first limit that the worst of poses (n, n_q) overruns, or None.
+) -> Verdict | None:
+    """Return the verdict on the first limit that the worst of poses (n, n_q) overruns, or None.
 
     Args:
         problem: the problem.
@@ -229,10 +241,14 @@ def sentence_beyond(
         if off[k] > slack * size:
             unit, title = f" {measured.unit}".rstrip(), limit.facts.words.format(measured.name)
             value = measured.values[k] if abs(measured.values[k]) > POSITION_ROUNDING * size else 0.0
-            return (
-                f"infeasible: {title} {limit.facts.verb} {value:.6g}{unit} {when or _where(problem, poses[k])},"
+            words = (
+                f"{title} {limit.facts.verb} {value:.6g}{unit} {when or _where(problem, poses[k])},"
                 f" {off[k]:.4g}{unit} {limit.facts.beyond} its limit of {nearest[k]:.6g}{unit}"
             )
+            over = Overrun(
+                limit=limit.key, name=measured.name, value=float(value), bound=float(nearest[k]), unit=measured.unit
+            )
+            return infeasible(words, known_by="every motion", overruns=(over,))
     return None
 
 
@@ -258,8 +274,8 @@ def only_way(problem: Problem) -> np.ndarray | None:
         return None
 
 
-def _too_weak_on_the_path(problem: Problem) -> str | None:
-    """Return the sentence on a pose of a path at which no efforts within their limits keep its site on the path, or None.
+def _too_weak_on_the_path(problem: Problem) -> Verdict | None:
+    """Return the verdict on a pose of a path at which no efforts within their limits keep its site on the path, or None.
 
     With more equations than freedoms, the efforts u satisfy B u = tau_0 + g a + d v + c w, for the acceleration a, the speed
     v and its square w along the path. Here a, v and w are efforts of three further actuators, so weak that only motors
@@ -296,15 +312,18 @@ def _too_weak_on_the_path(problem: Problem) -> str | None:
     where = {0.0: "at rest at the path's beginning", 1.0: "at rest at the path's end"}.get(
         share, f"{share:.0%} along the path"
     )
-    return (
-        f"infeasible: {where}, {actuator.name} on {actuator.target} would"
+    words = (
+        f"{where}, {actuator.name} on {actuator.target} would"
         f" have to give {effort[k, j]:.4g} {actuator.unit}, {off[k, j]:.4g} {actuator.unit} beyond its limit of"
         f" {nearest[k, j]:.4g} {actuator.unit}, to keep its site on the path"
     )
+    value, bound = float(effort[k, j]), float(nearest[k, j])
+    over = Overrun(limit="effort", name=actuator.name, value=value, bound=bound, unit=actuator.unit)
+    return infeasible(words, known_by="every motion", overruns=(over,))
 
 
-def _beyond_ctrl(problem: Problem) -> str | None:
-    """Return the sentence on a start or goal where no ctrl of a servo gives an effort within its limits, or None."""
+def _beyond_ctrl(problem: Problem) -> Verdict | None:
+    """Return the verdict on a start or goal where no ctrl of a servo gives an effort within its limits, or None."""
     mechanism, motion = problem.mechanism, problem.motion
     if not any(actuator.limits_control for actuator in mechanism.actuators):
         return None
@@ -323,8 +342,9 @@ def _beyond_ctrl(problem: Problem) -> str | None:
             clamp = actuator.upper if (most < low) == (actuator.gain > 0) else actuator.lower
             given = problem.limits.effort[j, 0] <= clamp <= problem.limits.effort[j, 1]
             if actuator.limits_control and (least > high or most < low) and not given:
-                return (
-                    f"infeasible: {actuator.name} on {actuator.target} would need a ctrl of {nearest_ctrl:.4g} at the {name}"
+                words = (
+                    f"{actuator.name} on {actuator.target} would need a ctrl of {nearest_ctrl:.4g} at the {name}"
                     f" to give an effort within its limits; its ctrlrange is {low:g} to {high:g}"
                 )
+                return infeasible(words, known_by="every motion")
     return None

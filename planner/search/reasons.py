@@ -17,6 +17,7 @@ from linkplan.planner.limits.kinds import limits_of, relaxed_kinds, violation, w
 from linkplan.planner.limits.limit import Limit
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.plan.verdict import Overrun, Verdict, failed, infeasible
 from linkplan.planner.problem.extra import extras_not_finite
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recorded
@@ -40,8 +41,8 @@ def _times_limit(actuator: Actuator, factor: float, limit: float) -> str:
     return f"{factor:.4g} times its limit of {limit:.4g} {actuator.unit}"
 
 
-def effort_sentence(problem: Problem, least: LeastLimit) -> tuple[str, dict[str, float]]:
-    """Return a sentence on the efforts that a motion would need, and its numbers."""
+def effort_sentence(problem: Problem, least: LeastLimit) -> tuple[str, Overrun]:
+    """Return words on the efforts that a motion would need, and their largest overrun."""
     limit, trajectory = problem.limits.effort, least.trajectory
     time = trajectory.dense_times(8)
     u = trajectory.effort_at(time)
@@ -55,7 +56,15 @@ def effort_sentence(problem: Problem, least: LeastLimit) -> tuple[str, dict[str,
         f"{_must_give(actuator, abs(needed))} at t = {time[at]:.3g} s, {abs(needed - bound):.4g} {actuator.unit} beyond its"
         f" limit of {abs(bound):.4g} {actuator.unit}"
     )
-    return sentence, {"needed_effort": abs(needed), "needed_limit_factor": least.factor}
+    return sentence, Overrun(
+        limit="effort", name=actuator.name, value=needed, bound=bound, unit=actuator.unit, time_s=float(time[at])
+    )
+
+
+def _of_efforts(search: Search, words: str, over: Overrun, factor: float) -> Plan:
+    """Return the plan that says that a motion would need more effort."""
+    details = {"needed_effort": abs(over.value), "needed_limit_factor": factor}
+    return _infeasible(search, infeasible(words, overruns=(over,), needed_factor=factor), details)
 
 
 def share_sentence(problem: Problem, factor: float, motion: Guess, *, at_all: bool) -> str:
@@ -99,8 +108,8 @@ class PathEffort:
     sentence: str
 
 
-def far_too_short(search: Search) -> tuple[str, dict[str, float]] | None:
-    """Return a sentence and its numbers if a reach is given only a small share of its least duration; else None.
+def far_too_short(search: Search) -> tuple[Verdict, dict[str, float]] | None:
+    """Return a verdict and its numbers if a reach is given only a small share of its least duration; else None.
 
     With one degree of freedom the phase plane gives the shortest motion at once. With several
     degrees of freedom it is planned only if the smooth path needs far more effort than allowed.
@@ -113,11 +122,12 @@ def far_too_short(search: Search) -> tuple[str, dict[str, float]] | None:
     shortest, about = _shortest(search)
     if shortest is None or asked > _INFEASIBLE_DURATION_SHARE * shortest:
         return None
-    sentence = (
-        f"infeasible: {asked:.4g} s is {shortest / asked:.3g} times too short: {path.sentence};"
+    words = (
+        f"{asked:.4g} s is {shortest / asked:.3g} times too short: {path.sentence};"
         f" the shortest feasible duration is {about}{shortest:.4g} s"
     )
-    return sentence, {"shortest_duration_s": shortest, "smooth_path_limit_factor": path.factor}
+    verdict = infeasible(words, "duration", remedy={"motion.duration_s": shortest})
+    return verdict, {"shortest_duration_s": shortest, "smooth_path_limit_factor": path.factor}
 
 
 def _shortest(search: Search) -> tuple[float | None, str]:
@@ -163,12 +173,12 @@ def path_effort(problem: Problem, guess: Guess) -> PathEffort | None:
 def contradicted(search: Search) -> Plan | None:
     """Return the plan that names a limit that no motion can satisfy, if this is clear without solving."""
     problem = search.problem
-    sentence = plain_contradiction(problem)
-    if sentence is None:
+    verdict = plain_contradiction(problem)
+    if verdict is None:
         return None
     details: dict[str, float] = {}
     longer_would_do = plain_contradiction(replace(problem, motion=replace(problem.motion, duration_s=None))) is None
-    return _infeasible(search, sentence, details, shortest=longer_would_do)
+    return _infeasible(search, verdict, details, shortest=longer_would_do)
 
 
 def too_short(search: Search) -> Plan | None:
@@ -185,8 +195,9 @@ def less_than_least_time(search: Search) -> Plan | None:
     if known is None or known.trajectory is None or not known.passed:
         return None
     asked, shortest = longest(search.problem), known.trajectory.duration_s
-    sentence = f"infeasible: {asked:.7g} s is too short; the shortest feasible duration is {shortest:.7g} s"
-    return _infeasible(search, sentence, {"shortest_duration_s": shortest}, shortest=False)
+    words = f"{asked:.7g} s is too short; the shortest feasible duration is {shortest:.7g} s"
+    verdict = infeasible(words, "duration", known_by="phase plane", remedy={"motion.duration_s": shortest})
+    return _infeasible(search, verdict, {"shortest_duration_s": shortest}, shortest=False)
 
 
 def solver_stopped(search: Search) -> Plan | None:
@@ -194,7 +205,11 @@ def solver_stopped(search: Search) -> Plan | None:
     reason = why_stopped(search.stopped or "", search.problem.solver.max_time_s)
     if search.stopped == INVALID:
         reason = "; ".join(_extras_not_finite(search)) or reason
-    return None if reason is None else _failed(search, reason + _needs_of_smooth_path(search))
+    if reason is None:
+        return None
+    about = "numbers" if search.stopped == INVALID else "time"
+    verdict = failed(reason, about, out_of_time=about == "time")
+    return _failed(search, verdict.adding(_needs_of_smooth_path(search)))
 
 
 def _extras_not_finite(search: Search) -> list[str]:
@@ -222,9 +237,8 @@ def efforts_contradicted(search: Search) -> Plan | None:
     if _over(search) is None or not enough_time(search) or search.quickest is None:
         return None
     known = search.quickest.duration_s
-    return _failed(
-        search, f"the phase plane has a motion of {known:.5g} s within the effort limits, but the search missed it"
-    )
+    words = f"the phase plane has a motion of {known:.5g} s within the effort limits, but the search missed it"
+    return _failed(search, failed(words, known_by="phase plane"))
 
 
 def efforts_without_proof(search: Search) -> Plan | None:
@@ -232,11 +246,9 @@ def efforts_without_proof(search: Search) -> Plan | None:
     over = _over(search)
     if over is None or not may_swing(search.problem):
         return None
-    sentence, _ = effort_sentence(search.problem, over)
-    return _failed(
-        search,
-        f"no motion was found; on the found motion of least effort, {sentence}; this is no proof",
-    )
+    sentence, excess = effort_sentence(search.problem, over)
+    words = f"no motion was found; on the found motion of least effort, {sentence}; this is no proof"
+    return _failed(search, failed(words, overruns=(excess,), needed_factor=over.factor))
 
 
 def efforts(search: Search) -> Plan | None:
@@ -244,8 +256,7 @@ def efforts(search: Search) -> Plan | None:
     over = _over(search)
     if over is None:
         return None
-    sentence, details = effort_sentence(search.problem, over)
-    return _infeasible(search, f"infeasible: {sentence}", details)
+    return _of_efforts(search, *effort_sentence(search.problem, over), over.factor)
 
 
 def efforts_without_other_limits(search: Search) -> Plan | None:
@@ -259,8 +270,8 @@ def efforts_without_other_limits(search: Search) -> Plan | None:
     least = least_limit_of_starts(bare, search.smooth)
     if least is None or least.factor <= 1.0:
         return None
-    sentence, details = effort_sentence(bare, least)
-    return _infeasible(search, f"infeasible: even without its other limits, {sentence}", details)
+    sentence, over = effort_sentence(bare, least)
+    return _of_efforts(search, f"even without its other limits, {sentence}", over, least.factor)
 
 
 def one_last_limit(search: Search) -> Plan | None:
@@ -277,8 +288,8 @@ def efforts_by_the_phase_plane(search: Search) -> Plan | None:
     if least is None or least[0] <= GRID_ERROR_FACTOR_AT_SPEED_LIMIT:
         return None
     sentence = share_sentence(search.problem, *least, at_all=search.quickest is None)
-    details = {"needed_limit_factor": least[0]}
-    return _infeasible(search, f"infeasible: {sentence}", details, shortest=search.quickest is not None)
+    verdict = infeasible(sentence, known_by="phase plane", needed_factor=least[0])
+    return _infeasible(search, verdict, {"needed_limit_factor": least[0]}, shortest=search.quickest is not None)
 
 
 def nothing_found(search: Search) -> Plan:
@@ -287,12 +298,13 @@ def nothing_found(search: Search) -> Plan:
     if stopped is not None:
         return stopped
     if unknown := _extras_not_finite(search):
-        return _failed(search, "; ".join(unknown))
+        return _failed(search, failed("; ".join(unknown), "numbers"))
     status = recorded()[-1].solver_status if recorded() else "no initial guess closes the kinematic loops"
-    needs, known = _needs_of_smooth_path(search), search.known.least_duration_s
+    known, remedy, longer = search.known.least_duration_s, {}, ""
     if known is not None and known > longest(search.problem):
-        needs += f"; the shortest motion found takes {known:.5g} s"
-    return _failed(search, f"the solver found neither a motion nor a limit that forbids one ({status}){needs}")
+        remedy, longer = {"motion.duration_s": known}, f"the shortest motion found takes {known:.5g} s"
+    verdict = failed(f"the solver found neither a motion nor a limit that forbids one ({status})", remedy=remedy)
+    return _failed(search, verdict.adding(_needs_of_smooth_path(search), longer))
 
 
 def _needs_of_smooth_path(search: Search) -> str:
@@ -300,7 +312,7 @@ def _needs_of_smooth_path(search: Search) -> str:
     if not np.all(np.isfinite(search.problem.limits.effort)):
         return ""
     path = path_effort(search.problem, search.smooth)
-    return "" if path is None or path.factor <= 1 else f"; {path.sentence}"
+    return "" if path is None or path.factor <= 1 else path.sentence
 
 
 def _over(search: Search) -> LeastLimit | None:
@@ -326,34 +338,28 @@ def _without(search: Search, kind: type[Limit]) -> Plan | None:
     if kind in relaxed_kinds(problem) and violation(kind, problem, motion) is not None:
         progress(f"searching for the least limit on {kind.key} with which there is a motion")
         motion = least_relaxation(problem, kind, motion, mesh, found.durations)
-    sentence = violation(kind, problem, motion)
-    return None if sentence is None else _infeasible(search, f"infeasible: {sentence}", {})
+    over = violation(kind, problem, motion)
+    if over is None:
+        return None
+    return _infeasible(search, infeasible(over.sentence("would have to be"), overruns=(Overrun.of(over),)), {})
 
 
-def _infeasible(search: Search, sentence: str, details: dict[str, float], *, shortest: bool = True) -> Plan:
+def _infeasible(search: Search, verdict: Verdict, details: dict[str, float], *, shortest: bool = True) -> Plan:
     """Return the plan that says that no motion satisfies the limits.
 
     If a motion of at most the given duration is known, the problem is not proved infeasible and the status is "failed".
     """
     problem: Problem = search.problem
-    message = sentence + (shortest_sentence(search, details) if shortest else "")
+    quickest = shortest_motion(search) if shortest and may_be_too_short(problem) else None
+    if quickest is not None:
+        least = details["shortest_duration_s"] = quickest.trajectory.duration_s
+        verdict = verdict.adding(f"the shortest feasible duration is {least:.5g} s", remedy={"motion.duration_s": least})
     known, asked = search.known.least_duration_s, longest(problem)
     if known is not None and known <= asked * (1 + 1e-9):
-        return _failed(
-            search, f"a motion of {known:.7g} s satisfies every limit, one of {asked:.7g} s was not found", details
-        )
-    return Plan(problem=problem, status="infeasible", message=message, history=recorded(), details=details)
+        words = f"a motion of {known:.7g} s satisfies every limit, one of {asked:.7g} s was not found"
+        return _failed(search, failed(words, "duration", remedy={"motion.duration_s": known}), details)
+    return Plan(problem=problem, verdict=verdict, history=recorded(), details=details)
 
 
-def _failed(search: Search, reason: str, details: dict[str, float] | None = None) -> Plan:
-    message = f"failed: {reason}"
-    return Plan(problem=search.problem, status="failed", message=message, history=recorded(), details=details or {})
-
-
-def shortest_sentence(search: Search, details: dict[str, float]) -> str:
-    """Return a phrase on the shortest feasible duration, if it can be found, and add its value to the details."""
-    quickest = shortest_motion(search) if may_be_too_short(search.problem) else None
-    if quickest is None:
-        return ""
-    details["shortest_duration_s"] = quickest.trajectory.duration_s
-    return f"; the shortest feasible duration is {quickest.trajectory.duration_s:.5g} s"
+def _failed(search: Search, verdict: Verdict, details: dict[str, float] | None = None) -> Plan:
+    return Plan(problem=search.problem, verdict=verdict, history=recorded(), details=details or {})

@@ -62,4 +62,4 @@ def _refined(plan: Plan, shares: tuple[float, ...], deadline: Deadline, say: Say
     if finer is None:
         return None
     finer = replace(finer, problem=plan.problem, history=plan.history + finer.history, details=plan.details | finer.details)
-    return replace(finer, status="feasible", message=plan.message) if plan.status == "feasible" else finer
+    return replace(finer, verdict=plan.verdict) if plan.status == "feasible" else finer

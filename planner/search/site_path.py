@@ -46,9 +46,10 @@ def plan_along_path(problem: Problem, start_pose: np.ndarray, plan_of: Callable[
     judged = replace(problem, solver=problem.solver.replace(deadline=Deadline().within(problem.solver.max_time_s)))
     motion = _in_joints(judged, mechanism, found.trajectory)
     objective, _ = objective_value(problem, motion)
-    sentence, further = found.message.partition(";")[::2]
-    said = f"{sentence}, along the path of site {problem.path.site}" + f";{further}" * bool(further)
-    plan = finished(problem, motion, certify(judged, motion), objective, said, optimal=found.status == "optimal")
+    plan = finished(problem, motion, certify(judged, motion), objective, None, optimal=found.status == "optimal")
+    if plan.passed:
+        words = f"{found.verdict.words}, along the path of site {problem.path.site}"
+        plan = replace(plan, verdict=found.verdict.replace(words=words, kind=plan.status))
     return replace(plan, history=found.history)
 
 

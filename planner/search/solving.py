@@ -11,6 +11,7 @@ import numpy as np
 
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, stretched, with_force_times
+from linkplan.planner.plan.verdict import Verdict, failed
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import Iterate, attempt
 from linkplan.planner.refinement.switches import LONGER, bounded_by_guess
@@ -90,8 +91,8 @@ def _spread(times: np.ndarray, progress: np.ndarray, ends: np.ndarray, boundarie
     return Mesh(fraction=np.concatenate(fraction), segment=np.array(segment), phase=phase), np.diff(ends)
 
 
-def with_longer_durations(problem: Problem, found: Iterate) -> tuple[Iterate, str | None]:
-    """Return a solution that is not bounded by the guessed duration, and the sentence on an unbounded duration, or None."""
+def with_longer_durations(problem: Problem, found: Iterate) -> tuple[Iterate, Verdict | None]:
+    """Return a solution that is not bounded by the guessed duration, and the verdict on an unbounded duration, or None."""
     unbounded, longer = unbounded_duration(problem, found), found.motion.duration_s
     for _ in range(2):
         if unbounded is None:
@@ -109,8 +110,8 @@ def with_longer_durations(problem: Problem, found: Iterate) -> tuple[Iterate, st
     return found, unbounded
 
 
-def unbounded_duration(problem: Problem, found: Iterate) -> str | None:
-    """Return the sentence on a free duration that grew to the bound due to its guess, or None.
+def unbounded_duration(problem: Problem, found: Iterate) -> Verdict | None:
+    """Return the verdict on a free duration that grew to the bound due to its guess, or None.
 
     This bound is a hundred times the guess and not the user's. The objective still falls there, so there is no best motion.
     """
@@ -118,8 +119,9 @@ def unbounded_duration(problem: Problem, found: Iterate) -> str | None:
     if motion.duration_s is not None or bounded_by_guess(found.solution, 0.0, motion.max_duration_s or np.inf) != LONGER:
         return None
     what = problem.objective.name.replace("_", " ")
-    without = f"failed: the objective is unbounded in the duration: the longer the motion, the smaller its {what}"
-    return f"{without}, up to the longest motion tried, {found.motion.duration_s:.4g} s; set motion.max_duration_s"
+    without = f"the objective is unbounded in the duration: the longer the motion, the smaller its {what}"
+    tried = f"up to the longest motion tried, {found.motion.duration_s:.4g} s"
+    return failed(f"{without}, {tried}; set motion.max_duration_s", "duration")
 
 
 def longest(problem: Problem) -> float:

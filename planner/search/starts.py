@@ -22,7 +22,7 @@ from linkplan.planner.phase_plane.legs_motion import LEGS_SCHEME, legs_motion
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recording
-from linkplan.planner.search.attempts import only_feasible, plan_from, without_solving
+from linkplan.planner.search.attempts import plan_from, without_solving
 from linkplan.planner.search.methods import FULL_BUDGET, SHORT_BUDGET, Budget, Search, run_search
 from linkplan.planner.search.presolve import only_way
 from linkplan.planner.search.solving import (
@@ -151,7 +151,7 @@ def along_limits(search: Search, _: Budget) -> Plan | None:
     best = f"time-optimal {said}: the quickest motion with reversals only where necessary"
     objective = problem.objective.weight("time") * motion.duration_s
     plan = replace(without_solving(problem, motion, objective, said, best=best), read_scheme=LEGS_SCHEME)
-    return plan if plan.passed else None
+    return plan.adding(known_by="phase plane") if plan.passed else None
 
 
 def _cheapest(search: Search) -> Guess | None:
@@ -276,8 +276,8 @@ def at_a_distance(search: Search, budget: Budget) -> Plan | None:
     # A margin is active within a hundredth of it.
     if plan.status == "feasible" or plan.certificate.singularity_ratio > 1.01 * margin:
         return found
-    why = f"; it keeps a distance from singular poses, {margin:.3g} of that at home; a motion nearer to them may cost less"
-    return only_feasible(found, why)
+    why = f"it keeps a distance from singular poses, {margin:.3g} of that at home; a motion nearer to them may cost less"
+    return found.adding(why, kind="feasible")
 
 
 def may_be_too_short(problem: Problem) -> bool:

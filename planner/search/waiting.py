@@ -58,13 +58,13 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
             whole = joined(motion, holding.lasting(wait), first=end == "start")
             said = (
                 f"motion of {asked:.6g} s: a motion of {motion.duration_s:.6g} s and a rest of {wait:.4g} s"
-                f" {'before' if end == 'start' else 'after'} it; it is not shown that longer motions are no better"
+                f" {'before' if end == 'start' else 'after'} it"
             )
             wholes.append((objective_value(problem, whole)[0], whole, said))
     for objective, whole, said in sorted(wholes, key=lambda one: one[0]):
         if restless is not None and restless.objective <= objective:
             break
-        plan = without_solving(problem, whole, objective, said)
+        plan = without_solving(problem, whole, objective, said, "it is not shown that longer motions are no better")
         if plan.passed:
             return plan
     return restless

@@ -36,8 +36,6 @@ from linkplan.planner.trajectory import Trajectory
 _LONGER_FACTORS = (1.0, 2.0, 4.0, 8.0)
 # Factors on the duration with which a motion that does not pass is tried again.
 _SLOWER_FACTORS = (1.0001, 1.001, 1.003, 1.01, 1.03)
-# The words on a rest that costs something.
-NOT_SHOWN = "; it is not shown that no motion costs less"
 
 
 def along_smooth_path(search: Search) -> Plan | None:
@@ -73,8 +71,8 @@ def _along(search: Search, problem: Problem, path: Guess) -> Plan | None:
             motion = replace(motion_along(problem, guess, mesh.breaks(durations)), periodic=periodic)
             within = f" within {problem.solver.max_time_s:g} s" if search.stopped == OUT_OF_TIME else ""
             along = f"motion of {motion.duration_s:.6g} s along the smooth path, which satisfies every limit"
-            said = f"{along}; the solver found no better motion{within}"
-            plan = without_solving(problem, motion, objective_value(problem, motion)[0], said)
+            tried = f"the solver found no better motion{within}"
+            plan = without_solving(problem, motion, objective_value(problem, motion)[0], along, tried)
             if plan.passed:
                 return plan
     return None
@@ -97,8 +95,8 @@ def at_rest(search: Search) -> Plan | None:
     objective, _ = objective_value(problem, rest)
     free = set(problem.objective.weights) <= SQUARES_AT_REST and objective <= negligible_objective(problem, rest)
     said = f"rest of {duration:.6g} s: constant efforts hold the start"
-    said = said if free else said + NOT_SHOWN
-    plan = finished(problem, rest, certify(problem, rest), objective, said, optimal=free)
+    further = () if free else ("it is not shown that no motion costs less",)
+    plan = finished(problem, rest, certify(problem, rest), objective, said, optimal=free, further=further)
     return plan if plan.passed else None
 
 
@@ -115,8 +113,9 @@ def slower(problem: Problem, motions: Iterable[Trajectory]) -> Plan | None:
         with contextlib.suppress(AssemblyError):
             if _is_carried(problem, guess):
                 found = in_more_time(problem, motion, factor)
-                said = f"motion of {found.duration_s:.6g} s; in {motion.duration_s:.6g} s it does not pass its certificate"
-                plan = without_solving(problem, found, objective_value(problem, found)[0], said)
+                said = f"motion of {found.duration_s:.6g} s"
+                why = f"in {motion.duration_s:.6g} s it does not pass its certificate"
+                plan = without_solving(problem, found, objective_value(problem, found)[0], said, why)
                 if plan.passed:
                     return plan
     return None
@@ -165,8 +164,8 @@ def _of_legs(search: Search) -> Plan | None:
             motion = joined(motion, holdings[end].lasting(wait), first=end == "start")
             rest = f", {wait:.4g} s of it a rest at the {end}"
         along = f"motion of {asked:.6g} s along the cheapest legs of the phase plane{rest}"
-        said = f"{along}; it is not shown that other motions cost no less"
-        plan = without_solving(problem, motion, objective_value(problem, motion)[0], said)
+        why = "it is not shown that other motions cost no less"
+        plan = without_solving(problem, motion, objective_value(problem, motion)[0], along, why)
         if plan.passed:
             break
     return plan

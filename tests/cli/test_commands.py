@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from linkplan.planner.plan.folder import read_plan
+from linkplan.planner.plan.verdict import Verdict
 from tests.support.data import ROOT
 from tests.support.figures import curves, saved_figures
 from tests.support.plans import planned, saved_plan
@@ -71,7 +72,7 @@ def test_plan_gives_the_promised_keys_and_saves_a_whole_folder(ask_json, tmp_pat
 
 @pytest.mark.slow
 def test_a_feasible_motion_is_saved_and_tracked_under_its_own_word(ask_json, tmp_path, monkeypatch):
-    feasible = replace(planned("knee-reach"), status="feasible", message="a rest and a motion")
+    feasible = replace(planned("knee-reach"), verdict=Verdict(kind="feasible", words="a rest and a motion"))
     monkeypatch.setattr("linkplan.api.plans.plan_motion", lambda *_: feasible)
     code, said = ask_json("plan", "knee-reach", "-o", str(tmp_path / "reach"))
     assert (code, said["status"]) == (0, "feasible")

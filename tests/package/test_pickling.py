@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import linkplan
-from linkplan.models.errors import InertiaError, InfeasibleError, LinkplanError, LockedError
+from linkplan.models.errors import InertiaError, LinkplanError, LockedError, PlanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.planner.search.replan import NextMotion
@@ -49,7 +49,7 @@ def test_a_planner_s_copy_is_a_new_planner_that_plans_the_same(plan, another):
 
 
 @pytest.mark.parametrize(
-    "error", [InfeasibleError("no motion", {"a": 1}), LockedError("locked", {"pin": 1}), InertiaError("no mass", 2)]
+    "error", [PlanError("no motion", {"a": 1}), LockedError("locked", {"pin": 1}), InertiaError("no mass", 2)]
 )
 def test_an_error_keeps_what_it_carries(error):
     assert (str(sent(error)), vars(sent(error))) == (str(error), vars(error))

@@ -10,7 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 
 import linkplan
-from linkplan.models.errors import InfeasibleError, LinkplanError, PlanFileError, ProblemError
+from linkplan.models.errors import LinkplanError, PlanError, PlanFileError, ProblemError
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search.planning import plan_motion
 from tests.support.ode import least_time_reach
@@ -47,7 +47,7 @@ def test_a_plan_is_what_the_planner_found(plan):
 def test_a_plan_without_a_motion_says_why_and_is_not_let_through(impossible):
     assert impossible.status == "infeasible"
     assert impossible.duration_s is None
-    with pytest.raises(InfeasibleError) as refused:
+    with pytest.raises(PlanError) as refused:
         impossible.require()
     assert refused.value.plan is impossible
     assert str(refused.value) == impossible.message

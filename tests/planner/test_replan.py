@@ -11,6 +11,7 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.closed_chain.case import finished
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.closed_chain.transcribe import transcribe
+from linkplan.planner.plan.verdict import failed
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import replan
 from linkplan.planner.search.planning import plan_motion
@@ -170,7 +171,7 @@ def test_a_plan_solved_again_is_judged_as_a_fresh_one(monkeypatch):
     again = planner.plan(with_goal(looser, 50.0))
     assert again.status == "optimal"
     refused = []
-    monkeypatch.setattr(replan, "finished", lambda *a: replace(finished(*a), status="failed"))
+    monkeypatch.setattr(replan, "finished", lambda *a: replace(finished(*a), verdict=failed("on purpose")))
     monkeypatch.setattr(replan, "plan_motion", lambda asked, _: refused.append(asked) or again)
     planner.plan(with_goal(looser, 45.0))
     assert len(refused) == 1

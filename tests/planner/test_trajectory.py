@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from linkplan.planner.plan.plan import Plan, motion_table, tracking_errors
+from linkplan.planner.plan.verdict import Verdict
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
@@ -127,6 +128,6 @@ def test_the_distance_from_a_reference_is_its_mean_square_and_its_largest():
     """
     rows = f"time_s = [0.0, 2.0]\nposition_deg = {{ J = {np.degrees([1.5, 2.0 + 2 * np.pi]).tolist()} }}\n"
     along = body_problem(HINGE, f'kind = "track"\n[reference]\nspline = "natural"\n{rows}')
-    rms, largest = tracking_errors(Plan(problem=along, status="optimal", message="", trajectory=turning_plan()))
+    rms, largest = tracking_errors(Plan(problem=along, verdict=Verdict(kind="optimal", words=""), trajectory=turning_plan()))
     assert largest == pytest.approx(0.5)
     assert rms == pytest.approx(np.sqrt(1.0 / 12.0))  # of 0.5 - t / 4 over 2 s

@@ -22,7 +22,6 @@ from linkplan.planner.search.planning import DIAGNOSES, SEARCH_METHODS, plan_mot
 from linkplan.planner.search.reasons import nothing_found, solver_stopped
 from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.search.without_solver import along_smooth_path
-from linkplan.planner.solvers.solve import OF_TIME
 from linkplan.studies.check.new.candidates import motions_of_all_homes, moves_of, tables_at_home
 from linkplan.studies.check.new.changes import (
     changed_mechanism,
@@ -132,7 +131,7 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
             except LinkplanError as error:
                 found = replace(found, mechanism=moving, tables=tables, plan=None, why=one_line(error))
                 continue
-            late = OF_TIME in answer.message or left - deadline.left_s > 0.95 * limit  # planning stops early
+            late = answer.verdict.out_of_time or left - deadline.left_s > 0.95 * limit  # planning stops early
             why = "" if answer.passed else why_not(answer, _TIME_BUDGET_S if late else None)
             said = changes if moving is mechanism else (*changes, _OTHER_HOME)
             found = replace(found, mechanism=moving, tables=tables, plan=answer, why=why, changes=said)

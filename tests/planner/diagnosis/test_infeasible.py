@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import brentq
 
 from linkplan.models import deadline
-from linkplan.models.errors import InfeasibleError, LinkplanError, ProblemError
+from linkplan.models.errors import LinkplanError, PlanError, ProblemError
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
@@ -86,7 +86,7 @@ def test_a_problem_without_an_answer_is_infeasible_by_a_limit_a_joint_and_an_amo
 
 def test_requiring_an_infeasible_plan_raises_the_sentence_and_carries_the_plan():
     plan = refused("an exact reference")
-    with pytest.raises(InfeasibleError, match=re.escape(plan.message)) as raised:
+    with pytest.raises(PlanError, match=re.escape(plan.message)) as raised:
         plan.require()
     assert raised.value.plan is plan
     assert isinstance(raised.value, LinkplanError)

@@ -64,9 +64,11 @@ def with_efforts(first: float, last: float) -> Trajectory:
     ],
 )
 def test_the_largest_excess_of_an_effort_is_named_with_its_limit(limit, first, last, words):
-    said, numbers = effort_sentence(problem(limit), least(with_efforts(first, last)))
+    said, over = effort_sentence(problem(limit), least(with_efforts(first, last)))
     assert said == f"motor on joint J {words}"
-    assert numbers == {"needed_effort": pytest.approx(5.0), "needed_limit_factor": 1.25}
+    assert (over.limit, over.name, abs(over.value)) == ("effort", "motor", pytest.approx(5.0))
+    assert f"{abs(over.value) - abs(over.bound):.4g} N.m beyond" in said
+    assert f"t = {over.time_s:.3g} s" in said
 
 
 def test_of_two_actuators_the_one_with_the_larger_excess_is_named():
@@ -103,7 +105,8 @@ def test_a_tenth_of_the_least_time_is_far_too_short(share, refused):
     if refused:
         said, numbers = found
         assert numbers["shortest_duration_s"] == pytest.approx(least, rel=2e-3)
-        assert f"is {1 / share:.3g} times too short" in said
+        assert f"is {1 / share:.3g} times too short" in said.sentence
+        assert said.remedy == {"motion.duration_s": numbers["shortest_duration_s"]}
 
 
 def test_of_an_excess_that_lasts_its_first_instant_is_named():

@@ -14,6 +14,7 @@ from linkplan.planner.files.folders import check_target, write_json, write_whole
 from linkplan.planner.files.manifest import MANIFEST
 from linkplan.planner.files.single_file import MADE_BY, check_file_target, write_file_whole
 from linkplan.planner.plan.folder import read_plan, write_plan
+from linkplan.planner.plan.verdict import failed
 from linkplan.studies.output.report_file import PAGE_MARK
 from tests.support.plans import optimal, planned
 from tests.support.refusals import assert_refused
@@ -81,7 +82,7 @@ def test_a_file_in_the_way_is_not_overwritten(tmp_path):
 
 def test_a_plan_whose_certificate_fails_can_still_be_saved_and_says_so(tmp_path):
     plan = planned("knee-reach")
-    broken = replace(plan, status="failed", message="failed: on purpose")
+    broken = replace(plan, verdict=failed("on purpose"))
     write_whole(tmp_path / "plan", lambda new: write_plan(broken, new))
     assert read_plan(tmp_path / "plan", anyway=True).status == "failed"
 

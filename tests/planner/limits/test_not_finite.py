@@ -6,7 +6,7 @@ import pytest
 
 import linkplan
 from linkplan import ExtraCost, ExtraLimit, Problem
-from linkplan.models.errors import InfeasibleError, ProblemError
+from linkplan.models.errors import PlanError, ProblemError
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.case import finished
 
@@ -52,7 +52,7 @@ def test_a_plan_whose_cost_is_not_finite_fails_and_names_the_cost(arm, expressio
     assert plan.status == "failed"
     assert plan.objective is None
     assert "the extra cost 'my cost' is not finite (" in plan.message
-    with pytest.raises(InfeasibleError, match="my cost"):
+    with pytest.raises(PlanError, match="my cost"):
         plan.require()
 
 

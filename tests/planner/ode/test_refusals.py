@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from linkplan.models.errors import InfeasibleError, ProblemError
+from linkplan.models.errors import PlanError, ProblemError
 from linkplan.planner.ode.plan import OdePlan, plan_ode
 from linkplan.planner.ode.problem import StateGuess
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
@@ -115,7 +115,7 @@ def test_a_problem_that_no_start_solves_is_failed_and_not_called_infeasible(allo
     plan = planned(**allowed)
     assert plan.status == "failed"
     assert plan.trajectory is None
-    with pytest.raises(InfeasibleError, match="no start led to a solution") as raised:
+    with pytest.raises(PlanError, match="no start led to a solution") as raised:
         plan.require()
     assert raised.value.plan is plan
     assert str(raised.value) == plan.message

@@ -8,6 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
+from linkplan.planner.plan.verdict import infeasible
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search import reasons
 from linkplan.planner.search.planning import plan_motion, search_for
@@ -190,12 +191,11 @@ def test_a_known_motion_within_the_time_asked_forbids_the_word_infeasible(monkey
     asked = problem.motion.duration_s
     search = search_for(problem)
 
-    def named(search, _details):
+    def found(search):
         search.known.add(optimal("knee-reach", f"motion.duration_s={known * asked}").trajectory)
-        return ""
 
-    monkeypatch.setattr(reasons, "shortest_sentence", named)
-    plan = reasons._infeasible(search, "infeasible: act_O would have to give more than it can", {})
+    monkeypatch.setattr(reasons, "shortest_motion", found)
+    plan = reasons._infeasible(search, infeasible("act_O would have to give more than it can"), {})
     assert plan.status == status
     assert plan.message.startswith(status)
     assert ("infeasible" in plan.message) == (status == "infeasible")

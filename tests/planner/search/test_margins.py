@@ -10,12 +10,13 @@ from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.bang_bang_motions import least_time_guess
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.plan.verdict import failed
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.attempts import plan_from
 from linkplan.planner.search.least_limit import least_limit_of_starts
 from linkplan.planner.search.methods import FULL_BUDGET, Search, SearchMethod
 from linkplan.planner.search.planning import plan_motion, search_for
-from linkplan.planner.search.presolve import ONLY_WAY_SLACK, only_way, sentence_beyond
+from linkplan.planner.search.presolve import ONLY_WAY_SLACK, only_way, pose_beyond
 from linkplan.planner.search.starts import at_a_distance, may_near_singular
 from tests.bench.contradictions import weak_case
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
@@ -55,7 +56,7 @@ def test_a_distance_is_kept_where_loops_may_come_near_a_singular_pose_and_no_mar
 
 def test_motions_that_miss_do_not_keep_a_search_from_a_distance():
     search = search_for(weak_reach(18))
-    missed = Plan(problem=search.problem, status="failed", message="left its branch")
+    missed = Plan(problem=search.problem, verdict=failed("left its branch"))
     search.plans.extend([missed, missed])
     assert not search.starts_are_worth_it
     assert may_near_singular(search)
@@ -114,7 +115,8 @@ def limited(**changes) -> Problem:
 
 def beyond(problem: Problem) -> str | None:
     limits = [limit for limit in limits_of(problem) if isinstance(limit, RangeLimit | SingularMarginLimit)]
-    return sentence_beyond(problem, limits, only_way(problem), None, ONLY_WAY_SLACK)
+    found = pose_beyond(problem, limits, only_way(problem), None, ONLY_WAY_SLACK)
+    return found and found.sentence
 
 
 @pytest.mark.parametrize(("short", "refused"), [(WITHIN, False), (BEYOND, True)])

@@ -11,6 +11,7 @@ from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.ode.plan import plan_ode
+from linkplan.planner.plan.verdict import failed
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import attempt
 from linkplan.planner.refinement.decision import refine
@@ -69,7 +70,7 @@ def test_methods_are_tried_in_order_and_only_where_their_conditions_hold():
 def test_a_verdict_ends_the_search():
     called = []
     problem = load_problem("knee-reach")
-    verdict = replace(plan_motion(problem), status="failed", message="failed: that is that")
+    verdict = replace(plan_motion(problem), verdict=failed("that is that"))
 
     def judge(search, budget):
         del budget
@@ -259,7 +260,7 @@ def test_the_least_factor_of_a_pure_inertia_is_exact_once_its_switch_is_known():
 
 def test_a_feasible_plan_that_costs_less_than_a_locally_optimal_one_is_the_answer(hinge_plan):
     def costing(objective: float, status: str):
-        return replace(hinge_plan, objective=objective, status=status)
+        return replace(hinge_plan, objective=objective, verdict=hinge_plan.verdict.replace(kind=status))
 
     search = search_for(hinge_plan.problem)
     search.plans.extend([costing(3.0, "optimal"), costing(2.0, "feasible")])

@@ -13,6 +13,7 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.formulate import FIRST_TIE_WEIGHT, tie_weights
 from linkplan.planner.limits.limit import with_limits
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.plan.verdict import failed
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import multistart
@@ -70,7 +71,7 @@ def test_a_slower_motion_bounds_a_least_time_that_cannot_be_proved(in_least_time
     own = multistart.certified
 
     def failing(problem, found):
-        return own(problem, found) if problem.motion.duration_s else Plan(problem=problem, status="failed", message="")
+        return own(problem, found) if problem.motion.duration_s else Plan(problem=problem, verdict=failed(""))
 
     monkeypatch.setattr(multistart, "certified", failing)
     monkeypatch.setattr(multistart, "slower", lambda *_: None)

@@ -10,6 +10,7 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.closed_chain.guess import Guess
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.plan.verdict import failed
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.methods import SHORT_BUDGET, SearchMethod
 from linkplan.planner.search.planning import plan_motion, search_for
@@ -56,7 +57,7 @@ def test_it_answers_however_late_the_search_ends():
 
 def test_it_takes_the_place_of_a_motion_that_fails():
     best = optimal("five-bar-reach", STRONG)
-    beyond = replace(best, status="failed", message="failed: it needs more effort than its limits permit")
+    beyond = replace(best, verdict=failed("it needs more effort than its limits permit"))
     method = SearchMethod(name="beyond", run=lambda _search, _budget: beyond, budget=SHORT_BUDGET)
     plan = plan_motion(best.problem, methods=(method,))
     assert plan.status == "feasible"

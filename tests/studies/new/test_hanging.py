@@ -10,6 +10,7 @@ from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.plan.verdict import failed
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.new.changes import changed_mechanism
 from linkplan.studies.check.new.first_motion import FirstMotion, first_motion
@@ -34,7 +35,7 @@ def not_found(text: str, why: str, monkeypatch, tmp_path, **selected) -> tuple[F
 
     def nothing(problem: Problem, *_) -> Plan:
         tried.append(problem)
-        return Plan(problem=problem, status="failed", message=f"failed: {why}")
+        return Plan(problem=problem, verdict=failed(why))
 
     monkeypatch.setattr("linkplan.studies.check.new.first_motion.plan_motion", nothing)
     (tmp_path / "model.xml").write_text(text, encoding="utf-8")

@@ -13,6 +13,7 @@ from linkplan.models.errors import LinkplanError, ProblemError
 from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.plan.verdict import failed
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.new.candidates import moves_of
@@ -83,7 +84,7 @@ def tried_of(model: str) -> list[Motion]:
 
     def nothing(problem: Problem, *_) -> Plan:
         tried.append(problem)
-        return Plan(problem=problem, status="failed", message="failed: as told")
+        return Plan(problem=problem, verdict=failed("as told"))
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("linkplan.studies.check.new.first_motion.plan_motion", nothing)

@@ -9,6 +9,7 @@ import linkplan
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan.folder import record_of
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.plan.verdict import Verdict
 from linkplan.planner.problem.limits import Limits, free_bounds
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem
@@ -45,7 +46,7 @@ def many() -> Plan:
     )
     ones = np.ones((1, n))
     trajectory = motion_along([0.0, 1.0], [0 * ones, 0 * ones, ones, ones], effort=[6 * ones, -6 * ones])
-    return Plan(problem=problem, status="optimal", message="cubics", trajectory=trajectory)
+    return Plan(problem=problem, verdict=Verdict(kind="optimal", words="cubics"), trajectory=trajectory)
 
 
 def test_a_plan_s_page_shows_the_path_of_a_site_and_what_is_forbidden_to_it():

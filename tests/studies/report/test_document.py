@@ -9,6 +9,7 @@ import pytest
 
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.certificate.certificate import certify
+from linkplan.planner.plan.verdict import failed
 from linkplan.studies.check.check_sections import check_report
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.compare.compare import compare
@@ -87,7 +88,7 @@ def test_the_checklist_s_worst_numbers_are_the_certificate_s(report):
 def test_a_limit_that_is_broken_is_the_one_that_the_checklist_says_no_to():
     plan = optimal("knee-reach")
     problem = replace(plan.problem, limits=replace(plan.problem.limits, effort=0.5 * plan.problem.limits.effort))
-    broken = replace(plan, problem=problem, certificate=certify(problem, plan.trajectory), status="failed")
+    broken = replace(plan, problem=problem, certificate=certify(problem, plan.trajectory), verdict=failed("on purpose"))
     assert not broken.certificate.passed
     (checklist,) = blocks(plan_report(broken), Checklist)
     assert [item.label for item in checklist.items if item.passed is False] == ["effort of act_O"]

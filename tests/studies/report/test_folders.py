@@ -12,6 +12,7 @@ from linkplan.cli.main import main
 from linkplan.models.errors import PlanFileError
 from linkplan.models.library import built_in_text
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.plan.verdict import failed
 from linkplan.studies.output.document import Checklist, Code, Report, Table
 from linkplan.studies.output.plan_sections import plan_report
 from linkplan.studies.output.report_file import DOCUMENT, document_json, save_report, write_report
@@ -137,6 +138,6 @@ def test_the_problem_of_a_page_has_its_infinite_limits():
     limits = {"site": {"C": {"z": [-9.0, np.inf]}}, "effort": {"act_O": [-np.inf, 90.0]}}
     ends = {"start_deg": {"O": -10}, "goal_deg": {"O": 10}, "duration_s": 0.2}
     problem = linkplan.Problem.reach("optimus-knee", **ends, limits=limits)
-    plan = Plan(problem=problem, status="failed", message="failed: there is none")
+    plan = Plan(problem=problem, verdict=failed("there is none"))
     (code,) = [one for one in blocks(plan_report(plan), Code) if "problem" in one.title]
     assert tomllib.loads(code.text)["limits"] == limits
