@@ -147,7 +147,7 @@ def _target(problem: Problem, *, kinks: bool, enclosed: bool) -> RefinementTarge
     tolerance = 1e-7 if switches and (lines or bent) else None
     if enclosed or any(limit.rows.jerk for limit in limits_of(problem)):
         tolerance = 1e-6  # looser, because efforts or jerk may jump inside intervals
-    if objective.has("peak_effort") or objective.has("jerk"):
+    if not enclosed and (objective.has("peak_effort") or objective.has("jerk")):
         tolerance = 1e-5  # still looser, because there efforts within their limits jump, or a limit on acceleration binds
     return RefinementTarget(
         effort_limit=problem.limits.effort,
