@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from linkplan.api.command import command
-from linkplan.api.inputs import PlanLike, listed, plan_of, with_imperfections
+from linkplan.api.inputs import PlanLike, listed, plan_of
 from linkplan.api.names import LINEAR
 from linkplan.api.reporting import Progress, listener
 from linkplan.api.results import Result
@@ -64,8 +64,9 @@ def decompose(
     asked = trackers_loaded(listed(trackers, "names or functions"))
     whole(seed, "seed", 0, 2**63 - 1)
     answer = plan_of(plan, say, "track")
-    given = replace(answer, problem=with_imperfections(answer.problem, imperfections))
-    return DecompositionResult(decomposition=study.decompose(given, asked, samples, seed, say), plan=given)
+    if imperfections is not None:
+        answer = replace(answer, problem=answer.problem.replace(imperfections=imperfections))
+    return DecompositionResult(decomposition=study.decompose(answer, asked, samples, seed, say), plan=answer)
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from linkplan.api.command import command
-from linkplan.api.inputs import PlanLike, listed, plan_of, problem_of, with_imperfections
+from linkplan.api.inputs import PlanLike, listed, plan_of, problem_of
 from linkplan.api.names import LINEAR, Design
 from linkplan.api.paths import drawn, path_of
 from linkplan.api.reporting import Progress, listener
@@ -108,8 +108,9 @@ def experiment(
     if problem is None:
         answer = plan_of(plan, say, "track")
         problem = answer.problem
-    problem = with_imperfections(problem, imperfections)
-    source: dict = {"name": problem.name, **problem.source}
+    if imperfections is not None:
+        problem = problem.replace(imperfections=imperfections)
+    source: dict = {"name": problem.name, **problem.to_dict()}
     digest = None
     if answer is None:
         source["model_hash"] = problem.mechanism.fingerprint()

@@ -2,7 +2,7 @@
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from linkplan.api.reporting import Listener
@@ -15,7 +15,6 @@ from linkplan.planner.files.tables import Tables, apply_override, read_tables, r
 from linkplan.planner.plan.folder import read_plan, unchecked
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.build import mechanism_from_tables
-from linkplan.planner.problem.imperfections import imperfections_of
 from linkplan.planner.problem.keys.motion import WaypointSection
 from linkplan.planner.problem.keys.reading import read
 from linkplan.planner.problem.problem import Problem
@@ -213,19 +212,6 @@ def with_motion(plan: object, doing: str) -> Plan:
     if plan.trajectory is None:
         raise PlanError(f"cannot {doing}: the plan has no motion: {plan.message}", plan)
     return plan
-
-
-def with_imperfections(problem: Problem, imperfections: Mapping | None) -> Problem:
-    """Return a problem with another table [imperfections], if one is given.
-
-    Raises:
-        ProblemError: for a key, name, or value that cannot be used.
-    """
-    if imperfections is None:
-        return problem
-    table = to_toml_types(imperfections)
-    imperfections_of(table, problem.mechanism)
-    return replace(problem, source={**problem.source, "imperfections": table})
 
 
 def listed(trackers: object, legal: str) -> Sequence:

@@ -18,7 +18,6 @@ from linkplan.api.results import Result
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.errors import ProblemError
 from linkplan.planner.plan.plan import Plan
-from linkplan.planner.problem.build import tracking_from_tables
 from linkplan.planner.problem.settings import number, whole
 from linkplan.studies.compare import compare as study
 from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure, document_blocks, document_figure
@@ -160,11 +159,10 @@ def _checked(mass_factor: object, delay_periods: object) -> tuple[float, float]:
 def _to_track(plan: PlanLike, tracking: object, say: Listener) -> Plan:
     """Return a plan with a motion, with new tracking settings if any are given."""
     answer = plan_of(plan, say, "track")
-    problem = answer.problem
-    table = tracking_table(problem.to_dict().get("tracking", {}), tracking)
     if tracking is None:
         return answer
-    return replace(answer, problem=replace(problem, tracking=tracking_from_tables({"tracking": table}, problem.mechanism)))
+    table = tracking_table(answer.problem.to_dict().get("tracking", {}), tracking)
+    return replace(answer, problem=answer.problem.replace(tracking=table))
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)

@@ -251,7 +251,7 @@ def finished(
             f" {joint.shown(errors[1]):.4g} {joint.unit} at most away from it"
         )
         verdict = verdict.replace(words=nearest, objective="")
-        over = reference_overrun(replace(problem, solver=SolverSettings()), trajectory.start_pose)
+        over = reference_overrun(problem.varied(solver=SolverSettings()), trajectory.start_pose)
         if over is not None:
             verdict = verdict.adding(f"on the reference itself {over.sentence()}")
             details |= {"reference_needs": over.value, "reference_needs_at_s": over.time_s}

@@ -140,7 +140,7 @@ def at_rate(problem: Problem, rate: float) -> Problem:
     """Return a problem whose reference is followed `rate` times as fast, over the same number of periods."""
     given = problem.motion.duration_s
     motion = replace(problem.motion, duration_s=None if given is None else given / rate)
-    return replace(problem, reference=problem.reference.stretched(1.0 / rate), motion=motion)
+    return problem.varied(reference=problem.reference.stretched(1.0 / rate), motion=motion)
 
 
 def rate_margins(problem: Problem, start_pose: np.ndarray, rate: float) -> list[Margin]:

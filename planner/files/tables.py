@@ -154,7 +154,7 @@ def apply_override(tables: Tables, override: str) -> None:
 
 
 def set_key(tables: Tables, key: str, value: object) -> None:
-    """Set one key of `tables`, "section.key" or a deeper one; a built-in payload on the path becomes a table.
+    """Set one key of `tables`, "section.key" or a deeper one; None removes it. A payload's name on the path becomes a table.
 
     Raises:
         ProblemError: when the key is malformed, or a value is on its path.
@@ -170,7 +170,10 @@ def set_key(tables: Tables, key: str, value: object) -> None:
         if not isinstance(child, dict):
             raise ProblemError(f"setting '{key}': '{'.'.join(path[:-1])}' is a value, not a table")
         node = child
-    node[path[-1]] = value
+    if value is None:
+        node.pop(path[-1], None)
+    else:
+        node[path[-1]] = value
 
 
 def _payload_table(name: str) -> dict:

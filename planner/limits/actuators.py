@@ -164,7 +164,7 @@ class MotorLimit(Limit):
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
         wider = tuple(one if one is None or one.line is None else one.with_line(factor) for one in problem.motors)
-        return replace(problem, motors=wider)
+        return problem.varied(motors=wider)
 
 
 @dataclass(frozen=True, slots=True)
@@ -217,7 +217,7 @@ class ControlLimit(Limit):
         for j in (limit.item for limit in cls.of(problem)):
             low, high, more = wider[j].control_lower, wider[j].control_upper, share * _unit(wider[j])
             wider[j] = replace(wider[j], control_lower=low - more, control_upper=high + more)
-        return replace(problem, mechanism=replace(problem.mechanism, actuators=tuple(wider)))
+        return problem.varied(mechanism=replace(problem.mechanism, actuators=tuple(wider)))
 
 
 def _ctrl(actuator: Actuator, u: Any, length: Any, speed: Any) -> Any:

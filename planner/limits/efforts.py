@@ -224,8 +224,8 @@ class RobustLimit(Limit):
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
         if not np.isfinite(factor):
-            return replace(problem, robust=Robust())
-        return replace(problem, robust=problem.robust.replace(room=factor * problem.robust.room))
+            return problem.varied(robust=Robust())
+        return problem.varied(robust=problem.robust.replace(room=factor * problem.robust.room))
 
 
 def leverage_at_dead_centres(problem: Problem, trajectory: Trajectory) -> Leverage | None:

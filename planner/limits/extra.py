@@ -88,9 +88,9 @@ class ExtraPathLimit(Limit):
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
         if not np.isfinite(factor):
-            return replace(problem, extra_limits=())
+            return problem.varied(extra_limits=())
         wider = tuple(
             replace(one, lower=one.lower - (factor - 1) * one.size, upper=one.upper + (factor - 1) * one.size)
             for one in problem.extra_limits
         )
-        return replace(problem, extra_limits=wider)
+        return problem.varied(extra_limits=wider)

@@ -326,7 +326,7 @@ class BallLimit(Limit):
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
         balls = () if not np.isfinite(factor) else problem.mechanism.balls
         wider = tuple(replace(one, largest=min(np.pi, one.largest * factor)) for one in balls)
-        return replace(problem, mechanism=replace(problem.mechanism, balls=wider))
+        return problem.varied(mechanism=replace(problem.mechanism, balls=wider))
 
 
 @dataclass(frozen=True, slots=True)
@@ -374,4 +374,4 @@ class TendonLimit(Limit):
         longer = tuple(
             replace(one, low=one.low - more * one.span, high=one.high + more * one.span) for one in problem.mechanism.tendons
         )
-        return replace(problem, mechanism=replace(problem.mechanism, tendons=longer))
+        return problem.varied(mechanism=replace(problem.mechanism, tendons=longer))

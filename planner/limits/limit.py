@@ -289,7 +289,7 @@ class Limit(ABC):
 
 def with_limits(problem: Problem, **changes: Any) -> Problem:
     """Return a problem with the given `changes` to its limits."""
-    return replace(problem, limits=replace(problem.limits, **changes))
+    return problem.varied(limits=replace(problem.limits, **changes))
 
 
 def _scaled(values: np.ndarray | Mapping[str, float], factor: float) -> np.ndarray | dict[str, float]:

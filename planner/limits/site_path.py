@@ -82,7 +82,7 @@ class OnPathLimit(Limit):
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
         if problem.path is None:
             return problem
-        return replace(problem, path=replace(problem.path, within_m=problem.path.within_m * min(factor, 1e12)))
+        return problem.varied(path=replace(problem.path, within_m=problem.path.within_m * min(factor, 1e12)))
 
 
 def _pieces_passed(path: SitePath, trajectory: Trajectory) -> list[tuple[int, ...]]:

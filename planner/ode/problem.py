@@ -4,7 +4,7 @@ x' = f(x, u, p, t),   J = phi(x_0, x_T, T, p) + int L(x, u, p, t) dt,   c(x, u, 
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated, Any
 
 import casadi as ca
@@ -123,6 +123,10 @@ class OdeProblem:
         self._check_settings()
         functions = {name: self._function(name) for name in ("rate", "running_cost", "path", *_AT_ENDS)}
         object.__setattr__(self, "functions", functions)
+
+    def varied(self, **values: Any) -> "OdeProblem":
+        """Return the problem with other values."""
+        return replace(self, **values)
 
     def _check_items(self) -> None:
         """Refuse unknown state indices, guesses of a wrong size, and boundary states beyond their limits."""

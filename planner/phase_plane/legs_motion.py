@@ -41,7 +41,7 @@ def legs_motion(problem: Problem, start_pose: np.ndarray) -> Trajectory | None:
     """
     limits = problem.limits
     inside = {key: _inside(getattr(limits, key)) for key in ("effort", "power", "speed", "acceleration")}
-    tightened = replace(problem, limits=replace(limits, **inside))
+    tightened = problem.varied(limits=replace(limits, **inside))
     for kind in (ClosureForceLimit, SiteAccelerationLimit, MotorLimit, ControlLimit):
         tightened = kind.relaxed(tightened, 1.0 - _LIMIT_RESERVE)
     found = power_legs(tightened, start_pose)

@@ -74,7 +74,7 @@ def record_of(plan: Plan) -> PlanRecord:
         not_honoured=not_honoured(plan),
         versions=versions(),
         fingerprint=part_hashes(mechanism.model),
-        problem=problem.source,
+        problem=problem.to_dict(),
         extras=[*extra_records(problem.extras), *problem.unread_extras],
     )
 
@@ -127,8 +127,8 @@ def write_plan(plan: Plan, folder: Path, place: Path | None = None, *, jumps: bo
 
 def _from(place: Path, problem: Problem) -> str | None:
     """Return the path of a problem's model file relative to a plan's folder; None for a built-in model."""
-    model = problem.source.get("mechanism", {}).get("model")
-    if not isinstance(model, str) or not os.path.isfile(model):
+    model = problem.to_dict()["mechanism"]["model"]
+    if not os.path.isfile(model):
         return None
     try:
         return Path(os.path.relpath(Path(model).resolve(), place.resolve())).as_posix()
@@ -205,7 +205,7 @@ def _read(
         raise PlanFileError(f"'{folder}' was planned with {had}; plan.json has their bounds, weights and units; got others")
     if saved.extras and not problem.extras:
         note = f"read without {_lost(saved)}, which was therefore not checked"
-        problem = replace(problem, notes=(*problem.notes, note), unread_extras=tuple(saved.extras))
+        problem = replace(problem, remarks=(note,), unread_extras=tuple(saved.extras))
     return saved, trajectory, problem
 
 

@@ -89,6 +89,8 @@ def to_toml_types(value: Any) -> Any:
         return {str(name): to_toml_types(item) for name, item in value.items()}
     if isinstance(value, list | tuple | range):
         return [to_toml_types(item) for item in value]
+    if isinstance(value, Section):
+        return value.to_dict()
     return str(value) if isinstance(value, PurePath) else value
 
 
@@ -165,6 +167,10 @@ def _decode(settings: Section, kind: type[Section], name: str) -> None:
 class MeshSettings(MeshSection, frozen=True, eq=False):
     """The [mesh] of a problem; `breaks` is an array, which says how many intervals there are."""
 
+    scheme: str = "radau-3"
+    intervals: int = 40
+    effort: str = "polynomial"
+    refine: str = "both"
     breaks: Any = None
 
     def __post_init__(self) -> None:
@@ -216,8 +222,9 @@ class Tracking(TrackingSection, frozen=True, eq=False):
 
     def tracked(self) -> "Tracking":
         """Return these settings if they can track a motion: the delay must be a whole number of control periods."""
-        delay = whole(self.delay_periods, "tracking.delay_periods", 0, MAX_DELAY)
-        return self if type(self.delay_periods) is int else self.replace(delay_periods=delay)
+        delay = self.delay_periods
+        whole_delay = int(delay) if delay == int(delay) else whole(delay, "tracking.delay_periods", 0, MAX_DELAY)
+        return self if type(delay) is int else self.replace(delay_periods=whole_delay)
 
     @property
     def acts(self) -> bool:

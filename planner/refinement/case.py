@@ -115,6 +115,10 @@ class RefinementSettings(Protocol):
         """How programs are solved."""
         ...
 
+    def varied(self, **values: Any) -> Self:
+        """Return the problem with other values of its settings."""
+        ...
+
 
 class Case(Protocol):
     """A problem that can be refined.
@@ -168,7 +172,7 @@ class Case(Protocol):
 
 def with_scheme(case: Any, name: str) -> Any:
     """Return a `Case` with another transcription."""
-    return replace(case, problem=replace(case.problem, mesh=case.problem.mesh.replace(scheme=name)))
+    return replace(case, problem=case.problem.varied(mesh=case.problem.mesh.replace(scheme=name)))
 
 
 def error_report(certificate: Any, **found: Any) -> ErrorReport:

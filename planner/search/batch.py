@@ -29,7 +29,7 @@ def check_batch(batch: BatchFile) -> str:
         if problem.mechanism is not last:
             digest.update(problem.mechanism.fingerprint().encode())
             last = problem.mechanism
-        digest.update(f"{case.name}: {problem.source!r}\n".encode())
+        digest.update(f"{case.name}: {problem.to_dict()!r}\n".encode())
     return digest.hexdigest()
 
 

@@ -178,7 +178,7 @@ def _solved(way: _Way, coarse: Iterate, rows: frozenset[int], until: Deadline) -
     another = coarse.solution.transcribed.scheme.name != way.case.problem.mesh.scheme
     mesh, durations = _without_met(way.mesh, way.durations)
     few = settings.replace(max_iterations=min(_MOST_ITERATIONS, settings.max_iterations or _MOST_ITERATIONS), deadline=until)
-    case = replace(way.case, problem=replace(way.case.problem, solver=few))
+    case = replace(way.case, problem=way.case.problem.varied(solver=few))
     free = case.asked.motion.duration_s is None
     lost = _LOST_SHARE_AT_FIRST if another and not free else _LOST_SHARE
     found: list[Iterate] = []
@@ -249,7 +249,7 @@ def _repaired(kept: _Kept) -> CertifiedIterate:
     solver = problem.solver.replace(deadline=problem.solver.certificate_deadline)
     # A margin that the problem does not require may be violated by the mesh error.
     case = _with_distance(_loosened(kept.case, max(margin, 0.5 * problem.limits.singular_margin)))
-    case = replace(case, problem=replace(case.problem, solver=solver), asked=replace(case.asked, solver=solver))
+    case = replace(case, problem=case.problem.varied(solver=solver), asked=case.asked.varied(solver=solver))
     asked = replace(case, problem=case.asked)
     until, took_s = solver.deadline, 0.0  # for an interval
     for steps in range(_MAX_RESTORATIONS):
@@ -370,7 +370,7 @@ def _at_margin(case: MechanismCase, margin: float) -> MechanismCase:
 
 def _loosened(case: MechanismCase, margin: float) -> MechanismCase:
     """Return a case with the problem's own limits, and at this distance from singular poses."""
-    problem = replace(case.problem, limits=replace(case.asked.limits, singular_margin=margin))
+    problem = case.problem.varied(limits=replace(case.asked.limits, singular_margin=margin))
     return replace(case, problem=problem, tightenings=(), n_tightenings=0)
 
 

@@ -138,7 +138,7 @@ class Search:
 
     def within(self, budget: Budget) -> Problem:
         """Return the problem with solver settings within a budget."""
-        return replace(self.problem, solver=budget.of(self.problem.solver))
+        return self.problem.varied(solver=budget.of(self.problem.solver))
 
     @property
     def deadline(self) -> Deadline:

@@ -118,14 +118,14 @@ def _in_more_time(problem: Problem, first: _First) -> Plan | None:
         if duration > (problem.motion.max_duration_s or np.inf):
             break
         fixed = replace(problem.motion, duration_s=duration, min_duration_s=None, max_duration_s=None)
-        asked = replace(problem, objective="effort", motion=fixed)
+        asked = problem.varied(objective="effort", motion=fixed)
         case, guess = _first_case(asked, motion.start_pose), stretched(guess_from(motion), duration)
         mesh, durations = first.found.mesh, factor * first.found.durations
         found = attempt(case, guess, mesh, durations, f"{factor:g} times slower", adaptive=True)
         plan = None if found is None else certified(asked, found)
         if plan is not None and plan.passed:
             found = plan.require_motion("bound the duration with")
-            late = replace(problem, solver=problem.solver.replace(deadline=problem.solver.judging_deadline))
+            late = problem.varied(solver=problem.solver.replace(deadline=problem.solver.judging_deadline))
             bound = without_solving(late, found, objective_value(problem, found)[0], f"motion of {duration:.6g} s")
             return bound if bound.passed else slower(problem, [found])
     return None
@@ -185,7 +185,7 @@ def _in_time(case: MechanismCase, found: list[_First], after_first: Deadline) ->
     solver = case.problem.solver.replace(deadline=after_first)
     most = 3 * min(first.found.solution.iterations for first in found)
     solver = solver.replace(max_iterations=min(most, solver.max_iterations or most))
-    return replace(case, problem=replace(case.problem, solver=solver))
+    return replace(case, problem=case.problem.varied(solver=solver))
 
 
 def _cheaper(objective: float, plan: Plan) -> bool:
@@ -238,4 +238,4 @@ def _first_case(problem: Problem, start_pose: np.ndarray) -> MechanismCase:
     iterations = min(FIRST_ITERATIONS, solver.max_iterations or FIRST_ITERATIONS)
     solver = solver.replace(compile=compiled, max_iterations=iterations)
     case = at_a_distance(case_of(problem), start_pose)
-    return replace(case, problem=replace(case.problem, mesh=mesh, solver=solver), ties=FIRST_TIE_WEIGHT)
+    return replace(case, problem=case.problem.varied(mesh=mesh, solver=solver), ties=FIRST_TIE_WEIGHT)

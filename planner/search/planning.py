@@ -16,7 +16,6 @@ from linkplan.models.deadline import ONE_THREAD, OutOfTimeError
 from linkplan.planner.closed_chain.case import plan_hold, plan_prescribed
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.plan.verdict import out_of_time
-from linkplan.planner.problem.instant import Robust
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.case import share_gained
 from linkplan.planner.refinement.history import Say, progress, recorded, recording, silent
@@ -165,7 +164,7 @@ def plan_motion(
     """
     plans: list[Plan] = []
     with ONE_THREAD, recording(_with_the_best(say, plans)):
-        begun = replace(problem, solver=problem.solver.begun())  # the deadline starts after any wait for another thread
+        begun = problem.varied(solver=problem.solver.begun())  # the deadline starts after any wait for another thread
         try:
             plan = _planned(begun, methods, diagnoses, plans)
         except OutOfTimeError:
@@ -280,13 +279,8 @@ class Price(Struct, frozen=True, kw_only=True):
 
 def nominal_of(problem: Problem) -> Problem | None:
     """Return a problem without its ranges and its reserve; None if it has neither."""
-    limits = problem.limits
-    if not problem.robust.corners and not limits.reserve:
-        return None
-    source = {section: table for section, table in problem.source.items() if section != "robust"}
-    return replace(
-        problem, robust=Robust(), limits=replace(limits, effort=limits.actuators_effort, reserve=0.0), source=source
-    )
+    has_either = problem.robust.corners or problem.limits.reserve
+    return problem.replace(robust=None, reserve=None) if has_either else None
 
 
 def price_of(plan: Plan, say: Callable[[str], None] = silent) -> Price | None:

@@ -177,7 +177,7 @@ def contradicted(search: Search) -> Plan | None:
     if verdict is None:
         return None
     details: dict[str, float] = {}
-    longer_would_do = plain_contradiction(replace(problem, motion=replace(problem.motion, duration_s=None))) is None
+    longer_would_do = plain_contradiction(problem.varied(motion=replace(problem.motion, duration_s=None))) is None
     return _infeasible(search, verdict, details, shortest=longer_would_do)
 
 

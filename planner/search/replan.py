@@ -2,7 +2,7 @@
 
     planner = Replanner()
     for goal in goals:
-        plan = planner.plan(replace(problem, motion=replace(problem.motion, goal=goal)))
+        plan = planner.plan(problem.replace(goal_deg=goal))
 
 Payload, boundary states, waypoints, limits, durations, references and weights are parameters of a program; they need no new
 program. A problem is planned from the beginning if its structure differs (mechanism, kind, objective terms, mesh, which
@@ -132,7 +132,7 @@ class Replanner:
             ProblemError: when start, goal or reference contradict the mechanism.
         """
         with self._lock:
-            begun, plan = replace(problem, solver=problem.solver.begun()), None
+            begun, plan = problem.varied(solver=problem.solver.begun()), None
             with contextlib.suppress(OutOfTimeError), recording():
                 again = self.solve_again(begun)
                 plan = None if again is None else self._certified(begun, again)

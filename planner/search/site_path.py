@@ -26,10 +26,6 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.bernstein import bernstein_part
 
-# Factor on the number of intervals for the guided mechanism: the drive at its limit changes often along a path, and the
-# program of one degree of freedom is small. With 1, 2 and 3, least times exceed those of an independent path
-# parameterisation by 5e-4, 1.5e-4 and 1e-4 for a five-bar's polyline with two corners, and by less than 1e-7 for a line.
-_MORE_INTERVALS = 3
 # Polynomial pieces of the joints' motion per interval, if there is a limit on jerk. With one piece on each of fifteen
 # intervals, the third derivative has errors of 2e-7 and the acceleration jumps of 1e-7.
 _PIECES_FOR_JERK = 3
@@ -43,7 +39,7 @@ def plan_along_path(problem: Problem, start_pose: np.ndarray, plan_of: Callable[
     if found.trajectory is None or not found.passed:
         return replace(found, problem=problem, trajectory=None, certificate=None, objective=None)
     # A search that ran out of time still has its motion.
-    judged = replace(problem, solver=problem.solver.replace(deadline=Deadline().within(problem.solver.max_time_s)))
+    judged = problem.varied(solver=problem.solver.replace(deadline=Deadline().within(problem.solver.max_time_s)))
     motion = _in_joints(judged, mechanism, found.trajectory)
     objective, _ = objective_value(problem, motion)
     plan = finished(problem, motion, certify(judged, motion), objective, None, optimal=found.status == "optimal")
@@ -67,14 +63,9 @@ def _guided_problem(problem: Problem, mechanism: GuidedMechanism) -> Problem:
         goal_named=(0,),
         waypoints=[Waypoint(position=x) for x in mechanism.curve.corners[:, None]],
     )
-    mesh = problem.mesh
-    if "intervals" not in problem.source.get("mesh", {}) and mesh.breaks is None:
-        mesh = mesh.replace(intervals=_MORE_INTERVALS * mesh.intervals)
-    return replace(
-        problem,
+    return problem.varied(
         mechanism=mechanism,
         motion=motion,
-        mesh=mesh,
         path=None,
         limits=replace(limits, closure_force=forces, **longer),
     )

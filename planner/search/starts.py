@@ -269,7 +269,7 @@ def at_a_distance(search: Search, budget: Budget) -> Plan | None:
     # limit it: it is at most half of the least value on the path between them.
     margin = min(0.02, 0.5 * float(singularity_ratios(problem, way).min()))
     limits = replace(problem.limits, singular_margin=margin)
-    plan = run_search(search.of_another(replace(problem, limits=limits)))
+    plan = run_search(search.of_another(problem.varied(limits=limits)))
     if plan is None or not plan.passed:
         return None
     found = replace(plan, problem=search.problem)
@@ -310,7 +310,7 @@ def _in_least_time(problem: Problem) -> Problem:
     """Return the problem of least time. Efforts that are constant over intervals, as for least work, would be slower."""
     motion = replace(problem.motion, duration_s=None, min_duration_s=None, max_duration_s=None)
     mesh = problem.mesh.replace(effort="polynomial")
-    return replace(problem, objective="time", motion=motion, mesh=mesh, guess=None)
+    return problem.varied(objective="time", motion=motion, mesh=mesh, guess=None)
 
 
 def _by_every_method(search: Search) -> Plan | None:

@@ -77,7 +77,7 @@ def _a_little_longer(search: Search, budget: Budget, quick: Plan) -> Plan | None
     problem = search.within(budget)
     # In the transcription with which the least-time motion's certificate passed.
     mesh = problem.mesh.replace(scheme=quick.solved.scheme.name, refine="intervals")
-    problem = replace(problem, guess=None, mesh=mesh, motion=replace(problem.motion, duration_s=duration))
+    problem = problem.varied(guess=None, mesh=mesh, motion=replace(problem.motion, duration_s=duration))
     start, mesh = stretched(guess_from(motion), duration), quick.solved.program.mesh
     lengths = np.bincount(mesh.segment, weights=np.diff(motion.breaks_s))
     durations = lengths * duration / lengths.sum()

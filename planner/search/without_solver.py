@@ -47,7 +47,7 @@ def along_smooth_path(search: Search) -> Plan | None:
     if asked.motion.kind not in ("reach", "periodic") or search.verdicts:
         return None
     # The later deadline ensures that a search that ran out of time still has this motion.
-    problem = replace(asked, solver=asked.solver.replace(deadline=Deadline().within(asked.solver.max_time_s)))
+    problem = asked.varied(solver=asked.solver.replace(deadline=Deadline().within(asked.solver.max_time_s)))
     found = []
     with contextlib.suppress(OutOfTimeError):
         for rests in (True, False) if asked.motion.waypoints else (False,):
@@ -105,7 +105,7 @@ def slower(problem: Problem, motions: Iterable[Trajectory]) -> Plan | None:
 
     A motion that overruns its limits by the mesh error needs less effort and speed if it takes longer.
     """
-    problem = replace(problem, solver=problem.solver.replace(deadline=problem.solver.judging_deadline))
+    problem = problem.varied(solver=problem.solver.replace(deadline=problem.solver.judging_deadline))
     for motion, factor in itertools.product(motions, _SLOWER_FACTORS):
         guess = stretched(guess_from(motion), factor * motion.duration_s)
         if guess.duration_s > longest(problem):

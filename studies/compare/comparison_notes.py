@@ -9,6 +9,7 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.contacts import exclusion
 from linkplan.planner.certificate.further_checks import geom_names
 from linkplan.planner.plan.plan import Plan
+from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.check.holding import why_no_loop
 from linkplan.studies.check.softness import gap_sentence, softness_error
 from linkplan.studies.compare.compare import Comparison, actuated_by_unit, error_figures
@@ -74,12 +75,13 @@ def ended_early(comparison: Comparison) -> list[str]:
 def default_gains(comparison: Comparison) -> list[str]:
     """Return the sentence on default PD gains, if a tracker runs with them."""
     problem = comparison.plan.problem
-    tracking, given = problem.tracking, problem.to_dict().get("tracking", {})
+    tracking, default = problem.tracking, Tracking()
     run = [name for name in ("pd", "pd+ff") if name in comparison.nominal]
-    unset = [f"{key} = {getattr(tracking, key):g}" for key in ("kp", "kd") if key not in given]
+    pairs = ((key, getattr(tracking, key), getattr(default, key)) for key in ("kp", "kd"))
+    unset = [f"{key} = {value:g}" for key, value, usual in pairs if value == usual]
     if not run or not unset:
         return []
-    ran = f"no gains given: {' and '.join(run)} used {' and '.join(unset)}"
+    ran = f"default gains: {' and '.join(run)} used {' and '.join(unset)}"
     time = comparison.plan.trajectory.dense_times(1)
     positions = comparison.plan.trajectory.position_at(time)
     why = why_no_loop(problem.mechanism, positions, problem.limits.actuators_effort)

@@ -1,6 +1,5 @@
 """An explored problem: its sliders, and the report of the plan at their values."""
 
-import dataclasses
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -130,19 +129,18 @@ class Session:
             settings["objective.minimize"] = objective
         if objective == "time":
             settings["motion.duration_s"] = "free"
-        return self.first.with_settings(settings)
+        return self.first.replace(settings)
 
     def described(self) -> Problem:
         """Return the last planned problem; if it differs from the first one, its description says so."""
-        first, last = self.first.to_dict(), self.current.to_dict()
-        if last == first:
-            return self.current
-        duration = last["motion"].get("duration_s")
-        length = f"in {duration:g} s" if isinstance(duration, int | float) else "in free time"
-        goal = last.get("objective", {}).get("minimize", "effort")
+        last = self.current
+        if last == self.first:
+            return last
+        duration, goal = last.motion.duration_s, last.sections.objective.minimize or "effort"
+        length = "in free time" if duration is None else f"in {duration:g} s"
         with_ = f" with {'least ' if goal in OBJECTIVES else 'the objective '}{goal}" if isinstance(goal, str) else ""
         text = f"a reach {length}{with_}, from exploring {self.first.name}"
-        return dataclasses.replace(self.current, source=last | {"description": text})
+        return self.current.replace(description=text)
 
     def _setting(self, key: str, value: float, slider: Slider) -> dict[str, object]:
         """Return the settings that a slider's value changes; none if the slider was not moved."""

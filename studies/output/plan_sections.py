@@ -9,7 +9,6 @@ from linkplan.models.errors import AssemblyError, ProblemError, counted
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.plan.plan import Plan, not_honoured
 from linkplan.planner.problem.build import file_text
-from linkplan.planner.problem.settings import to_toml_types
 from linkplan.studies.output.animation import animation, frames_of
 from linkplan.studies.output.certificate_list import certificate_list
 from linkplan.studies.output.document import Block, Code, Facts, Plot, Report, Section, Text
@@ -142,7 +141,7 @@ def _mesh(plan: Plan, group: str, period: float | None) -> Plot:
 
 def _problem(plan: Plan) -> list[Block]:
     try:
-        tables, names = _without_folders(_without_none(to_toml_types(plan.problem.source)))
+        tables, names = _without_folders(_without_none(plan.problem.to_dict()))
         text = file_text(tables, plan.problem.extras)
     except ProblemError as error:
         return [Text(text=f"The problem cannot be written as a file: {error}", tone="note")]

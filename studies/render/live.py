@@ -27,7 +27,7 @@ def run_maker(plan: Plan) -> Callable[[Controls], Shown]:
     def make(controls: Controls) -> Shown:
         """Run the tracker in MuJoCo."""
         tracking = with_gains(settings, controls.kp_factor, controls.kd_factor)
-        with_them = replace(plan, problem=replace(plan.problem, tracking=tracking))
+        with_them = replace(plan, problem=plan.problem.varied(tracking=tracking))
         motion = tracked_motion(with_them, controls.tracker, reference)
         return shown(motion, lambda k: _words(motion, tracking, controls, k))
 

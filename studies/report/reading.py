@@ -53,4 +53,4 @@ def saved_plan(folder: Path) -> Plan:
     proof = read_plan_record(folder).proof
     if proof is not None:  # the saved certificate is not trusted
         plan = plan.with_proof(existence=OWN_MOTION in str(proof.get("proved")))
-    return plan if note is None else replace(plan, problem=replace(plan.problem, notes=(*plan.problem.notes, note)))
+    return plan if note is None else replace(plan, problem=replace(plan.problem, remarks=(*plan.problem.remarks, note)))

@@ -137,7 +137,7 @@ def _in_turn(solve: Callable[[float], object]) -> Callable[[], object]:
 
 
 def _to(problem: Problem, goal: float) -> Problem:
-    return replace(problem, motion=replace(problem.motion, goal=np.array([goal])))
+    return problem.varied(motion=replace(problem.motion, goal=np.array([goal])))
 
 
 def _plan(planner: Replanner, problem: Problem, goal: float, alone: bool) -> None:

@@ -102,7 +102,7 @@ def re_solves(problem: Problem, goals) -> list[dict[str, float]]:
     last, found = run_solver(build_solver(program.program, problem.solver), program).x, []
     for goal in goals:
         begin = time.process_time()
-        asked = replace(problem, motion=replace(problem.motion, goal=np.array([goal])))
+        asked = problem.varied(motion=replace(problem.motion, goal=np.array([goal])))
         numbered = renumbered(program, asked, last)
         numbers = time.process_time()
         solution = run_solver(solver, numbered)

@@ -17,8 +17,7 @@ import numpy as np
 from linkplan.models.kinematics import tied_points
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.reach import reach
-from linkplan.planner.problem.limits import Limits, free_bounds
-from linkplan.planner.problem.motion import Motion
+from linkplan.planner.problem.limits import free_bounds
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.settings import MeshSettings, SolverSettings
 from linkplan.planner.solvers.solve import build_solver, run_solver
@@ -71,13 +70,11 @@ def random_problem(seed: int) -> Problem | None:
     can = reach(mechanism, 0)
     start[0] -= min(_MOST, _SHARE * (start[0] - can.lower.position))
     goal[0] += min(_MOST, _SHARE * (can.upper.position - goal[0]))
-    return Problem(
-        name=f"planar {seed}",
-        mechanism=mechanism,
-        motion=Motion(kind="reach", start=start, goal=goal, duration_s=_DURATION_S),
-        objective="effort",
-        limits=Limits(effort=free_bounds(mechanism.n_u), position=free_bounds(mechanism.n_q)),
-    )
+    names = [joint.name for joint in mechanism.independent_joints]
+    given = {f"{end}_deg": dict(zip(names, np.degrees(s), strict=True)) for end, s in (("start", start), ("goal", goal))}
+    problem = Problem.reach(mechanism, **given, duration_s=_DURATION_S, name=f"planar {seed}")
+    free = {"effort": free_bounds(mechanism.n_u), "position": free_bounds(mechanism.n_q)}
+    return problem.varied(limits=replace(problem.limits, **free))
 
 
 def problems() -> Iterator[Problem]:
@@ -97,7 +94,7 @@ def one_size(problem: Problem, intervals: int) -> Size:
     """Return what building and solving a problem once takes on so many intervals."""
     settings = MeshSettings(scheme=problem.mesh.scheme, intervals=intervals, effort=problem.mesh.effort)
     solver_settings = SolverSettings(compile="never", max_iterations=_ITERATIONS)
-    asked = replace(problem, mesh=settings, solver=solver_settings)
+    asked = problem.varied(mesh=settings, solver=solver_settings)
     builds, solves = [], []
     for _ in range(_TIMES):
         begin = time.process_time()

@@ -153,7 +153,7 @@ def test_a_limit_of_one_s_own_that_a_folder_does_not_hold_is_not_proved(tmp_path
 def test_a_limit_of_one_s_own_that_balls_do_not_enclose_is_not_proved():
     limit = linkplan.ExtraLimit(name="odd", expression=lambda at: ca.erf(at.position_rad["C"]), upper=2.0)
     plan = optimal("knee-reach")
-    proof = replace(plan, problem=replace(plan.problem, extra_limits=(limit,))).prove(existence=False)
+    proof = replace(plan, problem=plan.problem.varied(extra_limits=(limit,))).prove(existence=False)
     assert proof.verdict == "undecided"
     (found,) = proof.of("undecided")
     assert (found.name, found.reason[:12]) == ("extra limit 'odd'", "not proved: ")

@@ -106,7 +106,7 @@ def test_lists_that_cannot_be_are_refused_in_one_line(knee, given, said):
 
 def test_variants_of_a_problem_keep_its_extras_until_they_are_taken_back(knee):
     problem = Problem.reach(knee, **REACH, extra_limits=[LIMIT], extra_costs=[COST])
-    for variant in (problem.replace(duration_s=0.3), problem.with_settings({"motion.duration_s": 0.3})):
+    for variant in (problem.replace(duration_s=0.3), problem.replace({"motion.duration_s": 0.3})):
         assert variant.extras == (LIMIT, COST)
     assert problem.replace(extra_limits=None).extras == (COST,)
     assert problem.replace(extra_costs=[]).extras == (LIMIT,)

@@ -142,7 +142,7 @@ def test_a_payload_is_put_on_and_taken_off(knee):
     problem = linkplan.Problem.reach(knee, **REACH)
     loaded = problem.replace(payload="shank")
     assert loaded.mechanism.payload.mass_kg == 4.0
-    assert loaded.with_settings({"mechanism.payload.mass_kg": 3.0}).mechanism.payload.mass_kg == 3.0
+    assert loaded.replace({"mechanism.payload.mass_kg": 3.0}).mechanism.payload.mass_kg == 3.0
     bare = loaded.replace(payload=None)
     assert bare.mechanism.payload is None
     assert bare.mechanism.fingerprint() == knee.fingerprint()

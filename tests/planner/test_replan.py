@@ -23,7 +23,7 @@ from tests.support.tolerances_planner import SAME_FIGURE, SOLVERS_OWN_EFFORT, SO
 
 
 def with_goal(problem: Problem, degrees: float) -> Problem:
-    return replace(problem, motion=replace(problem.motion, goal=np.radians([degrees])))
+    return problem.varied(motion=replace(problem.motion, goal=np.radians([degrees])))
 
 
 @pytest.mark.slow
@@ -141,7 +141,7 @@ def test_further_limits_weights_and_waypoints_are_numbers(settings, changes):
 def test_an_infeasible_problem_is_explained_and_does_not_spoil_the_next():
     problem, planner = load_problem("knee-reach"), Replanner()
     planner.plan(problem)
-    refused = planner.plan(replace(problem, motion=replace(problem.motion, duration_s=0.1)))
+    refused = planner.plan(problem.varied(motion=replace(problem.motion, duration_s=0.1)))
     assert refused.status == "infeasible"
     assert "shortest feasible duration is 0.12185 s" in refused.message
     assert planner.plan(problem).objective == pytest.approx(plan_motion(problem).objective, rel=SAME_FIGURE)
@@ -201,7 +201,7 @@ def test_a_step_of_a_history_prints_as_one_line():
 def test_a_program_with_a_limit_that_was_not_asked_for_is_not_solved_again():
     """A motion kept clear of singular poses was solved with a margin: its program has a row more than its problem."""
     planner, problem = Replanner(), load_problem("knee-reach")
-    clear = plan_motion(replace(problem, limits=replace(problem.limits, singular_margin=0.1)))
+    clear = plan_motion(problem.varied(limits=replace(problem.limits, singular_margin=0.1)))
     planner._keep(problem, clear.solved)
     assert planner.solve_again(problem) is None
 
@@ -293,7 +293,7 @@ def test_a_limit_that_comes_to_bind_is_kept_exactly(problem):
     free = prepared(problem).step(with_goal(problem, 56.0))
     assert np.abs(free.trajectory.effort).max() > 85.0
     limits = replace(problem.limits, effort=np.array([[-80.0, 80.0]]))
-    changed = replace(problem, limits=limits)
+    changed = problem.varied(limits=limits)
     step, exact = prepared(problem).step(changed), prepared(problem).solve_again(changed)
     assert step.settled
     assert np.abs(step.trajectory.effort).max() == pytest.approx(80.0, rel=1e-12)

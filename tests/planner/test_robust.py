@@ -51,7 +51,7 @@ def test_least_time_over_a_range_of_payloads_is_that_of_the_heaviest():
     robust = planned("knee-sprint", *HEAVY)
     problem = load_problem("knee-sprint")
     heavy = load_mechanism("optimus-knee", payload=SHANK.scaled(1.2))
-    alone = plan_motion(replace(problem, mechanism=heavy, source={}))
+    alone = plan_motion(problem.replace(mechanism=heavy))
     assert alone.objective > 1.05 * planned("knee-sprint").objective
     assert robust.objective == pytest.approx(alone.objective, rel=1e-7)
 
@@ -82,7 +82,7 @@ def test_dry_friction_is_kept_against_either_direction():
 
 def test_a_certificate_names_the_corner_at_which_a_plan_fails():
     plan = optimal("knee-sprint")
-    certificate = certify(replace(plan.problem, robust=Robust(payload_factor=(0.8, 1.2))), plan.trajectory)
+    certificate = certify(plan.problem.varied(robust=Robust(payload_factor=(0.8, 1.2))), plan.trajectory)
     assert certificate.failures
     assert "act_O with payload 1.2" in certificate.failures[0]
 
@@ -202,7 +202,7 @@ def test_a_motion_within_a_reserve_is_one_of_weaker_motors_too_where_they_move_o
     whole = replace(kept.problem.limits, effort=kept.problem.limits.actuators_effort, reserve=0.0)
 
     def of_motors(factor: float):
-        problem = replace(kept.problem, limits=whole, robust=Robust(torque_constant_factor=(factor, 1.0)))
+        problem = kept.problem.varied(limits=whole, robust=Robust(torque_constant_factor=(factor, 1.0)))
         return certify(problem, kept.trajectory)
 
     assert of_motors(0.2701).passed

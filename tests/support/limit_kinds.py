@@ -42,7 +42,7 @@ def _rows(name: str, row: int) -> Callable[[Problem, float, float], Problem]:
     def limited(problem: Problem, low: float, high: float) -> Problem:
         rows = np.array(getattr(problem.limits, name))
         rows[row] = low, high
-        return replace(problem, limits=replace(problem.limits, **{name: rows}))
+        return problem.varied(limits=replace(problem.limits, **{name: rows}))
 
     return limited
 
@@ -125,7 +125,7 @@ def _sites(problem: Problem, motion: Trajectory, rng: np.random.Generator) -> li
 
         def limited(problem: Problem, low: float, high: float, free: SiteLimit = free) -> Problem:
             site = replace(free, low=max(low, free.low), high=min(high, free.high), scale=high)
-            return replace(problem, limits=replace(problem.limits, site=(*problem.limits.site, site)))
+            return problem.varied(limits=replace(problem.limits, site=(*problem.limits.site, site)))
 
         found.append(
             Kind(
@@ -137,13 +137,13 @@ def _sites(problem: Problem, motion: Trajectory, rng: np.random.Generator) -> li
         )
 
     def accelerated(problem: Problem, low: float, high: float) -> Problem:
-        return replace(problem, limits=replace(problem.limits, site_acceleration={name: min(-low, high)}))
+        return problem.varied(limits=replace(problem.limits, site_acceleration={name: min(-low, high)}))
 
     def size(at: Samples) -> np.ndarray:
         return np.linalg.norm(sampled(site_motion(mechanism, 2), at.q, at.v, at.a)[:, :, index], axis=1)
 
     def with_jerk(problem: Problem, low: float, high: float) -> Problem:
-        return replace(problem, limits=replace(problem.limits, site_jerk={name: min(-low, high)}))
+        return problem.varied(limits=replace(problem.limits, site_jerk={name: min(-low, high)}))
 
     def jerk(at: Samples) -> np.ndarray:
         return np.linalg.norm(sampled(site_motion(mechanism, 3), at.q, at.v, at.a, at.jerk)[:, :, index], axis=1)
@@ -165,7 +165,7 @@ def _bodies(problem: Problem, rng: np.random.Generator) -> list[Kind]:
 
     def limited(problem: Problem, low: float, high: float) -> Problem:
         limit = BodyLimit(body=name, index=index, low=low, high=high)
-        return replace(problem, limits=replace(problem.limits, body=(limit,)))
+        return problem.varied(limits=replace(problem.limits, body=(limit,)))
 
     return [Kind(words=f"angle of body {name}", values=lambda at: angles_of(mechanism, index, at.q), limited=limited)]
 
@@ -191,7 +191,7 @@ def _robust(problem: Problem, j: int) -> list[Kind]:
     return [
         Kind(
             words=f"effort of {mechanism.actuators[j].name} with {words}",
-            values=lambda at: replace(at, problem=replace(at.problem, robust=robust)).corner_efforts[:, corner, j],
+            values=lambda at: replace(at, problem=at.problem.varied(robust=robust)).corner_efforts[:, corner, j],
             limited=limited,
             beyond=INVERSE_DYNAMICS_SHARE,
         )
@@ -206,7 +206,7 @@ def _line(problem: Problem, motion: Trajectory, j: int) -> list[Kind]:
         size = min(abs(low), abs(high))
         motors = list(problem.motors)
         motors[j] = Motor(stall_effort=float(most * size), no_load_speed_m_s=float(fast * size))
-        return replace(problem, motors=tuple(motors))
+        return problem.varied(motors=tuple(motors))
 
     def values(at: Samples) -> np.ndarray:
         return np.abs(at.u[:, j] / most + at.actuator_speeds[:, j] / fast)
@@ -224,7 +224,7 @@ def _loops(problem: Problem, rng: np.random.Generator) -> list[Kind]:
     def rated(problem: Problem, _: float, high: float) -> Problem:
         forces = np.array(problem.limits.closure_force)
         forces[c] = high
-        return replace(problem, limits=replace(problem.limits, closure_force=forces))
+        return problem.varied(limits=replace(problem.limits, closure_force=forces))
 
     found.append(
         Kind(
@@ -237,7 +237,7 @@ def _loops(problem: Problem, rng: np.random.Generator) -> list[Kind]:
     )
 
     def apart(problem: Problem, low: float, _: float) -> Problem:
-        return replace(problem, limits=replace(problem.limits, singular_margin=low))
+        return problem.varied(limits=replace(problem.limits, singular_margin=low))
 
     found.append(
         Kind(
@@ -263,7 +263,7 @@ def _parts(problem: Problem, rng: np.random.Generator) -> list[Kind]:
             items = list(getattr(problem.mechanism, name))
             ends = {"low": low, "high": high} if name == "tendons" else {"largest": high}
             items[k] = replace(items[k], **ends)
-            return replace(problem, mechanism=replace(problem.mechanism, **{name: tuple(items)}))
+            return problem.varied(mechanism=replace(problem.mechanism, **{name: tuple(items)}))
 
         def values(at: Samples, name: str = name, k: int = k) -> np.ndarray:
             if name == "tendons":
@@ -283,7 +283,7 @@ def _servo(problem: Problem, j: int) -> list[Kind]:
     def limited(problem: Problem, low: float, high: float) -> Problem:
         actuators = list(problem.mechanism.actuators)
         actuators[j] = replace(actuators[j], control_lower=low, control_upper=high, lower=-np.inf, upper=np.inf)
-        return replace(problem, mechanism=replace(problem.mechanism, actuators=tuple(actuators)))
+        return problem.varied(mechanism=replace(problem.mechanism, actuators=tuple(actuators)))
 
     return [
         Kind(

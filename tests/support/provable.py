@@ -63,12 +63,12 @@ def _swing(rng: np.random.Generator, mechanism: Mechanism) -> tuple[Problem, Tra
         minimize="effort",
     )
     exact = replace(problem.motion, start=position[0, 0], goal=position[-1, -1])
-    return limited(replace(problem, motion=exact), 10 * np.abs(trajectory.effort).max()), trajectory
+    return limited(problem.varied(motion=exact), 10 * np.abs(trajectory.effort).max()), trajectory
 
 
 def limited(problem: Problem, size: float) -> Problem:
     """Return the problem with a symmetric limit on its effort."""
-    return replace(problem, limits=replace(problem.limits, effort=np.array([[-size, size]])))
+    return problem.varied(limits=replace(problem.limits, effort=np.array([[-size, size]])))
 
 
 def _positions(begin: float, goal: float, breaks: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -57,9 +57,9 @@ def _along(mechanism: Mechanism, begin, goal, breaks, rng) -> tuple[Problem, Tra
     said = {f"{name}_{unit}": of[unit] for name, of in (("start", start), ("goal", goals)) for unit in of if of[unit]}
     tables = {"motion": {"kind": "reach", "duration_s": float(breaks[-1]), **said}, "objective": {"minimize": "effort"}}
     problem = Problem.from_tables("spoilt", tables, mechanism=mechanism)
-    problem = replace(problem, motion=replace(problem.motion, start=begin, goal=goal))
+    problem = problem.varied(motion=replace(problem.motion, start=begin, goal=goal))
     wide = replace(problem.limits, effort=free_bounds(mechanism.n_u), position=free_bounds(mechanism.n_q))
-    problem = replace(problem, limits=wide)
+    problem = problem.varied(limits=wide)
     return problem, with_efforts(problem, motion)
 
 

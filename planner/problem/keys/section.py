@@ -6,6 +6,7 @@ A key of hinges in degrees (`by_joint`) also declares its twin for slides in met
 """
 
 import functools
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any, Self
 
@@ -89,6 +90,27 @@ class Section(Struct, metaclass=_Declared, frozen=True, forbid_unknown_fields=Tr
     def replace(self, **changes: object) -> Self:
         """Return the section with new values, checked as its first ones."""
         return structs.replace(self, **changes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the section as a table of a file. A key with its default value is left out."""
+        values = ((name, getattr(self, name), default) for name, default in _defaults(type(self)))
+        return {name: _table(value) for name, value, default in values if value != default}
+
+
+@functools.cache
+def _defaults(kind: type[Section]) -> tuple[tuple[str, Any], ...]:
+    """Return the keys of a section with their defaults."""
+    made = ((one, one.default_factory) for one in structs.fields(kind))
+    return tuple((one.name, one.default if make is NODEFAULT else make()) for one, make in made)
+
+
+def _table(value: Any) -> Any:
+    """Return a copy of a decoded value in the types of a file."""
+    if isinstance(value, Section):
+        return value.to_dict()
+    if isinstance(value, Mapping):
+        return {name: _table(item) for name, item in value.items()}
+    return [_table(item) for item in value] if isinstance(value, list | tuple) else value
 
 
 @dataclass(frozen=True, eq=False, slots=True)

@@ -4,9 +4,10 @@ The reader, the JSON Schema and the table of keys are derived from them. Angles 
 in metres with `_m`; all else is SI.
 """
 
+import functools
 from typing import Annotated, Any
 
-from msgspec import Meta
+from msgspec import Meta, field
 
 from linkplan.models.catalogue import MODELS
 from linkplan.planner.problem.keys import kinds
@@ -41,7 +42,10 @@ class PayloadSection(Section, frozen=True):
     mass_kg: kinds.Mass = required("its mass", "kg")
     com_m: kinds.Centre = required("its centre of mass in the body's frame", "m")
     inertia_kgm2: kinds.Moments = key(
-        "moments about axes parallel to the body's through the centre of mass", "kg m2", "0, a point mass"
+        "moments about axes parallel to the body's through the centre of mass",
+        "kg m2",
+        "0, a point mass",
+        default=field(default_factory=functools.partial(list, (0.0, 0.0, 0.0))),
     )
 
 
@@ -52,6 +56,7 @@ class MechanismSection(Section, frozen=True):
     payload: Annotated[kinds.PayloadName | PayloadSection, _PAYLOAD] = key(
         "a built-in payload's name, or a table",
         otherwise="none",
+        default="none",
     )
     home_deg: kinds.HomeAngles = by_joint(
         "hinges' angles for the assembly, which determine the branch",
@@ -69,6 +74,7 @@ class MechanismSection(Section, frozen=True):
     fix_base: Annotated[bool, _SWITCH] = key(
         "whether the joints between the world and the kept bodies are locked, and a base without actuators",
         otherwise="false",
+        default=False,
     )
     lock: kinds.Locks = by_name("positions of joints that do not move", "deg, m on slides", "none")
     keyframe: str = key("the model's keyframe that gives the home pose", otherwise="home, or the reference pose")
@@ -96,8 +102,7 @@ class MechanismSection(Section, frozen=True):
     effort_sharing: kinds.Sharing = key(
         "how more actuators than degrees of freedom share an effort outside the optimiser, always within their limits: by"
         " least squares, or with the least peak",
-        "",
-        "least_squares",
+        default="least_squares",
     )
     pre_tension: kinds.ActuatorEfforts = by_name(
         "efforts by actuator, nearest to which they do so: the tension of cables", "N, N.m", "0"
@@ -109,7 +114,7 @@ class MechanismSection(Section, frozen=True):
     friction_transition_deg_s: kinds.Positive = key(
         "the speed v_0 of dry friction f tanh(v / v_0); for slides and tendons as many rad/s times the mechanism's size",
         "deg/s",
-        "2",
+        default=2.0,
     )
 
 
@@ -134,16 +139,15 @@ class GuessSection(Section, frozen=True):
 class MeshSection(Section, frozen=True):
     """The discretisation: the transcription and the first mesh."""
 
-    scheme: kinds.Scheme = key("the transcription", otherwise="radau-3; radau-5 for least jerk", default="radau-3")
-    intervals: kinds.Intervals = key("the initial number of equal intervals", default=40)
+    scheme: kinds.Scheme = key("the transcription", otherwise="radau-3; radau-5 for least jerk")
+    intervals: kinds.Intervals = key("the initial number of equal intervals", otherwise="40; 120 along a path")
     effort: kinds.EffortForm = key(
         "the shape of efforts on an interval",
         otherwise="polynomial; for least work constant, or linear if limits.effort_rate is given",
-        default="polynomial",
     )
     tolerance_deg: kinds.Tolerance = key("tolerance of the integrated state", "deg", "1e-6 while the mesh stays small")
     refine: kinds.Refine = key(
-        "the refinement of a mesh that is too coarse", otherwise="both; intervals if a scheme is named", default="both"
+        "the refinement of a mesh that is too coarse", otherwise="both; intervals if a scheme is named"
     )
     breaks: kinds.Breaks = key("ends of the first mesh's intervals as shares of the duration", "", "equal intervals")
 
@@ -219,7 +223,6 @@ class ProblemFile(Section, frozen=True, kw_only=True):
     imperfections: ImperfectionsSection = key(
         "imperfections of the machines that an experiment simulates",
         otherwise="those of a carefully built machine",
-        default=ImperfectionsSection(),
     )
 
 

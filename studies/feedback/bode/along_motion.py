@@ -23,7 +23,7 @@ from linkplan.studies.feedback.frequency.worst import refined_minima
 
 def along_motion(plan: Plan, law: str, settings: Tracking, say: Callable[[str], None] = silent) -> AlongMotion:
     """Return a tracker's loop along a plan; `settings` replace the plan's gains."""
-    plan = replace(plan, problem=replace(plan.problem, tracking=settings))
+    plan = replace(plan, problem=plan.problem.varied(tracking=settings))
     mechanism, trajectory = plan.problem.mechanism, plan.require_motion("analyse")
     limit = plan.problem.limits.actuators_effort
     reference = sample(mechanism, trajectory, settings.period_s, trajectory.duration_s, limit)

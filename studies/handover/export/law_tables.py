@@ -165,7 +165,7 @@ def _over_the_motion(plan: Plan) -> Plan:
         settings = settings.replace(period_s=period, duration_s=duration)
     elif settings.duration_s is not None and settings.duration_s < duration:
         settings = settings.replace(duration_s=duration)
-    return replace(plan, problem=replace(plan.problem, tracking=settings))
+    return replace(plan, problem=plan.problem.varied(tracking=settings))
 
 
 def _rows(mechanism: Mechanism, plan: Plan, run: SampledReference) -> tuple[SampledReference, np.ndarray]:

@@ -180,7 +180,7 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     ends = not trajectory.periodic
     if tracking.duration_s is None and ends:
         tracking = tracking.replace(duration_s=1.25 * trajectory.duration_s)  # errors settle while the goal is held
-    reference = tracking_reference(replace(plan, problem=replace(problem, tracking=tracking)))
+    reference = tracking_reference(replace(plan, problem=problem.varied(tracking=tracking)))
     loop = control_loop(problem)
     hinge = np.array([joint.kind == "hinge" for joint in mechanism.independent_joints])
     passive = ~mechanism.actuated  # joints that cannot be controlled
@@ -232,17 +232,21 @@ def fall_note(experiment: Experiment) -> str | None:
 
 def imperfections_asked(plan: Plan) -> dict:
     """Return the table [imperfections] of a plan's problem, an empty one for none; without a table, the default ones."""
-    table = plan.problem.source.get("imperfections")
-    return default_imperfections(plan) if table is None else dict(table)
+    section = plan.problem.sections.imperfections
+    return default_imperfections(plan) if section is None else section.to_dict()
 
 
 def defaults_note(plan: Plan) -> str | None:
     """Return the note on a missing or an empty [imperfections] table, or None if the table has imperfections."""
-    table = plan.problem.source.get("imperfections")
-    if table is None:
+    section = plan.problem.sections.imperfections
+    if section is None:
         names = ", ".join(default_imperfections(plan))
         return f"without [imperfections], those of a carefully built machine are used: {names}"
-    return None if table else "[imperfections] is empty: all machines are equal, so shares and intervals have no meaning"
+    return (
+        None
+        if section.to_dict()
+        else "[imperfections] is empty: all machines are equal, so shares and intervals have no meaning"
+    )
 
 
 def request_of(source: Mapping, digest: str | None, settings: Settings, trackers: Mapping[str, str]) -> AskedRecord:

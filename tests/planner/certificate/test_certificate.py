@@ -97,7 +97,7 @@ def test_a_speed_that_only_touches_its_limit_is_not_said_to_overrun_it():
     """v = L (1 - (1 - tau)^3) ends at L and is below it everywhere; the parabola through three samples of it is not."""
     problem = body_problem(HINGE, 'kind = "reach"\nstart_deg = { J = 0.0 }\ngoal_deg = { J = 45.0 }\nduration_s = 1.0\n')
     limit = np.radians(60.0)
-    problem = replace(problem, limits=replace(problem.limits, speed=np.array([[-limit, limit]])))
+    problem = problem.varied(limits=replace(problem.limits, speed=np.array([[-limit, limit]])))
     velocity = limit * np.array([0.0, 1.0, 1.0, 1.0])
     touching = motion_along([0.0, 1.0], np.concatenate([[0.0], np.cumsum(velocity) / 4]), velocity=velocity)
     assert margin_of(certify(problem, touching), "speed", 0).left == 0.0

@@ -46,7 +46,7 @@ def with_block(*, y: float = 0.0) -> str:
 
 def problem_with(text: str, *overrides: str) -> Problem:
     problem = load_problem("knee-reach", list(overrides))
-    return replace(problem, mechanism=load_mechanism(text, payload="shank"))
+    return problem.varied(mechanism=load_mechanism(text, payload="shank"))
 
 
 @pytest.fixture(scope="module")
@@ -302,7 +302,7 @@ def test_a_collision_is_unavoidable_at_a_pose_between_start_and_goal(swing, star
     """The swing from -30 to 20 deg stands for a motion between -10 and 10 deg that goes beyond both ends."""
     plan = swing[0.05]
     motion = replace(plan.problem.motion, start=np.radians([start]), goal=np.radians([goal]))
-    problem, trajectory = replace(with_limits(plan.problem, contacts="refuse"), motion=motion), plan.trajectory
+    problem, trajectory = with_limits(plan.problem, contacts="refuse").varied(motion=motion), plan.trajectory
     since = brentq(lambda t: float(trajectory.position_at(np.array([t]))[0, 0]) - np.radians(pose), 0, trajectory.duration_s)
     certificate = structs.replace(plan.certificate, contacts=(meeting(since),))
     assert unavoidable(problem, trajectory, certificate) is expected

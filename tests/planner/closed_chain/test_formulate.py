@@ -83,7 +83,7 @@ def test_a_range_and_a_speed_are_tightened_by_what_was_overrun():
     assert once.position[0] == pytest.approx(before.position[0] + 1.1 * 0.01 * inward)
     np.testing.assert_array_equal(once.position[1:], before.position[1:])
     np.testing.assert_array_equal(once.speed, before.speed)
-    bounded = replace(second, problem=replace(second.problem, limits=replace(once, speed=np.full((n_q, 2), [-9.0, 9.0]))))
+    bounded = replace(second, problem=second.problem.varied(limits=replace(once, speed=np.full((n_q, 2), [-9.0, 9.0]))))
     speeds = bounded.tightened(over, plan.trajectory).problem.limits.speed
     assert speeds[1] == pytest.approx([-9.0 + 1.1 * 0.2, 9.0 - 1.1 * 0.2])
     np.testing.assert_array_equal(speeds[[0, 2]], [[-9.0, 9.0], [-9.0, 9.0]])

@@ -95,8 +95,8 @@ def test_a_batch_whose_cases_name_different_joints_plans_each_in_its_own(tmp_pat
 def test_a_duration_of_which_nothing_is_said_is_said_to_be_free():
     open_end = {key: value for key, value in AT_C.items() if key != "duration_s"}
     notes = problem(open_end).notes
-    assert any("motion.duration_s is not given: the duration is free" in note for note in notes)
-    for said in ({"duration_s": "free"}, {"max_duration_s": 1.0}, {"duration_s": 0.3}):
+    assert any("the duration is free (motion.duration_s sets it)" in note for note in notes)
+    for said in ({"max_duration_s": 1.0}, {"duration_s": 0.3}):
         assert not any("duration_s" in note for note in problem(open_end | said).notes)
     assert not any("duration_s" in note for note in problem(open_end, objective={"minimize": "time"}).notes)
     for name in ("knee-reach", "knee-sine", "five-bar-swing-up"):

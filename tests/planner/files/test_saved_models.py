@@ -61,7 +61,7 @@ def test_a_plan_whose_folder_moved_with_its_model_is_read(project, tmp_path):
     moved = project.rename(tmp_path / "elsewhere")
     plan = read_plan(moved / "plans" / "reach")
     assert plan.status == "optimal"
-    assert Path(plan.problem.source["mechanism"]["model"]) == (moved / "arm.xml").resolve()
+    assert Path(plan.problem.sections.mechanism.model) == (moved / "arm.xml").resolve()
 
 
 @pytest.mark.slow
@@ -75,7 +75,7 @@ def test_of_two_models_the_one_that_was_planned_with_is_taken(project, tmp_path)
     """A copy of the whole project, in which the model was changed: the plan there still finds the one it was made with."""
     copy = shutil.copytree(project, tmp_path / "copy")
     changed(copy, 'mass="1"', 'mass="2"')
-    assert Path(read_plan(copy / "plans" / "reach").problem.source["mechanism"]["model"]).parent == project.resolve()
+    assert Path(read_plan(copy / "plans" / "reach").problem.sections.mechanism.model).parent == project.resolve()
 
 
 @pytest.mark.slow

@@ -198,7 +198,7 @@ def test_units_words_and_defaults_are_said():
     parts = json_schema()["$defs"]
     assert parts["MotionSection"]["properties"]["start_deg"]["x-unit"] == "deg"
     assert set(parts["MotionSection"]["properties"]["kind"]["enum"]) == {"reach", "hold", "periodic", "track", "follow"}
-    assert parts["MeshSection"]["properties"]["intervals"]["default"] == 40
+    assert parts["SolverSection"]["properties"]["starts"]["default"] == 1
     assert "default" not in parts["MotionSection"]["properties"]["start_deg"]
 
 
@@ -224,7 +224,7 @@ def test_every_key_stands_in_the_documents_itself_or_as_its_twin_or_along_x():
 def test_the_table_s_defaults_are_what_the_reader_puts_in():
     for row in key_table():
         if row.section in KEYS and row.default is not None:
-            required = {"path": {"site": "foot"}}.get(row.section, {})
+            required = {"path": {"site": "foot"}, "mechanism": {"model": "m.xml"}}.get(row.section, {})
             section = msgspec.convert(required, kind_of(row.section))
             assert getattr(section, row.name) == row.default
 

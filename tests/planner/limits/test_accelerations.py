@@ -116,7 +116,7 @@ def test_a_jump_of_acceleration_and_a_start_with_one_are_jerk_beyond_any_limit()
     plan = plan_motion(problem)
     limits = replace(problem.limits, jerk=np.array([[-1e9, 1e9]]), site_jerk={"tool": 1e9})
     own = linkplan.ExtraLimit(name="own", expression=lambda at: at.jerk_rad_s3["X"], lower=-1e9, upper=1e9)
-    with_jerk = replace(problem, limits=limits, extra_limits=(own,))
+    with_jerk = problem.varied(limits=limits, extra_limits=(own,))
     for kind in (JerkLimit, SiteJerkLimit, ExtraPathLimit):
         (limit,) = kind.of(with_jerk)
         margin = limit_margin(limit, samples_of(with_jerk, plan.trajectory))
@@ -235,7 +235,7 @@ def test_rounding_of_a_position_far_from_zero_is_no_jerk_in_a_proof():
 
 def test_a_limit_on_jerk_forbids_jumps_of_the_joints_that_move_the_site_alone():
     problem, _ = turning(1.0)
-    of_tip = replace(problem, limits=replace(problem.limits, site_jerk={"tip": 1.0}))
+    of_tip = problem.varied(limits=replace(problem.limits, site_jerk={"tip": 1.0}))
     assert [smooth_columns(one) for one in (problem, of_tip)] == [(0,), (0, 1)]
 
 

@@ -46,7 +46,7 @@ def test_a_jump_of_the_effort_from_rest_overruns_its_rate():
     problem = reach()
     failures = certify(problem, falling_effort(problem)).failures
     assert any("effort rate" in failure for failure in failures), failures
-    unlimited = replace(problem, limits=replace(problem.limits, effort_rate=np.array([[-np.inf, np.inf]])))
+    unlimited = problem.varied(limits=replace(problem.limits, effort_rate=np.array([[-np.inf, np.inf]])))
     assert certify(unlimited, falling_effort(problem)).passed
 
 

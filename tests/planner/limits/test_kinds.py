@@ -63,9 +63,9 @@ def test_a_plan_with_a_limit_that_claims_nothing_is_not_proved(monkeypatch):
 
 
 def test_only_actuators_with_a_limit_have_one_at_the_corners():
-    problem = replace(planned("knee-reach").problem, robust=Robust(payload_factor=(0.8, 1.2)))
+    problem = planned("knee-reach").problem.varied(robust=Robust(payload_factor=(0.8, 1.2)))
     assert len(RobustLimit.of(problem)) == 2
-    free = replace(problem, limits=replace(problem.limits, effort=np.array([[-np.inf, np.inf]])))
+    free = problem.varied(limits=replace(problem.limits, effort=np.array([[-np.inf, np.inf]])))
     assert RobustLimit.of(free) == []
 
 
@@ -131,7 +131,7 @@ def narrowed(kind: type[Limit], end: str) -> tuple[Problem, Trajectory]:
         actuators = list(mechanism.actuators)
         actuators[limit.item] = replace(actuators[limit.item], control_lower=low, control_upper=high)
         narrow = replace(mechanism, actuators=tuple(actuators))
-    return replace(problem, mechanism=narrow), motion
+    return problem.varied(mechanism=narrow), motion
 
 
 @pytest.mark.parametrize("end", ["low", "high"])

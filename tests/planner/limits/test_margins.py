@@ -158,5 +158,5 @@ def test_a_limit_at_the_largest_speed_passes_above_it_and_fails_below(joint):
     for beyond_deg, passes in ((1e-6, True), (-1e-6, False)):
         speed = np.array(problem.limits.speed)
         speed[i] = np.array([-1, 1]) * (peak + np.radians(beyond_deg))
-        limited = replace(problem, limits=replace(problem.limits, speed=speed))
+        limited = problem.varied(limits=replace(problem.limits, speed=speed))
         assert certify(limited, trajectory).passed is passes

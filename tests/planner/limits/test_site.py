@@ -116,7 +116,7 @@ def test_a_relaxed_limit_is_further_out_by_a_share_of_the_extent_and_the_factor_
     assert not margin_of(SitePathLimit.relaxed(asked, 1 + 0.9 * (factor - 1))).kept
     tube = problem(along=[[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]], radius_m=0.5)
     assert SitePathLimit.relaxed(tube, 1.1).limits.site[0].low == tube.limits.site[0].low
-    assert factor_of(SitePathLimit, replace(asked, limits=replace(asked.limits, site=())), motion()) is None
+    assert factor_of(SitePathLimit, asked.varied(limits=replace(asked.limits, site=())), motion()) is None
 
 
 def test_what_a_wall_through_the_origin_leaves_is_a_share_of_the_mechanism_s_extent():

@@ -127,7 +127,7 @@ def test_waypoints_on_the_way_are_passed_in_turn_and_change_nothing():
     problem = spring(1.9)
     way = replace(problem.motion, waypoints=tuple(Waypoint(position=[x]) for x in (1.5, 0.3)))
     guess = least_time_guess(problem, problem.start_pose())
-    passed = least_time_guess(replace(problem, motion=way), problem.start_pose())
+    passed = least_time_guess(problem.varied(motion=way), problem.start_pose())
     assert guess is not None
     assert passed is not None
     assert passed.duration_s == pytest.approx(guess.duration_s, rel=GRID)
@@ -137,7 +137,7 @@ def test_waypoints_on_the_way_are_passed_in_turn_and_change_nothing():
 def test_a_speed_asked_at_a_waypoint_is_the_guesss_there():
     problem = spring(2.0)
     asked = replace(problem.motion, waypoints=(Waypoint(position=[1.0], speed=[-0.5]),))
-    guess = least_time_guess(replace(problem, motion=asked), problem.start_pose())
+    guess = least_time_guess(problem.varied(motion=asked), problem.start_pose())
     assert guess is not None
     assert guess.velocity(guess.boundaries_s)[:, 0] == pytest.approx([0.0, -0.5, 0.0], abs=SAME_FIGURE)
 

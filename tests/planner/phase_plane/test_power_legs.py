@@ -51,7 +51,7 @@ def test_arcs_are_a_bang_the_power_that_is_given_the_one_that_is_taken_back_and_
 
 def test_a_waypoint_on_the_way_is_passed_in_turn_and_changes_nothing():
     problem, (_, straight) = knee("limits.power_w.act_O=400")
-    passing = replace(problem, motion=replace(problem.motion, waypoints=(Waypoint(position=[0.0]),)))
+    passing = problem.varied(motion=replace(problem.motion, waypoints=(Waypoint(position=[0.0]),)))
     (ahead, back), boundaries = power_legs(passing, passing.start_pose())
     assert boundaries[-1] == straight[-1]
     at = boundaries[1]
@@ -154,7 +154,7 @@ def test_parts_that_turn_follow_each_other_in_time():
     """Up to a waypoint at which it turns and back: the legs of each part alone, one after the other."""
     there, back = crank(20.0, 80.0, power_w={"u": 30.0}), crank(80.0, 20.0, power_w={"u": 30.0})
     problem = crank(20.0, 20.001, power_w={"u": 30.0})
-    turning = replace(problem, motion=replace(problem.motion, waypoints=(Waypoint(position=np.radians([80.0])),)))
+    turning = problem.varied(motion=replace(problem.motion, waypoints=(Waypoint(position=np.radians([80.0])),)))
     legs, boundaries = power_legs(turning, turning.start_pose())
     times = [power_legs(one, one.start_pose())[1][-1] for one in (there, back)]
     assert boundaries == pytest.approx([0.0, times[0], sum(times)], rel=1e-4)
@@ -166,7 +166,7 @@ def test_parts_that_turn_follow_each_other_in_time():
 @pytest.mark.parametrize("place", [25.0, 75.0])
 def test_a_waypoint_is_passed_on_the_leg_that_it_lies_on(place):
     problem = crank(80.0, 20.0, power_w={"u": 30.0})
-    passing = replace(problem, motion=replace(problem.motion, waypoints=(Waypoint(position=np.radians([place])),)))
+    passing = problem.varied(motion=replace(problem.motion, waypoints=(Waypoint(position=np.radians([place])),)))
     legs, (_, at, _) = power_legs(passing, passing.start_pose())
     passes = [leg for leg in legs if leg.begin <= at - leg.later <= leg.end]
     assert [leg.state(at - leg.later)[0] for leg in passes] == pytest.approx([np.radians(place)])

@@ -70,7 +70,7 @@ def test_a_motion_along_its_velocity_curve_passes_takes_the_least_time_and_is_al
 def test_of_three_limited_joints_each_is_at_its_limit_in_turn():
     problem, _ = drawn(77, 21)
     limits = np.array([[-23.7, 23.7], [-16.2, 16.2], problem.limits.speed[2]])
-    problem = replace(problem, limits=replace(problem.limits, speed=limits))
+    problem = problem.varied(limits=replace(problem.limits, speed=limits))
     legs, _ = power_legs(problem, problem.start_pose())
     at_o, at_a, at_c = (AT_FORCE + joint for joint in range(3))
     assert [held for leg in legs for _, (held,) in leg.arcs()] == [1, at_c, 1, at_a, at_o, -1, at_c, -1]
@@ -95,7 +95,7 @@ def test_ends_on_the_velocity_curve_are_joined_along_it():
 def test_an_end_above_the_velocity_curve_has_no_legs(end):
     problem = hinge(60.0, f"motion.{end}_speed_deg_s={{J=59}}")
     assert power_legs(problem, problem.start_pose()) is not None
-    slower = replace(problem, limits=replace(problem.limits, speed=np.radians([[-58.0, 58.0]])))
+    slower = problem.varied(limits=replace(problem.limits, speed=np.radians([[-58.0, 58.0]])))
     assert power_legs(slower, problem.start_pose()) is None
 
 
@@ -106,7 +106,7 @@ def test_a_speed_that_is_never_reached_has_no_legs():
 
 def test_a_direction_that_may_not_be_taken_has_no_legs():
     problem = hinge(60.0)
-    still = replace(problem, limits=replace(problem.limits, speed=np.radians([[-60.0, 0.0]])))
+    still = problem.varied(limits=replace(problem.limits, speed=np.radians([[-60.0, 0.0]])))
     assert power_legs(still, problem.start_pose()) is None
 
 
@@ -253,7 +253,7 @@ def test_power_is_at_its_limit_all_along_but_for_bangs():
 
 def test_a_waypoint_on_the_way_is_passed_at_a_break():
     problem = within(100.0)
-    passing = replace(problem, motion=replace(problem.motion, waypoints=(Waypoint(position=[0.0]),)))
+    passing = problem.varied(motion=replace(problem.motion, waypoints=(Waypoint(position=[0.0]),)))
     certificate = certify(passing, legs_motion(passing, passing.start_pose()))
     assert certificate.passed, certificate.failures
 
@@ -262,7 +262,7 @@ def test_a_waypoint_on_the_way_is_passed_at_a_break():
 def test_of_either_leg_a_waypoint_s_instant_is_a_break(place):
     """From -0.86 to 0.98 rad, the legs' switch lies between."""
     problem = within(100.0)
-    passing = replace(problem, motion=replace(problem.motion, waypoints=(Waypoint(position=[place]),)))
+    passing = problem.varied(motion=replace(problem.motion, waypoints=(Waypoint(position=[place]),)))
     motion, straight = (legs_motion(one, one.start_pose()) for one in (passing, problem))
     breaks = motion.position_at(motion.breaks_s)[:, 0]
     assert np.abs(breaks - place).min() < 1e-9

@@ -78,7 +78,7 @@ def test_a_goal_that_misses_the_angle_is_named_with_its_error_in_degrees():
     plan = knee_plan()
     (goal,) = plan.problem.motion.goal_at
     moved = replace(plan.problem.motion, goal_at=(replace(goal, angle_rad=goal.angle_rad + np.radians(0.01)),))
-    found = certify(replace(plan.problem, motion=moved), plan.trajectory)
+    found = certify(plan.problem.varied(motion=moved), plan.trajectory)
     assert found.site_error_m == pytest.approx(np.radians(0.01) * plan.problem.mechanism.extent_m, rel=1e-4)
     assert any(
         "body shank is 0.01 deg away from the place that motion.goal_body_deg gives" in said for said in found.failures
@@ -88,7 +88,7 @@ def test_a_goal_that_misses_the_angle_is_named_with_its_error_in_degrees():
 @pytest.mark.parametrize(("high", "kept"), [(31.0, True), (29.9, False)])
 def test_the_margin_and_the_proof_of_a_limit_follow_the_closed_form(high, kept):
     plan = knee_plan()
-    limited = plan.problem.with_settings({"limits.body_deg": {"shank": [-60.0, high]}})
+    limited = plan.problem.replace({"limits.body_deg": {"shank": [-60.0, high]}})
     (margin,) = [one for one in certify(limited, plan.trajectory).margins if isinstance(one.of, BodyAngleLimit)]
     rear = np.degrees(plan.trajectory.position_at(plan.trajectory.dense_times(400))[:, 0])
     assert margin.left == pytest.approx(high - shank_deg(rear).max(), abs=1e-6)
@@ -100,7 +100,7 @@ def test_the_margin_and_the_proof_of_a_limit_follow_the_closed_form(high, kept):
 def test_an_expression_of_ones_own_has_the_angle():
     plan, most = knee_plan(), 0.4
     limit = ExtraLimit(name="shank", expression=lambda at: at.body_angle_rad("shank"), upper=most, unit="rad")
-    found = certify(replace(plan.problem, extra_limits=(limit,)), plan.trajectory)
+    found = certify(plan.problem.varied(extra_limits=(limit,)), plan.trajectory)
     (margin,) = [one for one in found.margins if isinstance(one.of, ExtraPathLimit)]
     assert margin.left == pytest.approx(most - np.radians(30.0), abs=1e-6)
 

@@ -255,11 +255,9 @@ def test_angles_at_the_ends_of_what_is_legal_survive_their_way_through_radians()
 
 
 def test_a_broken_delay_is_for_loops_and_not_for_motions_that_are_tracked():
-    problem = load_problem("knee-reach")
-    broken = Tracking(delay_periods=0.5)
-    values = {name: getattr(problem, name) for name in Problem.__slots__} | {"tracking": broken}
+    assert Tracking(delay_periods=0.5).delay_periods == 0.5
     with pytest.raises(ProblemError, match=r"tracking\.delay_periods must be a whole number from 0 to 1000, got 0\.5"):
-        Problem(**values)
+        load_problem("knee-reach").replace("tracking.delay_periods", 0.5)
 
 
 def test_a_slide_may_go_to_the_end_of_its_range_however_far_that_is():

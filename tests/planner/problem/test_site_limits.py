@@ -273,7 +273,7 @@ def test_builders_vary_places():
     built = linkplan.Problem.reach(
         arm(UPPER, LOWER), start_at={"foot": ABOVE}, goal_at={"foot": np.array(BELOW)}, duration_s=0.6
     )
-    moved = built.with_settings({"motion.goal_at.foot": [0.35, 0.0, -0.3]})
+    moved = built.replace({"motion.goal_at.foot": [0.35, 0.0, -0.3]})
     assert foot_of(moved.motion.goal)[0] == pytest.approx([0.35, 0, -0.3], abs=OUT_OF_REACH_M)
     by_joints = built.replace(goal_at=None, goal_deg={"J1": -30, "J2": 20})
     assert not by_joints.motion.goal_at

@@ -233,7 +233,7 @@ def test_a_certificate_sees_a_waypoint_that_is_missed():
     motion = plan.problem.motion
     moved = replace(motion.waypoints[0].at[0], point=motion.waypoints[0].at[0].point + 1e-4)
     waypoint = replace(motion.waypoints[0], at=(moved,))
-    found = certify(replace(plan.problem, motion=replace(motion, waypoints=(waypoint,))), plan.trajectory)
+    found = certify(plan.problem.varied(motion=replace(motion, waypoints=(waypoint,))), plan.trajectory)
     assert not found.passed
     assert found.site_error_m == pytest.approx(1e-4, rel=1e-6)
     assert any(

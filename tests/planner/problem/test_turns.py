@@ -188,7 +188,7 @@ def test_turns_belong_to_periodic_motions_without_a_reference():
     with pytest.raises(ProblemError, match="keep one of them"):
         linkplan.Problem.periodic("slider-crank", turns={"O": 1}, reference=sine)
     with pytest.raises(ProblemError, match=r"belongs to motion\.kind 'periodic'"):
-        linkplan.Problem.reach("slider-crank", start_deg={"O": 0.0}, goal_deg={"O": 90.0}, duration_s=1.0).with_settings(
+        linkplan.Problem.reach("slider-crank", start_deg={"O": 0.0}, goal_deg={"O": 90.0}, duration_s=1.0).replace(
             {"motion.turns": {"O": 1}}
         )
 

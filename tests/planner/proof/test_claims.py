@@ -101,7 +101,7 @@ def test_a_users_expression_is_enclosed():
         upper=1.0,
     )
     grip = [actuator.name for actuator in problem.mechanism.actuators].index("grip")
-    limited = replace(problem, extra_limits=(limit,))
+    limited = problem.varied(extra_limits=(limit,))
     check(limited, motion, "extra limit 'mine'", lambda q, rates, u, _: [rates[finger] * q[lift] + u[grip] ** 2])
 
 
@@ -128,7 +128,7 @@ def test_the_distance_from_a_tube_is_enclosed_beside_its_corner_too(bend):
             found.append(sum((x - share * y) ** 2 for x, y in zip(off, way, strict=True)))
         return [min(found)]
 
-    check(replace(problem, limits=replace(problem.limits, site=(limit,))), motion, "from the tube", squared)
+    check(problem.varied(limits=replace(problem.limits, site=(limit,))), motion, "from the tube", squared)
 
 
 @pytest.mark.slow
@@ -170,7 +170,7 @@ def test_rows_that_do_not_hold_although_the_others_do_are_refuted_unless_the_fil
     away = np.zeros(phi.numel())
     away[[row for row in range(phi.numel()) if row not in mechanism.closure_rows][-1]] = 1e-7
     dynamics = replace(mechanism.dynamics, closure=ca.Function("closure", [q], [phi + ca.DM(away)]))
-    broken = replace(problem, mechanism=replace(mechanism, dynamics=dynamics, closed_m=closed_m))
+    broken = problem.varied(mechanism=replace(mechanism, dynamics=dynamics, closed_m=closed_m))
     (found,) = [f for f in prove(broken, motion, existence=False).findings if "redundant" in f.name]
     assert found.answer == answer
 
@@ -181,7 +181,7 @@ def test_an_overrun_of_the_smaller_end_of_a_limit_is_refuted():
     for low, answer in ((least - 1e-9 * abs(least), "proved"), (least + 1e-6 * abs(least), "refuted")):
         effort = np.array(problem.limits.effort)
         effort[0] = low, 1e4 * abs(least)
-        limited = replace(problem, limits=replace(problem.limits, effort=effort))
+        limited = problem.varied(limits=replace(problem.limits, effort=effort))
         found = {f.answer for f in prove(limited, motion, existence=False).findings if "planned effort of lift" in f.name}
         assert found == {answer}
 
@@ -213,7 +213,7 @@ TWO_ON_ONE = """<mujoco><compiler angle="radian"/><worldbody><body><joint name="
 def test_efforts_of_two_motors_on_one_joint_of_two_are_decided():
     problem, motion = motion_of(load_mechanism(TWO_ON_ONE), np.random.default_rng(2))
     largest = np.abs(needed(problem, motion, motion.dense_times(100))).max()
-    limited = replace(problem, limits=replace(problem.limits, effort=np.full((2, 2), 1.05 * largest) * [-1, 1]))
+    limited = problem.varied(limits=replace(problem.limits, effort=np.full((2, 2), 1.05 * largest) * [-1, 1]))
     found = [f for f in prove(limited, motion, existence=False).findings if "by inverse dynamics" in f.name]
     assert [f.answer for f in found] == ["proved", "proved"]
     assert largest <= max(abs(f.bound) for f in found) <= 1.02 * largest
@@ -260,7 +260,7 @@ def test_the_distance_from_a_reference_is_that_of_its_sine():
 def test_a_servo_whose_length_only_mujoco_knows_is_undecided():
     problem, motion = gripper()
     actuators = tuple(replace(one, has_length=False) for one in problem.mechanism.actuators)
-    unknown = replace(problem, mechanism=replace(problem.mechanism, actuators=actuators))
+    unknown = problem.varied(mechanism=replace(problem.mechanism, actuators=actuators))
     assert [one.reason for one in claims_of(unknown, motion)[1] if one.name == "ctrl of grip"] == [
         "not proved: only MuJoCo knows its length"
     ]
@@ -302,6 +302,6 @@ def test_a_tube_is_kept_within_its_radius_and_the_rounding_that_a_certificate_al
     index = problem.mechanism.model.site("foot").id
     along = np.array([ABOVE, BELOW])
     tube = SiteLimit(site="foot", index=index, what="tube", name="foot", low=0.0, high=radius_m, along=along)
-    claim = site_claim(replace(problem, limits=replace(problem.limits, site=(tube,))))
+    claim = site_claim(problem.varied(limits=replace(problem.limits, site=(tube,))))
     assert claim.marks[1] == pytest.approx((radius_m + 1e-9 * max(1.0, radius_m)) ** 2, rel=1e-15)
     assert claim.marks[1] > radius_m**2

@@ -1,7 +1,6 @@
 """Known motions bound the answers of searches, and free durations."""
 
 import functools
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -161,7 +160,7 @@ def test_a_weak_swing_up_with_a_little_more_than_the_least_time_is_planned(numbe
     tables["motion"] = tables["motion"] | {"duration_s": ratio * least}
     tables["objective"] = {"minimize": "effort"}
     problem = Problem.from_tables("weak", tables)
-    plan = plan_motion(replace(problem, solver=problem.solver.replace(max_iterations=ITERATIONS)))
+    plan = plan_motion(problem.varied(solver=problem.solver.replace(max_iterations=ITERATIONS)))
     assert plan.status == "optimal", plan.message
     assert plan.trajectory.duration_s == pytest.approx(ratio * least, rel=1e-9)
 

@@ -30,7 +30,7 @@ def weak_reach(number: int, duration_s: float | str = 1.0, minimize: str = "effo
     fourbar, start, goal, limit = weak_case(9001, number)
     ends = {"start_deg": {"O": np.degrees(start)}, "goal_deg": {"O": np.degrees(goal)}}
     problem = Problem.reach(fourbar.mjcf(start, limit=limit), **ends, duration_s=duration_s, minimize=minimize)
-    return replace(problem, limits=replace(problem.limits, singular_margin=margin))
+    return problem.varied(limits=replace(problem.limits, singular_margin=margin))
 
 
 @pytest.mark.long
@@ -73,7 +73,7 @@ def test_the_margin_is_kept_by_every_pose_between_start_and_goal():
     assert at_a_distance(far, FULL_BUDGET) is None
     # The dead centre is at 2.99806 rad.
     motion = replace(far.problem.motion, goal=np.array([2.998]))
-    assert at_a_distance(search_for(replace(far.problem, motion=motion), methods), FULL_BUDGET) is None
+    assert at_a_distance(search_for(far.problem.varied(motion=motion), methods), FULL_BUDGET) is None
     assert seen[0] == 0.02
     assert 0.0 < seen[1] < 0.02
 
@@ -110,7 +110,7 @@ WITHIN, BEYOND = 0.5e-6, 2e-6
 
 def limited(**changes) -> Problem:
     problem = problem_of("knee-reach")
-    return replace(problem, limits=replace(problem.limits, **changes))
+    return problem.varied(limits=replace(problem.limits, **changes))
 
 
 def beyond(problem: Problem) -> str | None:

@@ -32,7 +32,7 @@ TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
 
 def timed_search(problem, methods=SEARCH_METHODS, seconds: float = 600.0, clock=processor_time_s) -> Search:
     deadline = Deadline(clock=clock).within(seconds)
-    timed = replace(problem, solver=problem.solver.replace(deadline=deadline))
+    timed = problem.varied(solver=problem.solver.replace(deadline=deadline))
     return search_for(timed, methods)
 
 
@@ -122,7 +122,7 @@ def test_a_certificate_ends_with_the_plans_time_and_says_so():
     plan = plan_motion(load_problem("knee-reach"))
     assert plan.certificate.passed
     past = plan.problem.solver.replace(deadline=Deadline().within(-0.5 * plan.problem.solver.max_time_s))
-    judged = certify(replace(plan.problem, solver=past), plan.trajectory)
+    judged = certify(plan.problem.varied(solver=past), plan.trajectory)
     assert not judged.passed
     assert any("ran out of the plan's time, 600 s (solver.max_time_s)" in said for said in judged.failures)
 
@@ -133,7 +133,7 @@ def test_a_budget_shortens_the_time_and_the_iterations_of_its_solves(share, left
     within = search.within(Budget(iterations=7, share_of_time=share)).solver
     assert within.deadline.at_s == pytest.approx(50.0 + left)
     assert within.max_iterations == 7
-    fewer = replace(search.problem, solver=search.problem.solver.replace(max_iterations=3))
+    fewer = search.problem.varied(solver=search.problem.solver.replace(max_iterations=3))
     assert replace(search, problem=fewer).within(Budget(iterations=7)).solver.max_iterations == 3
 
 
@@ -172,7 +172,7 @@ class Clock:
 def timed(problem, looks: float):
     """Return a problem that has time for so many looks at its clock, and the clock."""
     clock = Clock()
-    return replace(problem, solver=problem.solver.replace(max_time_s=looks, deadline=Deadline(clock=clock))), clock
+    return problem.varied(solver=problem.solver.replace(max_time_s=looks, deadline=Deadline(clock=clock))), clock
 
 
 def test_a_path_is_not_followed_beyond_its_deadline():

@@ -88,7 +88,7 @@ def test_a_slower_motion_bounds_a_least_time_that_cannot_be_proved(in_least_time
 def test_a_motion_that_overruns_its_efforts_a_little_passes_if_it_is_a_little_slower(quickest, share, factor):
     """Efforts of inertia fall with the square of the duration; a tenth too much is no error of a mesh."""
     limits = replace(quickest.problem.limits, effort=share * quickest.problem.limits.effort)
-    plan = slower(replace(quickest.problem, limits=limits), [quickest.trajectory])
+    plan = slower(quickest.problem.varied(limits=limits), [quickest.trajectory])
     if factor is None:
         assert plan is None
         return
@@ -96,7 +96,7 @@ def test_a_motion_that_overruns_its_efforts_a_little_passes_if_it_is_a_little_sl
     assert plan.trajectory.duration_s == pytest.approx(factor * quickest.trajectory.duration_s)
     assert plan.certificate.effort_overrun.max() <= 1.0
     motion = replace(plan.problem.motion, max_duration_s=quickest.trajectory.duration_s)
-    assert slower(replace(plan.problem, motion=motion), [quickest.trajectory]) is None
+    assert slower(plan.problem.varied(motion=motion), [quickest.trajectory]) is None
 
 
 def test_the_tie_weight_is_the_mean_squared_effort_in_shares_of_the_limits(in_least_time):
@@ -176,5 +176,5 @@ def test_ranges_are_kept_between_the_nodes_where_a_motion_comes_to_their_ends(qu
     problem, motion = quickest.problem, quickest.trajectory
     joints, position = problem.mechanism.independent, problem.limits.position.copy()
     position[joints] = [-np.inf, motion.position[:, 1:-1, 0].max() + beyond_rad], [-np.inf, np.inf]
-    ranged = replace(problem, limits=replace(problem.limits, position=position))
+    ranged = problem.varied(limits=replace(problem.limits, position=position))
     assert along_ranges(ranged, motion) == along

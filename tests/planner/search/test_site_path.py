@@ -200,7 +200,7 @@ def test_a_motion_off_its_path_fails_its_certificate_and_its_proof(quickest):
     moved = replace(
         path, curve=Curve((replace(piece, coefficients=piece.coefficients + np.array([[0, 0, 1e-5], [0, 0, 0]])),))
     )
-    problem = replace(quickest.problem, path=moved)
+    problem = quickest.problem.varied(path=moved)
     assert any("distance of site tip from its path" in one for one in certify(problem, quickest.trajectory).failures)
     (finding,) = [one for one in prove(problem, quickest.trajectory, existence=False).findings if "its path" in one.name]
     assert finding.answer == "refuted"

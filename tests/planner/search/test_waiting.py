@@ -71,7 +71,7 @@ def test_the_objective_of_a_rest_and_a_motion_is_the_integral_of_its_efforts_squ
 
 
 def test_what_adds_to_an_objective_beyond_effort_and_time_is_not_waited_through(search):
-    tracked = replace(search.problem, objective={"effort": 1.0, "work": 1.0})
+    tracked = search.problem.varied(objective={"effort": 1.0, "work": 1.0})
     other = replace(search, problem=tracked)
     assert waiting.from_waiting(other, FULL_BUDGET) is None
 
@@ -159,7 +159,7 @@ def test_a_weight_is_held_on_either_side_up_to_the_limit_there(sign, limit, held
     if held:
         assert holding.effort == pytest.approx([sign * 9.81 * 0.25])
     assert without_solver.held(problem, "goal") is None
-    moving = replace(problem, motion=replace(problem.motion, start_speed=np.array([-0.1])))
+    moving = problem.varied(motion=replace(problem.motion, start_speed=np.array([-0.1])))
     assert without_solver.held(moving, "start") is None
 
 

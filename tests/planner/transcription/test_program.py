@@ -142,7 +142,7 @@ def test_so_do_those_of_a_program_whose_goal_is_a_place_of_a_site(durations):
 def test_a_planned_motion_written_back_keeps_every_row(name):
     plan = planned(name)
     mesh, durations = mesh_of(plan)
-    problem = replace(plan.problem, mesh=plan.problem.mesh.replace(scheme=plan.scheme))  # its degree may have been raised
+    problem = plan.problem.varied(mesh=plan.problem.mesh.replace(scheme=plan.scheme))  # its degree may have been raised
     transcribed = transcribe(problem, guess_from(plan.trajectory), mesh, durations)
     x = np.array(transcribed.start)  # holds back from the limits, where a guess wants room and a plan does not
     x[transcribed.program.layout.effort()] = plan.trajectory.effort.transpose(1, 0, 2) / transcribed.units.effort

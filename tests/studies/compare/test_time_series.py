@@ -118,7 +118,7 @@ def test_gains_that_a_problem_does_not_give_are_said():
     for given, said in (({}, "kp = 200 and kd = 1"), ({"kd": 5.0}, "kp = 200")):
         problem = comparison.plan.problem.replace(tracking=given)
         (note,) = comparison_notes(replace(comparison, plan=replace(comparison.plan, problem=problem)))
-        assert note.startswith(f"no gains given: pd used {said}")
+        assert note.startswith(f"default gains: pd used {said}")
         assert "linkplan tune" in note
 
 

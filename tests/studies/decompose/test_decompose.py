@@ -240,7 +240,7 @@ def test_causes_that_act_on_each_other_have_the_mean_of_their_parts_over_both_or
 def experiment_plan(plan: Plan) -> Plan:
     """Return a plan with the longer run of experiments."""
     tracking = plan.problem.tracking.replace(duration_s=1.25 * plan.trajectory.duration_s)
-    return replace(plan, problem=replace(plan.problem, tracking=tracking))
+    return replace(plan, problem=plan.problem.varied(tracking=tracking))
 
 
 SIZES = st.tuples(st.integers(1, 7), st.integers(1, 9), st.integers(1, 4), st.integers(1, 3))

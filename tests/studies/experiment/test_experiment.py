@@ -293,7 +293,7 @@ def test_the_command_prints_and_replays(tmp_path, ask, ask_json):
 
 def test_an_empty_table_of_imperfections_means_none_and_a_missing_one_the_defaults_by_name(tmp_path):
     plan = optimal("knee-reach", SHORT)
-    none = replace(plan, problem=replace(plan.problem, source={**plan.problem.source, "imperfections": {}}))
+    none = replace(plan, problem=plan.problem.replace(imperfections={}))
     outcome = run_experiment({"name": "knee-reach"}, None, lambda: none, FEW, tmp_path / "none", silent)
     assert outcome.imperfections == {}
     (note,) = outcome.notes

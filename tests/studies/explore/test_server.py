@@ -28,7 +28,7 @@ from tests.support.browser import chromium, violations
 @pytest.fixture(scope="module")
 def problems() -> list[Problem]:
     first = load_problem("knee-reach")
-    return [first, first.with_settings({"motion.duration_s": 0.3})]
+    return [first, first.replace({"motion.duration_s": 0.3})]
 
 
 def edited(place: Path) -> None:

@@ -159,7 +159,7 @@ def plan():
 
 def along(plan, law, **settings):
     """Return the multipliers of a tracker of the plan with its settings changed."""
-    problem = replace(plan.problem, tracking=plan.problem.tracking.replace(**settings))
+    problem = plan.problem.varied(tracking=plan.problem.tracking.replace(**settings))
     plan = replace(plan, problem=problem)
     tracking, mechanism = problem.tracking, problem.mechanism
     reference = sample(mechanism, plan.trajectory, tracking.period_s, plan.trajectory.duration_s)

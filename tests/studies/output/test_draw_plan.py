@@ -10,8 +10,6 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.plan.folder import record_of
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.plan.verdict import Verdict
-from linkplan.planner.problem.limits import Limits, free_bounds
-from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.output.document import Table
 from linkplan.studies.output.draw_plan import drawn_motion, plan_figure, time_plots
@@ -37,13 +35,11 @@ def many() -> Plan:
     motors = "".join(f'<motor name="m{k}" joint="j{k}" ctrlrange="-9 9"/>' for k in range(len(KINDS)))
     mechanism = load_mechanism(f"<mujoco><worldbody>{bodies}</worldbody><actuator>{motors}</actuator></mujoco>")
     n = len(KINDS)
-    problem = Problem(
-        name="many",
-        mechanism=mechanism,
-        motion=Motion(kind="reach", start=np.zeros(n), goal=np.ones(n), duration_s=1.0),
-        objective="effort",
-        limits=Limits(effort=mechanism.effort_limit, position=free_bounds(n)),
-    )
+    ends = {f"{end}_{joint.unit}": {} for end in ("start", "goal") for joint in mechanism.joints}
+    for joint in mechanism.joints:
+        ends[f"start_{joint.unit}"][joint.name] = 0.0
+        ends[f"goal_{joint.unit}"][joint.name] = joint.shown(1.0)
+    problem = Problem.reach(mechanism, **ends, duration_s=1.0, name="many")
     ones = np.ones((1, n))
     trajectory = motion_along([0.0, 1.0], [0 * ones, 0 * ones, ones, ones], effort=[6 * ones, -6 * ones])
     return Plan(problem=problem, verdict=Verdict(kind="optimal", words="cubics"), trajectory=trajectory)

@@ -87,7 +87,7 @@ def test_the_checklist_s_worst_numbers_are_the_certificate_s(report):
 
 def test_a_limit_that_is_broken_is_the_one_that_the_checklist_says_no_to():
     plan = optimal("knee-reach")
-    problem = replace(plan.problem, limits=replace(plan.problem.limits, effort=0.5 * plan.problem.limits.effort))
+    problem = plan.problem.varied(limits=replace(plan.problem.limits, effort=0.5 * plan.problem.limits.effort))
     broken = replace(plan, problem=problem, certificate=certify(problem, plan.trajectory), verdict=failed("on purpose"))
     assert not broken.certificate.passed
     (checklist,) = blocks(plan_report(broken), Checklist)
@@ -97,7 +97,7 @@ def test_a_limit_that_is_broken_is_the_one_that_the_checklist_says_no_to():
 def test_notes_that_differ_in_a_number_are_counted_first_and_stand_whole_with_the_problem():
     plan = optimal("knee-reach")
     notes = [f"geom {k} touches nothing" for k in range(6)]
-    noted = plan_report(replace(plan, problem=replace(plan.problem, notes=tuple(notes))))
+    noted = plan_report(replace(plan, problem=plan.problem.varied(notes=tuple(notes))))
     overview, problem = ([one.text for one in noted.sections[k].blocks if isinstance(one, Text)] for k in (0, -1))
     assert [text for text in overview if "touches" in text] == [f"{notes[0]} (and 5 more of this kind)"]
     assert [text for text in problem if "touches" in text] == notes
