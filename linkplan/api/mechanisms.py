@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+import functools
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from linkplan.api.command import command
 from linkplan.api.inputs import Poses, Source, Subject, poses_of, source_of, subject_of
-from linkplan.api.paths import check_flags
 from linkplan.api.results import Result
 from linkplan.models.foreign.floating import floating_bodies
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.problem.build import mechanism_from_tables
+from linkplan.planner.problem.build import MECHANISM_ARGUMENTS, mechanism_from_tables, with_arguments
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.studies.check.refused_model import REFUSED, RefusedModel, refused_model
 from linkplan.studies.output.document import Block, Report
@@ -25,59 +25,11 @@ if TYPE_CHECKING:
     from linkplan.studies.output.figure_spec import FigureSpec
 
 
-def load_mechanism(
-    path_or_name: str | Path,
-    *,
-    home_deg: Mapping[str, float] | None = None,
-    home_m: Mapping[str, float] | None = None,
-    independent: Sequence[str] | None = None,
-    payload: str | Mapping | None = None,
-    solref: str | None = None,
-    closure_tolerance_m: float | None = None,
-    friction_transition_deg_s: float | None = None,
-    keep: Sequence[str] | None = None,
-    fix_base: bool = False,
-    lock: Mapping[str, float] | None = None,
-    keyframe: str | None = None,
-    exclude_contacts: Sequence[Sequence[str]] = (),
-    drive: Sequence[str] | None = None,
-    lock_spin: Sequence[str] | None = None,
-    force: Mapping[str, Sequence[float]] | None = None,
-    gear: Mapping[str, float] | None = None,
-    rotor_inertia: Mapping[str, float] | None = None,
-    effort_sharing: str | None = None,
-    pre_tension: Mapping[str, float] | None = None,
-) -> Mechanism:
-    """Return the mechanism of a built-in name, an MJCF file or MJCF text, with closed loops.
+@functools.partial(with_arguments, names=MECHANISM_ARGUMENTS)
+def load_mechanism(path_or_name: str | Path, **keys: Any) -> Mechanism:
+    """Return the mechanism of a built-in name (listed by `linkplan list`), an MJCF file or MJCF text, with closed loops.
 
-    Args:
-        path_or_name: a built-in name (listed by `linkplan list`), a path to an MJCF file, or MJCF text.
-        home_deg: hinges' angles [deg] by joint name for the assembly: independent joints are held there, the others choose
-            the branch. By default the model's keyframe "home", else its reference pose.
-        home_m: likewise, slides' positions [m].
-        independent: names of the independent joints; by default the driven joints.
-        payload: a rigid body welded on: a built-in name ("shank"), or a table with `body`, `mass_kg`, `com_m` (3 numbers
-            in the body's frame) and, if it is known, `inertia_kgm2` (3 moments about its centre of mass).
-        solref: "stiff" for the stiffest closures in simulation that the model's timestep permits; by default those of the
-            model.
-        closure_tolerance_m: a motion that opens the loops by less than this [m] counts as free, because only rounded numbers
-            in the file prevent it; by default 1e-6 m, or 1e-5 of a small mechanism's size.
-        friction_transition_deg_s: the speed v_0 of the dry friction f tanh(v / v_0); by default 2. For slides and tendons,
-            this speed in rad/s is multiplied by the mechanism's extent.
-        keep: names of the only bodies or joints of a larger robot to read, with everything attached to them and their loops.
-            The bodies between them and the world are read, too. `notes` names what was dropped.
-        fix_base: whether the joints between the world and the kept bodies, and a base without actuators, are locked.
-        lock: joints to lock at an angle [deg], or slides at a position [m], in addition to a file's locks.
-        keyframe: the model's keyframe that gives the home pose and the pose of a fixed base; by default "home".
-        exclude_contacts: pairs of names of bodies whose geoms pass through each other.
-        drive: names of joints that get a motor, within the joint's effort limit; many URDFs define no motors.
-        lock_spin: names of ball joints of rods that must not spin about their own line; each becomes a universal joint.
-        force: constant forces (3,) [N] in the world's axes by site: a load on a foot, a weight on a hook.
-        gear: gears of motors by actuator, in place of the model's: the motor's position over that of its joint.
-        rotor_inertia: inertia of the motors' rotors [kg m2, or kg] by actuator, before the gear.
-        effort_sharing: how more actuators than degrees of freedom share an effort outside the optimiser, always within their
-            limits: "least_squares" (the default) or "least_peak".
-        pre_tension: efforts [N or N.m] by actuator, nearest to which they do so; by default 0.
+    The arguments are keys of [mechanism] in problem files.
 
     Raises:
         LinkplanError: if the model cannot be used (`ModelError`), its loops do not close at the given pose
@@ -87,25 +39,7 @@ def load_mechanism(
 
         knee = linkplan.load_mechanism("optimus-knee", payload="shank")
     """
-    check_flags(fix_base=fix_base)
-    said = {"home_deg": home_deg, "home_m": home_m, "independent": independent, "payload": payload, "solref": solref}
-    said["closure_tolerance_m"] = closure_tolerance_m
-    said["friction_transition_deg_s"] = friction_transition_deg_s
-    said |= {
-        "keep": keep,
-        "fix_base": fix_base or None,
-        "lock": lock,
-        "keyframe": keyframe,
-        "exclude_contacts": exclude_contacts or None,
-        "drive": drive,
-        "lock_spin": lock_spin,
-        "force": force,
-        "gear": gear,
-        "rotor_inertia": rotor_inertia,
-        "effort_sharing": effort_sharing,
-        "pre_tension": pre_tension,
-    }
-    table = {"model": path_or_name} | {key: value for key, value in said.items() if value is not None}
+    table = {key: value for key, value in keys.items() if value is not None} | {"model": path_or_name}
     return mechanism_from_tables({"mechanism": to_toml_types(table)})
 
 

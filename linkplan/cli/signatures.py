@@ -66,11 +66,9 @@ def commands() -> dict[str, Command]:
     return {command.name: command for command in found}
 
 
-@functools.cache
 def selection_parameters() -> dict[str, Parameter]:
-    """Return the parameters of `load_mechanism`, of which `names.SELECTION` are options of most commands."""
-    (function,) = (node for node in _functions(_source("linkplan.api.mechanisms")) if node.name == "load_mechanism")
-    return {parameter.name: parameter for parameter in _parameters(function)}
+    """Return the parameters that select a part of a model, options of most commands, by name."""
+    return {parameter.name: parameter for parameter in commands()["new"].parameters if parameter.name in names.SELECTION}
 
 
 def _source(module: str) -> ast.Module:

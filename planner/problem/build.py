@@ -69,7 +69,7 @@ _FILES: dict[str, tuple[tuple[str, ...], Callable[[dict[str, np.ndarray], str, M
 # Arguments that are whole tables of a problem file, arguments that are keys of a table, and arguments that no file has.
 _SECTIONS = tuple(name for name in ProblemFile.__struct_fields__ if name not in ("mechanism", "motion", "objective"))
 _TABLES = {key: "motion" for key in KEYS["motion"] if key != "kind"} | {"minimize": "objective", "reserve": "limits"}
-_MECHANISM = tuple(key for key in KEYS["mechanism"] if key != "model")
+MECHANISM_ARGUMENTS = tuple(key for key in KEYS["mechanism"] if key != "model")
 _EXTRAS = {
     "extra_costs": "A list of `ExtraCost`, running costs in addition to `minimize`, or the whole objective if that is {}.",
     "extra_limits": "A list of `ExtraLimit`, limits at every instant.",
@@ -83,7 +83,7 @@ _OWN = {
 # five-bar's polyline with two corners, and by less than 1e-7 for a line.
 PATH_INTERVALS = 120
 # The arguments of builders.
-ARGUMENTS = ("mechanism", *_TABLES, *_SECTIONS, *_EXTRAS, "name", *_MECHANISM)
+ARGUMENTS = ("mechanism", *_TABLES, *_SECTIONS, *_EXTRAS, "name", *MECHANISM_ARGUMENTS)
 
 
 def values_of(
@@ -317,24 +317,26 @@ def default_period(mechanism: Mechanism | None) -> float:
     return max(DEFAULT_PERIOD_S, 0.0 if mechanism is None else float(mechanism.model.opt.timestep))
 
 
-def with_arguments(builder: Callable) -> Callable:
-    """Return a builder whose signature and documentation have every argument of a problem, for help and editors."""
-    own = [one for one in inspect.signature(builder).parameters.values() if one.kind is not one.VAR_KEYWORD]
-    named = [name for name in ARGUMENTS if name not in [one.name for one in own]]
+def with_arguments(function: Callable, names: Sequence[str] = ARGUMENTS) -> Callable:
+    """Return a function whose signature and documentation have arguments that are keys of files, for help and editors."""
+    signature, text = inspect.signature(function), inspect.cleandoc(function.__doc__ or "")
+    own = [one for one in signature.parameters.values() if one.kind is not one.VAR_KEYWORD]
+    named = [name for name in names if name not in signature.parameters]
     every = [*own, *(inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=None) for name in named)]
-    builder.__signature__ = inspect.Signature(every, return_annotation="Problem")
-    if "Args:" not in (builder.__doc__ or ""):
-        rows = (textwrap.fill(f"{name}: {_meaning(name)}", 100, subsequent_indent=" " * 4) for name in ARGUMENTS)
+    function.__signature__ = signature.replace(parameters=every)
+    if "Args:" not in text:
+        rows = (textwrap.fill(f"{name}: {_meaning(name)}", 100, subsequent_indent=" " * 4) for name in names)
+        head, raises, rest = text.partition("\n\nRaises:")
         arguments = textwrap.indent("\n".join(rows), " " * 4)
-        builder.__doc__ = f"{inspect.cleandoc(builder.__doc__ or '')}\n\nArgs:\n{arguments}\n"
-    return builder
+        function.__doc__ = f"{head}\n\nArgs:\n{arguments}\n{raises}{rest}"
+    return function
 
 
 def _meaning(argument: str) -> str:
     """Return the sentence on an argument: that of its key in problem files."""
     if argument in (_EXTRAS | _OWN):
         return (_EXTRAS | _OWN)[argument]
-    section = _TABLES.get(argument, "mechanism" if argument in _MECHANISM else "")
+    section = _TABLES.get(argument, "mechanism" if argument in MECHANISM_ARGUMENTS else "")
     about = kind_of(f"{section}.{argument}" if section else argument).__metadata__
     return next(meta.description for meta in about if meta.description)
 
@@ -374,7 +376,7 @@ def asked_mechanism(said: Mapping[str, object], default: Mechanism | None = None
     if not isinstance(found, Mechanism):
         found = to_toml_types(found)
         found = mechanism_from_tables({"mechanism": found if isinstance(found, dict) else {"model": found}})
-    asked = {key: to_toml_types(value) for key, value in said.items() if key in _MECHANISM}
+    asked = {key: to_toml_types(value) for key, value in said.items() if key in MECHANISM_ARGUMENTS}
     table = {key: value for key, value in (found.source | asked).items() if value is not None}
     return mechanism_from_tables({"mechanism": table}) if asked else found
 

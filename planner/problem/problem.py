@@ -150,18 +150,9 @@ class Problem:
         mechanism: Mechanism | None = None,
         **extras: Any,
     ) -> Problem:
-        """Return the problem of a file's tables; it is consistent, but its poses may be out of reach.
+        """Return the problem of a file's tables, as `tomllib` reads them; it is consistent, but may be out of reach.
 
-        Args:
-            name: the problem's name.
-            tables: as `tomllib` reads them; they are not changed.
-            folder: the file's folder, in which paths are looked up before the working folder.
-            mechanism: a loaded mechanism that replaces [mechanism].
-            extras: further arguments of `Problem`, which tables cannot hold.
-
-        Raises:
-            ProblemError: for anything in the tables that cannot be used.
-            ModelError: when their mechanism cannot be built.
+        The arguments are those of `Problem`, with `mechanism` for `loaded`.
         """
         sections: Any = tables
         return cls(name=name, sections=sections, folder=folder, loaded=mechanism, **extras)

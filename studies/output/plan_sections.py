@@ -1,7 +1,6 @@
 """The sections of a plan: verdict, motion, limits, certificate, the solves before it, its problem."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -141,7 +140,7 @@ def _mesh(plan: Plan, group: str, period: float | None) -> Plot:
 
 def _problem(plan: Plan) -> list[Block]:
     try:
-        tables, names = _without_folders(_without_none(plan.problem.to_dict()))
+        tables, names = _without_folders(plan.problem.to_dict())
         text = file_text(tables, plan.problem.extras)
     except ProblemError as error:
         return [Text(text=f"The problem cannot be written as a file: {error}", tone="note")]
@@ -152,19 +151,12 @@ def _problem(plan: Plan) -> list[Block]:
 def _without_folders(tables: dict) -> tuple[dict, list[str]]:
     """Return a problem's tables with file names in place of absolute paths, and these names."""
     found, names = dict(tables), []
-    for section, key in (("mechanism", "model"), ("reference", "plan")):
+    for section, key in (("mechanism", "model"), ("guess", "plan")):
         path = Path(found.get(section, {}).get(key, ""))
         if path.is_absolute():
             found[section] = found[section] | {key: path.name}
             names.append(path.name)
     return found, names
-
-
-def _without_none(value: Any) -> Any:
-    """Return tables without empty tables and the keys whose value is None."""
-    if isinstance(value, dict):
-        return {key: _without_none(item) for key, item in value.items() if item is not None and item != {}}
-    return value
 
 
 def plan_report(plan: Plan) -> Report:

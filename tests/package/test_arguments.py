@@ -18,7 +18,7 @@ ARRAY = np.array([True, False])
         (lambda: linkplan.plan("knee-reach", prove=ARRAY), "prove must be True or False, got array([ True, False])"),
         (lambda: linkplan.prove("knee-reach", existence=2), "existence must be True or False, got 2"),
         (lambda: linkplan.bode("optimus-knee", large=ARRAY), "large must be True or False"),
-        (lambda: linkplan.load_mechanism("optimus-knee", fix_base=ARRAY), "fix_base must be True or False"),
+        (lambda: linkplan.load_mechanism("optimus-knee", fix_base=ARRAY), "mechanism.fix_base must be true or false"),
         (
             lambda: linkplan.transfer("optimus-knee", ["C"], range_deg=-1),
             "range_deg must be a table of joint = [low, high], got -1",

@@ -45,7 +45,9 @@ class _Key:
     def of(self, kind: Any) -> Any:
         """Return the kind of its values with the description."""
         sentence = f"{self.meaning[0].upper()}{self.meaning[1:]}" + (f" [{self.unit}]" if self.unit else "") + "."
-        described = f"{sentence} Default: {self.otherwise}." if self.otherwise else sentence
+        single = self.default if isinstance(self.default, int | float | str) else ""
+        default = self.otherwise or (f"{single:g}" if isinstance(single, float) else str(single))
+        described = f"{sentence} Default: {default}." if default else sentence
         words = {name: getattr(self, name) for name in ("meaning", "unit", "otherwise")}
         shown = {"x-unit": self.unit} if self.unit else {}
         return Annotated[self.kind or kind, Meta(description=described, extra=words, extra_json_schema=shown)]
