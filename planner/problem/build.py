@@ -87,7 +87,7 @@ ARGUMENTS = ("mechanism", *_TABLES, *_SECTIONS, *_EXTRAS, "name", *MECHANISM_ARG
 
 
 def values_of(
-    tables: Mapping[str, Any],
+    described: Mapping[str, Any],
     folder: Path | None,
     mechanism: Mechanism | None,
     extra_costs: Sequence[ExtraCost],
@@ -95,12 +95,12 @@ def values_of(
     """Return the values of a `Problem` that follow from a file's tables: its decoded sections, and what they mean in SI.
 
     Args:
-        tables: of a problem file.
+        described: the tables of a problem file.
         folder: in which paths are looked up before the working folder.
         mechanism: a loaded one that replaces [mechanism].
         extra_costs: terms of the objective that are not in the tables.
     """
-    tables = to_toml_types(tables)
+    tables: Tables = to_toml_types(described)
     if mechanism is not None:
         tables["mechanism"] = table_of(mechanism)
     refuse_unknown_keys(tables)
@@ -129,7 +129,7 @@ def values_of(
         notes += force_notes(asked.force_over_time)
     if forces is not mechanism.forces:
         mechanism = replace(mechanism, forces=forces)
-    minimize = _default_term(asked, reference) if asked.objective.minimize is None else asked.objective.minimize
+    minimize: Any = _default_term(asked, reference) if asked.objective.minimize is None else asked.objective.minimize
     objective = objective_from(minimize, extra_costs)
     if asked.guess != GuessSection():
         guess, place = guess_of(asked.guess, mechanism, folder)

@@ -73,15 +73,12 @@ def ended_early(comparison: Comparison) -> list[str]:
 
 
 def default_gains(comparison: Comparison) -> list[str]:
-    """Return the sentence on default PD gains, if a tracker runs with them."""
-    problem = comparison.plan.problem
-    tracking, default = problem.tracking, Tracking()
+    """Return the sentence on PD gains that are the default ones, if a tracker runs with them."""
+    problem, default = comparison.plan.problem, Tracking()
     run = [name for name in ("pd", "pd+ff") if name in comparison.nominal]
-    pairs = ((key, getattr(tracking, key), getattr(default, key)) for key in ("kp", "kd"))
-    unset = [f"{key} = {value:g}" for key, value, usual in pairs if value == usual]
-    if not run or not unset:
+    if not run or (problem.tracking.kp, problem.tracking.kd) != (default.kp, default.kd):
         return []
-    ran = f"default gains: {' and '.join(run)} used {' and '.join(unset)}"
+    ran = f"default gains: {' and '.join(run)} used {default.gains_text()}"
     time = comparison.plan.trajectory.dense_times(1)
     positions = comparison.plan.trajectory.position_at(time)
     why = why_no_loop(problem.mechanism, positions, problem.limits.actuators_effort)
