@@ -186,7 +186,7 @@ def _robust(problem: Problem, j: int) -> list[Kind]:
     words = robust.corners[corner].description
 
     def limited(problem: Problem, low: float, high: float) -> Problem:
-        return replace(_rows("effort", j)(problem, low, high), robust=robust)
+        return _rows("effort", j)(problem, low, high).varied(robust=robust)
 
     return [
         Kind(

@@ -15,7 +15,7 @@ def margin_of(certificate: Certificate, what: str, joint: int) -> Margin:
 def with_margin(certificate: Certificate, what: str, joint: int, **changes: object) -> Certificate:
     """Return a certificate with another margin of one joint."""
     old = margin_of(certificate, what, joint)
-    margins = tuple(one.varied(**changes) if one is old else one for one in certificate.margins)
+    margins = tuple(replace(one, **changes) if one is old else one for one in certificate.margins)
     return replace(certificate, margins=margins)
 
 

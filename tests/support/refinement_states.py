@@ -74,7 +74,7 @@ def iterate(
 
 def state(at: CertifiedIterate, *, target: RefinementTarget = AIMS, scheme: str = "radau-3", **changes) -> RefinementState:
     """Return a state at an iterate, its history as `changes` say."""
-    case = case_of(replace(turn(), mesh=turn().mesh.replace(scheme=scheme)))
+    case = case_of(turn().varied(mesh=turn().mesh.replace(scheme=scheme)))
     object.__setattr__(case, "target", target)  # in place of what follows from the problem
     begin = RefinementState(asked=case, case=case, iterate=at, warm=False)
     return replace(observed(begin, at), **changes)

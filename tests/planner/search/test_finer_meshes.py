@@ -78,7 +78,7 @@ def test_a_least_time_with_limits_on_the_rates_of_efforts_is_changed_until_a_pro
 
 def test_a_least_time_at_the_corners_of_robust_is_changed_until_every_machine_carries_it(in_least_time):
     """Where efforts at a corner jump inside an interval, the mesh error exceeds their limits; tightening does not help."""
-    plan = plan_motion(replace(in_least_time, robust=Robust(torque_constant_factor=(0.9, 1.1))))
+    plan = plan_motion(in_least_time.varied(robust=Robust(torque_constant_factor=(0.9, 1.1))))
     assert plan.status == "optimal"
     assert plan.objective == pytest.approx(0.196071, rel=1e-4)  # sqrt(1 / 0.9) times 0.18664 but for gravity
     assert all(margin.kept for margin in plan.certificate.margins)
@@ -112,7 +112,7 @@ def test_solves_that_the_time_does_not_allow_are_left_and_repairs_are_certified(
     solver = in_least_time.solver.replace(max_time_s=60.0, deadline=deadline)
     taking(monkeypatch, "attempt", calls, solve_s)
     taking(monkeypatch, "nearest_on", calls, repair_s)
-    found = refined(replace(in_least_time, solver=solver), 0.2)
+    found = refined(in_least_time.varied(solver=solver), 0.2)
     assert [name for name, _ in calls] == called
     assert finer_meshes.is_sound(found.certificate)
 

@@ -238,7 +238,7 @@ def test_a_planner_gives_a_warm_solve_and_a_plan_from_the_beginning_one_budget()
     planner, problem = Replanner(), load_problem("knee-reach")
     planner.plan(problem).require()
     late, clock = timed(problem, 1)
-    late = replace(late, motion=replace(late.motion, goal=np.radians([40.0])))
+    late = late.varied(motion=replace(late.motion, goal=np.radians([40.0])))
     assert not planner.plan(late).passed
     assert clock.reads < 30
     assert planner.plan(problem).passed

@@ -149,7 +149,7 @@ def test_one_motor_and_given_breaks_have_another_search(in_least_time):
     assert of_several(in_least_time)
     assert not of_several(load_problem("knee-reach"))
     breaks = np.linspace(0.0, 1.0, 21)
-    assert not of_several(replace(in_least_time, mesh=in_least_time.mesh.replace(breaks=breaks)))
+    assert not of_several(in_least_time.varied(mesh=in_least_time.mesh.replace(breaks=breaks)))
 
 
 def test_starts_along_which_the_loops_open_are_not_said_to_lack_time(monkeypatch):
