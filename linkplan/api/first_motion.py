@@ -41,11 +41,11 @@ def new(
     Args:
         model: a built-in name, or the path of an MJCF or URDF file.
         path: the new problem file, which must not exist yet; without it none is written, and the command prints it.
-        keep: names of the only bodies or joints of a larger robot to read. This and the next
-            four are as in `load_mechanism`.
-        fix_base: whether the joints between the world and the kept bodies are locked.
-        lock: joints to lock at an angle [deg], or slides at a position [m].
-        keyframe: the model's keyframe that gives the home pose.
+        keep: names of the only bodies or joints of a larger robot to read, with everything attached to them and their loops.
+            This and the next four are keys of [mechanism], as in `load_mechanism`.
+        fix_base: whether the joints between the world and the kept bodies, and a base without actuators, are locked.
+        lock: joints to lock at an angle [deg], or slides at a position [m], in addition to a file's locks.
+        keyframe: the model's keyframe that gives the home pose; by default "home".
         drive: names of joints that get a motor, within their effort limits, if the model has no actuators.
         progress: called with lines on the progress.
 

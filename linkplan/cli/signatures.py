@@ -6,6 +6,7 @@ import re
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import linkplan
 from linkplan.api import names
@@ -117,7 +118,7 @@ def _parameters(function: ast.FunctionDef) -> list[Parameter]:
     ]
 
 
-def _value(default: ast.expr) -> object:
+def _value(default: ast.expr) -> Any:
     """Return the value of a default: a literal, or a name of `linkplan.api.names`."""
     return getattr(names, default.id) if isinstance(default, ast.Name) else ast.literal_eval(default)
 

@@ -51,7 +51,7 @@ def _refuted_shares(plan: Plan) -> tuple[float, ...]:
 
 def _refined(plan: Plan, shares: tuple[float, ...], deadline: Deadline, say: Say) -> Plan | None:
     """Return a plan refined at shares of its duration, or in slightly more time; None if no motion passes."""
-    problem = replace(plan.problem, solver=plan.problem.solver.replace(deadline=deadline))
+    problem = plan.problem.varied(solver=plan.problem.solver.replace(deadline=deadline))
     with ONE_THREAD, recording(say):
         try:
             finer = certified_at(problem, plan, shares)
