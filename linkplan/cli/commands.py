@@ -240,8 +240,7 @@ def run_list(arguments: argparse.Namespace) -> int:
 
 def run_schema(arguments: argparse.Namespace) -> int:
     """Print the JSON Schema of a kind of file, or write it into a file."""
-    with naming("-o"):
-        said = called(arguments, None, path=arguments.output)
+    said = called(arguments, None, path=arguments.output)
     if arguments.output is None or arguments.json:
         show(arguments, said, json.dumps(said, indent=2))
     return DONE
