@@ -28,7 +28,6 @@ if TYPE_CHECKING:  # for editors and type checkers; `_MODULES` below has the sam
     from linkplan.api.mechanisms import load_mechanism as load_mechanism
     from linkplan.api.motors import size as size
     from linkplan.api.names import schema as schema
-    from linkplan.api.ode_plans import solve_ocp as solve_ocp
     from linkplan.api.outputs import export as export
     from linkplan.api.outputs import render as render
     from linkplan.api.outputs import report as report
@@ -46,7 +45,6 @@ if TYPE_CHECKING:  # for editors and type checkers; `_MODULES` below has the sam
     from linkplan.controllers.trackers.tracker import Tracker as Tracker
     from linkplan.models.errors import LinkplanError as LinkplanError
     from linkplan.models.mechanism import Mechanism as Mechanism
-    from linkplan.planner.ode.problem import OdeProblem as OdeProblem
     from linkplan.planner.problem.extra import ExtraCost as ExtraCost
     from linkplan.planner.problem.extra import ExtraLimit as ExtraLimit
     from linkplan.planner.problem.problem import Problem as Problem
@@ -69,11 +67,9 @@ _MODULES = {
     "linkplan.api.outputs": ("export", "render", "report"),
     "linkplan.api.first_motion": ("new",),
     "linkplan.api.names": ("schema",),
-    "linkplan.api.ode_plans": ("solve_ocp",),
     "linkplan.controllers.trackers.tracker": ("Tracker",),
     "linkplan.models.errors": ("LinkplanError",),
     "linkplan.models.mechanism": ("Mechanism",),
-    "linkplan.planner.ode.problem": ("OdeProblem",),
     "linkplan.planner.problem.extra": ("ExtraCost", "ExtraLimit"),
     "linkplan.planner.problem.problem": ("Problem",),
 }

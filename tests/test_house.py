@@ -26,7 +26,7 @@ ROOMS = {
     ),
     "planner": (
         "transcription", "trajectory", "files", "problem", "limits", "certificate", "proof", "solvers", "refinement",
-        "plan", "closed_chain", "phase_plane", "search", "ode",
+        "plan", "closed_chain", "phase_plane", "search",
     ),
     "controllers": (
         "reference", "linearisation", "integrator", "sampling", "trackers", "rollout", "imperfections",
@@ -106,7 +106,7 @@ def test_no_imports_between_the_folders_of_a_room_go_in_a_circle():
     assert inner > 5
 
 
-def test_the_transcription_knows_neither_mechanisms_nor_differential_equations():
+def test_the_transcription_knows_no_mechanisms():
     for path in (ROOT / "planner" / "transcription").glob("*.py"):
         outside = {n for n in imports(path) if n.startswith("linkplan.") and ".transcription" not in n}
         assert outside <= TRANSCRIPTION_MAY, path

@@ -37,7 +37,7 @@ from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.reference import Sine
 from linkplan.planner.problem.settings import SolverSettings
-from linkplan.planner.refinement.case import ErrorReport, RefinementTarget, error_report
+from linkplan.planner.refinement.case import ErrorReport, RefinementTarget
 from linkplan.planner.refinement.history import progress, recorded
 from linkplan.planner.refinement.marking import Tightening, evened, tightenings_of
 from linkplan.planner.solvers.newton import EQUATION_TOLERANCE
@@ -94,14 +94,18 @@ class MechanismCase:
 
     def error_report(self, certificate: Certificate) -> ErrorReport:
         """Return the certificate's findings that refinement needs."""
-        return error_report(
-            certificate,
+        margins = certificate.margins
+        over = [margin.overrun for margin in margins if margin.of.facts.tightened is not None]
+        return ErrorReport(
             passed=certificate.is_carried,
             exact=is_exact(self.asked, certificate),
             repairable=certificate.repairable,
             leaves_positions=any(
-                margin.of.facts.tightened is Tightened.IN_PROBLEM and margin.left < 0 for margin in certificate.margins
+                margin.of.facts.tightened is Tightened.IN_PROBLEM and margin.left < 0 for margin in margins
             ),
+            overruns=not all(margin.kept for margin in margins),
+            overrun=np.max([np.zeros(len(certificate.growth)), *over], axis=0),
+            growth=certificate.growth,
             residual_share=certificate.residual_share,
             effort_overrun=certificate.effort_overrun,
             integration_error_deg=certificate.integration_error_deg,

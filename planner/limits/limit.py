@@ -84,14 +84,6 @@ class LimitFacts:
     by_size: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class LimitedRow:
-    """A limited quantity of a system without `Limit`s: the facts and the number that margins and tightenings read."""
-
-    facts: LimitFacts
-    item: int
-
-
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Rows:
     """A limit's rows in a program, scaled; without any, the bounds of the unknowns impose it.
@@ -328,7 +320,7 @@ def limit_margin(limit: Limit, samples: Samples) -> Margin:
 
 
 @np.errstate(invalid="ignore")  # NaN (infinity minus infinity) does not count as satisfied
-def margin_of(of: Limit | LimitedRow, measured: Measured, points: np.ndarray, time: np.ndarray) -> Margin:
+def margin_of(of: Limit, measured: Measured, points: np.ndarray, time: np.ndarray) -> Margin:
     """Return the margin of a quantity along a motion, measured at times (n,) [s], which are `points` of every interval.
 
     The least margin of an interval with a kink is that of the samples, without interpolation by parabolas. Bernstein

@@ -1,6 +1,5 @@
 """From a first solution to one whose certificate passes.
 
-In: a `Case` (what is transcribed and certified, a mechanism's problem or a user's ODE) and a first solution. Out: the motion
-on a refined mesh: phase boundaries at its switch times and constrained arcs, finer or higher-degree intervals, tightened
-limits.
+In: a `Case` (what is transcribed and certified) and a first solution. Out: the motion on a refined mesh: phase boundaries at
+its switch times and constrained arcs, finer or higher-degree intervals, tightened limits.
 """

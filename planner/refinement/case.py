@@ -1,7 +1,4 @@
-"""The interface of a refined problem, `Case`, one solve of it, and its iterates with their certificates.
-
-A mechanism's problem and a user's differential equation implement `Case`, so that the same code refines both.
-"""
+"""The interface of a refined problem, `Case`, one solve of it, and its iterates with their certificates."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Protocol, Self
@@ -10,32 +7,16 @@ import numpy as np
 
 from linkplan.models.deadline import OutOfTimeError
 from linkplan.models.errors import AssemblyError
+from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.limits.limit import WhichJoints
-from linkplan.planner.problem.settings import MeshSettings, SolverSettings
+from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.constrained_arcs import FixedArcs
 from linkplan.planner.refinement.history import add_step, amend_last_step, progress, recorded, step_of
 from linkplan.planner.solvers.newton import nearest_feasible
 from linkplan.planner.solvers.solve import OUT_OF_ITERATIONS, OUT_OF_TIME, Solution, solve
+from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh
-
-
-class PiecewiseMotion(Protocol):
-    """The part of a motion that refinement reads."""
-
-    @property
-    def breaks_s(self) -> np.ndarray:
-        """The intervals' ends (n + 1,) [s]."""
-        ...
-
-    @property
-    def effort(self) -> np.ndarray:
-        """The efforts' Bernstein coefficients (degree + 1, n, n_u)."""
-        ...
-
-    def effort_at(self, time_s: np.ndarray) -> np.ndarray:
-        """Return efforts (n, n_u) at times (n,)."""
-        ...
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -50,7 +31,6 @@ class RefinementTarget:
         strictness: the certificate's tolerance of the integrated state, divided by the tolerance of the refinement.
         tolerance_given: the user set this tolerance.
         objective_tolerance: the largest relative change of the objective from mesh to mesh; None if it is not checked.
-        objective_tolerance_given: the user set this tolerance, too; otherwise it is satisfied only if that is cheap.
         kinks_at_limits: the motion is smooth where no limit binds, so the integration error alone measures the mesh.
         enclosed: enclosable limits hold at every instant, by rows on Bernstein coefficients.
         has_boundary_layers: the motion has thin layers; the error falls only once the mesh resolves them.
@@ -63,7 +43,6 @@ class RefinementTarget:
     objective_tolerance: float | None
     bang_bang: bool = False
     continuous_efforts: bool = False
-    objective_tolerance_given: bool = True
     kinks_at_limits: bool = False
     enclosed: bool = False
     has_boundary_layers: bool = False
@@ -77,15 +56,13 @@ class ErrorReport:
         passed: no limit is violated, except that of an effort by inverse dynamics.
         exact: the integration error is within the tolerance.
         repairable: a finer mesh can remove the reason why the certificate does not pass.
-        leaves_positions: a state leaves its range between the nodes.
-        overruns: a state or another limit is overrun between the nodes.
+        leaves_positions: a joint leaves its range between the nodes.
+        overruns: a joint's range or another limit is overrun between the nodes.
         overrun: (n_intervals,) the largest overrun of any limit on each interval, as a share of the limit.
         growth: (n_intervals,) the contribution of each interval to the integration error, as a share of the allowed error.
         residual_share: (n_intervals,) the dynamics residual, as a share of the allowed residual.
         effort_overrun: (n_intervals,) the needed effort beyond its limit, as a share of a proof's allowance.
-        touching: (n_intervals,) True where a limit binds on a part of the interval; None if it is not computed.
-        integration_error_deg: [deg], of a mechanism.
-        integration_error: as a share of the states' sizes, of a differential equation.
+        integration_error_deg: [deg].
     """
 
     passed: bool
@@ -97,23 +74,7 @@ class ErrorReport:
     growth: np.ndarray
     residual_share: np.ndarray
     effort_overrun: np.ndarray
-    touching: np.ndarray | None = None
-    integration_error_deg: float | None = None
-    integration_error: float | None = None
-
-
-class RefinementSettings(Protocol):
-    """The part of a problem that refinement reads."""
-
-    @property
-    def mesh(self) -> MeshSettings:
-        """The transcription, the first mesh, and how it is refined."""
-        ...
-
-    @property
-    def solver(self) -> SolverSettings:
-        """How programs are solved."""
-        ...
+    integration_error_deg: float
 
     def varied(self, **values: Any) -> Self:
         """Return the problem with other values of its settings."""
@@ -121,13 +82,10 @@ class RefinementSettings(Protocol):
 
 
 class Case(Protocol):
-    """A problem that can be refined.
-
-    Its motions are a `PiecewiseMotion` of its own type; its starts and certificates also have their own types.
-    """
+    """A problem that can be refined; `planner.closed_chain` has the only one, and its own type of starts."""
 
     @property
-    def problem(self) -> RefinementSettings:
+    def problem(self) -> Problem:
         """The problem that is solved, with the limits tightened so far."""
         ...
 
@@ -149,23 +107,23 @@ class Case(Protocol):
         """Return the program that begins at a start; the options are those of the cases' own `transcribe`."""
         ...
 
-    def motion(self, solution: Solution) -> Any:
+    def motion(self, solution: Solution) -> Trajectory | None:
         """Return the motion of a solution, or None if it leaves the branch of the mechanism."""
         ...
 
-    def start_from(self, motion: Any) -> Any:
+    def start_from(self, motion: Trajectory) -> Any:
         """Return a motion as a start."""
         ...
 
-    def certify(self, motion: Any) -> Any:
+    def certify(self, motion: Trajectory) -> Certificate | None:
         """Return a motion's certificate; None where it has none."""
         ...
 
-    def error_report(self, certificate: Any) -> ErrorReport:
+    def error_report(self, certificate: Certificate) -> ErrorReport:
         """Return the errors that a certificate shows."""
         ...
 
-    def tightened(self, certificate: Any, motion: Any) -> Self:
+    def tightened(self, certificate: Certificate, motion: Trajectory) -> Self:
         """Return the case with limits tightened by what a motion overran them (constraint tightening)."""
         ...
 
@@ -175,27 +133,11 @@ def with_scheme(case: Any, name: str) -> Any:
     return replace(case, problem=case.problem.varied(mesh=case.problem.mesh.replace(scheme=name)))
 
 
-def error_report(certificate: Any, **found: Any) -> ErrorReport:
-    """Return the errors that a certificate with `margins` and `growth` shows, and the client's findings (other fields).
-
-    A missing residual or effort overrun is zero.
-    """
-    none = np.zeros(len(certificate.growth))
-    over = [margin.overrun for margin in certificate.margins if margin.of.facts.tightened is not None]
-    errors: dict[str, Any] = {"passed": certificate.passed, "residual_share": none, "effort_overrun": none} | found
-    return ErrorReport(
-        overruns=not all(margin.kept for margin in certificate.margins),
-        overrun=np.max([none, *over], axis=0),
-        growth=certificate.growth,
-        **errors,
-    )
-
-
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Iterate:
     """The motion and solution of one solve; `fixed` are the efforts and path quantities fixed along its arcs, or None."""
 
-    motion: Any  # a `PiecewiseMotion` of the case's own type
+    motion: Trajectory
     solution: Solution
     fixed: FixedArcs | None = None
 
@@ -231,7 +173,7 @@ def attempt(
 
     Args:
         case: the problem.
-        start: the motion to begin from, of the client's type.
+        start: the motion to begin from, of the case's own type.
         mesh: intervals.
         durations: (n_segments,) [s] of the mesh's segments in the start.
         what: the name of this solve in history and progress.
@@ -278,7 +220,7 @@ class CertifiedIterate:
     """An iterate, its certificate, and the errors that the certificate shows; None without a certificate."""
 
     found: Iterate
-    certificate: Any  # of the case's own type, or None
+    certificate: Certificate | None
     report: ErrorReport | None
 
     @property
@@ -302,10 +244,7 @@ def certify_iterate(case: Case, found: Iterate) -> CertifiedIterate:
     certificate = case.certify(found.motion)
     report = None if certificate is None else case.error_report(certificate)
     if report is not None:
-        amend_last_step(
-            integration_error_deg=report.integration_error_deg,
-            integration_error=report.integration_error,
-        )
+        amend_last_step(integration_error_deg=report.integration_error_deg)
     return CertifiedIterate(found=found, certificate=certificate, report=report)
 
 
@@ -315,5 +254,5 @@ def share_gained(before: float, after: float, least: float = 0.0) -> float:
 
 
 def error_of(at: CertifiedIterate) -> float:
-    """Return the integration error in its client's unit; infinite without a certificate."""
-    return np.inf if at.report is None else at.report.integration_error_deg or at.report.integration_error or 0.0
+    """Return the integration error [deg]; infinite without a certificate."""
+    return np.inf if at.report is None else at.report.integration_error_deg

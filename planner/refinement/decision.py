@@ -42,7 +42,6 @@ from linkplan.planner.refinement.marking import (
     overrunning,
     raised,
     rough_of,
-    uneven_of,
 )
 from linkplan.planner.refinement.state import OPTIMAL_CHANGE, Refined, RefinementState, observed
 from linkplan.planner.refinement.switches import is_bang_bang, settle_switch_times
@@ -54,9 +53,6 @@ MAX_GROWTH = 120
 # Without a user's tolerance, a mesh of this number of intervals is fine enough. The larger number is used while the
 # objective changes too much for an optimal plan or, if efforts jump inside intervals, by more than this share.
 ENOUGH_INTERVALS, ENOUGH_ROUGH_INTERVALS, CHANGE_WORTH_INTERVALS = 100, 200, 1e-4
-# Largest growth of a mesh for digits of the objective that the user did not ask for; the time of a solve grows by about the
-# same factor. A second mesh, which shows the error, is always solved.
-CHEAP_GROWTH = 8
 # Largest numbers of repeated readings of switches, and of releases of arcs.
 MAX_READINGS, MAX_RELEASES = 3, 3
 # From this number of rounds after the last reading of switches on, limits are tightened while the mesh is still halved.
@@ -199,11 +195,11 @@ def _inexact(state: RefinementState, over: np.ndarray) -> tuple[np.ndarray, np.n
     at, fixed = state.iterate, state.iterate.found.fixed
     inexact, uneven = marked_for(at, state.target.strictness), np.zeros(at.n_intervals, dtype=bool)
     if state.target.enclosed:
-        return inexact, uneven if state.settled else uneven_of(at) | state.off_limit_intervals
+        return inexact, uneven if state.settled else rough_of(at.found.motion) | state.off_limit_intervals
     inexact |= state.off_limit_intervals
     if at.passed and not state.settled and (fixed is None or not (inexact | over).any()):
         # If arcs are fixed between switch times, limits become active and inactive at the switch times.
-        uneven = uneven_of(at) if fixed is None else rough_of(at.found.motion)
+        uneven = rough_of(at.found.motion)
     return inexact, uneven
 
 
@@ -234,11 +230,9 @@ def _higher_scheme(state: RefinementState, inexact: np.ndarray, over: np.ndarray
 
 def _comfortable(state: RefinementState) -> int:
     """Return the number of intervals that is enough for a motion that passes."""
-    target, report = state.target, state.iterate.report
+    target = state.target
     if target.tolerance_given:
-        exact = report is not None and report.exact and np.isfinite(state.change)
-        growth = CHEAP_GROWTH if exact and not target.objective_tolerance_given else MAX_GROWTH
-        return growth * state.asked.problem.mesh.intervals
+        return MAX_GROWTH * state.asked.problem.mesh.intervals
     rough = state.change > CHANGE_WORTH_INTERVALS if state.target.enclosed else state.moved > OPTIMAL_CHANGE
     return ENOUGH_ROUGH_INTERVALS if rough else ENOUGH_INTERVALS
 

@@ -38,7 +38,6 @@ class Step(Struct, frozen=True, eq=False, kw_only=True):
     integration_error_deg: float | None
     build_s: _Seconds
     solve_s: _Seconds
-    integration_error: float | None = None  # of a differential equation, as a share of its states' sizes
 
 
 # The steps of the plan being made in this thread, and the receiver of its progress.

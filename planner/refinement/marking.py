@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.planner.limits.limit import Limit, LimitedRow, Margin, Tightened
+from linkplan.planner.limits.limit import Limit, Margin, Tightened
 from linkplan.planner.problem.settings import MeshSettings
-from linkplan.planner.refinement.case import Case, CertifiedIterate, ErrorReport, PiecewiseMotion
+from linkplan.planner.refinement.case import Case, CertifiedIterate, ErrorReport
+from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import Mesh
 from linkplan.planner.transcription.schemes import MAX_DEGREE
 
@@ -81,7 +82,7 @@ def evened(tightenings: tuple[Tightening, ...]) -> tuple[Tightening, ...]:
 
 
 def tightening_over(
-    tightenings: tuple[Tightening, ...], rows: Sequence[Limit | LimitedRow], path: np.ndarray
+    tightenings: tuple[Tightening, ...], rows: Sequence[Limit], path: np.ndarray
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Return the function from breaks (n + 1,) [s] to the tightening (n, n_path) of the bounds `path` (n_path, 2).
 
@@ -144,14 +145,7 @@ def grown(mesh: Mesh, marked: np.ndarray) -> int:
     return mesh.n_intervals + int(marked.sum())
 
 
-def uneven_of(at: CertifiedIterate) -> np.ndarray:
-    """Return the intervals (n,) that determine the objective: near kinks, and where a limit becomes active or inactive."""
-    rough = rough_of(at.found.motion)
-    touching = None if at.report is None else at.report.touching
-    return rough if touching is None else rough | touching
-
-
-def rough_of(motion: PiecewiseMotion) -> np.ndarray:
+def rough_of(motion: Trajectory) -> np.ndarray:
     """Return the intervals (n,) near kinks, on which the efforts' polynomials have the largest highest-degree terms."""
     widths, degree = np.diff(motion.breaks_s), motion.effort.shape[0] - 1
     bend = np.abs(np.diff(motion.effort, n=degree, axis=0)[0]) if degree else np.abs(motion.effort[0])

@@ -1,10 +1,10 @@
 """The state of a refinement: the iterates so far, the better of two iterates, and the result."""
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
+from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.refinement.case import (
     Case,
     CertifiedIterate,
@@ -37,7 +37,7 @@ class Refined(Iterate):
     `objective_error` is the objective's relative error estimated from these meshes, infinite if there is only one.
     """
 
-    certificate: Any  # of the case's own type
+    certificate: Certificate
     settled: bool
     moved: float = 0.0
     objective_error: float = np.inf
@@ -51,18 +51,10 @@ class Refined(Iterate):
 def better_of(
     before: CertifiedIterate | None, now: CertifiedIterate, target: RefinementTarget, *, lost: float = LOST_GAIN
 ) -> CertifiedIterate:
-    """Return the better of two motions that pass: the later one, on a finer mesh, unless it is worse by the share `lost`.
-
-    On a finer mesh more limits bind, and each adds the solver's tolerance to the objective. The coarser motion is kept if it
-    is as exact and better by no more than that, unless a tolerance on the objective was asked for.
-    """
+    """Return the better of two motions that pass: the later one, on a finer mesh, unless it is worse by a share `lost`."""
     if before is None or (target.tolerance_given and now.report.exact and not before.report.exact):
         return now
     then, objective = before.found.solution.objective, now.found.solution.objective
-    left = SOLVER_TOLERANCE * now.n_intervals * abs(objective)
-    no_more_exact = before.report.exact and error_of(before) <= error_of(now)
-    if not target.objective_tolerance_given and no_more_exact and 0 <= objective - then <= left:
-        return before
     truer = not before.report.exact and (now.report.exact or error_of(now) < error_of(before))
     share = max(lost, LOST_GAIN_INEXACT) if truer else lost
     return before if then < objective - share * abs(objective) else now
@@ -161,7 +153,7 @@ class RefinementState:
     def result(self) -> Refined | None:
         """The best motion, or the last one if none passed; None without a certificate."""
         at, best = self.iterate, self.best
-        asked = self.objective_tolerance is not None and self.target.objective_tolerance_given
+        asked = self.objective_tolerance is not None
         if not (at.passed and self.settled and asked and self.loosened is None):
             at = best or at
         if at.certificate is None:

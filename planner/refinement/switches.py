@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from linkplan.planner.refinement.case import Case, Iterate, PiecewiseMotion, attempt
+from linkplan.planner.refinement.case import Case, Iterate, attempt
 from linkplan.planner.refinement.constrained_arcs import (
     INTERVALS_TO_SAME_SWITCH,
     SHARE_AT_LIMIT,
@@ -21,6 +21,7 @@ from linkplan.planner.refinement.constrained_arcs import (
     path_arcs,
 )
 from linkplan.planner.solvers.solve import Solution
+from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.collocation import Transcribed
 from linkplan.planner.transcription.mesh import Mesh, segmented
 
@@ -110,7 +111,7 @@ def _arcs_of(case: Case, found: Iterate, boundaries: np.ndarray) -> tuple[np.nda
     return switch_times, FixedArcs(efforts=bang_efforts, paths=paths)
 
 
-def _jumps_between(along: np.ndarray, motion: PiecewiseMotion, known_s: np.ndarray) -> np.ndarray:
+def _jumps_between(along: np.ndarray, motion: Trajectory, known_s: np.ndarray) -> np.ndarray:
     """Return the times (n,) [s] at which efforts jump in smeared intervals between two arcs (n_intervals, n_arcs).
 
     The impulse of the effort that jumps most gives the time. Times near known ones are omitted.
@@ -201,7 +202,7 @@ def bounded_by_guess(solution: Solution, shortest_s: float, longest_s: float) ->
 
 
 def find_switch_times(
-    trajectory: PiecewiseMotion,
+    trajectory: Trajectory,
     limit: np.ndarray,
     boundaries_s: np.ndarray | None = None,
     on_path: np.ndarray | None = None,
@@ -316,7 +317,7 @@ def _pulse_in(breaks: np.ndarray, coefficients: np.ndarray, limits: tuple[float,
     return [middle - length / 2, middle + length / 2]
 
 
-def find_bang_efforts(trajectory: PiecewiseMotion, limit: np.ndarray, switch_times: np.ndarray) -> np.ndarray:
+def find_bang_efforts(trajectory: Trajectory, limit: np.ndarray, switch_times: np.ndarray) -> np.ndarray:
     """Return the efforts (n_switches + 1, n_u) of bang arcs between switch times: a limit, or NaN where they vary.
 
     Efforts are read away from the switch times, near which the fixed mesh smears the switch.

@@ -10,7 +10,6 @@ import numpy as np
 
 from linkplan.models.compiled.functions import CodeT, cached, compiled_as_asked
 from linkplan.models.deadline import NO_DEADLINE, Deadline
-from linkplan.planner.transcription.bernstein import OnIntervals, PiecewisePolynomial
 from linkplan.planner.transcription.bounds import (
     bang_coefficients,
     bounds,
@@ -76,32 +75,18 @@ class Transcribed:
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class Curves(OnIntervals):
+class Curves:
     """A solution's polynomials: Bernstein coefficients (degree + 1, n, k) on n intervals, in the problem's units.
 
     `state` and `effort` are those of the first-order states and of the efforts, `position` and `velocity` those of the
-    second-order coordinates. `breaks_s` (n + 1,) are the intervals' ends [s]. `running` (n,) is what the intervals add to a
-    running cost by the scheme's quadrature, where a caller needs it.
+    second-order coordinates. `breaks_s` (n + 1,) are the intervals' ends [s].
     """
 
     breaks_s: np.ndarray
     state: np.ndarray
     effort: np.ndarray
-    position: np.ndarray = field(default_factory=lambda: np.zeros((1, 0, 0)))
-    velocity: np.ndarray = field(default_factory=lambda: np.zeros((1, 0, 0)))
-    running: np.ndarray | None = None
-
-    def state_at(self, time_s: np.ndarray) -> np.ndarray:
-        """Return first-order states (n, n_x) at times (n,) [s]."""
-        return PiecewisePolynomial(self.state, self.breaks_s)(np.atleast_1d(time_s))
-
-    def rate_at(self, time_s: np.ndarray) -> np.ndarray:
-        """Return the rates (n, n_x) of first-order states at times (n,) [s]."""
-        return PiecewisePolynomial(self.state, self.breaks_s).derivative()(np.atleast_1d(time_s))
-
-    def effort_at(self, time_s: np.ndarray) -> np.ndarray:
-        """Return efforts (n, n_u) at times (n,) [s]; at a break those of the later interval."""
-        return PiecewisePolynomial(self.effort, self.breaks_s)(np.atleast_1d(time_s))
+    position: np.ndarray
+    velocity: np.ndarray
 
 
 def collocate(

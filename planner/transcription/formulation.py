@@ -1,6 +1,6 @@
 """The input of a transcription: a continuous problem as functions at a node, with the values of bounds and parameters.
 
-All quantities are scaled to order one. Mechanisms and users' differential equations are both converted to a `Formulation`.
+All quantities are scaled to order one. It knows no mechanisms.
 """
 
 from collections.abc import Callable

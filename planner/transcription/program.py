@@ -41,7 +41,7 @@ _EQUATION_CONSTANTS = np.array([-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0])
 def without_numbers(system: System) -> tuple[System, np.ndarray]:
     """Return a system with its node's constants as further parameters, and the values (n,) of these parameters.
 
-    A user's differential equation is returned unchanged, because it is one problem and not a family. So is a system whose
+    A system of first order is returned unchanged, because it is one problem and not a family. So is a system whose
     expressions call functions.
     """
     node = system.node

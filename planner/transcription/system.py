@@ -2,9 +2,9 @@
 
 A node is (s, v, a, j, x, r, z, u): positions, velocities and accelerations of second-order coordinates, the accelerations'
 rates j (jerks) where a system takes them, states x of first-order equations with their rates r, algebraic unknowns z,
-efforts u. A system is independent of meshes. Mechanisms and users' differential equations are both converted to systems. The
-functions of a node are the expensive ones. They depend on neither scheme nor mesh, so every transcription of a system uses
-the same. Sparse matrices are columns of nonzeros, each with its pattern.
+efforts u. A system is independent of meshes and knows no mechanisms. The functions of a node are the expensive ones. They
+depend on neither scheme nor mesh, so every transcription of a system uses the same. Sparse matrices are columns of nonzeros,
+each with its pattern.
 """
 
 from dataclasses import dataclass, fields

@@ -1,7 +1,7 @@
 """A record of answers, to compare a change of structure with: `python -m tests.bench.record FILE` writes it.
 
 `python -m tests.bench.record FILE --against BEFORE` prints what differs from an earlier record. The record has the built-in
-problems, random four-bars, sliders and linkages, the ODE set, and tables of the frequency response and of an experiment.
+problems, random four-bars, sliders and linkages, and tables of the frequency response and of an experiment.
 Each answer has its status, objective, duration and processor time. Answers are appended as they come, so that a run can be
 continued; `--processes 2` takes about an hour on two cores. `--groups` and `--every N` choose a part. `--changed 1e-12`
 changes every number of the problems' tables by that share of it.
@@ -17,7 +17,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -102,31 +101,6 @@ def answer_of(plan) -> dict:
     return answer | {"steps": steps}
 
 
-def ode_answer(name: str, _: float = 0.0) -> dict:
-    """Return the answer to a problem of the ODE set, whose numbers are not changed."""
-    return answer_of(ode_set()[name]())
-
-
-def ode_set() -> dict[str, Callable]:
-    """Return the ODE set: what plans each problem, by name."""
-    from linkplan.planner.ode.plan import plan_ode
-    from tests.planner.ode import test_unstable
-    from tests.support.ode import bryson_denham
-    from tests.support.optima import optimum
-
-    known = (
-        "least time 1", "least time 2", "least effort", "brachistochrone", "cart-pole", "cart-pole, from a guess",
-        "van der Pol, free", "van der Pol, bound", "van der Pol, bound above", "oscillator to rest", "cart",
-        "arm", "Robbins",
-    )  # fmt: skip
-    return {name: partial(optimum, name) for name in known} | {
-        "Bryson-Denham 1/9": lambda: plan_ode(bryson_denham(1 / 9, 1e-9)),
-        "Bryson-Denham 1/12": lambda: plan_ode(bryson_denham(1 / 12, 1e-9)),
-        "beside a pole": lambda: plan_ode(test_unstable.beside_a_pole(2.0)),
-        "beside a pole, long": test_unstable.long,
-    }
-
-
 def table_answer(words: str, _: float = 0.0) -> dict:
     """Return every number of a command's JSON, by its place; its problem's numbers are not changed."""
     import contextlib
@@ -175,7 +149,6 @@ GROUPS: dict[str, tuple[Callable[[str, float], dict], Callable[[], list[str]]]] 
     "slider": (slider_answer, lambda: [str(k) for k in range(N_SLIDERS)]),
     "linkage": (linkage_answer, lambda: [str(k) for k in range(N_LINKAGES)]),
     "turning": (turning_answer, lambda: [str(k) for k in range(N_TURNING)]),
-    "ode": (ode_answer, lambda: list(ode_set())),
     "table": (table_answer, lambda: list(TABLES)),
 }
 

@@ -8,7 +8,6 @@ import pytest
 from PIL import Image
 
 import linkplan
-from tests.support.ode import least_time_reach
 from tests.support.plans import optimal
 from tests.support.refusals import assert_refused
 
@@ -81,17 +80,6 @@ def test_a_loop_is_systems_of_python_control(loop):
     sensitivity = loop.frd("sensitivity", loop.poses[1])
     np.testing.assert_allclose(sensitivity.frdata * (1 + data.frdata), np.ones_like(data.frdata), rtol=1e-9)
     assert_refused(lambda: loop.frd(measured=True), "'loop' was not measured")
-
-
-def test_an_ode_plan_is_drawn_tabled_and_saved(tmp_path):
-    solved = linkplan.solve_ocp(least_time_reach(states=["place", "speed"])).require()
-    table = solved.to_frame(np.array([0.0, 1.0, 2.0]))
-    np.testing.assert_allclose(table["place"], [0.0, 0.5, 1.0], atol=1e-6)
-    assert [axes.get_xlabel() for axes in solved.plot().axes] == ["time [s]", "time [s]"]
-    solved.save(tmp_path / "solved")
-    folder = solved.save(tmp_path / "solved")  # replaces linkplan's own folder
-    assert {path.name for path in folder.iterdir()} >= {"ode.json", "trajectory.csv", "plan.png"}
-    assert (folder / "trajectory.csv").read_text(encoding="utf-8").startswith("time [s],place,speed,")
 
 
 def test_builders_take_reserve_ranges_and_imperfections():

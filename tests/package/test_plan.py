@@ -1,4 +1,4 @@
-"""`plan` and `Plan`: the answer, its samples in users' units, its folder; `Planner` and `solve_ocp`."""
+"""`plan` and `Plan`: the answer, its samples in users' units, its folder; `Planner`."""
 
 import csv
 import logging
@@ -13,7 +13,6 @@ import linkplan
 from linkplan.models.errors import LinkplanError, PlanError, PlanFileError, ProblemError
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search.planning import plan_motion
-from tests.support.ode import least_time_reach
 from tests.support.refusals import assert_refused
 
 
@@ -200,18 +199,6 @@ def test_a_step_is_next_to_the_plan_of_its_problem_in_users_units(plan):
     assert 0 < step.position_error_deg["O"] < 0.01
     assert step.effort_error["act_O"] > 0
     assert "NextMotion" in repr(step)
-
-
-def test_a_differential_equation_of_ones_own_is_solved():
-    told = []
-    plan = linkplan.solve_ocp(least_time_reach(), told.append).require()
-    assert plan.objective == pytest.approx(2.0, rel=1e-8)
-    assert plan.sample([0.0, 2.0])["state0"] == pytest.approx([0.0, 1.0])
-    for beyond in (-0.1, [1.0, 2.1]):  # the polynomials go on, and mean nothing there
-        with pytest.raises(ProblemError, match="times must be from 0 to 2 s, where the motion ends"):
-            plan.sample(beyond)
-    assert_refused(lambda: plan.sample("late"), "times must be finite numbers", kind=ProblemError)
-    assert_refused(lambda: linkplan.solve_ocp(3), "solve_ocp takes an OdeProblem, got 3", kind=ProblemError)
 
 
 @pytest.mark.parametrize("problem", [None, 5, {"motion": {}}])

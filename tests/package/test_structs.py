@@ -11,7 +11,6 @@ from linkplan.planner.files.folders import plain_record
 from linkplan.planner.files.structs import Beside, read_value
 from linkplan.studies.handover.export import c_files
 from linkplan.studies.output.text import text_of
-from tests.support.ode import least_time_reach
 
 COARSE = {"tracking.period_s": 1e-3, "tracking.kp": 200.0, "tracking.kd": 1.0}
 VARIED = {"payload_mass_factor": [0.9, 1.1], "delay_periods": [0.0, 2.0]}
@@ -97,8 +96,7 @@ def test_the_certificate_and_the_history_in_plan_json_are_the_plan_s_own_structs
     lambda plan, place: linkplan.export(plan, place / "reach.csv", "csv"),
     lambda plan, place: linkplan.export(plan, place / "law", "c"),
     lambda plan, place: linkplan.export(plan.problem.mechanism, place / "model", "c"),
-    lambda _plan, _place: linkplan.solve_ocp(least_time_reach()),
-], ids=["new", "a file", "a law in C", "a model in C", "solve_ocp"])  # fmt: skip
+], ids=["new", "a file", "a law in C", "a model in C"])  # fmt: skip
 def test_the_json_of_what_is_no_result_is_read_back_as_its_struct(make, plan, tmp_path, monkeypatch):
     monkeypatch.setattr(c_files, "COMPILERS", {})
     shown = make(plan, tmp_path)

@@ -1,6 +1,4 @@
-"""What mechanisms and differential equations share: bends, held durations, de Casteljau, integration, ends, words."""
-
-import typing
+"""What every search shares: bends, held durations, de Casteljau, integration, ends, words."""
 
 import casadi as ca
 import numpy as np
@@ -8,27 +6,16 @@ import pytest
 
 from linkplan.planner.certificate.flow import implicit
 from linkplan.planner.certificate.integration import relative_violation
-from linkplan.planner.closed_chain.case import MechanismCase, case_of
+from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess, perturbed
-from linkplan.planner.ode.case import OdeCase
 from linkplan.planner.problem.limits import exact_bounds
 from linkplan.planner.problem.problem import load_problem
-from linkplan.planner.refinement.case import Case
 from linkplan.planner.search.planning import plan_motion
 from linkplan.planner.solvers.solve import INVALID, OUT_OF_TIME, SUCCEEDED, why_stopped
 from linkplan.planner.transcription.bernstein import bernstein_matrix, bernstein_value
 from tests.support.tolerances_planner import UNIT
 
 # The cases.
-
-
-def test_a_case_is_small_and_both_clients_are_one():
-    """Nine members are what an engine can be told of: a tenth belongs into `RefinementTarget` or `ErrorReport`."""
-    members = {name for name in vars(Case) if not name.startswith("_")} | set(typing.get_type_hints(Case))
-    assert "error_report" in members
-    assert len(members) <= 9
-    for client in (MechanismCase, OdeCase):
-        assert members <= set(dir(client))
 
 
 def test_what_a_case_aims_at_follows_from_its_objective():

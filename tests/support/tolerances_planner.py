@@ -95,23 +95,11 @@ EXTREME = 1e-5
 # Optimal control of a user's differential equation. An optimum against its closed form, relative: the solver's 1e-10, and
 # radau polynomials on smooth motions with cuts at switches. Measured 3e-12.
 ODE_CLOSED_FORM = 1e-9
-# Against figures published to nine digits, relative: half of the last digit. Measured 2e-10.
-ODE_PUBLISHED = 5e-9
 # The same published to six digits from a finite mesh, relative. Measured 2e-6.
 ODE_FOUR_DIGITS = 3e-6
-# Where a state's limit is touched or held, the effort's kink falls between nodes: the objective's tolerance of 1e-7.
-ODE_BOUND_BY_A_STATE = 1e-7
 # States and efforts against a closed form, absolute, of order one: what a radau-3 polynomial leaves between nodes.
 # Measured 4e-7.
 ODE_STATE = 1e-6
-# Instants of switches [s], of motions of order one to ten: cuts settle to the solver's 1e-10. Measured 1e-9.
-ODE_SWITCH = 1e-6
-# The objective against that along the integrated motion, relative: the tolerance on states, to first order. Measured 1e-12.
-ODE_INTEGRATED = 1e-8
-# Arcs along a path limit and others meet in kinks of the effort, relative: the objective's tolerance of 1e-7.
-ODE_KINKED = 1e-6
-# Singular arcs: the cost is flat in the effort, which may chatter; the cost itself is met to its second order.
-ODE_SINGULAR = 1e-6
 # Least positive work where a speed changes its sign inside an interval, relative: quadrature of a kink. Measured 5e-6.
 WORK_WITH_TURNS = 2e-5
 # Positive work with efforts constant over intervals and cuts where they jump, relative. Measured 7e-8.
@@ -134,8 +122,6 @@ LEAST_TIME_ON_ARCS = 2e-6
 TIME_WITH_ARCS = 2e-6
 # Least effort by a waypoint at a free instant against scipy's minimum over instant and speed, relative: scipy's own 1e-9.
 WAYPOINT_EFFORT = 1e-7
-# Least time with arcs on states' limits that meet arcs on others, no cut at their junctions, relative. Measured 9e-5.
-ODE_STATE_ARCS = 2e-4
 # Least effort, work and time against closed forms whose effort bends at a limit, relative. Measured 1e-12 to 6e-8; a bend
 # inside an interval leaves 1e-6 to 1e-3.
 SATURATED = 2e-7
@@ -164,8 +150,6 @@ REFINED_EFFORT = 1e-7
 BEST_START = 1e-6
 # The knee's peak effort as documents print it [N.m].
 PRINTED_NM = 0.1
-# The same as ODE_INTEGRATED where the effort chatters or bends between nodes.
-ODE_INTEGRATED_ROUGHLY = 1e-7
 # The highest frequency that limits allow, relative: its bisection's width.
 HIGHEST_FREQUENCY = 1e-4
 # The angle at a waypoint's best instant [deg]: scipy's instant, to the root of its own tolerance.

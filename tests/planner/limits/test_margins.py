@@ -11,10 +11,11 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.limits.joints import RangeLimit, SpeedLimit
 from linkplan.planner.limits.kinds import violation
-from linkplan.planner.limits.limit import LimitedRow, LimitFacts, Measured, margin_of
+from linkplan.planner.limits.limit import LimitFacts, Measured, margin_of
 from linkplan.planner.limits.samples import Samples, least_between, sample_points, samples_of
 from linkplan.planner.transcription.bernstein import bernstein_matrix
 from tests.support.bodies import HINGE, QUARTER_TURN, body_problem
+from tests.support.limited_row import LimitedRow
 from tests.support.motions import motion_along
 from tests.support.plans import optimal
 

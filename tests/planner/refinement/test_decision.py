@@ -19,7 +19,6 @@ from linkplan.planner.refinement.actions import (
 from linkplan.planner.refinement.case import CertifiedIterate, RefinementTarget
 from linkplan.planner.refinement.decision import (
     CHANGE_WORTH_INTERVALS,
-    CHEAP_GROWTH,
     COST_OF_TIGHTENING,
     ENOUGH_INTERVALS,
     ENOUGH_ROUGH_INTERVALS,
@@ -180,16 +179,6 @@ def test_limits_that_were_loosened_are_tightened_twice_by_what_is_left():
 )
 def test_limits_are_loosened_while_that_gains_something_on_a_mesh_that_is_not_large(gain, changes, loosens):
     assert (next_action(tightened(gain, **changes)) == Loosen()) == loosens
-
-
-@pytest.mark.parametrize(("more", "change", "finer"), [(-1, 1e-3, True), (1, 1e-3, False), (1, np.inf, True)])
-def test_digits_of_the_objective_that_nobody_asked_for_are_worth_a_mesh_that_is_not_large(more, change, finer):
-    """Every mesh has twice the intervals of the one before, and a second one is always solved."""
-    target = replace(AIMS, tolerance_given=True, objective_tolerance=1e-6, objective_tolerance_given=False)
-    asked = replace(target, objective_tolerance_given=True)
-    at = iterate(n=10 * CHEAP_GROWTH // 2 + more)
-    assert (next_action(state(at, target=target, scheme="trapezoid", change=change)) is not None) == finer
-    assert next_action(state(at, target=asked, scheme="trapezoid", change=change)) is not None
 
 
 @pytest.mark.parametrize(("moved", "stops"), [(0.3, True), (3.0, False)])

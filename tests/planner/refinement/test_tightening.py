@@ -11,7 +11,7 @@ from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess, guess_from
 from linkplan.planner.limits.joints import RANGE_SLACK, RangeLimit, SpeedLimit
 from linkplan.planner.limits.kinds import tightened_in
-from linkplan.planner.limits.limit import LimitedRow, LimitFacts, Margin, Tightened
+from linkplan.planner.limits.limit import LimitFacts, Margin, Tightened
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.proof.prove import prove
 from linkplan.planner.refinement.actions import ReduceEffortOverrun
@@ -27,6 +27,7 @@ from linkplan.planner.refinement.marking import (
 from linkplan.planner.refinement.state import RefinementState
 from linkplan.planner.solvers.newton import FEASIBLE, nearest_feasible
 from linkplan.planner.transcription.mesh import uniform
+from tests.support.limited_row import LimitedRow
 
 
 def speed_margin(joint: int, overrun: list[float]) -> Margin:

@@ -10,7 +10,6 @@ from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.closed_chain.case import case_of
 from linkplan.planner.closed_chain.guess import first_guess
-from linkplan.planner.ode.plan import plan_ode
 from linkplan.planner.plan.verdict import failed
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.refinement.case import attempt
@@ -24,7 +23,6 @@ from linkplan.planner.search.solving import first_mesh
 from linkplan.planner.search.starts import from_first_starts
 from linkplan.planner.solvers.solve import OF_TIME, OUT_OF_TIME
 from tests.support.bodies import HINGE, HINGE_INERTIA, QUARTER_TURN, TURN, body_problem
-from tests.support.ode import robbins
 
 # Less torque than any reach of the knee with the shank in this time needs.
 TOO_WEAK = ["limits.effort={ act_O = [-20.0, 20.0] }"]
@@ -221,17 +219,6 @@ def test_starts_that_were_solved_are_judged_when_the_time_for_further_ones_is_ov
     assert plan.passed
     assert 1 <= plan.details["starts_solved"] < 100
     assert OF_TIME in plan.message
-
-
-@pytest.mark.parametrize("looks", [1, 30, 300])
-def test_a_differential_equations_plan_has_an_answer_wherever_its_time_ends(looks):
-    """Of Robbins' problem, whose refinement for so many digits takes minutes."""
-    problem, clock = timed(robbins(1e-12), looks)
-    plan = plan_ode(problem)
-    assert plan.status in ("optimal", "feasible", "failed")
-    if plan.status == "failed":
-        assert OF_TIME in plan.message
-    assert clock.reads < 3 * looks + 300
 
 
 def test_a_planner_gives_a_warm_solve_and_a_plan_from_the_beginning_one_budget():

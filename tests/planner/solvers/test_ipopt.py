@@ -12,14 +12,13 @@ from linkplan.models.compiled.functions import compiler
 from linkplan.models.errors import ProblemError
 from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.closed_chain.transcribe import Transcribed, transcribe
-from linkplan.planner.ode.plan import plan_ode
-from linkplan.planner.ode.problem import OdeProblem
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.problem.settings import SolverSettings
 from linkplan.planner.solvers import solve as module
 from linkplan.planner.solvers import solve as solvers
-from linkplan.planner.solvers.solve import INVALID, OUT_OF_ITERATIONS, OUT_OF_TIME, SUCCEEDED, Solution, solve
+from linkplan.planner.solvers.solve import INVALID, OUT_OF_ITERATIONS, OUT_OF_TIME, SUCCEEDED, Solution, solve, why_stopped
 from linkplan.planner.transcription.mesh import uniform
+from tests.support.first_order import FirstOrder
 from tests.support.plans import problem_of
 
 
@@ -31,23 +30,18 @@ def transcribed(problem: Problem) -> Transcribed:
 
 @pytest.mark.parametrize(
     "rate",
-    [lambda x, u, p, t: [x[1], u[0] + ca.sqrt(-1 - x[0] ** 2)], lambda x, u, p, t: [x[1], u[0] + ca.log(0.5 - x[0])]],
+    [lambda x, u, t: [x[1], u[0] + ca.sqrt(-1 - x[0] ** 2)], lambda x, u, t: [x[1], u[0] + ca.log(0.5 - x[0])]],
     ids=["everywhere", "beyond a state"],
 )
 def test_dynamics_that_give_no_number_end_in_a_status_and_silence(rate, capfd):
-    problem = OdeProblem(
-        name="not a number",
-        rate=rate,
-        start=[0, 0],
-        goal=[1, 0],
-        effort_limit=[[-10, 10]],
-        duration_s=3.0,
-        running_cost=lambda x, u, p, t: u[0] ** 2,
-    )
-    plan = plan_ode(problem)
-    assert plan.status == "failed"
-    assert "NaN" in plan.message
-    assert plan.history[-1].solver_status == INVALID
+    problem = FirstOrder(
+        rate=rate, start=[0, 0], goal=[1, 0], effort_limit=[[-10, 10]], duration_s=3.0,
+        running_cost=lambda x, u, t: u[0] ** 2,
+    )  # fmt: skip
+    found = solve(problem.transcribed(20))
+    assert not found.converged
+    assert found.status == INVALID
+    assert "NaN" in why_stopped(found.status, 1.0)
     said = capfd.readouterr()
     assert said.out == ""
     assert said.err == ""

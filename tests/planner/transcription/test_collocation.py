@@ -6,37 +6,22 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from linkplan.planner.ode.case import case_of, guesses_of
-from linkplan.planner.ode.problem import OdeProblem, StateGuess
-from linkplan.planner.transcription.collocation import Transcribed, collocate, curves_of, renumbered_with
-from linkplan.planner.transcription.mesh import uniform
-from linkplan.planner.transcription.schemes import scheme
-from tests.support.ode import NAN
+from linkplan.planner.transcription.collocation import Transcribed, curves_of, renumbered_with
+from tests.support.first_order import NAN, FirstOrder
 
 LIMITS = np.array([[-2.0, 6.0], [-10.0, 4.0]])
 DURATION_S = 3.0
 
 
-def problem_of(**changes) -> OdeProblem:
-    """Return x' = u_0 + u_1 from 1."""
-    settings = {
-        "start": [1.0], "goal": [NAN], "effort_limit": LIMITS, "duration_s": DURATION_S,
-        "running_cost": lambda x, u, p, t: u[0] ** 2 + u[1] ** 2,  # noqa: ARG005
-    }  # fmt: skip
-    return OdeProblem(name="one", rate=lambda x, u, p, t: [u[0] + u[1]], **settings | changes)  # noqa: ARG005
-
-
 def transcribed(
     efforts: tuple[float, float] = (1.0, 1.0), name: str = "radau-3", *, least_limit: bool = False
 ) -> Transcribed:
-    line = StateGuess(state=[[1.0], [7.0]], effort=np.tile(efforts, (2, 1)))
-    problem = problem_of(guesses=[line])
-    guess = guesses_of(problem)[0]
-    case = case_of(problem, guess)
-    return collocate(
-        case.formulation(), scheme(name), uniform(3), np.array([DURATION_S]), case.start_from(guess),
-        compile_mode="never", least_limit=least_limit,
+    """Return the program of x' = u_0 + u_1 on three intervals, from a straight line."""
+    problem = FirstOrder(
+        rate=lambda x, u, t: [u[0] + u[1]], start=[1.0], goal=[NAN], effort_limit=LIMITS, duration_s=DURATION_S,  # noqa: ARG005
+        running_cost=lambda x, u, t: u[0] ** 2 + u[1] ** 2, way=[[1.0], [7.0]], effort=efforts,  # noqa: ARG005
     )  # fmt: skip
+    return problem.transcribed(3, name, least_limit=least_limit)
 
 
 @pytest.mark.parametrize(

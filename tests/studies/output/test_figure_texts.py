@@ -47,22 +47,6 @@ def experiment(folder: Path, design: str, samples: int, *overrides: str) -> None
     linkplan.experiment(plan(SHORT, *overrides), samples=samples, design=design, folder=folder)
 
 
-def ode(folder: Path) -> None:
-    """Save the solution of an equation whose names are long."""
-    named = {"states": ("place of the first cart", "speed of the first cart"), "efforts": ("force on the first cart",)}
-    problem = linkplan.OdeProblem(
-        name="a problem whose name is so long that it does not stand on one line with the message",
-        rate=lambda x, u, _p, _t: [x[1], u[0]],
-        start=[0, 0],
-        goal=[1, 0],
-        effort_limit=[[-1, 1]],
-        duration_s=2.5,
-        running_cost=lambda _x, u, _p, _t: u[0] ** 2,
-        **named,
-    )
-    linkplan.solve_ocp(problem).save(folder)
-
-
 MOTORS = [{"name": f"motor {k}", "peak_effort": 90.0, "rotor_inertia": 1e-3 * k, "gears": [1, 2]} for k in (1, 2, 3, 4)]
 # What is saved, and the names of its figures.
 STUDIES = {
@@ -76,7 +60,6 @@ STUDIES = {
     "morris": (lambda folder: experiment(folder, "morris", 40, *RANGES), ["sensitivity"]),
     "sobol": (lambda folder: experiment(folder, "sobol", 80, *RANGES), ["sensitivity", "experiment"]),
     "decompose": (lambda folder: linkplan.decompose(plan(SHORT), samples=1).save(folder), ["decompose"]),
-    "ode": (ode, ["plan"]),
     "size": (lambda folder: linkplan.size("knee-reach", MOTORS).save(folder), ["size"]),
     "transfer": (lambda folder: linkplan.transfer("optimus-knee", joints=["C"]).save(folder), ["transfer"]),
 }
