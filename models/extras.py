@@ -7,7 +7,6 @@ from linkplan.models.errors import MissingPackageError
 
 # The package that has a module and the extra of linkplan that installs it: [project.optional-dependencies].
 EXTRAS = {
-    "SALib": ("SALib", "sensitivity"),
     "av": ("PyAV", "video"),
     "distributed": ("Dask", "cluster"),
     "pandas": ("pandas", "pandas"),

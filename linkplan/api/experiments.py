@@ -6,18 +6,16 @@ import functools
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, listed, plan_of, problem_of
 from linkplan.api.names import LINEAR, Design
-from linkplan.api.paths import drawn, path_of
+from linkplan.api.paths import path_of
 from linkplan.api.reporting import Progress, listener
 from linkplan.api.results import Result
 from linkplan.api.typed_commands import sample_again
-from linkplan.models.errors import ProblemError, choose
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import whole
 from linkplan.studies.compare.named_run import NamedRun
@@ -26,15 +24,10 @@ from linkplan.studies.output.document import Block, Report
 from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.variations.experiment.block import replay
 from linkplan.studies.variations.experiment.experiment import Settings, plan_digest
-from linkplan.studies.variations.experiment.experiment_blocks import outcome_blocks, sensitivity
+from linkplan.studies.variations.experiment.experiment_blocks import outcome_blocks
 from linkplan.studies.variations.experiment.sensitivity import Sensitivity
-from linkplan.studies.variations.experiment.sensitivity_blocks import tornado_figure, tornado_figures
-from linkplan.studies.variations.experiment.statistics import Estimate
 from linkplan.studies.variations.experiment.study import ExperimentOutcome, experiment_figures, run_experiment
 from linkplan.studies.variations.tasks.cluster import engine_of
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @command("run every tracker on the same many imperfect machines", record="experiment", showing=("report",))
@@ -66,8 +59,7 @@ def experiment(
         imperfections: the table [imperfections] of a problem file; by default that of the problem or, without one, the
             default table (docs/experiments.md).
         seed: seed of all random numbers.
-        design: "latin-hypercube" or "grid"; or "one-at-a-time", "morris" or "sobol" for the sensitivity to imperfections,
-            with as many whole groups of machines as fit into `samples`.
+        design: "latin-hypercube" or "grid".
         levels: values of each random imperfection in a grid.
         tube_deg: a run succeeds if every hinge stays within this angle of the path.
         tube_m: likewise, for slides.
@@ -144,10 +136,9 @@ class ExperimentResult(Result):
         return dict(self.outcome.results)
 
     @property
-    def sensitivity(self) -> SensitivityResult | None:
-        """The sensitivity of each tracker to each imperfection; None if the design is not one of sensitivity analysis."""
-        found = self.outcome.sensitivity
-        return None if found is None else SensitivityResult(found=found, outcome=self.outcome)
+    def sensitivity(self) -> Sensitivity | None:
+        """The influence of each imperfection on each tracker and figure; None with too few machines."""
+        return self.outcome.sensitivity
 
     def replay(self, tracker: str, sample: int) -> NamedRun:
         """Run one sample again and return the run with its log."""
@@ -159,7 +150,7 @@ class ExperimentResult(Result):
         return experiment_figures(self.outcome)
 
     def blocks(self) -> list[Block]:
-        """Return the trackers' metrics, or the influence of every imperfection."""
+        """Return the trackers' metrics, and the influence of every imperfection."""
         return outcome_blocks(self.outcome)
 
     def document(self) -> Report:
@@ -171,49 +162,3 @@ class ExperimentResult(Result):
     def __repr__(self) -> str:
         one = self.outcome.experiment
         return f"ExperimentResult({one.plan.problem.name!r}: {one.n} machines, {', '.join(one.settings.trackers)})"
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class SensitivityResult(Result):
-    """The sensitivity of each tracker and metric to each imperfection. `str(result)` is the table.
-
-    A metric is a name of `ExperimentResult.results`, by default the rms error.
-    """
-
-    record_name = "sensitivity"
-    found: Sensitivity
-    outcome: ExperimentOutcome
-
-    def ranking(self, tracker: str, metric: str | None = None) -> tuple[str, ...]:
-        """Return the imperfections' labels, the most important first."""
-        return self.found.ranking(*self._asked(tracker, metric))
-
-    def importance(self, tracker: str, metric: str | None = None) -> dict[str, Estimate]:
-        """Return each imperfection's importance with its 95 % interval, by label (defined in docs/experiments.md)."""
-        asked = self._asked(tracker, metric)
-        return {label: self.found.importance(*asked, label) for label in self.found.imperfections}
-
-    def blocks(self) -> list[Block]:
-        """Return the tables and the charts of the influences."""
-        return sensitivity(self.outcome)
-
-    def document(self) -> Report:
-        """Return the report of the experiment."""
-        return ExperimentResult(outcome=self.outcome).document()
-
-    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
-        """Yield the chart of each rms error."""
-        return tornado_figures(self.outcome.name, self.found)
-
-    def plot(self, path: str | Path | None = None, metric: str | None = None) -> Figure:
-        """Return the tornado chart of a metric, with a panel for each tracker, saved at `path` if it is given."""
-        _, asked = self._asked(next(iter(self.found.trackers)), metric)
-        return drawn(path, lambda: tornado_figure(self.outcome.name, self.found, asked))
-
-    def _asked(self, tracker: str, metric: str | None) -> tuple[str, str]:
-        choose("tracker", tracker, tuple(self.found.trackers), ProblemError)
-        return tracker, choose("metric", metric or self.found.mains[0], tuple(self.found.metrics), ProblemError)
-
-    def __repr__(self) -> str:
-        one = self.outcome.experiment
-        return f"SensitivityResult({one.plan.problem.name!r}: {self.found.design}, {one.n} machines)"

@@ -33,7 +33,7 @@ __all__ = [
     "schema",
 ]
 
-DESIGNS = ("latin-hypercube", "grid", "one-at-a-time", "morris", "sobol")
+DESIGNS = ("latin-hypercube", "grid")
 FILE_KINDS = ("problem", "batch", "motors")
 # The shells for which completion scripts exist.
 SHELLS = ("bash", "zsh", "fish")

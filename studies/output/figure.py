@@ -148,11 +148,14 @@ def _few_ticks(axes) -> None:
 
 
 def _number_log_axis(axis, low: float, high: float) -> None:
-    """Label an axis with less than three powers of ten at 1, 2 and 5; if these are less than three, at round numbers."""
-    digits, decades = np.array([1, 2, 5]), 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
+    """Label an axis with less than three powers of ten at 1, 2 and 5, or at 1 and 3 if these are many.
+
+    If these are less than three, it is labelled at round numbers.
+    """
+    digits, decades = [1, 2, 5], 10.0 ** np.arange(np.floor(np.log10(low)), np.ceil(np.log10(high)) + 1)
     if np.sum((decades >= low) & (decades <= high)) >= 3:
         return
-    at = np.outer(decades, digits).ravel()
+    at = np.outer(decades, digits if high < 100 * low else [1, 3]).ravel()
     at = at[(at >= low) & (at <= high)]
     if len(at) < 3:
         at = np.array(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]).tick_values(low, high))

@@ -44,20 +44,14 @@ MADE = {
     "transfer": ("TransferResult", lambda _: linkplan.transfer("optimus-knee", ["C"])),
     "experiment": (
         "ExperimentResult",
-        lambda plan: linkplan.experiment(plan, ["pd", "lqr"], samples=4, imperfections=VARIED),
+        lambda plan: linkplan.experiment(plan, ["pd", "lqr"], samples=16, imperfections=VARIED),
     ),
-    "sensitivity": ("SensitivityResult", lambda plan: _varied(plan).sensitivity),
-    "experiment of a sensitivity": ("ExperimentResult", lambda plan: _varied(plan)),
     "batch": ("BatchResult", lambda _: linkplan.batch({"problem": "knee-reach", "case": [{"name": "one", "set": []}]})),
     "size": ("SizeResult", lambda _: linkplan.size("knee-reach", MOTORS)),
     "decompose": ("DecompositionResult", lambda plan: linkplan.decompose(plan, ["pd"], imperfections=VARIED, samples=2)),
 }
 # Its JSON is that of a `Proof` of the planner.
 OF_THE_PLANNER = {"ProofResult"}
-
-
-def _varied(plan):
-    return linkplan.experiment(plan, ["pd"], design="one-at-a-time", imperfections=VARIED)
 
 
 @pytest.fixture(scope="module")

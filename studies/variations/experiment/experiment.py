@@ -28,7 +28,6 @@ from linkplan.planner.problem.settings import number, whole
 from linkplan.studies.compare.compare import control_loop, tracking_reference
 from linkplan.studies.compare.user_tracker import TrackerLike, known_tracker
 from linkplan.studies.variations.experiment.design import DESIGNS, MOST_SAMPLES, machines_by_design
-from linkplan.studies.variations.sensitivity.scheme import MORRIS, SOBOL, SamplingScheme, salib_version
 
 
 def default_imperfections(plan: Plan) -> dict:
@@ -72,8 +71,7 @@ def default_imperfections(plan: Plan) -> dict:
 class Settings(Struct, frozen=True, kw_only=True):
     """The settings of an experiment: trackers, samples, design, seed, and the tube about the path that defines success.
 
-    The number of samples of a grid follows from its levels. A sensitivity design has as many whole groups as fit into
-    `samples`.
+    The number of samples of a grid follows from its levels.
     """
 
     trackers: tuple[str, ...] = TRACKERS
@@ -119,18 +117,15 @@ class ExperimentRecord(Struct, frozen=True):
 class Experiment:
     """Trackers of one plan on n machines.
 
-    `values` (n, d): values of the section's factors in a problem file's units. `draws` (n,): number of each machine's noise
-    draw. `scheme`: the scheme of a sensitivity design, or None. `tube` (n_s,) [rad or m]: the tolerance about the path.
-    `end_s` [s]: the end of the motion, after which the goal is held; None for a periodic motion. `own`: trackers given as
-    Python objects, by their names in the settings.
+    `values` (n, d): values of the section's factors in a problem file's units. `tube` (n_s,) [rad or m]: the tolerance about
+    the path. `end_s` [s]: the end of the motion, after which the goal is held; None for a periodic motion. `own`: trackers
+    given as Python objects, by their names in the settings.
     """
 
     plan: Plan
     settings: Settings
     section: ImperfectionFactors
     values: np.ndarray
-    draws: np.ndarray
-    scheme: SamplingScheme | None
     reference: SampledReference
     loop: ControlLoop
     tube: np.ndarray
@@ -149,7 +144,7 @@ class Experiment:
 
     def machine(self, sample: int) -> Imperfections:
         """Return a sample's machine, which is the same for every tracker and in every experiment with these settings."""
-        mechanism, noise = self.plan.problem.mechanism, (self.settings.seed, 1, int(self.draws[sample]))
+        mechanism, noise = self.plan.problem.mechanism, (self.settings.seed, 1, sample)
         return machine_of(self.section, self.values[sample], mechanism, noise)
 
 
@@ -173,9 +168,7 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
     problem = plan.problem
     mechanism = problem.mechanism
     section = imperfections_of(imperfections_asked(plan), mechanism)
-    values, draws, scheme = machines_by_design(
-        section.factors, settings.design, settings.samples, settings.levels, settings.seed
-    )
+    values = machines_by_design(section.factors, settings.design, settings.samples, settings.levels, settings.seed)
     trajectory, tracking = plan.trajectory, problem.tracking
     ends = not trajectory.periodic
     if tracking.duration_s is None and ends:
@@ -192,8 +185,6 @@ def experiment_of(plan: Plan, settings: Settings) -> Experiment:
         settings=settings,
         section=section,
         values=values,
-        draws=draws,
-        scheme=scheme,
         reference=reference,
         loop=loop,
         tube=np.where(passive, np.inf, np.where(hinge, np.radians(settings.tube_deg), settings.tube_m)),
@@ -259,7 +250,7 @@ def request_of(source: Mapping, digest: str | None, settings: Settings, trackers
         problem=plain_record(source),
         plan=digest,
         settings=settings,
-        versions=versions() | ({"salib": salib_version()} if settings.design in (MORRIS, SOBOL) else {}),
+        versions=versions(),
         tracker_sources=dict(trackers) or None,
     )
 

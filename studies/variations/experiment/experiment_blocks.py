@@ -5,7 +5,9 @@ import math
 import numpy as np
 
 from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
+from linkplan.studies.variations.experiment.design import varied
 from linkplan.studies.variations.experiment.experiment import Experiment
+from linkplan.studies.variations.experiment.sensitivity import machines_needed
 from linkplan.studies.variations.experiment.sensitivity_blocks import sensitivity_blocks
 from linkplan.studies.variations.experiment.statistics import Estimate, Pair
 from linkplan.studies.variations.experiment.study import ExperimentOutcome
@@ -23,25 +25,24 @@ _OTHERS = {
 
 
 def outcome_blocks(outcome: ExperimentOutcome) -> list[Block]:
-    """Return the tables of an outcome; means only if the machines are distributed like the imperfections."""
-    found: list[Block] = []
-    if outcome.distributed:
-        made = f"{outcome.name}: {outcome.samples} machines, means with their 95 % intervals"
-        found += [Text(text=made), *summary(outcome), *pairs(outcome), worst(outcome)]
-    return found + sensitivity(outcome)
+    """Return the tables of an outcome."""
+    made = Text(text=f"{outcome.name}: {outcome.samples} machines, means with their 95 % intervals")
+    return [made, *summary(outcome), *pairs(outcome), worst(outcome), *sensitivity(outcome)]
 
 
 def sensitivity(outcome: ExperimentOutcome) -> list[Block]:
-    """Return the influence of each imperfection; nothing without a design of sensitivity analysis."""
-    found = outcome.sensitivity
-    return sensitivity_blocks(outcome.name, found, outcome.experiment.settings.seed) if found is not None else []
+    """Return the influence of each imperfection, or the number of machines that it needs; nothing without imperfections."""
+    if outcome.sensitivity is not None:
+        return sensitivity_blocks(outcome.sensitivity)
+    factors = outcome.experiment.section.factors
+    text = f"the influence of each imperfection needs {machines_needed(factors)} machines or more"
+    return [Text(text=text, tone="note")] if varied(factors) else []
 
 
 def summary(outcome: ExperimentOutcome) -> list[Block]:
     """Return what was simulated, each tracker's means, and the failures."""
-    tables = _tables(outcome) if outcome.distributed else []
     notes = [Text(text=note, tone="note") for note in outcome.notes]
-    return [_facts(outcome), *tables, *_failures(outcome), *notes]
+    return [_facts(outcome), *_tables(outcome), *_failures(outcome), *notes]
 
 
 def tube_text(experiment: Experiment) -> str:

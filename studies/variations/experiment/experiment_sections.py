@@ -28,16 +28,14 @@ def experiment_sections(outcome: ExperimentOutcome, again: Again | None) -> list
         return [Section(title=title, blocks=blocks, depth=2, folded=folded)] if blocks else []
 
     def distributed(names: list[str]) -> list[Block]:
-        return list(distributions(outcome.population, experiment.settings.trackers, names, metrics))
+        return list(distributions(outcome.results, experiment.settings.trackers, names, metrics))
 
     found = [Section(title=f"Experiment: {experiment.plan.problem.name}", blocks=summary(outcome))]
-    if outcome.distributed:  # otherwise the machines are not distributed like the imperfections
-        found += section("Trackers in pairs", pairs(outcome))
-        found += section("Distributions of the main figures", distributed(drawn))
-        found += section("Distributions of the other figures", distributed(others), folded=True)
+    found += section("Trackers in pairs", pairs(outcome))
+    found += section("Distributions of the main figures", distributed(drawn))
+    found += section("Distributions of the other figures", distributed(others), folded=True)
     found += section("Which imperfection matters most", sensitivity(outcome))
-    if outcome.distributed:
-        found += section("Worst cases", [worst(outcome), *_commands(outcome, again)])
+    found += section("Worst cases", [worst(outcome), *_commands(outcome, again)])
     return [*found, *section("Imperfections of the machines", [_imperfections(experiment)])]
 
 
@@ -81,17 +79,9 @@ def experiment_report(outcome: ExperimentOutcome, again: Again | None = None) ->
     best = max(outcome.trackers.values(), key=lambda one: one.success.value)
     shares = ", ".join(f"{name} {100 * one.success.value:.3g} %" for name, one in outcome.trackers.items())
     verdict = f"success on {outcome.samples} machines within {tube_text(outcome.experiment)}: {shares}"
-    if not outcome.distributed:
-        verdict = f"largest influence on the rms error: {_foremost(outcome)}"
     sections = [*experiment_sections(outcome, again), *plan_sections(plan)]
     title = f"Trackers of {plan.problem.name} on many machines"
-    return report_of(title, verdict, None if best.success.value > 0 or not outcome.distributed else False, sections)
-
-
-def _foremost(outcome: ExperimentOutcome) -> str:
-    """Return each tracker's imperfection with the largest influence on the first rms error."""
-    found = outcome.sensitivity
-    return ", ".join(f"{found.ranking(tracker, found.mains[0])[0]} ({tracker})" for tracker in found.trackers)
+    return report_of(title, verdict, None if best.success.value > 0 else False, sections)
 
 
 def replay_report(comparison: Comparison, sample: Mapping) -> Report:

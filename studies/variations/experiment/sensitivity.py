@@ -1,77 +1,75 @@
-"""The influence of each imperfection on each tracker and metric, from the results of a sensitivity design."""
+"""The influence of each imperfection on each tracker and figure, by regression of ranks over an experiment's machines.
+
+A figure's ranks are regressed on the ranks of every imperfection's values and on those of the values' distances from their
+median, because a figure often grows to both sides of the nominal value. All ranks are standardised, so coefficients are
+between about -1 and 1, and their squares are approximate shares of the variance (Iman and Conover, Technometrics 21, 1979).
+Intervals follow from a bootstrap over machines (Efron and Tibshirani, An Introduction to the Bootstrap, 1993, chapter 9).
+"""
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 from msgspec import Struct
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.planner.files.folders import plain_record
+from linkplan.planner.files.structs import Number
 from linkplan.planner.problem.imperfections import Factor
 from linkplan.studies.variations.experiment.design import ends_of, varied
+from linkplan.studies.variations.experiment.experiment import Experiment
 from linkplan.studies.variations.experiment.metrics import Metric, metrics_of
 from linkplan.studies.variations.experiment.statistics import Estimate
-from linkplan.studies.variations.sensitivity.influence import Influence, influence_of
-from linkplan.studies.variations.sensitivity.scheme import MORRIS, ONE_AT_A_TIME, SOBOL, SamplingScheme
 
-SUCCESS = "success"
-_SUCCESS = Metric(text="share of successes", unit="1", better="more")
-# The definition of importance in each design.
-MEASURES = {
-    ONE_AT_A_TIME: "change between the ends of the range, all else in the middle",
-    MORRIS: "mean absolute change across the range (Morris' mu*)",
-    SOBOL: "share of the variance that involves it, alone or with others (total Sobol index)",
-}
-
-
-CHANCE = "noise draw"
+_SUCCESS = Metric(text="success", unit="1", better="more")
+# Fewest machines for each coefficient.
+_MACHINES_EACH = 3
+_N_RESAMPLES = 400
+# Machines are resampled in at most this number of groups, whose sums of products are computed once.
+_MAX_GROUPS = 400
+# Values that agree to this number of digits are equal except for rounding and get the same rank.
+_EQUAL_DIGITS = 12
 
 
 class Varied(Struct, frozen=True, kw_only=True):
-    """An imperfection that was varied: its unit and the ends of its range; no ends for the noise draw."""
+    """An imperfection that differs between machines: its unit and the ends of its range."""
 
     unit: str
-    range: tuple[float, float] | None
+    range: tuple[float, float]
 
 
-class MetricInfluence(Struct, frozen=True, kw_only=True, eq=False):
-    """The influence on one metric of one tracker: see `Influence`.
+class Influence(Struct, frozen=True, kw_only=True):
+    """The standardised coefficients of an imperfection: of its value, and of its distance from the median."""
 
-    `ranking` has the labels of the imperfections in decreasing order of importance. `effects` has by label the importance,
-    its interval and the additional values; None for values that are not finite.
+    by_value: Estimate
+    by_distance: Estimate
+
+    @property
+    def strongest(self) -> Estimate:
+        """The larger coefficient."""
+        return max(self.by_value, self.by_distance, key=lambda one: np.nan_to_num(abs(one.value)))
+
+    @property
+    def significant(self) -> bool:
+        """True if the interval of the larger coefficient does not contain 0."""
+        return bool(self.strongest.low > 0 or self.strongest.high < 0)
+
+
+class FigureInfluence(Struct, frozen=True, kw_only=True, eq=False):
+    """The influences on one figure of one tracker, by label; `ranking` has the labels, the strongest first.
+
+    `explained` is the share of the variance of ranks due to all of them together. The rest is noise and interactions.
     """
 
-    middle: float | None
-    left_out: int
+    explained: Number
     ranking: tuple[str, ...]
-    effects: dict[str, dict[str, Any]]
+    effects: dict[str, Influence]
 
 
 class Sensitivity(Struct, frozen=True, kw_only=True, eq=False):
-    """Influences by tracker and metric, from `groups` of `group_size` machines each.
+    """The influence of every imperfection on every figure, by tracker and name of the figure."""
 
-    `metrics` have the text and the unit of each metric and the unit of its importances (1 for Sobol's shares).
-    """
-
-    design: str
-    measure: str
-    groups: int
-    group_size: int
     imperfections: dict[str, Varied]
-    metrics: dict[str, dict[str, str]]
-    trackers: dict[str, dict[str, MetricInfluence]]
-
-    def importance(self, tracker: str, metric: str, label: str) -> Estimate:
-        """Return the importance of an imperfection with its interval."""
-        one = self.trackers[tracker][metric]
-        effect = one.effects[label]
-        value, low, high = (np.nan if x is None else x for x in (effect["importance"], *effect["interval95"]))
-        return Estimate(value=value, interval95=(low, high), n=self.groups - one.left_out)
-
-    def ranking(self, tracker: str, metric: str) -> tuple[str, ...]:
-        """Return the labels of the imperfections in decreasing order of importance."""
-        return self.trackers[tracker][metric].ranking
+    metrics: dict[str, Metric]
+    trackers: dict[str, dict[str, FigureInfluence]]
 
     @property
     def mains(self) -> tuple[str, ...]:
@@ -79,56 +77,90 @@ class Sensitivity(Struct, frozen=True, kw_only=True, eq=False):
         return tuple(name for name in self.metrics if name.startswith("rms_error"))
 
 
-def sensitivity_of(
-    scheme: SamplingScheme,
-    factors: Sequence[Factor],
-    results: Mapping[str, np.ndarray],
-    trackers: Sequence[str],
-    mechanism: Mechanism,
-    seed: int,
-) -> Sensitivity:
-    """Return the sensitivity from the columns of results, which hold all machines of a scheme in order for each tracker."""
-    known = {**metrics_of(mechanism), SUCCESS: _SUCCESS}
-    which = [factors[i] for i in varied(factors)]
-    labelled = {one.label: Varied(unit=_unit(one, mechanism), range=ends_of(one)) for one in which}
-    labelled |= {CHANCE: Varied(unit="", range=None)} if scheme.noisy else {}
-    rows = {tracker: np.flatnonzero(results["tracker"] == tracker) for tracker in trackers}
-    shares = scheme.design == SOBOL
+def machines_needed(factors: Sequence[Factor]) -> int:
+    """Return the least number of machines for the influences of factors."""
+    return _MACHINES_EACH * (2 * len(varied(factors)) + 1)
+
+
+def sensitivity_of(experiment: Experiment, results: Mapping[str, np.ndarray]) -> Sensitivity | None:
+    """Return the influences from the columns of an experiment's results; None without imperfections or machines enough."""
+    factors, mechanism = experiment.section.factors, experiment.plan.problem.mechanism
+    which, least = varied(factors), machines_needed(factors)
+    if not which or experiment.n < least:
+        return None
+    named = [factors[i] for i in which]
+    values, metrics = experiment.values[:, which], {**metrics_of(mechanism), "success": _SUCCESS}
+    x = np.column_stack([values, np.abs(values - np.median(values, axis=0))])
+    labels, found = [factor.label for factor in named], {}
+    for tracker in experiment.settings.trackers:
+        rows = results["tracker"] == tracker
+        y = np.column_stack([results[name][rows].astype(float) for name in metrics])
+        found[tracker] = dict(zip(metrics, _influences(x, y, labels, least, experiment.settings.seed), strict=True))
     return Sensitivity(
-        design=scheme.design,
-        measure=MEASURES[scheme.design],
-        groups=scheme.n_groups,
-        group_size=scheme.size,
-        imperfections=labelled,
-        metrics={
-            name: {"text": metric.text, "unit": "1" if shares else metric.unit, "metric_unit": metric.unit}
-            for name, metric in known.items()
-        },
-        trackers={
-            tracker: {
-                name: _by_label(influence_of(scheme, results[name][rows[tracker]].astype(float), seed), [*labelled])
-                for name in known
-            }
-            for tracker in trackers
-        },
+        imperfections={one.label: Varied(unit=_unit(one, mechanism), range=ends_of(one)) for one in named},
+        metrics=metrics,
+        trackers=found,
     )
 
 
-def _by_label(one: Influence, labels: Sequence[str]) -> MetricInfluence:
-    effects = {
-        label: {
-            "importance": one.importance[i],
-            "interval95": (one.low[i], one.high[i]),
-            **{name: values[i] for name, values in one.parts.items()},
-        }
-        for i, label in enumerate(labels)
-    }
-    return MetricInfluence(
-        middle=one.middle if np.isfinite(one.middle) else None,
-        left_out=one.left_out,
-        ranking=tuple(labels[int(i)] for i in one.order),
-        effects=plain_record(effects),
-    )
+def _influences(x: np.ndarray, y: np.ndarray, labels: list[str], least: int, seed: int) -> list[FigureInfluence]:
+    """Return the influences on each figure in y (n, m); unknown with fewer than `least` machines that have the figure."""
+    known, found = np.isfinite(y), {}
+    for kept in np.unique(known, axis=1).T:  # most figures are known on the same machines
+        columns, n = np.flatnonzero((known == kept[:, None]).all(axis=0)), int(np.sum(kept))
+        unknown = np.full((4, x.shape[1], len(columns)), np.nan)
+        numbers = regressed(x[kept], y[np.ix_(kept, columns)], seed) if n >= least else unknown
+        found |= {int(column): _by_label(numbers[..., k], n, labels) for k, column in enumerate(columns)}
+    return [found[column] for column in range(y.shape[1])]
+
+
+def regressed(x: np.ndarray, y: np.ndarray, seed: int = 0) -> np.ndarray:
+    """Return rows (4, p, m): coefficients of the ranks of x (n, p) for those of y (n, m), their intervals, explained shares.
+
+    The intervals are the two ends of the 95 % interval. The share of the variance of the ranks of y that all coefficients
+    explain together (adjusted R^2) is the same for each of them. A constant column has no influence.
+    """
+    n, p = x.shape
+    table = np.column_stack([np.ones(n), *map(_ranked, [*x.T, *y.T])])
+    groups = np.array_split(table, min(n, _MAX_GROUPS))
+    sums = np.array([group.T @ group for group in groups])
+    picks = np.random.default_rng(seed).multinomial(len(groups), np.full(len(groups), 1 / len(groups)), size=_N_RESAMPLES)
+    value, explained = _solved(sums.sum(axis=0), p)
+    drawn, _ = _solved(np.tensordot(picks, sums, axes=1), p)
+    explained = np.maximum(0.0, 1.0 - (1.0 - explained) * (n - 1) / (n - p - 1))
+    return np.array([value, *np.percentile(drawn, (2.5, 97.5), axis=0), np.broadcast_to(explained, value.shape)])
+
+
+def _ranked(column: np.ndarray) -> np.ndarray:
+    """Return the ranks (n,) of values (n,) from -1 to 1; equal values have equal ranks."""
+    from scipy.stats import rankdata
+
+    size = np.abs(column).max(initial=0.0) or 1.0
+    return 2.0 * rankdata(np.round(column / size, _EQUAL_DIGITS)) / (len(column) + 1) - 1.0
+
+
+def _solved(sums: np.ndarray, p: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return standardised coefficients (..., p, m) and explained shares (..., m).
+
+    `sums` (..., q, q) are sums of products of rows [1, x (p,), y (m,)]. Without a unique solution, the norm is least.
+    """
+    mean = sums[..., :1, 1:] / sums[..., :1, :1]
+    covariance = sums[..., 1:, 1:] / sums[..., :1, :1] - mean.swapaxes(-1, -2) * mean
+    size = np.sqrt(np.maximum(np.diagonal(covariance, axis1=-2, axis2=-1), 0.0))
+    size = np.where(size > 1e-6, size, np.inf)  # of ranks from -1 to 1: a smaller one is rounding
+    correlation = covariance / size[..., :, None] / size[..., None, :]
+    to_y = correlation[..., :p, p:]
+    value = np.linalg.pinv(correlation[..., :p, :p], hermitian=True) @ to_y
+    return value, np.sum(value * to_y, axis=-2)
+
+
+def _by_label(numbers: np.ndarray, n: int, labels: Sequence[str]) -> FigureInfluence:
+    """Return the influences by label from `regressed`, whose columns are the values and then the distances."""
+    each = [Estimate(value=value, interval95=(low, high), n=n) for value, low, high, _ in numbers.T.tolist()]
+    pairs = zip(labels, each[: len(labels)], each[len(labels) :], strict=True)
+    effects = {label: Influence(by_value=value, by_distance=distance) for label, value, distance in pairs}
+    ranking = sorted(labels, key=lambda label: -np.nan_to_num(abs(effects[label].strongest.value)))
+    return FigureInfluence(explained=float(numbers[3, 0]), ranking=tuple(ranking), effects=effects)
 
 
 def _unit(factor: Factor, mechanism: Mechanism) -> str:

@@ -36,7 +36,6 @@ from linkplan.studies.variations.experiment.metrics import metrics_of
 from linkplan.studies.variations.experiment.sensitivity import Sensitivity, sensitivity_of
 from linkplan.studies.variations.experiment.sensitivity_blocks import tornado_figures
 from linkplan.studies.variations.experiment.summary import Summary, chatter_notes, summarise
-from linkplan.studies.variations.sensitivity.scheme import MORRIS, ONE_AT_A_TIME
 from linkplan.studies.variations.tasks.engine import Engine, Say, serial
 from linkplan.studies.variations.tasks.unfinished import (
     PLAN,
@@ -54,8 +53,7 @@ RECORD, RESULTS = "experiment.json", "results.parquet"
 class ExperimentOutcome(Summary, frozen=True, kw_only=True, eq=False, omit_defaults=True):
     """An experiment's inputs, its results as columns, and their summary, whose fields are keys of the JSON.
 
-    `machines` and `sensitivity` are present for a sensitivity design. The summary then covers only statistically independent
-    machines.
+    `sensitivity` is None without random imperfections, or with too few machines.
     """
 
     name: str = field(name="experiment")
@@ -64,20 +62,9 @@ class ExperimentOutcome(Summary, frozen=True, kw_only=True, eq=False, omit_defau
     control_period_s: float
     duration_s: float
     notes: list[str]
-    machines: int | None = None
     sensitivity: Sensitivity | None = None
     experiment: Beside[Experiment] = field(default=NOT_READ, name="(experiment)")
     results: Beside[Mapping[str, np.ndarray]] = NOT_READ
-
-    @property
-    def population(self) -> Mapping[str, np.ndarray]:
-        """The results of statistically independent machines: all machines, except for a sensitivity design."""
-        return _independent(self.experiment, self.results)
-
-    @property
-    def distributed(self) -> bool:
-        """True if the machines are distributed like the imperfections, so that means are meaningful."""
-        return self.experiment.settings.design not in (ONE_AT_A_TIME, MORRIS)
 
 
 def run_experiment(
@@ -132,8 +119,7 @@ def run_experiment(
 
 def experiment_figures(outcome: ExperimentOutcome) -> Iterator[tuple[str, FigureSpec]]:
     """Yield the figures of an experiment by their names: its distributions, and each imperfection's influence."""
-    if outcome.distributed:
-        yield "experiment", experiment_figure(outcome)
+    yield "experiment", experiment_figure(outcome)
     if outcome.sensitivity is not None:
         yield from tornado_figures(outcome.name, outcome.sensitivity)
 
@@ -142,7 +128,7 @@ def experiment_figure(outcome: ExperimentOutcome) -> FigureSpec:
     """Return the figure of an experiment's distributions."""
     one, metrics = outcome.experiment, outcome.metrics
     names = [name for start in SHOWN for name in metrics if name.startswith(start)]
-    drawn = distributions(outcome.population, one.settings.trackers, names, metrics)
+    drawn = distributions(outcome.results, one.settings.trackers, names, metrics)
     title = f"{one.plan.problem.name}: {outcome.samples} machines"
     return FigureSpec(panels=drawn, title=title, columns=3, panel_in=(4.0, 3.0))
 
@@ -161,15 +147,10 @@ def _save(outcome: ExperimentOutcome, place: Path) -> None:
 
 
 def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: AskedRecord) -> ExperimentOutcome:
-    mechanism = experiment.plan.problem.mechanism
-    metrics = metrics_of(mechanism)
-    settings, scheme = experiment.settings, experiment.scheme
+    metrics = metrics_of(experiment.plan.problem.mechanism)
+    settings = experiment.settings
     replicate = replicate_of(experiment.n) if settings.design == LATIN_HYPERCUBE else None
-    summary = summarise(_independent(experiment, results), settings.trackers, metrics, replicate)
-    sensitivity = None
-    if scheme is not None:
-        factors = experiment.section.factors
-        sensitivity = sensitivity_of(scheme, factors, results, settings.trackers, mechanism, settings.seed)
+    summary = summarise(results, settings.trackers, metrics, replicate)
     return ExperimentOutcome(
         **structs.asdict(summary),
         name=experiment.plan.problem.name,
@@ -181,18 +162,10 @@ def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: A
             *(note for note in (fall_note(experiment), defaults_note(experiment.plan)) if note is not None),
             *chatter_notes(experiment, summary),
         ],
-        machines=None if scheme is None else experiment.n,
-        sensitivity=sensitivity,
+        sensitivity=sensitivity_of(experiment, results),
         experiment=experiment,
         results=results,
     )
-
-
-def _independent(experiment: Experiment, results: Mapping[str, np.ndarray]) -> Mapping[str, np.ndarray]:
-    if experiment.scheme is None:
-        return results
-    among = experiment.scheme.independent[results["sample"]]
-    return {name: column[among] for name, column in results.items()}
 
 
 def saved_experiment(folder: Path) -> Experiment:

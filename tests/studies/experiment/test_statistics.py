@@ -93,24 +93,24 @@ def test_a_mean_is_printed_to_the_figures_that_its_interval_leaves(value, half, 
 def test_each_latin_hypercube_meets_every_part_of_every_range_once():
     n = 400
     factors = [factor("uniform", 1.0, 3.0), factor("fixed", 0.5), factor("normal", 10.0, 2.0)]
-    values = machines_by_design(factors, "latin-hypercube", n, 3, seed=4)[0]
+    values = machines_by_design(factors, "latin-hypercube", n, 3, seed=4)
     for number in range(N_HYPERCUBES):
         own = values[replicate_of(n) == number, 0]
         assert sorted(np.floor((own - 1.0) / 2.0 * len(own)).astype(int)) == list(range(n // N_HYPERCUBES))
     assert np.all(values[:, 1] == 0.5)
     assert np.mean(values[:, 2]) == pytest.approx(10.0, abs=0.1)
     assert np.std(values[:, 2]) == pytest.approx(2.0, rel=0.1)
-    assert np.array_equal(values, machines_by_design(factors, "latin-hypercube", n, 3, seed=4)[0])
-    assert not np.array_equal(values, machines_by_design(factors, "latin-hypercube", n, 3, seed=5)[0])
+    assert np.array_equal(values, machines_by_design(factors, "latin-hypercube", n, 3, seed=4))
+    assert not np.array_equal(values, machines_by_design(factors, "latin-hypercube", n, 3, seed=5))
 
 
 def test_a_grid_of_too_many_samples_is_refused():
     with pytest.raises(ProblemError, match=r"a grid of 10 levels in 7 factors has 1e\+07 samples"):
-        machines_by_design([factor("uniform", 0.0, 1.0)] * 7, "grid", 1, 10, seed=0)[0]
+        machines_by_design([factor("uniform", 0.0, 1.0)] * 7, "grid", 1, 10, seed=0)
 
 
 def test_a_normal_value_is_cut_at_what_is_legal():
-    values = machines_by_design([factor("normal", 0.1, 1.0)], "latin-hypercube", 100, 3, seed=0)[0]
+    values = machines_by_design([factor("normal", 0.1, 1.0)], "latin-hypercube", 100, 3, seed=0)
     assert values.min() == 0.0
 
 
@@ -122,7 +122,7 @@ def test_a_share_has_wilsons_interval(hits, n):
 
 
 def test_a_grid_reaches_the_ends_of_a_range_and_of_a_normal_distribution_s_central_95_percent():
-    values = machines_by_design([factor("uniform", 2.0, 3.0), factor("normal", 1.0, 0.5)], "grid", 1, 3, seed=0)[0]
+    values = machines_by_design([factor("uniform", 2.0, 3.0), factor("normal", 1.0, 0.5)], "grid", 1, 3, seed=0)
     assert sorted(set(values[:, 0])) == pytest.approx([2.0, 2.5, 3.0])
     assert sorted(set(values[:, 1])) == pytest.approx([1.0 - 0.5 * 1.959964, 1.0, 1.0 + 0.5 * 1.959964])
 
@@ -132,7 +132,7 @@ def test_the_interval_of_a_latin_hypercube_s_mean_is_as_wide_as_the_mean_varies(
     factors = [factor("uniform", 1.0, 3.0)] * 3
     replicate, found, independent = replicate_of(100), [], []
     for seed in range(400):
-        x = machines_by_design(factors, "latin-hypercube", 100, 3, seed=seed)[0] - 2.0
+        x = machines_by_design(factors, "latin-hypercube", 100, 3, seed=seed) - 2.0
         figure = x[:, 0] + x[:, 1] ** 2 + 0.5 * x[:, 0] * x[:, 2]
         found.append(mean_of(figure, replicate))
         independent.append(mean_of(figure))

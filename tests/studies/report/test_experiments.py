@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from linkplan.cli.main import main
+from linkplan.planner.files.structs import read_value
 from linkplan.planner.search.planning import silent
 from linkplan.studies.output.document import Bars, Code, Plot, Table
+from linkplan.studies.output.text import text_of
 from linkplan.studies.report.reading import folder_report
 from linkplan.studies.variations.decompose.decomposition import Decomposition
 from linkplan.studies.variations.decompose.decomposition_blocks import decomposition_charts
@@ -16,7 +18,7 @@ from linkplan.studies.variations.experiment.experiment import Settings
 from linkplan.studies.variations.experiment.experiment_blocks import estimated
 from linkplan.studies.variations.experiment.experiment_sections import experiment_report
 from linkplan.studies.variations.experiment.sensitivity import Sensitivity
-from linkplan.studies.variations.experiment.sensitivity_blocks import sensitivity_charts
+from linkplan.studies.variations.experiment.sensitivity_blocks import sensitivity_blocks, sensitivity_charts
 from linkplan.studies.variations.experiment.study import RESULTS, run_experiment
 from tests.support.plans import optimal
 from tests.support.reports import blocks
@@ -124,19 +126,17 @@ DECOMPOSED = msgspec.convert(
 )
 
 
-def record(design: str, effects: dict, middle: float = 0.3) -> Sensitivity:
-    """Return a sensitivity of one tracker and metric, its imperfections in the order of their importance."""
-    one = {"middle": middle, "left_out": 0, "ranking": list(effects), "effects": effects}
+def record(by_value: tuple[float, float, float], by_distance: tuple[float, float, float]) -> Sensitivity:
+    """Return a sensitivity of one tracker and metric to friction; value, low and high of each coefficient."""
+    parts = zip(("by_value", "by_distance"), (by_value, by_distance), strict=True)
+    effect = {name: {"value": value, "interval95": [low, high], "n": 30} for name, (value, low, high) in parts}
+    one = {"explained": 0.9, "ranking": ["friction"], "effects": {"friction": effect}}
     said = {
-        "design": design,
-        "measure": "what it is",
-        "groups": 5,
-        "group_size": 3,
-        "imperfections": {label: {"unit": "N.m", "range": [0.0, 2.0]} for label in effects},
-        "metrics": {"rms_error_deg": {"text": "rms error", "unit": "deg", "metric_unit": "deg"}},
+        "imperfections": {"friction": {"unit": "N.m", "range": [0.0, 2.0]}},
+        "metrics": {"rms_error_deg": {"text": "rms error", "unit": "deg"}},
         "trackers": {"lqr": {"rms_error_deg": one}},
     }
-    return msgspec.convert(said, Sensitivity)
+    return msgspec.convert(said, Sensitivity, dec_hook=read_value)
 
 
 def chart(said: Sensitivity) -> Bars:
@@ -159,37 +159,24 @@ def test_each_part_of_an_error_begins_where_the_one_before_ends_and_the_last_at_
     ]
 
 
-def test_one_at_a_time_bars_go_from_the_middle_to_what_each_end_makes():
-    found = chart(
-        record("one-at-a-time", {"friction": {"importance": 0.4, "interval95": [0.4, 0.4], "at_low": 0.2, "at_high": 0.6}})
-    )
-    (row,) = found.rows
-    assert found.line == 0.3
-    assert [(span.start, span.end) for span in row.spans] == [(0.3, 0.2), (0.3, 0.6)]
+def test_bars_of_an_influence_are_its_coefficients_with_their_intervals():
+    (row,) = chart(record((-0.4, -0.5, -0.3), (0.6, 0.55, 0.7))).rows
+    assert [(span.start, span.end, span.low, span.high) for span in row.spans] == [
+        (0.0, -0.4, -0.5, -0.3),
+        (0.0, 0.6, 0.55, 0.7),
+    ]
     assert row.label == "friction, 0 to 2 N.m"
 
 
-def test_an_end_at_which_the_figure_is_lost_is_said_and_not_drawn():
-    found = chart(
-        record("one-at-a-time", {"delay": {"importance": None, "interval95": [None, None], "at_low": 0.2, "at_high": None}})
-    )
-    (row,) = found.rows
-    assert [span.name for span in row.spans] == ["at the low end"]
-    assert row.note == "failed at the high end"
-
-
-def test_morris_bars_together_are_the_mean_size_and_their_difference_the_mean():
-    found = chart(record("morris", {"mass": {"importance": 0.4, "interval95": [0.3, 0.5], "mean": -0.1, "spread": 0.2}}))
-    raises, lowers = (span.end for span in found.rows[0].spans)
-    assert raises - lowers == pytest.approx(0.4)
-    assert raises + lowers == pytest.approx(-0.1)
-    assert found.rows[0].note == "0.4 ± 0.1"
-
-
-def test_sobol_bars_are_shares_in_per_cent_with_their_intervals():
-    effect = {"importance": 0.6, "interval95": [0.5, 0.7], "first_order": 0.4, "first_order_half": 0.15}
-    found = chart(record("sobol", {"mass": effect}))
-    total, first = found.rows[0].spans
-    assert (total.end, total.low, total.high) == pytest.approx((60, 50, 70))
-    assert (first.end, first.low, first.high) == pytest.approx((40, 25, 55))
-    assert found.axis.unit == "%"
+@pytest.mark.parametrize(
+    ("by_value", "by_distance", "cell"),
+    [
+        ((-0.4, -0.5, -0.3), (0.1, 0.0, 0.2), "-0.40 ± 0.10"),
+        ((-0.4, -0.5, -0.3), (0.6, 0.5, 0.7), "+0.60 ± 0.10 both"),
+        ((0.4, -0.1, 0.9), (0.1, 0.05, 0.2), "-"),
+    ],
+)
+def test_the_table_has_the_larger_coefficient_if_it_is_significant(by_value, by_distance, cell):
+    lines = text_of(sensitivity_blocks(record(by_value, by_distance))).splitlines()
+    (line,) = [line for line in lines if line.startswith("friction") and "rms" not in line]
+    assert line.removeprefix("friction").strip() == cell
