@@ -217,7 +217,7 @@ class TransferResult(MechanismResult):
         return transfer_report(self.found)
 
     def write_files(self, place: Path, *, parquet: bool) -> None:
-        """Write the tables (CSV, NPZ, with `parquet` Parquet too), the C++ header and the serial equivalent."""
+        """Write the tables (CSV, NPZ, with `parquet` Parquet too) and the serial equivalent."""
         from linkplan.studies.handover.transfer.files import write_files
 
         write_files(self.found, place, parquet=parquet)

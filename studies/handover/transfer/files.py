@@ -6,7 +6,6 @@ import numpy as np
 
 from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.studies.handover.transfer.columns import columns_of, inverse_columns, npz_arrays
-from linkplan.studies.handover.transfer.cpp_header import cpp_header
 from linkplan.studies.handover.transfer.serial_study import along_columns
 from linkplan.studies.handover.transfer.serial_urdf import urdf_text
 from linkplan.studies.handover.transfer.study import Transfer
@@ -15,7 +14,7 @@ from linkplan.studies.output.figure_spec import FigureSpec
 
 
 def write_files(transfer: Transfer, place: Path, *, parquet: bool = False) -> None:
-    """Write tables, serial.xml, serial.urdf, along.csv and transmission.hpp, as far as they exist.
+    """Write tables, serial.xml, serial.urdf and along.csv, as far as they exist.
 
     With `parquet`, the tables are written as Parquet too.
     """
@@ -35,7 +34,6 @@ def write_files(transfer: Transfer, place: Path, *, parquet: bool = False) -> No
             (place / "serial.urdf").write_text(urdf, encoding="utf-8")
         if transfer.serial.errors is not None:
             (place / "along.csv").write_bytes(csv_bytes(along_columns(transfer.serial)))
-    (place / "transmission.hpp").write_text(cpp_header(transfer), encoding="utf-8")
     np.savez_compressed(place / "table.npz", **npz_arrays(transfer))  # pyright: ignore[reportArgumentType]  arrays by name
 
 

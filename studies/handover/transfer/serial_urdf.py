@@ -67,9 +67,7 @@ def urdf_notes(transfer: Transfer) -> list[str]:
         ratio = table.grid.values["ratio"][table.known]
         span = np.ptp(ratio, axis=0).max() / np.abs(ratio).max()
         why = f"G changes by {100 * span:.2g} % of its size" if span > _CONSTANT_SHARE else "G couples the joints"
-        found.append(
-            f"no <transmission>, which has one constant ratio: {why}; transmission.hpp and the tables have the ratio"
-        )
+        found.append(f"no <transmission>, which has one constant ratio: {why}; the tables have the ratio")
     if transfer.motor_speed is None or not np.isfinite(_speeds(transfer)).all():
         found.append(f"speed limits are {_UNKNOWN_SPEED} if the motors' speeds are not given")
     lacking = {
