@@ -1,5 +1,7 @@
 """The bodies of a mechanism in the plane of a drawing, the paths of its sites along a plan, and forbidden regions."""
 
+from collections.abc import Sequence
+
 import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.patches import Polygon
@@ -8,7 +10,7 @@ from linkplan.models.errors import listed
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.inverse_kinematics import places_of
-from linkplan.models.poses.skeleton import Stick, body_name, sticks, view
+from linkplan.models.poses.skeleton import body_name, sticks, view
 from linkplan.models.poses.solids import body_frames, outline, solids, thickened
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.motion import Motion
@@ -37,9 +39,22 @@ def draw_poses(axes, mechanism: Mechanism, poses: np.ndarray, last: str = "") ->
     axes.set_ylabel(f"{up} [m]")
 
 
-def draw_bodies(axes, mechanism: Mechanism, poses: np.ndarray, alphas: np.ndarray, *, named: bool) -> None:
-    """Draw a mechanism at poses (n, n_q) with their opacities (n,), from 0 to 1; the legend has the bodies if `named`."""
-    right, up = view(mechanism.model)
+def draw_bodies(
+    axes,
+    mechanism: Mechanism,
+    poses: np.ndarray,
+    alphas: np.ndarray,
+    *,
+    named: bool,
+    plane: tuple[np.ndarray, np.ndarray] | None = None,
+    looks: Sequence[str] | None = None,
+) -> None:
+    """Draw a mechanism at poses (n, n_q) with their opacities (n,), from 0 to 1; the legend has the bodies if `named`.
+
+    `plane` is the right and up of the drawing, by default those of the mechanism. `looks` has a colour for all bodies at
+    each pose, "" for the bodies' own.
+    """
+    right, up = plane or view(mechanism.model)
     drawn = {stick.body: stick for stick in sticks(mechanism, poses)}
     shapes = solids(mechanism)
     places, turns = body_frames(mechanism, poses)
@@ -57,12 +72,13 @@ def draw_bodies(axes, mechanism: Mechanism, poses: np.ndarray, alphas: np.ndarra
                 points = places[k, solid.body] + solid.points @ turns[k, solid.body].T
                 near = float(np.mean(points @ towards)) / mechanism.extent_m
                 edges = outline(thickened(points @ np.stack([right, up], axis=1), solid.radius))
-                face = hex_of(PAYLOAD) if solid.kind == "payload" else colour
+                face = (looks and looks[k]) or (hex_of(PAYLOAD) if solid.kind == "payload" else colour)
                 size = float(np.prod(np.ptp(edges, axis=0))) / mechanism.extent_m**2
                 layer = (2.5 if alpha == 1 else 2.0) + 0.2 * np.tanh(near) - 0.05 * np.tanh(size) - 0.001 * depth
                 _fill(axes, edges, face, float(alpha), layer)
             if bare or stick.fixed:
-                _draw_stick(axes, stick, k, colour, float(alpha), 3.0 - 0.01 * depth)
+                pins = stick.places[k] @ np.stack([right, up], axis=1)
+                _draw_stick(axes, pins, (looks and looks[k]) or colour, float(alpha), 3.0 - 0.01 * depth, fixed=stick.fixed)
         if named:
             axes.plot([], [], color=colour, marker="^" if stick.fixed else "s", linestyle="", label=name)
     axes.autoscale_view()
@@ -105,10 +121,9 @@ def _fill(axes, edges: np.ndarray, colour: str, alpha: float, layer: float) -> N
         axes.update_datalim(edges)
 
 
-def _draw_stick(axes, stick: Stick, k: int, colour: str, alpha: float, layer: float) -> None:
-    pins = stick.pins[k]
-    loop = np.vstack([pins, pins[:1]]) if len(pins) > 2 and not stick.fixed else pins
-    look = {"marker": "^", "linestyle": ""} if stick.fixed else {"marker": "o", "linestyle": "-"}
+def _draw_stick(axes, pins: np.ndarray, colour: str, alpha: float, layer: float, *, fixed: bool) -> None:
+    loop = np.vstack([pins, pins[:1]]) if len(pins) > 2 and not fixed else pins
+    look = {"marker": "^", "linestyle": ""} if fixed else {"marker": "o", "linestyle": "-"}
     thick = {"markersize": 5, "linewidth": 2.6} if alpha == 1 else {"markersize": 3, "linewidth": 1.2}
     axes.plot(loop[:, 0], loop[:, 1], color=colour, alpha=alpha, zorder=layer, **look, **thick)
 

@@ -11,18 +11,19 @@ from msgspec import Struct
 
 from linkplan.models.deadline import check
 from linkplan.models.errors import ProblemError
+from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.single_file import write_file_whole
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.search.planning import silent
 from linkplan.studies.render.camera import Camera, camera_from
 from linkplan.studies.render.caption import INK, effort_lines, frame_lines, head_share, written
 from linkplan.studies.render.film_file import write_gif, write_mp4, write_png
-from linkplan.studies.render.flat_painter import flat_painter
-from linkplan.studies.render.framing import framed
+from linkplan.studies.render.framing import FOOT_MARGIN, SIDE_MARGIN, axes_of, framed
 from linkplan.studies.render.gl import GL
 from linkplan.studies.render.motion import TrackedMotion, frame_times, own_slowness, tracked_motion
 from linkplan.studies.render.scenes import Scene, all_points, coloured_model, film_scenes, stroboscopic_scene
 from linkplan.studies.render.settings import SUFFIXES, RenderSettings
+from linkplan.studies.render.shapes import GHOST
 
 # Largest file that a notebook embeds, in which it becomes a third larger.
 _LARGEST_SHOWN_BYTES = 30_000_000
@@ -77,7 +78,7 @@ def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callab
         plan: with a motion.
         path: of the file.
         settings: of the film or picture.
-        gl: the OpenGL; without one, Matplotlib draws the skeleton in a plane.
+        gl: the OpenGL; without one, Matplotlib draws in a plane.
         say: called with lines on the progress.
     """
     camera = camera_from(settings.camera, plan.problem.mechanism)
@@ -85,7 +86,7 @@ def render(plan: Plan, path: Path, settings: RenderSettings, gl: GL, say: Callab
     slow = own_slowness(motion.duration_s) if settings.slow is None else settings.slow
     times = frame_times(motion.duration_s, slow, settings.fps, repeats=motion.repeats)  # raises before anything is drawn
     if gl.name is None:
-        say(f"no OpenGL is available ({gl.why_not}): Matplotlib draws the skeleton in two dimensions")
+        say(f"no OpenGL is available ({gl.why_not}): Matplotlib draws in two dimensions")
     if settings.suffix != ".png":
         say(f"tracked by {settings.tracker}; {motion.duration_s:.4g} s of motion, shown {slow:g} times slower")
     with _painter(motion, camera, settings, gl) as paint:
@@ -119,7 +120,7 @@ def _painter(motion: TrackedMotion, camera: Camera, settings: RenderSettings, gl
     model, size, points = motion.mechanism.model, settings.size, all_points(motion, camera.direction)
     head = head_share(motion, size)
     if gl.name is None:
-        yield flat_painter(points, camera.direction, size, head, motion.mechanism).paint
+        yield flat_painter(points, camera.direction, size, head, motion.mechanism)
         return
     from linkplan.studies.render.mujoco_painter import mujoco_painter
 
@@ -129,6 +130,51 @@ def _painter(motion: TrackedMotion, camera: Camera, settings: RenderSettings, gl
         eye = framed(points, *camera.direction, fovy, size[0] / size[1], head)
     with mujoco_painter(coloured_model(motion.mechanism), gl.name, size, eye, points) as painter:
         yield painter.paint
+
+
+def flat_painter(
+    points: np.ndarray, direction: tuple[float, float], size: tuple[int, int], head: float, mechanism: Mechanism
+) -> Paint:
+    """Return Matplotlib's painter, which draws as figures do and sees all points (n, 3) [m] without perspective.
+
+    Args:
+        points: all visible points at all instants.
+        direction: azimuth and elevation [rad].
+        size: of the pictures, width and height [px].
+        head: the free share of the picture's height at the top.
+        mechanism: what is drawn.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.colors import to_hex
+    from matplotlib.figure import Figure
+
+    from linkplan.studies.output.draw_bodies import draw_bodies
+
+    right, up, _ = axes_of(*direction)
+    plane, dots_per_inch = np.stack([right, up], axis=1), 100.0
+    low, high = (points @ plane).min(axis=0), (points @ plane).max(axis=0)
+    extent = np.maximum(high - low, 1e-6 * max(1e-6, float((high - low).max())))
+    scale = float(np.min(np.array([1 - 2 * SIDE_MARGIN, 1 - head - FOOT_MARGIN]) * size / extent))  # [px/m]
+    middle = 0.5 * (low + high) + np.array([0.0, 0.5 * (head - FOOT_MARGIN) * size[1] / scale])
+    first, last = middle - np.array(size) / (2 * scale), middle + np.array(size) / (2 * scale)
+
+    def paint(scene: Scene) -> np.ndarray:
+        canvas = FigureCanvasAgg(Figure(figsize=np.array(size) / dots_per_inch, dpi=dots_per_inch, facecolor="white"))
+        axes = canvas.figure.add_axes((0.0, 0.0, 1.0, 1.0))
+        axes.set_axis_off()
+        poses = np.array([mechanism.q_of(figure.qpos) for figure in scene.figures])
+        alphas = np.array([GHOST[3] if figure.ghost else figure.alpha for figure in scene.figures])
+        looks = [to_hex(GHOST[:3]) if figure.ghost else "" for figure in scene.figures]
+        draw_bodies(axes, mechanism, poses, alphas, named=False, plane=(right, up), looks=looks)
+        for rod in scene.efforts:
+            x, y = (np.array([rod.start, rod.end]) @ plane).T
+            width = max(1.0, 2 * rod.radius * scale) * 72.0 / dots_per_inch
+            axes.plot(x, y, color=rod.rgba, linewidth=width, solid_capstyle="round", zorder=4)
+        axes.set(xlim=(first[0], last[0]), ylim=(first[1], last[1]))
+        canvas.draw()
+        return np.ascontiguousarray(np.asarray(canvas.buffer_rgba())[: size[1], : size[0], :3])
+
+    return paint
 
 
 def picture(motion: TrackedMotion, camera: Camera, settings: RenderSettings, paint: Paint) -> np.ndarray:
