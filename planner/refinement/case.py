@@ -78,7 +78,6 @@ class ErrorReport:
 
     def varied(self, **values: Any) -> Self:
         """Return the problem with other values of its settings."""
-        ...
 
 
 class Case(Protocol):
