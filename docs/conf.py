@@ -25,7 +25,7 @@ extensions = [
     "sphinx_copybutton",
     "sphinx-mathjax-offline",  # MathJax stands in the site: nothing is fetched from elsewhere
 ]
-exclude_patterns = ["conf.py", "links.py", "notebooks/*.ipynb"]  # the site executes the notebooks' Python files
+exclude_patterns = ["conf.py", "links.py", "tools/*", "notebooks/*.ipynb"]  # the site executes the notebooks' Python files
 
 myst_enable_extensions = ["dollarmath", "amsmath"]
 myst_heading_anchors = 3

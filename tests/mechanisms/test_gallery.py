@@ -5,6 +5,10 @@ import numpy as np
 import pytest
 from matplotlib.colors import to_hex, to_rgb
 
+from docs.tools.draw_cut_loop import PICTURE, cut_loop_figure
+from docs.tools.draw_gallery import FOLDER, SHOWN, gallery_figure
+from docs.tools.draw_knee import PICTURE as SKETCH
+from docs.tools.draw_knee import knee_figure
 from linkplan.models.catalogue import MODELS
 from linkplan.models.library import built_in_text
 from linkplan.models.mechanism import load_mechanism
@@ -14,10 +18,6 @@ from linkplan.models.poses.skeleton import sticks
 from linkplan.planner.files.tables import BUILT_IN as PROBLEMS
 from linkplan.planner.files.tables import read_tables
 from linkplan.studies.check.inspection import inspect
-from linkplan.studies.demo.draw_cut_loop import PICTURE, cut_loop_figure
-from linkplan.studies.demo.draw_gallery import FOLDER, SHOWN, gallery_figure
-from linkplan.studies.demo.draw_knee import PICTURE as SKETCH
-from linkplan.studies.demo.draw_knee import knee_figure
 from linkplan.studies.output.body_colours import body_colours, hex_of
 from linkplan.studies.output.figure import SERIES
 from tests.support.data import ROOT

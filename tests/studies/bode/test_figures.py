@@ -11,8 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 import linkplan
+from docs.tools.draw_margins import PICTURE, margins_figure
 from linkplan.cli.main import main
-from linkplan.studies.demo.draw_margins import PICTURE, margins_figure
 from linkplan.studies.feedback.bode.curves import phase_along
 from tests.support.figure_texts import text_faults
 from tests.support.figures import curves, saved_figures

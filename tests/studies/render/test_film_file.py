@@ -6,12 +6,12 @@ import pytest
 from matplotlib.colors import rgb_to_hsv, to_rgb
 from PIL import Image, ImageSequence
 
+from docs.tools.draw_animations import FOLDER, LARGE_BYTES, SMALL_BYTES
+from docs.tools.draw_gallery import SHOWN
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.files.single_file import MADE_BY
 from linkplan.planner.files.tables import read_tables
-from linkplan.studies.demo.draw_animations import FOLDER, LARGE_BYTES, SMALL_BYTES
-from linkplan.studies.demo.draw_gallery import SHOWN
 from linkplan.studies.output.figure import SERIES
 from linkplan.studies.render.camera import camera_from
 from linkplan.studies.render.film_file import write_gif, write_mp4, write_png

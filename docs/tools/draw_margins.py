@@ -1,4 +1,4 @@
-"""The picture of stability margins in docs/margins.md: `python -m linkplan.studies.demo.draw_margins` writes it."""
+"""The picture of stability margins in docs/margins.md: `python -m docs.tools.draw_margins` writes it."""
 
 import sys
 from pathlib import Path
@@ -6,9 +6,9 @@ from pathlib import Path
 import control
 import numpy as np
 
+from docs.tools.draw_gallery import FOLDER
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.planner.problem.settings import Tracking
-from linkplan.studies.demo.draw_gallery import FOLDER
 from linkplan.studies.feedback.bode.bode import bode_study
 from linkplan.studies.feedback.bode.bode_result import BodePoint
 from linkplan.studies.output.document import Axis, Plot, Series

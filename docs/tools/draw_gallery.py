@@ -1,4 +1,4 @@
-"""The gallery of docs/mechanisms.md: `python -m linkplan.studies.demo.draw_gallery` plans each mechanism's motion."""
+"""The gallery of docs/mechanisms.md: `python -m docs.tools.draw_gallery` plans each mechanism's motion."""
 
 import sys
 from pathlib import Path
@@ -22,7 +22,7 @@ SHOWN = (
     "gripper-close",
     "cart-pole-swing-up",
 )
-FOLDER = Path(__file__).resolve().parent.parent / "gallery"  # the package consists of links
+FOLDER = Path(__file__).resolve().parents[2] / "studies" / "gallery"
 
 
 def gallery_figure(plan: Plan, path: Path) -> None:

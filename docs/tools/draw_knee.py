@@ -1,13 +1,13 @@
-"""The labelled sketch of the knee in the README: `python -m linkplan.studies.demo.draw_knee` writes it."""
+"""The labelled sketch of the knee in the README: `python -m docs.tools.draw_knee` writes it."""
 
 import sys
 from pathlib import Path
 
 import numpy as np
 
+from docs.tools.draw_gallery import FOLDER
 from linkplan.models.mechanism import load_mechanism
 from linkplan.models.poses.skeleton import sticks
-from linkplan.studies.demo.draw_gallery import FOLDER
 from linkplan.studies.output.draw_bodies import draw_bodies, pins_by_place
 from linkplan.studies.output.figure import BLACK, GREY, RED, page
 

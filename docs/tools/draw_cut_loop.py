@@ -1,15 +1,15 @@
-"""The drawing of the cut loop in docs/mathematics.md: `python -m linkplan.studies.demo.draw_cut_loop` writes it."""
+"""The drawing of the cut loop in docs/mathematics.md: `python -m docs.tools.draw_cut_loop` writes it."""
 
 import sys
 from pathlib import Path
 
 import numpy as np
 
+from docs.tools.draw_gallery import FOLDER
 from linkplan.models.kinematics import tied_points
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.skeleton import view
 from linkplan.models.poses.solids import body_frames
-from linkplan.studies.demo.draw_gallery import FOLDER
 from linkplan.studies.output.draw_bodies import draw_bodies
 from linkplan.studies.output.figure import page
 

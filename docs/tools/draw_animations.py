@@ -1,4 +1,4 @@
-"""Small animations for the documents: `python -m linkplan.studies.demo.draw_animations` plans, tracks and draws each.
+"""Small animations for the documents: `python -m docs.tools.draw_animations` plans, tracks and draws each.
 
 Each is a GIF that plays forwards and backwards: knee-reach.gif for the README, and one with the name of each built-in
 mechanism for docs/mechanisms.md.
@@ -7,11 +7,11 @@ mechanism for docs/mechanisms.md.
 import sys
 from pathlib import Path
 
+from docs.tools.draw_gallery import FOLDER, SHOWN
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.search.planning import plan_motion
-from linkplan.studies.demo.draw_gallery import FOLDER, SHOWN
 from linkplan.studies.render.gl import GL, find_gl
 from linkplan.studies.render.render import render
 from linkplan.studies.render.settings import RenderSettings
