@@ -86,33 +86,6 @@ class MujocoPlant:
             return one_line(error)
 
 
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class PlantAsItStands:
-    """An unchanged model: it starts at the file's reference pose, with its contacts and timestep, and loops may be open.
-
-    Of the mechanism's assembly only the choice of independent coordinates is used.
-    """
-
-    mechanism: Mechanism
-
-    @property
-    def loop(self) -> ControlLoop:
-        """The actuators' own limits, without delay."""
-        return ControlLoop(effort_limit=self.mechanism.effort_limit)
-
-    def begin(
-        self, reference: SampledReference, machines: Sequence[Imperfections]
-    ) -> tuple["MujocoStepper", list[str | None]]:
-        """Return a copy of the model for each machine. Only the machines' drives are used."""
-        mechanism, n = self.mechanism, len(machines)
-        one = ImperfectPlant(
-            model=mechanism.model, pose=mechanism.q_of(mechanism.model.qpos0), rates=np.zeros(mechanism.n_q)
-        )
-        periods = [reference.period_s] * n
-        drives = driving([machine.drives for machine in machines], [0.0] * n, periods, 1, self.loop.effort_limit)
-        return MujocoStepper(mechanism, [one] * n, drives, 1, watched=True), [None] * n
-
-
 class MujocoStepper:
     """Machines in MuJoCo that are advanced by control periods; see `Stepper`.
 

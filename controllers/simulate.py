@@ -10,7 +10,7 @@ from linkplan.controllers.feedback_loop import Stepper, run_loop, states_of
 from linkplan.controllers.imperfections.imperfections import Imperfections
 from linkplan.controllers.imperfections.plant import held_before
 from linkplan.controllers.imperfections.sensing import sensing
-from linkplan.controllers.mujoco_plant import MujocoPlant, PlantAsItStands, simulation_conditions
+from linkplan.controllers.mujoco_plant import MujocoPlant, simulation_conditions
 from linkplan.controllers.reference import SampledReference, state_at
 from linkplan.controllers.rollout import Rollout, divergence_expected
 from linkplan.controllers.trackers.tracker import AnyTracker, added, steps_of
@@ -106,7 +106,7 @@ def simulate(
     )
 
 
-def simulate_one(plant: MujocoPlant | PlantAsItStands, law: AnyTracker, reference: SampledReference) -> Rollout:
+def simulate_one(plant: MujocoPlant, law: AnyTracker, reference: SampledReference) -> Rollout:
     """Return the log of a tracker on the nominal machine in MuJoCo; the tracker's exception is re-raised."""
     ensemble = simulate(plant, law, reference)
     if ensemble.error[0] is not None:
@@ -114,7 +114,7 @@ def simulate_one(plant: MujocoPlant | PlantAsItStands, law: AnyTracker, referenc
     return rollout_of(plant, ensemble, reference)
 
 
-def rollout_of(plant: MujocoPlant | PlantAsItStands, ensemble: Ensemble, reference: SampledReference) -> Rollout:
+def rollout_of(plant: MujocoPlant, ensemble: Ensemble, reference: SampledReference) -> Rollout:
     """Return the log of an ensemble's only machine. The log has at least one instant, even if the first command failed."""
     mechanism, loop = plant.mechanism, plant.loop
     kept = slice(0, max(1, int(ensemble.done[0])))

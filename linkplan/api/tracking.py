@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -20,13 +20,12 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import number, whole
 from linkplan.studies.compare import compare as study
-from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure, document_blocks, document_figure
+from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure
 from linkplan.studies.compare.comparison_figures import ComparisonFigures, comparison_figures
-from linkplan.studies.compare.document import document_rows, document_runs, is_the_documents
 from linkplan.studies.compare.named_run import NamedRun
 from linkplan.studies.compare.time_series import save_time_series
 from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
-from linkplan.studies.output.document import Block, Report, Section, Text
+from linkplan.studies.output.document import Block, Report, Text
 from linkplan.studies.output.figure_spec import FigureSpec
 
 if TYPE_CHECKING:
@@ -146,9 +145,7 @@ def compare(
     factor, delay = _checked(mass_factor, delay_periods)
     answer = _to_track(plan, tracking, say)
     comparison = study.compare(answer, study.mismatch_of(answer, factor, delay), say, asked)
-    experiment = document_runs(answer, say) if is_the_documents(answer) else {}
-    figures = structs.replace(comparison_figures(comparison), document=document_rows(experiment) if experiment else None)
-    return TrackingResult(figures=figures, comparison=comparison, document_runs=experiment)
+    return TrackingResult(figures=comparison_figures(comparison), comparison=comparison)
 
 
 def _checked(mass_factor: object, delay_periods: object) -> tuple[float, float]:
@@ -167,17 +164,12 @@ def _to_track(plan: PlanLike, tracking: object, say: Listener) -> Plan:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
 class TrackingResult(Result):
-    """Trackers' runs on one plan. `str(result)` is the table; `to_dict()` has every value, with units in the names.
-
-    `document_runs` are the runs of the source document's experiment by (model, KP, KD), if the plan is the document's
-    sinusoid.
-    """
+    """Trackers' runs on one plan. `str(result)` is the table; `to_dict()` has every value, with units in the names."""
 
     has_parquet = True
     figures: ComparisonFigures
     comparison: study.Comparison
     record_name: str = "compare"
-    document_runs: Mapping[tuple[str, float, float], Rollout] = field(default_factory=dict)
 
     @property
     def passed(self) -> bool:
@@ -207,10 +199,9 @@ class TrackingResult(Result):
         return all(run.stable for run in (*self.comparison.nominal.values(), *self.comparison.mismatched.values()))
 
     def blocks(self) -> list[Block]:
-        """Return the tables of errors and efforts, and the source document's experiment or the machine of a sample."""
+        """Return the tables of errors and efforts, and the machine of a sample."""
         if (sample := self.figures.sample) is None:
-            experiment = document_blocks(self.document_runs) if self.document_runs else []
-            return [*comparison_blocks(self.comparison), *experiment]
+            return comparison_blocks(self.comparison)
         from linkplan.studies.variations.experiment.experiment_sections import machine_section
 
         failure = sample["failure"]
@@ -224,19 +215,15 @@ class TrackingResult(Result):
 
         if self.figures.sample is not None:
             return replay_report(self.comparison, self.figures.sample)
-        title = "The source document, as printed and corrected"
-        section = Section(title=title, blocks=document_blocks(self.document_runs)) if self.document_runs else None
-        return comparison_report(self.comparison, section)
+        return comparison_report(self.comparison)
 
     def write_files(self, place: Path, *, parquet: bool) -> None:
         """Write every run's time series."""
         save_time_series(self.comparison, place, parquet=parquet)
 
     def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
-        """Yield every tracker's motion, error and effort, and the source document's figure."""
+        """Yield every tracker's motion, error and effort."""
         yield self.record_name, comparison_figure(self.comparison)
-        if self.document_runs:
-            yield "desired_and_actual", document_figure(self.document_runs)
 
     def plot(self, path: str | Path | None = None, *, every_joint: bool = False) -> Figure:
         """Return the figure of motion, error and effort of every tracker, saved at `path` if it is given.

@@ -9,7 +9,6 @@ from linkplan.controllers.trackers.names import BUILT_IN
 from linkplan.models.poses.inverse_kinematics import places_of
 from linkplan.studies.compare.compare import ERRORS, Comparison, actuated_by_unit, gap_units, run_figures, tracking_reference
 from linkplan.studies.compare.comparison_notes import comparison_notes
-from linkplan.studies.compare.document import AS_PRINTED, CORRECTED, document_rows
 from linkplan.studies.output.document import Block, Plot, Table, Text, table_of
 from linkplan.studies.output.figure_spec import FigureSpec, one_screen, side_by_side
 from linkplan.studies.output.lines import TIME, Line, overlaid_width, plots, tracker_colour
@@ -213,39 +212,3 @@ def _colour(runs: Mapping[str, Rollout], name: str) -> int:
     taken = {BUILT_IN[other].colour for other in runs if other in BUILT_IN}
     left = [k for k in range(7) if k not in taken] or list(range(7))
     return tracker_colour(name, left[others.index(name) % len(left)] if name in others else 0)
-
-
-def document_blocks(runs: Mapping[tuple[str, float, float], Rollout]) -> list[Block]:
-    """Return the source document's experiment, with runs by (model, KP, KD): a table, and the desired and actual angles."""
-    heads = ["model", "KP [N.m/rad]", "KD [N.m.s/rad]", "rms error [deg]", "mean gap [um]"]
-    heads += ["max gap [um]", "contacts", "at limit [%]", "stable"]
-    cells = []
-    for row in document_rows(runs):
-        gaps = [1e6 * row["steady_gap_mean_m"], 1e6 * row["steady_gap_max_m"]]
-        at_limit = 100 * row["at_limit_fraction"]
-        error = row["rms_error_deg"]
-        cells.append([row["model"], row["kp"], row["kd"], error, *gaps, row["contacts"], at_limit, row["stable"]])
-    table = table_of("The source document's experiment, on its model as printed and on the corrected one", heads, cells)
-    return [table, *_document_plots(runs)]
-
-
-def document_figure(runs: Mapping[tuple[str, float, float], Rollout]) -> FigureSpec:
-    """Return the source document's figure, with a column for each model and a row for each pair of gains."""
-    panels = _document_plots(runs)
-    models = dict.fromkeys(panel.title.partition(":")[0] for panel in panels)
-    columns = [[panel for panel in panels if panel.title.partition(":")[0] == model] for model in models]
-    return FigureSpec(panels=side_by_side(*columns), columns=len(columns))
-
-
-def _document_plots(runs: Mapping[tuple[str, float, float], Rollout]) -> list[Plot]:
-    found = []
-    for (model, kp, kd), run in runs.items():
-        if model not in (AS_PRINTED, CORRECTED):
-            continue
-        lines = [
-            Line(name="actual", values=np.degrees(run.position_rad[:, 0]), unit="deg", look="line", colour=1),
-            Line(name="desired", values=np.degrees(run.reference_rad[:, 0]), unit="deg", look="dash", colour=0),
-        ]
-        title = f"{model}: KP = {kp:g} N.m/rad, KD = {kd:g} N.m.s/rad"
-        found += plots(title, "joint O", TIME, run.time_s, lines, group="time:document")
-    return found

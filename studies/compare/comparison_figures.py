@@ -1,6 +1,6 @@
 """The result of `linkplan compare` and `track`, whose fields are the record `compare.json`."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from msgspec import Struct
@@ -15,7 +15,7 @@ class ComparisonFigures(Struct, frozen=True, kw_only=True, eq=False, omit_defaul
     """Errors in deg or m, efforts, share at the limits and closure gap of each tracker's run on one plan.
 
     `loop` has the simulator's settings. `mismatch` has the same for the runs with a mismatch. `tracker` is the tracker of
-    `track`, `sample` the repeated sample of an experiment, and `document` the rows of the source document's experiment.
+    `track`, and `sample` the repeated sample of an experiment.
     """
 
     case: str
@@ -28,7 +28,6 @@ class ComparisonFigures(Struct, frozen=True, kw_only=True, eq=False, omit_defaul
     mismatch: dict[str, Any] | None = None
     tracker: str | None = None
     sample: Mapping[str, Any] | None = None
-    document: Sequence[dict[str, Any]] | None = None
 
 
 def comparison_figures(comparison: Comparison) -> ComparisonFigures:

@@ -93,11 +93,11 @@ def _left_out(mechanism: Mechanism, joints: list[int], actuators: list[int]) -> 
     return [Text(text=said, tone="note")]
 
 
-def comparison_report(comparison: Comparison, document: Section | None = None) -> Report:
-    """Return the report of trackers' runs on a plan; `document` is the section of the source document's experiment."""
+def comparison_report(comparison: Comparison) -> Report:
+    """Return the report of trackers' runs on a plan."""
     stable = [name for name, run in comparison.nominal.items() if run.stable]
     lost = [name for name in comparison.nominal if name not in stable]
     verdict = f"{comparison.title}: {', '.join(stable) or 'no tracker'} stable"
     verdict += f", {', '.join(lost)} NOT" if lost else ""
-    sections = [*whole_comparison(comparison), *([] if document is None else [document])]
-    return report_of(f"Trackers on {comparison.plan.problem.name}", verdict, bool(stable), sections)
+    title = f"Trackers on {comparison.plan.problem.name}"
+    return report_of(title, verdict, bool(stable), whole_comparison(comparison))

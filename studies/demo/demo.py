@@ -1,4 +1,4 @@
-"""All studies of the Optimus knee in one folder: check, plan, track, compare, bode, and the source document's experiment."""
+"""All studies of the Optimus knee in one folder: check, plan, track, compare, bode."""
 
 import time
 from collections.abc import Callable
@@ -19,14 +19,8 @@ from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.path_plots import inspection_figure
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.compare.compare import compare, mismatch_of
-from linkplan.studies.compare.comparison_blocks import (
-    comparison_blocks,
-    comparison_figure,
-    document_blocks,
-    document_figure,
-)
+from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure
 from linkplan.studies.compare.comparison_figures import comparison_figures
-from linkplan.studies.compare.document import DOCUMENT_GAINS, document_rows, document_runs
 from linkplan.studies.compare.tracking_sections import comparison_sections
 from linkplan.studies.feedback.bode.bode import bode_study
 from linkplan.studies.feedback.bode.bode_report import bode_figures, bode_sections
@@ -71,16 +65,15 @@ def _write(place: Path, say: Say) -> dict:
     _infeasible(said, say)
     compared, summary = _comparisons(place, said, plans, say)
     loops = _loops(place, said, say)
-    document = _document(place, said, plans["knee-sine"], say)
     say("report")
     verdict = f"{len(plans)} plans, all certified; {len(compared)} comparisons; {len(LOOPS)} feedback loops"
     passed = all(plan.certificate.passed for plan in plans.values())
     overview = _overview(said, plans)
-    sections = [*_story(plans, compared, loops), overview, *_further(plans, compared, loops, checks), _appendix(document)]
+    sections = [*_story(plans, compared, loops), overview, *_further(plans, compared, loops, checks)]
     report = report_of("linkplan on the Optimus knee", verdict, passed, sections)
     save_report(report, place, page=True)
     write_json(place / "demo.json", said)
-    return said | {"blocks": [*overview.blocks, *summary, *document]}
+    return said | {"blocks": [*overview.blocks, *summary]}
 
 
 def _story(plans: dict[str, Plan], compared: dict[str, Sections], loops: list[Sections]) -> Sections:
@@ -116,19 +109,6 @@ def _further(plans: dict[str, Plan], compared: dict[str, Sections], loops: list[
             found += [_folded(section) if section.depth == 1 else section for section in both]
     others = [section for sections in loops[1:] for section in sections]
     return [*found, *(_folded(section) if section.depth == 1 else section for section in (*others, *checks))]
-
-
-def _appendix(document: list[Block]) -> Section:
-    explained = Text(
-        text=(
-            "The knee comes from a document with a MuJoCo model and an experiment: a sinusoid under PD with two gain sets."
-            " In the printed model the loop is open at the start pose, the links touch one another, and a joint stop blocks"
-            " a part of the sinusoid. The corrected model is optimus-knee. KD = 10 every 0.1 ms is unstable on both models,"
-            " because the sampled damping exceeds its limit of about 2 J / T."
-        )
-    )
-    title = "Appendix: the experiment of the source document, as printed and corrected"
-    return Section(title=title, blocks=[explained, *document], folded=True)
 
 
 def _folded(section: Section) -> Section:
@@ -225,17 +205,9 @@ def _loops(place: Path, said: dict, say: Say) -> list[Sections]:
         sections.append(bode_sections(study, f"kp = {gains.kp:g}, kd = {gains.kd:g} every {1e3 * gains.period_s:g} ms"))
         if gains is LOOPS[0]:
             found = map_study(study, lambda text: say(f"stability map: {text}"))
-            marked = [(f"the document's KP = {kp:g}, KD = {kd:g}", kp, kd) for kp, kd in DOCUMENT_GAINS]
+            marked = [(f"KP = {one.kp:g}, KD = {one.kd:g}", float(one.kp), float(one.kd)) for one in LOOPS[:2]]
             said["stability_map"], blocks = found, map_blocks(found, marked)
             spec = FigureSpec(panels=panels_of(blocks), columns=2, panel_in=(6.5, 5.0))
             save_figures([("stability_map", spec)], place)
             sections[0].append(Section(title="Stability map", blocks=blocks, depth=2))
     return sections
-
-
-def _document(place: Path, said: dict, plan: Plan, say: Say) -> list[Block]:
-    runs = document_runs(plan, say)
-    said["document"] = document_rows(runs)
-    blocks = document_blocks(runs)
-    save_figures([("desired_and_actual", document_figure(runs))], place)
-    return blocks

@@ -4,17 +4,14 @@ import json
 import re
 from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from linkplan.planner.plan.folder import read_plan
 from linkplan.planner.plan.verdict import Verdict
 from tests.support.data import ROOT
-from tests.support.figures import curves, saved_figures
 from tests.support.plans import planned, saved_plan
 from tests.support.tolerances import KNEE
-from tests.support.tolerances_loops import LAST_SAMPLE_S
-from tests.support.tolerances_planner import CLOSURE_M, SINE_RMS_DEG
+from tests.support.tolerances_planner import CLOSURE_M
 
 KNEE_KEYS = {
     "status", "message", "objective", "duration_s", "peak_effort", "effort_limit", "effort_unit", "certificate", "mesh",
@@ -117,38 +114,6 @@ def test_a_saved_plan_is_tracked_and_compared(ask_json, tmp_path):
     }
     written = {path.name for path in (tmp_path / "compared").iterdir()}
     assert written == {".linkplan.json", "compare.json", "compare.png", "report.json", *series}
-
-
-@pytest.mark.slow
-def test_compare_of_the_sine_draws_the_documents_figure_for_its_gains_and_those_asked_for(ask_json, tmp_path, monkeypatch):
-    saved = saved_figures(monkeypatch)
-    own = ("--trackers", "pd", "--set", "tracking.kp=300", "--mass-factor", "1", "--delay-periods", "0")
-    code, said = ask_json("compare", "knee-sine", "-o", str(tmp_path / "sine"), *own)
-    assert code == 0
-    assert said["trackers"]["pd"]["rms_error_deg"] < SINE_RMS_DEG
-    rows = {(row["model"], row["kp"], row["kd"]): row for row in said["document"]}
-    gains, models = [(200.0, 1.0), (200.0, 10.0), (300.0, 1.0)], ("as printed", "corrected")
-    both = (("as printed", "printed, in time"), ("corrected", "corrected, late"))
-    assert list(rows) == [(model, *pair) for pairs in both for pair in gains for model in pairs]
-    assert [row["stable"] for row in rows.values()] == [True, True, False, False, True, True] * 2
-    assert [row["contacts"] > 0 for row in rows.values()] == [True] * 6 + [False] * 6
-    # the own run and the tracker's run are the same experiment, made by two routes
-    again = rows["corrected", 300.0, 1.0]["rms_error_deg"]
-    assert again == pytest.approx(said["trackers"]["pd"]["rms_error_deg"], rel=1e-6)
-    figure = saved["desired_and_actual.png"]
-    assert {path.name for path in (tmp_path / "sine").iterdir()} >= {"desired_and_actual.png", "compare.png"}
-    assert [axes.get_ylabel() for axes in figure.axes] == ["joint O [deg]"] * 6
-    assert figure.axes[-1].get_xlabel() == "time [s]"
-    cells = [axes.get_title() for axes in figure.axes]
-    assert cells == [f"{model}: KP = {kp:g} N.m/rad, KD = {kd:g} N.m.s/rad" for kp, kd in gains for model in models]
-    for cell, axes in zip(cells, figure.axes, strict=True):
-        drawn = curves(axes)
-        assert set(drawn) == {"actual", "desired"}
-        time, desired = drawn["desired"]
-        assert (time.min(), time.max()) == pytest.approx((0.0, 2.0), abs=LAST_SAMPLE_S)
-        assert desired == pytest.approx(3.6 + 52.67 * np.sin(2 * np.pi * 4 * time), abs=1e-3)
-        off = np.sqrt(np.mean((drawn["actual"][1] - desired) ** 2))
-        assert (off < SINE_RMS_DEG) == (cell.startswith("corrected") and "KD = 1 " in cell)
 
 
 @pytest.mark.slow
