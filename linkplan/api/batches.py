@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from linkplan.api.command import command
-from linkplan.api.paths import check_flags, path_of
 from linkplan.api.reporting import Progress, listener
-from linkplan.api.results import Result
 from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.studies.output.document import Block, Report
+from linkplan.studies.output.paths import check_flags, path_of
+from linkplan.studies.output.result import Result
 from linkplan.studies.variations.batch.batch_blocks import batch_blocks, batch_report
 from linkplan.studies.variations.batch.study import BatchOutcome, run_batch
 from linkplan.studies.variations.tasks.cluster import engine_of

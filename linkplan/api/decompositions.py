@@ -9,12 +9,12 @@ from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, listed, plan_of
 from linkplan.api.names import LINEAR
 from linkplan.api.reporting import Progress, listener
-from linkplan.api.results import Result
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import whole
 from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
 from linkplan.studies.output.document import Block, Report
 from linkplan.studies.output.figure_spec import FigureSpec
+from linkplan.studies.output.result import Result
 from linkplan.studies.variations.decompose import decompose as study
 from linkplan.studies.variations.decompose.decomposition import Decomposition
 from linkplan.studies.variations.decompose.decomposition_blocks import (

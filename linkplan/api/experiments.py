@@ -12,9 +12,7 @@ import numpy as np
 from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, listed, plan_of, problem_of
 from linkplan.api.names import LINEAR, Design
-from linkplan.api.paths import path_of
 from linkplan.api.reporting import Progress, listener
-from linkplan.api.results import Result
 from linkplan.api.typed_commands import sample_again
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import whole
@@ -22,6 +20,8 @@ from linkplan.studies.compare.named_run import NamedRun
 from linkplan.studies.compare.user_tracker import TrackerLike, name_of, refuse_unpicklable
 from linkplan.studies.output.document import Block, Report
 from linkplan.studies.output.figure_spec import FigureSpec
+from linkplan.studies.output.paths import path_of
+from linkplan.studies.output.result import Result
 from linkplan.studies.variations.experiment.block import replay
 from linkplan.studies.variations.experiment.experiment import Settings, plan_digest
 from linkplan.studies.variations.experiment.experiment_blocks import outcome_blocks

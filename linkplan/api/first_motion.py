@@ -11,14 +11,14 @@ from msgspec import Struct
 
 from linkplan.api.command import command
 from linkplan.api.inputs import Source, source_of
-from linkplan.api.paths import check_flags, file_to_write
 from linkplan.api.plans import Plan
 from linkplan.api.reporting import Progress, listener
-from linkplan.api.results import Shown
 from linkplan.api.typed_commands import first_steps
 from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import to_toml_types
+from linkplan.studies.output.paths import check_flags, file_to_write
+from linkplan.studies.output.result import Shown
 
 if TYPE_CHECKING:
     from linkplan.studies.output.document import Block

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Mapping
 
 from linkplan.api.command import command
 from linkplan.api.inputs import Poses, Subject, poses_of
 from linkplan.api.loops import loop_of
 from linkplan.api.names import LINEAR, Law
 from linkplan.api.reporting import Progress, listener
-from linkplan.api.results import MechanismResult
 from linkplan.models.errors import ProblemError, choose
 from linkplan.planner.problem.settings import number
 from linkplan.studies.feedback.bode.poses import loop_poses
 from linkplan.studies.feedback.frequency.feedback_loops import operating_point, sampled_law
-from linkplan.studies.feedback.tune import tune as tuning
-from linkplan.studies.feedback.tune import tune_report
+from linkplan.studies.feedback.tune import tune as study
 from linkplan.studies.feedback.tune.requirements import Requirements
-from linkplan.studies.feedback.tune.tuning import Tuning
-from linkplan.studies.output.document import Block, Report
-from linkplan.studies.output.figure_spec import FigureSpec
+from linkplan.studies.feedback.tune.tune_report import Tuning
 
 
 @command(
@@ -45,7 +39,7 @@ def tune(
     at_deg: Poses = (),
     at_m: Poses = (),
     progress: Progress | None = None,
-) -> TuneResult:
+) -> Tuning:
     """Return gains that meet the requirements at the worst pose, or the nearest gains with the reason why none meet them.
 
     With several degrees of freedom every joint has its own PD gains, found one loop at a time with the others closed.
@@ -92,46 +86,4 @@ def tune(
     looked = loop_poses(mechanism, problem, limit, poses_of(mechanism, at_deg, at_m))
     points = [operating_point(mechanism, position, limit) for position in looked.positions]
     law = sampled_law(mechanism, tracker, settings, limit)
-    return TuneResult(
-        tuning=tuning.tune(points, wanted, law, say=say, line=looked.line, note=looked.said(mechanism, "tune"))
-    )
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class TuneResult(MechanismResult):
-    """The gains found by `tune`. `str(result)` is the report; `to_dict()` has every value, with units in the names."""
-
-    record_name = "tune"
-    tuning: Tuning
-
-    @property
-    def found(self) -> bool:
-        """Whether the gains meet the requirements at every pose; otherwise they are the nearest ones."""
-        return self.tuning.found
-
-    @property
-    def passed(self) -> bool:
-        """Whether the gains were found."""
-        return self.found
-
-    @property
-    def tracking(self) -> dict[str, float | dict[str, float]]:
-        """The gains as the `tracking` table of problems, `track`, `compare` and `bode`."""
-        return self.tuning.tracking
-
-    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
-        """Yield tune, bandwidth and margins over the poses."""
-        yield "tune", tune_report.tune_figure(self.tuning)
-
-    def blocks(self) -> list[Block]:
-        """Return the gains and the margins that they reach at every pose."""
-        return tune_report.tune_blocks(self.tuning)
-
-    def document(self) -> Report:
-        """Return the report."""
-        return tune_report.tune_report(self.tuning)
-
-    def write_files(self, place: Path, *, parquet: bool) -> None:
-        """Write tracking.toml, the gains as the table of a problem file."""
-        del parquet
-        (place / "tracking.toml").write_text(tune_report.tracking_table(self.tuning), encoding="utf-8")
+    return study.tune(points, wanted, law, say=say, line=looked.line, note=looked.said(mechanism, "tune"))

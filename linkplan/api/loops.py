@@ -13,10 +13,8 @@ from msgspec import structs
 from linkplan.api.command import command
 from linkplan.api.inputs import Poses, Subject, numbers, plan_of, poses_of, read_subject, tracking_table
 from linkplan.api.names import LINEAR, Frequencies, Law
-from linkplan.api.paths import check_flags, drawn
 from linkplan.api.plants import PlantResult
 from linkplan.api.reporting import Progress, listener
-from linkplan.api.results import MechanismResult
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.build import tracking_from_tables
@@ -37,6 +35,8 @@ from linkplan.studies.feedback.frequency.feedback_loops import QUANTITIES, refus
 from linkplan.studies.feedback.frequency.margins import frequency_grid
 from linkplan.studies.output.document import Block, Report, Section
 from linkplan.studies.output.figure_spec import FigureSpec, panels_of
+from linkplan.studies.output.paths import check_flags, drawn
+from linkplan.studies.output.result import MechanismResult
 
 if TYPE_CHECKING:
     import control

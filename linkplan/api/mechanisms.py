@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 from linkplan.api.command import command
 from linkplan.api.inputs import Poses, Source, Subject, poses_of, source_of, subject_of
-from linkplan.api.results import Result
 from linkplan.models.foreign.floating import floating_bodies
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.build import MECHANISM_ARGUMENTS, mechanism_from_tables, with_arguments
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.studies.check.refused_model import REFUSED, RefusedModel, refused_model
 from linkplan.studies.output.document import Block, Report
+from linkplan.studies.output.result import Result
 
 if TYPE_CHECKING:
     from msgspec import Struct

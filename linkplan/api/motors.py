@@ -8,14 +8,14 @@ from pathlib import Path
 
 from linkplan.api.command import command
 from linkplan.api.inputs import ProblemLike, given_problem
-from linkplan.api.paths import path_of
 from linkplan.api.reporting import Progress, listener
-from linkplan.api.results import Result
 from linkplan.models.errors import ProblemError
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import number
 from linkplan.studies.output.document import Block, Report
 from linkplan.studies.output.figure_spec import FigureSpec
+from linkplan.studies.output.paths import path_of
+from linkplan.studies.output.result import Result
 from linkplan.studies.variations.size.candidates import actuator_of, motors_from, read_motors
 from linkplan.studies.variations.size.sizing import Sizing, size_motors
 from linkplan.studies.variations.size.sizing_blocks import sizing_blocks, sizing_figure, sizing_report

@@ -84,8 +84,8 @@ def schema(file: FileKind = "problem", path: str | Path | None = None) -> dict:
 
     found = json_schema(choose("kind of file", file, FILES, ProblemError))
     if path is not None:
-        from linkplan.api.paths import path_of
         from linkplan.planner.files.single_file import write_file_whole
+        from linkplan.studies.output.paths import path_of
 
         text = f"{json.dumps(found, indent=2)}\n"
         mark = '"title": "linkplan '  # that of the whole schema

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, cast
 from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, Source, Subject, note_forces, plan_of, source_of, subject_of
 from linkplan.api.names import CLaw, ExportFormat, TrackerName
-from linkplan.api.paths import check_flags, file_to_write, folder_to_write, path_of
 from linkplan.api.reporting import Listener, Progress, listener
-from linkplan.api.results import Result, Shown
 from linkplan.api.typed_commands import sample_again
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.plan.plan import Plan
+from linkplan.studies.output.paths import check_flags, file_to_write, folder_to_write, path_of
+from linkplan.studies.output.result import Result, Shown
 
 if TYPE_CHECKING:
     from linkplan.studies.handover.export.c_files import ModelRecord

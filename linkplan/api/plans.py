@@ -13,9 +13,7 @@ from msgspec import UNSET, structs
 
 from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, ProblemLike, Source, given_problem, plan_of, source_of, with_motion
-from linkplan.api.paths import check_flags, drawn, path_of
 from linkplan.api.reporting import LOG, Listener, Progress, listener
-from linkplan.api.results import Reported, Result
 from linkplan.models.deadline import NO_DEADLINE, OutOfTimeError
 from linkplan.models.errors import ProblemError
 from linkplan.planner.files.folders import plain_record, write_whole
@@ -26,6 +24,8 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.search.planning import plan_motion, price_of, saved_price, with_price
 from linkplan.planner.search.refutations import proved_after_refinement
 from linkplan.planner.search.replan import NextMotion, Replanner
+from linkplan.studies.output.paths import check_flags, drawn, path_of
+from linkplan.studies.output.result import Reported, Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from linkplan.api.results import MechanismResult
 from linkplan.models.errors import ProblemError, choose
 from linkplan.studies.feedback.bode.plant_blocks import plant_figure, plant_report, plant_summary
 from linkplan.studies.feedback.bode.plant_result import PlantStudy
 from linkplan.studies.feedback.frequency.plant_modes import plant_matrices
 from linkplan.studies.output.document import Block, Report
 from linkplan.studies.output.figure_spec import FigureSpec
+from linkplan.studies.output.result import MechanismResult
 
 if TYPE_CHECKING:
     import control

@@ -12,9 +12,7 @@ from msgspec import structs
 from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, Source, listed, plan_of, source_of, tracking_table
 from linkplan.api.names import LINEAR
-from linkplan.api.paths import drawn
 from linkplan.api.reporting import Listener, Progress, listener
-from linkplan.api.results import Result
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.errors import ProblemError
 from linkplan.planner.plan.plan import Plan
@@ -27,6 +25,8 @@ from linkplan.studies.compare.time_series import save_time_series
 from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
 from linkplan.studies.output.document import Block, Report, Text
 from linkplan.studies.output.figure_spec import FigureSpec
+from linkplan.studies.output.paths import drawn
+from linkplan.studies.output.result import Result
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

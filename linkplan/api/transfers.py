@@ -12,7 +12,6 @@ import numpy as np
 from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, Subject, numbers, plan_of, subject_of
 from linkplan.api.reporting import Progress, listener
-from linkplan.api.results import MechanismResult
 from linkplan.models.errors import LinkplanError, ProblemError, choose
 from linkplan.models.transfer.rest import OutputMotion, rest_effort
 from linkplan.planner.problem.settings import to_toml_types
@@ -22,6 +21,7 @@ from linkplan.studies.handover.transfer.serial_urdf import urdf_notes, urdf_text
 from linkplan.studies.handover.transfer.study import Transfer, transfer_study
 from linkplan.studies.handover.transfer.transfer_blocks import transfer_blocks, transfer_report
 from linkplan.studies.handover.transfer.transfer_figures import TransferFigures, transfer_figures
+from linkplan.studies.output.result import MechanismResult
 
 if TYPE_CHECKING:
     from linkplan.studies.output.document import Block, Report

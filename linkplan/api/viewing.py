@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, Source, Subject, plan_of, source_of
 from linkplan.api.names import KEYS_TEXT, TrackerName
-from linkplan.api.paths import file_to_write, folder_to_write
 from linkplan.api.reporting import Listener, Progress, listener
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import number, whole
+from linkplan.studies.output.paths import file_to_write, folder_to_write
 
 if TYPE_CHECKING:
     from linkplan.studies.explore.server import Server

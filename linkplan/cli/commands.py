@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from linkplan.api.inputs import Source
     from linkplan.api.outputs import Exported, Rendered
     from linkplan.api.plans import Plan
-    from linkplan.api.results import Result
     from linkplan.studies.output.document import Block
+    from linkplan.studies.output.result import Result
 
 # Options that write additional files into a result's folder.
 _WITH_OUTPUT = {"report": "report.html", "parquet": "tables as Parquet", "jumps": "both sides of jumps"}
@@ -49,7 +49,7 @@ def folder_asked(arguments: argparse.Namespace) -> Path:
     """Return the folder of -o after a check that it can be written."""
     if not arguments.output:
         raise ProblemError("-o takes a folder, got an empty name")
-    from linkplan.api.paths import folder_to_write, require_parquet
+    from linkplan.studies.output.paths import folder_to_write, require_parquet
 
     if getattr(arguments, "parquet", False):
         require_parquet("--parquet")
@@ -68,7 +68,7 @@ def new_file(arguments: argparse.Namespace) -> Path | None:
     """Return the file of -o; an existing or unwritable file is refused before the work starts."""
     if arguments.output is None:
         return None
-    from linkplan.api.paths import file_to_write
+    from linkplan.studies.output.paths import file_to_write
 
     with naming("-o"):
         return file_to_write(file_asked(arguments))

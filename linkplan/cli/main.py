@@ -157,7 +157,7 @@ def _result_at(target: str | None) -> str | None:
     """Return the identity of the result at a path; None if there is none."""
     if not target or not os.path.isdir(target):
         return None
-    from linkplan.api.paths import result_identity
+    from linkplan.studies.output.paths import result_identity
 
     return result_identity(Path(target))
 

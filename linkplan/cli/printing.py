@@ -159,7 +159,7 @@ def show(
     """Print a result: one JSON object with --json, else its text; on a terminal, a document is drawn in its width."""
     quiet(arguments)
     if arguments.json:
-        from linkplan.api.paths import plain_json
+        from linkplan.studies.output.paths import plain_json
 
         text = plain_json(said() if callable(said) else said) + "\n"
     elif isinstance(result, str):

@@ -6,10 +6,10 @@ import msgspec
 import pytest
 
 import linkplan
-from linkplan.api.results import MechanismResult, Result
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.files.structs import Beside, read_value
 from linkplan.studies.handover.export import c_files
+from linkplan.studies.output.result import MechanismResult, Result
 from linkplan.studies.output.text import text_of
 
 COARSE = {"tracking.period_s": 1e-3, "tracking.kp": 200.0, "tracking.kd": 1.0}
@@ -36,9 +36,9 @@ MADE = {
             "optimus-knee", kp=200.0, kd=1.0, frequency_hz=[100.0], from_effort=["act_O"], to_position=["C"], **AT_REST
         ),
     ),
-    "tune": ("TuneResult", lambda _: linkplan.tune("optimus-knee", bandwidth_hz=10.0, **AT_REST)),
+    "tune": ("Tuning", lambda _: linkplan.tune("optimus-knee", bandwidth_hz=10.0, **AT_REST)),
     "tune, several joints": (
-        "TuneResult",
+        "Tuning",
         lambda _: linkplan.tune("five-bar", bandwidth_hz=10.0, tracker="pd", stiffness=5.0),
     ),
     "transfer": ("TransferResult", lambda _: linkplan.transfer("optimus-knee", ["C"])),
@@ -103,8 +103,8 @@ def test_the_json_of_what_is_no_result_is_read_back_as_its_struct(make, plan, tm
 
 def test_every_kind_of_result_is_a_struct_and_tried_above():
     assert all(hasattr(linkplan, name) for name in linkplan.__all__)  # imports every file of the package
-    direct = [kind for kind in Result.__subclasses__() if kind is not MechanismResult]
-    kinds = {kind.__name__: kind for kind in (*direct, *MechanismResult.__subclasses__())}
-    kinds = {name: kind for name, kind in kinds.items() if name not in OF_THE_PLANNER}
+    of_mechanisms = MechanismResult.__subclasses__()
+    every = {*Result.__subclasses__(), *of_mechanisms} - {MechanismResult}
+    kinds = {kind.__name__: kind for kind in every if kind.__name__ not in OF_THE_PLANNER}
     assert {kind for kind, _ in MADE.values()} == set(kinds)
     assert not [name for name, kind in kinds.items() if "to_dict" in vars(kind)]

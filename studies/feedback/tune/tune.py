@@ -33,7 +33,8 @@ from linkplan.studies.feedback.tune.requirements import (
     shortfall,
 )
 from linkplan.studies.feedback.tune.search import MAX_ROUNDS, found_gains
-from linkplan.studies.feedback.tune.tuning import Tuning, gains_by_motor, tracking_values, tuned_joints
+from linkplan.studies.feedback.tune.tune_report import Tuning
+from linkplan.studies.feedback.tune.tuning import gains_by_motor, tracking_values
 
 
 def tune(
@@ -92,23 +93,19 @@ def tune(
         points = _along(points, worst)
         best = evaluated(points, wanted, law)
     found = best.shortfall == 0.0
-    motors = () if law.by_errors else gains_by_motor(best, mechanism)
-    tracking = tracking_values(best, mechanism)
-    gains = {key: value for key, value in tracking.items() if key != "delay_periods"} | {"delay_s": timing.delay_s}
+    gains = tracking_values(best, mechanism) | {"delay_s": timing.delay_s}
+    gains.pop("delay_periods", None)
     return Tuning(
         mechanism_name=mechanism.name,
         tracker=law.name,
         found=found,
         message=_message(points, wanted, best, found, line),
         wanted=wanted,
-        gains=gains if law.by_errors else gains | {"motor_side": motors},
+        gains=gains if law.by_errors else gains | {"motor_side": gains_by_motor(best, mechanism)},
         note="; ".join([*filter(None, [note]), *_allowed_by_springs(points)]) or None,
         points=best.loops,
         mechanism=mechanism,
         best=best,
-        motors=motors,
-        joints=tuned_joints(mechanism),
-        tracking=tracking,
     )
 
 

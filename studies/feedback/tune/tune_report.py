@@ -1,16 +1,21 @@
-"""The output of `linkplan tune`: the [tracking] table of a problem file, and the result as a document."""
+"""The result of `linkplan tune`, whose fields are the record `tune.json`: gains, and their margins at every pose."""
 
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from msgspec import Struct, field
 
 from linkplan.controllers.trackers.names import BUILT_IN
+from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.joints import Joint
+from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.files.tables import inline
 from linkplan.studies.feedback.bode.scan import figures
-from linkplan.studies.feedback.tune.requirements import JudgedLoop
-from linkplan.studies.feedback.tune.tuning import Tuning, gains_by_joint
+from linkplan.studies.feedback.tune.requirements import EvaluatedGains, JudgedLoop, Requirements
+from linkplan.studies.feedback.tune.tuning import MotorGains, gains_by_joint, tracking_values, tuned_joints
 from linkplan.studies.output.document import (
     Axis,
     Block,
@@ -28,6 +33,106 @@ from linkplan.studies.output.document import (
 from linkplan.studies.output.figure_spec import FigureSpec, side_by_side
 from linkplan.studies.output.numbers import rounded
 from linkplan.studies.output.report_file import report_of
+from linkplan.studies.output.result import MechanismResult
+
+
+class Tuning(MechanismResult, Struct, frozen=True, kw_only=True, eq=False):
+    """The best gains, whether they meet the requirements at all points (`found`), and the verdict as a sentence.
+
+    `gains` contains period and delay, the gains under the keys of a [tracking] table, and the gains of each motor that
+    drives a single joint. `points` are the loops, joint by joint and pose by pose.
+    """
+
+    record_name = "tune"
+
+    mechanism_name: str = field(name="mechanism")
+    tracker: str
+    found: bool
+    message: str
+    wanted: Requirements
+    gains: dict[str, Any]
+    note: str | None  # on the choice of the points
+    points: tuple[JudgedLoop, ...]
+    mechanism: Beside[Mechanism] = field(default=NOT_READ, name="(mechanism)")
+    best: Beside[EvaluatedGains] = NOT_READ
+
+    @property
+    def passed(self) -> bool:
+        """Whether the gains were found; otherwise they are the nearest ones."""
+        return self.found
+
+    @property
+    def tracking(self) -> dict[str, float | dict[str, float]]:
+        """The gains as the `tracking` table of problems, `track`, `compare` and `bode`."""
+        return tracking_values(self.best, self.mechanism)
+
+    @property
+    def motors(self) -> tuple[MotorGains, ...]:
+        """The gains of each motor that drives a single joint; none for weights of LQR."""
+        return self.gains.get("motor_side", ())
+
+    @property
+    def joints(self) -> list[Joint]:
+        """The joints with a feedback loop."""
+        return tuned_joints(self.mechanism)
+
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield tune, bandwidth and margins of every joint over the poses."""
+        joints, columns = self.joints, []
+        for channel, joint in zip(self.mechanism.channels, joints, strict=True):
+            loops = [loop for loop in self.points if loop.channel == channel]
+            columns.append(tune_plots(self, loops, "" if len(joints) == 1 else f", loop of {joint.name}"))
+        size, title = (7.5 if len(joints) == 1 else 4.5, 2.5), f"{self.mechanism.name}: {self.message.split(': ')[0]}"
+        yield "tune", FigureSpec(panels=side_by_side(*columns), title=title, columns=len(columns), panel_in=size)
+
+    def blocks(self) -> list[Block]:
+        """Return the verdict, the gains of joints and motors, and the margins of every loop at every pose."""
+        joints = self.joints
+        blocks: list[Block] = [Text(text=self.message)]
+        if BUILT_IN[self.tracker].by_errors:
+            (position_key, position), (velocity_key, velocity) = list(self.tracking.items())[:2]
+            weights = f"{position_key} = {position:.5g}, {velocity_key} = {velocity:.5g}"
+            blocks.append(Text(text=f"{weights} (errors weighted like the full effort limit)"))
+        else:
+            blocks.append(Facts(rows=gain_lines(self)))
+        if self.found:
+            blocks.append(_worst(self))
+        if shared := self.points[0].point.shared_coordinates:
+            blocks.append(Facts(rows=[("at every pose", shared)]))
+        for channel, joint in zip(self.mechanism.channels, joints, strict=True):
+            loops = [loop for loop in self.points if loop.channel == channel]
+            blocks += [
+                _table(loops, joint, len(joints) > 1),
+                *tune_plots(self, loops, "" if len(joints) == 1 else f", loop of {joint.name}"),
+            ]
+        if len(joints) > 1:
+            blocks.append(Text(text="settling time and damping ratio are those of the poles that all loops share"))
+        return blocks if self.note is None else [*blocks, Text(text=self.note, tone="note")]
+
+    def document(self) -> Report:
+        """Return the report."""
+        mechanism, wanted, law = self.mechanism, self.wanted, self.best.law
+        rows = [
+            ("mechanism", mechanism.name),
+            ("tracker", law.name),
+            ("wanted bandwidth", f"{wanted.bandwidth_hz:g} Hz at least"),
+            ("wanted phase margin", f"{wanted.phase_margin_deg:g} deg at least"),
+            ("control period", f"{law.timing.period_s:g} s, delay {law.timing.delay_s:g} s"),
+        ]
+        if wanted.sensitivity_peak is not None:
+            rows.append(("wanted peak of |S|", f"{wanted.sensitivity_peak:g} at most"))
+        blocks: list[Block] = [
+            Facts(rows=rows),
+            Code(title="Gains as the [tracking] table of a problem file", text=tracking_table(self)),
+            *self.blocks()[1:],  # the page's header has the verdict
+        ]
+        section = Section(title=f"Gains for {mechanism.name}", blocks=blocks)
+        return report_of(f"Gains for {mechanism.name}", self.message, self.found, [section])
+
+    def write_files(self, place: Path, *, parquet: bool) -> None:
+        """Write tracking.toml, the gains as the table of a problem file."""
+        del parquet
+        (place / "tracking.toml").write_text(tracking_table(self), encoding="utf-8")
 
 
 def gain_lines(tuning: Tuning) -> list[tuple[str, str]]:
@@ -91,16 +196,6 @@ def tune_plots(tuning: Tuning, loops: Sequence[JudgedLoop], of: str) -> list[Plo
     return found
 
 
-def tune_figure(tuning: Tuning) -> FigureSpec:
-    """Return the figure of every joint's margins over the poses."""
-    joints, columns = tuning.joints, []
-    for channel, joint in zip(tuning.mechanism.channels, joints, strict=True):
-        loops = [loop for loop in tuning.points if loop.channel == channel]
-        columns.append(tune_plots(tuning, loops, "" if len(joints) == 1 else f", loop of {joint.name}"))
-    size, title = (7.5 if len(joints) == 1 else 4.5, 2.5), f"{tuning.mechanism.name}: {tuning.message.split(': ')[0]}"
-    return FigureSpec(panels=side_by_side(*columns), title=title, columns=len(columns), panel_in=size)
-
-
 def tracking_table(tuning: Tuning) -> str:
     """Return the gains as the text of the [tracking] table of a problem file."""
     lines = [*textwrap.wrap(f"# {tuning.message}", 110, subsequent_indent="# ", break_on_hyphens=False), "[tracking]"]
@@ -108,31 +203,6 @@ def tracking_table(tuning: Tuning) -> str:
         rounded = {name: float(f"{gain:.6g}") for name, gain in value.items()} if isinstance(value, dict) else None
         lines.append(f"{key} = {value:.6g}" if rounded is None else f"{key} = {inline(rounded, key)}")
     return "\n".join(lines) + "\n"
-
-
-def tune_blocks(tuning: Tuning) -> list[Block]:
-    """Return the verdict, the gains in the joints' and the motor's units, and the margins of every loop at every pose."""
-    joints = tuning.joints
-    blocks: list[Block] = [Text(text=tuning.message)]
-    if BUILT_IN[tuning.tracker].by_errors:
-        (position_key, position), (velocity_key, velocity) = list(tuning.tracking.items())[:2]
-        weights = f"{position_key} = {position:.5g}, {velocity_key} = {velocity:.5g}"
-        blocks.append(Text(text=f"{weights} (errors weighted like the full effort limit)"))
-    else:
-        blocks.append(Facts(rows=gain_lines(tuning)))
-    if tuning.found:
-        blocks.append(_worst(tuning))
-    if shared := tuning.points[0].point.shared_coordinates:
-        blocks.append(Facts(rows=[("at every pose", shared)]))
-    for channel, joint in zip(tuning.mechanism.channels, joints, strict=True):
-        loops = [loop for loop in tuning.points if loop.channel == channel]
-        blocks += [
-            _table(loops, joint, len(joints) > 1),
-            *tune_plots(tuning, loops, "" if len(joints) == 1 else f", loop of {joint.name}"),
-        ]
-    if len(joints) > 1:
-        blocks.append(Text(text="settling time and damping ratio are those of the poles that all loops share"))
-    return blocks if tuning.note is None else [*blocks, Text(text=tuning.note, tone="note")]
 
 
 def _worst(tuning: Tuning) -> Table:
@@ -177,24 +247,3 @@ def _table(loops: Sequence[JudgedLoop], joint: Joint, several: bool) -> Table:
     heads += ["settling [s]", "damping", "response at rest", f"stiffness [{joint.gain_units[0]}]"]
     of = f", the loop of {joint.name}, the others closed" if several else ""
     return table_of(f"At every analysed position{of}", heads, rows)
-
-
-def tune_report(found: Tuning) -> Report:
-    """Return the report of gains for requirements."""
-    mechanism, wanted, law = found.mechanism, found.wanted, found.best.law
-    rows = [
-        ("mechanism", mechanism.name),
-        ("tracker", law.name),
-        ("wanted bandwidth", f"{wanted.bandwidth_hz:g} Hz at least"),
-        ("wanted phase margin", f"{wanted.phase_margin_deg:g} deg at least"),
-        ("control period", f"{law.timing.period_s:g} s, delay {law.timing.delay_s:g} s"),
-    ]
-    if wanted.sensitivity_peak is not None:
-        rows.append(("wanted peak of |S|", f"{wanted.sensitivity_peak:g} at most"))
-    blocks: list[Block] = [
-        Facts(rows=rows),
-        Code(title="Gains as the [tracking] table of a problem file", text=tracking_table(found)),
-        *tune_blocks(found)[1:],  # the page's header has the verdict
-    ]
-    section = Section(title=f"Gains for {mechanism.name}", blocks=blocks)
-    return report_of(f"Gains for {mechanism.name}", found.message, found.found, [section])

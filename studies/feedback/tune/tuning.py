@@ -1,9 +1,9 @@
-"""The result of `linkplan tune`, whose fields are the record `tune.json`: gains, and their margins at every pose."""
+"""The gains that `linkplan tune` found, by joint and by motor."""
 
 from typing import Any
 
 import numpy as np
-from msgspec import Struct, field
+from msgspec import Struct
 
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.closure.rank import ROUNDING_SHARE
@@ -12,7 +12,7 @@ from linkplan.models.poses.along import sampled
 from linkplan.models.transfer.polytope import motor_gains as gains_at_motors
 from linkplan.models.tree.joints import Joint, gain_units_of
 from linkplan.planner.files.structs import NOT_READ, Beside
-from linkplan.studies.feedback.tune.requirements import EvaluatedGains, JudgedLoop, Requirements
+from linkplan.studies.feedback.tune.requirements import EvaluatedGains
 
 
 class MotorGains(Struct, frozen=True, kw_only=True, eq=False):
@@ -53,28 +53,6 @@ class MotorGains(Struct, frozen=True, kw_only=True, eq=False):
         values = np.abs(self.values[name])
         low, high = (f"{value:.5g}" for value in (values.min(), values.max()))
         return low if self.is_constant else f"{low} to {high}"
-
-
-class Tuning(Struct, frozen=True, kw_only=True, eq=False):
-    """The best gains, whether they meet the requirements at all points (`found`), and the verdict as a sentence.
-
-    `gains` contains period and delay, the gains under the keys of a [tracking] table, and the gains of each motor that
-    drives a single joint. `points` are the loops, joint by joint and pose by pose.
-    """
-
-    mechanism_name: str = field(name="mechanism")
-    tracker: str
-    found: bool
-    message: str
-    wanted: Requirements
-    gains: dict[str, Any]
-    note: str | None  # on the choice of the points
-    points: tuple[JudgedLoop, ...]
-    mechanism: Beside[Mechanism] = field(default=NOT_READ, name="(mechanism)")
-    best: Beside[EvaluatedGains] = NOT_READ
-    motors: Beside[tuple[MotorGains, ...]] = NOT_READ
-    joints: Beside[list[Joint]] = NOT_READ  # with a feedback loop
-    tracking: Beside[dict[str, Any]] = NOT_READ  # the gains as a [tracking] table
 
 
 def tuned_joints(mechanism: Mechanism) -> list[Joint]:

@@ -123,4 +123,4 @@ def test_tune_says_up_to_which_frequency_a_load_follows(study):
     told = linkplan.tune(study.mechanism, bandwidth_hz=5.0, phase_margin_deg=45.0, damping_ratio=0.2)
     (mode,) = study.points[0].plant["m"].anti_resonances
     assert told.found
-    assert f"swing at {mode.frequency_hz:.4g} Hz" in told.tuning.note
+    assert f"swing at {mode.frequency_hz:.4g} Hz" in told.note

@@ -17,8 +17,7 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.feedback.frequency.feedback_loops import operating_point, sampled_law
 from linkplan.studies.feedback.tune.requirements import Requirements
 from linkplan.studies.feedback.tune.tune import tune
-from linkplan.studies.feedback.tune.tune_report import tracking_table, tune_blocks, tune_figure
-from linkplan.studies.output.figure import figure_of
+from linkplan.studies.feedback.tune.tune_report import tracking_table
 from linkplan.studies.output.text import text_of
 from tests.support.parallel_ankle import ankle
 from tests.support.tolerances_loops import MARGIN
@@ -136,10 +135,10 @@ def test_the_tracking_table_gives_a_problem_its_gains_by_joint(tmp_path):
     assert kp == pytest.approx([values["kp"]["O1"], values["kp"]["O2"]], rel=1e-5)
     assert kd == pytest.approx([values["kd"]["O1"], values["kd"]["O2"]], rel=1e-5)
     assert [loop.joint for loop in found.points] == ["O1", "O2"]
-    text = text_of(tune_blocks(found))
+    text = text_of(found.blocks())
     assert "the loop of O2, the others closed" in text
     assert f"at O1: kp = {values['kp']['O1']:.5g} N.m/rad" in text
-    figure = figure_of(tune_figure(found), tmp_path / "tune.png")
+    figure = found.plot(tmp_path / "tune.png")
     assert [axes.get_title().split(", ")[-1] for axes in figure.axes[:2]] == ["loop of O1", "loop of O2"]
 
 

@@ -14,8 +14,7 @@ from linkplan.studies.feedback.frequency.feedback_loops import feedback_loop, la
 from linkplan.studies.feedback.frequency.margins import damping_ratio, margins, settling_time_s
 from linkplan.studies.feedback.tune.requirements import Requirements
 from linkplan.studies.feedback.tune.tune import Tuning, tune
-from linkplan.studies.feedback.tune.tune_report import tracking_table, tune_blocks, tune_figure
-from linkplan.studies.output.figure import figure_of
+from linkplan.studies.feedback.tune.tune_report import tracking_table
 from linkplan.studies.output.text import text_of
 from tests.support.oscillators import inertia_alone, mass_on_a_spring
 from tests.support.tolerances_loops import GAINS_SCALED
@@ -107,7 +106,7 @@ def test_the_motors_side_sees_gains_through_the_square_of_its_gear():
     # The effort of the actuator at a joint's error e is kp e / gear, at the motor's own motion gear e: kp / gear^2.
     gain = law_gain(point, "pd", found.best.law.settings, mechanism.effort_limit)
     assert gain[0, 0] / 5.0 == pytest.approx(motor.kp)
-    assert "N/m" in text_of(tune_blocks(found))
+    assert "N/m" in text_of(found.blocks())
     assert motor.gear == 5.0
     assert found.gains["motor_side"] == found.motors
 
@@ -181,7 +180,7 @@ def test_the_table_of_worst_values_states_the_level_of_the_bandwidth_and_the_sti
     law = sampled_law(mechanism, "pd", Tracking(period_s=1e-4), mechanism.effort_limit)
     wanted = Requirements(bandwidth_hz=5.0, phase_margin_deg=60.0)
     found = tune([operating_point(mechanism, np.zeros(1))], wanted, law)
-    shown = " ".join(text_of(tune_blocks(found)).split())
+    shown = " ".join(text_of(found.blocks()).split())
     assert f"bandwidth -3 dB [Hz] 5 {found.best.worst('bandwidth_hz')[0]:.4g}" in shown
     assert f"stiffness at rest [N.m/rad] {found.best.law.settings.kp:.4g}" in shown
 
@@ -194,7 +193,7 @@ def test_poles_of_a_second_order_system_have_its_damping_ratio_and_settle_with_i
 
 
 def test_all_points_of_the_figure_are_inside_its_axes():
-    figure = figure_of(tune_figure(tuned("shank", "pd", 30.0, 60.0, 1e-3, 1)))
+    figure = tuned("shank", "pd", 30.0, 60.0, 1e-3, 1).plot()
     for axes in figure.axes:
         for line in axes.lines:
             values = np.asarray(line.get_ydata(), dtype=float)
@@ -208,7 +207,7 @@ def test_bandwidths_of_more_than_a_decade_are_on_a_logarithmic_axis():
     points = [operating_point(mechanism, np.radians([angle])) for angle in (0.0, 76.8)]  # far from and next to a dead centre
     law = sampled_law(mechanism, "pd", Tracking(period_s=1e-4), mechanism.effort_limit)
     found = tune(points, Requirements(bandwidth_hz=10.0, phase_margin_deg=60.0), law)
-    axes = figure_of(tune_figure(found)).axes[0]
+    axes = found.plot().axes[0]
     values = np.asarray(axes.lines[0].get_ydata(), dtype=float)
     assert values.max() > 10 * values.min() >= 100.0
     assert axes.get_yscale() == "log"
@@ -270,7 +269,7 @@ def test_a_named_stiffness_replaces_the_response_at_rest():
     (loop,) = found.best.loops
     assert loop.stiffness_at_rest >= 20.0
     assert loop.response_at_rest < 0.95
-    assert "stiffness at rest" in text_of(tune_blocks(found))
+    assert "stiffness at rest" in text_of(found.blocks())
 
 
 def test_a_stiffness_that_no_gain_gives_is_named():

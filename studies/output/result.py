@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import fields
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
-from linkplan.api.paths import check_flags, drawn, path_of
 from linkplan.models.errors import LinkplanError
 from linkplan.models.extras import load_extra
+from linkplan.studies.output.paths import check_flags, drawn, path_of
 
 if TYPE_CHECKING:
     import pandas
@@ -21,8 +20,8 @@ if TYPE_CHECKING:
     from linkplan.studies.output.figure_spec import FigureSpec
 
 
-class Shown(ABC):
-    """An object with a struct and blocks, from which its JSON, its text and its display in a notebook follow.
+class Shown:
+    """A struct with blocks, from which its JSON, its text and its display in a notebook follow.
 
     It is a base class, so that all results are shown in the same way.
     """
@@ -30,9 +29,10 @@ class Shown(ABC):
     __slots__ = ()
 
     @property
-    @abstractmethod
     def struct(self) -> Struct:
-        """The frozen struct. Its fields are the JSON, except those of type `Beside`."""
+        """The frozen struct: this object or its first field. Its fields are the JSON, except those of type `Beside`."""
+        own = cast("Any", self)
+        return getattr(own, fields(own)[0].name) if is_dataclass(own) else own
 
     def to_dict(self) -> dict:
         """Return all values by name, with units in the names, in JSON types."""
@@ -40,9 +40,9 @@ class Shown(ABC):
 
         return plain_record(self.struct)
 
-    @abstractmethod
     def blocks(self) -> list[Block]:
         """Return the result as a document's blocks."""
+        raise NotImplementedError
 
     def _repr_html_(self) -> str:
         from linkplan.studies.output.text import html_of, in_brief
@@ -60,9 +60,9 @@ class Reported(Shown):
 
     __slots__ = ()
 
-    @abstractmethod
     def document(self) -> Report:
         """Return the result's report."""
+        raise NotImplementedError
 
     def report(self, path: str | Path) -> Path:
         """Write the report, one HTML file that opens offline, and return its path.
@@ -76,7 +76,7 @@ class Reported(Shown):
 
 
 class Result(Reported):
-    """The result of a study. Each kind has `passed`, `blocks`, `document` and `figure_specs`; the rest follows."""
+    """The result of a study, a base class of its struct; each has `passed`, `blocks`, `document` and `figure_specs`."""
 
     __slots__ = ()
     record_name = ""
@@ -89,11 +89,6 @@ class Result(Reported):
     def passed(self) -> bool:
         """Whether the result is positive; a command then ends with exit code 0."""
         return True
-
-    @property
-    def struct(self) -> Struct:
-        """The frozen struct, a result's first field. Its own fields are the JSON, except those of type `Beside`."""
-        return getattr(self, fields(cast("Any", self))[0].name)
 
     def to_frame(self, table: str | int = 0) -> pandas.DataFrame:
         """Return one of the result's tables as a pandas table, with units in the columns' names and digits as shown.
@@ -175,7 +170,7 @@ class Result(Reported):
 
 
 class MechanismResult(Result):
-    """The result of a study of a mechanism, whose struct has the `mechanism_name` and the `message`."""
+    """The result of a study of a mechanism, with `mechanism_name` and `message`."""
 
     __slots__ = ()
 
