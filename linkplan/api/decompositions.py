@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, listed, plan_of
 from linkplan.api.names import LINEAR
 from linkplan.api.reporting import Progress, listener
-from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import whole
 from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
-from linkplan.studies.output.document import Block, Report
-from linkplan.studies.output.figure_spec import FigureSpec
-from linkplan.studies.output.result import Result
 from linkplan.studies.variations.decompose import decompose as study
 from linkplan.studies.variations.decompose.decomposition import Decomposition
-from linkplan.studies.variations.decompose.decomposition_blocks import (
-    decomposition_blocks,
-    decomposition_figure,
-    decomposition_report,
-)
 
 
 @command(
@@ -37,7 +28,7 @@ def decompose(
     samples: int = 16,
     seed: int = 0,
     progress: Progress | None = None,
-) -> DecompositionResult:
+) -> Decomposition:
     """Return each tracker's rms error on a plan, split among its causes: signed parts whose sum is the error.
 
     Starting from an ideal loop, the effects of a real loop are switched on one by one: discretisation of the plan, the
@@ -66,34 +57,4 @@ def decompose(
     answer = plan_of(plan, say, "track")
     if imperfections is not None:
         answer = replace(answer, problem=answer.problem.replace(imperfections=imperfections))
-    return DecompositionResult(decomposition=study.decompose(answer, asked, samples, seed, say), plan=answer)
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class DecompositionResult(Result):
-    """The causes of errors. `str(result)` is the table; `to_dict()` has every part, by cause and by joint."""
-
-    record_name = "decompose"
-
-    decomposition: Decomposition
-    plan: Plan
-
-    @property
-    def passed(self) -> bool:
-        """Whether the plan passes and every tracker's error is split."""
-        return self.plan.passed and self.decomposition.found
-
-    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
-        """Yield decompose, every tracker's parts as bars."""
-        yield "decompose", decomposition_figure(self.decomposition)
-
-    def blocks(self) -> list[Block]:
-        """Return the table and the charts of the parts."""
-        return decomposition_blocks(self.decomposition)
-
-    def document(self) -> Report:
-        """Return the report."""
-        return decomposition_report(self.decomposition, self.plan)
-
-    def __repr__(self) -> str:
-        return f"DecompositionResult({self.decomposition.decomposition!r}: {', '.join(self.decomposition.trackers)})"
+    return study.decompose(answer, asked, samples, seed, say)

@@ -111,6 +111,7 @@ def decompose(
         duration_s=reference.period_s * reference.n,
         parts=dict(CAUSES),
         trackers=found,
+        plan=plan,
     )
 
 

@@ -4,7 +4,6 @@ import itertools
 import json
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -20,15 +19,9 @@ from linkplan.models.errors import ProblemError
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.compare.compare import build_tracker, mismatch_of, track, tracking_reference
 from linkplan.studies.output.document import Table
-from linkplan.studies.output.figure import figure_of
 from linkplan.studies.output.text import text_of
 from linkplan.studies.variations.decompose.decompose import decompose, error_parts
-from linkplan.studies.variations.decompose.decomposition import Decomposition, Shares
-from linkplan.studies.variations.decompose.decomposition_blocks import (
-    decomposition_blocks,
-    decomposition_figure,
-    decomposition_report,
-)
+from linkplan.studies.variations.decompose.decomposition import Shares
 from linkplan.studies.variations.decompose.ladder import CAUSES
 from linkplan.studies.variations.experiment.block import run_block
 from linkplan.studies.variations.experiment.experiment import Settings, experiment_of
@@ -53,9 +46,7 @@ def reach(*overrides: str, name: str = "knee-reach") -> Plan:
 
 def parts_of(plan: Plan, tracker: str) -> dict:
     """Return the record of one tracker's error."""
-    found = decompose(plan, [tracker])
-    assert msgspec.json.decode(msgspec.json.encode(found), type=Decomposition) == found
-    record = msgspec.to_builtins(found)["trackers"][tracker]
+    record = decompose(plan, [tracker]).to_dict()["trackers"][tracker]
     return record | record["deg"]
 
 
@@ -148,7 +139,7 @@ def test_random_imperfections_are_drawn_as_an_experiment_draws_them():
     each = np.array(run_block(experiment_of(plan, Settings(trackers=("lqr",), samples=5, seed=3)), 0)["rms_error_deg"])
     assert np.ptp(each) > 0
     assert found.trackers["lqr"].deg.rms_error == pytest.approx(np.sqrt(np.mean(each**2)), rel=SAME_RUN)
-    assert "5 machines" in text_of(decomposition_blocks(found))
+    assert "5 machines" in text_of(found.blocks())
 
 
 def test_a_loop_that_is_lost_on_the_way_is_said_with_what_came_in():
@@ -157,14 +148,14 @@ def test_a_loop_that_is_lost_on_the_way_is_said_with_what_came_in():
     lost = found.trackers["pd+ff"]
     assert lost.machines == 0
     assert "lost after discretisation of the plan was switched on" in next(iter(lost.failures))
-    text = text_of(decomposition_blocks(found))
+    text = text_of(found.blocks())
     assert "pd+ff, 1 of 1 machines omitted" in text
     assert "lqr" in text.splitlines()[3]
 
 
 def test_tables_have_all_trackers_and_columns_add_up():
     found = decompose(reach(SHORT, "imperfections.payload_mass_factor=1.2"), TRACKERS)
-    text = text_of(decomposition_blocks(found))
+    text = text_of(found.blocks())
     for name in TRACKERS:
         assert name in text
     column = [float(line.split()[-1]) for line in text.split("\n\n")[1].splitlines()[3:]]
@@ -175,7 +166,7 @@ def test_tables_have_all_trackers_and_columns_add_up():
 
 def test_every_tracker_has_a_panel_whose_bars_end_where_the_whole_does(tmp_path):
     found = decompose(reach(SHORT, AS_MODELLED), ["pd", "lqr"])
-    figure = figure_of(decomposition_figure(found), tmp_path / "parts.png")
+    figure = found.plot(tmp_path / "parts.png")
     assert (tmp_path / "parts.png").is_file()
     for axis, one in zip(figure.axes, found.trackers.values(), strict=False):
         bars = axis.patches
@@ -186,7 +177,7 @@ def test_every_tracker_has_a_panel_whose_bars_end_where_the_whole_does(tmp_path)
 
 
 def test_a_report_has_the_parts_and_the_plan():
-    report = decomposition_report(decompose(reach(SHORT, AS_MODELLED), ["pd+ff"]), reach(SHORT, AS_MODELLED))
+    report = decompose(reach(SHORT, AS_MODELLED), ["pd+ff"]).document()
     table = next(block for section in report.sections for block in section.blocks if isinstance(block, Table))
     assert [row[0] for row in table.rows][:-1] == list(CAUSES.values())
     assert sum(float(row[1]) for row in table.rows[:-1]) == pytest.approx(float(table.rows[-1][1]), rel=1e-3)

@@ -12,8 +12,7 @@ from linkplan.planner.search.planning import silent
 from linkplan.studies.output.document import Bars, Code, Plot, Table
 from linkplan.studies.output.text import text_of
 from linkplan.studies.report.reading import folder_report
-from linkplan.studies.variations.decompose.decomposition import Decomposition
-from linkplan.studies.variations.decompose.decomposition_blocks import decomposition_charts
+from linkplan.studies.variations.decompose.decomposition import Decomposition, decomposition_charts
 from linkplan.studies.variations.experiment.experiment import Settings
 from linkplan.studies.variations.experiment.experiment_blocks import estimated
 from linkplan.studies.variations.experiment.experiment_sections import experiment_report
