@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 
 from linkplan.api.command import command
@@ -11,11 +10,9 @@ from linkplan.api.reporting import Progress, listener
 from linkplan.models.errors import ProblemError
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import to_toml_types
-from linkplan.studies.output.document import Block, Report
 from linkplan.studies.output.paths import check_flags, path_of
-from linkplan.studies.output.result import Result
-from linkplan.studies.variations.batch.batch_blocks import batch_blocks, batch_report
-from linkplan.studies.variations.batch.study import BatchOutcome, run_batch
+from linkplan.studies.variations.batch.batch_blocks import BatchOutcome
+from linkplan.studies.variations.batch.study import run_batch
 from linkplan.studies.variations.tasks.cluster import engine_of
 
 
@@ -28,7 +25,7 @@ def batch(
     cluster: str | None = None,
     parquet: bool = False,
     progress: Progress | None = None,
-) -> BatchResult:
+) -> BatchOutcome:
     """Return the plans of many variations of one problem, as a table and a record; write them if a folder is given.
 
     Args:
@@ -62,7 +59,7 @@ def batch(
     else:
         asked = read_batch(path_of(cases, "cases"))
     target = None if folder is None else path_of(folder, "folder")
-    return BatchResult(outcome=run_batch(asked, target, listener(progress), engine=engine, parquet=parquet))
+    return run_batch(asked, target, listener(progress), engine=engine, parquet=parquet)
 
 
 def _text_of(problem: Problem) -> str:
@@ -77,31 +74,3 @@ def _text_of(problem: Problem) -> str:
             " expressions"
         )
     return problem.to_toml()
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class BatchResult(Result):
-    """The plans of a batch. `str(result)` is the table; `to_dict()` has every case's record, with units in the names."""
-
-    outcome: BatchOutcome
-
-    @property
-    def passed(self) -> bool:
-        """Whether every case has a certified plan."""
-        return not self.outcome.failures
-
-    @property
-    def failures(self) -> tuple[str, ...]:
-        """A sentence for each case without a plan."""
-        return tuple(self.outcome.failures)
-
-    def blocks(self) -> list[Block]:
-        """Return the table of the cases."""
-        return batch_blocks(self.outcome.rows, self.outcome.failures)
-
-    def document(self) -> Report:
-        """Return the report."""
-        return batch_report(self.outcome.rows, self.outcome.failures)
-
-    def __repr__(self) -> str:
-        return f"BatchResult({len(self.outcome.rows)} cases, {len(self.outcome.failures)} without a plan)"

@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from linkplan.api.command import command
 from linkplan.api.inputs import ProblemLike, given_problem
 from linkplan.api.reporting import Progress, listener
 from linkplan.models.errors import ProblemError
-from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import number
-from linkplan.studies.output.document import Block, Report
-from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.output.paths import path_of
-from linkplan.studies.output.result import Result
 from linkplan.studies.variations.size.candidates import actuator_of, motors_from, read_motors
-from linkplan.studies.variations.size.sizing import Sizing, size_motors
-from linkplan.studies.variations.size.sizing_blocks import sizing_blocks, sizing_figure, sizing_report
+from linkplan.studies.variations.size.sizing import size_motors
+from linkplan.studies.variations.size.sizing_blocks import Sizing
 
 
 @command(
@@ -33,7 +28,7 @@ def size(
     actuator: str | None = None,
     rest_s: float = 0.0,
     progress: Progress | None = None,
-) -> SizeResult:
+) -> Sizing:
     """Return the margins of each motor of a list, with each of its gears, for a problem's motion; the best comes first.
 
     The problem is planned with each motor and gear: its peak effort, torque-speed line and rotor replace those of the
@@ -64,40 +59,4 @@ def size(
     rest = number(rest_s, "rest_s", at_least_zero=True)
     if rest and (asked.motion.kind == "periodic" or (asked.reference is not None and asked.reference.periodic)):
         raise ProblemError(f"rest_s must be 0 for a periodic motion such as {asked.name}, got {rest:g} s")
-    sizing, plan = size_motors(asked, actuator_of(asked, actuator), listed, rest, listener(progress))
-    return SizeResult(sizing=sizing, plan=plan)
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class SizeResult(Result):
-    """The sized motors, the best first.
-
-    `str(result)` is the table; `to_dict()` has every value; `plan` is that of the best motor.
-    """
-
-    record_name = "size"
-
-    sizing: Sizing
-    plan: Plan
-
-    @property
-    def passed(self) -> bool:
-        """Whether any motor suffices."""
-        return self.sizing.found
-
-    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
-        """Yield size, the chart of efforts over speeds with the motors' limits, if a motion is known."""
-        if any(one.curve is not None for one in self.sizing.motors):
-            yield "size", sizing_figure(self.sizing)
-
-    def blocks(self) -> list[Block]:
-        """Return the answer, the table and the chart."""
-        return sizing_blocks(self.sizing)
-
-    def document(self) -> Report:
-        """Return the report."""
-        return sizing_report(self.sizing, self.plan)
-
-    def __repr__(self) -> str:
-        good = sum(one.does for one in self.sizing.motors)
-        return f"SizeResult({self.sizing.problem!r}: {good} of {len(self.sizing.motors)} do)"
+    return size_motors(asked, actuator_of(asked, actuator), listed, rest, listener(progress))

@@ -1,6 +1,7 @@
 """Every result of a study is one struct: its JSON is read back as the same struct, and no function describes it again."""
 
 import json
+from typing import get_origin
 
 import msgspec
 import pytest
@@ -46,8 +47,8 @@ MADE = {
         "ExperimentResult",
         lambda plan: linkplan.experiment(plan, ["pd", "lqr"], samples=16, imperfections=VARIED),
     ),
-    "batch": ("BatchResult", lambda _: linkplan.batch({"problem": "knee-reach", "case": [{"name": "one", "set": []}]})),
-    "size": ("SizeResult", lambda _: linkplan.size("knee-reach", MOTORS)),
+    "batch": ("BatchOutcome", lambda _: linkplan.batch({"problem": "knee-reach", "case": [{"name": "one", "set": []}]})),
+    "size": ("Sizing", lambda _: linkplan.size("knee-reach", MOTORS)),
     "decompose": ("Decomposition", lambda plan: linkplan.decompose(plan, ["pd"], imperfections=VARIED, samples=2)),
 }
 # Its JSON is that of a `Proof` of the planner.
@@ -70,9 +71,9 @@ def test_the_json_of_a_result_is_read_back_as_its_struct(plan, name):
     said = json.loads(json.dumps(result.to_dict(), allow_nan=False))
     again = msgspec.convert(said, type(result.struct), dec_hook=read_value)
     assert plain_record(again) == said
-    beside = [key for key in type(again).__struct_fields__ if type(again).__annotations__.get(key) is Beside]
+    beside = [one.name for one in msgspec.structs.fields(again) if get_origin(one.type) is Beside]
     assert all(getattr(again, key) is None for key in beside)
-    if set(beside) <= {"plan"}:  # only the report needs the plan
+    if isinstance(again, Result) and set(beside) <= {"plan"}:  # only the report needs the plan
         assert text_of(again.blocks()) == text_of(result.blocks())
 
 

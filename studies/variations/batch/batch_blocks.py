@@ -1,12 +1,43 @@
-"""A batch of plans as a table: the settings and the result of every case."""
+"""The result of a batch, whose fields are the record `batch.json`: the settings and the plan of every case."""
 
-from collections.abc import Sequence
+from typing import Any
 
+from msgspec import Struct
+
+from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.sections import CaseSection
 from linkplan.studies.output.document import Block, Report, Section, Text, table_of
 from linkplan.studies.output.plan_blocks import figure, objective_digits, objective_unit
 from linkplan.studies.output.report_file import report_of
+from linkplan.studies.output.result import Result
+
+
+class BatchOutcome(Result, Struct, frozen=True, kw_only=True, eq=False):
+    """The results of a batch: the record of each case, rows of the table, a sentence for each case without a plan."""
+
+    cases: dict[str, dict[str, Any]]
+    rows: Beside[list[list]] = NOT_READ
+    failures: Beside[tuple[str, ...]] = NOT_READ
+
+    @property
+    def passed(self) -> bool:
+        """Whether every case has a certified plan."""
+        return not self.failures
+
+    def blocks(self) -> list[Block]:
+        """Return the table of the cases, and a line for each case without a plan."""
+        heads = ["case", "set", "status", "objective", "duration [s]", "peak effort", "solver [s]", "solved"]
+        return [table_of("", heads, self.rows), *(Text(text=failure) for failure in self.failures)]
+
+    def document(self) -> Report:
+        """Return the report: the number of cases with a plan, and the blocks of all cases."""
+        n, lost = len(self.rows), len(self.failures)
+        sections = [Section(title="Cases", blocks=self.blocks())]
+        return report_of("Batch", f"{n - lost} of {n} cases planned", self.passed, sections)
+
+    def __repr__(self) -> str:
+        return f"BatchOutcome({len(self.rows)} cases, {len(self.failures)} without a plan)"
 
 
 def case_row(case: CaseSection, plan: Plan) -> list:
@@ -20,15 +51,3 @@ def case_row(case: CaseSection, plan: Plan) -> list:
     shown = None if peak is None else f"{peak[0]:.4g} {peak[1]}"
     warm = "again" if plan.solved_again else "anew"
     return [case.name, " ".join(case.set), plan.status, objective, duration, shown, seconds, warm]
-
-
-def batch_report(rows: Sequence[list], failures: Sequence[str]) -> Report:
-    """Return the report of a batch: the number of cases with a plan, and the blocks of all cases."""
-    sections = [Section(title="Cases", blocks=batch_blocks(rows, failures))]
-    return report_of("Batch", f"{len(rows) - len(failures)} of {len(rows)} cases planned", not failures, sections)
-
-
-def batch_blocks(rows: Sequence[list], failures: Sequence[str]) -> list[Block]:
-    """Return a batch's rows as a table, and a line for each case without a plan."""
-    heads = ["case", "set", "status", "objective", "duration [s]", "peak effort", "solver [s]", "solved"]
-    return [table_of("", heads, rows), *(Text(text=failure) for failure in failures)]

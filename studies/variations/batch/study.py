@@ -2,33 +2,21 @@
 
 import functools
 from pathlib import Path
-from typing import Any
-
-from msgspec import Struct
 
 from linkplan.models.work_folders import replace_file
 from linkplan.planner.files.folders import check_target, write_json
-from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.plan.folder import versions
 from linkplan.planner.problem.keys.sections import BatchFile
 from linkplan.planner.refinement.history import silent
 from linkplan.planner.search.batch import check_batch
 from linkplan.studies.output.report_file import save_report
-from linkplan.studies.variations.batch.batch_blocks import batch_report
+from linkplan.studies.variations.batch.batch_blocks import BatchOutcome
 from linkplan.studies.variations.batch.block import Planned, case_blocks, packed, plan_block, unpacked
 from linkplan.studies.variations.tasks.engine import Engine, Say, serial
 from linkplan.studies.variations.tasks.streaming import complete
 from linkplan.studies.variations.tasks.unfinished import finish, part, parts_folder, working
 
 RECORD = "batch.json"
-
-
-class BatchOutcome(Struct, frozen=True, kw_only=True, eq=False):
-    """The results of a batch: the record of each case, rows of the table, a sentence for each case without a plan."""
-
-    cases: dict[str, dict[str, Any]]
-    rows: Beside[list[list]] = NOT_READ
-    failures: Beside[list[str]] = NOT_READ
 
 
 def run_batch(
@@ -65,7 +53,7 @@ def run_batch(
         def save(place: Path) -> None:
             outcomes.append(_outcome(folder, batch, place))
             write_json(place / RECORD, outcomes[0])
-            save_report(batch_report(outcomes[0].rows, outcomes[0].failures), place, page=False)
+            save_report(outcomes[0].document(), place, page=False)
 
         complete(folder, case_blocks(len(batch.case)), "cases", engine, work, write, say)
         if target is None:
@@ -102,4 +90,4 @@ def _outcome(folder: Path, batch: BatchFile, place: Path | None) -> BatchOutcome
             rows.append(answer.row)
             failures += [] if answer.failure is None else [answer.failure]
             cases[answer.name] = answer.record
-    return BatchOutcome(rows=rows, failures=failures, cases=cases)
+    return BatchOutcome(rows=rows, failures=tuple(failures), cases=cases)

@@ -3,7 +3,6 @@
 from collections.abc import Sequence
 
 import numpy as np
-from msgspec import Struct
 
 from linkplan.models.errors import ProblemError, listed
 from linkplan.planner.plan.plan import Plan
@@ -12,34 +11,14 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say
 from linkplan.studies.variations.size.candidates import gears_of, with_motor
 from linkplan.studies.variations.size.sized_motor import SizedMotor, sized_motor, units_behind
+from linkplan.studies.variations.size.sizing_blocks import Sizing
 
 # More plans are probably a typing error: at a second each they take a quarter of an hour.
 MAX_PLANS = 1000
 
 
-class Sizing(Struct, frozen=True, kw_only=True):
-    """The motors of a list on one problem, the best first: by duration if it is free, else by margin."""
-
-    problem: str
-    actuator: str
-    target: str
-    target_speed_unit: str
-    target_effort_unit: str
-    free_duration: bool
-    rest_s: float
-    motors: list[SizedMotor]
-    notes: list[str]
-
-    @property
-    def found(self) -> bool:
-        """True if a motor suffices."""
-        return self.motors[0].does
-
-
-def size_motors(
-    problem: Problem, index: int, motors: Sequence[CandidateMotor], rest_s: float, say: Say
-) -> tuple[Sizing, Plan]:
-    """Return the motors on a problem's actuator `index`, each behind each of its gears, and the plan of the best.
+def size_motors(problem: Problem, index: int, motors: Sequence[CandidateMotor], rest_s: float, say: Say) -> Sizing:
+    """Return the motors on a problem's actuator `index`, each behind each of its gears, with the plan of the best.
 
     Args:
         problem: whose actuator gets the motors.
@@ -66,7 +45,7 @@ def size_motors(
             best = one, plan
     assert best is not None  # never empty: a list has motors, and a motor has gears
     actuator, (_, speed_unit, effort_unit) = problem.mechanism.actuators[index], units_behind(problem, index)
-    sizing = Sizing(
+    return Sizing(
         problem=problem.name,
         actuator=actuator.name,
         target=actuator.target,
@@ -76,8 +55,8 @@ def size_motors(
         rest_s=rest_s,
         motors=sorted(rows, key=lambda one: place_of(one, free=free)),  # stable: equals stay in the list's order
         notes=_notes(problem, index, motors, firsts[0]),
+        plan=best[1],
     )
-    return sizing, best[1]
 
 
 def place_of(one: SizedMotor, *, free: bool) -> tuple[bool, float, float]:

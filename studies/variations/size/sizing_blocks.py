@@ -1,7 +1,11 @@
-"""Sized motors as a document: the answer, a table with the best first, reasons, the best one's keys, and a chart."""
+"""The result of `linkplan size`, whose fields are the record `size.json`: the answer, a table and a chart."""
+
+from collections.abc import Iterator
 
 import numpy as np
+from msgspec import Struct
 
+from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.files.tables import toml_text
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.output.document import Axis, Block, Code, Plane, Report, Section, Series, Table, Text, table_of
@@ -9,25 +13,68 @@ from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.output.numbers import drawn_rows, rounded
 from linkplan.studies.output.plan_sections import plan_sections
 from linkplan.studies.output.report_file import report_of
+from linkplan.studies.output.result import Result
 from linkplan.studies.variations.size.sized_motor import SizedMotor
-from linkplan.studies.variations.size.sizing import Sizing
 
 # More motors in one chart cannot be distinguished.
 _MOST_DRAWN = 4
 
 
-def sizing_blocks(found: Sizing) -> list[Block]:
-    """Return the answer, the table, the reasons against unsuitable motors, the keys of the best one, notes, the chart."""
-    reasons = [Text(text=f"{one.title}: {one.reason}") for one in found.motors if not one.does]
-    keys = [Code(title=f"Keys of a problem file with {found.motors[0].title}", text=toml_text(found.motors[0].settings))]
-    return [
-        Text(text=answer(found), tone="good" if found.found else "bad"),
-        _table(found),
-        *reasons,
-        *(keys if found.found else []),
-        *(Text(text=note, tone="note") for note in found.notes),
-        *sizing_charts(found),
-    ]
+class Sizing(Result, Struct, frozen=True, kw_only=True, eq=False):
+    """The motors of a list on one problem, the best first: by duration if it is free, else by margin.
+
+    `plan` is that of the best motor.
+    """
+
+    record_name = "size"
+
+    problem: str
+    actuator: str
+    target: str
+    target_speed_unit: str
+    target_effort_unit: str
+    free_duration: bool
+    rest_s: float
+    motors: list[SizedMotor]
+    notes: list[str]
+    plan: Beside[Plan] = NOT_READ
+
+    @property
+    def found(self) -> bool:
+        """True if a motor suffices."""
+        return self.motors[0].does
+
+    @property
+    def passed(self) -> bool:
+        """Whether any motor suffices."""
+        return self.found
+
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield size, the chart of efforts over speeds with the motors' limits, if a motion is known."""
+        if charts := sizing_charts(self):
+            yield "size", FigureSpec(panels=charts, title=answer(self), panel_in=(8.0, 5.0))
+
+    def blocks(self) -> list[Block]:
+        """Return the answer, the table, the reasons against motors, the keys of the best one, notes, the chart."""
+        reasons = [Text(text=f"{one.title}: {one.reason}") for one in self.motors if not one.does]
+        keys = [Code(title=f"Keys of a problem file with {self.motors[0].title}", text=toml_text(self.motors[0].settings))]
+        return [
+            Text(text=answer(self), tone="good" if self.found else "bad"),
+            _table(self),
+            *reasons,
+            *(keys if self.found else []),
+            *(Text(text=note, tone="note") for note in self.notes),
+            *sizing_charts(self),
+        ]
+
+    def document(self) -> Report:
+        """Return the report of the motors, with the plan of the best one."""
+        first = Section(title=f"Motors for {self.actuator} in {self.problem}", blocks=self.blocks())
+        return report_of(first.title, answer(self), self.found, [first, *plan_sections(self.plan)])
+
+    def __repr__(self) -> str:
+        good = sum(one.does for one in self.motors)
+        return f"Sizing({self.problem!r}: {good} of {len(self.motors)} do)"
 
 
 def answer(found: Sizing) -> str:
@@ -130,14 +177,3 @@ def _ends(one: SizedMotor, speed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         low, high = np.maximum(low, stall * (-1.0 - speed / no_load)), np.minimum(high, stall * (1.0 - speed / no_load))
     none = low > high
     return np.where(none, np.nan, low), np.where(none, np.nan, high)
-
-
-def sizing_figure(found: Sizing) -> FigureSpec:
-    """Return the figure of the chart."""
-    return FigureSpec(panels=sizing_charts(found), title=answer(found), panel_in=(8.0, 5.0))
-
-
-def sizing_report(found: Sizing, plan: Plan) -> Report:
-    """Return the report of the motors, with the plan of the best one."""
-    first = Section(title=f"Motors for {found.actuator} in {found.problem}", blocks=sizing_blocks(found))
-    return report_of(first.title, answer(found), found.found, [first, *plan_sections(plan)])

@@ -64,7 +64,7 @@ def test_the_command_says_writes_and_reports_the_same_motors(ask_json, ask, list
 @pytest.mark.slow
 def test_the_keys_of_the_best_motor_give_its_plan_again(listed):
     found = linkplan.size("knee-reach", listed)
-    best = found.sizing.motors[0]
+    best = found.motors[0]
     settings = {f"{section}.{key}": value for section, table in best.settings.items() for key, value in table.items()}
     again = linkplan.plan(linkplan.Problem.from_file("knee-reach", settings)).require()
     assert again.objective == pytest.approx(best.objective, rel=SAME_FIGURE)
@@ -100,7 +100,7 @@ def test_of_several_actuators_one_gets_the_motors_and_the_others_keep_their_limi
         linkplan.size("five-bar-reach", motors)
     problem = linkplan.Problem.from_file("five-bar-reach")
     found = linkplan.size(problem, motors, actuator="act_O2")
-    (one,) = found.sizing.motors
+    (one,) = found.motors
     assert found.plan.problem.limits.effort[0].tolist() == problem.limits.effort[0].tolist()
     assert found.plan.problem.limits.effort[1].tolist() == [-4.0, 4.0]
     assert one.loads.peak_effort == pytest.approx(found.plan.demands()[1].peak_effort, rel=SAME_FIGURE)
@@ -112,7 +112,7 @@ def test_a_reserve_and_what_the_list_replaces_are_kept_and_said():
     limits = {"effort": {"motor": [-1.0, 1.0]}, "reserve": 0.2}
     problem = quarter_turn(duration_s=1.5, limits=limits, motors={"motor": line})
     motors = [{"name": "M", "peak_effort": 4.0, "rms_effort": 4.0, "rotor_inertia": 0.0}]
-    found = linkplan.size(problem, motors).sizing
+    found = linkplan.size(problem, motors)
     assert found.motors[0].peak_limit == pytest.approx(0.8 * 4.0, rel=1e-12)
     assert found.motors[0].loads.peak_share == pytest.approx(found.motors[0].loads.peak_effort / 3.2, rel=1e-12)
     assert found.motors[0].loads.line_share is None
@@ -206,7 +206,7 @@ def least_time(gear: float, rotor: float = ROTOR) -> float:
 @pytest.mark.slow
 def test_least_times_are_those_of_the_inertia_with_the_reflected_rotor_and_the_best_gear_is_first():
     motors = [{"name": "M", "peak_effort": PEAK, "rms_effort": PEAK / 2, "rotor_inertia": ROTOR, "gears": GEARS}]
-    found = linkplan.size(quarter_turn(minimize="time"), motors).sizing
+    found = linkplan.size(quarter_turn(minimize="time"), motors)
     assert [one.gear for one in found.motors] == sorted(GEARS, key=least_time)
     assert found.motors[0].gear == np.sqrt(HINGE_INERTIA / ROTOR)  # equal inertias on both sides of the gear
     for one in found.motors:
@@ -221,7 +221,7 @@ def test_least_times_are_those_of_the_inertia_with_the_reflected_rotor_and_the_b
         assert one.margin == pytest.approx(-1.0, rel=1e-6)
         assert one.speed_up is None
     rest_s = 3.01 * max(map(least_time, GEARS))
-    rested = linkplan.size(quarter_turn(minimize="time"), motors, rest_s=rest_s).sizing.motors
+    rested = linkplan.size(quarter_turn(minimize="time"), motors, rest_s=rest_s).motors
     assert [(one.gear, one.does) for one in rested] == [(one.gear, True) for one in found.motors]
     shares = [2.0 / np.sqrt(1.0 + rest_s / least_time(one.gear)) for one in rested]
     assert [one.loads.rms_share for one in rested] == pytest.approx(shares, rel=1e-6)
@@ -238,7 +238,7 @@ def test_a_motor_too_weak_for_the_duration_lacks_what_the_least_peak_says():
     ]
     found = linkplan.size(quarter_turn(duration_s=duration, minimize="peak_effort"), motors)
     assert found.passed
-    strong, weak = found.sizing.motors
+    strong, weak = found.motors
     assert (strong.motor, strong.does, weak.does) == ("strong", True, False)
     assert strong.margin == pytest.approx(1.0 - 1.0 / 3.0, rel=1e-4)
     assert strong.speed_up == pytest.approx(np.sqrt(3.0), rel=1e-4)  # efforts grow with the square of the speed
@@ -253,7 +253,7 @@ def test_a_line_limits_the_speed_of_a_sinusoid_as_its_root_says():
     total = HINGE_INERTIA / gear + gear * ROTOR
     motor = {"name": "M", "peak_effort": 7.0, "stall_effort": stall, "no_load_speed_deg_s": np.degrees(no_load)}
     problem = linkplan.Problem.track(HINGE, reference={"amplitude_deg": {"J": 60.0}, "frequency_hz": 1.0})
-    (one,) = linkplan.size(problem, [motor | {"rotor_inertia": ROTOR, "gears": [gear]}]).sizing.motors
+    (one,) = linkplan.size(problem, [motor | {"rotor_inertia": ROTOR, "gears": [gear]}]).motors
 
     def share(rate: float) -> float:
         return float(np.hypot(total * amplitude * (w * rate) ** 2 / stall, gear * amplitude * w * rate / no_load))
@@ -289,7 +289,7 @@ def test_a_prescribed_turn_of_the_crank_loads_each_gear_as_the_closed_form_s_inv
     reference = {"amplitude_deg": {"O": 80.0}, "bias_deg": {"O": 90.0}, "frequency_hz": frequency}
     problem = linkplan.Problem.track("slider-crank", reference=reference)
     motor = {"name": "M", "peak_effort": limit, "rms_effort": limit, "rotor_inertia": rotor, "gears": list(loads)}
-    found = linkplan.size(problem, [motor]).sizing
+    found = linkplan.size(problem, [motor])
     for one in found.motors:
         own = loads[one.gear]
         assert one.loads.peak_effort == pytest.approx(np.abs(own).max(), rel=1e-4)  # of samples
@@ -309,7 +309,7 @@ def test_a_warm_motor_is_slowed_down_until_its_rms_effort_is_within_its_limit():
     """A pure inertia's rms effort is proportional to the square of the speed."""
     peak = 4.0 * TURN * HINGE_INERTIA / 0.8**2
     motor = {"name": "M", "peak_effort": 2 * peak, "rms_effort": 0.5 * peak, "rotor_inertia": 0.0}
-    (one,) = linkplan.size(quarter_turn(duration_s=0.8), [motor]).sizing.motors
+    (one,) = linkplan.size(quarter_turn(duration_s=0.8), [motor]).motors
     rms = np.sqrt(12.0) * HINGE_INERTIA * TURN / 0.8**2  # of the least effort, linear in time
     assert one.loads.rms_effort == pytest.approx(rms, rel=1e-6)
     assert not one.does
