@@ -13,7 +13,6 @@ from msgspec import structs
 from linkplan.api.command import command
 from linkplan.api.inputs import Poses, Subject, numbers, plan_of, poses_of, read_subject, tracking_table
 from linkplan.api.names import LINEAR, Frequencies, Law
-from linkplan.api.plants import PlantResult
 from linkplan.api.reporting import Progress, listener
 from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
@@ -28,6 +27,7 @@ from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy
 from linkplan.studies.feedback.bode.large_study import large_study
 from linkplan.studies.feedback.bode.loop_blocks import along_blocks, large_blocks, map_blocks
 from linkplan.studies.feedback.bode.map_study import map_study
+from linkplan.studies.feedback.bode.plant_blocks import PlantStudy
 from linkplan.studies.feedback.bode.plant_study import plant_study
 from linkplan.studies.feedback.bode.poses import loop_poses
 from linkplan.studies.feedback.frequency.excitation import Setup
@@ -68,7 +68,7 @@ def bode(
     large: bool = False,
     along: bool = False,
     progress: Progress | None = None,
-) -> BodeResult | PlantResult:
+) -> BodeResult | PlantStudy:
     """Return a loop's frequency response, margins and sampled stability: predicted, and measured in MuJoCo.
 
     With `from_effort` and `to_position` it returns the plant's response instead: poles and zeros, gain and phase from each
@@ -130,7 +130,7 @@ def bode(
     common = {"law": tracker, "setup": setup, "frequency_hz": at_hz, "note": looked.said(mechanism, "bode")}
     if is_plant:
         named = list(from_effort), list(to_position)
-        return PlantResult(study=plant_study(mechanism, looked.positions, *named, settings, limit, say, **common))
+        return plant_study(mechanism, looked.positions, *named, settings, limit, say, **common)
     study = bode_study(mechanism, looked.positions, settings, limit, say, line=looked.line, **common)
     further = {
         "map": map_study(study, say) if map else None,

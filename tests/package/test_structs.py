@@ -32,7 +32,7 @@ MADE = {
         lambda _: linkplan.bode("optimus-knee", kp=200.0, kd=20.0, frequency_hz=[100.0], **AT_REST),
     ),
     "bode, a plant": (
-        "PlantResult",
+        "PlantStudy",
         lambda _: linkplan.bode(
             "optimus-knee", kp=200.0, kd=1.0, frequency_hz=[100.0], from_effort=["act_O"], to_position=["C"], **AT_REST
         ),

@@ -1,30 +1,114 @@
-"""A plant from chosen inputs to chosen outputs as a document: its behaviour at rest, poles and zeros, responses."""
+"""The result of `bode` for a plant from inputs to outputs, whose fields are its record `bode.json`."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from msgspec import Struct, field
 
 from linkplan.controllers.trackers.names import BUILT_IN
+from linkplan.models.errors import ProblemError, choose
+from linkplan.models.mechanism import Mechanism
+from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.studies.feedback.bode.curves import frequency_plot, measured_phase, phase_along, phase_near
-from linkplan.studies.feedback.bode.plant_result import LARGEST_UNCERTAINTY, PlantCurve, PlantResponse, PlantStudy, Root
+from linkplan.studies.feedback.bode.plant_result import LARGEST_UNCERTAINTY, PlantCurve, PlantPoint, PlantResponse, Root
 from linkplan.studies.feedback.bode.plant_words import agreement_text, modes_text, plant_notes, root_text
+from linkplan.studies.feedback.frequency.plant_modes import plant_matrices
+from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput
 from linkplan.studies.output.document import Block, Facts, Plot, Report, Section, Table, Text, table_of
 from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.output.lines import line_style
 from linkplan.studies.output.numbers import drawn_rows
 from linkplan.studies.output.report_file import report_of
+from linkplan.studies.output.result import MechanismResult
+
+if TYPE_CHECKING:
+    import control
 
 # Points of a drawn curve, about half the width of a screen in pixels.
 _DRAWN_POINTS = 300
 
 
-def plant_summary(study: PlantStudy) -> list[Block]:
-    """Return the verdict, the plant at every pose and the agreement with the measurement."""
-    message = study.message[:1].upper() + study.message[1:]
-    rows = [("mechanism", study.mechanism_name), *_measured(study)]
-    notes = [*plant_notes(study.points), *study.caveats, study.contacts, study.softness, study.note]
-    said = [Text(text=note, tone="note") for note in notes if note]
-    return [Text(text=message), Facts(rows=rows), *_tables(study), *said]
+class PlantStudy(MechanismResult, Struct, frozen=True, kw_only=True, eq=False):
+    """The plant from efforts to positions at several poses.
+
+    `measurement` has the method, the largest difference between measured and predicted responses at coherent frequencies,
+    and the simulator's settings; gains that had not settled do not count. `caveats` state the poses at which nothing was
+    measured, or the uncertainty, with the reason.
+    """
+
+    record_name = "bode"
+
+    mechanism_name: str = field(name="mechanism")
+    message: str
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    points: tuple[PlantPoint, ...]
+    measurement: dict[str, Any] | None
+    caveats: tuple[str, ...]
+    contacts: str | None
+    softness: str | None
+    note: str | None
+    mechanism: Beside[Mechanism] = field(default=NOT_READ, name="(mechanism)")
+    efforts: Beside[tuple[PlantInput, ...]] = NOT_READ
+    positions: Beside[tuple[PlantOutput, ...]] = NOT_READ
+
+    @property
+    def stable(self) -> bool:
+        """Whether no pole of any response lies in the right half plane; one at zero counts as stable."""
+        return not any(one.unstable_poles for point in self.points for one in point.responses.values())
+
+    @property
+    def poses(self) -> tuple[str, ...]:
+        """The names of the analysed poses, for `lti`."""
+        return tuple(point.point.name for point in self.points)
+
+    def lti(self, pose: str | None = None) -> "control.StateSpace":
+        """Return the continuous plant at a pose as python-control's state space, with named inputs and outputs.
+
+        The state is x = (s, s') (2 n_s,) [rad or m, and per second]; inputs are in N.m or N, outputs in rad or m. A
+        dot in a name becomes an underscore: `foot_z`.
+
+        Args:
+            pose: one of `poses`; by default the first one.
+
+        Raises:
+            LinkplanError: for an unknown pose.
+        """
+        import control
+
+        at = choose("pose", self.poses[0] if pose is None else str(pose), self.poses, ProblemError)
+        point = self.points[self.poses.index(at)].point
+        pushes = np.column_stack([effort.push(point) for effort in self.efforts])
+        rows = np.stack([position.slopes(point.pose) for position in self.positions])
+        matrices = plant_matrices(point, pushes, rows)
+        ins, outs = ([name.replace(".", "_") for name in names] for names in (self.inputs, self.outputs))
+        return control.StateSpace(*matrices, 0, inputs=ins, outputs=outs)
+
+    def blocks(self) -> list[Block]:
+        """Return the verdict, the plant at every pose and the agreement with the measurement."""
+        message = self.message[:1].upper() + self.message[1:]
+        rows = [("mechanism", self.mechanism_name), *_measured(self)]
+        notes = [*plant_notes(self.points), *self.caveats, self.contacts, self.softness, self.note]
+        said = [Text(text=note, tone="note") for note in notes if note]
+        return [Text(text=message), Facts(rows=rows), *_tables(self), *said]
+
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield plant, gain and phase of every response."""
+        panels = [plot for both in plant_plots(self, "").values() for plot in both]
+        how = "line: predicted" + ("; dotted: with hold and steps; dots: MuJoCo, sinestream" if self.measurement else "")
+        title = f"{self.mechanism_name}, {self.message}; {how}"
+        yield "plant", FigureSpec(panels=panels, title=title, columns=2, panel_in=(6.0, 2.9))
+
+    def document(self) -> Report:
+        """Return the report of the plant."""
+        name = f"{self.mechanism_name}: {', '.join(self.inputs)} to {', '.join(self.outputs)}"
+        plots = [plot for both in plant_plots(self, f"frequency:{name}").values() for plot in both]
+        sections = [
+            Section(title=f"Plant: {name}", blocks=self.blocks()[1:], depth=1),
+            Section(title="Frequency response", blocks=plots, depth=2),
+        ]
+        return report_of(f"Plant of {self.mechanism_name}", self.message, True, sections)
 
 
 def _measured(study: PlantStudy) -> list[tuple[str, str]]:
@@ -111,21 +195,3 @@ def _thinned(curve: PlantCurve) -> tuple:
     """Return frequencies [Hz], gain [dB] and phase [deg] of a curve with its peaks."""
     rows = drawn_rows(np.column_stack([curve.gain_db, curve.phase_deg]), most=_DRAWN_POINTS)
     return curve.frequency_hz[rows], curve.gain_db[rows], curve.phase_deg[rows]
-
-
-def plant_figure(study: PlantStudy) -> FigureSpec:
-    """Return the figure of gain and phase of every response."""
-    panels = [plot for both in plant_plots(study, "").values() for plot in both]
-    how = "line: predicted" + ("; dotted: with hold and steps; dots: MuJoCo, sinestream" if study.measurement else "")
-    return FigureSpec(panels=panels, title=f"{study.mechanism_name}, {study.message}; {how}", columns=2, panel_in=(6.0, 2.9))
-
-
-def plant_report(study: PlantStudy) -> Report:
-    """Return the report of a plant."""
-    name = f"{study.mechanism_name}: {', '.join(study.inputs)} to {', '.join(study.outputs)}"
-    plots = [plot for both in plant_plots(study, f"frequency:{name}").values() for plot in both]
-    sections = [
-        Section(title=f"Plant: {name}", blocks=plant_summary(study)[1:], depth=1),
-        Section(title="Frequency response", blocks=plots, depth=2),
-    ]
-    return report_of(f"Plant of {study.mechanism_name}", study.message, True, sections)

@@ -1,15 +1,11 @@
-"""The result of `bode` for a plant from chosen inputs to chosen outputs, whose fields are its record `bode.json`."""
-
-from typing import Any
+"""The responses of a plant from chosen inputs to chosen outputs at one pose."""
 
 import numpy as np
-from msgspec import UNSET, Struct, UnsetType, field
+from msgspec import UNSET, Struct, UnsetType
 
-from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint
 from linkplan.studies.feedback.frequency.plant_modes import PlantModes
-from linkplan.studies.feedback.frequency.ports import PlantInput, PlantOutput
 from linkplan.studies.feedback.frequency.response import Response
 from linkplan.studies.feedback.frequency.transfer_function import TransferFunction
 
@@ -70,26 +66,3 @@ class PlantPoint(Struct, frozen=True, kw_only=True, eq=False):
     held_by: str | None
     responses: dict[str, PlantResponse]
     point: Beside[OperatingPoint] = NOT_READ
-
-
-class PlantStudy(Struct, frozen=True, kw_only=True, eq=False):
-    """The plant from efforts to positions at several poses.
-
-    `measurement` has the method, the largest difference between measured and predicted responses at coherent frequencies,
-    and the simulator's settings; gains that had not settled do not count. `caveats` state the poses at which nothing was
-    measured, or the uncertainty, with the reason.
-    """
-
-    mechanism_name: str = field(name="mechanism")
-    message: str
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    points: tuple[PlantPoint, ...]
-    measurement: dict[str, Any] | None
-    caveats: tuple[str, ...]
-    contacts: str | None
-    softness: str | None
-    note: str | None
-    mechanism: Beside[Mechanism] = field(default=NOT_READ, name="(mechanism)")
-    efforts: Beside[tuple[PlantInput, ...]] = NOT_READ
-    positions: Beside[tuple[PlantOutput, ...]] = NOT_READ

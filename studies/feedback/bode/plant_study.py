@@ -16,12 +16,12 @@ from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.search.planning import silent
 from linkplan.studies.feedback.bode.bode import law_at, softness_of
 from linkplan.studies.feedback.bode.bode_result import pose_values
+from linkplan.studies.feedback.bode.plant_blocks import PlantStudy
 from linkplan.studies.feedback.bode.plant_result import (
     LARGEST_UNCERTAINTY,
     PlantCurve,
     PlantPoint,
     PlantResponse,
-    PlantStudy,
     Root,
 )
 from linkplan.studies.feedback.bode.plant_words import plant_message

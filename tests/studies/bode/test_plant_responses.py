@@ -49,7 +49,7 @@ AT = 2j * np.pi * FREQUENCY_HZ
 def plant(model, efforts, positions, **options):
     """Return the responses at the only pose by name, and the whole result."""
     result = linkplan.bode(model, from_effort=efforts, to_position=positions, **options)
-    (point,) = result.study.points
+    (point,) = result.points
     return point.responses, result
 
 
@@ -139,7 +139,7 @@ def accelerations(mechanism, pose, effort, rates=None):
 def test_a_five_bar_has_the_response_that_differences_of_mujocos_own_accelerations_give():
     """Poses beside the operating one close the loop; the tip's Jacobian is MuJoCo's. Two motors, four outputs."""
     found, result = plant("five-bar", ["act_O1", "act_O2"], ["O1", "E1", "P.x", "P.z"], measure=False)
-    mechanism, point = result.study.mechanism, result.study.points[0].point
+    mechanism, point = result.mechanism, result.points[0].point
     at, h = mechanism.independent, 1e-5
     columns = [mechanism.model.joint(mechanism.joints[i].name).dofadr[0] for i in at]
     s = point.pose[at]
@@ -176,7 +176,7 @@ def test_a_five_bar_has_the_response_that_differences_of_mujocos_own_acceleratio
 @pytest.mark.slow
 def test_mujoco_moves_every_output_as_predicted_held_by_the_tracker():
     found, result = plant(ELASTIC, ["drive"], ["motor", "link", "tip.z", "body.link"], kp=20.0, kd=0.5)
-    assert result.study.points[0].held_by == "pd"
+    assert result.points[0].held_by == "pd"
     measured = 0
     for name, one in found.items():
         assert one.measured.coherence.min() > 0.999, name
@@ -188,7 +188,7 @@ def test_mujoco_moves_every_output_as_predicted_held_by_the_tracker():
         assert np.abs(one.measured.gain[low]) == pytest.approx(np.abs(by_hand), rel=5e-3), name
         measured += 1
     assert measured == 4
-    assert result.study.measurement["deviation_db"] < MEASURED_DB
+    assert result.measurement["deviation_db"] < MEASURED_DB
 
 
 @pytest.mark.slow
@@ -196,7 +196,7 @@ def test_a_plant_that_rests_by_itself_is_measured_without_its_unstable_tracker()
     """Ten times the damping gain that a sampled loop bears; the spring to the world holds the link."""
     held = ELASTIC.replace('name="link" axis="0 1 0"', 'name="link" axis="0 1 0" stiffness="40"')
     found, result = plant(held, ["drive"], ["link"], kp=20.0, kd=1e3, frequency_hz=[1.0, 3.0, 9.0])
-    assert result.study.points[0].held_by == "itself"
+    assert result.points[0].held_by == "itself"
     assert np.abs(found["drive to link"].measured.less_predicted_db).max() < MEASURED_DB
     assert found["drive to link"].gain_at_rest == pytest.approx(GEAR / 40.0, rel=1e-9)
     assert "nothing: it is stable by itself" in str(result)
@@ -206,8 +206,8 @@ def test_what_neither_a_tracker_nor_the_plant_holds_is_predicted_alone_with_one_
     upright = CRANE.replace("TURNED", "0 180 0")
     found, result = plant(upright, ["force"], ["trolley"])
     assert not found["force to trolley"].measured
-    assert result.study.measurement is None
-    assert result.study.caveats == (
+    assert result.measurement is None
+    assert result.caveats == (
         "not measured at trolley = 0 m: neither the loop of PD nor the plant by itself settles in MuJoCo",
     )
     assert result.passed
@@ -217,7 +217,7 @@ def test_what_neither_a_tracker_nor_the_plant_holds_is_predicted_alone_with_one_
 def test_lqr_holds_the_pole_while_its_non_minimum_phase_trolley_is_measured():
     crane, at = CRANE.replace("TURNED", "0 180 0"), np.geomspace(1.0, 30.0, 7)
     found, result = plant(crane, ["force"], ["trolley", "load.x"], tracker="lqr", frequency_hz=at)
-    assert result.study.points[0].held_by == "lqr"
+    assert result.points[0].held_by == "lqr"
     for one in found.values():
         known = one.measured.is_known(0.01)
         assert known.sum() > 5
@@ -326,15 +326,15 @@ def test_the_command_prints_saves_and_draws_a_matrix_of_responses(tmp_path, ask,
 @pytest.mark.slow
 def test_a_closed_chains_plant_is_given_at_every_pose_of_its_reach():
     result = linkplan.bode("optimus-knee", from_effort=["act_O"], to_position=["O", "C"], measure=False)
-    assert len(result.study.points) == len(result.poses) == 7
-    for point in result.study.points:
+    assert len(result.points) == len(result.poses) == 7
+    for point in result.points:
         both = [point.responses[f"act_O to {joint}"] for joint in ("O", "C")]
         inertia = point.point.inertia[0, 0]
         high = 2j * np.pi * np.array([1e4])
         assert (both[0].transfer.at(np.array([1e4])) * high**2).real == pytest.approx([1 / inertia], rel=1e-6)
         ratio = both[1].transfer.gain / both[0].transfer.gain
-        joints = [joint.name for joint in result.study.mechanism.joints]
-        gamma = np.array(result.study.mechanism.dynamics.velocity_map(point.point.pose))
+        joints = [joint.name for joint in result.mechanism.joints]
+        gamma = np.array(result.mechanism.dynamics.velocity_map(point.point.pose))
         assert ratio == pytest.approx(gamma[joints.index("C"), 0], rel=1e-9)
     assert "at 7 poses" in result.message
 
@@ -344,16 +344,16 @@ def test_a_slider_at_its_dead_centre_does_not_move_and_is_measured_elsewhere():
     poses = [{"O": -180.0}, {"O": -128.6}]
     options = {"at_deg": poses, "period_s": 1e-3, "frequency_hz": [2.0, 20.0]}
     found = linkplan.bode("slider-crank", from_effort=["act_O"], to_position=["B"], **options)
-    dead, moving = (point.responses["act_O to B"] for point in found.study.points)
+    dead, moving = (point.responses["act_O to B"] for point in found.points)
     assert (dead.moves, dead.curve, dead.gain_at_rest) == (False, None, 0.0)
     assert not dead.measured
     assert np.abs(moving.measured.less_predicted_db).max() < 0.1
-    assert found.study.caveats == ()
+    assert found.caveats == ()
     assert "act_O to B: the effort does not move this output at 1 of 2 poses" in str(found)
 
 
 def test_the_default_frequencies_start_higher_where_many_simulations_would_take_long():
-    study = linkplan.bode("cart-pole", from_effort=["act_cart"], to_position=["cart"], measure=False).study
+    study = linkplan.bode("cart-pole", from_effort=["act_cart"], to_position=["cart"], measure=False)
     (one,) = [{name: one.transfer for name, one in point.responses.items()} for point in study.points]
     few, many = (plant_frequencies([one], Sampling(period_s=1e-3, substeps=10), rows) for rows in (1, 100))
     assert (few[0], few[-1]) == pytest.approx((few[-1] / 9 * 0.705 / 0.8038, many[-1]), rel=1e-3)

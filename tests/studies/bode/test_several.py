@@ -254,7 +254,7 @@ def test_no_response_is_measured_where_contacts_push():
 
 def test_no_plant_is_measured_where_contacts_push_and_all_of_it_is_predicted():
     ports = {"from_effort": [study().mechanism.actuators[0].name], "to_position": [study().mechanism.joints[-1].name]}
-    found = linkplan.bode(study().mechanism, at_deg=[10.0, 25.0], kp=2.0, kd=0.02, period_s=2e-3, **ports).study
+    found = linkplan.bode(study().mechanism, at_deg=[10.0, 25.0], kp=2.0, kd=0.02, period_s=2e-3, **ports)
     assert found.measurement is None
     assert len(found.caveats) == 2
     assert all(caveat.endswith("there are contacts") for caveat in found.caveats)
