@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,26 +19,18 @@ from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import Tracking, number
 from linkplan.studies.feedback.bode.along_motion import along_motion
 from linkplan.studies.feedback.bode.bode import bode_study
-from linkplan.studies.feedback.bode.bode_blocks import summary
-from linkplan.studies.feedback.bode.bode_report import bode_figure, bode_figures, bode_report
-from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy
+from linkplan.studies.feedback.bode.bode_report import BodeStudy
 from linkplan.studies.feedback.bode.large_study import large_study
-from linkplan.studies.feedback.bode.loop_blocks import along_blocks, large_blocks, map_blocks
 from linkplan.studies.feedback.bode.map_study import map_study
 from linkplan.studies.feedback.bode.plant_blocks import PlantStudy
 from linkplan.studies.feedback.bode.plant_study import plant_study
 from linkplan.studies.feedback.bode.poses import loop_poses
 from linkplan.studies.feedback.frequency.excitation import Setup
-from linkplan.studies.feedback.frequency.feedback_loops import QUANTITIES, refuse_several_freedoms
-from linkplan.studies.feedback.frequency.margins import frequency_grid
-from linkplan.studies.output.document import Block, Report, Section
-from linkplan.studies.output.figure_spec import FigureSpec, panels_of
-from linkplan.studies.output.paths import check_flags, drawn
-from linkplan.studies.output.result import MechanismResult
+from linkplan.studies.feedback.frequency.feedback_loops import refuse_several_freedoms
+from linkplan.studies.output.paths import check_flags
 
 if TYPE_CHECKING:
-    import control
-    from matplotlib.figure import Figure
+    pass
 
 
 @command(
@@ -68,7 +58,7 @@ def bode(
     large: bool = False,
     along: bool = False,
     progress: Progress | None = None,
-) -> BodeResult | PlantStudy:
+) -> BodeStudy | PlantStudy:
     """Return a loop's frequency response, margins and sampled stability: predicted, and measured in MuJoCo.
 
     With `from_effort` and `to_position` it returns the plant's response instead: poles and zeros, gain and phase from each
@@ -139,7 +129,7 @@ def bode(
         if along and problem
         else None,
     }
-    return BodeResult(study=structs.replace(study, **further))
+    return structs.replace(study, **further)
 
 
 def _asks_for_plant(efforts: object, positions: object, others: Mapping[str, bool]) -> bool:
@@ -178,119 +168,3 @@ def loop_of(
         raise ProblemError("kp and kd are both 0: there is no feedback")
     limit = mechanism.effort_limit if problem is None else problem.limits.actuators_effort
     return mechanism, problem, settings, limit
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class BodeResult(MechanismResult):
-    """A loop's frequency response, with the additional studies `map`, `large` and `along` if they were asked for."""
-
-    record_name = "bode"
-    study: BodeStudy
-
-    @property
-    def passed(self) -> bool:
-        """Whether the sampled loop is stable at every analysed pose."""
-        return self.study.stable
-
-    @property
-    def stable(self) -> bool:
-        """Whether the sampled loop is stable at every analysed pose."""
-        return self.study.stable
-
-    @property
-    def poses(self) -> tuple[str, ...]:
-        """The names of the analysed poses, for `lti` and `frd`."""
-        return tuple(dict.fromkeys(entry.point.name for entry in self.study.points))
-
-    def lti(self, pose: str | None = None, *, closed: bool = False) -> control.StateSpace:
-        """Return the sampled loop at a pose as python-control's state space, with its period as `dt` [s].
-
-        The open loop is cut at the actuators: it maps commands u (n_u,) [N.m or N] to the law's output K x (n_u,) of the
-        linearised plant. The closed loop maps commands, added to the law's, to the state x = (s, s') (2 n_s,) [rad or m, and
-        per second]. Past commands are further states.
-
-        Args:
-            pose: one of `poses`; by default the first one.
-            closed: whether the loop is closed.
-
-        Raises:
-            LinkplanError: for an unknown pose.
-        """
-        return self._entry(pose, None).sampled.system(closed=closed)
-
-    def frd(
-        self, quantity: str = "loop", pose: str | None = None, *, joint: str | None = None, measured: bool = False
-    ) -> control.FrequencyResponseData:
-        """Return a response at a pose as python-control's frequency response data, over frequencies in rad/s.
-
-        Args:
-            quantity: "plant", "loop", "sensitivity", "complementary", "control", "reference" or "reference+ff"; angles are
-                in radians.
-            pose: one of `poses`; by default the first one.
-            joint: of the loop; by default the first independent joint.
-            measured: whether the response is the one measured in MuJoCo, instead of the prediction.
-
-        Raises:
-            LinkplanError: for an unknown name, or a response that was not measured.
-        """
-        entry = self._entry(pose, joint)
-        choose("response", quantity, QUANTITIES, ProblemError)
-        if measured:
-            if quantity not in entry.responses:
-                known = ", ".join(entry.responses) or "none"
-                raise ProblemError(f"'{quantity}' was not measured at {entry.point.name}; measured: {known}")
-            return entry.responses[quantity].frd()
-        frequency_hz = frequency_grid(self.study.law.timing.period_s)[:-1]  # below the Nyquist frequency
-        return entry.sampled.response(quantity, frequency_hz, entry.channel).frd()
-
-    def _entry(self, pose: str | None, joint: str | None) -> BodePoint:
-        at, channel = (
-            choose("pose", self.poses[0] if pose is None else str(pose), self.poses, ProblemError),
-            self._channel(joint),
-        )
-        return next(entry for entry in self.study.points if entry.point.name == at and entry.channel == channel)
-
-    def _channel(self, joint: str | None) -> int:
-        """Return the index of an independent joint, by default of the first one."""
-        names = [one.name for one in self.study.mechanism.independent_joints]
-        return names.index(choose("independent joint", names[0] if joint is None else str(joint), names, ProblemError))
-
-    def blocks(self) -> list[Block]:
-        """Return the margins at every pose, and the further studies."""
-        return [*summary(self.study), *(block for section in self._further.values() for block in section.blocks)]
-
-    @property
-    def _further(self) -> dict[str, Section]:
-        found: dict[str, Section] = {}
-        if (stable := self.study.map) is not None:
-            found["map"] = Section(title="Stability map", blocks=map_blocks(stable), depth=2)
-        if (large := self.study.large) is not None:
-            found["large"] = Section(title="Large signals", blocks=large_blocks(large), depth=2)
-        if (along := self.study.along) is not None:
-            found["along"] = Section(title="Along the motion", blocks=along_blocks(along), depth=2)
-        return found
-
-    def document(self) -> Report:
-        """Return the report."""
-        return bode_report(self.study, list(self._further.values()))
-
-    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
-        """Yield bode, nyquist, sensitivity, margins and the figures of further studies."""
-        yield from bode_figures(self.study)
-        for name, section in self._further.items():
-            panels = panels_of(section.blocks)
-            yield name, FigureSpec(panels=panels, title=section.title, columns=3, panel_in=(6.0, 4.6))
-
-    def plot(self, path: str | Path | None = None, *, joint: str | None = None) -> Figure:
-        """Return the figure of the open-loop and closed-loop responses at every pose, saved at `path` if it is given.
-
-        Args:
-            path: of the picture.
-            joint: of the loop, for several degrees of freedom; by default the first independent joint.
-
-        Raises:
-            LinkplanError: if the joint is not independent.
-        """
-        channel = self._channel(joint)
-        entries = [entry for entry in self.study.points if entry.channel == channel]
-        return drawn(path, lambda: bode_figure(self.study, entries))

@@ -23,7 +23,6 @@ from linkplan.studies.compare.comparison_blocks import comparison_blocks, compar
 from linkplan.studies.compare.comparison_figures import comparison_figures
 from linkplan.studies.compare.tracking_sections import comparison_sections
 from linkplan.studies.feedback.bode.bode import bode_study
-from linkplan.studies.feedback.bode.bode_report import bode_figures, bode_sections
 from linkplan.studies.feedback.bode.loop_blocks import map_blocks
 from linkplan.studies.feedback.bode.map_study import map_study
 from linkplan.studies.feedback.frequency.excitation import Setup
@@ -201,8 +200,8 @@ def _loops(place: Path, said: dict, say: Say) -> list[Sections]:
         folder.mkdir(parents=True)
         said["bode"].append(study)
         write_json(folder / "bode.json", study)
-        save_figures(bode_figures(study), folder)
-        sections.append(bode_sections(study, f"kp = {gains.kp:g}, kd = {gains.kd:g} every {1e3 * gains.period_s:g} ms"))
+        save_figures(study.figure_specs(), folder)
+        sections.append(study.sections(f"kp = {gains.kp:g}, kd = {gains.kd:g} every {1e3 * gains.period_s:g} ms"))
         if gains is LOOPS[0]:
             found = map_study(study, lambda text: say(f"stability map: {text}"))
             marked = [(f"KP = {one.kp:g}, KD = {one.kd:g}", float(one.kp), float(one.kd)) for one in LOOPS[:2]]

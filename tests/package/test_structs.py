@@ -26,9 +26,9 @@ MADE = {
     "check of a locked model": ("CheckResult", lambda _: linkplan.check(LOCKED)),
     "track": ("TrackingResult", lambda plan: linkplan.track(plan, "lqr")),
     "compare": ("TrackingResult", lambda plan: linkplan.compare(plan, ["pd", "lqr"])),
-    "bode": ("BodeResult", lambda _: linkplan.bode("optimus-knee", kp=200.0, kd=20.0, measure=False, **AT_REST)),
+    "bode": ("BodeStudy", lambda _: linkplan.bode("optimus-knee", kp=200.0, kd=20.0, measure=False, **AT_REST)),
     "bode, measured": (
-        "BodeResult",
+        "BodeStudy",
         lambda _: linkplan.bode("optimus-knee", kp=200.0, kd=20.0, frequency_hz=[100.0], **AT_REST),
     ),
     "bode, a plant": (

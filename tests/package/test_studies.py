@@ -98,7 +98,7 @@ def test_every_table_of_a_result_is_a_pandas_table(compared):
     assert list(compared.to_frame(1).columns) != []
     loop = linkplan.bode("knee-reach", at_deg=[{"O": 0.0}], measure=False)
     margins = loop.to_frame("Margins")
-    assert margins["phase margin [deg]"][0] == pytest.approx(loop.study.points[0].phase_margin_deg, rel=1e-3)
+    assert margins["phase margin [deg]"][0] == pytest.approx(loop.points[0].phase_margin_deg, rel=1e-3)
     assert_refused(lambda: loop.to_frame("Poles"), "unknown table 'Poles'; this result has 0 'Margins at every pose'")
     assert_refused(lambda: loop.to_frame(7), "unknown table 7")
 

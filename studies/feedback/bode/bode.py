@@ -15,7 +15,8 @@ from linkplan.models.poses.reach import reach
 from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.search.planning import silent
 from linkplan.studies.check.softness import gap_sentence, held_gap
-from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy, PoseLoops, WorstMargins, pose_values
+from linkplan.studies.feedback.bode.bode_report import BodeStudy, loop_text
+from linkplan.studies.feedback.bode.bode_result import BodePoint, PoseLoops, WorstMargins, pose_values
 from linkplan.studies.feedback.bode.scan import PoseLine, Scan, coordinate_line, scan_line
 from linkplan.studies.feedback.bode.touching import contact_sentence, touched
 from linkplan.studies.feedback.frequency.excitation import EXCITATIONS, Setup
@@ -123,7 +124,7 @@ def bode_study(
         found += [
             _point(loop, ideal[i], channel, bounds[i], bool(trials[i]), measured.get(i)) for i, loop in enumerate(loops)
         ]
-    joints, name = mechanism.independent_joints, _loop_name(mechanism, chosen)
+    joints, name = mechanism.independent_joints, loop_text(mechanism, chosen)
     disputed = tuple(dict.fromkeys(point.point.name for point in found if point.stable != point.settles_in_mujoco))
     return BodeStudy(
         mechanism_name=mechanism.name,
@@ -134,16 +135,14 @@ def bode_study(
         disputed=disputed,
         softness=softness_of([loop.point for loop in loops]),
         contacts=contact_sentence(pairs, len(loops)),
-        poses=_by_pose(mechanism, law, found),
+        loops=_by_pose(mechanism, law, found),
         worst={joints[scan.channel].name: _worst(mechanism, scan) for scan in scans},
         measurement=_measurement(found, steps, conditions) if steps else None,
         note=note,
         mechanism=mechanism,
         law=chosen,
-        points=tuple(found),
         scans=scans,
         is_measured=setup is not None,
-        loop_name=name,
     )
 
 
@@ -249,17 +248,6 @@ def softness_of(points: Sequence[OperatingPoint]) -> str | None:
     mechanism = points[0].mechanism
     gaps = [held_gap(mechanism, point.pose, point.hold) for point in points]
     return gap_sentence(mechanism, max(gaps), error=" while the poses are held")
-
-
-def _loop_name(mechanism: Mechanism, law: SampledLaw) -> str:
-    """Return the tracker with its gains, period and delay, as text."""
-    settings, timing = law.settings, law.timing
-    name = law.name if law.by_errors else settings.gains_text(mechanism.independent_joints)
-    name += f" sampled every {settings.period_s:g} s"
-    if timing.delay_steps:
-        periods = timing.delay_s / settings.period_s
-        name += f" with a delay of {periods:g} period{'' if periods == 1 else 's'}"
-    return name
 
 
 def _message(points: Sequence[BodePoint], disputed: Sequence[str], loop: str) -> str:

@@ -1,166 +1,41 @@
-"""A feedback loop as a document: margins, responses predicted and measured, Nyquist curves, margins along a line."""
+"""The plots of a feedback loop: responses predicted and measured, Nyquist curves, margins along a line."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from linkplan.studies.feedback.bode.bode_result import BodePoint, BodeStudy
+from linkplan.studies.feedback.bode.bode_result import BodePoint
 from linkplan.studies.feedback.bode.curves import frequency_plot, measured_phase, phase_near
-from linkplan.studies.feedback.bode.plant_words import agreement_text, modes_text
-from linkplan.studies.feedback.bode.scan import Scan, bounds_text
-from linkplan.studies.feedback.frequency.feedback_loops import operating_point, outputs_of, plant_name
-from linkplan.studies.feedback.frequency.margins import Margins, frequency_grid
+from linkplan.studies.feedback.bode.scan import Scan
+from linkplan.studies.feedback.frequency.feedback_loops import SampledLaw, operating_point, outputs_of, plant_name
+from linkplan.studies.feedback.frequency.margins import frequency_grid
 from linkplan.studies.feedback.frequency.response import LEAST_COHERENCE
-from linkplan.studies.feedback.frequency.rest import LEAST_RESPONSE_AT_REST
 from linkplan.studies.output.document import (
     Axis,
-    Block,
     DrawnLimit,
-    Facts,
     Heat,
     Plane,
     Plot,
     Series,
-    Table,
-    Text,
-    table_of,
 )
 from linkplan.studies.output.lines import Line, line_style, plots
 from linkplan.studies.output.numbers import drawn_rows, rounded
-from linkplan.studies.output.plan_blocks import radius_figure
 
 # Half the width of the Nyquist plane in units of |L| for stable loops, and the largest gain that is drawn. The critical
 # point is at -1.
 _NYQUIST_HALF_WIDTH, _MAX_NYQUIST_GAIN = 2.5, 30.0
 
 
-def summary(study: BodeStudy) -> list[Block]:
-    """Return the verdict, the margins at every pose, the worst one over the reach, and what was measured."""
-    message = study.message[:1].upper() + study.message[1:]
-    blocks: list[Block] = [Text(text=message, tone="good" if study.stable else "bad")]
-    rows = [("mechanism", study.mechanism.name), ("tracker", study.law.name), ("feedback loop", study.loop_name)]
-    if shared := study.points[0].point.shared_coordinates:
-        rows.append(("at every pose", shared))
-    if len(study.mechanism.channels) > 1:
-        names = ", ".join(study.mechanism.independent_joints[k].name for k in study.mechanism.channels)
-        text = (
-            f"each loop is opened at the total effort on its coordinate ({names}) of"
-            f" {', '.join(actuator.name for actuator in study.mechanism.actuators)}; the other loops are closed"
-        )
-        blocks.append(Text(text=text))
-    scans = [Text(text=_worst_of(study, scan)) for scan in study.scans]
-    notes = [*crossovers_of(study), study.contacts, study.softness, study.note]
-    said = [Text(text=note, tone="note") for note in notes if note]
-    return [*blocks, Facts(rows=[*rows, *_measured(study)]), _margins(study), *_plant(study), *scans, *said]
-
-
-def _measured(study: BodeStudy) -> list[tuple[str, str]]:
-    """Return the agreement of measurement and prediction, or the reason why nothing was measured."""
-    if (c := study.measurement) is not None:
-        text = agreement_text(c, "closed_loop_deviation_db", "closed_loop_deviation_deg", study.mechanism)
-        return [("measured closed-loop responses", text)]
-    if not study.is_measured:
-        return []
-    why = "an unstable feedback loop holds no operating point"
-    if any(point.stable for point in study.points):
-        why = "there are contacts at the poses at which the feedback loop is stable"
-    return [("not measured", why)]
-
-
-def _margins(study: BodeStudy) -> Table:
-    mechanism = study.mechanism
-    several = len(mechanism.channels) > 1
-    inertias = " or ".join(dict.fromkeys(joint.inertia_unit for joint in mechanism.independent_joints))
-    heads = ["loop" if several else "pose", f"inertia [{inertias}]", "stable", "settles in MuJoCo"]
-    heads += ["largest pole", "gain margin [dB]", "phase margin [deg]", "delay margin [ms]", "disk margin", "crossover [Hz]"]
-    heads += ["bandwidth [Hz]", "resonance [dB]", "peak of |S|"]
-    lowered = any(_less_gain_is_nearer(entry) for entry in study.points)
-    heads += ["gain reduction margin [dB]"] if lowered else []
-    differs = any(entry.stable and (entry.machine_spectral_radius or 0.0) >= 1 for entry in study.points)
-    heads += ["largest pole of the machine"] if differs else []
-    pulled = any(_is_pulled_away(entry) for entry in study.points)
-    heads += ["response at rest"] if pulled else []
-    rows = []
-    for entry in study.points:
-        m, name = entry, entry.point.name
-        delay = None if m.delay_margin_s is None else 1e3 * m.delay_margin_s
-        figures = [m.gain_margin_db, m.phase_margin_deg, delay, m.disk_margin]
-        figures += [m.crossover_hz, m.bandwidth_hz, m.resonance_db, m.sensitivity_peak]
-        figures += [m.gain_reduction_margin_db] if lowered else []
-        figures += [radius_figure(entry.machine_spectral_radius)] if differs else []
-        figures += [m.response_at_rest] if pulled else []
-        inertia = entry.point.inertia[entry.channel, entry.channel]
-        verdicts = [bool(m.stable), bool(entry.settles_in_mujoco), radius_figure(m.spectral_radius)]
-        loop = f"{mechanism.independent_joints[entry.channel].name} at {name}" if several else name
-        rows.append([loop, inertia, *verdicts, *figures])
-    return table_of("Margins at every pose", heads, rows)
-
-
-def _plant(study: BodeStudy) -> list[Table]:
-    """Return the table of the plants' modes, if undriven joints move along."""
-    heads, rows = ["loop", "to", "anti-resonances [Hz]", "damping", "resonances [Hz]", "damping"], []
-    for entry in study.points:
-        for joint, modes in (entry.plant or {}).items():
-            swings = *modes_text(modes.anti_resonances), *modes_text(modes.resonances)
-            rows.append([f"{entry.broken_at} at {entry.point.name}", joint, *swings])
-    return [table_of("Plant: resonances and anti-resonances", heads, rows)] if rows else []
-
-
-def _less_gain_is_nearer(m: Margins) -> bool:
-    """Tell if a lower gain loses stability before a higher gain does. The record always has the margin."""
-    less, more = m.gain_reduction_margin_db, m.gain_margin_db
-    return less is not None and (more is None or less < more)
-
-
-def _is_pulled_away(m: Margins) -> bool:
-    """Tell if a small step settles farther from its reference than `tune` allows. The record always has the response."""
-    return m.response_at_rest is not None and abs(1.0 - m.response_at_rest) > 1.0 - LEAST_RESPONSE_AT_REST
-
-
-_LEAST_MARGINS = (
-    ("gain_margin_db", "gain margin", "dB"),
-    ("gain_reduction_margin_db", "gain reduction margin", "dB"),
-    ("phase_margin_deg", "phase margin", "deg"),
-)
-
-
-def _worst_of(study: BodeStudy, scan: Scan) -> str:
-    line, joints = scan.line, study.mechanism.independent_joints
-    ends = f"{line.text(scan.positions[0], 4)} to {line.text(scan.positions[-1], 4)} {line.unit}"
-    of_loop = "" if len(joints) == 1 else f" of the loop of {joints[scan.channel].name}"
-    worst = f"{line.place(scan.positions[scan.worst])}: {bounds_text(scan.margins[scan.worst])}"
-    text = f"over {line.name} from {ends} the worst{of_loop} is {worst}"
-    lowered = any(map(_less_gain_is_nearer, scan.margins))
-    for name, words, unit in _LEAST_MARGINS:
-        told = all(m.stable for m in scan.margins) and (lowered or name != "gain_reduction_margin_db")
-        least = scan.least(name) if told else None
-        if least is not None:
-            text += f"; least {words} {least[0]:.3g} {unit} at {line.place(scan.positions[least[1]])}"
-    return text
-
-
-def crossovers_of(study: BodeStudy) -> list[str]:
-    """Return a sentence on the feedback loops whose gain crosses 1 several times; an empty list if there are none."""
-    several = [entry for entry in study.points if entry.other_crossovers_hz]
-    if not several:
-        return []
-    others = [f for entry in several for f in entry.other_crossovers_hz]
-    low, high = (f"{of(others):.4g}" for of in (min, max))
-    at = low if low == high else f"{low} to {high}"
-    where = f"in {len(several)} of {len(study.points)} loops" if len(several) > 1 else f"at {several[0].point.name}"
-    return [f"{where} the gain also crosses 1 at {at} Hz; the phase margin shown is the smallest of all crossings"]
-
-
 def _name(entry: BodePoint) -> str:
     return entry.point.name + ("" if entry.stable else " (unstable)")
 
 
-def responses(study: BodeStudy, entries: Sequence[BodePoint], group: str) -> dict[str, list[Plot]]:
+def responses(law: SampledLaw, entries: Sequence[BodePoint], group: str) -> dict[str, list[Plot]]:
     """Return the plots of the open loop, and of the reference to the position: gain, phase, measured less predicted.
 
     Lines are predictions of the sampled loop, dots measurements; the dotted lines are those of continuous time.
     """
-    reference = "reference" if study.law.name == "pd" else "reference+ff"
+    reference = "reference" if law.name == "pd" else "reference+ff"
     titles = {"loop": "Open loop L", reference: f"{reference.replace('+', ' with ')} to position"}
     found: dict[str, list[Plot]] = {}
     for quantity, title in titles.items():
@@ -272,7 +147,7 @@ def sensitivities(entries: Sequence[BodePoint], group: str) -> list[Plot]:
     return found
 
 
-def nyquist(study: BodeStudy, entries: Sequence[BodePoint]) -> Plane:
+def nyquist(law: SampledLaw, entries: Sequence[BodePoint]) -> Plane:
     """Return the open loops in the complex plane, with the critical point and the disk of the least disk margin."""
     turn = np.exp(1j * np.linspace(0.0, 2 * np.pi, 121))
     title = f"Nyquist curves of the open loop{'; dots measured' if any(entry.responses for entry in entries) else ''}"
@@ -287,7 +162,7 @@ def nyquist(study: BodeStudy, entries: Sequence[BodePoint]) -> Plane:
         phase = least.disk_phase_margin_deg
         title += f"; least disk margin {alpha:.3g} at {least.point.name} (gain +-{gain:.3g} dB or phase {phase:.3g} deg)"
         curves.append(Series(name="least disk margin", x=rounded(disk.real), y=rounded(disk.imag), look="area", colour=4))
-    half_width, grid = _NYQUIST_HALF_WIDTH, frequency_grid(study.law.timing.period_s)[::3]
+    half_width, grid = _NYQUIST_HALF_WIDTH, frequency_grid(law.timing.period_s)[::3]
     for k, entry in enumerate(entries):
         gain = entry.sampled.gains("loop", grid, entry.channel)
         # The plane has the part of every curve that is closest to the origin.
@@ -310,7 +185,7 @@ def nyquist(study: BodeStudy, entries: Sequence[BodePoint]) -> Plane:
     )
 
 
-def margins_along(study: BodeStudy, scan: Scan, name: str) -> list[Plot | Plane]:
+def margins_along(law: SampledLaw, entries: Sequence[BodePoint], scan: Scan, name: str) -> list[Plot | Plane]:
     """Return the sensitivity and the margins over a line of positions; the title names the position of the worst margin."""
     line = scan.line
     x = np.array([line.shown(position) for position in scan.positions])
@@ -332,14 +207,14 @@ def margins_along(study: BodeStudy, scan: Scan, name: str) -> list[Plot | Plane]
     title = f"Margins; the worst is at {line.place(scan.positions[scan.worst])}"
     crossed = " and ".join(one.name for one in crossings).capitalize()
     return [
-        _map(study, scan, axis, x),
+        _map(law, entries, scan, axis, x),
         *plots(title, "margin", axis, x, margins, group=group, ends=(0.0, max(10.0, 1.08 * highest))),
         *plots(crossed, "frequency", axis, x, crossings, group=group, log=True),
     ]
 
 
-def _map(study: BodeStudy, scan: Scan, axis: Axis, x: np.ndarray) -> Plane:
-    grid, heat = sensitivity_along(study, scan)
+def _map(law: SampledLaw, entries: Sequence[BodePoint], scan: Scan, axis: Axis, x: np.ndarray) -> Plane:
+    grid, heat = sensitivity_along(law, entries, scan)
     return Plane(
         title="Sensitivity |S| over position and frequency",
         x_axis=axis,
@@ -372,15 +247,15 @@ def shifted_phase(phase: np.ndarray, gain: np.ndarray, quantity: str) -> np.ndar
     return phase - 360.0 * np.round((phase[crossing] + 180.0) / 360.0)
 
 
-def sensitivity_along(study: BodeStudy, scan: Scan) -> tuple[np.ndarray, np.ndarray]:
+def sensitivity_along(law: SampledLaw, entries: Sequence[BodePoint], scan: Scan) -> tuple[np.ndarray, np.ndarray]:
     """Return frequencies (m,) [Hz] and |S| (m, n) [dB] at a scan's n positions; NaN where the loop is unstable."""
-    grid = frequency_grid(study.law.timing.period_s)[::16]
-    grid = grid[grid >= min((lowest_hz(entry) for entry in study.points), default=grid[0])]
-    free = np.array([[-np.inf, np.inf]] * len(study.law.effort_limit))
+    grid = frequency_grid(law.timing.period_s)[::16]
+    grid = grid[grid >= min((lowest_hz(entry) for entry in entries), default=grid[0])]
+    free = np.array([[-np.inf, np.inf]] * len(law.effort_limit))
     heat = np.full((len(grid), len(scan.positions)), np.nan)
     for column, (position, bounds) in enumerate(zip(scan.positions, scan.margins, strict=True)):
         if not bounds.stable:  # an unstable loop has no sensitivity
             continue
-        loop = study.law.loop(operating_point(study.mechanism, scan.line.at(position), free))
+        loop = law.loop(operating_point(entries[0].point.mechanism, scan.line.at(position), free))
         heat[:, column] = 20 * np.log10(np.abs(loop.gains("sensitivity", grid, scan.channel)))
     return grid, heat

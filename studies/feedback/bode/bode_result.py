@@ -1,22 +1,22 @@
-"""The result of a loop's frequency response, whose fields are the record `bode.json`."""
+"""The loops at the poses of a frequency response, and its additional studies."""
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
-from msgspec import UNSET, Struct, UnsetType, field
+from msgspec import UNSET, Struct, UnsetType
 
-from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.joints import shown_by_unit
 from linkplan.planner.files.structs import NOT_READ, Beside
-from linkplan.studies.feedback.bode.scan import Scan, stability
-from linkplan.studies.feedback.frequency.describing import LargeSignals
-from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, OperatingPoint, SampledLaw
+from linkplan.studies.feedback.bode.scan import stability
+from linkplan.studies.feedback.frequency.feedback_loops import FeedbackLoop, OperatingPoint
 from linkplan.studies.feedback.frequency.floquet import Floquet
 from linkplan.studies.feedback.frequency.margins import Margins
 from linkplan.studies.feedback.frequency.plant_modes import PlantModes
 from linkplan.studies.feedback.frequency.response import Response
 from linkplan.studies.feedback.frequency.stability_map import StabilityMap
+
+# Gains simulated in MuJoCo lie this share above and below the stability boundary.
+TRIAL_GAIN_SHARE = 0.02
 
 
 class BodePoint(Margins, frozen=True, kw_only=True, eq=False):
@@ -120,35 +120,3 @@ class AlongMotion(Struct, frozen=True, kw_only=True, eq=False):
     def worst(self) -> FrozenMargins:
         """The margins with the smallest disk margin; unstable ones come first."""
         return min(self.frozen, key=stability)
-
-
-class BodeStudy(Struct, frozen=True, kw_only=True, eq=False, omit_defaults=True):
-    """A tracker's loops at several poses, and the margins over the whole reach.
-
-    It is stable if the sampled loop is stable at every pose, by the model and in MuJoCo; at the `disputed` poses the two
-    differ. `worst` has the worst margins by joint. `measurement` has the method, the largest difference between measured and
-    predicted closed loops at coherent frequencies, and the simulator's settings. `map`, `large` and `along` are additional
-    studies, if they were requested.
-    """
-
-    mechanism_name: str = field(name="mechanism")
-    stable: bool
-    message: str
-    tracker: str
-    gains: dict[str, Any]
-    disputed: tuple[str, ...]
-    softness: str | None
-    contacts: str | None
-    poses: list[PoseLoops] = field(name="points")
-    worst: dict[str, WorstMargins]
-    measurement: dict[str, Any] | None
-    note: str | None  # on the choice of the poses
-    map: MapStudy | None = None
-    large: LargeSignals | None = None
-    along: AlongMotion | None = None
-    mechanism: Beside[Mechanism] = field(default=NOT_READ, name="(mechanism)")
-    law: Beside[SampledLaw] = NOT_READ
-    points: Beside[tuple[BodePoint, ...]] = field(default=NOT_READ, name="(points)")
-    scans: Beside[tuple[Scan, ...]] = NOT_READ
-    is_measured: Beside[bool] = NOT_READ
-    loop_name: Beside[str] = NOT_READ  # the tracker with its gains, period and delay, as text

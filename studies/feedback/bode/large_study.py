@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.problem.limits import Limits
 from linkplan.planner.search.planning import silent
-from linkplan.studies.feedback.bode.bode_result import BodeStudy
+from linkplan.studies.feedback.bode.bode_report import BodeStudy
 from linkplan.studies.feedback.frequency.describing import LargeSignals, default_large_frequencies, large_signals
 from linkplan.studies.feedback.frequency.feasible import curve_rows, default_amplitudes, feasible_curve
 

@@ -6,8 +6,7 @@ import contourpy
 import numpy as np
 
 from linkplan.controllers.trackers.names import BUILT_IN
-from linkplan.studies.feedback.bode.bode_result import AlongMotion, MapStudy
-from linkplan.studies.feedback.bode.map_study import TRIAL_GAIN_SHARE
+from linkplan.studies.feedback.bode.bode_result import TRIAL_GAIN_SHARE, AlongMotion, MapStudy
 from linkplan.studies.feedback.bode.scan import bounds_text, figures
 from linkplan.studies.feedback.frequency.describing import LargeSignals
 from linkplan.studies.feedback.frequency.floquet import floquet_text

@@ -7,7 +7,8 @@ from msgspec.structs import asdict
 
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.search.planning import silent
-from linkplan.studies.feedback.bode.bode_result import BodeStudy, MapStudy
+from linkplan.studies.feedback.bode.bode_report import BodeStudy
+from linkplan.studies.feedback.bode.bode_result import TRIAL_GAIN_SHARE, MapStudy
 from linkplan.studies.feedback.frequency.feedback_loops import OperatingPoint, operating_point
 from linkplan.studies.feedback.frequency.stability_map import (
     critical_kd,
@@ -18,8 +19,6 @@ from linkplan.studies.feedback.frequency.stability_map import (
 from linkplan.studies.feedback.frequency.trial import settle_trials
 from linkplan.studies.feedback.frequency.worst import refined_minima
 
-# Gains simulated in MuJoCo lie this share above and below the stability boundary.
-TRIAL_GAIN_SHARE = 0.02
 _GRID_POINTS = 48
 
 

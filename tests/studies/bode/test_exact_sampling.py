@@ -24,7 +24,7 @@ def radius_of(kd: float, delay: bool) -> float:
 def test_the_largest_pole_of_the_machine_is_that_of_held_commands(kd, delay_periods):
     tracking = {"kp": KP, "kd": kd, "period_s": T, "delay_periods": delay_periods}
     found = linkplan.bode(linkplan.load_mechanism(ROTOR), tracking=tracking, at_deg=[0.0], measure=False)
-    (point,) = found.study.points
+    (point,) = found.points
     assert point.machine_spectral_radius == pytest.approx(radius_of(kd, bool(delay_periods)), rel=1e-9)
 
 

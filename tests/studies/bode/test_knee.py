@@ -12,7 +12,6 @@ from linkplan.models.poses.assembly import close_at
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.feedback.bode.bode import bode_study
-from linkplan.studies.feedback.bode.bode_blocks import summary
 from linkplan.studies.feedback.bode.poses import loop_poses
 from linkplan.studies.feedback.frequency.excitation import Setup
 from linkplan.studies.feedback.frequency.feedback_loops import SIMULATED, feedback_loop, law_gain, operating_point
@@ -106,7 +105,7 @@ def test_the_study_names_the_worst_angle_and_says_how_well_the_two_agree():
         frequency_hz=np.array([200.0, 1000.0]),
         scanned=7,
     )
-    record, text = plain_record(study), text_of(summary(study))
+    record, text = plain_record(study), text_of(study.summary())
     # Where the inertia is least the sampled loop is nearest to its border.
     scan = study.scans[0]
     assert np.degrees(scan.positions[scan.worst]) == pytest.approx(62.45, abs=0.1)

@@ -233,7 +233,7 @@ def test_two_motors_of_a_loop_are_told_apart_while_both_loops_are_closed():
         assert np.abs(one.measured.less_predicted_db).max() < 0.1, name
         assert np.abs(one.measured.less_predicted_deg).max() < 1.0, name
     # The off-diagonal response is far from that with the other loop closed, which `frd("plant")` gives.
-    closed = linkplan.bode("five-bar", measure=False, period_s=1e-3).study.points[0].sampled
+    closed = linkplan.bode("five-bar", measure=False, period_s=1e-3).points[0].sampled
     beside = np.abs(closed.gains("plant", found["act_O1 to P.x"].measured.frequency_hz, 0))
     alone = np.abs(found["act_O2 to O2"].measured.gain)
     assert np.abs(alone / beside - 1).max() > 0.05

@@ -16,8 +16,6 @@ from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.feedback.bode.bode import BodeStudy, bode_study
-from linkplan.studies.feedback.bode.bode_blocks import summary
-from linkplan.studies.feedback.bode.bode_report import bode_sections
 from linkplan.studies.feedback.bode.poses import loop_poses
 from linkplan.studies.feedback.frequency.excitation import Setup
 from linkplan.studies.feedback.frequency.feedback_loops import (
@@ -79,7 +77,7 @@ def test_the_crossover_that_is_stated_is_where_the_phase_margin_is_and_others_ar
     study = bode_study(mechanism, point.pose[mechanism.independent], gains, mechanism.effort_limit, scanned=0)
     others = [f for entry in study.points for f in entry.other_crossovers_hz]
     said = f"in 2 of 2 loops the gain also crosses 1 at {min(others):.4g} to {max(others):.4g} Hz"
-    assert said in text_of(summary(study))
+    assert said in text_of(study.summary())
 
 
 @pytest.mark.slow
@@ -117,7 +115,7 @@ def test_default_poses_of_several_freedoms_lie_along_the_motion():
 def test_the_text_says_where_the_loops_are_broken():
     mechanism, point, _ = leg_loop()
     limit = mechanism.effort_limit
-    text = text_of(summary(bode_study(mechanism, point.state[:2], GAINS, limit, scanned=0)))
+    text = text_of(bode_study(mechanism, point.state[:2], GAINS, limit, scanned=0).summary())
     assert "each loop is opened at the total effort on its coordinate (O1, E1) of act_O1, act_O2" in text
 
 
@@ -136,7 +134,7 @@ def test_poses_are_told_apart_by_the_coordinates_that_differ():
     home = mechanism.home[mechanism.independent]
     study = bode_study(mechanism, home + np.array([[0.0, 0.0], [0.0, 0.1]]), GAINS, mechanism.effort_limit, scanned=0)
     assert {entry.point.name.split(" = ")[0] for entry in study.points} == {"E1"}
-    assert f"at every pose: O1 = {np.degrees(home[0]):.4g} deg" in text_of(summary(study))
+    assert f"at every pose: O1 = {np.degrees(home[0]):.4g} deg" in text_of(study.summary())
     alone = bode_study(mechanism, home, GAINS, mechanism.effort_limit, scanned=0)
     assert alone.points[0].point.name.startswith("O1 = ")
 
@@ -153,7 +151,7 @@ def test_dry_friction_is_said_to_damp_the_measured_motion(tmp_path):
         study = bode_study(
             mechanism, np.zeros((1, 1)), gains, mechanism.effort_limit, setup=setup, frequency_hz=np.array([3.0]), scanned=0
         )
-        assert (words in text_of(summary(study))) == (friction > 0)
+        assert (words in text_of(study.summary())) == (friction > 0)
         deviations.append(study.measurement["closed_loop_deviation_db"])
     free, held, moved = deviations
     assert free < 1e-3 < moved < 1.0 < held
@@ -172,11 +170,11 @@ def test_an_ankle_on_ball_joints_has_the_loops_of_one_on_universal_joints():
     assert spun.poses == plain.poses == ("motor_left = 0 deg, motor_right = 0 deg",)
     assert spun.lti().nstates == plain.lti().nstates == 4
     assert all(abs(pole) < 1.0 for pole in spun.lti(closed=True).poles())
-    for ours, theirs in zip(spun.study.points, plain.study.points, strict=True):
+    for ours, theirs in zip(spun.points, plain.points, strict=True):
         assert ours.phase_margin_deg == pytest.approx(theirs.phase_margin_deg, abs=0.1)
         assert ours.disk_margin == pytest.approx(theirs.disk_margin, rel=2e-3)
         assert ours.settles_in_mujoco
-    assert spun.study.measurement["closed_loop_deviation_db"] < 0.01  # [dB], measured in MuJoCo
+    assert spun.measurement["closed_loop_deviation_db"] < 0.01  # [dB], measured in MuJoCo
 
 
 @pytest.mark.slow
@@ -212,7 +210,7 @@ def test_responses_of_the_leg_are_measured_as_predicted_while_the_boom_coasts(le
         for quantity, response in entry.responses.items():
             assert response.gain == pytest.approx(entry.predicted[quantity].gain, rel=1e-5)
     assert study.softness is None
-    titles = [section.title for section in bode_sections(study, "the leg")]
+    titles = [section.title for section in study.sections("the leg")]
     assert titles == ["Feedback loop: the leg", "Frequency response of hip", "Frequency response of knee"]
 
 
@@ -239,7 +237,7 @@ def study() -> BodeStudy:
 
 
 def test_contacts_at_a_pose_are_named_with_the_line_that_lets_links_pass():
-    text = text_of(summary(study()))
+    text = text_of(study().summary())
     assert "contacts of geom 1 of coupler and geom 2 of rocker push in MuJoCo at 2 of 2 poses" in text
     assert '<exclude body1="coupler" body2="rocker"/>' in text
     assert "contacts of" in study().contacts
@@ -249,7 +247,7 @@ def test_no_response_is_measured_where_contacts_push():
     assert all(point.stable for point in study().points)  # or nothing would be measured anyway
     assert study().measurement is None
     assert not any(point.responses for point in study().points)
-    assert "not measured: there are contacts" in text_of(summary(study()))
+    assert "not measured: there are contacts" in text_of(study().summary())
 
 
 def test_no_plant_is_measured_where_contacts_push_and_all_of_it_is_predicted():
@@ -266,4 +264,4 @@ def test_without_contacts_nothing_is_said_of_them():
     mechanism = load_mechanism(HOEKEN.format(actuator=MOTOR), solref="stiff")
     found = bode_study(mechanism, np.radians([[10.0]]), TOUCHING_GAINS, mechanism.effort_limit, scanned=0)
     assert found.contacts is None
-    assert "contacts" not in text_of(summary(found))
+    assert "contacts" not in text_of(found.summary())

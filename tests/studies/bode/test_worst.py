@@ -8,7 +8,7 @@ from linkplan.controllers.sampling import sampling
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.feedback.bode.bode import bode_study
-from linkplan.studies.feedback.bode.bode_blocks import _less_gain_is_nearer, summary
+from linkplan.studies.feedback.bode.bode_report import _less_gain_is_nearer
 from linkplan.studies.feedback.bode.poses import loop_poses
 from linkplan.studies.feedback.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
 from linkplan.studies.feedback.frequency.margins import Margins, margins
@@ -46,7 +46,7 @@ def test_the_least_gain_margin_over_the_reach_is_the_largest_stable_damping_gain
     assert np.degrees(study.scans[0].positions[k]) == pytest.approx(WORST_DEG, abs=0.1)
     assert least == pytest.approx(5.23, abs=0.01)
     assert min(point.gain_margin_db for point in study.points) == pytest.approx(least, abs=1e-3)
-    assert "least gain margin 5.23 dB at O = 62.4" in text_of(summary(study))
+    assert "least gain margin 5.23 dB at O = 62.4" in text_of(study.summary())
     worst = operating_point(study.mechanism, study.scans[0].line.at(study.scans[0].positions[k]))
     assert critical_kd(worst, 200.0, study.law.timing)[1] == pytest.approx(LARGEST_SAFE_KD, abs=1e-3)
 

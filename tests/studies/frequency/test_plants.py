@@ -45,7 +45,7 @@ def motor_and_load(s):
 def study(tmp_path_factory):
     model = tmp_path_factory.mktemp("plants") / "two.xml"
     model.write_text(TWO_MASSES)
-    return linkplan.bode(str(model), kp=20.0, kd=0.5, frequency_hz=[2.0, 10.0, 22.0, 28.0, 60.0]).study
+    return linkplan.bode(str(model), kp=20.0, kd=0.5, frequency_hz=[2.0, 10.0, 22.0, 28.0, 60.0])
 
 
 def test_the_plant_to_motor_and_load_is_that_of_two_masses(study):
@@ -93,7 +93,7 @@ def test_two_motors_on_one_joint_share_the_effort_of_one_loop(tmp_path):
         model.write_text(LINK.replace("MOTORS", motors))
         found = linkplan.bode(str(model), kp=20.0, kd=0.5, at_deg=[{"k": 30.0}], frequency_hz=[3.0, 30.0])
         assert found.stable
-        (entry,) = found.study.points
+        (entry,) = found.points
         assert entry.settles_in_mujoco
         assert np.abs(entry.responses["loop"].less_predicted_db).max() < 0.01
         margins.append([entry.phase_margin_deg, entry.gain_margin_db, entry.crossover_hz, entry.disk_margin])
@@ -102,7 +102,7 @@ def test_two_motors_on_one_joint_share_the_effort_of_one_loop(tmp_path):
 
 def test_a_hanging_pole_stills_its_cart_at_its_own_frequency():
     found = linkplan.bode("cart-pole", tracker="lqr", measure=False)
-    (entry,) = found.study.points
+    (entry,) = found.points
     mechanism = entry.point.mechanism
     model = mechanism.model
     pole = model.body("pole").id
@@ -115,7 +115,7 @@ def test_a_hanging_pole_stills_its_cart_at_its_own_frequency():
 
 
 def test_a_pose_that_does_not_rest_on_its_spring_is_taken_where_it_does(study):
-    spring = linkplan.bode(study.mechanism, kp=20.0, kd=0.5, at_deg=[{"m": 40.0}], measure=False).study.points[0]
+    spring = linkplan.bode(study.mechanism, kp=20.0, kd=0.5, at_deg=[{"m": 40.0}], measure=False).points[0]
     assert np.degrees(spring.point.pose) == pytest.approx([40.0, 40.0], abs=1e-6)
 
 

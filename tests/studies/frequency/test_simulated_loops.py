@@ -149,15 +149,14 @@ def test_each_joints_loop_is_predicted_and_measured_with_the_others_closed():
 
 
 def test_the_study_has_a_loop_for_every_joint():
-    from linkplan.studies.feedback.bode.bode_blocks import summary
     from linkplan.studies.output.text import text_of
 
     mechanism, _, settings = five_bar_loops()
     home = mechanism.home[mechanism.independent][None]
     study = bode_study(mechanism, home, settings, mechanism.effort_limit, scanned=0)
-    loops = study.poses[0].loops
+    loops = study.loops[0].loops
     assert list(loops) == [f"pd {joint.name}" for joint in mechanism.independent_joints]
-    text = text_of(summary(study))
+    text = text_of(study.summary())
     assert "stable" in text
     for joint in mechanism.independent_joints:
         assert f"{joint.name} at " in text

@@ -11,7 +11,6 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.feedback.bode.bode import bode_study
-from linkplan.studies.feedback.bode.bode_report import bode_report
 from linkplan.studies.feedback.frequency.excitation import Setup
 from linkplan.studies.output.document import (
     Animation,
@@ -313,7 +312,7 @@ def test_what_was_measured_of_a_line_stands_in_the_line_s_own_entry(browser, tmp
     gains, knee = Tracking(kp=200.0, kd=1.0, period_s=1e-4), load_mechanism("optimus-knee")
     at, poses = np.array([20.0, 40.0, 300.0]), np.radians([[-40.0], [20.0]])
     study = bode_study(knee, poses, gains, knee.effort_limit, scanned=0, setup=Setup(), frequency_hz=at)
-    write_report(bode_report(study), tmp_path / "report.html")
+    write_report(study.document(), tmp_path / "report.html")
     opened = Opened(browser, tmp_path / "report.html", width=400).build()
     plot = opened.page.locator("figure.plot", has_text="Open loop L: gain; dots measured").first
     entries = plot.locator(".u-series:visible")

@@ -9,7 +9,6 @@ from linkplan.planner.search.planning import Price, with_price
 from linkplan.studies.compare import comparison_blocks, tracking_sections
 from linkplan.studies.compare.compare import compare
 from linkplan.studies.feedback.bode.bode import bode_study
-from linkplan.studies.feedback.bode.bode_report import bode_report
 from linkplan.studies.output.document import Axis, Plane, Plot, Series, Table, Text
 from linkplan.studies.output.lines import TIME, Line, plots
 from linkplan.studies.output.plan_blocks import radius_figure
@@ -31,7 +30,7 @@ def study():
 
 
 def test_every_figure_of_the_table_stands_under_its_own_head(study):
-    table = blocks(bode_report(study), Table)[0]
+    table = blocks(study.document(), Table)[0]
     rows = [dict(zip((head for head, _ in table.columns), row, strict=True)) for row in table.rows]
     for row, entry in zip(rows, study.points, strict=True):
         m = entry
@@ -44,7 +43,7 @@ def test_every_figure_of_the_table_stands_under_its_own_head(study):
 
 
 def test_the_open_loop_s_gain_is_one_at_the_crossover(study):
-    plot = next(plot for plot in blocks(bode_report(study), Plot) if plot.title == "Open loop L: gain")
+    plot = next(plot for plot in blocks(study.document(), Plot) if plot.title == "Open loop L: gain")
     sampled = [series for series in plot.series if series.name]
     for series, entry in zip(sampled, study.points, strict=True):
         gain = np.interp(np.log(entry.crossover_hz), np.log(series.x), series.y)
@@ -52,7 +51,7 @@ def test_the_open_loop_s_gain_is_one_at_the_crossover(study):
 
 
 def test_the_least_disk_margin_s_disk_is_not_entered(study):
-    (plane,) = blocks(bode_report(study), Plane)
+    (plane,) = blocks(study.document(), Plane)
     disk = next(curve for curve in plane.curves if curve.look == "area")
     centre, radius = 0.5 * (max(disk.x) + min(disk.x)), 0.5 * (max(disk.x) - min(disk.x))
     curves = [curve for curve in plane.curves if curve.name.startswith("O = ")]

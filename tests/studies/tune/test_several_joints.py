@@ -162,7 +162,7 @@ def test_tuned_loops_are_measured_in_mujoco_as_predicted():
     assert gains.found
     measured = linkplan.bode("five-bar-reach", tracking=gains.tracking, at_deg=poses, frequency_hz=[20.0, 50.0])
     assert measured.stable
-    for entry in measured.study.points:
+    for entry in measured.points:
         assert entry.bandwidth_hz >= 10.0
         assert entry.phase_margin_deg >= 60.0
-    assert measured.study.measurement["closed_loop_deviation_db"] < 2e-3  # [dB]
+    assert measured.measurement["closed_loop_deviation_db"] < 2e-3  # [dB]

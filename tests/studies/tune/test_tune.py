@@ -9,7 +9,6 @@ from linkplan.models.errors import LinkplanError
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.problem.settings import Tracking
 from linkplan.studies.feedback.bode.bode import bode_study
-from linkplan.studies.feedback.bode.bode_blocks import summary
 from linkplan.studies.feedback.frequency.feedback_loops import feedback_loop, law_gain, operating_point, sampled_law
 from linkplan.studies.feedback.frequency.margins import damping_ratio, margins, settling_time_s
 from linkplan.studies.feedback.tune.requirements import Requirements
@@ -282,7 +281,7 @@ def test_bode_states_the_response_at_rest_of_a_joint_that_sags():
     mechanism = load_mechanism(HANGING)
     weak, strong = (
         text_of(
-            summary(bode_study(mechanism, np.array([[ANGLE]]), Tracking(kp=kp, kd=2.0), mechanism.effort_limit, scanned=0))
+            bode_study(mechanism, np.array([[ANGLE]]), Tracking(kp=kp, kd=2.0), mechanism.effort_limit, scanned=0).summary()
         )
         for kp in (3.0, 300.0)
     )
