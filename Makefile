@@ -6,7 +6,7 @@ STAMP := $(VENV)/.installed
 # Threads of the linear algebra fight the tests' processes for the same cores.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: demo test long quick check bench docs clean
+.PHONY: demo test long hardest quick check bench docs clean
 
 demo: $(STAMP)
 	$(BIN)/linkplan demo -o linkplan-demo
@@ -14,9 +14,13 @@ demo: $(STAMP)
 test: $(STAMP)
 	$(BIN)/python -m pytest -n auto --dist loadfile
 
-# The hardest published problems and largest mechanisms, too: ten minutes of processor time more.
+# The tests of tests/long.txt, which take more than some seconds each: pages of the documents, large models.
 long: $(STAMP)
-	$(BIN)/python -m pytest -n auto --dist loadfile --long
+	$(BIN)/python -m pytest -n auto --dist worksteal --long
+
+# The hardest published problems and largest mechanisms: ten minutes of processor time.
+hardest: $(STAMP)
+	$(BIN)/python -m pytest -n auto --dist worksteal --hardest
 
 quick: $(STAMP)
 	$(BIN)/python -m pytest -n auto --dist loadfile -m "not slow"

@@ -40,7 +40,7 @@ def planned(name: str, noise: float) -> Plan:
 
 
 FIRST = {"bennett": "H0", "cranks": "O0", "bricard": "H0"}
-NOISY = [pytest.param(name, marks=pytest.mark.long if name == "bricard" else pytest.mark.slow) for name in MODELS]
+NOISY = [pytest.param(name, marks=pytest.mark.hardest if name == "bricard" else pytest.mark.slow) for name in MODELS]
 exact_and_noisy = pytest.mark.parametrize(
     ("name", "noise"),
     [
@@ -168,7 +168,7 @@ def test_a_spatial_four_bar_turns_for_ever_and_its_rod_spins_on():
     assert np.degrees(np.abs(rollout.error_rad[:, 0]).max()) < SPINS_TRACKED_DEG
 
 
-@pytest.mark.long
+@pytest.mark.hardest
 def test_a_tie_rod_on_balls_steers_for_what_one_on_a_universal_joint_takes():
     """Where actuators have no leverage on a spin but rounding's, that is no unit of its equation."""
     motion = {"kind": "reach", "duration_s": 0.4, "start_m": {"rack": 0.0}, "goal_m": {"rack": 0.05}}

@@ -65,7 +65,7 @@ def test_a_push_of_one_sign_lifts_a_rod_that_weight_brakes():
     ("seed", "number", "least_s", "most"),
     [
         # the cost at 1.1 times the least time; a solver lost it from every other start
-        pytest.param(9001, 16, 2.643277, 0.743, marks=pytest.mark.long),
+        pytest.param(9001, 16, 2.643277, 0.743, marks=pytest.mark.hardest),
         (9200, 32, 2.046093, 1.0),  # 7.74 at 1.1 times; the smooth path leads to 21.6
     ],
 )
@@ -207,7 +207,7 @@ def test_a_rest_takes_what_is_left_of_the_time_where_it_costs_less_than_moving()
     assert dear.time[-1] == pytest.approx((36 * (HINGE_INERTIA * TURN) ** 2) ** 0.25, rel=1e-2)
 
 
-@pytest.mark.long
+@pytest.mark.hardest
 def test_a_leg_that_flies_past_a_dead_centre_is_folded_in_three_seconds():
     """The least effort of one second, 15,478, and two seconds of rest at 5.4345 N.m cost 15,537; a swing costs less."""
     problem = Problem.reach(OVER_CENTRE, start_deg={"upper": 0.0}, goal_deg={"upper": -85.0}, duration_s=3.0)

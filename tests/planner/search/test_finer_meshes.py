@@ -213,7 +213,7 @@ def test_the_knee_s_least_time_by_a_first_order_scheme_is_the_exact_one():
     assert plan.objective == pytest.approx(KNEE_S, rel=1e-6)
 
 
-@pytest.mark.long
+@pytest.mark.hardest
 def test_a_least_time_whose_mesh_needs_a_little_more_effort_is_answered_by_a_slightly_slower_motion():
     """On 4,647 intervals of the trapezoid rule the motion needs 2e-6 of its limit more than a proof allows."""
     plan = plan_motion(load_problem("knee-sprint", ["mesh.scheme=trapezoid"]))

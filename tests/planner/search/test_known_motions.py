@@ -25,7 +25,7 @@ def test_a_least_effort_that_begins_on_the_smooth_path_costs_no_more_than_a_shor
     assert weak_answer(77, 69, factors=(1.002, 1.01))["wrong"] == []
 
 
-@pytest.mark.long
+@pytest.mark.hardest
 def test_a_quick_turn_whose_higher_degree_is_not_solved_is_refined_by_halving():
     """A turn of a four-bar in 0.011 s, at 570 rad/s: the scheme of degree 7 is not solved on 40 intervals."""
     assert rotary_answer(4078, 11)["wrong"] == []
@@ -138,7 +138,7 @@ def test_without_effort_limits_there_is_no_shortest_motion():
 
 # Weak four-bars that have to swing, drawn with this seed; number 10 was called infeasible at 1.0005 times its least time.
 SEED = 1312
-CASES = [(9, 1.0005), (9, 1.03), pytest.param(10, 1.0005, marks=pytest.mark.long)]
+CASES = [(9, 1.0005), (9, 1.03), pytest.param(10, 1.0005, marks=pytest.mark.hardest)]
 ITERATIONS = 150
 
 
@@ -175,7 +175,7 @@ def test_a_weak_least_time_whose_switches_lay_inside_intervals_is_exact():
     assert plan.objective == pytest.approx(least, rel=MINIMUM_TIME)
 
 
-@pytest.mark.long
+@pytest.mark.hardest
 def test_a_certified_least_time_refutes_a_later_one_of_the_phase_plane():
     """It takes 1.93482 s. The swings of the phase plane turn back on a grid, and are more than 0.3 % late."""
     fourbar, start, goal, limit = weak_case(4078, 4)

@@ -33,7 +33,7 @@ def weak_reach(number: int, duration_s: float | str = 1.0, minimize: str = "effo
     return problem.varied(limits=replace(problem.limits, singular_margin=margin))
 
 
-@pytest.mark.long
+@pytest.mark.hardest
 def test_a_swing_up_to_a_dead_centre_costs_no_more_with_more_time():
     """At 1.01 times the least time of 0.794659 s a motion of 4.2878 was known, and none cheaper at 1.03 times."""
     plan = plan_motion(weak_reach(18, 1.03 * 0.794659))

@@ -58,7 +58,7 @@ def test_motors_of_a_five_bar_jump_inside_intervals_and_keep_their_power():
     assert np.all(largest_powers(plan) <= 3.0 * (1 + ROUNDING))
 
 
-@pytest.mark.long
+@pytest.mark.hardest
 def test_least_effort_along_a_power_is_no_dearer_than_what_finer_meshes_find():
     plan = plan_motion(Problem.from_tables("five-bar", five_bar(3.0, duration_s=0.4)))
     assert plan.status == "optimal"

@@ -134,7 +134,7 @@ def test_jerks_that_keep_the_loops_closed_satisfy_the_equations_of_a_node(model)
     assert np.abs(np.array(closure_jerk(mechanism)(q, *of_joints, jerks))).max() > 100 * ROWS * size
 
 
-@pytest.mark.long
+@pytest.mark.hardest
 def test_a_platform_on_six_rods_is_raised_and_turned():
     goal = {f"s{k}": 0.03 + 0.02 * (-1) ** k for k in range(6)}
     ends = {"start_m": {f"s{k}": 0.0 for k in range(6)}, "goal_m": goal}

@@ -68,7 +68,7 @@ def test_the_largest_damping_of_a_late_loop_is_about_half_as_large():
     assert [swings[kd, True] < 0.01 for kd in (1.5, 3.0, 5.0)] == [True, False, False]
 
 
-@pytest.mark.long
+@pytest.mark.hardest
 def test_the_document_s_first_gains_track_on_both_models_and_only_the_printed_one_has_contacts():
     """The figures of docs/source-document.md; the corrected model's is that of `compare`."""
     plan = plan_motion(load_problem("knee-sine")).require()

@@ -71,7 +71,7 @@ def test_a_study_s_figures_have_all_texts_and_each_can_be_read(study, tmp_path, 
         assert not text_faults(figure), file
 
 
-@pytest.mark.long
+@pytest.mark.hardest
 def test_the_demo_s_figures_have_all_texts_and_each_can_be_read(tmp_path, monkeypatch):
     saved, save = [], Figure.savefig
 
