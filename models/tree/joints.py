@@ -183,9 +183,7 @@ def unit_steps(joints: Sequence[Joint], extent_m: float) -> np.ndarray:
     return np.array([1.0 if joint.kind == "hinge" else extent_m for joint in joints])
 
 
-def index_of(
-    mechanism: str, joints: tuple[Joint, ...], name: str, error: type[Exception] = ModelError, what: str = "joint"
-) -> int:
+def index_of(mechanism: str, joints: tuple[Joint, ...], name: str, error: type[Exception] = ModelError) -> int:
     """Return the index of a joint by name.
 
     Raises:
@@ -193,9 +191,7 @@ def index_of(
     """
     names = [joint.name for joint in joints]
     if name not in names:
-        raise error(
-            f"{what} '{name}' is not in mechanism '{mechanism}'{nearest(name, names)}; joints are {', '.join(names)}"
-        )
+        raise error(f"joint '{name}' is not in mechanism '{mechanism}'{nearest(name, names)}; joints are {', '.join(names)}")
     return names.index(name)
 
 

@@ -162,7 +162,9 @@ def _held_in(found: Iterate) -> FixedArcs | None:
 
 
 def _tightened(state: RefinementState) -> RefinementState:
-    case = state.case.tightened(state.iterate.certificate, state.iterate.found.motion)
+    certificate = state.iterate.certificate
+    assert certificate is not None  # it overruns a limit
+    case = state.case.tightened(certificate, state.iterate.found.motion)
     return replace(state, case=case, tightenings=state.tightenings + 1)
 
 

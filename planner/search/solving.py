@@ -32,7 +32,6 @@ def solve_from(
     what: str,
     *,
     warm: bool = False,
-    bang_efforts: np.ndarray | None = None,
 ) -> Iterate | None:
     """Solve a problem once and return the iterate; None without a motion. `attempt` describes the arguments.
 
@@ -40,7 +39,7 @@ def solve_from(
     """
     if not closes(problem, guess):
         return None
-    return attempt(case_of(problem), guess, mesh, durations, what, warm=warm, bang_efforts=bang_efforts)
+    return attempt(case_of(problem), guess, mesh, durations, what, warm=warm)
 
 
 def first_mesh(problem: Problem, guess: Guess) -> tuple[Mesh, np.ndarray]:

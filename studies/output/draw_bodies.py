@@ -55,6 +55,7 @@ def draw_bodies(
     each pose, "" for the bodies' own.
     """
     right, up = plane or view(mechanism.model)
+    looks = looks or [""] * len(poses)
     drawn = {stick.body: stick for stick in sticks(mechanism, poses)}
     shapes = solids(mechanism)
     places, turns = body_frames(mechanism, poses)
@@ -72,13 +73,13 @@ def draw_bodies(
                 points = places[k, solid.body] + solid.points @ turns[k, solid.body].T
                 near = float(np.mean(points @ towards)) / mechanism.extent_m
                 edges = outline(thickened(points @ np.stack([right, up], axis=1), solid.radius))
-                face = (looks and looks[k]) or (hex_of(PAYLOAD) if solid.kind == "payload" else colour)
+                face = looks[k] or (hex_of(PAYLOAD) if solid.kind == "payload" else colour)
                 size = float(np.prod(np.ptp(edges, axis=0))) / mechanism.extent_m**2
                 layer = (2.5 if alpha == 1 else 2.0) + 0.2 * np.tanh(near) - 0.05 * np.tanh(size) - 0.001 * depth
                 _fill(axes, edges, face, float(alpha), layer)
             if bare or stick.fixed:
                 pins = stick.places[k] @ np.stack([right, up], axis=1)
-                _draw_stick(axes, pins, (looks and looks[k]) or colour, float(alpha), 3.0 - 0.01 * depth, fixed=stick.fixed)
+                _draw_stick(axes, pins, looks[k] or colour, float(alpha), 3.0 - 0.01 * depth, fixed=stick.fixed)
         if named:
             axes.plot([], [], color=colour, marker="^" if stick.fixed else "s", linestyle="", label=name)
     axes.autoscale_view()

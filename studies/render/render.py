@@ -159,7 +159,8 @@ def flat_painter(
     first, last = middle - np.array(size) / (2 * scale), middle + np.array(size) / (2 * scale)
 
     def paint(scene: Scene) -> np.ndarray:
-        canvas = FigureCanvasAgg(Figure(figsize=np.array(size) / dots_per_inch, dpi=dots_per_inch, facecolor="white"))
+        inches = (size[0] / dots_per_inch, size[1] / dots_per_inch)
+        canvas = FigureCanvasAgg(Figure(figsize=inches, dpi=dots_per_inch, facecolor="white"))
         axes = canvas.figure.add_axes((0.0, 0.0, 1.0, 1.0))
         axes.set_axis_off()
         poses = np.array([mechanism.q_of(figure.qpos) for figure in scene.figures])

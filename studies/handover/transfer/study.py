@@ -19,13 +19,6 @@ from linkplan.studies.handover.transfer.serial_study import Serial, motion_of_pl
 
 # The sentence on the direction of the map, for every result.
 CONVENTION = "motor velocity = G joint velocity; joint effort = G^T motor effort; so motor power = joint power"
-# The gains that can be converted: their text, and the side on which they are given.
-GAINS = {
-    "joint_kp": "stiffness of the joints",
-    "joint_kd": "damping of the joints",
-    "motor_kp": "stiffness of the motors",
-    "motor_kd": "damping of the motors",
-}
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
