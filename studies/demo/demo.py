@@ -35,8 +35,8 @@ from linkplan.studies.output.report_file import PAGE, report_of, save_report
 
 PLANNED = ("knee-sine", "knee-sine-shank", "knee-reach", "knee-sprint", "knee-sprint-bare")
 COMPARED = ("knee-sine", "knee-reach", "knee-sine-shank")
-_KP, _KDS = 200.0, (1.0, 10.0)  # the gains of the source document
-LOOPS = tuple(Tracking(kp=_KP, kd=kd, period_s=period) for kd, period in ((1.0, 1e-4), (10.0, 1e-4), (10.0, 1e-5)))
+_FIRST_KP, _FIRST_KDS = 200.0, (1.0, 10.0)  # the gains of the source document
+LOOPS = tuple(Tracking(kp=_FIRST_KP, kd=kd, period_s=period) for kd, period in ((1.0, 1e-4), (10.0, 1e-4), (10.0, 1e-5)))
 ANGLES_DEG = (-49.07, -20.0, 3.6, 30.0, 56.27)
 
 Say = Callable[[str], None]
@@ -205,7 +205,7 @@ def _loops(place: Path, said: dict, say: Say) -> list[Sections]:
         sections.append(study.sections(f"kp = {gains.kp:g}, kd = {gains.kd:g} every {1e3 * gains.period_s:g} ms"))
         if gains is LOOPS[0]:
             found = map_study(study, lambda text: say(f"stability map: {text}"))
-            marked = [(f"KP = {_KP:g}, KD = {kd:g}", _KP, kd) for kd in _KDS]
+            marked = [(f"KP = {_FIRST_KP:g}, KD = {kd:g}", _FIRST_KP, kd) for kd in _FIRST_KDS]
             said["stability_map"], blocks = found, map_blocks(found, marked)
             spec = FigureSpec(panels=panels_of(blocks), columns=2, panel_in=(6.5, 5.0))
             save_figures([("stability_map", spec)], place)
