@@ -116,7 +116,6 @@ def test_messages_of_the_library_know_no_command_line():
 
 
 def test_positions_and_velocities_state_their_unit_in_their_names():
-    from linkplan.api.transfers import TransferResult
     from linkplan.controllers.reference import SampledReference
     from linkplan.controllers.rollout import Rollout
     from linkplan.controllers.trackers.tracker import TrackerWithMemory
@@ -125,6 +124,7 @@ def test_positions_and_velocities_state_their_unit_in_their_names():
     from linkplan.planner.plan.plan import MotionTable
     from linkplan.planner.problem.extra import NamedInstant
     from linkplan.planner.search.replan import NextMotion
+    from linkplan.studies.handover.transfer.transfer_result import TransferResult
 
     arrays = (SampledReference, Rollout, MotionTable, Certificate, NextMotion, NamedInstant)
     names = {f"{kind.__name__}.{name}" for kind in arrays for name in dir(kind)}

@@ -1,4 +1,4 @@
-"""The files of a transfer table: CSV, NPZ and Parquet, and its figure."""
+"""The files of a transfer table: CSV, NPZ and Parquet."""
 
 from pathlib import Path
 
@@ -9,8 +9,6 @@ from linkplan.studies.handover.transfer.columns import columns_of, inverse_colum
 from linkplan.studies.handover.transfer.serial_study import along_columns
 from linkplan.studies.handover.transfer.serial_urdf import urdf_text
 from linkplan.studies.handover.transfer.study import Transfer
-from linkplan.studies.handover.transfer.transfer_blocks import transfer_plots
-from linkplan.studies.output.figure_spec import FigureSpec
 
 
 def write_files(transfer: Transfer, place: Path, *, parquet: bool = False) -> None:
@@ -35,9 +33,3 @@ def write_files(transfer: Transfer, place: Path, *, parquet: bool = False) -> No
         if transfer.serial.errors is not None:
             (place / "along.csv").write_bytes(csv_bytes(along_columns(transfer.serial)))
     np.savez_compressed(place / "table.npz", **npz_arrays(transfer))  # pyright: ignore[reportArgumentType]  arrays by name
-
-
-def transfer_figure(transfer: Transfer) -> FigureSpec:
-    """Return the figure of the curves over each joint's range."""
-    title = f"{transfer.outputs.mechanism.name}: {transfer.message}"
-    return FigureSpec(panels=transfer_plots(transfer), title=title, columns=2)

@@ -9,10 +9,9 @@ from linkplan.studies.handover.transfer.columns import QUANTITIES, curves
 from linkplan.studies.handover.transfer.serial_study import error_plots, serial_blocks
 from linkplan.studies.handover.transfer.serial_urdf import urdf_notes
 from linkplan.studies.handover.transfer.study import CONVENTION, Transfer, carried_gains
-from linkplan.studies.output.document import Axis, Block, Facts, Plane, Plot, Report, Section, Series, Text, table_of
+from linkplan.studies.output.document import Axis, Block, Facts, Plane, Plot, Series, Text, table_of
 from linkplan.studies.output.lines import Line, plots
 from linkplan.studies.output.numbers import rounded
-from linkplan.studies.output.report_file import report_of
 
 _PLOT_SAMPLES = 201
 
@@ -181,10 +180,3 @@ def _polytope(transfer: Transfer) -> Plane:
         curves.append(Series(name=name, x=rounded(around[:, 0]), y=rounded(around[:, 1]), colour=colour))
     axes = [Axis(label=f"effort on {joint.name}", unit=joint.si_units[1]) for joint in (first, second)]
     return Plane(title="Efforts that the motors can give", x_axis=axes[0], y_axis=axes[1], curves=curves)
-
-
-def transfer_report(found: Transfer) -> Report:
-    """Return the report of a transfer table."""
-    joints = ", ".join(joint.name for joint in found.outputs.joints)
-    first = Section(title=f"Motors and {joints}", blocks=transfer_blocks(found)[1:])
-    return report_of(f"Transfer table of {found.outputs.mechanism.name}", found.message, found.kept, [first])

@@ -62,7 +62,7 @@ def test_the_rest_is_what_the_errors_with_and_without_the_table_differ_by(ankle)
 
 
 def test_a_plan_s_motion_of_the_output_has_the_slopes_of_its_positions(knee):
-    motion = motion_of_plan(optimal("knee-reach"), knee.found.outputs)
+    motion = motion_of_plan(optimal("knee-reach"), knee.transfer.outputs)
     assert isinstance(motion, OutputMotion)
     inside = slice(20, -20)
     velocity = np.gradient(motion.position[:, 0], motion.time_s)
@@ -73,10 +73,10 @@ def test_a_plan_s_motion_of_the_output_has_the_slopes_of_its_positions(knee):
 
 def test_the_effort_needed_along_a_plan_is_the_plan_s_effort_carried_across(knee):
     plan = optimal("knee-reach")
-    motion = knee.found.serial.errors
+    motion = knee.transfer.serial.errors
     u = np.array([plan.trajectory.effort_at(np.array([t]))[0, 0] for t in motion.motion.time_s])
     q = np.degrees(motion.motion.position[:, 0])
-    (G,) = np.array([knee.found.table.grid.at("ratio", motion.motion.position)[:, 0, 0]])
+    (G,) = np.array([knee.transfer.table.grid.at("ratio", motion.motion.position)[:, 0, 0]])
     assert np.ptp(q) > 30
     off = np.abs(motion.effort[:, 0] - G * u)
     assert np.median(off) < 1e-2 * np.abs(motion.effort).max()  # the table's interpolation; efforts jump at switches
@@ -139,13 +139,13 @@ ctrlrange="-2 2"/><motor name="push" joint="S" gear="1" ctrlrange="-5 5"/><motor
 @pytest.fixture(scope="module")
 def lever():
     mechanism = linkplan.load_mechanism(PARALLELOGRAM)
-    return linkplan.transfer(mechanism, ["B"], motor_speed=[30.0]).found
+    return linkplan.transfer(mechanism, ["B"], motor_speed=[30.0]).transfer
 
 
 @pytest.fixture(scope="module")
 def loaded_ankle():
     mechanism = linkplan.load_mechanism(parallel_ankle.ankle_text())
-    return linkplan.transfer(mechanism, ["ankle_pitch", "ankle_roll"], tolerance=0.05).found
+    return linkplan.transfer(mechanism, ["ankle_pitch", "ankle_roll"], tolerance=0.05).transfer
 
 
 def converted(found, tmp_path) -> mujoco.MjModel:

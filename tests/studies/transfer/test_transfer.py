@@ -35,7 +35,7 @@ def ask(capsys, *words: str) -> tuple[int, str, str]:
 
 
 def test_every_head_has_a_unit_and_every_column_is_of_the_arrays(ankle):
-    columns = columns_of(ankle.found)
+    columns = columns_of(ankle.transfer)
     assert all(head.endswith("]") and " [" in head for head in columns)
     assert sum(np.prod(value.shape[1:], dtype=int) for value in ankle.arrays.values()) >= len(columns)
     G = ankle.arrays["ratio"]
@@ -47,13 +47,13 @@ def test_every_head_has_a_unit_and_every_column_is_of_the_arrays(ankle):
 
 def test_units_follow_a_slide():
     table = linkplan.transfer(linkplan.load_mechanism("slider-crank", home_deg={"O": 60}), ["B"], tolerance=0.05)
-    heads = list(columns_of(table.found))
+    heads = list(columns_of(table.transfer))
     assert heads[:3] == ["joint_position_B [m]", "motor_position_act_O [rad]", "G_act_O_B [rad/m]"]
     assert {"inertia_B_B [kg]", "gravity_B [N]", "effort_largest_B [N]"} <= set(heads)
 
 
 def test_gains_carried_there_are_the_gains_asked_for(ankle):
-    home, found = ankle.to_dict()["home"], ankle.found.home.ratio[0]
+    home, found = ankle.to_dict()["home"], ankle.transfer.home.ratio[0]
     np.testing.assert_allclose(found.T @ np.array(home["motor_kp"]) @ found, np.diag([100.0, 60.0]), atol=1e-9)
     np.testing.assert_allclose(home["joint_kd"], 0.5 * found.T @ found)
 
@@ -74,7 +74,7 @@ def test_files_hold_the_same_numbers_with_units(ankle, tmp_path):
     place = tmp_path / "tables"
     with (place / "table.csv").open(newline="") as file:
         head, *rows = list(csv.reader(file))
-    columns = columns_of(ankle.found)
+    columns = columns_of(ankle.transfer)
     assert head == list(columns)
     np.testing.assert_allclose(np.array(rows, dtype=float), np.column_stack(list(columns.values())), rtol=1e-11)
     table = pyarrow.parquet.read_table(place / "table.parquet")
