@@ -9,7 +9,8 @@ from linkplan.cli.exit_codes import DONE, NO
 from linkplan.cli.printing import show
 
 if TYPE_CHECKING:
-    from linkplan.api.mechanisms import CheckResult
+    from linkplan.studies.check.refused_model import RefusedModel
+    from linkplan.studies.check.whole_check import WholeCheck
     from linkplan.studies.output.document import Block
 
 
@@ -30,18 +31,17 @@ def run_check(arguments: argparse.Namespace) -> int:
     return DONE if found.passed else NO
 
 
-def _what_is_next(found: "CheckResult", arguments: argparse.Namespace) -> "list[Block]":
+def _what_is_next(found: "WholeCheck | RefusedModel", arguments: argparse.Namespace) -> "list[Block]":
     from linkplan.api.inputs import is_problem
     from linkplan.studies.output.document import Facts
 
-    subject, mechanism = shlex.join([arguments.subject, *_options(arguments)]), found.mechanism
-    of_problem = is_problem(arguments.subject)
-    if mechanism is None:
+    subject, of_problem = shlex.join([arguments.subject, *_options(arguments)]), is_problem(arguments.subject)
+    if found.mechanism is None:
         known = bool(found.home) and not of_problem
         return [Facts(rows=[("next", f"linkplan new {subject} -o problem.toml starts from that pose")])] if known else []
-    if mechanism.n_u == 0 and not found.joints_to_drive:
+    if found.mechanism.n_u == 0 and not found.joints_to_drive:
         further = f"linkplan check {subject}, with an actuator that a plan can use in the model's <actuator>"
-    elif mechanism.n_u == 0:
+    elif found.mechanism.n_u == 0:
         driven = f"{subject} --drive {shlex.quote(','.join(found.joints_to_drive))}"
         command = f"check {driven}" if of_problem else f"new {driven} -o problem.toml"
         further = f"linkplan {command} puts motors on these joints"

@@ -1,17 +1,47 @@
 """The report of `linkplan check` on a model that cannot be loaded: locked, not assembled, or without inertia."""
 
+from typing import Any, cast
+
 from msgspec import UNSET, Struct, UnsetType
 
 from linkplan.models.closure.initial_assembly import home_text
-from linkplan.models.errors import InertiaError, LockedError, UnassembledError
+from linkplan.models.errors import InertiaError, LockedError, UnassembledError, counted
 from linkplan.planner.files.structs import NOT_READ, Beside
-from linkplan.studies.output.document import Block, Code, Facts, Text
+from linkplan.studies.output.document import Block, Code, Facts, Report, Section, Text
+from linkplan.studies.output.report_file import report_of
+from linkplan.studies.output.result import Result
 
 # The errors of a model that `check` reports as problems instead of bad input.
 REFUSED = (InertiaError, LockedError, UnassembledError)
 
 
-class RefusedModel(Struct, frozen=True, kw_only=True, eq=False):
+class CheckResult(Result):
+    """What the reports of `check` have in common; each also has `name`, `problems`, `notes` and `sections`."""
+
+    __slots__ = ()
+    record_name = "check"
+
+    @property
+    def passed(self) -> bool:
+        """Whether there are no faults."""
+        return not cast("Any", self).problems
+
+    def sections(self) -> list[Section]:
+        """Return the sections of the report."""
+        raise NotImplementedError
+
+    def document(self) -> Report:
+        """Return the report."""
+        own, found = cast("Any", self), counted(len(cast("Any", self).problems), "problem")
+        verdict = "no problems found" if self.passed else f"{found} found"
+        return report_of(f"Check of {own.name}", verdict, self.passed, self.sections())
+
+    def __repr__(self) -> str:
+        own = cast("Any", self)
+        return f"{type(self).__name__}({own.name!r}, {len(own.problems)} problems, {len(own.notes)} notes)"
+
+
+class RefusedModel(CheckResult, Struct, frozen=True, kw_only=True, eq=False):
     """A report on a model that cannot be loaded, with the text that repairs it if it is known.
 
     For a locked model, `dof_gained_without` has the degrees of freedom that it gains without each part. `gap_m`, `keyframe`
@@ -34,9 +64,22 @@ class RefusedModel(Struct, frozen=True, kw_only=True, eq=False):
         """No notes, because the problem's text explains everything."""
         return ()
 
+    @property
+    def mechanism(self) -> None:
+        """No mechanism, because the model is refused."""
+
+    @property
+    def home(self) -> dict:
+        """The nearest closed pose of a model whose own pose does not close, as tables home_deg and home_m."""
+        return getattr(self.error, "home", {})
+
     def summary(self) -> list[Block]:
         """Return all findings, because there are only a few."""
         return self.blocks()
+
+    def sections(self) -> list[Section]:
+        """Return the section of the model."""
+        return [Section(title=f"Model: {self.name}", blocks=self.blocks())]
 
     def blocks(self) -> list[Block]:
         """Return the findings as a document."""

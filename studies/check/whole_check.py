@@ -1,6 +1,6 @@
 """The complete result of `linkplan check`: the inspection of a mechanism, and the loop report along its motion or reach."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from pathlib import Path
 
@@ -8,12 +8,16 @@ from msgspec import UNSET, UnsetType
 from msgspec.structs import asdict, replace
 
 from linkplan.models.errors import LinkplanError
+from linkplan.models.foreign.floating import floating_bodies
+from linkplan.models.foreign.model_text import urdf_root
 from linkplan.models.mechanism import Mechanism
+from linkplan.models.selected_model import whole_model_text
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.files.tables import Tables
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.check_report import path_blocks, weight_sentences
+from linkplan.studies.check.drives import joints_to_drive
 from linkplan.studies.check.inspection import Inspection, inspect
 from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.kinematic_loop_report import (
@@ -26,12 +30,13 @@ from linkplan.studies.check.kinematic_loop_report import (
     reach_sweeps,
 )
 from linkplan.studies.check.path_quantities import PathFigures, path_figures
-from linkplan.studies.check.refused_model import REFUSED
+from linkplan.studies.check.refused_model import REFUSED, CheckResult
 from linkplan.studies.check.summary import summary_blocks
-from linkplan.studies.output.document import Block, Text
+from linkplan.studies.output.document import Block, Section, Text
+from linkplan.studies.output.figure_spec import FigureSpec
 
 
-class WholeCheck(Inspection, frozen=True, kw_only=True, eq=False, dict=True):
+class WholeCheck(CheckResult, Inspection, frozen=True, kw_only=True, eq=False, dict=True):
     """An inspection, and the loop report along a problem's motion or, without one, over each coordinate's reach."""
 
     along: Sequence[PathFigures] | UnsetType = UNSET
@@ -55,9 +60,19 @@ class WholeCheck(Inspection, frozen=True, kw_only=True, eq=False, dict=True):
         return len(self.sweeps) > 6
 
     @property
-    def with_paths(self) -> "WholeCheck":
+    def struct(self) -> "WholeCheck":
         """The check with the quantities along every path, whose measurement takes time and memory."""
         return replace(self, along=[path_figures(path) for path in self.paths])
+
+    @property
+    def joints_to_drive(self) -> tuple[str, ...]:
+        """For a mechanism without an actuator, the joints that motors could drive."""
+        return () if self.mechanism.n_u else tuple(joints_to_drive(self.mechanism))
+
+    @property
+    def floats(self) -> bool:
+        """Whether a body of the model floats freely."""
+        return bool(floating_bodies(self.mechanism.model)[0])
 
     def blocks(self) -> list[Block]:
         """Return the findings as a document, with brief tables for more than six coordinates."""
@@ -74,6 +89,29 @@ class WholeCheck(Inspection, frozen=True, kw_only=True, eq=False, dict=True):
         """Return the findings in at most thirty lines; first the notes on actuators too weak for weight and springs."""
         weak = [] if self.brief else [text for path in self.paths for text in weight_sentences(path)]
         return summary_blocks(replace(self, notes=(*weak, *self.notes)))
+
+    def sections(self) -> list[Section]:
+        """Return the sections of the findings and of each path."""
+        from linkplan.studies.check.check_sections import path_section
+
+        first = Section(title=f"Mechanism: {self.name}", blocks=inspection_blocks(self))
+        return [first, *(path_section(path, self.name, len(self.sweeps)) for path in self.paths)]
+
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield the figures over the reach and along each path."""
+        from linkplan.studies.check.path_plots import MAX_FIGURES, inspection_figure, path_figure
+
+        yield "mechanism", inspection_figure(self)
+        for number, path in enumerate(self.paths if len(self.sweeps) <= MAX_FIGURES else (), 1):
+            yield f"loop-{number}", path_figure(path, self.reaches)
+
+    def write_files(self, place: Path, *, parquet: bool) -> None:
+        """Write the model as it was read, if it differs from the file."""
+        del parquet
+        mechanism = self.mechanism
+        if mechanism.selection or mechanism.shifted or urdf_root(str(mechanism.source["model"])) is not None:
+            written = "selected.xml" if mechanism.selection else "model.xml"
+            (place / written).write_text(whole_model_text(mechanism), encoding="utf-8")
 
 
 def mechanism_and_problem(

@@ -14,7 +14,6 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import load_problem
 from linkplan.planner.problem.settings import Tracking
 from linkplan.planner.search.planning import plan_motion
-from linkplan.studies.check.check_sections import check_sections
 from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.path_plots import inspection_figure
 from linkplan.studies.check.whole_check import check_whole
@@ -143,7 +142,7 @@ def _checks(place: Path, said: dict, say: Say) -> Sections:
         write_json(folder / "check.json", whole)
         save_figures([("mechanism", inspection_figure(whole))], folder)
         if name == "optimus-knee":
-            sections += check_sections(whole)
+            sections += whole.sections()
         else:
             sections.append(Section(title=f"Mechanism as printed: {name}", blocks=inspection_blocks(whole)))
     return sections

@@ -10,7 +10,7 @@ import linkplan
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.files.structs import Beside, read_value
 from linkplan.studies.handover.export import c_files
-from linkplan.studies.output.result import MechanismResult, Result
+from linkplan.studies.output.result import Result
 from linkplan.studies.output.text import text_of
 
 COARSE = {"tracking.period_s": 1e-3, "tracking.kp": 200.0, "tracking.kd": 1.0}
@@ -22,8 +22,8 @@ LOCKED = """<mujoco><worldbody><body name="b"><joint axis="0 1 0"/><geom size=".
 MOTORS = [{"name": "M", "peak_effort": 90.0, "rms_effort": 60.0, "rotor_inertia": 1e-3}, {"name": "N", "peak_effort": 1.0}]
 # Results of every kind, with the optional parts of their structs.
 MADE = {
-    "check": ("CheckResult", lambda _: linkplan.check("slider-crank", at_deg=[{"O": 30.0}])),
-    "check of a locked model": ("CheckResult", lambda _: linkplan.check(LOCKED)),
+    "check": ("WholeCheck", lambda _: linkplan.check("slider-crank", at_deg=[{"O": 30.0}])),
+    "check of a locked model": ("RefusedModel", lambda _: linkplan.check(LOCKED)),
     "track": ("TrackingResult", lambda plan: linkplan.track(plan, "lqr")),
     "compare": ("TrackingResult", lambda plan: linkplan.compare(plan, ["pd", "lqr"])),
     "bode": ("BodeStudy", lambda _: linkplan.bode("optimus-knee", kp=200.0, kd=20.0, measure=False, **AT_REST)),
@@ -106,8 +106,11 @@ def test_the_json_of_what_is_no_result_is_read_back_as_its_struct(make, plan, tm
 
 def test_every_kind_of_result_is_a_struct_and_tried_above():
     assert all(hasattr(linkplan, name) for name in linkplan.__all__)  # imports every file of the package
-    of_mechanisms = MechanismResult.__subclasses__()
-    every = {*Result.__subclasses__(), *of_mechanisms} - {MechanismResult}
-    kinds = {kind.__name__: kind for kind in every if kind.__name__ not in OF_THE_PLANNER}
+    every, kinds = [Result], {}
+    while every:
+        kind = every.pop()
+        every += kind.__subclasses__()
+        if not kind.__subclasses__() and kind.__name__ not in OF_THE_PLANNER:
+            kinds[kind.__name__] = kind
     assert {kind for kind, _ in MADE.values()} == set(kinds)
     assert not [name for name, kind in kinds.items() if "to_dict" in vars(kind)]

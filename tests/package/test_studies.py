@@ -175,7 +175,7 @@ def test_a_check_has_findings_text_record_and_figure(subject, tmp_path):
 
 
 def test_a_result_without_tables_is_not_saved_as_parquet(tmp_path):
-    with pytest.raises(LinkplanError, match=r"parquet applies to the tables of .*; a CheckResult has no such table"):
+    with pytest.raises(LinkplanError, match=r"parquet applies to the tables of .*; a WholeCheck has no such table"):
         linkplan.check("five-bar").save(tmp_path / "checked", parquet=True)
     assert list(tmp_path.iterdir()) == []
 

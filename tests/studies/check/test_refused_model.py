@@ -72,7 +72,7 @@ def test_python_reports_as_the_command_line_does(text, check, tmp_path):
     assert found.problems == tuple(said["problems"])
     assert not found.notes
     assert f"PROBLEM: {said['problems'][0]}" in str(found)
-    assert repr(found) == "CheckResult('mine', 1 problems, 0 notes)"
+    assert repr(found) == "RefusedModel('mine', 1 problems, 0 notes)"
     with pytest.raises(LinkplanError, match="nothing to draw"):
         found.plot()
     assert linkplan.check(text).problems

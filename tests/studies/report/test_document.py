@@ -10,7 +10,6 @@ import pytest
 from linkplan.models.mechanism import load_mechanism
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.plan.verdict import failed
-from linkplan.studies.check.check_sections import check_report
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.compare.compare import compare
 from linkplan.studies.compare.tracking_sections import comparison_report
@@ -154,7 +153,7 @@ def test_the_arc_of_a_hinge_has_the_effort_and_its_limits(report):
 def test_an_actuator_that_turns_the_drawing_s_way_turns_counterclockwise():
     # Seen along y, +y away from the reader, a positive turn about y goes clockwise: from z towards x.
     mechanism = load_mechanism("optimus-knee")
-    found = check_report(check_whole(mechanism, None))
+    found = check_whole(mechanism, None).document()
     moving = blocks(found, Animation)[0]
     crank = next(body for body in moving.bodies if body.name == "crank")
     points = np.array(crank.points, dtype=float).reshape(len(moving.times), -1, 2)
@@ -166,7 +165,7 @@ def test_an_actuator_that_turns_the_drawing_s_way_turns_counterclockwise():
 
 def test_a_spatial_linkage_is_drawn_in_space():
     mechanism = load_mechanism(RSSR)
-    assert {moving.dimension for moving in blocks(check_report(check_whole(mechanism, None)), Animation)} == {3}
+    assert {moving.dimension for moving in blocks(check_whole(mechanism, None).document(), Animation)} == {3}
 
 
 def test_a_ghost_is_where_its_tracker_was(compared):
