@@ -2,34 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-from msgspec import structs
 
 from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, Source, listed, plan_of, source_of, tracking_table
 from linkplan.api.names import LINEAR
 from linkplan.api.reporting import Listener, Progress, listener
-from linkplan.controllers.rollout import Rollout
 from linkplan.models.errors import ProblemError
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import number, whole
 from linkplan.studies.compare import compare as study
-from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure
-from linkplan.studies.compare.comparison_figures import ComparisonFigures, comparison_figures
-from linkplan.studies.compare.named_run import NamedRun
-from linkplan.studies.compare.time_series import save_time_series
+from linkplan.studies.compare.tracking_result import TrackingResult, tracking_result
 from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
-from linkplan.studies.output.document import Block, Report, Text
-from linkplan.studies.output.figure_spec import FigureSpec
-from linkplan.studies.output.paths import drawn
-from linkplan.studies.output.result import Result
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 
 @command("run one tracker on a plan in MuJoCo", record="track", showing=("all", "report", "parquet"))
@@ -89,8 +75,7 @@ def track(
     run = study.track(answer, asked, mismatch)
     title, stem = ("nominal", "nominal") if mismatch is None else (mismatch.name, "mismatch")
     comparison = study.Comparison(plan=answer, nominal={run.tracker: run}, title=title, stem=stem)
-    figures = structs.replace(comparison_figures(comparison), tracker=run.tracker)
-    return TrackingResult(figures=figures, comparison=comparison, record_name="track")
+    return tracking_result(comparison, run.tracker)
 
 
 def _replayed(place: str, tracker: TrackerLike, sample: int) -> TrackingResult:
@@ -104,8 +89,7 @@ def _replayed(place: str, tracker: TrackerLike, sample: int) -> TrackingResult:
     run, said = replay(experiment, name, whole(sample, "sample", 0, 2**31))
     title, stem = f"sample {sample}", f"sample-{sample}"
     comparison = study.Comparison(plan=experiment.plan, nominal={name: run}, title=title, stem=stem)
-    figures = structs.replace(comparison_figures(comparison), tracker=name, sample=said)
-    return TrackingResult(figures=figures, comparison=comparison, record_name="track")
+    return tracking_result(comparison, name, said)
 
 
 @command(
@@ -145,7 +129,7 @@ def compare(
     factor, delay = _checked(mass_factor, delay_periods)
     answer = _to_track(plan, tracking, say)
     comparison = study.compare(answer, study.mismatch_of(answer, factor, delay), say, asked)
-    return TrackingResult(figures=comparison_figures(comparison), comparison=comparison)
+    return tracking_result(comparison)
 
 
 def _checked(mass_factor: object, delay_periods: object) -> tuple[float, float]:
@@ -160,78 +144,3 @@ def _to_track(plan: PlanLike, tracking: object, say: Listener) -> Plan:
         return answer
     table = tracking_table(answer.problem.to_dict().get("tracking", {}), tracking)
     return replace(answer, problem=answer.problem.replace(tracking=table))
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class TrackingResult(Result):
-    """Trackers' runs on one plan. `str(result)` is the table; `to_dict()` has every value, with units in the names."""
-
-    has_parquet = True
-    figures: ComparisonFigures
-    comparison: study.Comparison
-    record_name: str = "compare"
-
-    @property
-    def passed(self) -> bool:
-        """Whether the plan passes and every run is stable."""
-        sample = self.figures.sample
-        lost = sample is not None and sample["failure"] is not None
-        plan = self.comparison.plan.passed or sample is not None
-        return plan and not lost and self.stable
-
-    @property
-    def runs(self) -> dict[str, NamedRun]:
-        """The runs by tracker with the nominal model, or the mismatch of `track`: logs at the control instants."""
-        return self._named(self.comparison.nominal)
-
-    @property
-    def mismatched(self) -> dict[str, NamedRun]:
-        """The runs by tracker with the mismatch of `compare`; empty without a mismatch."""
-        return self._named(self.comparison.mismatched)
-
-    def _named(self, runs: Mapping[str, Rollout]) -> dict[str, NamedRun]:
-        mechanism = self.comparison.plan.problem.mechanism
-        return {tracker: NamedRun.of(run, mechanism) for tracker, run in runs.items()}
-
-    @property
-    def stable(self) -> bool:
-        """Whether every run stayed finite and none oscillated between its limits."""
-        return all(run.stable for run in (*self.comparison.nominal.values(), *self.comparison.mismatched.values()))
-
-    def blocks(self) -> list[Block]:
-        """Return the tables of errors and efforts, and the machine of a sample."""
-        if (sample := self.figures.sample) is None:
-            return comparison_blocks(self.comparison)
-        from linkplan.studies.variations.experiment.experiment_sections import machine_section
-
-        failure = sample["failure"]
-        lost = [Text(text=failure, tone="bad")] if failure else []
-        return [*comparison_blocks(self.comparison), *lost, *machine_section(sample).blocks]
-
-    def document(self) -> Report:
-        """Return the report."""
-        from linkplan.studies.compare.tracking_sections import comparison_report
-        from linkplan.studies.variations.experiment.experiment_sections import replay_report
-
-        if self.figures.sample is not None:
-            return replay_report(self.comparison, self.figures.sample)
-        return comparison_report(self.comparison)
-
-    def write_files(self, place: Path, *, parquet: bool) -> None:
-        """Write every run's time series."""
-        save_time_series(self.comparison, place, parquet=parquet)
-
-    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
-        """Yield every tracker's motion, error and effort."""
-        yield self.record_name, comparison_figure(self.comparison)
-
-    def plot(self, path: str | Path | None = None, *, every_joint: bool = False) -> Figure:
-        """Return the figure of motion, error and effort of every tracker, saved at `path` if it is given.
-
-        It is at most one screen high; with `every_joint` it has all joints, dependent ones too, and all actuators.
-        """
-        return drawn(path, lambda: comparison_figure(self.comparison, every_joint=every_joint))
-
-    def __repr__(self) -> str:
-        names = ", ".join(self.comparison.nominal)
-        return f"TrackingResult({self.comparison.plan.problem.name!r}: {names})"

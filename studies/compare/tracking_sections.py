@@ -16,9 +16,8 @@ from linkplan.studies.compare.comparison_blocks import (
     site_plots,
 )
 from linkplan.studies.output.animation import Run, animation, frames_of
-from linkplan.studies.output.document import Block, Report, Section, Text
+from linkplan.studies.output.document import Block, Section, Text
 from linkplan.studies.output.plan_sections import group_of, plan_sections
-from linkplan.studies.output.report_file import report_of
 
 # With more joints or actuators, those with the largest errors and efforts are shown and the others are collapsed.
 _MAX_JOINTS_SHOWN = 6
@@ -91,13 +90,3 @@ def _left_out(mechanism: Mechanism, joints: list[int], actuators: list[int]) -> 
         " the others."
     )
     return [Text(text=said, tone="note")]
-
-
-def comparison_report(comparison: Comparison) -> Report:
-    """Return the report of trackers' runs on a plan."""
-    stable = [name for name, run in comparison.nominal.items() if run.stable]
-    lost = [name for name in comparison.nominal if name not in stable]
-    verdict = f"{comparison.title}: {', '.join(stable) or 'no tracker'} stable"
-    verdict += f", {', '.join(lost)} NOT" if lost else ""
-    title = f"Trackers on {comparison.plan.problem.name}"
-    return report_of(title, verdict, bool(stable), whole_comparison(comparison))

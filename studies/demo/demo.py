@@ -18,8 +18,7 @@ from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.path_plots import inspection_figure
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.compare.compare import compare, mismatch_of
-from linkplan.studies.compare.comparison_blocks import comparison_blocks, comparison_figure
-from linkplan.studies.compare.comparison_figures import comparison_figures
+from linkplan.studies.compare.tracking_result import tracking_result
 from linkplan.studies.compare.tracking_sections import comparison_sections
 from linkplan.studies.feedback.bode.bode import bode_study
 from linkplan.studies.feedback.bode.loop_blocks import map_blocks
@@ -171,14 +170,14 @@ def _comparisons(place: Path, said: dict, plans: dict[str, Plan], say: Say) -> t
     said["compare"], sections, texts = {}, {}, []
     for name in COMPARED:
         plan = plans[name]
-        comparison = compare(plan, mismatch_of(plan, 1.2, 1), lambda text, name=name: say(f"compare {name}: {text}"))
+        found = compare(plan, mismatch_of(plan, 1.2, 1), lambda text, name=name: say(f"compare {name}: {text}"))
         folder = place / "compare" / name
         folder.mkdir(parents=True)
-        said["compare"][name] = comparison_figures(comparison)
-        write_json(folder / "compare.json", said["compare"][name])
-        save_figures([("compare", comparison_figure(comparison))], folder)
-        texts += comparison_blocks(comparison)
-        sections[name] = comparison_sections(comparison)
+        said["compare"][name] = compared = tracking_result(found)
+        write_json(folder / "compare.json", compared)
+        save_figures(compared.figure_specs(), folder)
+        texts += compared.blocks()
+        sections[name] = comparison_sections(found)
     return sections, texts
 
 

@@ -1,11 +1,8 @@
 """The sections of an experiment: trackers on many machines, pairs of trackers, distributions of metrics, worst cases."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 
 from linkplan.planner.problem.imperfections import Factor
-from linkplan.planner.problem.keys.imperfections import QUANTITIES
-from linkplan.studies.compare.compare import Comparison
-from linkplan.studies.compare.tracking_sections import whole_comparison
 from linkplan.studies.output.document import Block, Code, Report, Section, Table, table_of
 from linkplan.studies.output.plan_sections import plan_sections
 from linkplan.studies.output.report_file import report_of
@@ -46,15 +43,6 @@ def _commands(outcome: ExperimentOutcome, again: Again | None) -> list[Code]:
     return [Code(title="Commands that repeat these runs exactly, with their whole logs", text="\n".join(commands))]
 
 
-def machine_section(sample: Mapping) -> Section:
-    """Return the section of one sample's machine with its imperfections; `sample` is the record of its run."""
-    units = [QUANTITIES[name.partition(".")[0]].unit for name in sample["imperfections"]]
-    values = zip(sample["imperfections"].items(), units, strict=True)
-    rows = [[name, value, None if unit == "1" else unit] for (name, value), unit in values]
-    table = table_of("Imperfections", ["imperfection", "value", "unit"], rows, digits=6)
-    return Section(title=f"Machine {sample['sample']}", blocks=[table])
-
-
 def _imperfections(experiment: Experiment) -> Table:
     rows = [
         [factor.label, _spread(factor), factor.quantity.unit if factor.quantity.unit != "1" else None]
@@ -82,14 +70,3 @@ def experiment_report(outcome: ExperimentOutcome, again: Again | None = None) ->
     sections = [*experiment_sections(outcome, again), *plan_sections(plan)]
     title = f"Trackers of {plan.problem.name} on many machines"
     return report_of(title, verdict, None if best.success.value > 0 else False, sections)
-
-
-def replay_report(comparison: Comparison, sample: Mapping) -> Report:
-    """Return the report of a repeated sample of an experiment; `sample` is its record."""
-    (tracker,) = comparison.nominal
-    failure = sample["failure"]
-    result = failure or ("success" if sample["success"] else "outside the tube")
-    verdict = f"{tracker} on machine {sample['sample']}: {result}"
-    sections = [machine_section(sample), *whole_comparison(comparison)]
-    passed = bool(sample["success"]) and failure is None
-    return report_of(f"A machine of the experiment on {comparison.plan.problem.name}", verdict, passed, sections)

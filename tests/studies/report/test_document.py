@@ -12,7 +12,7 @@ from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.plan.verdict import failed
 from linkplan.studies.check.whole_check import check_whole
 from linkplan.studies.compare.compare import compare
-from linkplan.studies.compare.tracking_sections import comparison_report
+from linkplan.studies.compare.tracking_result import tracking_result
 from linkplan.studies.output.document import Animation, Checklist, Plane, Plot, Table, Text
 from linkplan.studies.output.numbers import MAX_SAMPLES, drawn_rows, rounded
 from linkplan.studies.output.plan_sections import plan_report
@@ -36,7 +36,7 @@ def report():
 @pytest.fixture(scope="module")
 def compared():
     comparison = compare(optimal("knee-reach"), None)
-    return comparison, comparison_report(comparison)
+    return comparison, tracking_result(comparison).document()
 
 
 def test_every_axis_has_a_label_and_a_unit_and_every_line_as_many_values_as_places(report):

@@ -3,7 +3,7 @@
 import pytest
 
 from linkplan.studies.compare.compare import compare
-from linkplan.studies.compare.tracking_sections import comparison_report
+from linkplan.studies.compare.tracking_result import tracking_result
 from linkplan.studies.output.document import Axis, Bar, Bars, Checklist, Plot, Section, Series, Span
 from linkplan.studies.output.lines import TIME
 from linkplan.studies.output.plan_sections import plan_report
@@ -36,7 +36,7 @@ def browser():
 def path(tmp_path_factory):
     """Return the page of a comparison on the knee's reach."""
     place = tmp_path_factory.mktemp("page") / "report.html"
-    write_report(comparison_report(compare(optimal("knee-reach"), None)), place)
+    write_report(tracking_result(compare(optimal("knee-reach"), None)).document(), place)
     return place
 
 
