@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import functools
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
-import numpy as np
+from msgspec import structs
 
 from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, listed, plan_of, problem_of
@@ -16,17 +16,11 @@ from linkplan.api.reporting import Progress, listener
 from linkplan.api.typed_commands import sample_again
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.settings import whole
-from linkplan.studies.compare.named_run import NamedRun
 from linkplan.studies.compare.user_tracker import TrackerLike, name_of, refuse_unpicklable
-from linkplan.studies.output.document import Block, Report
-from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.output.paths import path_of
-from linkplan.studies.output.result import Result
-from linkplan.studies.variations.experiment.block import replay
 from linkplan.studies.variations.experiment.experiment import Settings, plan_digest
-from linkplan.studies.variations.experiment.experiment_blocks import outcome_blocks
-from linkplan.studies.variations.experiment.sensitivity import Sensitivity
-from linkplan.studies.variations.experiment.study import ExperimentOutcome, experiment_figures, run_experiment
+from linkplan.studies.variations.experiment.experiment_blocks import ExperimentOutcome
+from linkplan.studies.variations.experiment.study import run_experiment
 from linkplan.studies.variations.tasks.cluster import engine_of
 
 
@@ -47,7 +41,7 @@ def experiment(
     cluster: str | None = None,
     threads: int = 0,
     progress: Progress | None = None,
-) -> ExperimentResult:
+) -> ExperimentOutcome:
     """Return trackers' metrics on many imperfect machines in MuJoCo, with 95 % confidence intervals.
 
     Args:
@@ -114,51 +108,4 @@ def experiment(
         return plan_of(problem, say, "track") if answer is None else answer
 
     outcome = run_experiment(source, digest, made, settings, target, say, engine=engine, threads=threads, own=own)
-    return ExperimentResult(outcome=outcome, folder=target)
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class ExperimentResult(Result):
-    """An experiment's results. `str(result)` is the table; `to_dict()` has every figure with its unit and direction."""
-
-    outcome: ExperimentOutcome
-    folder: Path | None = None
-    """The folder with the results, if one was given."""
-
-    @property
-    def passed(self) -> bool:
-        """Whether the plan passes."""
-        return self.outcome.experiment.plan.passed
-
-    @property
-    def results(self) -> dict[str, np.ndarray]:
-        """Every run as a row: columns by name, sample by sample and tracker by tracker."""
-        return dict(self.outcome.results)
-
-    @property
-    def sensitivity(self) -> Sensitivity | None:
-        """The influence of each imperfection on each tracker and figure; None with too few machines."""
-        return self.outcome.sensitivity
-
-    def replay(self, tracker: str, sample: int) -> NamedRun:
-        """Run one sample again and return the run with its log."""
-        experiment = self.outcome.experiment
-        return NamedRun.of(replay(experiment, tracker, sample)[0], experiment.plan.problem.mechanism)
-
-    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
-        """Yield the distributions of each tracker's metrics, and the influence of each imperfection."""
-        return experiment_figures(self.outcome)
-
-    def blocks(self) -> list[Block]:
-        """Return the trackers' metrics, and the influence of every imperfection."""
-        return outcome_blocks(self.outcome)
-
-    def document(self) -> Report:
-        """Return the report; if a folder was given, it contains the commands that run samples again."""
-        from linkplan.studies.variations.experiment.experiment_sections import experiment_report
-
-        return experiment_report(self.outcome, None if self.folder is None else functools.partial(sample_again, self.folder))
-
-    def __repr__(self) -> str:
-        one = self.outcome.experiment
-        return f"ExperimentResult({one.plan.problem.name!r}: {one.n} machines, {', '.join(one.settings.trackers)})"
+    return outcome if target is None else structs.replace(outcome, folder=target, again=partial(sample_again, target))

@@ -5,6 +5,8 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
+from msgspec import structs
+
 from linkplan.models.errors import PlanFileError
 from linkplan.planner.files.folders import complete
 from linkplan.planner.plan.folder import read_plan, unchecked
@@ -14,7 +16,6 @@ from linkplan.planner.proof.finding import OWN_MOTION
 from linkplan.studies.output.document import Report
 from linkplan.studies.output.plan_sections import plan_report
 from linkplan.studies.output.report_file import DOCUMENT, read_document
-from linkplan.studies.variations.experiment.experiment_sections import experiment_report
 from linkplan.studies.variations.experiment.study import RECORD as EXPERIMENT
 from linkplan.studies.variations.experiment.study import saved_outcome
 
@@ -37,7 +38,8 @@ def folder_report(folder: Path, again: Callable[[Path, str, int], str] | None = 
     if (folder / "plan.json").is_file():
         return plan_report(saved_plan(folder))
     if (folder / EXPERIMENT).is_file():
-        return experiment_report(saved_outcome(folder), None if again is None else functools.partial(again, folder))
+        outcome = saved_outcome(folder)
+        return structs.replace(outcome, again=again and functools.partial(again, folder)).document()
     raise PlanFileError(
         f"'{folder}' has no {DOCUMENT} of a linkplan result; version 1.0 did not write this file: run the command again"
     )

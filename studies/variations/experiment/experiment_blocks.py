@@ -1,16 +1,29 @@
-"""An experiment as a document: trackers on many machines, pairs of trackers, worst machines."""
+"""The result of an experiment, whose fields are the record `experiment.json`: trackers on many machines, pairs, worst."""
 
 import math
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from msgspec import field
 
-from linkplan.studies.output.document import Block, Facts, Table, Text, table_of
+from linkplan.planner.files.structs import NOT_READ, Beside
+from linkplan.planner.problem.imperfections import Factor
+from linkplan.studies.compare.named_run import NamedRun
+from linkplan.studies.output.document import Block, Code, Facts, Report, Section, Table, Text, table_of
+from linkplan.studies.output.figure_spec import FigureSpec
+from linkplan.studies.output.plan_sections import plan_sections
+from linkplan.studies.output.report_file import report_of
+from linkplan.studies.output.result import Result
+from linkplan.studies.variations.experiment.block import replay
 from linkplan.studies.variations.experiment.design import varied
-from linkplan.studies.variations.experiment.experiment import Experiment
-from linkplan.studies.variations.experiment.sensitivity import machines_needed
-from linkplan.studies.variations.experiment.sensitivity_blocks import sensitivity_blocks
+from linkplan.studies.variations.experiment.distributions import SHOWN, distributions
+from linkplan.studies.variations.experiment.experiment import AskedRecord, Experiment
+from linkplan.studies.variations.experiment.sensitivity import Sensitivity, machines_needed
+from linkplan.studies.variations.experiment.sensitivity_blocks import sensitivity_blocks, tornado_figures
 from linkplan.studies.variations.experiment.statistics import Estimate, Pair
-from linkplan.studies.variations.experiment.study import ExperimentOutcome
+from linkplan.studies.variations.experiment.summary import Summary
 
 # The metrics of the second table of trackers, and their heads. Shares are in percent.
 _OTHERS = {
@@ -24,10 +37,61 @@ _OTHERS = {
 }
 
 
-def outcome_blocks(outcome: ExperimentOutcome) -> list[Block]:
-    """Return the tables of an outcome."""
-    made = Text(text=f"{outcome.name}: {outcome.samples} machines, means with their 95 % intervals")
-    return [made, *summary(outcome), *pairs(outcome), worst(outcome), *sensitivity(outcome)]
+class ExperimentOutcome(Result, Summary, frozen=True, kw_only=True, eq=False, omit_defaults=True):
+    """An experiment's inputs, its results as columns, and their summary, whose fields are keys of the JSON.
+
+    `sensitivity` is None without random imperfections, or with too few machines. `folder` has the results, if one was
+    given; `again` returns the command that runs a tracker's sample again, for the report.
+    """
+
+    name: str = field(name="experiment")
+    asked: AskedRecord
+    imperfections: dict[str, Any]
+    control_period_s: float
+    duration_s: float
+    notes: list[str]
+    sensitivity: Sensitivity | None = None
+    experiment: Beside[Experiment] = field(default=NOT_READ, name="(experiment)")
+    results: Beside[Mapping[str, np.ndarray]] = NOT_READ  # a row for each run, sample by sample and tracker by tracker
+    folder: Beside[Path | None] = NOT_READ
+    again: Beside[Callable[[str, int], str] | None] = NOT_READ
+
+    @property
+    def passed(self) -> bool:
+        """Whether the plan passes."""
+        return self.experiment.plan.passed
+
+    def replay(self, tracker: str, sample: int) -> NamedRun:
+        """Run one sample again and return the run with its log."""
+        return NamedRun.of(replay(self.experiment, tracker, sample)[0], self.experiment.plan.problem.mechanism)
+
+    def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
+        """Yield the distributions of each tracker's metrics, and the influence of each imperfection."""
+        one, metrics = self.experiment, self.metrics
+        names = [name for start in SHOWN for name in metrics if name.startswith(start)]
+        drawn = distributions(self.results, one.settings.trackers, names, metrics)
+        title = f"{one.plan.problem.name}: {self.samples} machines"
+        yield "experiment", FigureSpec(panels=drawn, title=title, columns=3, panel_in=(4.0, 3.0))
+        if self.sensitivity is not None:
+            yield from tornado_figures(self.name, self.sensitivity)
+
+    def blocks(self) -> list[Block]:
+        """Return the trackers' metrics, and the influence of every imperfection."""
+        made = Text(text=f"{self.name}: {self.samples} machines, means with their 95 % intervals")
+        return [made, *summary(self), *pairs(self), worst(self), *sensitivity(self)]
+
+    def document(self) -> Report:
+        """Return the report of the experiment and its plan."""
+        plan = self.experiment.plan
+        best = max(self.trackers.values(), key=lambda one: one.success.value)
+        shares = ", ".join(f"{name} {100 * one.success.value:.3g} %" for name, one in self.trackers.items())
+        verdict = f"success on {self.samples} machines within {tube_text(self.experiment)}: {shares}"
+        sections = [*experiment_sections(self), *plan_sections(plan)]
+        title = f"Trackers of {plan.problem.name} on many machines"
+        return report_of(title, verdict, None if best.success.value > 0 else False, sections)
+
+    def __repr__(self) -> str:
+        return f"ExperimentOutcome({self.name!r}: {self.samples} machines, {', '.join(self.trackers)})"
 
 
 def sensitivity(outcome: ExperimentOutcome) -> list[Block]:
@@ -154,3 +218,49 @@ def worst(outcome: ExperimentOutcome) -> Table:
             rows.append([tracker, sample, *cells])
     heads = ["tracker", "sample", ("largest error", outcome.metrics[largest].unit), "success", "failed"]
     return table_of("Each tracker's worst machines: failed ones, then those with the largest error", heads, rows)
+
+
+def experiment_sections(outcome: ExperimentOutcome) -> list[Section]:
+    """Return the sections of an experiment."""
+    experiment, metrics = outcome.experiment, outcome.metrics
+    drawn = [name for start in SHOWN for name in metrics if name.startswith(start)]
+    others = [name for name in metrics if name not in drawn]
+
+    def section(title: str, blocks: list, *, folded: bool = False) -> list[Section]:
+        return [Section(title=title, blocks=blocks, depth=2, folded=folded)] if blocks else []
+
+    def distributed(names: list[str]) -> list[Block]:
+        return list(distributions(outcome.results, experiment.settings.trackers, names, metrics))
+
+    found = [Section(title=f"Experiment: {experiment.plan.problem.name}", blocks=summary(outcome))]
+    found += section("Trackers in pairs", pairs(outcome))
+    found += section("Distributions of the main figures", distributed(drawn))
+    found += section("Distributions of the other figures", distributed(others), folded=True)
+    found += section("Which imperfection matters most", sensitivity(outcome))
+    found += section("Worst cases", [worst(outcome), *_commands(outcome)])
+    return [*found, *section("Imperfections of the machines", [_imperfections(experiment)])]
+
+
+def _commands(outcome: ExperimentOutcome) -> list[Code]:
+    if outcome.again is None:
+        return []
+    commands = [outcome.again(name, sample) for name, one in outcome.trackers.items() for sample in one.worst]
+    return [Code(title="Commands that repeat these runs exactly, with their whole logs", text="\n".join(commands))]
+
+
+def _imperfections(experiment: Experiment) -> Table:
+    rows = [
+        [factor.label, _spread(factor), factor.quantity.unit if factor.quantity.unit != "1" else None]
+        for factor in experiment.section.factors
+    ]
+    title = "Distributions of the imperfections; everything else is nominal"
+    return table_of(title, ["imperfection", "distribution", "unit"], rows)
+
+
+def _spread(factor: Factor) -> str:
+    spread = factor.spread
+    if spread.kind == "uniform":
+        return f"even between {spread.first:.4g} and {spread.second:.4g}"
+    if spread.kind == "normal":
+        return f"normal about {spread.first:.4g}, standard deviation {spread.second:.4g}"
+    return f"{spread.first:.4g}"

@@ -1,26 +1,22 @@
 """A complete experiment: from a plan to a folder with results, or to a summary only."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-from msgspec import field, structs
+from msgspec import structs
 
 from linkplan.controllers.trackers.names import TRACKERS
 from linkplan.models.errors import PlanFileError, ProblemError
 from linkplan.models.extras import load_extra
 from linkplan.planner.files.folders import check_target, plain_record, write_json
 from linkplan.planner.files.manifest import read_record
-from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.plan.folder import read_plan, write_plan
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.compare.tracker_source import object_hash, refuse_other_sources, source_hash
 from linkplan.studies.compare.user_tracker import TrackerLike
-from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.variations.experiment.conduct import conduct, read_parts, read_results, write_results
 from linkplan.studies.variations.experiment.design import LATIN_HYPERCUBE, replicate_of
-from linkplan.studies.variations.experiment.distributions import SHOWN, distributions
 from linkplan.studies.variations.experiment.experiment import (
     AskedRecord,
     Experiment,
@@ -32,10 +28,10 @@ from linkplan.studies.variations.experiment.experiment import (
     imperfections_asked,
     request_of,
 )
+from linkplan.studies.variations.experiment.experiment_blocks import ExperimentOutcome
 from linkplan.studies.variations.experiment.metrics import metrics_of
-from linkplan.studies.variations.experiment.sensitivity import Sensitivity, sensitivity_of
-from linkplan.studies.variations.experiment.sensitivity_blocks import tornado_figures
-from linkplan.studies.variations.experiment.summary import Summary, chatter_notes, summarise
+from linkplan.studies.variations.experiment.sensitivity import sensitivity_of
+from linkplan.studies.variations.experiment.summary import chatter_notes, summarise
 from linkplan.studies.variations.tasks.engine import Engine, Say, serial
 from linkplan.studies.variations.tasks.unfinished import (
     PLAN,
@@ -48,23 +44,6 @@ from linkplan.studies.variations.tasks.unfinished import (
 )
 
 RECORD, RESULTS = "experiment.json", "results.parquet"
-
-
-class ExperimentOutcome(Summary, frozen=True, kw_only=True, eq=False, omit_defaults=True):
-    """An experiment's inputs, its results as columns, and their summary, whose fields are keys of the JSON.
-
-    `sensitivity` is None without random imperfections, or with too few machines.
-    """
-
-    name: str = field(name="experiment")
-    asked: AskedRecord
-    imperfections: dict[str, Any]
-    control_period_s: float
-    duration_s: float
-    notes: list[str]
-    sensitivity: Sensitivity | None = None
-    experiment: Beside[Experiment] = field(default=NOT_READ, name="(experiment)")
-    results: Beside[Mapping[str, np.ndarray]] = NOT_READ
 
 
 def run_experiment(
@@ -117,22 +96,6 @@ def run_experiment(
     return outcome
 
 
-def experiment_figures(outcome: ExperimentOutcome) -> Iterator[tuple[str, FigureSpec]]:
-    """Yield the figures of an experiment by their names: its distributions, and each imperfection's influence."""
-    yield "experiment", experiment_figure(outcome)
-    if outcome.sensitivity is not None:
-        yield from tornado_figures(outcome.name, outcome.sensitivity)
-
-
-def experiment_figure(outcome: ExperimentOutcome) -> FigureSpec:
-    """Return the figure of an experiment's distributions."""
-    one, metrics = outcome.experiment, outcome.metrics
-    names = [name for start in SHOWN for name in metrics if name.startswith(start)]
-    drawn = distributions(outcome.results, one.settings.trackers, names, metrics)
-    title = f"{one.plan.problem.name}: {outcome.samples} machines"
-    return FigureSpec(panels=drawn, title=title, columns=3, panel_in=(4.0, 3.0))
-
-
 def _save(outcome: ExperimentOutcome, place: Path) -> None:
     """Write an outcome's files into an empty folder, and check that the record and the results can be read."""
     from linkplan.studies.output.figure import save_figures
@@ -143,7 +106,7 @@ def _save(outcome: ExperimentOutcome, place: Path) -> None:
     read_asked(place)
     (place / PLAN).mkdir()
     write_plan(outcome.experiment.plan, place / PLAN)
-    save_figures(experiment_figures(outcome), place)
+    save_figures(outcome.figure_specs(), place)
 
 
 def _outcome(experiment: Experiment, results: Mapping[str, np.ndarray], asked: AskedRecord) -> ExperimentOutcome:

@@ -15,7 +15,6 @@ from linkplan.studies.report.reading import folder_report
 from linkplan.studies.variations.decompose.decomposition import Decomposition, decomposition_charts
 from linkplan.studies.variations.experiment.experiment import Settings
 from linkplan.studies.variations.experiment.experiment_blocks import estimated
-from linkplan.studies.variations.experiment.experiment_sections import experiment_report
 from linkplan.studies.variations.experiment.sensitivity import Sensitivity
 from linkplan.studies.variations.experiment.sensitivity_blocks import sensitivity_blocks, sensitivity_charts
 from linkplan.studies.variations.experiment.study import RESULTS, run_experiment
@@ -45,7 +44,7 @@ def outcome(folder):
 
 
 def test_the_trackers_table_has_the_means_and_their_intervals(outcome):
-    table = next(table for table in blocks(experiment_report(outcome), Table) if table.title.startswith("Trackers"))
+    table = next(table for table in blocks(outcome.document(), Table) if table.title.startswith("Trackers"))
     heads = [head for head, _ in table.columns]
     for row, (name, one) in zip(table.rows, outcome.trackers.items(), strict=True):
         assert row[0] == name
@@ -55,7 +54,7 @@ def test_the_trackers_table_has_the_means_and_their_intervals(outcome):
 
 
 def test_a_distribution_s_line_is_the_share_of_machines_below(outcome):
-    plot = next(plot for plot in blocks(experiment_report(outcome), Plot) if plot.title == "Rms error")
+    plot = next(plot for plot in blocks(outcome.document(), Plot) if plot.title == "Rms error")
     assert plot.x_axis.unit == "deg"
     results = outcome.results
     for line in plot.series:
@@ -67,7 +66,7 @@ def test_a_distribution_s_line_is_the_share_of_machines_below(outcome):
 
 
 def test_the_worst_machines_are_those_of_the_largest_error_and_each_has_its_command(outcome):
-    report = experiment_report(outcome, lambda tracker, sample: f"again {tracker} {sample}")
+    report = msgspec.structs.replace(outcome, again=lambda tracker, sample: f"again {tracker} {sample}").document()
     table = next(table for table in blocks(report, Table) if table.title.startswith("Each tracker's worst"))
     commands = next(code.text.splitlines() for code in blocks(report, Code) if code.title.startswith("Commands that repeat"))
     results = outcome.results
@@ -86,7 +85,7 @@ def test_a_page_of_a_folder_has_the_same_figures_and_leaves_the_results_alone(fo
     assert f"linkplan track {folder} --sample {outcome.trackers['pd'].worst[0]} --tracker pd --report" in page
     assert (folder / RESULTS).read_bytes() == before
     titles = [section.title for section in folder_report(folder).sections]
-    assert titles == [section.title for section in experiment_report(outcome).sections]
+    assert titles == [section.title for section in outcome.document().sections]
 
 
 def test_a_sample_that_is_run_again_has_a_page_with_what_was_wrong_with_its_machine(folder, outcome, tmp_path, capsys):
