@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -30,9 +29,8 @@ class Shown:
 
     @property
     def struct(self) -> Struct:
-        """The frozen struct: this object or its first field. Its fields are the JSON, except those of type `Beside`."""
-        own = cast("Any", self)
-        return getattr(own, fields(own)[0].name) if is_dataclass(own) else own
+        """The frozen struct, this object itself. Its fields are the JSON, except those of type `Beside`."""
+        return cast("Struct", self)
 
     def to_dict(self) -> dict:
         """Return all values by name, with units in the names, in JSON types."""
@@ -174,10 +172,6 @@ class MechanismResult(Result):
 
     __slots__ = ()
 
-    @property
-    def message(self) -> str:
-        """The verdict in a sentence."""
-        return cast("Any", self.struct).message
-
     def __repr__(self) -> str:
-        return f"{type(self).__name__}({cast('Any', self.struct).mechanism_name!r}: {self.message})"
+        own = cast("Any", self)
+        return f"{type(self).__name__}({own.mechanism_name!r}: {own.message})"
