@@ -84,7 +84,7 @@ def render(
     there_and_back: bool = False,
     mujoco_gl: str | None = None,
     progress: Progress | None = None,
-) -> Rendered:
+) -> RenderedFile:
     """Write a film or picture of a plan's motion as tracked in MuJoCo, with the plan as a ghost; return what was written.
 
     Args:
@@ -131,31 +131,7 @@ def render(
         there_and_back=there_and_back,
     )
     gl = find_gl(mujoco_gl)
-    return Rendered(struct=drawn(plan_of(plan, say, "draw"), place, settings, gl, say))
-
-
-@dataclasses.dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class Rendered(Shown):
-    """The file that `render` wrote. `struct` has its name, its frames' number and size, and its slow-motion factor."""
-
-    struct: RenderedFile
-
-    @property
-    def passed(self) -> bool:
-        """Whether the plan passes its certificate."""
-        return self.struct.passed
-
-    def blocks(self) -> list[Block]:
-        """Return what was written as a document's blocks."""
-        from linkplan.studies.output.document import Text
-
-        return [Text(text=self.struct.sentence)]
-
-    def _repr_html_(self) -> str | None:
-        return self.struct.html  # a notebook shows the film itself
-
-    def __repr__(self) -> str:
-        return f"Rendered('{self.struct.file}')"
+    return drawn(plan_of(plan, say, "draw"), place, settings, gl, say)
 
 
 @command("write a plan, or a model in C, for other programs")

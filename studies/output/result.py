@@ -42,7 +42,7 @@ class Shown:
         """Return the result as a document's blocks."""
         raise NotImplementedError
 
-    def _repr_html_(self) -> str:
+    def _repr_html_(self) -> str | None:
         from linkplan.studies.output.text import html_of, in_brief
 
         return html_of(in_brief(self.blocks()))

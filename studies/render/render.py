@@ -15,6 +15,8 @@ from linkplan.models.mechanism import Mechanism
 from linkplan.planner.files.single_file import write_file_whole
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.search.planning import silent
+from linkplan.studies.output.document import Block, Text
+from linkplan.studies.output.result import Shown
 from linkplan.studies.render.camera import Camera, camera_from
 from linkplan.studies.render.caption import INK, effort_lines, frame_lines, head_share, written
 from linkplan.studies.render.film_file import write_gif, write_mp4, write_png
@@ -31,7 +33,7 @@ _LARGEST_SHOWN_BYTES = 30_000_000
 Paint = Callable[[Scene], np.ndarray]
 
 
-class RenderedFile(Struct, frozen=True, kw_only=True):
+class RenderedFile(Shown, Struct, frozen=True, kw_only=True):
     """The written file: its frames and their size, its frames per second, its slow-motion factor and its renderer."""
 
     file: str
@@ -59,9 +61,15 @@ class RenderedFile(Struct, frozen=True, kw_only=True):
             )
         return text if self.stable else f"{text}; the run with {self.tracker} is unstable"
 
-    @property
-    def html(self) -> str | None:
-        """The film or picture as HTML; None if it was moved or is too large for a notebook to keep."""
+    def blocks(self) -> list[Block]:
+        """Return what was written as a document's blocks."""
+        return [Text(text=self.sentence)]
+
+    def __repr__(self) -> str:
+        return f"RenderedFile('{self.file}')"
+
+    def _repr_html_(self) -> str | None:
+        """Return the film or picture as HTML; None if it was moved or is too large for a notebook to keep."""
         path = Path(self.file)
         if not path.is_file() or path.stat().st_size > _LARGEST_SHOWN_BYTES:
             return None
