@@ -76,9 +76,6 @@ class ErrorReport:
     effort_overrun: np.ndarray
     integration_error_deg: float
 
-    def varied(self, **values: Any) -> Self:
-        """Return the problem with other values of its settings."""
-
 
 class Case(Protocol):
     """A problem that can be refined; `planner.closed_chain` has the only one, and its own type of starts."""
