@@ -29,7 +29,6 @@ check: $(STAMP)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/basedpyright
-	$(BIN)/python -m pytest tests/test_house.py
 	$(BIN)/python -m tests.bench.source_sizes
 
 # `make bench` runs all parts, `make bench rounding` the part named; the names that follow are no targets of their own.
