@@ -18,31 +18,27 @@ DRAW, LAY_OUT = Figure.savefig, figures._lay_out
 MOST_MECHANISMS = 64
 
 
-# The tests that take more than some seconds of processor time, one in a line.
-LONG = Path(__file__).with_name("long.txt")
+# The tests that take more than some seconds of processor time, and those that take half a minute, one in a line.
+LISTS = {length: Path(__file__).with_name(f"{length}.txt") for length in ("long", "hardest")}
 
 
 def pytest_addoption(parser):
     parser.addoption("--long", action="store_true", help="run the tests of long.txt only")
-    parser.addoption("--hardest", action="store_true", help="run the tests marked hardest only")
+    parser.addoption("--hardest", action="store_true", help="run the tests of hardest.txt and those marked hardest only")
 
 
 def pytest_collection_modifyitems(config, items):
-    """Keep the tests of one length: those of `long.txt` or those marked `hardest` if they are asked for, else all others.
+    """Keep the tests of one length, as the option --long or --hardest asks, else all that are of neither.
 
     Tests that are named one by one run in any case.
     """
     if any("::" in argument for argument in config.args):
         return
-    listed = set(LONG.read_text(encoding="utf-8").splitlines())
-    whole = {item.nodeid.partition("[")[0] for item in items}
-    gone = {name for name in listed if name.partition("[")[0] in whole} - {item.nodeid for item in items}
-    if gone:
-        raise pytest.UsageError(f"{LONG.name} lists tests that are not there: {', '.join(sorted(gone))}")
-    asked = next((length for length in ("hardest", "long") if config.getoption(f"--{length}")), "")
+    listed = {name: length for length, path in LISTS.items() for name in path.read_text(encoding="utf-8").splitlines()}
+    asked = next((length for length in LISTS if config.getoption(f"--{length}")), "")
 
     def length(item) -> str:
-        return "hardest" if item.get_closest_marker("hardest") else "long" if item.nodeid in listed else ""
+        return "hardest" if item.get_closest_marker("hardest") else listed.get(item.nodeid, "")
 
     config.hook.pytest_deselected(items=[item for item in items if length(item) != asked])
     items[:] = [item for item in items if length(item) == asked]

@@ -173,3 +173,10 @@ def test_help_loads_nothing_heavy():
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "usage: linkplan plan" in said
     assert said.rstrip().endswith("HEAVY []")
+
+
+@pytest.mark.parametrize("length", ["long", "hardest"])
+def test_every_listed_test_is_there(length):
+    for name in (ROOT / "tests" / f"{length}.txt").read_text(encoding="utf-8").splitlines():
+        file, test = name.partition("[")[0].split("::")
+        assert f"def {test}(" in (ROOT / file).read_text(encoding="utf-8"), name

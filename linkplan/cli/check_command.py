@@ -9,9 +9,8 @@ from linkplan.cli.exit_codes import DONE, NO
 from linkplan.cli.printing import show
 
 if TYPE_CHECKING:
-    from linkplan.studies.check.refused_model import RefusedModel
-    from linkplan.studies.check.whole_check import WholeCheck
     from linkplan.studies.output.document import Block
+    from linkplan.studies.output.result import Result
 
 
 def run_check(arguments: argparse.Namespace) -> int:
@@ -31,7 +30,7 @@ def run_check(arguments: argparse.Namespace) -> int:
     return DONE if found.passed else NO
 
 
-def _what_is_next(found: "WholeCheck | RefusedModel", arguments: argparse.Namespace) -> "list[Block]":
+def _what_is_next(found: "Result", arguments: argparse.Namespace) -> "list[Block]":
     from linkplan.api.inputs import is_problem
     from linkplan.studies.output.document import Facts
 

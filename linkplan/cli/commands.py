@@ -17,11 +17,9 @@ from linkplan.models.errors import PlanFileError, ProblemError
 
 if TYPE_CHECKING:
     from linkplan.api.inputs import Source
-    from linkplan.api.outputs import Exported
     from linkplan.api.plans import Plan
     from linkplan.studies.output.document import Block
-    from linkplan.studies.output.result import Result
-    from linkplan.studies.render.render import RenderedFile
+    from linkplan.studies.output.result import Result, Shown
 
 # Options that write additional files into a result's folder.
 _WITH_OUTPUT = {"report": "report.html", "parquet": "tables as Parquet", "jumps": "both sides of jumps"}
@@ -88,7 +86,7 @@ def source_asked(arguments: argparse.Namespace, name: str, parameters: Container
     )
 
 
-def answered(arguments: argparse.Namespace, result: "Result | Plan | RenderedFile | Exported") -> ExitCode:
+def answered(arguments: argparse.Namespace, result: "Result | Plan | Shown") -> ExitCode:
     """Print a result and return its exit code: 1 if the result is negative."""
     show(arguments, result.to_dict, result.blocks)
     return DONE if result.passed else NO

@@ -204,7 +204,7 @@ def test_check_writes_the_selected_model(capsys, tmp_path):
         ({"lock": {"base": 1.0}}, ["base", "free joint", "fix_base"]),
         ({"keyframe": "stand"}, ["unknown keyframe 'stand'", "crouch"]),
         ({"keep": []}, ["mechanism.keep"]),
-        ({"fix_base": 1}, ["fix_base", "True or False"]),
+        ({"fix_base": 1}, ["fix_base", "true or false"]),
     ],
 )
 def test_a_wrong_selection_is_refused_in_one_line(asked, words):

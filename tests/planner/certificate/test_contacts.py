@@ -21,8 +21,8 @@ from linkplan.planner.certificate.further_checks import contact_notes, unavoidab
 from linkplan.planner.closed_chain.case import finished
 from linkplan.planner.files.folders import plain_record
 from linkplan.planner.limits.limit import with_limits
-from linkplan.planner.plan.folder import read_plan, record_of, write_plan
-from linkplan.planner.plan.plan import Plan
+from linkplan.planner.plan.folder import read_plan, write_plan
+from linkplan.planner.plan.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.search.planning import plan_motion
 from tests.support.bodies import body_plan
@@ -107,9 +107,9 @@ def test_a_problem_can_ask_for_contacts_to_be_noted_only(free):
     made = judged(free, with_block(), "limits.contacts=note")
     assert made.status == "optimal"
     assert made.certificate.passed
-    (text,) = record_of(made).not_honoured
+    (text,) = not_honoured(made)
     assert text.startswith("contact of geoms block (world) and L3 (rocker) from t = ")
-    (kept,) = plain_record(record_of(made))["certificate"]["contacts"]
+    (kept,) = plain_record(made.certificate)["contacts"]
     assert kept["geoms"] == ["block", "L3"]
     assert 0 < kept["since_s"] < kept["deepest_at_s"] <= made.trajectory.duration_s
 
@@ -125,10 +125,8 @@ def test_links_that_overlap_on_their_pin_are_named_and_not_refused(free):
     assert made.status == "optimal"
     named = {frozenset(met.geoms) for met in made.certificate.contacts}
     assert frozenset(("L2", "B")) in named
-    assert any(
-        '["coupler", "rocker"]' in text and "on a pin that they share" in text for text in record_of(made).not_honoured
-    )
-    assert record_of(judged(free, KNEE)).not_honoured == ()
+    assert any('["coupler", "rocker"]' in text and "on a pin that they share" in text for text in not_honoured(made))
+    assert not_honoured(judged(free, KNEE)) == ()
 
 
 @pytest.mark.slow

@@ -297,7 +297,7 @@ def test_limits_that_mean_nothing_are_refused(limits, mesh, words):
 def test_the_least_jerk_of_a_motion_in_too_little_time_is_named_and_not_an_infinite_one(monkeypatch):
     """A way d takes 32 d / T^3 in the time T. Without a limit, accelerations jump, and the jerk is infinite."""
     reach = 'kind = "reach"\nstart_m = { x = 0.0 }\ngoal_m = { x = 0.3 }\nduration_s = 1.0\n'
-    monkeypatch.setattr(reasons, "shortest_sentence", lambda *_: "")
+    monkeypatch.setattr(reasons, "shortest_motion", lambda _: None)
     problem = body_problem(cart("-60 60"), reach, "limits.jerk_m_s3.x=2", 'objective.minimize="effort"')
     plan = plan_motion(problem, methods=(), diagnoses=(reasons.one_limit, reasons.nothing_found))
     assert plan.status == "infeasible"

@@ -35,7 +35,7 @@ def not_found(text: str, why: str, monkeypatch, tmp_path, **selected) -> tuple[F
 
     def nothing(problem: Problem, *_) -> Plan:
         tried.append(problem)
-        return Plan(problem=problem, verdict=failed(why))
+        return Plan(problem=problem, verdict=failed(why, out_of_time="ran out of" in why))
 
     monkeypatch.setattr("linkplan.studies.check.new.first_motion.plan_motion", nothing)
     (tmp_path / "model.xml").write_text(text, encoding="utf-8")
