@@ -16,7 +16,7 @@ from linkplan.studies.variations.batch.study import run_batch
 from linkplan.studies.variations.tasks.cluster import engine_of
 
 
-@command("plan the cases of a batch file, each starting from the previous solution", record="batch")
+@command("plan the cases of a batch file, each starting from the previous solution")
 def batch(
     cases: str | Path | Mapping,
     folder: str | Path | None = None,

@@ -7,7 +7,7 @@ Function = TypeVar("Function", bound=Callable)
 
 
 def command(
-    text: str, *, record: str = "", note: str = "", showing: Sequence[str] = (), without: Sequence[str] = ()
+    text: str, *, saved: bool = False, note: str = "", showing: Sequence[str] = (), without: Sequence[str] = ()
 ) -> Callable[[Function], Function]:
     """Make a public function a command of the same name.
 
@@ -16,10 +16,10 @@ def command(
 
     Args:
         text: what the command does, as in the list of commands.
-        record: the name of the result's record in the folder of -o; without it there is no folder.
+        saved: whether -o saves the result in a folder, whose record has the command's name.
         note: what the help says beside the options.
         showing: options on what is printed and written further: "all", "report", "parquet", "jumps".
         without: options on the reading of the first argument that make no difference here.
     """
-    del text, record, note, showing, without
+    del text, saved, note, showing, without
     return lambda function: function

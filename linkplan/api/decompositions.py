@@ -17,7 +17,7 @@ from linkplan.studies.variations.decompose.decomposition import Decomposition
 
 @command(
     "split each tracker's error among its causes: plan, sampling and delay, simulator, devices, model, limits",
-    record="decompose",
+    saved=True,
     showing=("report",),
 )
 def decompose(

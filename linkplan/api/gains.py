@@ -20,7 +20,7 @@ from linkplan.studies.feedback.tune.tune_report import Tuning
 
 @command(
     "find PD gains or LQR weights for a bandwidth and margins at the worst pose",
-    record="tune",
+    saved=True,
     showing=("report",),
 )
 def tune(

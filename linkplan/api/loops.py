@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 @command(
     "frequency response, margins and sampled stability of a feedback loop, predicted and measured in MuJoCo",
-    record="bode",
+    saved=True,
     showing=("report",),
 )
 def bode(

@@ -37,7 +37,7 @@ def load_mechanism(path_or_name: str | Path, **keys: Any) -> Mechanism:
 
 @command(
     "report on a mechanism: degrees of freedom, closure, reach, singular poses, ratios, inertias, forces, faults",
-    record="check",
+    saved=True,
     showing=("all", "report"),
 )
 def check(subject: Subject, *, at_deg: Poses = (), at_m: Poses = ()) -> WholeCheck | RefusedModel:

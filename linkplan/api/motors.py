@@ -18,7 +18,7 @@ from linkplan.studies.variations.size.sizing_blocks import Sizing
 
 @command(
     "find which motors of a list, behind which gears, can drive a problem's motion, and their margins",
-    record="size",
+    saved=True,
     showing=("report",),
 )
 def size(

@@ -39,7 +39,7 @@ FILE_KINDS = ("problem", "batch", "motors")
 SHELLS = ("bash", "zsh", "fish")
 # Keys of [mechanism] that select a part of a model.
 SELECTION = ("keep", "fix_base", "lock", "keyframe", "drive")
-# Types of parameters, by which the command line knows the legal words: names of `LINEAR`, `C_TRACKERS`, `TRACKERS`, ...
+# Types of parameters. The command line takes the legal words of a parameter from its type (`linkplan/cli/option_kinds.py`).
 Law: TypeAlias = str
 CLaw: TypeAlias = str
 TrackerName: TypeAlias = str

@@ -39,7 +39,7 @@ _PROOF_SHARE, _PROOF_SECONDS = 1.0 / 3.0, 1.3
 PROVING = "proving the limits, then that the model has a motion near the plan (at most a minute)"
 
 
-@command("plan a motion and certify it between the nodes", record="plan", showing=("all", "report", "parquet", "jumps"))
+@command("plan a motion and certify it between the nodes", saved=True, showing=("all", "report", "parquet", "jumps"))
 def plan(problem: ProblemLike, progress: Progress | None = None, *, prove: bool = False) -> Plan:
     """Return the plan of a problem; without a motion, its `message` has the reason.
 

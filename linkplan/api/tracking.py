@@ -18,7 +18,7 @@ from linkplan.studies.compare.tracking_result import TrackingResult, tracking_re
 from linkplan.studies.compare.user_tracker import TrackerLike, trackers_loaded
 
 
-@command("run one tracker on a plan in MuJoCo", record="track", showing=("all", "report", "parquet"))
+@command("run one tracker on a plan in MuJoCo", saved=True, showing=("all", "report", "parquet"))
 def track(
     plan: PlanLike,
     tracker: TrackerLike = "pd+ff",
@@ -94,7 +94,7 @@ def _replayed(place: str, tracker: TrackerLike, sample: int) -> TrackingResult:
 
 @command(
     "run trackers on a plan and compare them, nominal and with a mismatch",
-    record="compare",
+    saved=True,
     showing=("all", "report", "parquet"),
 )
 def compare(

@@ -17,7 +17,7 @@ Gains = float | Sequence[float]
 
 @command(
     "convert efforts, inertia, friction and gains between motors and output joints of a linkage, as tables",
-    record="transfer",
+    saved=True,
     showing=("report", "parquet"),
 )
 def transfer(

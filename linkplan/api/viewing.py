@@ -185,7 +185,7 @@ class SavedProblem:
         return str(self.place)
 
 
-@command("check, plan and track the Optimus knee, with margins; write all into one folder", record="demo")
+@command("check, plan and track the Optimus knee, with margins; write all into one folder")
 def demo(folder: str | Path = "linkplan-demo", *, progress: Progress | None = None) -> tuple[dict, list]:
     """Run all studies of the Optimus knee into one folder; return their records and the document.
 

@@ -100,7 +100,7 @@ def _add_command(parser: argparse.ArgumentParser, command: signatures.Command) -
     positional = command.positional
     for parameter in command.parameters:
         _add_parameter(parser, parameter, is_positional=parameter is positional)
-    if command.record and not command.writes_itself:
+    if command.saved:
         parser.add_argument(
             "-o", "--output", metavar="DIR", help="write results and figures into this folder, completely or not at all"
         )

@@ -93,7 +93,7 @@ KINDS = {
     ),
     "TrackerName": Kind(metavar="TRACKER", text=_TRACKER, words=names.TRACKERS),
     "CLaw": Kind(
-        metavar="LAW", text=f"for c: the law of a plan, one of {', '.join(names.C_TRACKERS)}", words=names.C_TRACKERS
+        metavar="LAW-IN-C", text=f"for c: the law of a plan, one of {', '.join(names.C_TRACKERS)}", words=names.C_TRACKERS
     ),
     "Law": Kind(metavar="LAW", text=f"{', '.join(names.LINEAR[:-1])} or {names.LINEAR[-1]}", words=names.LINEAR),
     "Design": Kind(metavar="DESIGN", words=names.DESIGNS),

@@ -37,7 +37,7 @@ class Command:
 
     name: str
     text: str
-    record: str
+    saved: bool
     note: str
     showing: tuple[str, ...]
     without: tuple[str, ...]
@@ -48,11 +48,6 @@ class Command:
         """The parameter that is the command's argument: the first one, unless it is the place of the result."""
         first = self.parameters[0] if self.parameters else None
         return None if first is None or first.name in ("folder", "path") else first
-
-    @property
-    def writes_itself(self) -> bool:
-        """True if the function itself writes its result, into its parameter `folder` or `path`."""
-        return any(parameter.name in ("folder", "path") for parameter in self.parameters)
 
 
 @functools.cache
@@ -93,7 +88,7 @@ def _commands_of(module: ast.Module) -> list[Command]:
                     Command(
                         name=function.name.removesuffix("_command"),
                         text=ast.literal_eval(call.args[0]),
-                        record=said.get("record", ""),
+                        saved=said.get("saved", False),
                         note=said.get("note", ""),
                         showing=tuple(said.get("showing", ())),
                         without=tuple(said.get("without", ())),

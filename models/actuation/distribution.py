@@ -66,7 +66,7 @@ def distribute(
 def unit_efforts(maps: np.ndarray) -> np.ndarray:
     """Return the efforts (..., n_u, n_s) of least norm that produce a unit on each coordinate, by maps (..., n_s, n_u).
 
-    They are the pseudo-inverses; equal maps, as of motors on coordinates, have one.
+    They are the pseudo-inverses of the maps. If all maps are equal, as for motors on coordinates, it is computed once.
     """
     same = maps.ndim == 3 and len(maps) > 1 and bool(np.all(maps == maps[0]))
     found = np.linalg.pinv(maps[:1] if same else maps, rcond=ZERO_ARM_SHARE)

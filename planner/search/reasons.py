@@ -63,8 +63,7 @@ def effort_sentence(problem: Problem, least: LeastLimit) -> tuple[str, Overrun]:
 
 def _of_efforts(search: Search, words: str, over: Overrun, factor: float) -> Plan:
     """Return the plan that says that a motion would need more effort."""
-    details = {"needed_effort": abs(over.value), "needed_limit_factor": factor}
-    return _infeasible(search, infeasible(words, overruns=(over,), needed_factor=factor), details)
+    return _infeasible(search, infeasible(words, overruns=(over,), needed_factor=factor))
 
 
 def share_sentence(problem: Problem, factor: float, motion: Guess, *, at_all: bool) -> str:
@@ -108,8 +107,8 @@ class PathEffort:
     sentence: str
 
 
-def far_too_short(search: Search) -> tuple[Verdict, dict[str, float]] | None:
-    """Return a verdict and its numbers if a reach is given only a small share of its least duration; else None.
+def far_too_short(search: Search) -> Verdict | None:
+    """Return a verdict if a reach is given only a small share of its least duration; else None.
 
     With one degree of freedom the phase plane gives the shortest motion at once. With several
     degrees of freedom it is planned only if the smooth path needs far more effort than allowed.
@@ -126,8 +125,7 @@ def far_too_short(search: Search) -> tuple[Verdict, dict[str, float]] | None:
         f"{asked:.4g} s is {shortest / asked:.3g} times too short: {path.sentence};"
         f" the shortest feasible duration is {about}{shortest:.4g} s"
     )
-    verdict = infeasible(words, "duration", remedy={"motion.duration_s": shortest})
-    return verdict, {"shortest_duration_s": shortest, "smooth_path_limit_factor": path.factor}
+    return infeasible(words, "duration", remedy={"motion.duration_s": shortest})
 
 
 def _shortest(search: Search) -> tuple[float | None, str]:
@@ -176,15 +174,14 @@ def contradicted(search: Search) -> Plan | None:
     verdict = plain_contradiction(problem)
     if verdict is None:
         return None
-    details: dict[str, float] = {}
     longer_would_do = plain_contradiction(problem.varied(motion=replace(problem.motion, duration_s=None))) is None
-    return _infeasible(search, verdict, details, shortest=longer_would_do)
+    return _infeasible(search, verdict, shortest=longer_would_do)
 
 
 def too_short(search: Search) -> Plan | None:
     """Return the plan that says that a duration is far below the shortest, if this is clear without a search."""
-    found = far_too_short(search)
-    return None if found is None else _infeasible(search, *found, shortest=False)
+    verdict = far_too_short(search)
+    return None if verdict is None else _infeasible(search, verdict, shortest=False)
 
 
 def less_than_least_time(search: Search) -> Plan | None:
@@ -197,7 +194,7 @@ def less_than_least_time(search: Search) -> Plan | None:
     asked, shortest = longest(search.problem), known.trajectory.duration_s
     words = f"{asked:.7g} s is too short; the shortest feasible duration is {shortest:.7g} s"
     verdict = infeasible(words, "duration", known_by="phase plane", remedy={"motion.duration_s": shortest})
-    return _infeasible(search, verdict, {"shortest_duration_s": shortest}, shortest=False)
+    return _infeasible(search, verdict, shortest=False)
 
 
 def solver_stopped(search: Search) -> Plan | None:
@@ -289,7 +286,7 @@ def efforts_by_the_phase_plane(search: Search) -> Plan | None:
         return None
     sentence = share_sentence(search.problem, *least, at_all=search.quickest is None)
     verdict = infeasible(sentence, known_by="phase plane", needed_factor=least[0])
-    return _infeasible(search, verdict, {"needed_limit_factor": least[0]}, shortest=search.quickest is not None)
+    return _infeasible(search, verdict, shortest=search.quickest is not None)
 
 
 def nothing_found(search: Search) -> Plan:
@@ -341,10 +338,10 @@ def _without(search: Search, kind: type[Limit]) -> Plan | None:
     over = violation(kind, problem, motion)
     if over is None:
         return None
-    return _infeasible(search, infeasible(over.sentence("would have to be"), overruns=(Overrun.of(over),)), {})
+    return _infeasible(search, infeasible(over.sentence("would have to be"), overruns=(Overrun.of(over),)))
 
 
-def _infeasible(search: Search, verdict: Verdict, details: dict[str, float], *, shortest: bool = True) -> Plan:
+def _infeasible(search: Search, verdict: Verdict, *, shortest: bool = True) -> Plan:
     """Return the plan that says that no motion satisfies the limits.
 
     If a motion of at most the given duration is known, the problem is not proved infeasible and the status is "failed".
@@ -352,14 +349,14 @@ def _infeasible(search: Search, verdict: Verdict, details: dict[str, float], *, 
     problem: Problem = search.problem
     quickest = shortest_motion(search) if shortest and may_be_too_short(problem) else None
     if quickest is not None:
-        least = details["shortest_duration_s"] = quickest.trajectory.duration_s
+        least = quickest.trajectory.duration_s
         verdict = verdict.adding(f"the shortest feasible duration is {least:.5g} s", remedy={"motion.duration_s": least})
     known, asked = search.known.least_duration_s, longest(problem)
     if known is not None and known <= asked * (1 + 1e-9):
         words = f"a motion of {known:.7g} s satisfies every limit, one of {asked:.7g} s was not found"
-        return _failed(search, failed(words, "duration", remedy={"motion.duration_s": known}), details)
-    return Plan(problem=problem, verdict=verdict, history=recorded(), details=details)
+        return _failed(search, failed(words, "duration", remedy={"motion.duration_s": known}))
+    return Plan(problem=problem, verdict=verdict, history=recorded())
 
 
-def _failed(search: Search, verdict: Verdict, details: dict[str, float] | None = None) -> Plan:
-    return Plan(problem=search.problem, verdict=verdict, history=recorded(), details=details or {})
+def _failed(search: Search, verdict: Verdict) -> Plan:
+    return Plan(problem=search.problem, verdict=verdict, history=recorded())

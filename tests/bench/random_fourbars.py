@@ -42,7 +42,7 @@ def judge(case: Case, plan: Plan) -> str:
     if plan.status == "failed":
         return "infeasible, failed"
     if case.shortest is not None and "duration_s" in case.tables["motion"] and _fixed(case):
-        named = plan.details.get("shortest_duration_s")
+        named = plan.verdict.remedy.get("motion.duration_s")
         if named is None:
             return "infeasible, shortest not named"
         if abs(named / case.shortest - 1) > SHORTEST:
@@ -86,7 +86,7 @@ def answer(seed: int, number: int) -> dict:
         "status": plan.status,
         "message": plan.message,
         "planned": plan.trajectory.duration_s if plan.trajectory is not None else None,
-        "named": plan.details.get("shortest_duration_s"),
+        "named": plan.verdict.remedy.get("motion.duration_s"),
         "steps": steps,
         **spent(),
     }

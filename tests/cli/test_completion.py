@@ -15,6 +15,7 @@ from linkplan.api.names import SELECTION, SHELLS
 from linkplan.cli import signatures
 from linkplan.cli.command_line import build_parser
 from linkplan.cli.completion_command import completion_command
+from linkplan.cli.option_kinds import KINDS
 from linkplan.controllers.trackers.names import LINEAR
 from linkplan.planner.problem.keys.key_table import FILES
 from linkplan.studies.variations.experiment.design import DESIGNS
@@ -120,6 +121,14 @@ def test_what_is_read_from_the_source_is_what_python_has():
                 default = has[parameter.name].default
                 assert (default is inspect.Parameter.empty) == (not parameter.is_optional)
                 assert not parameter.is_optional or default == parameter.default, f"{name} {parameter.name}"
+
+
+def test_options_of_one_name_in_the_help_are_completed_by_the_same_words():
+    words = {}
+    for kind in KINDS.values():
+        if kind.words or kind.patterns or kind.folders:
+            found = (set(kind.words), kind.patterns)
+            assert words.setdefault(kind.metavar, found) == found, kind.metavar
 
 
 def test_a_source_has_the_options_that_say_how_an_argument_is_read():

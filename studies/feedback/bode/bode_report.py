@@ -1,4 +1,4 @@
-"""The result of a loop's frequency response, whose fields are the record `bode.json`: margins, plots, further studies."""
+"""The result of `bode`: its fields are the record `bode.json`, its methods show margins, plots and further studies."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path

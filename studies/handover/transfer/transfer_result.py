@@ -162,7 +162,7 @@ class TransferResult(MechanismResult, Struct, frozen=True, kw_only=True, eq=Fals
         write_files(self.transfer, place, parquet=parquet)
 
     def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
-        """Yield transfer, the curves over each joint's range."""
+        """Yield the figure "transfer", the curves over each joint's range."""
         title = f"{self.mechanism_name}: {self.message}"
         yield "transfer", FigureSpec(panels=transfer_plots(self.transfer), title=title, columns=2)
 

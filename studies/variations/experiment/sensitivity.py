@@ -83,7 +83,7 @@ def machines_needed(factors: Sequence[Factor]) -> int:
 
 
 def sensitivity_of(experiment: Experiment, results: Mapping[str, np.ndarray]) -> Sensitivity | None:
-    """Return the influences from the columns of an experiment's results; None without imperfections or machines enough."""
+    """Return the influences from the columns of results; None without imperfections or with too few machines."""
     factors, mechanism = experiment.section.factors, experiment.plan.problem.mechanism
     which, least = varied(factors), machines_needed(factors)
     if not which or experiment.n < least:

@@ -145,7 +145,7 @@ def _prescribed(problem: Problem) -> Trajectory | None:
 
 def _needed_share(plan: Plan) -> dict[str, float]:
     """Return the least factor on the effort limits with which a motion exists, if the planner knows it."""
-    factor = plan.details.get("needed_limit_factor")
+    factor = plan.verdict.needed_factor if plan.status == "infeasible" else None
     return {} if factor is None else {PEAK: factor}
 
 
@@ -226,7 +226,7 @@ def _speed_up(
     if duration_s is None or problem.motion.kind == "hold":
         return None
     if motion is None:
-        shortest_s = plan.details.get("shortest_duration_s")
+        shortest_s = plan.verdict.remedy.get("motion.duration_s") if plan.status == "infeasible" else None
         return None if shortest_s is None else duration_s / shortest_s
     if mechanism.n_u < mechanism.dof or not mechanism.actuated.all():
         return None

@@ -1,4 +1,4 @@
-"""The result of `linkplan size`, whose fields are the record `size.json`: the answer, a table and a chart."""
+"""The result of `size`: its fields are the record `size.json`, its methods show the answer, a table and a chart."""
 
 from collections.abc import Iterator
 

@@ -192,7 +192,7 @@ def test_a_force_too_large_for_the_motor_is_named_with_what_a_motion_needs():
     plan = plan_motion(steering(force_over_time=heavy, limits={"range_m": {"rack": [-0.03, 0.04]}}))
     assert plan.status == "infeasible"
     assert plan.message.startswith("infeasible: rack on joint rack would have to give")
-    assert plan.details["needed_effort"] == pytest.approx(rack_force(-0.02, (0.0, -2e4)), rel=1e-2)
+    assert abs(plan.verdict.overruns[0].value) == pytest.approx(rack_force(-0.02, (0.0, -2e4)), rel=1e-2)
 
 
 def test_places_of_sites_are_limited_under_the_force_and_with_a_payload():

@@ -65,7 +65,7 @@ def test_a_ctrl_range_that_forbids_the_motion_is_named():
     assert plan.status == "infeasible"
     assert "the ctrl of s would have to be" in plan.message
     assert "beyond its limit of 0.9" in plan.message
-    assert plan.details["shortest_duration_s"] > 0.23
+    assert plan.verdict.remedy["motion.duration_s"] > 0.23
 
 
 GOAL = np.radians(25.0)

@@ -93,22 +93,22 @@ def test_requiring_an_infeasible_plan_raises_the_sentence_and_carries_the_plan()
 
 
 @pytest.mark.slow
-def test_the_details_hold_the_shortest_feasible_duration():
-    assert planned(*SHORT_BUDGET).details["shortest_duration_s"] == pytest.approx(SHORTEST, rel=MINIMUM_TIME)
+def test_the_verdict_has_the_shortest_feasible_duration():
+    assert planned(*SHORT_BUDGET).verdict.remedy["motion.duration_s"] == pytest.approx(SHORTEST, rel=MINIMUM_TIME)
 
 
 @pytest.mark.slow
-def test_the_details_hold_the_effort_with_which_the_time_would_do():
+def test_the_verdict_has_the_effort_with_which_the_time_would_do():
     """The least peak effort is bang-bang: the limit whose own least time is the one asked for."""
     enough = brentq(lambda limit: LOADED.minimum_time(START, GOAL, -limit, limit) - 0.10, 100.0, 300.0, xtol=1e-12)
-    details = planned(*SHORT_BUDGET).details
-    assert details["needed_effort"] == pytest.approx(enough, rel=NEEDED_EFFORT)
-    assert details["needed_limit_factor"] == pytest.approx(enough / LIMIT, rel=NEEDED_EFFORT)
+    verdict = planned(*SHORT_BUDGET).verdict
+    assert abs(verdict.overruns[0].value) == pytest.approx(enough, rel=NEEDED_EFFORT)
+    assert verdict.needed_factor == pytest.approx(enough / LIMIT, rel=NEEDED_EFFORT)
 
 
 @pytest.mark.slow
 def test_the_effort_that_the_sentence_names_is_enough():
-    needed = 1.0001 * planned(*SHORT_BUDGET).details["needed_effort"]
+    needed = 1.0001 * abs(planned(*SHORT_BUDGET).verdict.overruns[0].value)
     plan = planned(*SHORT_BUDGET, f"limits.effort.act_O=[{-needed}, {needed}]")
     assert plan.status == "optimal", plan.message
 
@@ -118,7 +118,7 @@ def test_the_effort_that_the_sentence_names_is_enough():
 def test_the_shortest_duration_is_the_border_between_feasible_and_not(share, status):
     plan = planned("knee-reach", f"motion.duration_s={share * SHORTEST}")
     assert plan.status == status, plan.message
-    assert status == "optimal" or plan.details["needed_limit_factor"] > 1
+    assert status == "optimal" or plan.verdict.needed_factor > 1
 
 
 def test_an_exact_reference_s_worst_instant_is_the_reference_table_s():

@@ -103,10 +103,8 @@ def test_a_tenth_of_the_least_time_is_far_too_short(share, refused):
     found = far_too_short(search_for(asked))
     assert (found is not None) is refused
     if refused:
-        said, numbers = found
-        assert numbers["shortest_duration_s"] == pytest.approx(least, rel=2e-3)
-        assert f"is {1 / share:.3g} times too short" in said.sentence
-        assert said.remedy == {"motion.duration_s": numbers["shortest_duration_s"]}
+        assert found.remedy["motion.duration_s"] == pytest.approx(least, rel=2e-3)
+        assert f"is {1 / share:.3g} times too short" in found.sentence
 
 
 def test_of_an_excess_that_lasts_its_first_instant_is_named():
@@ -223,7 +221,7 @@ def test_the_least_factor_in_any_time_is_the_weight_over_the_limit():
     problem = body_problem(TOO_WEAK, LIFTED + 'duration_s = "free"\n', "objective.minimize=time")
     plan = reasons.efforts_by_the_phase_plane(search_for(problem))
     assert plan.status == "infeasible"
-    assert plan.details["needed_limit_factor"] == pytest.approx(MASS * G / WEAK, rel=FACTOR)
+    assert plan.verdict.needed_factor == pytest.approx(MASS * G / WEAK, rel=FACTOR)
     assert "in any time: motor on joint J would have to give 19.6" in plan.message
 
 
@@ -246,7 +244,7 @@ def test_a_thousandth_too_little_time_is_infeasible_though_a_motion_with_errors_
     case = random_case(4244, 99)
     plan = plan_motion(Problem.from_tables("too short", case.tables))
     assert plan.status == "infeasible", plan.message
-    assert plan.details["shortest_duration_s"] == pytest.approx(case.shortest, rel=1e-7)
+    assert plan.verdict.remedy["motion.duration_s"] == pytest.approx(case.shortest, rel=1e-7)
     assert case.tables["motion"]["duration_s"] == pytest.approx(0.999 * case.shortest)
 
 
@@ -263,7 +261,7 @@ def test_a_phase_plane_that_leaves_out_a_servo_s_ctrl_does_not_contradict_the_ef
     diagnoses = (reasons.efforts_contradicted, reasons.efforts, reasons.nothing_found)
     plan = plan_motion(problem, diagnoses=diagnoses)
     assert plan.status == "infeasible", plan.message
-    assert plan.details["shortest_duration_s"] == pytest.approx(2.0328, abs=1e-4)
+    assert plan.verdict.remedy["motion.duration_s"] == pytest.approx(2.0328, abs=1e-4)
 
 
 SHORTEST = KNEE_TABLE["min_time_rest_to_rest"]["shank_s"]
@@ -276,7 +274,7 @@ def test_a_reach_in_a_millisecond_is_answered_without_a_solve():
     plan = planned("knee-reach", TOO_SHORT)
     assert plan.status == "infeasible"
     assert plan.history == ()
-    assert plan.details["shortest_duration_s"] == pytest.approx(SHORTEST, rel=PHASE_PLANE)
+    assert plan.verdict.remedy["motion.duration_s"] == pytest.approx(SHORTEST, rel=PHASE_PLANE)
     assert "122 times too short" in plan.message
     assert "the shortest feasible duration is about 0.1219 s" in plan.message
     assert f"times its limit of {LIMIT:g}" in plan.message
@@ -290,7 +288,8 @@ def test_the_factor_is_that_of_inverse_dynamics_along_the_smoothest_path():
     a = (GOAL - START) * (60 * x - 180 * x**2 + 120 * x**3) / T**2
     q = follow(mechanism, s[:, None], planned("knee-reach").trajectory.start_pose)
     effort, _ = needed_effort(mechanism, q, v[:, None], a[:, None])
-    found = planned("knee-reach", TOO_SHORT).details["smooth_path_limit_factor"]
+    asked = problem_of("knee-reach", TOO_SHORT)
+    found = path_effort(asked, search_for(asked).smooth).factor
     assert found == pytest.approx(np.abs(effort).max() / LIMIT, rel=0.01)
 
 
@@ -334,10 +333,10 @@ def test_with_several_motors_the_least_time_ends_the_search_for_a_motion_in_too_
     asked = {"duration_s": 0.98 * least_s, "minimize": "effort"}
     plan = plan_motion(leg(**asked))
     assert plan.status == "infeasible"
-    assert plan.details["shortest_duration_s"] == pytest.approx(least_s, rel=1e-4)
+    assert plan.verdict.remedy["motion.duration_s"] == pytest.approx(least_s, rel=1e-4)
     failed = [step.what for step in plan.history if not step.converged]
     assert len(failed) <= 2, failed  # two starts; neither further ones nor swings
-    factor = 1.002 * plan.details["needed_limit_factor"]
+    factor = 1.002 * plan.verdict.needed_factor
     stronger = {name: [-factor * effort, factor * effort] for name, effort in efforts.items()}
     assert plan_motion(leg(**asked, limits={"effort": stronger})).status == "optimal"
 

@@ -194,7 +194,7 @@ def test_a_known_motion_within_the_time_asked_forbids_the_word_infeasible(monkey
         search.known.add(optimal("knee-reach", f"motion.duration_s={known * asked}").trajectory)
 
     monkeypatch.setattr(reasons, "shortest_motion", found)
-    plan = reasons._infeasible(search, infeasible("act_O would have to give more than it can"), {})
+    plan = reasons._infeasible(search, infeasible("act_O would have to give more than it can"))
     assert plan.status == status
     assert plan.message.startswith(status)
     assert ("infeasible" in plan.message) == (status == "infeasible")
