@@ -19,7 +19,7 @@ from linkplan.models.closure import newton
 from linkplan.models.closure.equations import Closure, earlier_pin
 from linkplan.models.closure.mobility import Mobility, judge_mobility, locked_by
 from linkplan.models.closure.newton import KinematicLoop, nearest_closed_pose
-from linkplan.models.closure.rank import FILE_ROUNDING_SHARE, ROUNDING_SHARE
+from linkplan.models.closure.rank import FILE_ROUNDING_SHARE, ROUNDING_SHARE, blocks
 from linkplan.models.errors import AssemblyError, LockedError, ModelError, UnassembledError
 from linkplan.models.kinematics import data_at, tied_points
 from linkplan.models.reading import key_text
@@ -76,7 +76,7 @@ def removable_gaps(loop: KinematicLoop, reference: np.ndarray) -> np.ndarray:
         if closure.kind != "point" or closure.rows.stop - closure.rows.start != 3:
             continue
         rates = np.hstack([jacobian[closure.rows] for jacobian in jacobians])
-        left, size, _ = np.linalg.svd(rates)
+        left, size, _ = np.linalg.svd(np.linalg.qr(rates.T, mode="r").T)
         directions = left[:, size <= _STILL_SHARE * size[0]]
         still[closure.rows] = directions @ (directions.T @ phi[closure.rows])
     return still
@@ -367,13 +367,13 @@ def refuse_singular_assembly(
         UnassembledError: if the pose is singular.
     """
     rank, held = loop.rank(pose), independent.tolist()
-    rest = [i for i in range(len(loop.joints)) if i not in held]
+    tied = blocks(loop.pattern)
     # The rank is checked first: where several loops lie flat at once, a joint that cannot move alone is no sign of a lock.
     away = [q for q in about if np.abs((q - pose) / loop.unit).max() > 0.5 * _NEARBY_STEP]
     _refuse_lower_rank(loop, rank, away)
     neighbours = list(about)
     for index in held:
-        moved = False
+        moved, rest = False, [int(i) for _, joints in tied if index in joints for i in joints if i not in held]
         for step in _HOME_STEPS:
             for change in (step, -step):
                 trial = np.array(pose)

@@ -78,6 +78,11 @@ class KinematicLoop:
         jacobian.ravel()[_places(self.function)] = entries
         return phi, jacobian
 
+    @property
+    def pattern(self) -> np.ndarray:
+        """A mask (n_rows, n_q) of the entries of J that are not zero at every pose."""
+        return np.array(ca.DM(self.function.sparsity_out(1), 1.0).full() != 0)
+
     def gap(self, phi: np.ndarray) -> float:
         """Return the largest gap [m] in values of phi; an angle counts with its lever."""
         return self.widest(phi)[0]

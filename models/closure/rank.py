@@ -19,9 +19,25 @@ ROUNDING_SHARE = 1e-9
 FILE_ROUNDING_SHARE = 1e-6
 
 
+def blocks(pattern: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Return the rows and columns of the diagonal blocks of a matrix with nonzeros `pattern` (m, n), without zero columns.
+
+    Columns that share a row are of one block; in a closure's Jacobian these are the joints of loops that share joints.
+    """
+    of, last = np.arange(pattern.shape[1]), None
+    while last is None or np.any(of != last):  # each column takes the least number among those that it shares a row with
+        last, by_row = of, np.where(pattern, of, len(of)).min(axis=1, initial=len(of))
+        of = np.minimum(of, np.where(pattern, by_row[:, None], len(of)).min(axis=0, initial=len(of)))
+    columns = [np.flatnonzero(of == block) for block in np.unique(of[pattern.any(axis=0)])]
+    return [(np.flatnonzero(pattern[:, block].any(axis=1)), block) for block in columns]
+
+
 def shares(jacobian: np.ndarray) -> np.ndarray:
-    """Return the singular values of a matrix as shares of the largest."""
-    values = np.linalg.svd(jacobian, compute_uv=False) if jacobian.size else np.zeros(0)
+    """Return the singular values of a matrix as shares of the largest, in descending order."""
+    values = np.zeros(min(jacobian.shape))
+    found = [np.linalg.svd(jacobian[np.ix_(*block)], compute_uv=False) for block in blocks(jacobian != 0)]
+    known = np.sort(np.concatenate([[], *found]))[::-1]
+    values[: len(known)] = known
     return values / values.max(initial=np.finfo(float).tiny)
 
 

@@ -75,7 +75,7 @@ def evaluated(function: ca.Function, *arguments: np.ndarray, outputs: int | None
 @functools.lru_cache(maxsize=64)
 def mapped(function: ca.Function, n: int) -> ca.Function:
     """Return a function mapped over n samples, cached because motions on the same mesh need the same ones."""
-    return function.map(n)
+    return function if n == 1 else function.map(n)
 
 
 def over_columns(function: ca.Function, lanes: int, n: int) -> Callable:

@@ -10,7 +10,7 @@ import numpy as np
 from linkplan.models.closure import newton
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls, sampled
+from linkplan.models.poses.along import RANGE_ROUNDING, beyond_balls
 from linkplan.models.poses.assembly import advance, continue_to, in_loops, step_sizes, steps_to, strides
 from linkplan.models.poses.period import returned, travel_scales, turn_of
 from linkplan.models.poses.sign_change import sign_change
@@ -21,6 +21,7 @@ from linkplan.models.poses.singular_poses import (
     least_values,
     local_minima,
 )
+from linkplan.models.reduction.closing import rates_at
 from linkplan.models.tree.joints import Joint
 
 # Neighbours on either side in a spline of poses. Its error at steps of half a degree is below 1e-8.
@@ -84,7 +85,7 @@ class Reach:
         return self.home - self.period / 2, self.home + self.period / 2
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=1024)
 def reach(mechanism: Mechanism, coordinate: int = 0) -> Reach:
     """Return the reach of an independent joint on the home branch.
 
@@ -336,7 +337,7 @@ def _singular_pose(mechanism: Mechanism, near: np.ndarray, coordinate: int) -> n
     return np.array(near)
 
 
-@functools.lru_cache(maxsize=64)
+@functools.lru_cache(maxsize=1024)
 def toggles(mechanism: Mechanism, coordinate: int = 0) -> tuple[tuple[int, float], ...]:
     """Return the dead centres (joint, independent position) in a reach: where rates of dependent joints change sign."""
     if not in_loops(mechanism)[coordinate]:
@@ -361,7 +362,7 @@ def _turning_point(mechanism: Mechanism, coordinate: int, ends: np.ndarray, join
     """Return the independent position where a joint's rate changes sign between two poses (2, n_q)."""
 
     def rate(pose: np.ndarray) -> float:
-        return float(np.array(mechanism.dynamics.velocity_map(pose))[joint, coordinate])
+        return float(rates_at(mechanism.dynamics, pose[None], coordinate)[0, joint])
 
     return float(_pose_where(mechanism, ends[0], ends[1], coordinate, rate)[mechanism.independent[coordinate]])
 
@@ -372,7 +373,7 @@ def _turning_points(mechanism: Mechanism, coordinate: int, poses: np.ndarray) ->
     The position is NaN if no single stride leads there from the pose before.
     """
     index, found, between = mechanism.independent[coordinate], [], []
-    rates = sampled(mechanism.dynamics.velocity_map, poses)[:, :, coordinate]
+    rates = rates_at(mechanism.dynamics, poses, coordinate)
     rates[np.abs(rates) < ROUNDING_SHARE] = 0.0
     for joint in mechanism.dependent.tolist():
         moving = np.flatnonzero(rates[:, joint]).tolist()  # the rate at a dead centre itself has no sign
@@ -391,7 +392,7 @@ def _turning_points(mechanism: Mechanism, coordinate: int, poses: np.ndarray) ->
         s = poses[gaps][:, mechanism.independent]
         s[:, coordinate] = x
         there = strides(mechanism, poses[gaps], s)
-        return sampled(mechanism.dynamics.velocity_map, there)[np.arange(len(gaps)), joints, coordinate]
+        return rates_at(mechanism.dynamics, there, coordinate)[np.arange(len(gaps)), joints]
 
     places = sign_change(rate, poses[gaps, index], poses[gaps + 1, index], xtol=1e-11)
     return [*found, *zip(gaps.tolist(), joints.tolist(), places.tolist(), strict=True)]

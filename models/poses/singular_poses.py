@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import casadi as ca
 import numpy as np
 
+from linkplan.models.closure.rank import blocks
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import sampled
 from linkplan.models.tree.joints import unit_steps
@@ -32,22 +33,32 @@ def least_values(mechanism: Mechanism, q: np.ndarray) -> np.ndarray:
     Columns of slides are multiplied by the extent.
     """
     poses = np.asarray(q)[None]
-    return np.array([_least_along(mechanism, poses, columns)[0] for columns in (slice(None), mechanism.dependent)])
+    return np.array([_least_along(mechanism, poses, dependent=dependent)[0] for dependent in (False, True)])
 
 
-def _least_along(mechanism: Mechanism, poses: np.ndarray, columns: slice | np.ndarray) -> np.ndarray:
-    """Return the r-th largest singular value (n,), r as in `least_values`, of some columns of J at poses (n, n_q)."""
+def _least_along(mechanism: Mechanism, poses: np.ndarray, *, dependent: bool) -> np.ndarray:
+    """Return the r-th largest singular value (n,), r as in `least_values`, of J or of J_z at poses (n, n_q)."""
     rank = len(mechanism.dependent)
     if rank == 0:
         return np.ones(len(poses))
-    chosen, unit = np.arange(mechanism.n_q)[columns], unit_steps(mechanism.joints, mechanism.extent_m)
     found = []
-    for part in _parts(mechanism):
-        moves = len(poses) > 0 and bool(np.ptp(poses[:, part.columns], axis=0).any())
-        J = sampled(part.jacobian, poses if moves else poses[:1]) * unit[part.columns]
-        values = np.linalg.svd(J[:, :, np.isin(part.columns, chosen)], compute_uv=False)
+    for part, at_home in zip(_parts(mechanism), _values_at_home(mechanism, dependent=dependent), strict=True):
+        moved = np.any(poses[:, part.columns] != mechanism.home[part.columns])
+        values = _values(mechanism, part, poses, dependent=dependent) if moved else at_home
         found.append(np.broadcast_to(values, (len(poses), values.shape[1])))
     return np.sort(np.hstack(found), axis=1)[:, -rank]
+
+
+@functools.lru_cache(maxsize=16)
+def _values_at_home(mechanism: Mechanism, *, dependent: bool) -> list[np.ndarray]:
+    """Return `_values` (1, k) at home of each part."""
+    return [_values(mechanism, part, mechanism.home[None], dependent=dependent) for part in _parts(mechanism)]
+
+
+def _values(mechanism: Mechanism, part: "_Part", poses: np.ndarray, *, dependent: bool) -> np.ndarray:
+    """Return the singular values (n, k) at poses (n, n_q) of a part's block of J or of J_z."""
+    J = sampled(part.jacobian, poses) * unit_steps(mechanism.joints, mechanism.extent_m)[part.columns]
+    return np.linalg.svd(J[:, :, np.isin(part.columns, mechanism.dependent)] if dependent else J, compute_uv=False)
 
 
 @dataclass(frozen=True, eq=False, slots=True)
@@ -64,13 +75,8 @@ def _parts(mechanism: Mechanism) -> list[_Part]:
     q = ca.SX.sym("q", mechanism.n_q)
     J = mechanism.dynamics.closure_jacobian(q)
     pattern = np.array(ca.DM(mechanism.dynamics.closure.jac_sparsity(0, 0), 1.0), dtype=bool)
-    of = np.arange(mechanism.n_q)  # joints that a row ties are of one part
-    for tied in pattern[pattern.any(axis=1)]:
-        of[np.isin(of, of[tied])] = of[tied].min()
     found = []
-    for part in np.unique(of[pattern.any(axis=0)]):
-        columns = np.flatnonzero(of == part)
-        rows = np.flatnonzero(pattern[:, columns].any(axis=1))
+    for rows, columns in blocks(pattern):
         block = ca.densify(J[rows.tolist(), columns.tolist()])
         found.append(_Part(columns, ca.Function("part", [q], [block])))
     return found
@@ -94,7 +100,7 @@ def local_minima(mechanism: Mechanism, poses: np.ndarray) -> list[int]:
     """Return the inner samples of poses (n, n_q) at which the least singular value of J_z has a low local minimum."""
     if len(mechanism.dependent) == 0 or len(poses) < 3:
         return []
-    values = _least_along(mechanism, poses, mechanism.dependent)
+    values = _least_along(mechanism, poses, dependent=True)
     at_home = least_values(mechanism, mechanism.home)[1]
     inner = values[1:-1]
     lowest = (inner <= values[:-2]) & (inner <= values[2:]) & (inner < _SUSPECT_SHARE * at_home)
@@ -104,7 +110,7 @@ def local_minima(mechanism: Mechanism, poses: np.ndarray) -> list[int]:
 def all_regular(mechanism: Mechanism, poses: np.ndarray) -> bool:
     """Return True if the least singular value of J_z is far from zero at all poses (n, n_q)."""
     at_home = least_values(mechanism, mechanism.home)[1]
-    return bool(np.all(_least_along(mechanism, poses, mechanism.dependent) >= _SUSPECT_SHARE * at_home))
+    return bool(np.all(_least_along(mechanism, poses, dependent=True) >= _SUSPECT_SHARE * at_home))
 
 
 def is_singular(mechanism: Mechanism, q: np.ndarray) -> bool:

@@ -88,29 +88,58 @@ def calls_near(dynamics: ReducedDynamics) -> list[tuple[ca.Function, int]]:
 
 
 @functools.lru_cache(maxsize=64)
+def moved_entries(dynamics: ReducedDynamics) -> np.ndarray:
+    """Return the indices of the entries of Gamma, by columns, that are not zero at every pose."""
+    q = ca.SX.sym("q", dynamics.closure.size1_in(0))
+    rows, columns = ca.sparsify(dynamics.velocity_map(q)).sparsity().get_triplet()
+    return np.array(columns, dtype=int) * q.numel() + np.array(rows, dtype=int)
+
+
+@functools.lru_cache(maxsize=64)
 def stretch(dynamics: ReducedDynamics, length: int = 1) -> ca.Function:
     """Return the function of `length` strides: (state, positions) -> states, the closure's residuals phi, corrections of z.
 
-    A state contains a pose, its Gamma by columns and the determinants of J_z's blocks. These are evaluated before the last
-    Newton step, which shares their factorisation. The corrections (2 n_z,) are Newton's whole correction, and its last step.
+    A state contains a pose, the `moved_entries` of its Gamma and the determinants of J_z's blocks. These are evaluated
+    before the last Newton step, which shares their factorisation. The corrections (2 n_z,) are Newton's whole correction,
+    and its last step.
     """
     if length > 1:
         return stretch(dynamics).mapaccum(length)
     n_q, n_s = dynamics.velocity_map.size_out(0)
-    state = ca.MX.sym("state", n_q + n_q * n_s + dynamics.closure_step.size1_out(2))
+    entries = moved_entries(dynamics)
+    pattern = ca.Sparsity.triplet(n_q, n_s, (entries % n_q).tolist(), (entries // n_q).tolist())
+    state = ca.MX.sym("state", n_q + len(entries) + dynamics.closure_step.size1_out(2))
     target = ca.MX.sym("target", n_s)
-    before = predicted(dynamics, state[:n_q], ca.reshape(state[n_q : n_q + n_q * n_s], n_q, n_s), target)
+    before = predicted(dynamics, state[:n_q], ca.MX(pattern, state[n_q : n_q + len(entries)]), target)
     q, dependent = corrected(dynamics, before, _NEWTON_STEPS - 1), list(dynamics.dependent)
     step, gamma, determinants = dynamics.closure_step(q)
     q[dependent] += step
-    after, corrections = ca.vertcat(q, ca.vec(gamma), determinants), ca.vertcat((q - before)[dependent], step)
+    after, corrections = (
+        ca.vertcat(q, ca.vec(gamma)[entries.tolist()], determinants),
+        ca.vertcat((q - before)[dependent], step),
+    )
     return ca.Function("stride", [state, target], [after, dynamics.independent_closure(q), corrections])
+
+
+@functools.lru_cache(maxsize=64)
+def _state(dynamics: ReducedDynamics) -> ca.Function:
+    """Return the function q -> state of `stretch`."""
+    q = ca.MX.sym("q", dynamics.closure.size1_in(0))
+    _, gamma, determinants = dynamics.closure_step(q)
+    return ca.Function("state", [q], [ca.vertcat(q, ca.vec(gamma)[moved_entries(dynamics).tolist()], determinants)])
 
 
 def states_at(dynamics: ReducedDynamics, q: np.ndarray) -> np.ndarray:
     """Return the states of `stretch` at poses q (n, n_q)."""
-    _, gamma, determinants = evaluated(mapped(dynamics.closure_step, len(q)), q.T)
-    return np.hstack([q, gamma.ravel(order="F").reshape(len(q), -1), determinants.T])
+    return evaluated(mapped(_state(dynamics), len(q)), q.T)[0].T
+
+
+def rates_at(dynamics: ReducedDynamics, q: np.ndarray, coordinate: int) -> np.ndarray:
+    """Return the rates (n, n_q) of all joints by that of one independent coordinate at poses q (n, n_q)."""
+    rates, n_q, entries = np.zeros(q.shape), q.shape[1], moved_entries(dynamics)
+    of = entries // n_q == coordinate
+    rates[:, entries[of] % n_q] = states_at(dynamics, q)[:, n_q : n_q + len(entries)][:, of]
+    return rates
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
@@ -129,8 +158,8 @@ def are_regular(
     closing: Closing, before: np.ndarray, after: np.ndarray, phi: np.ndarray, corrections: np.ndarray
 ) -> np.ndarray:
     """Return a mask (n,) of the regular strides between states (n, ...)."""
-    dependent, (n_q, n_s) = list(closing.dynamics.dependent), closing.dynamics.velocity_map.size_out(0)
-    (gamma, dets), (gamma_after, dets_after) = (np.split(x[:, n_q:], [n_q * n_s], axis=1) for x in (before, after))
+    dependent, n_q, n = list(closing.dynamics.dependent), len(closing.step_size), len(moved_entries(closing.dynamics))
+    (gamma, dets), (gamma_after, dets_after) = (np.split(x[:, n_q:], [n], axis=1) for x in (before, after))
     sizes = np.max(np.abs(after - before)[:, :n_q] / closing.step_size, axis=1, initial=0.0)
     moved, last = (np.max(np.abs(x) / closing.step_size[dependent], axis=1, initial=0.0) for x in np.hsplit(corrections, 2))
     regular = (np.abs(phi).max(axis=1, initial=0.0) <= CLOSED_M) & (moved < _MAX_CORRECTION_SHARE)

@@ -10,7 +10,7 @@ loops, so a tracked plan differs from the plan by the gap. MuJoCo's gap r of a c
 gaps here are those of `Closure`, in metres of the joint that moves less.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import mujoco
@@ -145,34 +145,37 @@ def held_gap(mechanism: Mechanism, pose: np.ndarray, hold: np.ndarray) -> float:
 def loaded_closures(
     mechanism: Mechanism, pose: np.ndarray, speed: np.ndarray, acceleration: np.ndarray, effort: np.ndarray
 ) -> LoadedClosures:
-    """Return the closures and their forces at a pose (n_q,), moving (n_s,) under efforts (n_u,).
+    """Return the closures and their forces at a pose (n_q,), moving (n_s,) under efforts (n_u,)."""
+    return closures_under(mechanism, pose, speed, [(acceleration, effort)])[0]
+
+
+def closures_under(
+    mechanism: Mechanism, pose: np.ndarray, speed: np.ndarray, loads: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> list[LoadedClosures]:
+    """Return the closures at a pose (n_q,), moving (n_s,), under each of several accelerations (n_s,) and efforts (n_u,).
 
     With J the rows of the equality constraints, the forces f follow from J^T f = M q'' + h - tau. The dependent joints'
     accelerations are those at low speeds, Gamma s''.
     """
     model = mechanism.model
     if not mechanism.closures:
-        return LoadedClosures(laws=[], forces=[])
+        return [LoadedClosures(laws=[], forces=[]) for _ in loads]
     data, gamma = mujoco.MjData(model), np.array(mechanism.dynamics.velocity_map(pose))
     data.qpos[:], data.qvel[:] = mechanism.qpos_of(pose), mechanism.qvel_of(pose, gamma @ speed)
     mujoco.mj_forward(model, data)
     rows, free = equality_rows(model, data)
     springs = data.qfrc_passive + simulated_gas_springs(model, data)
-    pushed = rows @ free @ (springs - data.qfrc_bias + _joint_efforts(mechanism, pose, effort))
-    pushed -= rows @ mechanism.qvel_of(pose, gamma @ acceleration)
-    force = np.linalg.lstsq(rows @ free @ rows.T, -pushed, rcond=ROUNDING_SHARE)[0]
+    on_joints = np.array(mechanism.dynamics.effort_matrix(pose)).reshape(mechanism.n_q, -1)
+    accelerations, efforts = (np.array(values).T for values in zip(*loads, strict=True))
+    units = np.array([mechanism.qvel_of(pose, unit) for unit in np.eye(mechanism.n_q)]).T  # (nv, n_q)
+    driven = np.linalg.solve(units.T, on_joints @ efforts)
+    pushed = rows @ free @ ((springs - data.qfrc_bias)[:, None] + driven)
+    pushed -= rows @ units @ gamma @ accelerations
+    forces = np.linalg.lstsq(rows @ free @ rows.T, -pushed, rcond=ROUNDING_SHARE)[0]
     parts = list(_closure_laws(mechanism, data))
-    return LoadedClosures(
-        laws=[(name, index, law) for name, index, _, law in parts],
-        forces=[float(np.linalg.norm(force[of])) for _, _, of, _ in parts],
-    )
-
-
-def _joint_efforts(mechanism: Mechanism, pose: np.ndarray, effort: np.ndarray) -> np.ndarray:
-    """Return the forces (nv,) on MuJoCo's degrees of freedom by the actuators' efforts (n_u,) at a pose (n_q,)."""
-    on_joints = np.array(mechanism.dynamics.effort_matrix(pose)).reshape(mechanism.n_q, -1) @ effort
-    units = np.array([mechanism.qvel_of(pose, unit) for unit in np.eye(mechanism.n_q)])
-    return units.T @ on_joints
+    laws = [(name, index, law) for name, index, _, law in parts]
+    norms = np.array([np.linalg.norm(forces[of], axis=0) for _, _, of, _ in parts]).reshape(-1, len(loads))
+    return [LoadedClosures(laws=laws, forces=of_all.tolist()) for of_all in norms.T]
 
 
 def _closure_laws(mechanism: Mechanism, data: mujoco.MjData) -> Iterator[tuple[str, int, np.ndarray, ClosureLaw]]:
@@ -199,16 +202,18 @@ def weight_load(mechanism: Mechanism) -> LoadedClosures:
 
 
 def _loads(mechanism: Mechanism) -> list[LoadedClosures]:
-    """Yield the closures at home: while the weight is held, then under each actuator alone at each of its limits."""
-    home, still, loads = mechanism.home, np.zeros(mechanism.dof), [weight_load(mechanism)]
-    for j, actuator in enumerate(mechanism.actuators):
-        for end in (actuator.lower, actuator.upper):
-            if np.isfinite(end) and end != 0:
-                effort = np.zeros(mechanism.n_u)
-                effort[j] = end
-                gained = acceleration_at(mechanism.dynamics, home, still, effort)
-                loads.append(replace(loaded_closures(mechanism, home, still, gained, effort), actuator=actuator.name))
-    return loads
+    """Return the closures at home: while the weight is held, then under each actuator alone at each of its limits."""
+    home, still = mechanism.home, np.zeros(mechanism.dof)
+    ends = [
+        (actuator.name, end * unit)
+        for actuator, unit in zip(mechanism.actuators, np.eye(mechanism.n_u), strict=True)
+        for end in (actuator.lower, actuator.upper)
+        if np.isfinite(end) and end != 0
+    ]
+    gained = [(acceleration_at(mechanism.dynamics, home, still, effort), effort) for _, effort in ends]
+    under = closures_under(mechanism, home, still, gained) if gained else []
+    by = [replace(closures, actuator=name) for closures, (name, _) in zip(under, ends, strict=True)]
+    return [weight_load(mechanism), *by]
 
 
 def steady_gap(push: float, stiffness: float, solimp: np.ndarray) -> float:
