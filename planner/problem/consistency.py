@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from linkplan.models.actuation.distribution import missed_rounding
+from linkplan.models.actuation.distribution import UNLIMITED, distribute, missed_rounding
 from linkplan.models.audit import audit
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import demanded, distributed, sliding_friction
+from linkplan.models.poses.along import demanded, sliding_friction
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.problem.instant import Robust, corner_out_of_reach, near_home
 from linkplan.planner.problem.keys.limits import Motor
@@ -126,28 +126,41 @@ def check_node_at_end(motion: Motion, mechanism: Mechanism, mesh: MeshSettings) 
 
 def rest_notes(motion: Motion, mechanism: Mechanism, limits: Limits) -> list[str]:
     """Return the notes on a start and a goal at rest that no efforts within their limits hold, apart from dry friction."""
-    notes = []
-    for name in ("start", "goal") if motion.kind in ("reach", "follow") and mechanism.forces is None else ():
-        s, speed = getattr(motion, name), getattr(motion, f"{name}_speed")
-        if s is None or (name == "goal" and motion.goal_is_free) or (speed is not None and np.any(speed)):
-            continue
-        try:
-            pose, still = close_at(mechanism, s)[None], np.zeros((1, mechanism.dof))
-        except AssemblyError:  # the search says so
-            continue
-        tau, maps = demanded(mechanism, pose, still, still)
-        effort = np.clip(distributed(mechanism, tau, maps, limits.effort), *limits.effort.T)
-        missed = (tau - np.einsum("ksu,ku->ks", maps, effort))[0]
-        rub = [float(sliding_friction(mechanism, pose, column)[0]) for column in range(mechanism.dof)]
-        over = np.abs(missed) - missed_rounding(limits.effort) - rub
-        row = int(np.argmax(over))
-        if over[row] > 0:
-            joint = mechanism.independent_joints[row]
-            notes.append(
-                f"the motors cannot hold the {name} at rest: their limits lack {abs(missed[row]):.4g} {joint.si_units[1]} on"
-                f" joint {joint.name}, so the machine leaves it at once"
-            )
-    return notes
+    found = {name: lacking_at_rest(motion, mechanism, limits, name) for name in ("start", "goal")}
+    return [f"{words}, so the machine leaves it at once" for words in found.values() if words is not None]
+
+
+def lacking_at_rest(motion: Motion, mechanism: Mechanism, limits: Limits, name: str, free: Sequence[int] = ()) -> str | None:
+    """Return the words on the effort that the motors lack to hold "start" or "goal"; None if they hold it or it moves.
+
+    Independent coordinates in `free` may have an acceleration there.
+    """
+    s, speed = getattr(motion, name), getattr(motion, f"{name}_speed")
+    if motion.kind not in ("reach", "follow") or mechanism.forces is not None or s is None:
+        return None
+    if (name == "goal" and motion.goal_is_free) or (speed is not None and np.any(speed)):
+        return None
+    try:
+        pose, still = close_at(mechanism, s)[None], np.zeros((1, mechanism.dof))
+    except AssemblyError:  # the search says so
+        return None
+    tau, maps = demanded(mechanism, pose, still, still)
+    inertia = np.array(mechanism.dynamics.reduced_inertia(pose[0]))[None, :, list(free)]
+    # Free accelerations are efforts of further actuators, without limits.
+    maps = np.concatenate([maps, -inertia], axis=2)
+    limit = np.vstack([limits.effort, np.tile(UNLIMITED, (len(free), 1))])
+    effort = np.clip(distribute(tau, maps, limit), *limit.T)
+    missed = (tau - np.einsum("ksu,ku->ks", maps, effort))[0]
+    rub = [float(sliding_friction(mechanism, pose, column)[0]) for column in range(mechanism.dof)]
+    over = np.abs(missed) - missed_rounding(limits.effort) - rub
+    row = int(np.argmax(over))
+    if over[row] <= 0:
+        return None
+    joint = mechanism.independent_joints[row]
+    return (
+        f"the motors cannot hold the {name} at rest: their limits lack {abs(missed[row]):.4g} {joint.si_units[1]} on joint"
+        f" {joint.name}"
+    )
 
 
 def check_turning_joints(motion: Motion, mechanism: Mechanism, limits: Limits) -> None:

@@ -22,11 +22,14 @@ from linkplan.models.poses.singular_poses import all_regular
 from linkplan.models.tree.friction import frictions_of
 from linkplan.models.tree.joints import POSITION_ROUNDING, Joint
 from linkplan.planner.certificate.integration import POSE_SLACK
+from linkplan.planner.limits.efforts import holds_at_rest
 from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.limit import Limit
+from linkplan.planner.limits.rates import smooth_columns
 from linkplan.planner.limits.samples import Poses
 from linkplan.planner.phase_plane.grid import plane_of
 from linkplan.planner.plan.verdict import Overrun, Verdict, infeasible
+from linkplan.planner.problem.consistency import lacking_at_rest
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import Task
 
@@ -109,6 +112,7 @@ def plain_contradiction(problem: Problem) -> Verdict | None:
         _branches_on_the_way,
         _beyond_ctrl,
         _pose_beyond,
+        _not_held,
         no_way_to_stop,
         _mean_speed,
         _too_weak_on_the_path,
@@ -130,6 +134,19 @@ def _speed_at_an_end(problem: Problem) -> Verdict | None:
                     f" beyond its speed limit of {joint.text(bound, 4)} {joint.unit}/s"
                 )
                 return infeasible(words, known_by="every motion", overruns=(_speed(joint, value[column], bound),))
+    return None
+
+
+def _not_held(problem: Problem) -> Verdict | None:
+    """Return the verdict on a start or goal at rest that limits forbid to leave with an acceleration, and no motor holds."""
+    smooth, columns = smooth_columns(problem), range(problem.mechanism.dof)
+    for name, held in zip(("start", "goal"), holds_at_rest(problem), strict=True):
+        still = columns if held else smooth
+        free = [column for column in columns if column not in still]
+        words = lacking_at_rest(problem.motion, problem.mechanism, problem.limits, name, free) if still else None
+        if words is not None:
+            why = "limits on effort rates ask for" if held else "the limit or cost on jerk asks for"
+            return infeasible(f"{words}, and {why} no acceleration there", known_by="every motion")
     return None
 
 

@@ -2,7 +2,8 @@
 
 import pytest
 
-from linkplan.planner.problem.problem import Problem
+from linkplan.planner.problem.problem import Problem, load_problem
+from linkplan.planner.search.presolve import plain_contradiction
 
 # A pendulum whose weight needs 4.905 sin(angle) N.m.
 PENDULUM = """<mujoco><worldbody><body name="rod"><joint name="J" axis="0 1 0" {friction}/>
@@ -43,3 +44,21 @@ def test_a_start_is_noted_too():
         "the motors cannot hold the start at r",
         "the motors cannot hold the goal at re",
     ]
+
+
+@pytest.mark.parametrize("key", ["jerk_deg_s3", "effort_rate"])
+def test_limits_that_forbid_an_acceleration_at_rest_are_infeasible_there(key):
+    name = {"jerk_deg_s3": "J", "effort_rate": "m"}[key]
+    text = PENDULUM.format(friction="", motor="")
+    limits = {"speed_deg_s": {"J": 1e4}, key: {name: 1e7}}
+    asked = {"duration_s": "free", "minimize": "time", "limits": limits}
+    verdict = plain_contradiction(Problem.reach(text, start_deg={"J": 0.0}, goal_deg={"J": 90.0}, **asked))
+    assert (verdict.kind, verdict.known_by) == ("infeasible", "every motion")
+    assert "lack 1.905 N.m on joint J" in verdict.words
+
+
+def test_a_coordinate_whose_acceleration_is_free_need_not_be_held():
+    problem = load_problem("five-bar-reach").replace({"motion.duration_s": "free", "objective.minimize": "time"})
+    by_joint = {joint: plain_contradiction(problem.replace("limits.jerk_deg_s3", {joint: 1e6})) for joint in ("O1", "O2")}
+    assert by_joint["O2"] is None
+    assert "hold the goal at rest" in by_joint["O1"].words
