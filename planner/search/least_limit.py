@@ -11,6 +11,8 @@ from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, pertu
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
 from linkplan.planner.limits.kinds import factor_of
 from linkplan.planner.limits.limit import RELAXED_FACTOR, Limit
+from linkplan.planner.phase_plane.legs_motion import legs_motion
+from linkplan.planner.phase_plane.power_legs import power_legs
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import add_step, step_of
 from linkplan.planner.refinement.switches import MESH_ERROR_SHARE, find_bang_efforts, find_switch_times, mesh_with_switches
@@ -159,3 +161,37 @@ def least_relaxation(
         return trajectory_of(best.transcribed, best.x, problem.limits.effort)
     except AssemblyError:
         return motion
+
+
+def least_relaxation_of_legs(
+    problem: Problem, kind: type[Limit], start_pose: np.ndarray, motion: Trajectory
+) -> Trajectory | None:
+    """Return the legs of the phase plane with the least relaxation of a limit that take no longer than a motion.
+
+    A mesh encloses values between its nodes, so the limits that its motions need are too large by some percents.
+
+    Args:
+        problem: a reach of one degree of freedom with limits on all efforts.
+        kind: the kind of limit.
+        start_pose: the closed pose (n_q,) at the start.
+        motion: one with a relaxation that is too large or almost the least. If legs do not follow the limit, or its least
+            relaxation cannot be found with them, the result is None.
+    """
+    import scipy
+
+    far = factor_of(kind, problem, motion)
+    if far is None:
+        return None
+
+    def time_left(factor: float) -> float:
+        """Return the share of the duration that the legs leave; squares make it almost linear in the factor."""
+        legs = power_legs(kind.relaxed(problem, factor), start_pose)
+        return np.nan if legs is None else (motion.duration_s / float(legs[1][-1])) ** 2 - 1.0
+
+    far *= 1 + _FACTOR_RESOLUTION
+    if not time_left(1.0) < 0.0 <= time_left(far):
+        return None
+    with contextlib.suppress(ValueError):  # no legs at a factor between
+        least = scipy.optimize.brentq(time_left, 1.0, far, rtol=0.1 * _FACTOR_RESOLUTION)
+        return legs_motion(kind.relaxed(problem, least), start_pose)
+    return None

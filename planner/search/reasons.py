@@ -21,11 +21,11 @@ from linkplan.planner.plan.verdict import Overrun, Verdict, failed, infeasible
 from linkplan.planner.problem.extra import extras_not_finite
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import progress, recorded
-from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts, least_relaxation
+from linkplan.planner.search.least_limit import LeastLimit, least_limit_of_starts, least_relaxation, least_relaxation_of_legs
 from linkplan.planner.search.methods import SHORT_BUDGET, Search
 from linkplan.planner.search.presolve import plain_contradiction
 from linkplan.planner.search.solving import GRID_ERROR_FACTOR_AT_SPEED_LIMIT, first_mesh, longest, may_swing, solve_from
-from linkplan.planner.search.starts import enough_time, least_time_plan, may_be_too_short, no_time, shortest_motion
+from linkplan.planner.search.starts import enough_time, least_time_plan, may_be_too_short, no_time, one_way, shortest_motion
 from linkplan.planner.solvers.solve import INVALID, why_stopped
 
 # A duration below this share of the shortest motion's is certainly infeasible, because local least times are within
@@ -331,14 +331,17 @@ def _without(search: Search, kind: type[Limit]) -> Plan | None:
     found = solve_from(without(kind, problem), guess, mesh, durations, word)
     if found is None:
         return None
-    motion = found.motion
+    motion, known_by = found.motion, "search"
     if kind in relaxed_kinds(problem) and violation(kind, problem, motion) is not None:
         progress(f"searching for the least limit on {kind.key} with which there is a motion")
         motion = least_relaxation(problem, kind, motion, mesh, found.durations)
+        legs = least_relaxation_of_legs(problem, kind, search.start_pose, motion) if one_way(search) else None
+        motion, known_by = (motion, "search") if legs is None else (legs, "phase plane")
     over = violation(kind, problem, motion)
     if over is None:
         return None
-    return _infeasible(search, infeasible(over.sentence("would have to be"), overruns=(Overrun.of(over),)))
+    words = over.sentence("would have to be")
+    return _infeasible(search, infeasible(words, overruns=(Overrun.of(over),), known_by=known_by))
 
 
 def _infeasible(search: Search, verdict: Verdict, *, shortest: bool = True) -> Plan:

@@ -75,6 +75,11 @@ def no_time(search: Search) -> bool:
     return asked < known.trajectory.duration_s * (1 - 5e-5)
 
 
+def one_way(search: Search) -> bool:
+    """True if the phase plane has a quickest motion, and it turns back only where it must."""
+    return phase_plane_applies(search.problem) and search.quickest is not None and search.quickest.swings <= 1
+
+
 def enough_time(search: Search) -> bool:
     """True if the phase plane has a motion within the given time."""
     return search.quickest is not None and longest(search.problem) >= GRID_ERROR_FACTOR * search.quickest.duration_s

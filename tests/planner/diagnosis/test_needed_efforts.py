@@ -10,16 +10,19 @@ from scipy.optimize import brentq
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.closed_chain.guess import Guess, guess_from
+from linkplan.planner.limits.actuators import PowerLimit
+from linkplan.planner.limits.kinds import violation
+from linkplan.planner.limits.rates import AccelerationLimit
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.problem.problem import Problem, load_problem
 from linkplan.planner.refinement.history import recording
 from linkplan.planner.search import reasons
-from linkplan.planner.search.least_limit import LeastLimit
+from linkplan.planner.search.least_limit import LeastLimit, least_relaxation_of_legs
 from linkplan.planner.search.planning import plan_motion, search_for
 from linkplan.planner.search.reasons import effort_sentence, far_too_short, nothing_found, path_effort, share_sentence
 from linkplan.planner.trajectory import Trajectory
 from linkplan.planner.transcription.mesh import uniform
-from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, PENDULUM, QUARTER_TURN, TURN, body_problem
+from tests.support.bodies import HINGE, HINGE_INERTIA, LIFT, PENDULUM, QUARTER_TURN, TURN, body_problem, cart
 from tests.support.data import KNEE_TABLE
 from tests.support.fourbar import G
 from tests.support.fourbar_problems import random_case
@@ -347,3 +350,35 @@ def test_a_search_without_a_motion_and_a_reason_names_the_shortest_known_motion(
         search.known.motions[:] = [motion_along([0.0, duration_s], np.radians([10.0, 10.0, 100.0, 100.0]))]
         with recording():
             assert (f"the shortest motion found takes {duration_s:g} s" in nothing_found(search).message) is named
+
+
+# A mass of 2 kg pushed over 0.3 m in 0.5 s by a force that its limits on power and acceleration leave alone.
+MASS, FORCE, WAY, TIME = 2.0, 400.0, 0.3, 0.5
+
+
+def half_way(power: float) -> float:
+    """Return the way [m] in the first half of the time: a bang to the speed P / F, then constant power."""
+    speed = power / FORCE
+    bang = MASS * speed / FORCE
+    later = speed**2 + 2 * power * (TIME / 2 - bang) / MASS
+    return 0.5 * speed * bang + MASS / (3 * power) * (later**1.5 - speed**3)
+
+
+@pytest.mark.parametrize(
+    ("kind", "key", "name", "least"),
+    [
+        (AccelerationLimit, "acceleration_m_s2", "x", 4 * WAY / TIME**2),
+        (PowerLimit, "power_w", "push", brentq(lambda p: half_way(p) - WAY / 2, 1.0, 10.0)),
+    ],
+    ids=["acceleration", "power"],
+)
+def test_the_least_limit_of_a_motion_in_time_is_that_of_the_legs(kind, key, name, least):
+    def of(limit: float) -> Problem:
+        ends = {"start_m": {"x": 0.0}, "goal_m": {"x": WAY}, "duration_s": TIME}
+        return Problem.reach(cart(f"{-FORCE} {FORCE}"), **ends, limits={key: {name: limit}})
+
+    low = of(0.4 * least)
+    motion = plan_motion(of(1.2 * least)).trajectory
+    legs = least_relaxation_of_legs(low, kind, low.start_pose(), motion)
+    over = violation(kind, low, legs)
+    assert abs(over.value) == pytest.approx(least, rel=1e-5)
