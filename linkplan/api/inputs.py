@@ -74,6 +74,7 @@ ProblemLike = Problem | Source | str | Path
 Subject = Mechanism | Problem | Source | str | Path
 PlanLike = Plan | Problem | Source | str | Path
 Poses = Sequence[Mapping[str, float] | float]
+SiteForces = Mapping[str, Sequence[float]]
 
 
 def source_of(subject: Source | str | Path) -> Source:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from linkplan.api.command import command
-from linkplan.api.inputs import Poses, Source, Subject, poses_of, source_of, subject_of
+from linkplan.api.inputs import Poses, SiteForces, Source, Subject, poses_of, source_of, subject_of
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.problem.build import MECHANISM_ARGUMENTS, mechanism_from_tables, with_arguments
 from linkplan.planner.problem.settings import to_toml_types
@@ -40,7 +40,14 @@ def load_mechanism(path_or_name: str | Path, **keys: Any) -> Mechanism:
     saved=True,
     showing=("all", "report"),
 )
-def check(subject: Subject, *, at_deg: Poses = (), at_m: Poses = ()) -> WholeCheck | RefusedModel:
+def check(
+    subject: Subject,
+    *,
+    at_deg: Poses = (),
+    at_m: Poses = (),
+    sites: bool = False,
+    site_force_n: SiteForces | None = None,
+) -> WholeCheck | RefusedModel:
     """Return the report on a mechanism before planning, along the motion of a problem if one is given.
 
     A model that is locked or not assembled also has a report, with the reason in `problems`. If a problem file cannot be
@@ -51,9 +58,12 @@ def check(subject: Subject, *, at_deg: Poses = (), at_m: Poses = ()) -> WholeChe
         at_deg: further poses for the report, each the independent hinges' angles [deg] by joint name, or a number for the
             only joint.
         at_m: likewise, for slides [m].
+        sites: what each site does for an effort, and an effort for it: its rate per motor, efforts per newton, largest
+            pushes, reflected mass and stiffness over the reach and at the further poses.
+        site_force_n: forces x, y, z [N] by site, one at a time, with the efforts that hold each of them; implies `sites`.
 
     Raises:
-        LinkplanError: if a pose is out of reach, or the subject cannot be read.
+        LinkplanError: if a pose is out of reach, a site is not in the model, or the subject cannot be read.
 
     Example::
 
@@ -71,4 +81,6 @@ def check(subject: Subject, *, at_deg: Poses = (), at_m: Poses = ()) -> WholeChe
     except REFUSED as error:
         text = source_of(subject).name if isinstance(subject, Source | str | Path) else str(subject)
         return refused_model("the model" if "<" in text else Path(text).stem, error)
-    return check_whole(mechanism, problem, poses_of(mechanism, at_deg, at_m), notes)
+    return check_whole(
+        mechanism, problem, poses_of(mechanism, at_deg, at_m), notes, site_force_n if site_force_n or not sites else {}
+    )

@@ -98,6 +98,15 @@ def joint_range(text: str) -> tuple[str, list[float]]:
     return name.strip(), ends
 
 
+def site_force(text: str) -> tuple[str, list[float]]:
+    """Return a site and a force on it, SITE=X,Y,Z [N]."""
+    name, _, values = text.partition("=")
+    force = [_number(value) for value in values.split(",")]
+    if not name.strip() or len(force) != 3 or not all(map(math.isfinite, force)):
+        raise argparse.ArgumentTypeError(f"takes SITE=X,Y,Z in newtons, got '{text}'")
+    return name.strip(), force
+
+
 def size(text: str) -> tuple[int, int]:
     """Return width and height of WxH."""
     try:

@@ -179,20 +179,7 @@ def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:
     Raises:
         ProblemError: if a named joint is dependent, or the pose is out of reach.
     """
-    indices = {mechanism.joint_index(name, ProblemError): value for name, value in asked.items()}
-    s = mechanism.home[mechanism.independent].copy()
-    for index, value in indices.items():
-        if index not in mechanism.independent:
-            names = ", ".join(joint.name for joint in mechanism.independent_joints)
-            raise ProblemError(
-                f"a pose names independent joints ({names}); {mechanism.joints[index].name} follows from them"
-            )
-        s[list(mechanism.independent).index(index)] = value
-    check_asked_pose(mechanism, asked)
-    try:
-        pose = close_at(mechanism, s)
-    except AssemblyError as error:
-        raise ProblemError(f"the requested pose is beyond reach: {error}") from error
+    pose = asked_pose(mechanism, asked)
     dynamics, still = mechanism.dynamics, np.zeros(mechanism.dof)
     names = [joint.name for joint in mechanism.independent_joints]
     weight, held = dynamics.gravity_effort(pose), dynamics.inverse_dynamics(pose, still, still)
@@ -204,6 +191,28 @@ def pose_report(mechanism: Mechanism, asked: dict[str, float]) -> PoseReport:
         holding_effort=dict(zip(names, np.array(held).ravel(), strict=True)),
         effort_map={actuator.name: dict(zip(names, column, strict=True)) for actuator, column in by_actuator},
     )
+
+
+def asked_pose(mechanism: Mechanism, asked: dict[str, float]) -> np.ndarray:
+    """Return the pose (n_q,) with the given positions of the named joints, on the home branch.
+
+    Raises:
+        ProblemError: if a named joint is dependent, or the pose is out of reach.
+    """
+    indices = {mechanism.joint_index(name, ProblemError): value for name, value in asked.items()}
+    s = mechanism.home[mechanism.independent].copy()
+    for index, value in indices.items():
+        if index not in mechanism.independent:
+            names = ", ".join(joint.name for joint in mechanism.independent_joints)
+            raise ProblemError(
+                f"a pose names independent joints ({names}); {mechanism.joints[index].name} follows from them"
+            )
+        s[list(mechanism.independent).index(index)] = value
+    check_asked_pose(mechanism, asked)
+    try:
+        return close_at(mechanism, s)
+    except AssemblyError as error:
+        raise ProblemError(f"the requested pose is beyond reach: {error}") from error
 
 
 def _closure_gaps(mechanism: Mechanism) -> dict[str, float]:

@@ -124,7 +124,7 @@ def measure(
         ratio=ratio,
         rates=rates,
         reduced_inertia=inertia,
-        reflected_inertia=_reflected(ratio, inertia),
+        reflected_inertia=reflected(ratio, inertia),
         gravity_effort=sampled(dynamics.gravity_effort, poses)[:, :, 0],
         holding_effort=holding,
         unheld_effort=unheld,
@@ -259,7 +259,7 @@ def acts(path: KinematicLoopPath) -> np.ndarray:
     return most > ROUNDING_SHARE * most.max(axis=0, initial=0.0)
 
 
-def _reflected(ratio: np.ndarray, inertia: np.ndarray) -> np.ndarray:
+def reflected(ratio: np.ndarray, inertia: np.ndarray) -> np.ndarray:
     """Return 1 / (r_j^T M^-1 r_j) (n, n_u): infinite if r_j is zero, nan if M is singular."""
     regular = is_regular(inertia)
     found = np.full((len(ratio), ratio.shape[2]), np.nan)

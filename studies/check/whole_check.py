@@ -1,9 +1,10 @@
 """The complete result of `linkplan check`: the inspection of a mechanism, and the loop report along its motion or reach."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 
+import numpy as np
 from msgspec import UNSET, UnsetType
 from msgspec.structs import asdict, replace
 
@@ -18,28 +19,37 @@ from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.check_report import path_blocks, weight_sentences
 from linkplan.studies.check.drives import joints_to_drive
-from linkplan.studies.check.inspection import Inspection, inspect
+from linkplan.studies.check.inspection import Inspection, asked_pose, inspect
 from linkplan.studies.check.inspection_blocks import inspection_blocks
 from linkplan.studies.check.kinematic_loop_report import (
     KinematicLoopPath,
     Sweep,
     has_whole_records,
     inertia_notes,
+    measure,
     measured,
     motion_path,
     reach_sweeps,
 )
 from linkplan.studies.check.path_quantities import PathFigures, path_figures
 from linkplan.studies.check.refused_model import REFUSED, CheckResult
+from linkplan.studies.check.site_statics import (
+    SiteStatics,
+    checked_forces,
+    site_statics,
+    statics_blocks,
+    statics_plots,
+)
 from linkplan.studies.check.summary import summary_blocks
 from linkplan.studies.output.document import Block, Section, Text
-from linkplan.studies.output.figure_spec import FigureSpec
+from linkplan.studies.output.figure_spec import FigureSpec, one_screen
 
 
 class WholeCheck(CheckResult, Inspection, frozen=True, kw_only=True, eq=False, dict=True):
     """An inspection, and the loop report along a problem's motion or, without one, over each coordinate's reach."""
 
     along: Sequence[PathFigures] | UnsetType = UNSET
+    sites: Sequence[SiteStatics] | UnsetType = UNSET
     sweeps: Beside[tuple[Sweep, ...]] = NOT_READ
 
     @property
@@ -83,19 +93,26 @@ class WholeCheck(CheckResult, Inspection, frozen=True, kw_only=True, eq=False, d
             f"the table of each of the {len(self.sweeps)} coordinates above has only its own quantities that change along"
             f" its reach, at rest; the JSON record has {rest}"
         )
-        return [*inspection_blocks(self), *paths, *([Text(text=left_out)] if brief else [])]
+        return [*inspection_blocks(self), *paths, *([Text(text=left_out)] if brief else []), *self._site_blocks()]
+
+    def _site_blocks(self) -> list[Block]:
+        return [block for site in self.sites or () for block in statics_blocks(site)]
 
     def summary(self) -> list[Block]:
         """Return the findings in at most thirty lines; first the notes on actuators too weak for weight and springs."""
         weak = [] if self.brief else [text for path in self.paths for text in weight_sentences(path)]
-        return summary_blocks(replace(self, notes=(*weak, *self.notes)))
+        return [*summary_blocks(replace(self, notes=(*weak, *self.notes))), *self._site_blocks()]
 
     def sections(self) -> list[Section]:
         """Return the sections of the findings and of each path."""
         from linkplan.studies.check.check_sections import path_section
 
         first = Section(title=f"Mechanism: {self.name}", blocks=inspection_blocks(self))
-        return [first, *(path_section(path, self.name, len(self.sweeps)) for path in self.paths)]
+        found = [first, *(path_section(path, self.name, len(self.sweeps)) for path in self.paths)]
+        for site in self.sites or ():
+            blocks = [*statics_blocks(site), *statics_plots(site)]
+            found.append(Section(title=f"Site {site.site} along {site.path}", blocks=blocks, depth=2))
+        return found
 
     def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
         """Yield the figures over the reach and along each path."""
@@ -104,6 +121,10 @@ class WholeCheck(CheckResult, Inspection, frozen=True, kw_only=True, eq=False, d
         yield "mechanism", inspection_figure(self)
         for number, path in enumerate(self.paths if len(self.sweeps) <= MAX_FIGURES else (), 1):
             yield f"loop-{number}", path_figure(path, self.reaches)
+        panels = [plot for site in self.sites or () for plot in statics_plots(site)]
+        if panels:
+            title = f"{self.name}: what sites do for an effort, at rest"
+            yield "sites", FigureSpec(panels=panels, title=title, columns=2, panel_in=one_screen(len(panels), 2, (6.0, 3.3)))
 
     def write_files(self, place: Path, *, parquet: bool) -> None:
         """Write the model as it was read, if it differs from the file."""
@@ -138,6 +159,7 @@ def check_whole(
     problem: Problem | None,
     poses: Sequence[dict[str, float]] = (),
     notes: Sequence[str] = (),
+    site_forces: Mapping[str, Sequence[float]] | None = None,
 ) -> WholeCheck:
     """Return the check of a mechanism, along its problem's motion if there is a problem.
 
@@ -146,9 +168,10 @@ def check_whole(
         problem: with the motion and the contact setting.
         poses: joint positions [rad or m] by name, each with a report.
         notes: further sentences for the report.
+        site_forces: forces (3,) [N] that act on sites, one at a time, with the statics of all sites; None leaves them out.
 
     Raises:
-        ProblemError: if a pose is out of reach or names a dependent joint.
+        ProblemError: if a pose is out of reach or names a dependent joint, or a force is on no site.
     """
     motion, off_path = _motion(problem)
     found = inspect(mechanism, list(poses), motion=motion, contacts="refuse" if problem is None else problem.limits.contacts)
@@ -156,7 +179,18 @@ def check_whole(
     chosen = () if problem is None else problem.notes
     singular = [note for path in along for note in inertia_notes(path)]
     notes = (*found.notes, *singular, *notes, *chosen, *off_path)
-    return WholeCheck(**asdict(replace(found, notes=notes)), sweeps=along)
+    sites = UNSET if site_forces is None else _statics(mechanism, along, poses, checked_forces(mechanism, site_forces))
+    return WholeCheck(**asdict(replace(found, notes=notes)), sweeps=along, sites=sites)
+
+
+def _statics(
+    mechanism: Mechanism, along: Sequence[Sweep], poses: Sequence[dict[str, float]], forces: Mapping[str, np.ndarray]
+) -> list[SiteStatics]:
+    """Return the statics of all sites along each path, and at the poses asked for."""
+    paths = [measured(sweep) for sweep in along]
+    if poses:
+        paths.append(measure(mechanism, np.array([asked_pose(mechanism, asked) for asked in poses]), "the poses asked for"))
+    return [site for path in paths for site in site_statics(path, forces)]
 
 
 def _motion(problem: Problem | None) -> tuple[KinematicLoopPath | None, tuple[str, ...]]:
