@@ -173,14 +173,11 @@ class SavedProblem:
         Raises:
             PlanFileError: if the file exists and differs from what this page wrote.
         """
-        from linkplan.planner.files.single_file import write_again, write_new
+        from linkplan.planner.files.single_file import write_again
 
         content = problem.to_toml().encode("utf-8")
         with self.lock:
-            if self.written is None:
-                write_new(self.place, content)
-            else:
-                write_again(self.place, content, self.written)
+            write_again(self.place, content, self.written)
             self.written = content
         return str(self.place)
 

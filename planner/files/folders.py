@@ -1,19 +1,18 @@
 """Result folders: written completely or not at all; files of the user are never replaced.
 
-A result is written in a work folder next to its place and synchronised to the disk. Without an earlier result, one rename
-puts it in its place. Over an earlier result, one rename puts it into that folder as `.linkplan-new`, and the new result is
-valid from then on. Files that only the earlier result had are deleted, the new files are moved one by one, and the manifest
-is moved last. If the process is killed in between, the next command that uses the folder completes this (`complete`). The
-user's own files in the folder are never changed.
+A result is written in a work folder next to its place, synchronised to the disk, and renamed. An earlier result is first
+renamed to `.linkplan-old-NAME` next to it, and removed at the end. If the process is killed between the two names, the next
+command that uses the folder puts the earlier result back (`restore`).
 """
 
+import contextlib
 import json
 import math
 import os
-import re
+import shutil
 import stat
-from collections.abc import Callable, Iterable, Mapping
-from pathlib import Path, PurePosixPath
+from collections.abc import Callable, Mapping
+from pathlib import Path
 
 import numpy as np
 from msgspec import Struct
@@ -21,17 +20,8 @@ from msgspec import Struct
 from linkplan.models.deadline import check, shielded
 from linkplan.models.errors import PlanFileError, refusals
 from linkplan.models.work_folders import locked, sweep, sync, sync_folder, work_folder
-from linkplan.planner.files.manifest import (
-    MANIFEST,
-    Manifest,
-    files_in,
-    is_unchanged,
-    read_manifest,
-    write_manifest,
-)
+from linkplan.planner.files.manifest import MANIFEST, foreign_file, read_manifest, write_manifest
 from linkplan.planner.files.structs import json_values
-
-_NEW_RESULT = ".linkplan-new"
 
 
 def place_of(target: Path) -> Path:
@@ -60,29 +50,26 @@ def place_of(target: Path) -> Path:
 def check_target(target: Path, record: str = "plan.json") -> None:
     """Refuse a target that cannot be written, before long work begins.
 
-    A folder may be written into if it is empty or holds an earlier result of the same kind whose files are unchanged. The
-    remains of killed processes are removed first.
+    A folder may be written if it is missing or empty, or if all its files are those of an earlier result of the same kind.
+    The remains of killed processes are removed first.
 
     Args:
         target: the result's folder.
         record: the name of the record of that kind of result.
 
     Raises:
-        PlanFileError: if the target is the user's file or folder, if files of the earlier result have changed or must not be
-            replaced, or if the folder above cannot be written.
+        PlanFileError: if the target is a file or has files of the user, or if the folder above cannot be written.
     """
     place = place_of(target)
     with refusals(f"'{target}' cannot be written"):
         sweep(place.parent)
+        restore(place)
         if place.is_dir():
             sweep(place)
-            complete(place)
             _refuse_folder(target, place, record)
         elif os.path.lexists(place):
             raise PlanFileError(f"a result must be a folder; '{target}' is a file")
-        parent = place.parent
-        while not os.path.lexists(parent):
-            parent = parent.parent
+        parent = next(folder for folder in place.parents if os.path.lexists(folder))
         if not parent.is_dir():
             raise PlanFileError(f"'{target}' lies below '{parent}', which is a file")
         if not os.access(parent, os.W_OK | os.X_OK):
@@ -90,51 +77,21 @@ def check_target(target: Path, record: str = "plan.json") -> None:
 
 
 def _refuse_folder(target: Path, place: Path, record: str) -> None:
-    """Refuse an existing folder whose content a new result may not replace."""
-    if not os.access(place, os.R_OK | os.W_OK | os.X_OK):
-        raise PlanFileError(f"'{target}' cannot be replaced: no permission to read and change what is in it")
-    mount = _mount_in(place)
-    if mount is not None:
-        raise PlanFileError(
-            f"a file system is mounted at '{mount}', which a result cannot replace; name a folder without mount points"
-        )
+    """Refuse an existing folder that is neither empty nor an earlier result of the same kind."""
+    if os.path.ismount(place) or not os.access(place, os.R_OK | os.W_OK | os.X_OK):
+        raise PlanFileError(f"'{target}' cannot be replaced: it is a mount point, or there is no permission to change it")
     manifest = read_manifest(place)
     if manifest is None:
         if any(place.iterdir()):
-            held = (
-                f"{record} without the {MANIFEST} of a result"
-                if (place / record).is_file()
-                else "files that are not linkplan's"
-            )
-            raise PlanFileError(f"'{target}' holds {held}; name a new or an empty folder")
+            raise PlanFileError(f"'{target}' has files but no {MANIFEST} of a result; name a new or an empty folder")
         return
     if manifest.record != record:
         raise PlanFileError(f"'{target}' holds another result ({manifest.record}); name a new or an empty folder")
-    for name in manifest.files:
-        if os.path.lexists(place / name) and not is_unchanged(place, name, manifest):
-            raise PlanFileError(
-                f"'{target}' holds '{name}', which has changed since linkplan wrote it; move it or name another folder"
-            )
-    for name in (*_folders_of(manifest.files), *manifest.files, MANIFEST):
-        if os.path.lexists(place / name) and not os.access(place / name, os.W_OK):  # root cannot write immutable files
-            raise PlanFileError(f"'{target}' contains '{name}', which cannot be changed; name another folder")
-
-
-def _mount_in(folder: Path) -> str | None:
-    """Return the first mount point at or below a folder, bind mounts included (Linux), or None."""
-    if os.path.ismount(folder):
-        return str(folder)
-    try:
-        lines = Path("/proc/self/mountinfo").read_text(encoding="utf-8", errors="surrogateescape").splitlines()
-    except OSError:
-        return None
-    points = (re.sub(r"\\([0-7]{3})", lambda octal: chr(int(octal[1], 8)), line.split()[4]) for line in lines)
-    return next((point for point in points if Path(point).is_relative_to(folder)), None)
-
-
-def _folders_of(names: Iterable[str]) -> set[str]:
-    """Return the folders, below a result's own, that contain the named files."""
-    return {str(parent) for name in names for parent in PurePosixPath(name).parents} - {"."}
+    name = foreign_file(place, manifest)
+    if name is not None:
+        raise PlanFileError(
+            f"'{target}' holds '{name}', which is not as linkplan wrote the result; move it or name another folder"
+        )
 
 
 def write_whole(target: Path, write: Callable[[Path], None], record: str = "plan.json") -> None:
@@ -145,10 +102,10 @@ def write_whole(target: Path, write: Callable[[Path], None], record: str = "plan
     """
     check_target(target, record)
     place = place_of(target)
-    made: list[Path] = []
+    missing = [folder for folder in place.parents if not folder.exists()]
     try:
         with refusals(f"cannot write '{target}'"):
-            made = _make_parents(place)
+            place.parent.mkdir(parents=True, exist_ok=True)
             with work_folder(place.parent) as work:
                 write(work)
                 check()
@@ -156,122 +113,51 @@ def write_whole(target: Path, write: Callable[[Path], None], record: str = "plan
                 sync(work)
                 with shielded():
                     check_target(target, record)  # again: the work may have taken hours
-                    _put_in_place(target, work, place)
-                    made = []
+                    _put_in_place(work, place)
     finally:
-        for parent in made:
-            _remove_if_empty(parent)
+        for parent in missing:  # the innermost first
+            with contextlib.suppress(OSError):  # it is not empty
+                parent.rmdir()
 
 
-def _put_in_place(target: Path, work: Path, place: Path) -> None:
-    """Move a complete new result to its place."""
-    if not place.is_dir() or not any(place.iterdir()):
+def _earlier(place: Path) -> Path:
+    """Return the path of the earlier result while it is replaced."""
+    return place.parent / f".linkplan-old-{place.name}"
+
+
+def _put_in_place(work: Path, place: Path) -> None:
+    """Move a complete new result to its place, and remove the earlier one or the empty folder there."""
+    earlier = _earlier(place)
+    with locked(place.parent):
         if place.is_dir():
             work.chmod(stat.S_IMODE(place.stat().st_mode))
-        work.rename(place)
+            place.rename(earlier)
+        try:
+            work.rename(place)
+        except OSError:
+            if earlier.is_dir():
+                earlier.rename(place)
+            raise
         sync_folder(place.parent)
-        return
-    with locked(place):
-        old = read_manifest(place)
-        name = None if old is None else _taken(place, old, set(files_in(work)) - {MANIFEST})
-        if name is not None:
-            raise PlanFileError(
-                f"'{target}' contains '{name}', which linkplan needs to write; move it or name another folder"
-            )
-        for folder in sorted(_folders_of(files_in(work))):  # a full disk causes an error here, before anything changes
-            (place / folder).mkdir(exist_ok=True)
-        work.rename(place / _NEW_RESULT)
-        sync_folder(place)
-        _complete(place)
+        shutil.rmtree(earlier, ignore_errors=True)
 
 
-def _taken(place: Path, old: Manifest, new: set[str]) -> str | None:
-    """Return the first entry of the user's in the place of a new result's file or folder, or None."""
-    files = (name for name in sorted(new - set(old.files)) if os.path.lexists(place / name))
-    folders = (
-        name
-        for name in sorted(_folders_of(new) - set(old.files))
-        if os.path.lexists(place / name) and ((place / name).is_symlink() or not (place / name).is_dir())
-    )
-    return next(folders, None) or next(files, None)
-
-
-def complete(folder: Path) -> None:
-    """Complete the replacement of a folder's earlier result after a process was killed.
+def restore(folder: Path) -> None:
+    """Put an earlier result back if a process was killed while it replaced it; remove it if the new one is in its place.
 
     Raises:
-        PlanFileError: when the disk refuses, or a file to be replaced has changed; the rest of the new result stays in
-            `.linkplan-new`.
+        PlanFileError: when the disk refuses, files of the user are in its place, or the path is impossible.
     """
-    if (folder / _NEW_RESULT).is_dir():
-        with shielded(), locked(folder):
-            _complete(folder)
-
-
-def _complete(folder: Path) -> None:
-    source = folder / _NEW_RESULT
-    try:
-        new, old = read_manifest(source), read_manifest(folder)
-        if new is None:  # the manifest is moved last, so only this folder is left
-            _remove_if_empty(source)
-            return
-        listed = {} if old is None else old.files
-        coming = [name for name in new.files if (source / name).is_file()]
-        obsolete = [name for name in listed if name not in new.files]
-        for name in (*coming, *obsolete):
-            if os.path.lexists(folder / name) and (old is None or not is_unchanged(folder, name, old)):
-                raise PlanFileError(
-                    f"'{folder}' holds '{name}', which changed while it was being replaced; the new result is in '{source}'"
-                )
-        for name in obsolete:
-            (folder / name).unlink(missing_ok=True)
-        for name in sorted(_folders_of(listed) - _folders_of(new.files), reverse=True):
-            _remove_if_empty(folder / name)
-        for name in coming:
-            os.replace(source / name, folder / name)
-        for name in sorted(_folders_of(new.files), reverse=True):
-            _remove_if_empty(source / name)
-        sync_folder(folder)
-        os.replace(source / MANIFEST, folder / MANIFEST)
-        _remove_if_empty(source)
-    except OSError as error:
-        why = error.strerror or error
-        raise PlanFileError(
-            f"'{folder}' is only partly replaced: {why}; the rest of the new result is in '{source}'; the next command that"
-            " uses the folder continues"
-        ) from error
-
-
-def remove_result(folder: Path) -> None:
-    """Remove a result's unchanged files, its manifest, and the folders that are then empty."""
-    manifest = read_manifest(folder)
-    if manifest is None:
+    with refusals(f"'{folder}' cannot be read", RuntimeError, ValueError):
+        place = folder.resolve()
+    earlier = _earlier(place)
+    if not os.path.isdir(earlier):
         return
-    for name in manifest.files:
-        if is_unchanged(folder, name, manifest):
-            (folder / name).unlink()
-    (folder / MANIFEST).unlink()
-    for name in sorted(_folders_of(manifest.files), reverse=True):
-        _remove_if_empty(folder / name)
-    _remove_if_empty(folder)
-
-
-def _make_parents(place: Path) -> list[Path]:
-    """Make the folders above a result's place and return the new ones, the innermost first."""
-    missing = []
-    parent = place.parent
-    while not parent.exists():
-        missing.append(parent)
-        parent = parent.parent
-    place.parent.mkdir(parents=True, exist_ok=True)
-    return missing
-
-
-def _remove_if_empty(folder: Path) -> None:
-    try:
-        folder.rmdir()
-    except OSError:  # the folder is no longer empty
-        return
+    with refusals(f"the earlier result in '{earlier}' cannot be moved to '{place}'"), shielded(), locked(place.parent):
+        if (place / MANIFEST).exists():
+            shutil.rmtree(earlier, ignore_errors=True)
+        elif earlier.is_dir():  # another process may have put it back meanwhile
+            earlier.rename(place)
 
 
 def to_json_types(value: object) -> object:

@@ -55,34 +55,21 @@ def write_new(path: Path, content: bytes) -> None:
                 file.write(content)
 
 
-def write_again(path: Path, content: bytes, earlier: bytes) -> None:
+def write_again(path: Path, content: bytes, earlier: bytes | None) -> None:
     """Replace a file that was written before with the content `earlier`, or write a new one if there is none.
 
     Raises:
-        PlanFileError: if the file's content has changed, it is a link, or the disk refuses.
+        PlanFileError: if the file's content is not `earlier`, it is a link, or the disk refuses.
     """
-    if not os.path.lexists(path):
+    if earlier is None or not os.path.lexists(path):
         write_new(path, content)
         return
-
-    def write_and_check(part: Path) -> None:
-        part.write_bytes(content)
-        _check_unchanged(path, earlier)
-
     with refusals(f"cannot write '{path}'"):
-        replace_file(path, write_and_check)
-
-
-def _check_unchanged(path: Path, earlier: bytes) -> None:
-    """Refuse a file that has changed since it was written."""
-    if path.is_symlink() or not path.is_file():
-        raise PlanFileError(
-            f"'{path}' is not the file that was written before, and nothing is overwritten; move it or name another"
-        )
-    if path.stat().st_size != len(earlier) or path.read_bytes() != earlier:
-        raise PlanFileError(
-            f"'{path}' has changed since it was written, and nothing is overwritten; move it or name another"
-        )
+        if path.is_symlink() or not path.is_file() or path.read_bytes() != earlier:
+            raise PlanFileError(
+                f"'{path}' has changed since it was written, and nothing is overwritten; move it or name another"
+            )
+        replace_file(path, lambda part: part.write_bytes(content))
 
 
 def check_file_target(target: Path, suffixes: tuple[str, ...] = (), mark: str = MADE_BY) -> None:

@@ -16,7 +16,7 @@ from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.demands import Demand
 from linkplan.planner.certificate.further_checks import disagreements, with_contacts
 from linkplan.planner.files.columns import ALONG, ARRAYS, csv_bytes, parquet_bytes, read_trajectory
-from linkplan.planner.files.folders import complete, write_json
+from linkplan.planner.files.folders import restore, write_json
 from linkplan.planner.files.structs import json_values
 from linkplan.planner.files.tables import apply_override
 from linkplan.planner.plan.plan import Plan, motion_table, not_honoured
@@ -192,8 +192,7 @@ def _read(
     Raises:
         PlanFileError: when the folder or one of its files is missing, truncated, or not a plan's.
     """
-    if folder.is_dir():
-        complete(folder)
+    restore(folder)
     saved = read_plan_record(folder)
     trajectory = read_trajectory(folder / "trajectory.npz")
     for override in overrides:

@@ -8,7 +8,7 @@ from pathlib import Path
 from msgspec import structs
 
 from linkplan.models.errors import PlanFileError
-from linkplan.planner.files.folders import complete
+from linkplan.planner.files.folders import restore
 from linkplan.planner.plan.folder import read_plan, unchecked
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.plan.record import read_plan_record
@@ -30,9 +30,9 @@ def folder_report(folder: Path, again: Callable[[Path, str, int], str] | None = 
     Raises:
         PlanFileError: if the folder is not a result, or is damaged.
     """
+    restore(folder)
     if not folder.is_dir():
         raise PlanFileError(f"'{folder}' is not a folder; a report needs a folder that linkplan wrote")
-    complete(folder)
     if (folder / DOCUMENT).is_file():
         return read_document(folder / DOCUMENT)
     if (folder / "plan.json").is_file():

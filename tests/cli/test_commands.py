@@ -133,5 +133,5 @@ def test_a_folder_of_somebody_elses_is_not_overwritten(ask, tmp_path):
     (tmp_path / "thesis.txt").write_text("three years of work")
     code, out, err = ask("plan", "knee-reach", "-o", str(tmp_path))
     assert (code, out) == (2, "")
-    assert "holds files that are not linkplan's" in err
+    assert "has files but no .linkplan.json of a result" in err
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]

@@ -8,6 +8,7 @@ flushed to disk, and renamed. The next run of the same command continues from th
 import contextlib
 import json
 import os
+import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -16,7 +17,7 @@ from typing import Any
 from linkplan.models.deadline import shielded
 from linkplan.models.errors import PlanFileError
 from linkplan.models.work_folders import replace_file, sweep
-from linkplan.planner.files.folders import plain_record, remove_result, write_json, write_whole
+from linkplan.planner.files.folders import plain_record, write_json, write_whole
 from linkplan.planner.files.manifest import identity_at, read_record
 
 try:
@@ -142,22 +143,13 @@ def finish(folder: Path, target: Path, write: Callable[[Path], None], record: st
 
 def remove(folder: Path) -> None:
     """Remove the parts of a finished result, and their folder if it has no other files."""
-    sweep(folder)
-    for left in (folder / PARTS).glob("part-[0-9]*.*"):
-        left.unlink(missing_ok=True)
-    with contextlib.suppress(OSError, PlanFileError):  # the folder has other files
-        remove_result(folder / PLAN)
-    _remove_empty(folder / PLAN, folder / PARTS)
+    for left in (PLAN, PARTS):
+        shutil.rmtree(folder / left, ignore_errors=True)
     # The request is removed last: without it, the remains of a killed process would not be recognised as linkplan's.
-    for left in (folder / ASKED, folder / _LOCK):
-        left.unlink(missing_ok=True)
-    _remove_empty(folder)
-
-
-def _remove_empty(*folders: Path) -> None:
-    for folder in folders:
-        with contextlib.suppress(OSError):
-            folder.rmdir()
+    for left in (ASKED, _LOCK):
+        (folder / left).unlink(missing_ok=True)
+    with contextlib.suppress(OSError):
+        folder.rmdir()
 
 
 def remove_left(folder: Path, asked: Mapping) -> None:

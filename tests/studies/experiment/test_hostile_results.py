@@ -149,7 +149,7 @@ def test_a_record_that_is_not_that_of_the_results_is_refused(case, folder):
 def test_a_damaged_record_is_refused_and_nothing_is_lost(text, folder):
     (folder / RECORD).write_text(text)
     assert_refused(lambda: saved_experiment(folder), "experiment.json' is", kind=PlanFileError)
-    with pytest.raises(PlanFileError, match=r"'experiment\.json', which has changed since"):
+    with pytest.raises(PlanFileError, match=r"'experiment\.json', which is not as linkplan wrote"):
         run_experiment({"name": "knee-reach"}, None, plan, SETTINGS, folder, silent)
     assert (folder / RECORD).read_text() == text
     assert (folder / RESULTS).is_file()

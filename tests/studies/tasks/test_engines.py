@@ -190,7 +190,7 @@ def test_parts_whose_removal_was_killed_anywhere_are_removed_by_the_next_run(kin
     kills = 0
     for step in itertools.count():
         folder = folder_of_parts(tmp_path)
-        counter, real = itertools.count(), getattr(Path, kind)
+        counter, real = itertools.count(), getattr(os, kind)
 
         def stopped(path, *given, counter=counter, real=real, step=step, **more):
             if next(counter) == step:
@@ -198,7 +198,7 @@ def test_parts_whose_removal_was_killed_anywhere_are_removed_by_the_next_run(kin
             return real(path, *given, **more)
 
         with monkeypatch.context() as patch:
-            patch.setattr(Path, kind, stopped)
+            patch.setattr(os, kind, stopped)
             try:
                 remove(folder)
             except KilledError:
