@@ -289,43 +289,54 @@ def built_in_text(name: str) -> str:
 def _read_spec(source: str | Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]:
     """Return a model's name, its specification, and notes on what its files do not give it."""
     text = str(source)
-    if not text.isprintable() and not is_text(text):
-        raise ModelError(f"a model's name has characters that cannot be shown: '{text}'")
     if text in MODELS:
         return text, _parse(text, built_in_text(text)), ()
     if is_text(text):
         refuse_oversized(text.encode("utf-8", "replace"), "MJCF text")
         spec = _parse("MJCF text", text)
         return spec.modelname or "MJCF text", spec, leave_out_large_textures(spec, [Path()])
-    path = Path(text)
-    if os.path.isdir(path):
-        raise ModelError(f"model '{text}' is a folder; a model is an MJCF file or a built-in name")
-    if not os.path.exists(path):
-        raise ModelError(unknown_source("model", text, MODELS))
-    content = read_file(path, f"model '{text}'", MAX_MODEL_BYTES, ModelError)
+    refusals = (
+        (not text.isprintable(), f"a model's name has characters that cannot be shown: '{text}'"),
+        (os.path.isdir(text), f"model '{text}' is a folder; a model is an MJCF file or a built-in name"),
+        (not os.path.exists(text), unknown_source("model", text, MODELS)),
+    )
+    for refused, message in refusals:
+        if refused:
+            raise ModelError(message)
+    return _read_file(Path(text))
+
+
+def _read_file(path: Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]:
+    """Return the name of the model in a file, its specification, and notes on what was left out."""
+    content = read_file(path, f"model '{path}'", MAX_MODEL_BYTES, ModelError)
     if not content.strip():
-        raise ModelError(f"model '{text}' is empty; a model is an MJCF file")
-    refuse_oversized(content, f"model '{text}'")
+        raise ModelError(f"model '{path}' is empty; a model is an MJCF file")
+    refuse_oversized(content, f"model '{path}'")
     parts = {str(path): content} | _included(content, path.parent, {})
     old = [word for part in parts.values() for word in _RETIRED.findall(COMMENT.sub(b"", part))]
     retired = ", ".join(dict.fromkeys(word.decode() for word in old))
-    notes = (f"attributes of an older MuJoCo are left out: {retired}",) if retired else ()
     attached = _attached(parts.values(), path.parent)
-    notes += _lost_in(attached)
-    cleaned = {name: _RETIRED.sub(b"", part) for name, part in parts.items()} if old else parts
+    spec = _spec_of(
+        path, {name: _RETIRED.sub(b"", part) for name, part in parts.items()} if old else parts, edited=bool(old)
+    )
+    folders = dict.fromkeys([path.parent, *(place.parent for place in attached.values())])
+    notes = (f"attributes of an older MuJoCo are left out: {retired}",) if retired else ()
+    return shown(path.stem), spec, (*notes, *_lost_in(attached), *leave_out_large_textures(spec, folders))
+
+
+def _spec_of(path: Path, parts: dict[str, bytes], *, edited: bool) -> mujoco.MjSpec:
+    """Return the specification of a model's file and the files that it includes, which differ from the disk if `edited`."""
     try:
         if path.suffix != ".mjcf" and path.suffix.islower():
-            spec = mujoco.MjSpec.from_file(str(path), include=cleaned if old else None)
-        else:
-            spec = mujoco.MjSpec.from_string(cleaned.pop(str(path)).decode("utf-8"), cleaned)  # it reads no .mjcf or .URDF
-            spec.modelfiledir = str(path.parent.resolve())
+            return mujoco.MjSpec.from_file(str(path), include=parts if edited else None)
+        spec = mujoco.MjSpec.from_string(parts.pop(str(path)).decode("utf-8"), parts)  # it reads no .mjcf or .URDF
     except (ValueError, mujoco.FatalError) as error:
         if _PART_OF_A_MODEL in str(error):
-            raise ModelError(f"model '{text}' is a part that other models include; take a file that includes it") from error
+            raise ModelError(f"model '{path}' is a part that other models include; take a file that includes it") from error
         named = "" if path.suffix.lower() in (".xml", ".urdf") else "; model files are named .xml or .urdf"
-        raise ModelError(f"model '{text}' does not parse: {one_line(error)}{named}") from error
-    folders = dict.fromkeys([path.parent, *(place.parent for place in attached.values())])
-    return shown(path.stem), spec, (*notes, *leave_out_large_textures(spec, folders))
+        raise ModelError(f"model '{path}' does not parse: {one_line(error)}{named}") from error
+    spec.modelfiledir = str(path.parent.resolve())
+    return spec
 
 
 def _included(content: bytes, folder: Path, found: dict[str, bytes]) -> dict[str, bytes]:

@@ -333,6 +333,15 @@ def _retype(spec: mujoco.MjSpec, types: Mapping[str, str]) -> None:
             )
 
 
+# The note on each kind of actuator that a joint may have when a motor is asked for, and on the motors that are added.
+_DRIVE_NOTES = {
+    "added": "motors added (mechanism.drive)",
+    "motor": "motors that the model has already (mechanism.drive)",
+    "filter": "actuators without their filters, in simulation too (mechanism.drive)",
+    "plugin": "actuators replaced by motors, with their sensors",
+}
+
+
 def add_motors(spec: mujoco.MjSpec, names: Sequence[str], where: str = "") -> list[str]:
     """Add a motor on each of the joints named in `where`, within the effort limit that the joint has, and return notes.
 
@@ -342,43 +351,40 @@ def add_motors(spec: mujoco.MjSpec, names: Sequence[str], where: str = "") -> li
     Raises:
         ModelError: for an unknown joint, or a joint without an axis for a motor.
     """
-    added, replaced, unfiltered, kept = [], [], [], []
+    noted: dict[str, list[str]] = {kind: [] for kind in _DRIVE_NOTES}
     for name in names:
-        joint = _joint(spec, name, where)
+        joint, on_joint = _joint(spec, name, where), mujoco.mjtTrn.mjTRN_JOINT
         if joint.type not in (mujoco.mjtJoint.mjJNT_HINGE, mujoco.mjtJoint.mjJNT_SLIDE):
             raise ModelError(f"joint '{name}' is neither a hinge nor a slide, so a motor has no axis there")
-        on_joint = mujoco.mjtTrn.mjTRN_JOINT
-        own = [a for a in spec.actuators if a.trntype == on_joint and a.target == joint.name]
-        filters = [a for a in own if not a.plugin.active and a.dyntype in FILTERS]
-        for one in filters:
-            one.dyntype, one.actlimited = mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtLimited.mjLIMITED_FALSE
-        unfiltered += [one.name or f"an actuator on {joint.name}" for one in filters]
-        plugins = [a for a in own if a.plugin.active]
-        named = {plugin.name for plugin in plugins}
-        sensors = [s for s in spec.sensors if s.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR and s.objname in named]
-        replaced += [plugin.name or f"a plugin on {joint.name}" for plugin in plugins]
-        own = [a for a in own if a not in plugins]
-        for one in [*plugins, *sensors]:
-            spec.delete(one)
-        kept += [f"{a.name or 'a motor'} on {joint.name}" for a in own if _is_motor(a) and a not in filters]
-        if filters or any(map(_is_motor, own)):
-            continue
-        added.append(name)
-        motor = spec.add_actuator(name=name, target=joint.name, trntype=on_joint)
-        motor.set_to_motor()
-        if joint.actfrcrange[1] > 0:
-            motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, joint.actfrcrange
-    said = {
-        "motors added (mechanism.drive)": added,
-        "motors that the model has already (mechanism.drive)": kept,
-        "actuators without their filters, in simulation too (mechanism.drive)": unfiltered,
-        "actuators replaced by motors, with their sensors": replaced,
-    }
-    return [f"{what}: {', '.join(of)}" for what, of in said.items() if of]
+        own = [(a, _kind_of(a)) for a in spec.actuators if a.trntype == on_joint and a.target == joint.name]
+        for actuator, kind in own:
+            if kind:
+                noted[kind].append(f"{actuator.name or f'a {kind}'} on {joint.name}")
+            if kind == "filter":
+                actuator.dyntype, actuator.actlimited = mujoco.mjtDyn.mjDYN_NONE, mujoco.mjtLimited.mjLIMITED_FALSE
+            elif kind == "plugin":
+                _delete_with_sensors(spec, actuator)
+        if all(kind in ("", "plugin") for _, kind in own):
+            noted["added"].append(name)
+            motor = spec.add_actuator(name=name, target=joint.name, trntype=on_joint)
+            motor.set_to_motor()
+            if joint.actfrcrange[1] > 0:
+                motor.ctrllimited, motor.ctrlrange = mujoco.mjtLimited.mjLIMITED_TRUE, joint.actfrcrange
+    return [f"{_DRIVE_NOTES[kind]}: {', '.join(actuators)}" for kind, actuators in noted.items() if actuators]
 
 
-def _is_motor(actuator: mujoco.MjsActuator) -> bool:
-    """True if an actuator's force is a constant times its ctrl."""
+def _delete_with_sensors(spec: mujoco.MjSpec, actuator: mujoco.MjsActuator) -> None:
+    for sensor in [s for s in spec.sensors if s.objtype == mujoco.mjtObj.mjOBJ_ACTUATOR and s.objname == actuator.name]:
+        spec.delete(sensor)
+    spec.delete(actuator)
+
+
+def _kind_of(actuator: mujoco.MjsActuator) -> str:
+    """Return "plugin", "filter" or "motor", whose force is a constant times its ctrl; "" for other actuators."""
+    if actuator.plugin.active:
+        return "plugin"
+    if actuator.dyntype in FILTERS:
+        return "filter"
     fixed = actuator.gaintype == mujoco.mjtGain.mjGAIN_FIXED and actuator.gainprm[0] != 0
     direct = actuator.dyntype == mujoco.mjtDyn.mjDYN_NONE and actuator.biastype == mujoco.mjtBias.mjBIAS_NONE
-    return bool(fixed and direct)
+    return "motor" if fixed and direct else ""

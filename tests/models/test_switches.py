@@ -126,7 +126,7 @@ def test_a_motor_asked_for_replaces_a_plugin_and_its_sensor():
     text = text.replace("</mujoco>", '<sensor><actuatorfrc actuator="hold"/></sensor></mujoco>')
     mechanism = load_mechanism(text, selection=Selection(drive=["elbow"]))
     assert [actuator.name for actuator in mechanism.actuators] == ["elbow"]
-    assert "actuators replaced by motors, with their sensors: hold" in mechanism.notes
+    assert "actuators replaced by motors, with their sensors: hold on elbow" in mechanism.notes
     assert not [item for item in audit(mechanism.model) if item.falsifies]
 
 
@@ -136,5 +136,5 @@ def test_an_actuator_with_a_filter_acts_without_it_where_a_motor_is_asked_for():
     assert "filter dynamics, which mechanism.drive with its joint omits" in left_out
     mechanism = load_mechanism(text, selection=Selection(drive=["elbow"]))
     assert [(a.name, a.lower, a.upper) for a in mechanism.actuators] == [("ram", -4.0, 4.0)]
-    assert "actuators without their filters, in simulation too (mechanism.drive): ram" in mechanism.notes
+    assert "actuators without their filters, in simulation too (mechanism.drive): ram on elbow" in mechanism.notes
     assert mechanism.model.na == 0

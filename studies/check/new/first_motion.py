@@ -17,11 +17,8 @@ from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.build import mechanism_from_tables
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say
-from linkplan.planner.search.methods import SHORT_BUDGET, SearchMethod
-from linkplan.planner.search.planning import DIAGNOSES, SEARCH_METHODS, plan_motion
-from linkplan.planner.search.reasons import nothing_found, solver_stopped
-from linkplan.planner.search.starts import from_first_starts
-from linkplan.planner.search.without_solver import along_smooth_path
+from linkplan.planner.search.planning import plan_motion
+from linkplan.planner.search.reasons import nothing_found
 from linkplan.studies.check.new.candidates import motions_of_all_homes, moves_of, tables_at_home
 from linkplan.studies.check.new.changes import (
     changed_mechanism,
@@ -35,19 +32,10 @@ from linkplan.studies.check.new.clear_way import refuse_undriven, why_not
 from linkplan.studies.check.new.loop_gap import SOFT_GAP, SOFT_IN_MOTION, planned_gap, travel
 from linkplan.studies.check.new.pace import critical_gains, is_large
 
-# Processor time [s] for all motions, and the least time for each motion.
-_TIME_BUDGET_S, _MIN_SOLVE_S = 40.0, 1.0
-# A large robot's smooth path is usually feasible, and most other motions are found quickly from it.
-_SMOOTH: tuple[SearchMethod, ...] = (
-    SearchMethod(
-        name="the smooth path itself",
-        tried=lambda search: is_large(search.problem.mechanism),
-        run=lambda search, _: along_smooth_path(search),
-        budget=SHORT_BUDGET,
-    ),
-    SearchMethod(name="a smooth path", tried=lambda search: not search.solved, run=from_first_starts, budget=SHORT_BUDGET),
-)
-_IN_BRIEF = (solver_stopped, nothing_found)  # no diagnosis: another motion is tried next
+# Processor time [s] for all motions, the share of the rest that each motion gets, and the least time for a motion.
+_TIME_BUDGET_S, _TIME_SHARE, _MIN_SOLVE_S = 40.0, 0.3, 1.0
+# The least processor time [s] in which planning looks for a better motion than the smooth path.
+_MIN_SEARCH_S = 5.0
 _OTHER_HOME = (
     "the motion starts from another home than the model's, in which undriven joints hang at rest or driven ones are in the"
     " middle of their reach (mechanism.home_deg, home_m)"
@@ -96,7 +84,7 @@ class FirstMotion:
 def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
     """Return a feasible problem of a mechanism, with its plan.
 
-    Each motion gets at most half of the remaining time budget; at first, all motions are tried for a short time.
+    Each motion gets a share of the remaining time budget.
 
     Args:
         table: the [mechanism] table: its model (a built-in name or a path to an MJCF file) and the selected part of it.
@@ -115,29 +103,24 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
     except ProblemError as error:
         found = replace(found, why=one_line(error))
     deadline, obstacles = Deadline().within(_TIME_BUDGET_S), Counter()
-    tried: list[tuple[Mechanism, dict[str, dict]]] = []
-    for methods in (_SMOOTH, SEARCH_METHODS):
-        for moving, tables in tried if methods is SEARCH_METHODS else motions_of_all_homes(mechanism, say, obstacles):
-            left = deadline.left_s
-            if left < _MIN_SOLVE_S:
-                return found
-            if methods is _SMOOTH:
-                tried.append((moving, tables))
-            limit = max(_MIN_SOLVE_S, 0.5 * left if methods is SEARCH_METHODS else min(0.5 * left, _first_try_s(moving)))
-            hurried = tables | {"solver": {"max_time_s": limit}}
-            try:
-                problem = Problem.from_tables(moving.name, hurried, mechanism=moving)
-                answer = plan_motion(problem, say, methods, _IN_BRIEF if methods is _SMOOTH else DIAGNOSES)
-            except LinkplanError as error:
-                found = replace(found, mechanism=moving, tables=tables, plan=None, why=one_line(error))
-                continue
-            late = answer.verdict.out_of_time or left - deadline.left_s > 0.95 * limit  # planning stops early
-            why = "" if answer.passed else why_not(answer, _TIME_BUDGET_S if late else None)
-            said = changes if moving is mechanism else (*changes, _OTHER_HOME)
-            found = replace(found, mechanism=moving, tables=tables, plan=answer, why=why, changes=said)
-            if found.planned:
-                return _stiffened(_without_contacts(_with_brief_search(found, answer, left - deadline.left_s), answer))
-    if not tried and obstacles and found.why == _SHUT:
+    for moving, tables in motions_of_all_homes(mechanism, say, obstacles):
+        left = deadline.left_s
+        if left < _MIN_SOLVE_S:
+            break
+        limit = max(_MIN_SOLVE_S, _TIME_SHARE * left)
+        found = replace(found, mechanism=moving, tables=tables, plan=None)
+        try:
+            answer = _planned(moving, tables | {"solver": {"max_time_s": limit}}, say)
+        except LinkplanError as error:
+            found = replace(found, why=one_line(error))
+            continue
+        late = answer.verdict.out_of_time or left - deadline.left_s > 0.95 * limit  # planning stops early
+        why = "" if answer.passed else why_not(answer, _TIME_BUDGET_S if late else None)
+        said = changes if moving is mechanism else (*changes, _OTHER_HOME)
+        found = replace(found, plan=answer, why=why, changes=said)
+        if found.planned:
+            return _stiffened(_without_contacts(_with_brief_search(found, answer, left - deadline.left_s), answer))
+    if obstacles and found.why == _SHUT:
         found = replace(
             found,
             why=f"every straight path from home is blocked; the most frequent reason: {obstacles.most_common(1)[0][0]}",
@@ -145,22 +128,22 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
     return found
 
 
-def _first_try_s(mechanism: Mechanism) -> float:
-    """Return the time [s] of a first try, which is enough for an easy motion."""
-    return (0.125 if is_large(mechanism) else 0.3) * _TIME_BUDGET_S
+def _planned(mechanism: Mechanism, tables: dict[str, dict], say: Say) -> Plan:
+    """Return the plan of a problem; of a large robot, whose smooth path is usually feasible, this path is tried first."""
+    problem = Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
+    if is_large(mechanism) and (smooth := plan_motion(problem, say, (), (nothing_found,))).passed:
+        return smooth
+    return plan_motion(problem, say)
 
 
 def _with_brief_search(found: FirstMotion, plan: Plan, took_s: float) -> FirstMotion:
-    """Limit the planning time of a first motion's problem to that of a first try, if its plan is the smooth path.
+    """Limit the planning time of a first motion's problem if its plan, which took a time [s], is the smooth path.
 
-    For a large robot, whose smooth path is tried first, the limit is at least twice the time [s] that this took. Otherwise
-    planning might end before the certificate.
+    The limit is at least twice this time, because planning might otherwise end before the certificate.
     """
     if plan.solved is not None:
         return found
-    limit = _first_try_s(found.mechanism)
-    if is_large(found.mechanism):
-        limit = max(limit, float(np.ceil(2 * took_s)))
+    limit = max(_MIN_SEARCH_S, float(np.ceil(2 * took_s)))
     note = (
         f"the smooth path satisfies every limit: planning searches for a better motion for at most {limit:g} s of processor"
         " time (solver.max_time_s)"
