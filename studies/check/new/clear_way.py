@@ -9,7 +9,6 @@ from linkplan.models.kinematics import may_collide
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import (
     RANGE_ROUNDING,
-    beyond_balls,
     demanded,
     distributed,
     sampled,
@@ -19,10 +18,12 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import meetings, new_meetings
 from linkplan.models.poses.controls import control_excess
 from linkplan.planner.certificate.further_checks import geom_names
+from linkplan.planner.limits.kinds import limits_of
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
-from linkplan.studies.check.drives import drivable, motors_hint, outside_at_home, range_words
+from linkplan.planner.search.presolve import ONLY_WAY_SLACK, pose_beyond
+from linkplan.studies.check.drives import drivable, motors_hint, outside_at_home
 from linkplan.studies.check.new.hanging import driven_columns, hanging_columns, lock_at_home
 from linkplan.studies.check.summary import grouped
 
@@ -30,8 +31,8 @@ from linkplan.studies.check.summary import grouped
 def obstacle_on_way(problem: Problem) -> str | None:
     """Return the obstacle on the straight path from start to goal, checked at 61 poses; None if the path is clear.
 
-    On a clear path the loops close, the joints stay within their ranges, det J_z stays above a quarter of its value at home,
-    no geoms collide, and the actuators can hold every pose if they act on all coordinates.
+    On a clear path the loops close, the poses satisfy their limits, det J_z stays above a quarter of its value at home, no
+    geoms collide, and the actuators can hold every pose if they act on all coordinates.
     """
     mechanism, start, goal = problem.mechanism, problem.motion.start, problem.motion.goal
     assert start is not None  # a reach has both ends
@@ -47,16 +48,10 @@ def obstacle_on_way(problem: Problem) -> str | None:
         poses = follow(mechanism, position_at(shares), lead[-1])
     except AssemblyError as error:
         return one_line(error)
-    ranges = np.array([[joint.lower, joint.upper] for joint in mechanism.joints])
-    outside = np.any((poses < ranges[:, 0] - RANGE_ROUNDING) | (poses > ranges[:, 1] + RANGE_ROUNDING), axis=0)
-    if outside.any():
-        joint = mechanism.joints[int(np.argmax(outside))]
-        return f"joint {joint.name} is outside its range {range_words(joint)}"
-    turned = np.any(beyond_balls(mechanism, poses) > RANGE_ROUNDING, axis=0)
-    if turned.any():
-        return f"ball joint {mechanism.balls[int(np.argmax(turned))].name} is outside its range"
-    if mechanism.tendons and not (kept := tendons_kept(mechanism, poses)).all():
-        return f"tendon {mechanism.tendons[int(np.argmin(kept.all(axis=0)))].name} is outside its range"
+    limits = [limit for limit in limits_of(problem) if limit.facts.of_position]
+    beyond = pose_beyond(problem, limits, poses, "on the straight path", ONLY_WAY_SLACK)
+    if beyond is not None:
+        return beyond.words
     if np.min(singularity_ratios(problem, poses)) < 0.25:
         return "a singular pose is near"
     if (sentence := _too_weak(problem, poses)) is not None or not may_collide(mechanism.model):
@@ -101,13 +96,18 @@ def servos_hold(mechanism: Mechanism, poses: np.ndarray, column: int) -> np.ndar
     """Return a mask (n,) of the poses (n, n_q) at which servos on a coordinate hold the weight within their ctrlranges."""
     still = np.zeros((len(poses), mechanism.dof))
     tau, maps = demanded(mechanism, poses, still, still)
-    servos = np.array([actuator.limits_control for actuator in mechanism.actuators], dtype=bool)
-    acting = servos & np.any(maps[:, column] != 0, axis=0)
-    if not acting.any():
-        return np.ones(len(poses), dtype=bool)
+    acting = np.any(maps[:, column] != 0, axis=0)
     hold = np.clip(distributed(mechanism, tau, maps), *mechanism.effort_limit.T)
-    excess = control_excess(mechanism, poses, still, hold)
-    return ~np.any(excess[:, acting] > 0, axis=1)
+    return ~np.any(_beyond_ctrl(mechanism, poses, hold)[:, acting], axis=1)
+
+
+def _beyond_ctrl(mechanism: Mechanism, poses: np.ndarray, effort: np.ndarray) -> np.ndarray:
+    """Return a mask (n, n_u) of the servos that cannot exert efforts (n, n_u) within their ctrlranges."""
+    servos = np.array([actuator.limits_control for actuator in mechanism.actuators], dtype=bool)
+    if not servos.any():
+        return np.zeros(effort.shape, dtype=bool)
+    still = np.zeros((len(poses), mechanism.dof))
+    return servos & (control_excess(mechanism, poses, still, effort) > 0)
 
 
 def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
@@ -125,8 +125,7 @@ def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
     weak = np.any(np.abs(effort - hold) > 1e-6 * np.abs(effort).max(), axis=0)
     if weak.any():
         return f"actuator {names[int(np.argmax(weak))]} is too weak to hold the weight"
-    servos = np.array([actuator.limits_control for actuator in mechanism.actuators], dtype=bool)
-    short = servos & np.any(control_excess(mechanism, poses, still, hold) > 0, axis=0)
+    short = np.any(_beyond_ctrl(mechanism, poses, hold), axis=0)
     return f"servo {names[int(np.argmax(short))]} cannot hold the weight within its ctrlrange" if short.any() else None
 
 

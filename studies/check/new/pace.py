@@ -9,6 +9,9 @@ from linkplan.planner.closed_chain.guess import first_guess
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.new.hanging import GRAVITY_M_S2, driven_columns, hanging_columns
 
+# The phase [rad] that a frequency [rad/s] covers in a first motion's duration [s].
+_EIGHT_CYCLES = 8 * 2 * np.pi
+
 
 def moderate_duration(problem: Problem) -> tuple[float, bool]:
     """Return a duration [s] with two digits, and True if only the simulation of the model makes it that long.
@@ -23,14 +26,9 @@ def moderate_duration(problem: Problem) -> tuple[float, bool]:
     swing = 2 * np.pi * np.sqrt(mechanism.extent_m / GRAVITY_M_S2)
     least = 2 * swing if hanging_columns(mechanism) else 0.1
     longer = 4 if sprung_freedoms(mechanism) else 2  # fast motions excite undriven springs
-    followed = _eight_cycles(_fastest_feedback(problem))
+    followed = _EIGHT_CYCLES / _fastest_feedback(problem)
     moderate = max(longer * shortest, least)
     return float(f"{max(moderate, followed):.2g}"), followed > moderate
-
-
-def _eight_cycles(given: float) -> float:
-    """Return the duration [s] of eight cycles of a frequency [rad/s], or the frequency with eight cycles in a duration."""
-    return 8 * 2 * np.pi / given
 
 
 def _fastest_feedback(problem: Problem) -> float:
@@ -55,7 +53,7 @@ def critical_gains(mechanism: Mechanism, problem: Problem, duration: float) -> d
     """
     inertia = felt_inertia(mechanism, problem.start_pose())
     inertia = np.where(np.isin(np.arange(mechanism.dof), driven_columns(mechanism)), inertia, 0.0)
-    frequency = min(_eight_cycles(duration), _fastest_feedback(problem))
+    frequency = min(_EIGHT_CYCLES / duration, _fastest_feedback(problem))
     gains = {"kp": inertia * frequency**2, "kd": 2 * inertia * frequency}
     names = [joint.name for joint in mechanism.independent_joints]
     found = {key: [float(f"{value:.2g}") for value in values] for key, values in gains.items()}
