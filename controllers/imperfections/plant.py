@@ -84,12 +84,10 @@ class ImperfectPlant:
 
 
 def is_nominal(one: Imperfections) -> bool:
-    """Return True if a machine's model, start and clock are nominal, so that such machines can share one plant."""
-    machine, start, clock = one.machine, one.start, one.clock
-    numbers = (machine.viscous, machine.coulomb, start.position_error, start.velocity_error, clock.phase_periods)
-    factors = (machine.mass_factor, clock.period_factor, one.drives.constant_factor)
-    changed = machine.com_shift_m is not None or machine.length_factor or machine.loop_solref is not None
-    return not (changed or any(map(np.any, numbers)) or any(np.any(np.not_equal(f, 1.0)) for f in factors))
+    """Return True if all but a machine's sensors and pushes are nominal, so that such machines can share one plant."""
+    parts = [getattr(one, name) for name in one.__slots__ if name not in ("sensors", "pushes")]
+    values = [(getattr(part, name), getattr(type(part)(), name)) for part in parts for name in part.__slots__]
+    return all(np.all(np.equal(value, neutral)) for value, neutral in values)
 
 
 def plant(

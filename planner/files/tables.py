@@ -17,24 +17,12 @@ from linkplan.models.errors import ProblemError
 from linkplan.models.errors import shown as shown_name
 from linkplan.models.reading import key_text, parse_toml, quoted, read_toml
 
-BUILT_IN = (
-    "knee-sine",
-    "knee-sine-shank",
-    "knee-reach",
-    "knee-sprint",
-    "knee-sprint-bare",
-    "knee-linear-reach",
-    "slider-crank-turn",
-    "five-bar-reach",
-    "five-bar-swing-up",
-    "squeezer-turn",
-    "gripper-close",
-    "cart-pole-swing-up",
-)
+_PROBLEMS = resources.files("linkplan.planner").joinpath("problems")
+BUILT_IN = tuple(sorted(Path(file.name).stem for file in _PROBLEMS.iterdir() if file.name.endswith(".toml")))
 
 # The file that identifies the folder of a saved plan, and its other files.
 PLAN_FILE = "plan.json"
-PLAN_FILES = (PLAN_FILE, "trajectory.npz", "trajectory.csv", "plan.png")
+PLAN_FILES = (PLAN_FILE, "trajectory.npz", "trajectory.csv", "trajectory.parquet", "plan.png")
 
 Tables = dict[str, dict]
 
@@ -86,7 +74,7 @@ def inline(value: object, where: str = "value") -> str:
 
 def built_in_text(name: str) -> str:
     """Return the TOML text of a built-in problem."""
-    return resources.files("linkplan.planner").joinpath("problems").joinpath(f"{name}.toml").read_text(encoding="utf-8")
+    return _PROBLEMS.joinpath(f"{name}.toml").read_text(encoding="utf-8")
 
 
 def read_tables(source: str | Path) -> tuple[str, Tables, Path | None]:

@@ -1,17 +1,28 @@
 """Imperfections: each does to a machine what its unit and Newton's laws say, and no tracker is told."""
 
 import copy
+import operator
+from dataclasses import replace
 from functools import cache
 
 import mujoco
 import numpy as np
 import pytest
-from mujoco.batch import MODEL_FIELDS
+from mujoco.batch import MODEL_FIELDS, Batch
 
-from linkplan.controllers.imperfections.batch_effects import FIELDS
+from linkplan.controllers.imperfections.batch_effects import spread
 from linkplan.controllers.imperfections.driving import act, driving, take
-from linkplan.controllers.imperfections.imperfections import Clock, Drives, Imperfections, Machine, Push, Sensors, Start
-from linkplan.controllers.imperfections.plant import closed_pose, plant
+from linkplan.controllers.imperfections.imperfections import (
+    Clock,
+    Drives,
+    Imperfections,
+    Machine,
+    Push,
+    Sensors,
+    Start,
+    imperfections_from,
+)
+from linkplan.controllers.imperfections.plant import closed_pose, is_nominal, plant
 from linkplan.controllers.imperfections.sensing import measure, sensing
 from linkplan.controllers.reference import SampledReference, sample
 from linkplan.controllers.rollout import ControlLoop
@@ -80,19 +91,40 @@ def test_noise_has_its_standard_deviation_and_comes_from_its_own_seed():
 # The plant.
 
 
-def test_only_listed_fields_of_a_model_are_changed_and_the_mechanism_s_own_model_is_not():
+def test_every_field_in_which_a_machine_differs_is_that_of_its_own_model_in_a_batch():
     mechanism, reference = reach()
     before = copy.deepcopy(mechanism.model)
     base = plant(mechanism, reference, LOOP, Imperfections(), 1).model
-    changed = set()
-    for seed in range(3):
-        model = plant(mechanism, reference, LOOP, everything(seed), 1).model
-        named = [name for name in MODEL_FIELDS if "." not in name and hasattr(model, name)]
-        changed |= {name for name in named if not np.array_equal(getattr(model, name), getattr(base, name))}
-    assert {"body_mass", "dof_damping", "eq_solref", "site_pos"} <= changed
-    assert changed <= set(FIELDS)
+    models = [base, *(plant(mechanism, reference, LOOP, everything(seed), 1).model for seed in range(3))]
+    batch = Batch(base, len(models))
+    spread(batch, base, models)
+    values = {name: [np.array(operator.attrgetter(name)(model)) for model in models] for name in MODEL_FIELDS}
+    changed = {name for name, (first, *others) in values.items() if any(np.any(other != first) for other in others)}
+    assert {"body_mass", "dof_damping", "eq_solref", "site_pos", "opt.timestep"} <= changed
+    for name in changed:
+        np.testing.assert_array_equal(batch.expand(name), values[name], err_msg=name)
     assert np.array_equal(before.body_mass, mechanism.model.body_mass)
     assert np.array_equal(before.dof_damping, mechanism.model.dof_damping)
+
+
+# A value of each type of field that differs from every neutral one.
+ANOTHER = {"com_shift_m": np.zeros(3), "length_factor": {"coupler": 1.01}, "loop_solref": (0.02, 1.0)}
+
+
+@pytest.mark.parametrize(
+    ("part", "name"),
+    [(part, name) for part in ("machine", "drives", "start", "clock") for name in getattr(Imperfections(), part).__slots__],
+)
+def test_a_machine_with_any_other_value_is_not_nominal(part, name):
+    neutral = getattr(Imperfections(), part)
+    changed = replace(neutral, **{name: ANOTHER.get(name, np.array([0.5, 0.25]))})
+    assert is_nominal(Imperfections())
+    assert not is_nominal(replace(Imperfections(), **{part: changed}))
+
+
+def test_a_machine_whose_arrays_are_neutral_is_nominal():
+    mechanism, _ = reach()
+    assert is_nominal(imperfections_from({}, mechanism, (0,)))
 
 
 def test_a_longer_link_is_longer_and_the_loop_is_closed_with_it():

@@ -14,6 +14,7 @@ from msgspec import Struct, field
 from linkplan.models.errors import PlanFileError, one_line
 from linkplan.planner.files.columns import read_trajectory
 from linkplan.planner.files.folders import plain_record
+from linkplan.planner.files.tables import PLAN_FILES
 from linkplan.planner.plan.folder import record_of, write_plan
 from linkplan.planner.plan.record import read_plan_record
 from linkplan.planner.problem.keys.sections import BatchFile, CaseSection
@@ -25,7 +26,6 @@ from linkplan.studies.variations.tasks.streaming import blocks_of
 # A block is a sixteenth of the cases, within these bounds. Short blocks use more workers and are quickly repeated after an
 # interruption; long blocks reuse more solutions.
 _MIN_BLOCK_CASES, _MAX_BLOCK_CASES = 8, 64
-_FILES = ("plan.json", "trajectory.npz", "trajectory.csv", "trajectory.parquet")
 
 
 class Planned(Struct, frozen=True, kw_only=True, omit_defaults=True):
@@ -102,7 +102,7 @@ def _unpack(answer: Planned, folder: Path) -> None:
         ValueError: if a file is not that of a plan.
         PlanFileError: if a file is damaged.
     """
-    if others := sorted(answer.files.keys() - set(_FILES)):
+    if others := sorted(answer.files.keys() - set(PLAN_FILES)):
         raise ValueError(f"'{answer.name}/{others[0][:100]}' is not a file of its plans")
     for name, content in answer.files.items():
         folder.mkdir(exist_ok=True)
