@@ -11,10 +11,10 @@ from linkplan.models.errors import LinkplanError, ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.transfer.polytope import effort_box
 from linkplan.models.transfer.rest import OutputMotion, SerialErrors, rest_effort
+from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.planner.files.structs import NOT_READ, Beside
-from linkplan.studies.handover.transfer.columns import arrays_of
-from linkplan.studies.handover.transfer.files import write_files
-from linkplan.studies.handover.transfer.serial_study import Serial, errors_along, left_out, motion_of_samples
+from linkplan.studies.handover.transfer.columns import arrays_of, columns_of, inverse_columns, npz_arrays
+from linkplan.studies.handover.transfer.serial_study import Serial, along_columns, errors_along, left_out, motion_of_samples
 from linkplan.studies.handover.transfer.serial_urdf import reductions, urdf_notes, urdf_text
 from linkplan.studies.handover.transfer.study import CONVENTION, Transfer, carried_gains
 from linkplan.studies.handover.transfer.transfer_blocks import notes, transfer_blocks, transfer_plots
@@ -159,7 +159,23 @@ class TransferResult(MechanismResult, Struct, frozen=True, kw_only=True, eq=Fals
 
     def write_files(self, place: Path, *, parquet: bool) -> None:
         """Write the tables (CSV, NPZ, with `parquet` Parquet too) and the serial equivalent."""
-        write_files(self.transfer, place, parquet=parquet)
+        transfer, serial = self.transfer, self.transfer.serial
+        tables = {"table": columns_of(transfer), "inverse": inverse_columns(transfer)}
+        about = {"mechanism": self.mechanism_name, "joints": ",".join(self.joints)}
+        for name, columns in tables.items():
+            if columns is None:
+                continue
+            (place / f"{name}.csv").write_bytes(csv_bytes(columns))
+            if parquet:
+                (place / f"{name}.parquet").write_bytes(parquet_bytes(columns, about))
+        if serial is not None:
+            (place / "serial.xml").write_text(serial.model.text, encoding="utf-8")
+            urdf = urdf_text(transfer)
+            if urdf is not None:
+                (place / "serial.urdf").write_text(urdf, encoding="utf-8")
+            if serial.errors is not None:
+                (place / "along.csv").write_bytes(csv_bytes(along_columns(serial)))
+        np.savez_compressed(place / "table.npz", **npz_arrays(transfer))  # pyright: ignore[reportArgumentType]  arrays by name
 
     def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:
         """Yield the figure "transfer", the curves over each joint's range."""

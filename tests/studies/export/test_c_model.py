@@ -23,8 +23,8 @@ from linkplan.studies.handover.export.c_files import write_model
 from linkplan.studies.handover.export.c_model import ModelCode, header_text, model_code, random_states
 from linkplan.studies.handover.export.c_operations import in_single_precision, operations
 from linkplan.studies.handover.export.c_source import function_of, identifier
+from linkplan.studies.handover.export.export import checked_outputs
 from linkplan.studies.handover.export.output_joints import with_outputs
-from linkplan.studies.handover.export.ros import checked_outputs
 from linkplan.studies.output.text import text_of
 from tests.support import parallel_ankle
 from tests.support.compiled import called, library, needs_gcc, symbols

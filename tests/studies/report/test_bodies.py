@@ -8,11 +8,10 @@ from matplotlib.figure import Figure
 
 from linkplan.models.mechanism import Mechanism, load_mechanism
 from linkplan.models.poses.assembly import follow
-from linkplan.studies.output.animation import animation
+from linkplan.studies.output.animation import animation, drives_of
 from linkplan.studies.output.body_colours import BODY_SERIES, body_colours
 from linkplan.studies.output.document import Animation, Drive
 from linkplan.studies.output.draw_bodies import draw_bodies
-from linkplan.studies.output.drives import drives_of
 from tests.support.linkages import GRIPPER, loaded
 from tests.support.mechanisms import replaced
 
