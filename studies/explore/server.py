@@ -55,7 +55,9 @@ class Server(ThreadingHTTPServer):
         if path == "controls":
             return "application/json", _json(session.controls())
         document, _ = session.report({}, None)
-        return "text/html; charset=utf-8", report_html(document, served=_program()).encode("utf-8", "replace")
+        folder = resources.files("linkplan.studies.explore").joinpath("page")
+        program = folder.joinpath("explore.js").read_text(encoding="utf-8")
+        return "text/html; charset=utf-8", report_html(document, served=program).encode("utf-8", "replace")
 
 
 class _Handler(BaseHTTPRequestHandler):
@@ -115,7 +117,3 @@ class _Handler(BaseHTTPRequestHandler):
 
 def _json(value: object) -> bytes:
     return json.dumps(value).encode()
-
-
-def _program() -> str:
-    return resources.files("linkplan.studies.explore").joinpath("page").joinpath("explore.js").read_text(encoding="utf-8")

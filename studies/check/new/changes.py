@@ -61,8 +61,8 @@ def changed_mechanism(table: Mapping[str, object]) -> tuple[Mechanism, tuple[str
         table, notes = {**table, **fixed[0]}, [fixed[1]]
     mechanism = _assembled(table)
     for change in _CHANGES:
-        if (found := change(mechanism, table)) is not None:
-            keys, note = found
+        if (changed := change(mechanism, table)) is not None:
+            keys, note = changed
             table = {**table, **keys}
             mechanism = _assembled(table, mechanism)
             notes.append(note)
@@ -94,25 +94,22 @@ def _ball_rods_locked(mechanism: Mechanism, table: Mapping[str, object]) -> Chan
     rods = rods_on_balls(mechanism) if _moves(mechanism) else []
     if not rods:
         return None
-    given = table.get("lock_spin")
-    return {"lock_spin": [*(given if isinstance(given, list) else []), *rods]}, (
+    return {"lock_spin": [*_listed(table, "lock_spin"), *rods]}, (
         "rods between ball joints can spin freely about their own lines: one ball joint of each becomes a universal joint"
         f" (mechanism.lock_spin: {', '.join(rods)})"
     )
 
 
 def _filters_left_out(mechanism: Mechanism, table: Mapping[str, object]) -> Change | None:
-    model, given = mechanism.model, table.get("drive")
-    driven = list(given) if isinstance(given, list) else []
+    model = mechanism.model
     filtered = np.isin(model.actuator_dyntype, FILTERS) & (model.actuator_trntype == mujoco.mjtTrn.mjTRN_JOINT)
     on_joints = {model.joint(int(model.actuator_trnid[a, 0])).name: label(model, int(a)) for a in np.flatnonzero(filtered)}
     named = {joint: actuator for joint, actuator in on_joints.items() if joint}
     if not named:
         return None
-    return {"drive": [*driven, *named]}, (
+    return {"drive": [*_listed(table, "drive"), *named]}, (
         "filters of actuators are ignored, in simulation too, because plans do not model their states:"
-        f" {', '.join(named.values())}"
-        f" (mechanism.drive: {', '.join(named)})"
+        f" {', '.join(named.values())} (mechanism.drive: {', '.join(named)})"
     )
 
 
@@ -138,25 +135,31 @@ def _locked(
     find: Callable[[Mechanism], dict[str, float]], why: str, mechanism: Mechanism, table: Mapping[str, object]
 ) -> Change | None:
     """Return the locks of joints [deg or m] that `find` adds to those of a table; None if it adds none."""
-    found = _with_coupled(mechanism, find(mechanism) if _moves(mechanism) else {})
-    locks = {name: round(place, 9) + 0.0 for name, place in found.items()}  # a home pose is assembled to 1e-15
+    places = _with_coupled(mechanism, find(mechanism) if _moves(mechanism) else {})
+    locks = {name: round(place, 9) + 0.0 for name, place in places.items()}  # a home pose is assembled to 1e-15
     if not locks:
         return None
-    given, said = table.get("lock"), ", ".join(f"{name} = {value:g}" for name, value in locks.items())
+    given, text = table.get("lock"), ", ".join(f"{name} = {value:g}" for name, value in locks.items())
     whole = {**(given if isinstance(given, Mapping) else {}), **locks}
-    return {"lock": whole}, why.replace("{locks}", f"mechanism.lock: {said}")
+    return {"lock": whole}, why.replace("{locks}", f"mechanism.lock: {text}")
 
 
 def _with_coupled(mechanism: Mechanism, locks: dict[str, float]) -> dict[str, float]:
     """Return locks [deg or m] of joints and of the joints coupled to them, which also rest at home."""
-    model, found = mechanism.model, dict(locks)
+    model, locked = mechanism.model, dict(locks)
     couplings = np.flatnonzero((model.eq_type == mujoco.mjtEq.mjEQ_JOINT) & (model.eq_obj2id >= 0) & model.eq_active0)
     tied = [{joint_label(model, int(j)) for j in (model.eq_obj1id[k], model.eq_obj2id[k])} for k in couplings]
     for _ in tied:
-        names = set().union(*(pair for pair in tied if not pair.isdisjoint(found)))
+        names = set().union(*(pair for pair in tied if not pair.isdisjoint(locked)))
         homes = zip(mechanism.joints, mechanism.home, strict=True)
-        found = {joint.name: joint.shown(float(x)) + 0.0 for joint, x in homes if joint.name in names} | found
-    return found
+        locked = {joint.name: joint.shown(float(x)) + 0.0 for joint, x in homes if joint.name in names} | locked
+    return locked
+
+
+def _listed(table: Mapping[str, object], key: str) -> list:
+    """Return the list that a [mechanism] table has at a key; empty without one."""
+    value = table.get(key)
+    return value if isinstance(value, list) else []
 
 
 def _moves(mechanism: Mechanism) -> bool:
@@ -165,8 +168,7 @@ def _moves(mechanism: Mechanism) -> bool:
 
 def with_exclusions(table: Mapping[str, object], pairs: Sequence[list[str]]) -> dict[str, object]:
     """Return a [mechanism] table that also excludes the contacts of pairs of bodies."""
-    given = table.get("exclude_contacts")
-    return {**table, "exclude_contacts": [*(given if isinstance(given, list) else []), *pairs]}
+    return {**table, "exclude_contacts": [*_listed(table, "exclude_contacts"), *pairs]}
 
 
 def raised_limits(mechanism: Mechanism) -> dict[str, list[float]]:
@@ -201,13 +203,13 @@ def raised_notes(mechanism: Mechanism, tables: Mapping[str, Mapping]) -> list[st
     limits = tables.get("limits", {}).get("effort", {})
     if not limits:
         return []
-    said = ", ".join(
+    raised = ", ".join(
         f"{actuator.name} {limits[actuator.name]} instead of {[float(f'{x:.4g}') for x in ends]} {actuator.unit}"
         for actuator, ends in zip(mechanism.actuators, mechanism.effort_limit, strict=True)
         if actuator.name in limits
     )
     return [
-        f"actuators, or others with the same limits, are too weak to hold the weight at home: limits.effort takes {said};"
+        f"actuators, or others with the same limits, are too weak to hold the weight at home: limits.effort takes {raised};"
         " replace them by your motors' limits"
     ]
 
@@ -221,10 +223,10 @@ def left_out(mechanism: Mechanism) -> tuple[str, ...]:
 def left_out_notes(mechanism: Mechanism) -> list[str]:
     """Return a sentence on the forces that a first motion neglects, if there are any."""
     forces = left_out(mechanism)
-    said = f"{len(forces)} forces" if len(forces) > 1 else "forces"
+    count = f"{len(forces)} forces" if len(forces) > 1 else "forces"
     what = "; ".join(grouped(mechanism, forces)[:3])
     return [
-        f"plans neglect {said} that act in the simulation: {what}"
+        f"plans neglect {count} that act in the simulation: {what}"
         ' (limits.unhonoured = "note"; the default is to refuse such a problem)'
     ] * bool(forces)
 

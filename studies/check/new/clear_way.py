@@ -39,8 +39,8 @@ def obstacle_on_way(problem: Problem) -> str | None:
     assert goal is not None
     shares = np.linspace(0.0, 1.0, 61)
 
-    def position_at(at: np.ndarray) -> np.ndarray:
-        return start + np.asarray(at)[:, None] * (goal - start)
+    def position_at(share: np.ndarray) -> np.ndarray:
+        return start + np.asarray(share)[:, None] * (goal - start)
 
     try:
         home = mechanism.home[mechanism.independent]
@@ -56,8 +56,8 @@ def obstacle_on_way(problem: Problem) -> str | None:
         return "a singular pose is near"
     if (sentence := _too_weak(problem, poses)) is not None or not may_collide(mechanism.model):
         return sentence
-    met = new_meetings(meetings(mechanism, shares, poses, position_at))
-    return f"{geom_names(met[0])} collide" if met else None
+    meeting = new_meetings(meetings(mechanism, shares, poses, position_at))
+    return f"{geom_names(meeting[0])} collide" if meeting else None
 
 
 def why_stuck(mechanism: Mechanism) -> str:
@@ -69,11 +69,11 @@ def why_stuck(mechanism: Mechanism) -> str:
 
 def why_not(answer: Plan, within_s: float | None) -> str:
     """Return the reason why no motion was found: the plan's message, or after the time [s] the last plan's first failure."""
-    mechanism, said = answer.problem.mechanism, answer.message
+    mechanism, reason = answer.problem.mechanism, answer.message
     if within_s is not None:
         failures = () if answer.certificate is None else answer.certificate.failures
         last = f"; the last one failed: {failures[0]}" if failures else ""
-        said = (
+        reason = (
             f"no motion was found within {within_s:g} s of processor time{last}; `linkplan plan`, without this bound, may"
             " find one"
         )
@@ -82,7 +82,7 @@ def why_not(answer: Plan, within_s: float | None) -> str:
     lock = lock_at_home(mechanism, loose)  # including the joints that `new` has locked
     names = listed([mechanism.independent_joints[k].name for k in loose], 8)
     remedy = f"{lock} holds them" if lock else f"start and goal must be poses in which {names} hang at rest"
-    return f"{said}; these joints have no actuator and swing or coast when others move: {remedy}" if loose else said
+    return f"{reason}; these joints have no actuator and swing or coast when others move: {remedy}" if loose else reason
 
 
 def tendons_kept(mechanism: Mechanism, poses: np.ndarray) -> np.ndarray:

@@ -97,35 +97,35 @@ def first_motion(table: Mapping[str, object], say: Say) -> FirstMotion:
     mechanism, changes = changed_mechanism(table)
     refuse_undriven(mechanism)
     tables = tables_at_home(mechanism)
-    found = FirstMotion(mechanism=mechanism, tables=tables, plan=None, why=_SHUT, changes=changes)
+    first = FirstMotion(mechanism=mechanism, tables=tables, plan=None, why=_SHUT, changes=changes)
     try:
         Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
     except ProblemError as error:
-        found = replace(found, why=one_line(error))
+        first = replace(first, why=one_line(error))
     deadline, obstacles = Deadline().within(_TIME_BUDGET_S), Counter()
     for moving, tables in motions_of_all_homes(mechanism, say, obstacles):
         left = deadline.left_s
         if left < _MIN_SOLVE_S:
             break
         limit = max(_MIN_SOLVE_S, _TIME_SHARE * left)
-        found = replace(found, mechanism=moving, tables=tables, plan=None)
+        first = replace(first, mechanism=moving, tables=tables, plan=None)
         try:
             answer = _planned(moving, tables | {"solver": {"max_time_s": limit}}, say)
         except LinkplanError as error:
-            found = replace(found, why=one_line(error))
+            first = replace(first, why=one_line(error))
             continue
         late = answer.verdict.out_of_time or left - deadline.left_s > 0.95 * limit  # planning stops early
         why = "" if answer.passed else why_not(answer, _TIME_BUDGET_S if late else None)
-        said = changes if moving is mechanism else (*changes, _OTHER_HOME)
-        found = replace(found, plan=answer, why=why, changes=said)
-        if found.planned:
-            return _stiffened(_without_contacts(_with_brief_search(found, answer, left - deadline.left_s), answer))
-    if obstacles and found.why == _SHUT:
-        found = replace(
-            found,
+        notes = changes if moving is mechanism else (*changes, _OTHER_HOME)
+        first = replace(first, plan=answer, why=why, changes=notes)
+        if first.planned:
+            return _stiffened(_without_contacts(_with_brief_search(first, answer, left - deadline.left_s), answer))
+    if obstacles and first.why == _SHUT:
+        first = replace(
+            first,
             why=f"every straight path from home is blocked; the most frequent reason: {obstacles.most_common(1)[0][0]}",
         )
-    return found
+    return first
 
 
 def _planned(mechanism: Mechanism, tables: dict[str, dict], say: Say) -> Plan:
@@ -136,45 +136,45 @@ def _planned(mechanism: Mechanism, tables: dict[str, dict], say: Say) -> Plan:
     return plan_motion(problem, say)
 
 
-def _with_brief_search(found: FirstMotion, plan: Plan, took_s: float) -> FirstMotion:
+def _with_brief_search(first: FirstMotion, plan: Plan, took_s: float) -> FirstMotion:
     """Limit the planning time of a first motion's problem if its plan, which took a time [s], is the smooth path.
 
     The limit is at least twice this time, because planning might otherwise end before the certificate.
     """
     if plan.solved is not None:
-        return found
+        return first
     limit = max(_MIN_SEARCH_S, float(np.ceil(2 * took_s)))
     note = (
         f"the smooth path satisfies every limit: planning searches for a better motion for at most {limit:g} s of processor"
         " time (solver.max_time_s)"
     )
-    tables = found.tables | {"solver": {"max_time_s": limit}}
-    return replace(found, tables=tables, changes=(*found.changes, note))
+    tables = first.tables | {"solver": {"max_time_s": limit}}
+    return replace(first, tables=tables, changes=(*first.changes, note))
 
 
-def _without_contacts(found: FirstMotion, plan: Plan) -> FirstMotion:
+def _without_contacts(first: FirstMotion, plan: Plan) -> FirstMotion:
     """Return a first motion without the contacts of links that overlap by construction; plans have no contact forces."""
     pairs = overlapping_bodies(() if plan.certificate is None else plan.certificate.contacts)
     if not pairs or plan.certificate is None:
-        return found
+        return first
     left = tuple(meeting for meeting in plan.certificate.contacts if list(meeting.bodies) not in pairs)
     plan = replace(plan, certificate=structs.replace(plan.certificate, contacts=left))
-    return _with_table(found, plan, with_exclusions(found.tables["mechanism"], pairs), overlap_sentence(pairs))
+    return _with_table(first, plan, with_exclusions(first.tables["mechanism"], pairs), overlap_sentence(pairs))
 
 
-def _stiffened(found: FirstMotion) -> FirstMotion:
+def _stiffened(first: FirstMotion) -> FirstMotion:
     """Return a first motion whose loops are stiff if its own efforts open them in simulation."""
-    table, plan = found.tables["mechanism"], found.plan
+    table, plan = first.tables["mechanism"], first.plan
     if plan is None or "solref" in table or planned_gap(plan) <= SOFT_GAP * travel(plan):
-        return found
-    return _with_table(found, plan, {**table, "solref": STIFF}, SOFT_IN_MOTION)
+        return first
+    return _with_table(first, plan, {**table, "solref": STIFF}, SOFT_IN_MOTION)
 
 
-def _with_table(found: FirstMotion, plan: Plan, table: dict, note: str) -> FirstMotion:
+def _with_table(first: FirstMotion, plan: Plan, table: dict, note: str) -> FirstMotion:
     """Return a first motion with another [mechanism] table, with which its plan remains valid, and a note on the change."""
-    tables = found.tables | {"mechanism": table}
+    tables = first.tables | {"mechanism": table}
     mechanism = mechanism_from_tables(tables)
     problem = Problem.from_tables(mechanism.name, tables, mechanism=mechanism)
     tables["tracking"] = critical_gains(mechanism, problem, tables["motion"]["duration_s"])
-    changes = (*found.changes, note)
-    return replace(found, mechanism=mechanism, tables=tables, plan=replace(plan, problem=problem), changes=changes)
+    changes = (*first.changes, note)
+    return replace(first, mechanism=mechanism, tables=tables, plan=replace(plan, problem=problem), changes=changes)

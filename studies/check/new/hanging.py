@@ -159,13 +159,13 @@ def least_energy_pose(mechanism: Mechanism, near: np.ndarray, held: Mapping[int,
         return np.array(dynamics.independent_closure(q)).ravel() / mechanism.extent_m
 
     closed = [{"type": "eq", "fun": gaps}] if mechanism.closures else []
-    found = scipy.optimize.minimize(
+    minimum = scipy.optimize.minimize(
         energy, start, method="SLSQP", bounds=bounds, constraints=closed, options={"maxiter": 500, "ftol": 1e-13}
     )
-    if not np.all(np.isfinite(found.x)) or (closed and np.abs(gaps(found.x)).max(initial=0.0) > 1e-5):
+    if not np.all(np.isfinite(minimum.x)) or (closed and np.abs(gaps(minimum.x)).max(initial=0.0) > 1e-5):
         return None
     try:
-        return close_at(mechanism, found.x[mechanism.independent], found.x)
+        return close_at(mechanism, minimum.x[mechanism.independent], minimum.x)
     except AssemblyError:
         return None
 

@@ -44,7 +44,7 @@ def held_by_friction(mechanism: Mechanism) -> dict[str, float]:
 
     Half of the friction must hold weight and springs; the other half resists the motion of other joints.
     """
-    found: dict[str, float] = {}
+    held: dict[str, float] = {}
     for column in hanging_columns(mechanism):
         joint = mechanism.independent_joints[column]
         if joint.chart is not None or not sliding_friction(mechanism, mechanism.home[None], column).any():
@@ -53,8 +53,8 @@ def held_by_friction(mechanism: Mechanism) -> dict[str, float]:
         still = np.zeros((len(poses), mechanism.dof))
         needed = np.abs(demanded(mechanism, poses, still, still)[0][:, column])
         if np.all(HOLD_MULTIPLE * needed <= sliding_friction(mechanism, poses, column)):
-            found[joint.name] = joint.shown(float(mechanism.home[mechanism.independent[column]])) + 0.0
-    return found
+            held[joint.name] = joint.shown(float(mechanism.home[mechanism.independent[column]])) + 0.0
+    return held
 
 
 def dropped(mechanism: Mechanism) -> dict[str, float]:
@@ -62,19 +62,19 @@ def dropped(mechanism: Mechanism) -> dict[str, float]:
 
     An example is the boom of a hopper that stands on its foot: without the ground's force it has no pose at rest.
     """
-    home, found = mechanism.home, {}
+    home, dropped_joints = mechanism.home, {}
     hanging = hanging_columns(mechanism)
     if not hanging or is_equilibrium(mechanism, home):
-        return found
+        return dropped_joints
     if (pose := least_energy_pose(mechanism, home, driven_at_home(mechanism))) is None:
-        return found
-    before, after = ({pair.bodies for pair in contact_pairs(mechanism, at[None])} for at in (home, pose))
+        return dropped_joints
+    before, after = ({pair.bodies for pair in contact_pairs(mechanism, place[None])} for place in (home, pose))
     for index in mechanism.independent[hanging].tolist():
-        joint, at, falls_to = mechanism.joints[index], float(home[index]), float(pose[index])
+        joint, x, falls_to = mechanism.joints[index], float(home[index]), float(pose[index])
         stopped = min(joint.upper - falls_to, falls_to - joint.lower) < RANGE_ROUNDING
-        if joint.chart is None and abs(falls_to - at) > RANGE_ROUNDING and (stopped or after - before):
-            found[joint.name] = joint.shown(at) + 0.0
-    return found
+        if joint.chart is None and abs(falls_to - x) > RANGE_ROUNDING and (stopped or after - before):
+            dropped_joints[joint.name] = joint.shown(x) + 0.0
+    return dropped_joints
 
 
 def spins(mechanism: Mechanism) -> dict[str, float]:
@@ -110,7 +110,7 @@ def rods_on_balls(mechanism: Mechanism) -> list[str]:
 
     The coordinate of a rod's spin may be an angle of another ball joint, so the bodies determine which rod spins.
     """
-    model, found = mechanism.model, []
+    model, rods = mechanism.model, []
     lines = {j: rod_line(model, j) for j in range(model.njnt) if spin_refusal(model, j) is None}
     data = data_at(model, mechanism.qpos_of(mechanism.home))
     for column in _passive_columns(mechanism):
@@ -122,8 +122,8 @@ def rods_on_balls(mechanism: Mechanism) -> list[str]:
             body = int(model.jnt_bodyid[j])
             turn = data.xmat[body].reshape(3, 3).T @ data.cvel[body, :3]
             if line is not None and np.linalg.norm(turn) > least > np.linalg.norm(np.cross(turn, line)):
-                found.append(joint_label(model, j))
-    return list(dict.fromkeys(found))
+                rods.append(joint_label(model, j))
+    return list(dict.fromkeys(rods))
 
 
 def _is_spin(mechanism: Mechanism, column: int) -> bool:

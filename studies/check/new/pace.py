@@ -56,8 +56,8 @@ def critical_gains(mechanism: Mechanism, problem: Problem, duration: float) -> d
     frequency = min(_EIGHT_CYCLES / duration, _fastest_feedback(problem))
     gains = {"kp": inertia * frequency**2, "kd": 2 * inertia * frequency}
     names = [joint.name for joint in mechanism.independent_joints]
-    found = {key: [float(f"{value:.2g}") for value in values] for key, values in gains.items()}
-    return {key: v[0] if len(v) == 1 else dict(zip(names, v, strict=True)) for key, v in found.items()}
+    rounded = {key: [float(f"{value:.2g}") for value in values] for key, values in gains.items()}
+    return {key: v[0] if len(v) == 1 else dict(zip(names, v, strict=True)) for key, v in rounded.items()}
 
 
 def is_large(mechanism: Mechanism) -> bool:

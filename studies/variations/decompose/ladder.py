@@ -98,7 +98,8 @@ def run_ladder(experiment: Experiment, asked: TrackerLike) -> Ladder:
     ideal = _ideal(experiment, asked)
     first = [*ideal, _errors(rigid, _unlimited(law), reference, clocked), ran[frozenset()]]
     after = [ran[frozenset(SWITCHES[:k]) & frozenset(acting)] for k in range(1, len(SWITCHES) + 1)]
-    failure = _failures([*zip(CAUSES.values(), [*first, *after], strict=True), *_words_of(ran)], n)
+    together = [(" and ".join(CAUSES[name].partition(":")[0] for name in names), ran[names]) for names in ran if names]
+    failure = _failures([*zip(CAUSES.values(), [*first, *after], strict=True), *together], n)
     t, n_s = reference.position_rad.shape
     errors = np.array([np.broadcast_to(error, (t, n, n_s)) for error, _ in [*first, *after]])
     increments = np.diff(errors, axis=0, prepend=0.0)
@@ -143,10 +144,6 @@ def _mean_increment(name: str, acting: Sequence[str], ran: Mapping[frozenset[str
             orders = math.factorial(len(names)) * math.factorial(len(acting) - len(names) - 1)
             total = total + orders / math.factorial(len(acting)) * (ran[names | {name}][0] - ran[names][0])
     return total
-
-
-def _words_of(ran: Mapping[frozenset[str], "_Found"]) -> list[tuple[str, "_Found"]]:
-    return [(" and ".join(CAUSES[name].partition(":")[0] for name in names), ran[names]) for names in ran if names]
 
 
 # Errors (t, n or 1, n_s), and the reason for each failed run.

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from linkplan.studies.output.document import RAISING_COLOUR, TOTAL_COLOUR, Axis, Bar, Bars, Block, Span, Text, table_of
 from linkplan.studies.output.figure_spec import FigureSpec
 from linkplan.studies.variations.experiment.sensitivity import Influence, Sensitivity
-from linkplan.studies.variations.experiment.statistics import Estimate
 
 # Number of imperfections in tables and charts.
 _MAX_ROWS = 12
@@ -67,13 +66,11 @@ def _spans(one: Influence) -> list[Span]:
     ]
 
 
-def _cell(one: Influence) -> str | None:
+def _cell(influence: Influence) -> str | None:
     """Return the strongest coefficient as text, if it is significant."""
-    return _text(one.strongest, both=one.strongest is one.by_distance) if one.significant else None
-
-
-def _text(one: Estimate, *, both: bool) -> str:
-    return f"{one.value:+.2f} ± {one.half:.2f}{' both' if both else ''}"
+    strongest = influence.strongest
+    both = " both" if strongest is influence.by_distance else ""
+    return f"{strongest.value:+.2f} ± {strongest.half:.2f}{both}" if influence.significant else None
 
 
 def _strongest(study: Sensitivity, tracker: str, metric: str) -> str | None:
