@@ -14,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator, ranged_control
+from linkplan.planner.limits.bounds import EffortBounds
 from linkplan.planner.limits.joints import own_column
 from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
@@ -103,6 +104,18 @@ class PowerLimit(Limit):
             value=lambda at: at.state.u[self.item] * at.actuator_speeds[self.item],
         )
 
+    @classmethod
+    def effort_bounds(cls, problem: Problem) -> EffortBounds | None:
+        power = problem.limits.power
+        if not np.isfinite(power).any():
+            return None
+
+        def at(speed: np.ndarray, _: Any) -> tuple[np.ndarray, np.ndarray]:
+            ends = np.sort(power / np.where(speed == 0, 1.0, speed)[..., None], axis=-1)
+            return np.where(speed == 0, -np.inf, ends[..., 0]), np.where(speed == 0, np.inf, ends[..., 1])
+
+        return EffortBounds(at=at, strength=np.full(len(power), np.inf))
+
 
 @dataclass(frozen=True, slots=True)
 class MotorLimit(Limit):
@@ -162,6 +175,17 @@ class MotorLimit(Limit):
         )
 
     @classmethod
+    def effort_bounds(cls, problem: Problem) -> EffortBounds | None:
+        if not cls.of(problem):
+            return None
+        stall, no_load = motor_lines(problem).T
+
+        def at(speed: np.ndarray, _: Any) -> tuple[np.ndarray, np.ndarray]:
+            return -stall * (1.0 + speed / no_load), stall * (1.0 - speed / no_load)
+
+        return EffortBounds(at=at, strength=stall, no_load_speed=lambda _: no_load, crosses_zero=True)
+
+    @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
         wider = tuple(one if one is None or one.line is None else one.with_line(factor) for one in problem.motors)
         return problem.varied(motors=wider)
@@ -219,6 +243,32 @@ class ControlLimit(Limit):
             wider[j] = replace(wider[j], control_lower=low - more, control_upper=high + more)
         return problem.varied(mechanism=replace(problem.mechanism, actuators=tuple(wider)))
 
+    @classmethod
+    def effort_bounds(cls, problem: Problem) -> EffortBounds | None:
+        """Return the efforts at the ends of ctrlranges, u = g c + b_0 + b_1 l + b_2 w, within the servos' force clamps."""
+        actuators = problem.mechanism.actuators
+        still, by_length, by_speed = ends = np.zeros((3, len(actuators), 2))
+        still[:] = -np.inf, np.inf
+        for j in (limit.item for limit in cls.of(problem)):
+            servo = actuators[j]
+            ends[:, j] = np.array(servo.biases)[:, None]
+            still[j] += np.sort(servo.gain * np.array([servo.control_lower, servo.control_upper]))
+        if not np.isfinite(still).any():
+            return None
+        clamps = np.array([(servo.lower, servo.upper) for servo in actuators])
+
+        def at(speed: np.ndarray, length: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            found = still + by_length * length[..., None] + by_speed * speed[..., None]
+            return np.minimum(found[..., 0], clamps[:, 1]), np.maximum(found[..., 1], clamps[:, 0])
+
+        def no_load_speed(length: np.ndarray) -> np.ndarray:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                speed = np.abs((still + by_length * length[..., None]) / by_speed)
+            return np.fmax(speed[..., 0], speed[..., 1])
+
+        strength = np.full(len(actuators), np.inf)
+        return EffortBounds(at=at, strength=strength, no_load_speed=no_load_speed, of_length=True, crosses_zero=True)
+
 
 def _ctrl(actuator: Actuator, u: Any, length: Any, speed: Any) -> Any:
     """Return the ctrl with which a servo gives the effort u."""
@@ -226,24 +276,10 @@ def _ctrl(actuator: Actuator, u: Any, length: Any, speed: Any) -> Any:
     return (u - b[0] - b[1] * length - b[2] * speed) / actuator.gain
 
 
-def permitted_efforts(problem: Problem, speeds: np.ndarray) -> np.ndarray:
-    """Return the least and the largest effort (n, n_u, 2) within the limits on effort and power and the torque-speed lines.
-
-    Args:
-        problem: with the limits.
-        speeds: of the actuators (n, n_u) [rad/s or m/s].
-    """
-    of_power = np.tile([-np.inf, np.inf], (*speeds.shape, 1))
-    moving = speeds != 0
-    of_power[moving] = np.sort((problem.limits.power / np.where(moving, speeds, 1.0)[:, :, None])[moving], axis=1)
-    low = np.maximum(problem.limits.effort[:, 0], of_power[..., 0])
-    high = np.minimum(problem.limits.effort[:, 1], of_power[..., 1])
-    for j, motor in enumerate(problem.motors):
-        if motor is not None and motor.line is not None:
-            share = speeds[:, j] / motor.no_load_speed
-            low[:, j] = np.maximum(low[:, j], motor.stall_effort * (-1.0 - share))
-            high[:, j] = np.minimum(high[:, j], motor.stall_effort * (1.0 - share))
-    return np.stack([low, high], axis=2)
+def motor_lines(problem: Problem) -> np.ndarray:
+    """Return the stall efforts and no-load speeds (n_u, 2) of the motors' lines, infinite without one."""
+    lines = [None if motor is None else motor.line for motor in problem.motors]
+    return np.array([(np.inf, np.inf) if line is None else line for line in lines]).reshape(-1, 2)
 
 
 def clamped_allowance(problem: Problem, motion: Trajectory, j: int) -> float:

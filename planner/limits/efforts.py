@@ -12,6 +12,7 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
+from linkplan.planner.limits.bounds import EffortBounds
 from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
     Bounds,
@@ -52,6 +53,12 @@ class EffortLimit(Limit):
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return tuple(problem.limits.effort[self.item] / scales.effort[self.item])
+
+    @classmethod
+    def effort_bounds(cls, problem: Problem) -> EffortBounds:
+        low, high = problem.limits.effort.T
+        strength = np.abs(problem.limits.effort).max(axis=1)
+        return EffortBounds(at=lambda *_: (low, high), strength=strength, constant=True)
 
     def measured(self, at: Samples) -> Measured:
         actuator = at.problem.mechanism.actuators[self.item]

@@ -19,10 +19,10 @@ import casadi as ca
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import sampled, sliding_friction
+from linkplan.models.poses.along import joint_rates, sampled, sliding_friction
+from linkplan.planner.limits.bounds import Affine
 from linkplan.planner.limits.limit import (
     RELAXED_FACTOR,
-    Affine,
     Bounds,
     Claimed,
     Limit,
@@ -252,6 +252,10 @@ class SpeedLimit(Limit):
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
         claim = claim_of_joint(self, problem, "/s", lambda at: at.rates[self.item])
         yield replace(claim, slack=(RANGE_SLACK, RANGE_SLACK))
+
+    def affine(self, problem: Problem) -> Affine:
+        mechanism, own = problem.mechanism, [self.item]
+        return Affine(lambda q, v, *_: joint_rates(mechanism, q, v)[:, own], problem.limits.speed[self.item], of_speed=True)
 
 
 def bounds_of_joint(limit: Any, problem: Problem, scales: Scales, order: int) -> Bounds:

@@ -1,5 +1,6 @@
 """The kinds of limits, which are the classes of this folder's files; a problem's limits, and loops over a kind."""
 
+import functools
 import importlib
 import pkgutil
 from collections.abc import Iterator
@@ -10,6 +11,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.planner import limits
 from linkplan.planner.limits.actuators import further_control_claims
+from linkplan.planner.limits.bounds import EffortBounds
 from linkplan.planner.limits.efforts import EffortLimit, lacking_corner_claims
 from linkplan.planner.limits.limit import Limit, Margin, WhichJoints, limit_margin, with_limits
 from linkplan.planner.limits.samples import Samples, samples_of
@@ -68,9 +70,34 @@ def structure_of(problem: Problem) -> tuple:
     return tuple((type(limit), limit, *np.isfinite(limit.bounds(problem, ones))) for limit in limits_of(problem))
 
 
-def relaxed_kinds(problem: Problem, kinds: tuple[type[Limit], ...] = KINDS[2:]) -> list[type[Limit]]:
-    """Return, in order, the kinds of limits that a problem has; by default of all kinds but efforts and ranges."""
-    return [kind for kind in kinds if kind.of(problem)]
+def relaxed_kinds(problem: Problem, *, at_last: bool = False) -> list[type[Limit]]:
+    """Return, in order, the kinds of limits that a diagnosis removes: all but efforts and ranges, or ranges `at_last`."""
+    return [kind for kind in (KINDS[1:2] if at_last else KINDS[2:]) if kind.of(problem)]
+
+
+def all_effort_bounds(problem: Problem) -> tuple[EffortBounds, ...]:
+    """Return the bounds on efforts of all kinds of limits; the first one is constant, with a finite or infinite strength."""
+    every = (kind.effort_bounds(problem) for kind in KINDS)
+    return tuple(sorted((one for one in every if one is not None), key=lambda one: not one.constant))
+
+
+def effort_bounds(problem: Problem, speeds: np.ndarray | None = None) -> np.ndarray:
+    """Return the least and the largest effort (..., n_u, 2) that limits permit, except those that depend on lengths.
+
+    Args:
+        problem: with the limits.
+        speeds: of the actuators (..., n_u) [rad/s or m/s]; without them the bounds are those at any speed, (n_u, 2).
+    """
+    asked = [one for one in all_effort_bounds(problem) if (one.constant if speeds is None else not one.of_length)]
+    low, high = zip(*(np.broadcast_arrays(*one.at(speeds, None)) for one in asked), strict=True)
+    return np.stack([functools.reduce(np.maximum, low), functools.reduce(np.minimum, high)], axis=-1)
+
+
+def narrowed(problem: Problem, share: float) -> Problem:
+    """Return a problem in which the limits that motions of the phase plane follow are narrower by a share of their ends."""
+    facts = {type(limit): limit.facts for limit in limits_of(problem)}
+    followed = (kind for kind, of in facts.items() if of.followed_with or (of.in_phase_plane and not of.of_position))
+    return functools.reduce(lambda less, kind: kind.narrowed(less, share), followed, problem)
 
 
 def margins_along(samples: Samples) -> tuple[Margin, ...]:

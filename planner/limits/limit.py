@@ -20,6 +20,7 @@ from msgspec import Struct, structs
 
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.planner.files.structs import Beside, InJson
+from linkplan.planner.limits.bounds import Affine, EffortBounds
 from linkplan.planner.limits.samples import Samples, least_between
 from linkplan.planner.problem.extra import as_no_number
 from linkplan.planner.problem.instant import Instant, Scales
@@ -158,18 +159,6 @@ class Claimed:
     unknown: str = ""
 
 
-@dataclass(frozen=True, eq=False, slots=True)
-class Affine:
-    """A limited quantity that is affine in the acceleration and the effort at a pose and speeds: one value, or a vector.
-
-    `value` gives it (n, n_rows) from q (n, n_q), v and a (n, n_s), u (n, n_u). One value is within the `bounds` [low, high];
-    the size of a vector is at most the second one.
-    """
-
-    value: Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-    bounds: Sequence[float] | np.ndarray
-
-
 class Margin(Struct, frozen=True, eq=False, kw_only=True):
     """The worst instant of a limit: `value` against `limit` in `unit`; `left` is negative if the limit is overrun.
 
@@ -270,13 +259,27 @@ class Limit(ABC):
         """Yield the claims of a proof, at least one."""
 
     def affine(self, problem: Problem) -> Affine | None:
-        """Return the quantity that bounds the acceleration of one degree of freedom at a pose and speed; None by default."""
+        """Return the quantity that bounds the motion of one degree of freedom at a pose and speed; None by default."""
+        return None
+
+    @classmethod
+    def effort_bounds(cls, problem: Problem) -> EffortBounds | None:
+        """Return the efforts that the limits of this kind permit; None if there are none or if they bound no effort."""
         return None
 
     @classmethod
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
         """Return a problem with its limits of this kind relaxed by a common factor; infinity removes them."""
         return with_limits(problem, **{cls.key: _scaled(getattr(problem.limits, cls.key), factor)})
+
+    @classmethod
+    def narrowed(cls, problem: Problem, share: float) -> Problem:
+        """Return a problem in which every end of these limits moves inwards by a share of itself."""
+        rows = getattr(problem.limits, cls.key, None)
+        if not isinstance(rows, np.ndarray) or rows.ndim == 1:
+            return cls.relaxed(problem, 1.0 - share)
+        size = np.where(np.isfinite(rows), np.abs(rows), 0.0)
+        return with_limits(problem, **{cls.key: rows + share * size * np.array([1.0, -1.0])})
 
 
 def with_limits(problem: Problem, **changes: Any) -> Problem:

@@ -17,9 +17,9 @@ import numpy as np
 
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.poses.along import accelerations, joint_jerk, joint_rates, sampled, site_motion
+from linkplan.planner.limits.bounds import Affine
 from linkplan.planner.limits.joints import bounds_of_joint, claim_of_joint, measured_of_joint
 from linkplan.planner.limits.limit import (
-    Affine,
     Bounds,
     Claimed,
     Limit,

@@ -1,14 +1,12 @@
 """Accelerations of one degree of freedom under limits on effort, power, line, pin force, acceleration and speed.
 
-Each limit bounds the effort at a given position and speed. A limit P on power bounds the effort by P / w, where w is the
-actuator's speed. The torque-speed line of a motor bounds it by u = u_0 (1 - w / w_0), from stall effort to no-load speed.
-The ctrlrange of a servo bounds it by lines, too: u = g c + b_0 + b_1 l + b_2 w at an end c, where l is the servo's length. A
-pin force and the acceleration of a joint or site are affine in the effort. Their limit R bounds the effort by the roots of
-|F(s, v, u)|^2 = R^2. Each limit states such a quantity itself (`Limit.affine`). Speed limits of
-joints bound the speed v by the maximum velocity curve. Where the speed limit of a joint is active, the joint's speed r v is
-constant, so v' = -r' v^2 / r. Here r is the joint's speed per unit of v.
+Each limit states itself how it bounds the motion. Limits of actuators bound the effort at a given position and speed
+(`Limit.effort_bounds`). A pin force and the acceleration of a joint or site are affine in the effort (`Limit.affine`). Their
+limit R bounds the effort by the roots of |F(s, v, u)|^2 = R^2. A quantity r v that is proportional to the speed v bounds it
+by the maximum velocity curve. Where its limit is active, r v is constant, so v' = -r' v^2 / r.
 """
 
+import functools
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -18,16 +16,16 @@ import numpy as np
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.tree.friction import frictions_of
-from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.bounds import Affine, EffortBounds
+from linkplan.planner.limits.kinds import all_effort_bounds, limits_of
 from linkplan.planner.phase_plane.bang_bang_motions import Part
 from linkplan.planner.problem.problem import Problem
 
-# Numbers of the limits that an actuator is held at. 1 and -1 are the upper and lower limit of its effort, `AT_POWER` is its
-# power and `AT_LINE` its motor's or servo's line. `AT_FORCE` is the first of n limits on affine quantities, such as a
-# closure's force. The next n numbers belong to motions along the maximum velocity curve of the same limits, where one effort
-# alone satisfies the limit. The numbers after these belong to joints with a limited speed. An affine quantity has a positive
-# number where a larger effort reaches its limit, a negative one where a smaller effort does.
-AT_POWER, AT_LINE, AT_FORCE = 2, 3, 4
+# The number of a limit that an actuator is held at: 1 for its constant effort limit, then one for each further bound of
+# `LegField.bounds`, then one for each of n limits on affine quantities. It is positive where a larger effort reaches the
+# limit, and negative where a smaller effort does. The next n numbers belong to motions along the maximum velocity curve of
+# the affine quantities, where one effort alone satisfies the limit. The others belong to quantities of the speed.
+AT_EFFORT = 1
 # The share by which rounding may exceed limits on efforts, powers and forces.
 _LIMIT_TOLERANCE = 1e-6
 # Poses along a part of the way.
@@ -81,37 +79,11 @@ def _efforts_of(given: np.ndarray, by: np.ndarray, low: float, high: float) -> t
 
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
-class ServoRanges:
-    """The efforts at the ends of servos' ctrlranges, within their force clamps.
-
-    `ends` (3, n_u, 2) are the coefficients of these efforts on 1, length and speed; efforts of other actuators are infinite.
-    `lengths` gives the actuators' lengths (n_u,) over the coordinate, and `clamps` (n_u, 2) are force clamps [N.m or N].
-    """
-
-    lengths: Callable[[Any], np.ndarray]
-    ends: np.ndarray
-    clamps: np.ndarray
-
-    def efforts(self, s: Any, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the least and largest effort (..., n_u) at positions (...) and actuator speeds (..., n_u)."""
-        still, by_length, by_speed = self.ends
-        found = still + by_length * self.lengths(s)[..., None] + by_speed * rate[..., None]
-        return np.minimum(found[..., 0], self.clamps[:, 1]), np.maximum(found[..., 1], self.clamps[:, 0])
-
-    def no_load_speed(self, s: Any) -> np.ndarray:
-        """Return the largest actuator speed (..., n_u) at which an end of a range gives no effort; infinite without one."""
-        still, by_length, by_speed = self.ends
-        with np.errstate(divide="ignore", invalid="ignore"):
-            speed = np.abs((still + by_length * self.lengths(s)[..., None]) / by_speed)
-        return np.fmax(speed[..., 0], speed[..., 1])
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class VelocityCurve:
-    """The maximum velocity curve along a part of the motion: the largest speed that satisfies all joints' speed limits.
+    """The maximum velocity curve along a part of the motion: the largest speed that satisfies all limits on speeds.
 
-    `curves(s, order)`  are the joints' speeds per unit of v (n,) at s, or their derivatives by s if `order`
-    is 1. `speed` (n, 2) are the joints' speed limits [rad/s or m/s]. `way` is the direction, +1 or -1.
+    `curves(s, order)` are the limited quantities per unit of v (n,) at s, such as joints' speeds, or their derivatives by s
+    if `order` is 1. `speed` (n, 2) are their limits. `way` is the direction, +1 or -1.
     """
 
     curves: Callable[..., np.ndarray]
@@ -140,28 +112,31 @@ class VelocityCurve:
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class LegField:
-    """The efforts and accelerations that the limits on effort, power, line, speed and affine quantities allow along a part.
+    """The efforts and accelerations that the limits on efforts, affine quantities and speeds allow along a part.
 
     M a = still + square v^2 + linear v + maps u - friction(s, v); `curves` gives (M, still, square, linear, maps...) over
-    the coordinate. `effort` (n_u, 2) [N.m or N], `power` (n_u, 2) [W], `line` (n_u, 2) of stall efforts and no-load speeds,
-    `way` +1 or -1. `affine` is None if no pin force or acceleration is limited, `velocity_curve` if no speed is, `servos` if
-    no servo has a ctrlrange, and `friction` without dry friction.
+    the coordinate. The constant limits are the first of the `bounds` on efforts, which depend on actuators' speeds and on
+    their `lengths` (n_u,) over the coordinate, if these are given. `way` is +1 or -1. `affine` is None if no pin force or
+    acceleration is limited, `velocity_curve` if no speed is, and `friction` without dry friction.
     """
 
     curves: Callable[[Any], np.ndarray]
-    effort: np.ndarray
-    power: np.ndarray
-    line: np.ndarray
+    bounds: tuple[EffortBounds, ...]
     way: float
     affine: AffineBounds | None = None
     velocity_curve: VelocityCurve | None = None
-    servos: ServoRanges | None = None
+    lengths: Callable[[Any], np.ndarray] | None = None
     friction: Callable[[Any, Any], np.ndarray] | None = None
+
+    @property
+    def at_force(self) -> int:
+        """The number of the first limit on an affine quantity, among the limits at which an actuator can be held."""
+        return AT_EFFORT + len(self.bounds)
 
     @property
     def at_speed(self) -> int:
         """The index of the first joint with a limited speed, among the limits at which an actuator can be held."""
-        return AT_FORCE + (0 if self.affine is None else 2 * len(self.affine.rows))
+        return self.at_force + (0 if self.affine is None else 2 * len(self.affine.rows))
 
     def at(self, s: Any, v: Any, *, towards: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Return the active limits (..., n_u) below the velocity curve, the efforts (..., n_u) and the acceleration.
@@ -174,28 +149,34 @@ class LegField:
         least, most, _ = self._affine_efforts(s, v)
         beyond = effort > most.min(axis=-1, keepdims=True)
         short = ~beyond & (effort < least.max(axis=-1, keepdims=True))
-        held = np.where(beyond, AT_FORCE + np.argmin(most, axis=-1)[..., None], held)
-        held = np.where(short, -AT_FORCE - np.argmax(least, axis=-1)[..., None], held)
+        held = np.where(beyond, self.at_force + np.argmin(most, axis=-1)[..., None], held)
+        held = np.where(short, -self.at_force - np.argmax(least, axis=-1)[..., None], held)
         return held, *self.along(s, v, held)
 
     def driven(self, s: Any, v: Any, *, towards: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return the same as `at` for the limits on efforts, powers and lines only."""
-        maps = self.curves(s)[..., 4:]
+        """Return the same as `at` for the bounds on efforts only."""
+        values, v = self.curves(s), np.asarray(v, dtype=float)
+        maps = values[..., 4:]
         upper = (maps * self.way > 0) == towards
-        held, effort = np.where(upper, 1, -1), np.where(upper, self.effort[:, 1], self.effort[:, 0])
-        spent = effort * maps * np.asarray(v)[..., None]
-        held = np.where(spent > self.power[:, 1], AT_POWER, np.where(spent < self.power[:, 0], -AT_POWER, held))
-        effort, a = self.along(s, v, held)
-        low, high = self.line_efforts(s, maps * np.asarray(v)[..., None])
-        lined = np.where(upper & (effort > high), AT_LINE, np.where(~upper & (effort < low), -AT_LINE, held))
-        return (held, effort, a) if np.all(lined == held) else (lined, *self.along(s, v, lined))
+        least, most = self.bounded(s, maps * v[..., None])
+        held = np.where(upper, AT_EFFORT + np.argmin(most, axis=0), -AT_EFFORT - np.argmax(least, axis=0))
+        effort = np.where(upper, most.min(axis=0), least.max(axis=0))
+        return held, effort, (self._free(s, v) + (maps * effort).sum(axis=-1)) / values[..., 0]
+
+    def bounded(self, s: Any, rate: np.ndarray) -> np.ndarray:
+        """Return the least and largest efforts (2, n_bounds, ..., n_u) at positions (...) and actuator speeds (..., n_u)."""
+        length, found = None if self.lengths is None else self.lengths(s), np.empty((2, len(self.bounds), *rate.shape))
+        for k, one in enumerate(self.bounds):
+            found[0, k], found[1, k] = one.at(rate, length)
+        return found
 
     def room(self, s: Any, v: Any) -> np.ndarray:
         """Return the width (...) of the range of one actuator's efforts that satisfy all limits, as a share of its strength.
 
         Without such an effort it is negative.
         """
-        ends = np.sort([self.driven(s, v, towards=towards)[1][..., 0] for towards in (False, True)], axis=0)
+        least, most = self.bounded(s, self.curves(s)[..., 4:] * np.asarray(v)[..., None])[..., 0]
+        ends = np.sort([least.max(axis=0), most.min(axis=0)], axis=0)
         if self.affine is None:
             return (ends[1] - ends[0]) / self.strength[0]
         least, most, over = self._affine_efforts(s, v)
@@ -222,75 +203,64 @@ class LegField:
         if self.velocity_curve is not None and np.all(held >= self.at_speed):
             a = self.velocity_curve.acceleration(s, v, np.broadcast_to(held[..., 0] - self.at_speed, v.shape))
             return ((values[..., 0] * a - free) / values[..., 4])[..., None], a
-        rate, on_power = values[..., 4:] * v[..., None], np.abs(held) == AT_POWER
-        upper = np.asarray(held) > 0
-        power, limit = (np.where(upper, of[:, 1], of[:, 0]) for of in (self.power, self.effort))
-        effort = np.where(on_power, power / np.where(on_power, rate, 1.0), limit)
-        on_line = np.abs(held) == AT_LINE
-        if np.any(on_line):
-            low, high = self.line_efforts(s, rate)
-            effort = np.where(on_line, np.where(upper, high, low), effort)
-        if self.affine is not None and np.any(np.abs(held) >= AT_FORCE):
+        held = np.asarray(held)
+        least, most = self.bounded(s, values[..., 4:] * v[..., None])
+        which = np.broadcast_to(np.minimum(np.abs(held), len(self.bounds)) - AT_EFFORT, least.shape[1:])[None]
+        upper, lower = (np.take_along_axis(side, which, axis=0)[0] for side in (most, least))
+        effort = np.where(held > 0, upper, lower)
+        if self.affine is not None and np.any(np.abs(held) >= self.at_force):
             least, most, _ = self._affine_efforts(s, v)
             for k in range(least.shape[-1]):
-                effort = np.where(held == AT_FORCE + k, most[..., k, None], effort)
-                effort = np.where(held == -AT_FORCE - k, least[..., k, None], effort)
+                effort = np.where(held == self.at_force + k, most[..., k, None], effort)
+                effort = np.where(held == -self.at_force - k, least[..., k, None], effort)
                 middle = 0.5 * (least[..., k, None] + most[..., k, None])
-                effort = np.where(held == AT_FORCE + least.shape[-1] + k, middle, effort)
+                effort = np.where(held == self.at_force + least.shape[-1] + k, middle, effort)
         return effort, (free + (values[..., 4:] * effort).sum(axis=-1)) / values[..., 0]
 
-    def line_efforts(self, s: Any, rate: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the least and largest effort (..., n_u) on the lines at positions (...) and actuator speeds (..., n_u)."""
-        stall, no_load = self.line.T
-        low, high = -stall * (1.0 + rate / no_load), stall * (1.0 - rate / no_load)
-        if self.servos is None:
-            return low, high
-        least, most = self.servos.efforts(s, rate)
-        return np.maximum(low, least), np.minimum(high, most)
-
     def no_load_speed(self, s: Any) -> np.ndarray:
-        """Return the actuator speeds (..., n_u) at which the lines allow no effort; infinite without lines."""
-        speed = np.broadcast_to(self.line[:, 1], (*np.shape(s), len(self.line)))
-        return speed if self.servos is None else np.minimum(speed, self.servos.no_load_speed(s))
+        """Return the actuator speeds (..., n_u) at which the bounds allow no effort; infinite without such a speed."""
+        length = None if self.lengths is None else self.lengths(s)
+        speeds = [one.no_load_speed(length) for one in self.bounds if one.no_load_speed is not None]
+        return functools.reduce(np.minimum, speeds, np.full((*np.shape(s), len(self.strength)), np.inf))
 
     @property
     def strength(self) -> np.ndarray:
         """The largest effort (n_u,) of each actuator at any position and speed."""
-        return np.minimum(np.abs(self.effort).max(axis=1), self.line[:, 0])
+        return np.min([one.strength for one in self.bounds], axis=0)
 
     def at_end_of_room(self, s: Any, v: Any) -> np.ndarray:
         """Return the limits held (1,) by a motion along the end of the room of the affine quantity nearest to its limit."""
         over = self._affine_efforts(s, v)[2]
-        return np.array([AT_FORCE + len(over) + int(np.argmax(over))])
+        return np.array([self.at_force + len(over) + int(np.argmax(over))])
 
-    def limit_sizes(self, s: Any, held: np.ndarray) -> np.ndarray:
-        """Return the efforts (..., n_u) that change the quantities at their limits by these limits, at most the strength."""
-        if self.affine is None or not AT_FORCE <= abs(int(held[0])) < self.at_speed:
+    def limit_sizes(self, s: Any, held: np.ndarray, effort: np.ndarray) -> np.ndarray:
+        """Return the sizes (..., n_u) of the limits held (n_u,), of which the errors of the effort (..., n_u) are shares.
+
+        Along a line, a pin force or an acceleration the effort may pass through zero: the size is that of the whole limit.
+        """
+        number = np.abs(held)
+        if np.all(number < self.at_force) and not any(self.bounds[k - AT_EFFORT].crosses_zero for k in number):
+            return np.abs(effort)
+        if self.affine is None or not self.at_force <= number[0] < self.at_speed:
             return self.strength
-        k = (abs(int(held[0])) - AT_FORCE) % len(self.affine.rows)
+        k = (abs(int(held[0])) - self.at_force) % len(self.affine.rows)
         values = self.curves(s)
         return np.minimum(self.strength, self.affine.effort_unit(s, k, values[..., 4] / values[..., 0])[..., None])
 
     def keeps(self, s: np.ndarray, v: np.ndarray, effort: np.ndarray) -> bool:
         """True if efforts (n, n_u) at positions and speeds (n,) satisfy all limits but those on speeds."""
-        room = _LIMIT_TOLERANCE * np.abs(self.effort).max()
-        rate = self.curves(s)[:, 4:] * v[:, None]
-        least_of_line, most_of_line = self.line_efforts(s, rate)
-        low, high = np.maximum(self.effort[:, 0], least_of_line), np.minimum(self.effort[:, 1], most_of_line)
-        if self.affine is not None:
-            least, most, over = self._affine_efforts(s, v)
-            low, high = np.maximum(low, least.max(axis=-1)[:, None]), np.minimum(high, most.min(axis=-1)[:, None])
-            if np.any(over > _LIMIT_TOLERANCE):
+        room = _LIMIT_TOLERANCE * self.bounds[0].strength.max()
+        least, most = self.bounded(s, self.curves(s)[:, 4:] * v[:, None])
+        for one, low, high in zip(self.bounds, least, most, strict=True):
+            absolute = one.constant or one.crosses_zero
+            allowed = [room if absolute else _LIMIT_TOLERANCE * np.abs(end) for end in (low, high)]
+            if np.any((effort < low - allowed[0]) | (effort > high + allowed[1])):
                 return False
-        spent = effort * rate
-        powers = (spent <= (1 + _LIMIT_TOLERANCE) * self.power[:, 1]) & (spent >= (1 + _LIMIT_TOLERANCE) * self.power[:, 0])
-        return bool(np.all((effort >= low - room) & (effort <= high + room)) and np.all(powers))
-
-
-def lines_of(problem: Problem) -> np.ndarray:
-    """Return the stall efforts and no-load speeds (n_u, 2) of the motors' lines, infinite without one."""
-    lines = [None if motor is None else motor.line for motor in problem.motors]
-    return np.array([(np.inf, np.inf) if line is None else line for line in lines])
+        if self.affine is None:
+            return True
+        least, most, over = self._affine_efforts(s, v)
+        low, high = least.max(axis=-1)[:, None], most.min(axis=-1)[:, None]
+        return bool(np.all((effort >= low - room) & (effort <= high + room)) and np.all(over <= _LIMIT_TOLERANCE))
 
 
 def field_along(problem: Problem, part: Part, start_pose: np.ndarray) -> LegField:
@@ -307,7 +277,7 @@ def field_along(problem: Problem, part: Part, start_pose: np.ndarray) -> LegFiel
     there = follow(problem.mechanism, way_there[:, None], start_pose, deadline)[-1]
     q = follow(problem.mechanism, place[:, None], there, deadline)
     inertia, maps = sampled(dynamics.reduced_inertia, q)[:, 0, 0], sampled(dynamics.effort_map, q)[:, 0]
-    none = np.zeros((POSES_PER_PART, len(problem.limits.effort)))
+    none = np.zeros((POSES_PER_PART, problem.mechanism.n_u))
     speeds = {v: np.full((POSES_PER_PART, 1), v) for v in (0.0, 1.0, -1.0)}
     accelerations = [sampled(dynamics.acceleration, q, v, none)[:, :, 0] for v in speeds.values()]
     still, fast, back = (inertia * a[:, 0] for a in accelerations)
@@ -318,22 +288,17 @@ def field_along(problem: Problem, part: Part, start_pose: np.ndarray) -> LegFiel
     if friction is not None:
         linear += friction(place, speeds[1.0][:, 0])
     values = np.column_stack([inertia, still, square, linear, maps])
-    velocity_curve = None
-    if problem.mechanism.n_u == 1 and np.isfinite(problem.limits.speed).any():
-        limited = np.flatnonzero(np.isfinite(problem.limits.speed).any(axis=1))
-        ratios = sampled(dynamics.velocity_map, q)[:, limited, 0]
-        of_speeds = scipy.interpolate.CubicSpline(place[along], ratios[along])
-        velocity_curve = VelocityCurve(curves=of_speeds, speed=problem.limits.speed[limited], way=way)
-    lengths = np.nan_to_num(sampled(dynamics.actuator_length, q)[:, :, 0])  # unknown ones belong to no servo
+    bounds, lengths = all_effort_bounds(problem), None
+    if any(one.of_length for one in bounds):
+        known = np.nan_to_num(sampled(dynamics.actuator_length, q)[:, :, 0])  # unknown ones belong to no servo
+        lengths = scipy.interpolate.CubicSpline(place[along], known[along])
     return LegField(
         curves=scipy.interpolate.CubicSpline(place[along], values[along]),
-        effort=problem.limits.effort,
-        power=problem.limits.power,
-        line=lines_of(problem),
+        bounds=bounds,
         way=way,
         affine=_affine(problem, place[along], q[along]),
-        velocity_curve=velocity_curve,
-        servos=_servos(problem, place[along], lengths[along]),
+        velocity_curve=_velocity_curve(problem, place[along], q[along], way),
+        lengths=lengths,
         friction=friction,
     )
 
@@ -356,29 +321,29 @@ def _friction(problem: Problem, place: np.ndarray, q: np.ndarray) -> Callable[[A
     return friction
 
 
-def _servos(problem: Problem, place: np.ndarray, lengths: np.ndarray) -> ServoRanges | None:
-    """Return the ranges of the servos whose ctrlrange limits their efforts; None without one."""
+def _stated(problem: Problem, *, of_speed: bool) -> list[Affine]:
+    """Return the limits of one actuator on affine quantities that are, or are not, proportional to the speed."""
+    known = [limit.affine(problem) for limit in limits_of(problem)] if problem.mechanism.n_u == 1 else []
+    return [one for one in known if one is not None and one.of_speed == of_speed]
+
+
+def _velocity_curve(problem: Problem, place: np.ndarray, q: np.ndarray, way: float) -> VelocityCurve | None:
+    """Return the maximum velocity curve of limits on speeds, by splines of the poses (n, n_q); None without one."""
     import scipy
 
-    actuators = problem.mechanism.actuators
-    ends = np.zeros((3, len(actuators), 2))
-    ends[0] = -np.inf, np.inf
-    for j, servo in enumerate(actuators):
-        if servo.limits_control:
-            ends[:, j] = np.array(servo.biases)[:, None]
-            ends[0, j] += np.sort(servo.gain * np.array([servo.control_lower, servo.control_upper]))
-    if not np.isfinite(ends[0]).any():
+    limited, ones = _stated(problem, of_speed=True), np.ones((len(q), 1))
+    if not limited:
         return None
-    clamps = np.array([(servo.lower, servo.upper) for servo in actuators])
-    return ServoRanges(lengths=scipy.interpolate.CubicSpline(place, lengths), ends=ends, clamps=clamps)
+    ratios = np.concatenate([one.value(q, ones, 0.0 * ones, 0.0 * ones) for one in limited], axis=1)
+    bounds = np.array([one.bounds for one in limited])
+    return VelocityCurve(curves=scipy.interpolate.CubicSpline(place, ratios), speed=bounds, way=way)
 
 
 def _affine(problem: Problem, place: np.ndarray, q: np.ndarray) -> AffineBounds | None:
     """Return the limits of one actuator on affine quantities, by splines of the poses (n, n_q); None without one."""
     import scipy
 
-    known = [limit.affine(problem) for limit in limits_of(problem)] if problem.mechanism.n_u == 1 else []
-    limited = [one for one in known if one is not None]
+    limited = _stated(problem, of_speed=False)
     if not limited:
         return None
     none, ones, columns, rows = np.zeros((len(q), 1)), np.ones((len(q), 1)), [], []

@@ -7,15 +7,11 @@ backward from the goal.
 """
 
 import itertools
-from dataclasses import replace
 
 import numpy as np
 
 from linkplan.models.deadline import Deadline
-from linkplan.planner.limits.actuators import ControlLimit, MotorLimit
-from linkplan.planner.limits.joints import ClosureForceLimit
-from linkplan.planner.limits.rates import SiteAccelerationLimit
-from linkplan.planner.phase_plane.leg_field import AT_LINE
+from linkplan.planner.limits.kinds import narrowed
 from linkplan.planner.phase_plane.power_legs import Leg, power_legs
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -39,12 +35,7 @@ def legs_motion(problem: Problem, start_pose: np.ndarray) -> Trajectory | None:
         problem: one with limits on all efforts. Limits on power, line, pin force and speed are considered, others are not.
         start_pose: the closed pose (n_q,) at the start.
     """
-    limits = problem.limits
-    inside = {key: _inside(getattr(limits, key)) for key in ("effort", "power", "speed", "acceleration")}
-    tightened = problem.varied(limits=replace(limits, **inside))
-    for kind in (ClosureForceLimit, SiteAccelerationLimit, MotorLimit, ControlLimit):
-        tightened = kind.relaxed(tightened, 1.0 - _LIMIT_RESERVE)
-    found = power_legs(tightened, start_pose)
+    found = power_legs(narrowed(problem, _LIMIT_RESERVE), start_pose)
     if found is None:
         return None
     legs, boundaries = found
@@ -62,12 +53,6 @@ def legs_motion(problem: Problem, start_pose: np.ndarray) -> Trajectory | None:
         start_pose=start_pose,
         periodic=False,
     )
-
-
-def _inside(limit: np.ndarray) -> np.ndarray:
-    """Return the limits [low, high] (n, 2), slightly tightened."""
-    share = np.where(np.isfinite(limit), np.abs(limit), 0.0)
-    return limit + _LIMIT_RESERVE * share * np.array([1.0, -1.0])
 
 
 def _pieces(leg: Leg, boundaries: np.ndarray, deadline: Deadline) -> tuple[list, list, list, list] | None:
@@ -152,8 +137,7 @@ def _collocated(leg: Leg, held: np.ndarray, t: float, h: float, at: np.ndarray):
         for c in (position, velocity, efforts, np.linalg.solve(known.effort_at, a))
     )
     asked, pushed = law(s, v)
-    # Along a line, a pin force or an acceleration the effort may pass through zero: errors are relative to the whole limit.
-    size = np.abs(asked) if np.all(np.abs(held) < AT_LINE) else leg.field.limit_sizes(s, held)
+    size = leg.field.limit_sizes(s, held, asked)
     values = leg.field.curves(s)
     strength = np.abs(values[:, 4:] * size).sum(axis=1) / values[:, 0]
     if np.any(np.abs(u - asked) > _POLYNOMIAL_TOLERANCE * size) or np.any(

@@ -21,7 +21,7 @@ import numpy as np
 from linkplan.models.deadline import Deadline
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.phase_plane.bang_bang_motions import Part, parts_of
-from linkplan.planner.phase_plane.leg_field import AT_POWER, POSES_PER_PART, LegField, field_along
+from linkplan.planner.phase_plane.leg_field import AT_EFFORT, POSES_PER_PART, LegField, field_along
 from linkplan.planner.phase_plane.maximum_velocity import MaximumVelocity
 from linkplan.planner.problem.problem import Problem
 
@@ -127,7 +127,7 @@ def power_legs(problem: Problem, start_pose: np.ndarray) -> tuple[list[Leg], np.
             boundaries.append(legs[-1].later + legs[-1].end)
     except AssemblyError:  # the loops open on the way
         return None
-    at_limits = any(np.any(np.abs(held) >= AT_POWER) for leg in legs for _, held in leg.arcs())
+    at_limits = any(np.any(np.abs(held) > AT_EFFORT) for leg in legs for _, held in leg.arcs())
     return (legs, np.array(boundaries)) if at_limits else None
 
 
@@ -164,7 +164,7 @@ class _Way:
     @cached_property
     def fastest(self) -> float:
         """The speed that all efforts together would reach from start to goal."""
-        values, effort = self.field.curves(self.places), np.abs(self.field.effort).max(axis=1)
+        values, effort = self.field.curves(self.places), self.field.bounds[0].strength
         force = np.abs(values[:, 1]) + np.abs(values[:, 4:]) @ effort
         return float(np.sqrt(2 * self.span * (force / values[:, 0]).max()))
 

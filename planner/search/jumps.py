@@ -7,7 +7,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.closed_chain.case import MechanismCase
-from linkplan.planner.limits.actuators import permitted_efforts
+from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.limits.rates import smooth_columns
 from linkplan.planner.limits.samples import actuator_speeds
 from linkplan.planner.refinement.case import Iterate
@@ -55,7 +55,7 @@ def effort_jumps(case: MechanismCase, motion: Trajectory) -> np.ndarray:
     if objective.efforts("bend") or objective.efforts("smooth") or not objective.efforts("jump"):
         return np.zeros(0)
     mean = motion.effort.mean(axis=0)  # of Bernstein coefficients: that of the polynomial
-    low, high = np.moveaxis(permitted_efforts(case.asked, _middle_speeds(case, motion)), 2, 0)
+    low, high = np.moveaxis(effort_bounds(case.asked, _middle_speeds(case, motion)), 2, 0)
     is_limited = np.isfinite(low) & np.isfinite(high) & (high > low)
     level, size = np.where(is_limited, mean - low, mean), np.where(is_limited, high - low, np.ptp(mean, axis=0))
     return _jumps(level / np.maximum(size, 1e-300), motion)

@@ -12,7 +12,6 @@ from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.errors import AssemblyError
 from linkplan.models.poses.along import demanded, distributed, needed_effort
 from linkplan.planner.closed_chain.guess import Guess, even_poses
-from linkplan.planner.limits.joints import RangeLimit
 from linkplan.planner.limits.kinds import limits_of, relaxed_kinds, violation, without
 from linkplan.planner.limits.limit import Limit
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
@@ -273,7 +272,7 @@ def efforts_without_other_limits(search: Search) -> Plan | None:
 
 def one_last_limit(search: Search) -> Plan | None:
     """Return the plan that names the joint whose range forbids the motion."""
-    return _first_without(search, relaxed_kinds(search.problem, (RangeLimit,)))
+    return _first_without(search, relaxed_kinds(search.problem, at_last=True))
 
 
 def efforts_by_the_phase_plane(search: Search) -> Plan | None:

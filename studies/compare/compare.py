@@ -16,6 +16,7 @@ from linkplan.controllers.trackers.tracker import AnyTracker, Design, Errors
 from linkplan.models.errors import GainError, ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.tree.joints import unit_steps
+from linkplan.planner.limits.actuators import motor_lines
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import Delay
 from linkplan.planner.problem.keys.reading import read
@@ -226,10 +227,9 @@ def _plant(plan: Plan, mismatch: Mismatch | None) -> MujocoPlant:
 
 def control_loop(problem: Problem) -> ControlLoop:
     """Return a problem's drives: limits on effort, motors' torque-speed lines, limits on the rate of efforts."""
-    lines = [None if motor is None else motor.line for motor in problem.motors]
     return ControlLoop(
         effort_limit=np.array(problem.limits.actuators_effort),
-        motor_line=np.array([(np.inf, np.inf) if line is None else line for line in lines]),
+        motor_line=motor_lines(problem),
         rate_limit=np.abs(problem.limits.effort_rate).max(axis=1),
         initial_effort=problem.limits.initial_effort[:, 0],
         delay_periods=int(problem.tracking.delay_periods),

@@ -18,10 +18,10 @@ from linkplan.planner.limits.actuators import (
     _ranged,
     _unit,
     clamped_allowance,
-    permitted_efforts,
 )
 from linkplan.planner.limits.efforts import effort_rates
-from linkplan.planner.limits.kinds import margins_along
+from linkplan.planner.limits.joints import SpeedLimit
+from linkplan.planner.limits.kinds import effort_bounds, margins_along, narrowed
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
@@ -161,7 +161,7 @@ def test_power_is_effort_times_speed(most, left):
 def test_every_limit_of_an_actuator_permits_the_efforts_up_to_those_at_a_speed_and_no_others(speed):
     line = "motors.motor={stall_effort=4.0,no_load_speed_deg_s=300.0}"
     problem = body_problem(HINGE, REACH, "limits.power_w.motor=3.0", line)
-    ((low, high),) = permitted_efforts(problem, np.array([[speed]]))[0]
+    ((low, high),) = effort_bounds(problem, np.array([[speed]]))[0]
 
     def is_permitted(effort: float) -> bool:
         share = abs(effort / 4.0 + speed / np.radians(300.0))
@@ -221,3 +221,17 @@ def test_a_motor_with_a_limited_voltage_takes_the_least_time_of_its_back_emf():
     plan = plan_motion(Problem.reach(VOLTAGE_MOTOR, **ends, minimize="time"))
     assert plan.status == "optimal", plan.message
     assert plan.objective == pytest.approx(turned(driven)[1], rel=2e-8)
+
+
+def test_a_share_narrows_both_ends_of_every_limit_that_the_phase_plane_follows_and_no_other():
+    line = "motors.motor={stall_effort=4.0,no_load_speed_deg_s=300.0}"
+    settings = ("limits.power_w.motor=3.0", "limits.speed_deg_s.J=90.0", "limits.effort.motor=[-4.0,-1.0]", line)
+    problem = body_problem(HINGE, REACH, *settings, "limits.range_deg.J=[-10.0,200.0]")
+    less, half = narrowed(problem, 0.5), 0.5 * np.array([[-1.0, 1.0]])
+    np.testing.assert_allclose(less.limits.effort, [[-2.0, -1.5]])
+    np.testing.assert_allclose(less.limits.power, 3.0 * half)
+    np.testing.assert_allclose(less.limits.speed, np.radians(90.0) * half)
+    np.testing.assert_array_equal(less.limits.position, problem.limits.position)
+    assert less.motors[0].line == pytest.approx((2.0, np.radians(150.0)))
+    one_sided = problem.varied(limits=replace(problem.limits, speed=np.array([[-np.inf, 2.0]])))
+    np.testing.assert_allclose(SpeedLimit.narrowed(one_sided, 0.5).limits.speed, [[-np.inf, 1.0]])

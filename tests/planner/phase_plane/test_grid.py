@@ -1,14 +1,18 @@
 """The grid of the phase plane, and efforts and accelerations at its states."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from linkplan.models.poses.along import sampled
+from linkplan.planner.limits.actuators import PowerLimit
+from linkplan.planner.limits.efforts import EffortLimit
+from linkplan.planner.limits.limit import Limit
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.grid import PhasePlane, _around, _drag, _kept, grid_of, plane_of
-from linkplan.planner.phase_plane.leg_field import AT_FORCE, AT_POWER, AffineBounds, LegField
+from linkplan.planner.phase_plane.leg_field import AT_EFFORT, AffineBounds, LegField
 from linkplan.planner.phase_plane.power_legs import Leg
 from linkplan.planner.problem.problem import Problem, load_problem
 from tests.support.even_plane import even_plane
@@ -207,9 +211,14 @@ def test_beyond_what_any_effort_relieves_a_pin_bears_none():
 def field(power: float, way: float = 1.0) -> LegField:
     """Return the field of 2 a = 1 - 0.5 v^2 - 0.25 v + 3 u, with u from -4 to 5."""
     curves = np.array([2.0, 1.0, -0.5, -0.25, 3.0])
-    limit = np.array([[-4.0, 5.0]])
-    none = np.full((1, 2), np.inf)
-    return LegField(curves=lambda _: curves, effort=limit, power=np.array([[-power, power]]), line=none, way=way)
+    limits = SimpleNamespace(effort=np.array([[-4.0, 5.0]]), power=np.array([[-power, power]]))
+    return LegField(curves=lambda _: curves, bounds=bounds_of(limits, EffortLimit, PowerLimit), way=way)
+
+
+def bounds_of(limits: SimpleNamespace, *kinds: type[Limit]) -> tuple:
+    """Return the bounds on efforts of kinds of limits."""
+    every = (kind.effort_bounds(SimpleNamespace(limits=limits)) for kind in kinds)
+    return tuple(one for one in every if one is not None)
 
 
 @pytest.mark.parametrize(("way", "towards", "effort"), [(1, True, 5), (1, False, -4), (-1, True, -4), (-1, False, 5)])
@@ -222,7 +231,7 @@ def test_without_a_power_limit_the_effort_that_pushes_or_brakes_is_at_its_limit(
 @pytest.mark.parametrize(("towards", "sign"), [(True, 1), (False, -1)])
 def test_where_the_effort_s_limit_exceeds_the_power_the_power_is_held(towards, sign):
     held, efforts, _ = field(12.0).at(0.0, SPEED, towards=towards)
-    assert held[0] == sign * AT_POWER
+    assert held[0] == sign * (AT_EFFORT + 1)
     assert efforts[0] * 3 * SPEED == pytest.approx(sign * 12.0)
 
 
@@ -250,9 +259,9 @@ def two_pins(first: tuple[float, float], second: tuple[float, float]) -> AffineB
 def test_the_tighter_of_two_pins_holds_the_effort(first, second, tighter, towards):
     of, effort = replace(field(np.inf), affine=two_pins(first, second)), 1.0 if towards else -1.0
     for limit in (1.5, 9.0):
-        limited = replace(of, effort=np.array([[-limit, limit]]))
+        limited = replace(of, bounds=bounds_of(SimpleNamespace(effort=np.array([[-limit, limit]])), EffortLimit))
         held, efforts, a = limited.at(0.0, SPEED, towards=towards)
-        assert (held[0], efforts[0]) == ((AT_FORCE + tighter) * effort, pytest.approx(effort))
+        assert (held[0], efforts[0]) == ((limited.at_force + tighter) * effort, pytest.approx(effort))
         assert a == pytest.approx((1.0 - 0.5 * SPEED**2 - 0.25 * SPEED + 3 * effort) / 2)
     assert kept(of, towards)
 
@@ -273,7 +282,7 @@ def kept(limited: LegField, towards: bool = True) -> bool:
 @pytest.mark.parametrize("towards", [True, False])
 def test_a_state_at_the_power_s_limit_is_kept(towards):
     loose = replace(field(12.0), affine=pin((0.0, 0.0), (1e-3, 0.0)))
-    assert abs(loose.at(0.0, SPEED, towards=towards)[0][0]) == AT_POWER
+    assert abs(loose.at(0.0, SPEED, towards=towards)[0][0]) == AT_EFFORT + 1
     assert kept(loose, towards)
 
 
@@ -290,7 +299,7 @@ def test_arcs_end_where_the_power_comes_to_its_limit():
         later=10.0,
     )
     (bang, first), (end, last) = leg.arcs()
-    assert (first, last) == ((1,), (AT_POWER,))
+    assert (first, last) == ((1,), (AT_EFFORT + 1,))
     assert (bang, end) == pytest.approx((10.4, 11.3), abs=1e-12)
     assert (leg.time_at(0.25), leg.speed_at(0.25)) == pytest.approx((0.5, 1.0))
     # Four looks in each step of the integration: in the middles of its quarters.

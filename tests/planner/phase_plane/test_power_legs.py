@@ -10,7 +10,7 @@ from linkplan.models.tree.friction import TRANSITION
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.limits.samples import closure_forces
 from linkplan.planner.phase_plane.bang_bang_motions import parts_of
-from linkplan.planner.phase_plane.leg_field import AT_FORCE, AT_LINE, AT_POWER, field_along
+from linkplan.planner.phase_plane.leg_field import AT_EFFORT, field_along
 from linkplan.planner.phase_plane.legs_motion import legs_motion
 from linkplan.planner.phase_plane.power_legs import power_legs
 from linkplan.planner.problem.motion import Waypoint
@@ -40,9 +40,9 @@ def test_legs_take_the_least_time(power):
 def test_arcs_are_a_bang_the_power_that_is_given_the_one_that_is_taken_back_and_a_bang():
     problem, (legs, _) = knee("limits.power_w.act_O=10")
     arcs = [arc for leg in legs for arc in leg.arcs()]
-    assert [held for _, (held,) in arcs] == [1, AT_POWER, -AT_POWER, -1]
+    assert [held for _, (held,) in arcs] == [1, AT_EFFORT + 1, -(AT_EFFORT + 1), -1]
     first, ahead = arcs[0][0], legs[0]
-    effort, _ = ahead.field.along(*ahead.state(2 * first), np.array([AT_POWER]))
+    effort, _ = ahead.field.along(*ahead.state(2 * first), np.array([AT_EFFORT + 1]))
     assert effort.item() * ahead.state(2 * first)[1] == pytest.approx(10.0)
     assert ahead.state(first)[1] == pytest.approx(10.0 / 100.0)
     inertia = problem.mechanism.dynamics.reduced_inertia(problem.start_pose())
@@ -191,7 +191,7 @@ def test_legs_along_a_pin_s_rating_take_the_least_time(number):
     problem = Problem.from_tables("slider", case.tables)
     legs, boundaries = power_legs(problem, problem.start_pose())
     assert boundaries[-1] == pytest.approx(case.best, rel=INTEGRATED)
-    assert any(abs(held) >= AT_FORCE for leg in legs for _, (held,) in leg.arcs())
+    assert any(abs(held) >= leg.field.at_force for leg in legs for _, (held,) in leg.arcs())
 
 
 @pytest.mark.slow
@@ -252,7 +252,7 @@ def test_along_the_ctrlrange_of_a_servo_a_motion_takes_the_least_time(gain, kp, 
         Problem.reach(ARM.format(gain=gain, kp=kp, kv=kv, gear=gear, end=end, force=force, rub=f), **asked) for f in (0, rub)
     )
     legs, _ = power_legs(problem, problem.start_pose())
-    assert any(abs(held) == AT_LINE for leg in legs for _, (held,) in leg.arcs())
+    assert any(abs(held) == AT_EFFORT + 1 for leg in legs for _, (held,) in leg.arcs())
 
     def within(s: float, v: float) -> tuple[float, float]:
         efforts = np.array([-1, 1]) * abs(gain) * end + gear * (kp * s + kv * v)

@@ -10,8 +10,8 @@ from scipy.optimize import brentq
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.certificate.certificate import certify
-from linkplan.planner.phase_plane.leg_field import AT_FORCE, VelocityCurve
-from linkplan.planner.phase_plane.legs_motion import _inside, legs_motion
+from linkplan.planner.phase_plane.leg_field import VelocityCurve
+from linkplan.planner.phase_plane.legs_motion import legs_motion
 from linkplan.planner.phase_plane.power_legs import power_legs
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.motion import Waypoint
@@ -72,7 +72,7 @@ def test_of_three_limited_joints_each_is_at_its_limit_in_turn():
     limits = np.array([[-23.7, 23.7], [-16.2, 16.2], problem.limits.speed[2]])
     problem = problem.varied(limits=replace(problem.limits, speed=limits))
     legs, _ = power_legs(problem, problem.start_pose())
-    at_o, at_a, at_c = (AT_FORCE + joint for joint in range(3))
+    at_o, at_a, at_c = (legs[0].field.at_speed + joint for joint in range(3))
     assert [held for leg in legs for _, (held,) in leg.arcs()] == [1, at_c, 1, at_a, at_o, -1, at_c, -1]
     always_at_a_limit(problem)
 
@@ -88,7 +88,7 @@ def test_ends_on_the_velocity_curve_are_joined_along_it():
     problem = hinge(60.0, "motion.start_speed_deg_s={J=60}", "motion.goal_speed_deg_s={J=60}")
     legs, boundaries = power_legs(problem, problem.start_pose())
     assert boundaries[-1] == pytest.approx(1.5, rel=1e-7)
-    assert {held for leg in legs for _, (held,) in leg.arcs()} == {AT_FORCE}
+    assert {held for leg in legs for _, (held,) in leg.arcs()} == {legs[0].field.at_speed}
 
 
 @pytest.mark.parametrize("end", ["start", "goal"])
@@ -268,12 +268,6 @@ def test_of_either_leg_a_waypoint_s_instant_is_a_break(place):
     assert np.abs(breaks - place).min() < 1e-9
     assert np.abs(straight.position_at(straight.breaks_s)[:, 0] - place).min() > 1e-6
     assert motion.duration_s == pytest.approx(straight.duration_s, rel=ROOM)
-
-
-def test_limits_inside_are_nearer_to_zero_by_a_share_of_their_own_size():
-    np.testing.assert_allclose(_inside(np.array([[-3.0, 5.0]])) - [[-3.0, 5.0]], [[3e-8, -5e-8]], rtol=1e-6)
-    np.testing.assert_allclose(_inside(np.array([[1.0, np.inf]])), [[1.0 + 1e-8, np.inf]], rtol=1e-15)
-    np.testing.assert_allclose(_inside(np.array([[-np.inf, 2.0]])), [[-np.inf, 2.0 - 2e-8]], rtol=1e-15)
 
 
 @pytest.mark.slow
