@@ -23,11 +23,11 @@ from linkplan.planner.certificate.integration import (
     waypoint_times,
 )
 from linkplan.planner.files.structs import Beside, InJson
-from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, EffortLimit, end_sizes
+from linkplan.planner.limits.efforts import dead_centre_words, effort_overrun
 from linkplan.planner.limits.joints import RANGE_SLACK
-from linkplan.planner.limits.kinds import margins_along
-from linkplan.planner.limits.limit import Margin, limit_margin
-from linkplan.planner.limits.samples import Samples, least_between, samples_of, singularity_ratios
+from linkplan.planner.limits.kinds import beyond_bounds, margins_along
+from linkplan.planner.limits.limit import Margin
+from linkplan.planner.limits.samples import Samples, samples_of, singularity_ratios
 from linkplan.planner.problem.extra import extras_not_finite, not_finite
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
 from linkplan.planner.problem.limits import exact_bounds
@@ -149,7 +149,7 @@ def certify(problem: Problem, trajectory: Trajectory, also: Sequence[float] = ()
         AssemblyError: when the loops cannot close along the motion.
         OutOfTimeError: when the certificate's deadline passes before its poses are known.
     """
-    mechanism, limits, until = problem.mechanism, problem.limits, problem.solver.certificate_deadline
+    mechanism, until = problem.mechanism, problem.solver.certificate_deadline
     samples = samples_of(problem, trajectory, also)
     time, q, v, u = samples.time, samples.q, samples.v, samples.u
     worst: dict[str, float] = {}
@@ -159,21 +159,19 @@ def certify(problem: Problem, trajectory: Trajectory, also: Sequence[float] = ()
         worst[name] = float(time[at])
         return float(values[at])
 
-    beyond = [margin for limit in EffortLimit.of(problem) if not (margin := limit_margin(limit, samples)).kept]
-    peak("effort_excess", np.maximum(u - limits.effort[:, 1], limits.effort[:, 0] - u).max(axis=1))
-    effort_excess = max([-margin.left for margin in beyond], default=0.0)
+    of_efforts, of_limits = margins_along(samples)
+    peak("effort_excess", beyond_bounds(problem, u).max(axis=1))
+    effort_excess = max([-margin.left for margin in of_efforts if not margin.kept], default=0.0)
     # A motion at rest counts as having a speed that hardly moves it within its duration.
     speed = max(float(np.abs(v).max()) or INTEGRATION_M / trajectory.duration_s, _MIN_SPAN / trajectory.duration_s)
     velocity_residual = peak("velocity_residual", trajectory.slope_errors(time).max(axis=1)) / speed
     needed, allowed = samples.needed_efforts, samples.lacking_allowed
-    needed_over = np.maximum(needed - limits.effort[:, 1], limits.effort[:, 0] - needed)
-    inverse_excess = max(0.0, peak("inverse_dynamics_excess", needed_over.max(axis=(0, 2))))
+    inverse_excess = max(0.0, peak("inverse_dynamics_excess", beyond_bounds(problem, needed).max(axis=(0, 2))))
     residual = np.abs(samples.lacking).max(axis=(0, 2))
     dynamics_residual = peak("dynamics_residual", residual)
     closure_gap = peak("closure_gap_m", mechanism.gaps_m(q))
     closure_gaps = {unit: float(gap.max()) for unit, gap in mechanism.gaps_by_unit(q).items()}
     ratio = float(singularity_ratios(problem, q).min())
-    of_limits = margins_along(samples)
     boundary_error = end_state_error(problem, trajectory, speed)
     if problem.motion.turns is not None:
         boundary_error = max(boundary_error, _turn_error(problem, q))
@@ -186,7 +184,7 @@ def certify(problem: Problem, trajectory: Trajectory, also: Sequence[float] = ()
     velocity_error, growth = integrated.velocity, integrated.growth
 
     power = u * samples.actuator_speeds
-    overrun, needs_more = _effort_overrun(samples)
+    overrun, needs_more = effort_overrun(samples)
     gaps = " or ".join(f"{gap:.3g} {unit}" for unit, gap in closure_gaps.items())
     rounded = mechanism.closed_m > CLOSURE_M
     accepts = f"; mechanism.closure_tolerance_m = {1.1 * closure_gap:.2g} accepts that of a rounded file" if rounded else ""
@@ -197,7 +195,7 @@ def certify(problem: Problem, trajectory: Trajectory, also: Sequence[float] = ()
             dynamics_residual > allowed,
             f"between nodes the motion needs {dynamics_residual:.3g} more effort than planned"
             f" at t = {worst['dynamics_residual']:.4g} s (allowed: {allowed:.3g})"
-            f"{_dead_centre(samples, worst['dynamics_residual'])}",
+            f"{dead_centre_words(samples, worst['dynamics_residual'])}",
         ),
         (bool(needs_more), needs_more),
         (
@@ -254,40 +252,6 @@ def certify(problem: Problem, trajectory: Trajectory, also: Sequence[float] = ()
         needs_more=needs_more,
         unrepairable=(*unrepairable, *((opened,) if rounded else ())),
     )
-
-
-def _effort_overrun(samples: Samples) -> tuple[np.ndarray, str]:
-    """Return the overruns (n_intervals,) of efforts by inverse dynamics, and a sentence if they are not allowed.
-
-    Overruns are shares of the allowance, and are also looked for between the samples.
-    """
-    needed, limit, n = samples.needed_efforts, samples.problem.limits.effort, len(samples.points)
-    allowances = np.maximum(INVERSE_DYNAMICS_SHARE * end_sizes(limit), 1e-12)
-    inside = np.stack([needed - limit[:, 0], limit[:, 1] - needed], axis=-1)  # (kinetics, sample, motor, 2)
-    left = np.divide(inside, allowances, out=np.zeros_like(inside), where=np.isfinite(inside))
-    left = np.moveaxis(left, 1, -1).reshape(len(needed), *limit.shape, -1, n)  # by interval and point at last
-    least = least_between(left, samples.points).reshape(left.shape[:-1])
-    worst = np.unravel_index(int(np.argmin(least)), least.shape)
-    overrun = -least.min(axis=(0, 1, 2), initial=0.0)
-    if not least[worst] < -1.0:
-        return overrun, ""
-    _, j, end, interval = worst
-    actuator, bound, over = samples.problem.mechanism.actuators[j], limit[j, end], -least[worst] * allowances[j, end]
-    time_s = float(samples.time.reshape(-1, n)[interval, int(np.argmin(left[worst]))])
-    return overrun, (
-        f"between nodes the motion needs {bound + (over if end else -over):.9g} {actuator.unit} of '{actuator.name}' at"
-        f" t = {time_s:.4g} s, {over:.3g} {actuator.unit} beyond its limit (allowed: {allowances[j, end]:.3g})"
-        f"{_dead_centre(samples, time_s)}"
-    )
-
-
-def _dead_centre(samples: Samples, time_s: float) -> str:
-    """Return a phrase that names a dead centre near a time of the samples; empty if there is none."""
-    at = int(np.argmin(np.abs(samples.time - time_s)))
-    if samples.leverage.transmission(samples.demanded[1][[at]])[0] > 10 * samples.leverage.least:
-        return ""
-    names = " and ".join(f"'{actuator.name}'" for actuator in samples.problem.mechanism.actuators)
-    return f"; {names} {'is' if len(samples.problem.mechanism.actuators) == 1 else 'are'} near a dead centre there"
 
 
 def _integration_failures(in_deg: float, in_m: float) -> list[str]:

@@ -22,6 +22,7 @@ from linkplan.models.tree.joints import unit_steps
 from linkplan.planner.certificate.certificate import Certificate, certify
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE, relative_violation
 from linkplan.planner.limits.efforts import effort_rates
+from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.problem.instant import Scales, force_inputs, free_instant
 from linkplan.planner.problem.limits import exact_bounds
 from linkplan.planner.problem.objective import motor_losses
@@ -104,7 +105,7 @@ def negligible_objective(problem: Problem, trajectory: Trajectory) -> float:
     pose = trajectory.start_pose
     maps = np.abs(np.array(mechanism.dynamics.effort_map(pose)))
     inertial = (np.abs(np.array(mechanism.dynamics.reduced_inertia(pose))) @ unit).max(initial=0.0) / T**2
-    largest = np.abs(problem.limits.effort).max(axis=1)
+    largest = np.abs(effort_bounds(problem)).max(axis=1)
     asked = np.maximum(np.abs(trajectory.effort).max(axis=(0, 1)), inertial / max(maps.max(initial=0.0), 1e-300))
     effort = np.where(np.isfinite(largest), largest, asked)
     natural = Scales(time_s=T, position=unit, effort=effort, residual=maps @ effort, length_m=mechanism.extent_m)
@@ -144,7 +145,7 @@ def peak_share(problem: Problem, trajectory: Trajectory) -> float:
     """Return the largest effort of a motion at any instant, as a share of its limit."""
     effort = trajectory.effort_at(trajectory.dense_times(40))
     with np.errstate(divide="ignore", invalid="ignore"):
-        shares = np.nan_to_num(effort[:, :, None] / problem.limits.effort, nan=0.0, posinf=0.0, neginf=0.0)
+        shares = np.nan_to_num(effort[:, :, None] / effort_bounds(problem), nan=0.0, posinf=0.0, neginf=0.0)
     return float(shares.max(initial=0.0))
 
 

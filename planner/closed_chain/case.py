@@ -28,7 +28,8 @@ from linkplan.planner.closed_chain.prescribed import (
     unheld,
 )
 from linkplan.planner.closed_chain.transcribe import trajectory_of, transcribe
-from linkplan.planner.limits.kinds import limits_of, tightened_in
+from linkplan.planner.limits.joints import bounds_of_state
+from linkplan.planner.limits.kinds import effort_bounds, limits_of, tightened_in
 from linkplan.planner.limits.limit import Margin, Tightened
 from linkplan.planner.plan.plan import Plan, tracking_errors
 from linkplan.planner.plan.verdict import Overrun, Verdict, failed, infeasible
@@ -77,7 +78,7 @@ class MechanismCase:
     def motion(self, solution: Solution) -> Trajectory | None:
         """Return a solution's trajectory; None if the solver moved to another assembly branch."""
         try:
-            return trajectory_of(solution.transcribed, solution.x, self.asked.limits.effort)
+            return trajectory_of(solution.transcribed, solution.x)
         except AssemblyError:
             return None
 
@@ -127,9 +128,12 @@ def case_of(problem: Problem, *, kinks: bool = True, enclosed: bool = False) -> 
     them. Jerks of dependent joints and of sites are also limited at every instant: where they jump inside an interval, no
     finer mesh removes their overrun. With `enclosed`, all enclosable limits are imposed at every instant.
     """
-    powers = problem.mesh.effort == "polynomial" and bool(np.any(np.isfinite(problem.limits.power)))
-    jerks = any(limit.rows.jerk and limit.rows.node is not None and limit.facts.enclosable for limit in limits_of(problem))
-    enclosed = enclosed or jerks or (powers and problem.mechanism.dof > 1)
+    several = problem.mesh.effort == "polynomial" and problem.mechanism.dof > 1
+    enclosed = enclosed or any(
+        (several and limit.facts.enclosed_with_several)
+        or (limit.rows.jerk and limit.rows.node is not None and limit.facts.enclosable)
+        for limit in limits_of(problem)
+    )
     return MechanismCase(problem, problem, kinks=kinks, enclosed=enclosed)
 
 
@@ -147,14 +151,14 @@ def _target(problem: Problem, *, kinks: bool, enclosed: bool) -> RefinementTarge
     switches = not enclosed and (objective.efforts("jump") or bending) and not objective.efforts("smooth")
     switches = switches and problem.mechanism.forces is None  # the instants of these jumps are those of the mesh
     lines = any(motor is not None and motor.line is not None for motor in problem.motors)
-    bent = continuous_efforts and bool(np.any(np.isfinite(problem.limits.speed[problem.mechanism.independent])))
+    bent = continuous_efforts and bool(np.any(np.isfinite(bounds_of_state(problem)[1])))
     tolerance = 1e-7 if switches and (lines or bent) else None
     if enclosed or any(limit.rows.jerk for limit in limits_of(problem)):
         tolerance = 1e-6  # looser, because efforts or jerk may jump inside intervals
     if not enclosed and (objective.has("peak_effort") or objective.has("jerk")):
         tolerance = 1e-5  # still looser, because there efforts within their limits jump, or a limit on acceleration binds
     return RefinementTarget(
-        effort_limit=problem.limits.effort,
+        effort_limit=effort_bounds(problem),
         switches=switches,
         bang_bang=list(objective.weights) == ["time"],
         continuous_efforts=continuous_efforts,

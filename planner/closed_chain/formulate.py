@@ -18,7 +18,8 @@ from linkplan.planner.closed_chain.mechanics import (
 )
 from linkplan.planner.limits.body import expression_of, scaled_coordinate, unit_of
 from linkplan.planner.limits.efforts import holds_at_rest
-from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.joints import bounds_of_state
+from linkplan.planner.limits.kinds import effort_bounds, limits_of
 from linkplan.planner.limits.limit import Limit, WhichJoints
 from linkplan.planner.limits.rates import smooth_columns
 from linkplan.planner.problem.extra import jerk_of
@@ -106,8 +107,8 @@ def formulate(
     eta = [np.zeros(0), *costs.values(), *(limit.rows.interval_numbers(problem, scales) for limit in limits)]
     rows, own, own_tightening = _interval_rows(problem, scales, limits, n_z - asked.n_unknowns, tuple(costs), tightenings)
     n_works = n_u if asked.works else 0
-    position, speed, rate = problem.limits.position, problem.limits.speed, scales.position / scales.time_s
-    independent, dependent, positive = mechanism.independent, mechanism.dependent, np.tile([0.0, np.inf], (n_works, 1))
+    (position, speed, dependent), rate = bounds_of_state(problem), scales.position / scales.time_s
+    positive = np.tile([0.0, np.inf], (n_works, 1))
     bounds = np.array([limit.bounds(problem, scales) for limit in asked.rows]).reshape(-1, 2)
     path = np.vstack([bounds, free_bounds(len(asked.passed)), positive])
     endpoint, places = site_endpoint(problem, scales.position, n_z)
@@ -126,9 +127,9 @@ def formulate(
             effort=scales.effort,
             objective=value,
         ),
-        state=np.vstack([position[independent] / scales.position[:, None], speed[independent] / rate[:, None]]),
-        algebraic=np.vstack([position[dependent], positive, free_bounds(asked.n_unknowns)]),
-        effort=problem.limits.effort,
+        state=np.vstack([position / scales.position[:, None], speed / rate[:, None]]),
+        algebraic=np.vstack([dependent, positive, free_bounds(asked.n_unknowns)]),
+        effort=effort_bounds(problem),
         path=path,
         own=own,
         boundaries=phase_boundaries_of(problem, scales),
@@ -219,7 +220,7 @@ def tie_weights(problem: Problem, ties: float) -> np.ndarray:
     They are zero for actuators without a limit, for one degree of freedom, which has no ties, and for objectives without
     time or with a term of squared efforts.
     """
-    largest = np.abs(problem.limits.effort).max(axis=1)
+    largest = np.abs(effort_bounds(problem)).max(axis=1)
     limited = np.isfinite(largest) & (largest > 0)
     if (
         not ties

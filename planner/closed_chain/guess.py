@@ -10,9 +10,9 @@ import numpy as np
 from linkplan.models.deadline import NO_DEADLINE, Deadline
 from linkplan.models.errors import AssemblyError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
 from linkplan.models.tree.joints import unit_steps
+from linkplan.planner.limits.kinds import beyond_bounds, needed_efforts
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.reference import GuessedPath
 from linkplan.planner.trajectory import Trajectory
@@ -308,11 +308,10 @@ def _shortest_duration(problem: Problem, start_pose: np.ndarray, *, rests: bool 
     given = [w.time_s for w in problem.motion.waypoints if w.time_s is not None]
     if given:
         return _LAST_WAYPOINT_STRETCH * given[-1]
-    mechanism, limit = problem.mechanism, problem.limits.effort
     unit = _smooth_path(problem, 1.0, rests)
     tau = np.linspace(0.0, 1.0, GUESS_SAMPLES)
     try:
-        poses = follow(mechanism, unit(tau), start_pose, problem.solver.deadline)
+        poses = follow(problem.mechanism, unit(tau), start_pose, problem.solver.deadline)
     except AssemblyError:
         return 1.0
 
@@ -322,15 +321,13 @@ def _shortest_duration(problem: Problem, start_pose: np.ndarray, *, rests: bool 
     v, a = (np.array([path.derivative(order)(path.breaks[-1] * tau) for path in (unit, twice)]) for order in (1, 2))
     v_1, a_1 = 2 * v[1] - v[0], 4 * a[1] - a[0]
     v_0, a_0 = v[0] - v_1, a[0] - a_1
-    still, ahead, back = (
-        needed_effort(mechanism, poses, r * v_0 + v_1, r**2 * a_0 + r * a_1, limit=limit)[0] for r in (0.0, 1.0, -1.0)
-    )
+    still, ahead, back = (needed_efforts(problem, poses, r * v_0 + v_1, r**2 * a_0 + r * a_1)[0] for r in (0.0, 1.0, -1.0))
     linear, quadratic = 0.5 * (ahead - back), 0.5 * (ahead + back) - still
 
     def excess(log_duration: float) -> float:
         pace = float(np.exp(-log_duration))
         effort = still + pace * linear + pace**2 * quadratic
-        return float(np.max(np.maximum(effort - limit[:, 1], limit[:, 0] - effort)))
+        return float(np.max(beyond_bounds(problem, effort)))
 
     low, high = np.log(1e-5), np.log(1e4)  # [s]
     if excess(high) > 0 or excess(low) <= 0:

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.models.actuation.distribution import distribute, missed_rounding
-from linkplan.models.poses.along import demanded, is_redundant, needed_effort
+from linkplan.models.poses.along import demanded, is_redundant
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.closed_chain.guess import Guess, force_times, guess_from, poses_along, reference_guess, stretched
-from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.kinds import effort_bounds, limits_of, needed_efforts
 from linkplan.planner.limits.limit import Margin, limit_margin
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.keys.kinds import MIN_INTERVAL_SHARE
@@ -90,7 +90,7 @@ def _efforts_along(problem: Problem, guess: Guess, time: np.ndarray) -> np.ndarr
     """Return the efforts (n, n_u) of inverse dynamics along a guess at increasing times (n,)."""
     poses = poses_along(problem.mechanism, guess, time, problem.solver.deadline)
     v, a = guess.velocity(time), guess.acceleration(time)
-    return needed_effort(problem.mechanism, poses, v, a, time, limit=problem.limits.effort)[0]
+    return needed_efforts(problem, poses, v, a, time)[0]
 
 
 def _with_shared_breaks(problem: Problem, guess: Guess, breaks_s: np.ndarray) -> np.ndarray:
@@ -98,10 +98,11 @@ def _with_shared_breaks(problem: Problem, guess: Guess, breaks_s: np.ndarray) ->
 
     Efforts that share a generalised effort within limits have kinks there, which no polynomial follows.
     """
+    least, most = effort_bounds(problem).T
 
     def at_limits(time: np.ndarray) -> np.ndarray:
         effort = _efforts_along(problem, guess, time)
-        return (effort >= problem.limits.effort[:, 1]) * 1 - (effort <= problem.limits.effort[:, 0])
+        return (effort >= most) * 1 - (effort <= least)
 
     parts = np.arange(_REFERENCE_DEGREE) / _REFERENCE_DEGREE
     time = np.append((breaks_s[:-1, None] + np.diff(breaks_s)[:, None] * parts).ravel(), breaks_s[-1])
@@ -243,7 +244,7 @@ def holding_at(problem: Problem, s: np.ndarray) -> Holding:
     Raises:
         AssemblyError: if the loops do not close there.
     """
-    mechanism, limit, objective = problem.mechanism, problem.limits.effort, problem.objective
+    mechanism, limit, objective = problem.mechanism, effort_bounds(problem), problem.objective
     pose, still = close_at(mechanism, s), np.zeros((1, mechanism.dof))
     tau, maps = demanded(mechanism, pose[None], still, still)
     # In units in which the squares of all efforts have the same cost.
@@ -272,7 +273,7 @@ def _figure(value: float) -> str:
 def unheld(problem: Problem, holding: Holding) -> tuple[str, dict[str, float]]:
     """Return a sentence on why no efforts within their limits hold a pose, with the needed effort and its limit."""
     mechanism, needed = problem.mechanism, holding.needed
-    nearest = np.clip(needed, *problem.limits.effort.T)
+    nearest = np.clip(needed, *effort_bounds(problem).T)
     j = int(np.argmax(np.abs(needed - nearest)))
     off = float(abs(needed[j] - nearest[j]))
     row = int(np.argmax(np.abs(holding.missed)))

@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import needed_effort, sampled
+from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import close_at
 from linkplan.planner.closed_chain.formulate import SMOOTHING_WEIGHT, formulate, tie_weights
 from linkplan.planner.closed_chain.guess import Guess, even_poses, poses_along
-from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.kinds import effort_bounds, limits_of, needed_efforts
 from linkplan.planner.limits.limit import WhichJoints
 from linkplan.planner.problem.instant import Scales, position_units
 from linkplan.planner.problem.problem import Problem
@@ -43,9 +43,9 @@ class Origin:
 
 def choose_scales(problem: Problem, guess: Guess) -> Scales:
     """Return units of order one: durations, spans, limits, or the guess's efforts if these are far below the limits."""
-    mechanism, limit = problem.mechanism, problem.limits.effort
+    mechanism, limit = problem.mechanism, effort_bounds(problem)
     times, poses = (samples[::2] for samples in even_poses(problem, guess))
-    need, _ = needed_effort(mechanism, poses, guess.velocity(times), guess.acceleration(times), times, limit=limit)
+    need, _ = needed_efforts(problem, poses, guess.velocity(times), guess.acceleration(times), times)
     position = position_units(mechanism, guess.position(times))
     # A joint at rest needs almost no effort. Its effort unit is the effort that moves it by its position unit if other
     # joints move, and 1e-6 of that if all are at rest in balance.
@@ -240,7 +240,7 @@ def _start(problem: Problem, guess: Guess, scales: Scales, formulation: Formulat
         if guess.effort is not None:
             effort = guess.effort(times)
         else:
-            effort, _ = needed_effort(mechanism, poses, v, a, times, limit=problem.limits.effort)
+            effort, _ = needed_efforts(problem, poses, v, a, times)
         algebraic = poses[:, mechanism.dependent]
         if formulation.n_z > algebraic.shape[1]:
             maps = sampled(mechanism.dynamics.effort_map, poses)
@@ -252,9 +252,10 @@ def _start(problem: Problem, guess: Guess, scales: Scales, formulation: Formulat
     return Start(states=states, nodes=nodes, share_of_effort=guess.share_of_effort)
 
 
-def trajectory_of(transcribed: Transcribed, x: np.ndarray, limit: np.ndarray) -> Trajectory:
-    """Return the motion of a program's unknowns x (n,), with efforts clipped to `limit` against rounding."""
-    curves, origin = curves_of(transcribed, x, limit), transcribed.origin
+def trajectory_of(transcribed: Transcribed, x: np.ndarray, limit: np.ndarray | None = None) -> Trajectory:
+    """Return the motion of a program's unknowns x (n,), with efforts clipped to `limit`, by default the program's."""
+    limit, origin = transcribed.formulation.effort if limit is None else limit, transcribed.origin
+    curves = curves_of(transcribed, x, limit)
     return Trajectory(
         breaks_s=curves.breaks_s,
         position=curves.position,

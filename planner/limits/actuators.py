@@ -48,7 +48,12 @@ class PowerLimit(Limit):
 
     key: ClassVar[str] = "power"
     facts: ClassVar[LimitFacts] = LimitFacts(
-        kind=key, words="the power of {}", enclosable=True, jumps_with_effort=True, followed_with=np.inf
+        kind=key,
+        words="the power of {}",
+        enclosable=True,
+        enclosed_with_several=True,
+        jumps_with_effort=True,
+        followed_with=np.inf,
     )
     item: int
     column: int | None = None

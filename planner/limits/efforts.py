@@ -24,7 +24,7 @@ from linkplan.planner.limits.limit import (
     limited_rows,
     with_limits,
 )
-from linkplan.planner.limits.samples import Leverage, Samples, samples_for_claims
+from linkplan.planner.limits.samples import Leverage, Samples, least_between, samples_for_claims
 from linkplan.planner.problem.instant import Corner, Instant, Robust, Scales
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -92,10 +92,52 @@ def end_sizes(bounds: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(bounds) & (sizes == 0), sizes.max(axis=1, keepdims=True), sizes)
 
 
+def within_efforts(problem: Problem, share: float) -> Problem:
+    """Return a problem with a distance, a share of each end, from the limits on efforts that are wider than ten of it."""
+    ends = problem.limits.effort
+    distance = share * end_sizes(ends) * [1.0, -1.0]
+    wide = np.ptp(ends, axis=1, keepdims=True) > 10.0 * np.abs(distance).max(axis=1, keepdims=True)
+    return with_limits(problem, effort=ends + np.where(wide, distance, 0.0))
+
+
 def share_of(bounds: np.ndarray, share: float) -> tuple[float, float]:
     """Return the allowances of [low, high]: a share of each end, or of the other end if an end is zero."""
     low, high = share * end_sizes(np.reshape(bounds, (1, 2)))[0]
     return float(low), float(high)
+
+
+def effort_overrun(samples: Samples) -> tuple[np.ndarray, str]:
+    """Return the overruns (n_intervals,) of efforts by inverse dynamics, and a sentence if they are not allowed.
+
+    Overruns are shares of the allowance, and are also looked for between the samples.
+    """
+    needed, limit, n = samples.needed_efforts, samples.problem.limits.effort, len(samples.points)
+    allowances = np.maximum(INVERSE_DYNAMICS_SHARE * end_sizes(limit), 1e-12)
+    inside = np.stack([needed - limit[:, 0], limit[:, 1] - needed], axis=-1)  # (kinetics, sample, motor, 2)
+    left = np.divide(inside, allowances, out=np.zeros_like(inside), where=np.isfinite(inside))
+    left = np.moveaxis(left, 1, -1).reshape(len(needed), *limit.shape, -1, n)  # by interval and point at last
+    least = least_between(left, samples.points).reshape(left.shape[:-1])
+    worst = np.unravel_index(int(np.argmin(least)), least.shape)
+    overrun = -least.min(axis=(0, 1, 2), initial=0.0)
+    if not least[worst] < -1.0:
+        return overrun, ""
+    _, j, end, interval = worst
+    actuator, bound, over = samples.problem.mechanism.actuators[j], limit[j, end], -least[worst] * allowances[j, end]
+    time_s = float(samples.time.reshape(-1, n)[interval, int(np.argmin(left[worst]))])
+    return overrun, (
+        f"between nodes the motion needs {bound + (over if end else -over):.9g} {actuator.unit} of '{actuator.name}' at"
+        f" t = {time_s:.4g} s, {over:.3g} {actuator.unit} beyond its limit (allowed: {allowances[j, end]:.3g})"
+        f"{dead_centre_words(samples, time_s)}"
+    )
+
+
+def dead_centre_words(samples: Samples, time_s: float) -> str:
+    """Return a phrase that names a dead centre near a time of the samples; empty if there is none."""
+    at = int(np.argmin(np.abs(samples.time - time_s)))
+    if samples.leverage.transmission(samples.demanded[1][[at]])[0] > 10 * samples.leverage.least:
+        return ""
+    names = " and ".join(f"'{actuator.name}'" for actuator in samples.problem.mechanism.actuators)
+    return f"; {names} {'is' if len(samples.problem.mechanism.actuators) == 1 else 'are'} near a dead centre there"
 
 
 @dataclass(frozen=True, slots=True)

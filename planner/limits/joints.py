@@ -258,6 +258,12 @@ class SpeedLimit(Limit):
         return Affine(lambda q, v, *_: joint_rates(mechanism, q, v)[:, own], problem.limits.speed[self.item], of_speed=True)
 
 
+def bounds_of_state(problem: Problem) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return [low, high] of independent positions and of their speeds (n_s, 2), and of dependent positions (n_z, 2)."""
+    mechanism, position = problem.mechanism, problem.limits.position
+    return position[mechanism.independent], problem.limits.speed[mechanism.independent], position[mechanism.dependent]
+
+
 def bounds_of_joint(limit: Any, problem: Problem, scales: Scales, order: int) -> Bounds:
     """Return the scaled bounds of a limit on a joint's derivative of an order; of its `column`, if it has one."""
     unit = 1.0 if limit.column is None else scales.position[limit.column]

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from linkplan.models.errors import AssemblyError
+from linkplan.models.poses.along import needed_effort
 from linkplan.planner import limits
 from linkplan.planner.limits.actuators import further_control_claims
-from linkplan.planner.limits.bounds import EffortBounds
+from linkplan.planner.limits.bounds import Affine, EffortBounds
 from linkplan.planner.limits.efforts import EffortLimit, lacking_corner_claims
 from linkplan.planner.limits.limit import Limit, Margin, WhichJoints, limit_margin, with_limits
-from linkplan.planner.limits.samples import Samples, samples_of
+from linkplan.planner.limits.samples import Poses, Samples, samples_of
 from linkplan.planner.problem.instant import unit_scales
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.trajectory import Trajectory
@@ -93,16 +94,62 @@ def effort_bounds(problem: Problem, speeds: np.ndarray | None = None) -> np.ndar
     return np.stack([functools.reduce(np.maximum, low), functools.reduce(np.minimum, high)], axis=-1)
 
 
+def are_efforts_bounded(problem: Problem) -> bool:
+    """True if limits bound all efforts from both sides, whatever the speeds."""
+    return bool(np.all(np.isfinite(effort_bounds(problem))))
+
+
+def needed_efforts(
+    problem: Problem, q: np.ndarray, v: np.ndarray, a: np.ndarray, time_s: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the efforts (n, n_u) for a motion within a problem's limits, and what they miss, as `needed_effort`."""
+    return needed_effort(problem.mechanism, q, v, a, time_s, limit=effort_bounds(problem))
+
+
+def affine_limits(problem: Problem, *, of_speed: bool) -> list[Affine]:
+    """Return the limits on affine quantities that are, or are not, proportional to the speed."""
+    stated = [limit.affine(problem) for limit in limits_of(problem)]
+    return [one for one in stated if one is not None and one.of_speed == of_speed]
+
+
+def kept_at(problem: Problem, q: np.ndarray) -> np.ndarray:
+    """Return a mask (n,) of the poses q (n, n_q) that satisfy the limits on poses which the phase plane satisfies."""
+    at, kept = Poses(problem=problem, q=q), np.ones(len(q), dtype=bool)
+    for limit in limits_of(problem):
+        if limit.facts.of_position and limit.facts.in_phase_plane:
+            measured = limit.measured(at)
+            kept &= (measured.values >= measured.bounds[0]) & (measured.values <= measured.bounds[1])
+    return kept
+
+
 def narrowed(problem: Problem, share: float) -> Problem:
     """Return a problem in which the limits that motions of the phase plane follow are narrower by a share of their ends."""
     facts = {type(limit): limit.facts for limit in limits_of(problem)}
     followed = (kind for kind, of in facts.items() if of.followed_with or (of.in_phase_plane and not of.of_position))
-    return functools.reduce(lambda less, kind: kind.narrowed(less, share), followed, problem)
+    return functools.reduce(lambda less, kind: narrowed_kind(kind, less, share), followed, problem)
 
 
-def margins_along(samples: Samples) -> tuple[Margin, ...]:
-    """Return the margins of all limits along a motion except efforts, which the certificate checks itself."""
-    return tuple(limit_margin(limit, samples) for limit in limits_of(samples.problem) if not isinstance(limit, EffortLimit))
+def narrowed_kind(kind: type[Limit], problem: Problem, share: float) -> Problem:
+    """Return a problem in which every end of the limits of a kind moves inwards by a share of itself."""
+    rows = getattr(problem.limits, kind.key, None)
+    if not isinstance(rows, np.ndarray) or rows.ndim == 1:
+        return kind.relaxed(problem, 1.0 - share)
+    size = np.where(np.isfinite(rows), np.abs(rows), 0.0)
+    return with_limits(problem, **{kind.key: rows + share * size * np.array([1.0, -1.0])})
+
+
+def beyond_bounds(problem: Problem, effort: np.ndarray) -> np.ndarray:
+    """Return by how much efforts (..., n_u) are beyond their bounds at any speed; negative between them."""
+    low, high = effort_bounds(problem).T
+    return np.maximum(effort - high, low - effort)
+
+
+def margins_along(samples: Samples) -> tuple[tuple[Margin, ...], tuple[Margin, ...]]:
+    """Return the margins along a motion of the limits on planned efforts, and those of all others."""
+    margins = [limit_margin(limit, samples) for limit in limits_of(samples.problem)]
+    return tuple(one for one in margins if one.of.key == EffortLimit.key), tuple(
+        one for one in margins if one.of.key != EffortLimit.key
+    )
 
 
 def without(kind: type[Limit], problem: Problem) -> Problem:

@@ -57,6 +57,7 @@ class LimitFacts:
         beyond: the word for an overrun.
         tightened: how its row is tightened after an overrun between the nodes; None if its rows hold at every instant.
         enclosable: whether rows of intervals can impose it at every instant.
+        enclosed_with_several: whether they do from the start with several degrees of freedom.
         jumps_with_effort: whether its row jumps with the effort.
         of_position: whether its row is a function of the pose only.
         at_given_poses: whether its row binds at nodes whose pose is given, too.
@@ -75,6 +76,7 @@ class LimitFacts:
     beyond: str = "beyond"
     tightened: Tightened | None = Tightened.BY_SHARE
     enclosable: bool = False
+    enclosed_with_several: bool = False
     jumps_with_effort: bool = False
     of_position: bool = False
     at_given_poses: bool = False
@@ -271,15 +273,6 @@ class Limit(ABC):
     def relaxed(cls, problem: Problem, factor: float) -> Problem:
         """Return a problem with its limits of this kind relaxed by a common factor; infinity removes them."""
         return with_limits(problem, **{cls.key: _scaled(getattr(problem.limits, cls.key), factor)})
-
-    @classmethod
-    def narrowed(cls, problem: Problem, share: float) -> Problem:
-        """Return a problem in which every end of these limits moves inwards by a share of itself."""
-        rows = getattr(problem.limits, cls.key, None)
-        if not isinstance(rows, np.ndarray) or rows.ndim == 1:
-            return cls.relaxed(problem, 1.0 - share)
-        size = np.where(np.isfinite(rows), np.abs(rows), 0.0)
-        return with_limits(problem, **{cls.key: rows + share * size * np.array([1.0, -1.0])})
 
 
 def with_limits(problem: Problem, **changes: Any) -> Problem:

@@ -17,6 +17,7 @@ import numpy as np
 
 from linkplan.models.deadline import Deadline
 from linkplan.planner.closed_chain.guess import Guess, guess_along, stretched
+from linkplan.planner.limits.kinds import are_efforts_bounded
 from linkplan.planner.phase_plane.grid import PhasePlane, grid_of, plane_of
 from linkplan.planner.problem.motion import Motion
 from linkplan.planner.problem.problem import Problem
@@ -52,7 +53,7 @@ def _quickest_turn(problem: Problem, start_pose: np.ndarray) -> Guess | None:
     grid = grid_of(problem, places, start_pose, _GRID_CELLS)
     if grid is None:
         return None
-    plane = plane_of(problem, *grid, problem.limits.effort)
+    plane = plane_of(problem, *grid)
     start, goal = (plane.at(place) for place in places)
     index = np.arange(start, goal + way, way)
 
@@ -81,7 +82,7 @@ def is_plain_turn(problem: Problem) -> bool:
     motion, mechanism = problem.motion, problem.mechanism
     if mechanism.forces is not None or mechanism.n_equations != 1 or motion.turns is None:
         return False
-    return not motion.waypoints and motion.goal is None and bool(np.all(np.isfinite(problem.limits.effort)))
+    return not motion.waypoints and motion.goal is None and are_efforts_bounded(problem)
 
 
 def turn_places(problem: Problem, start_pose: np.ndarray) -> np.ndarray:
@@ -101,7 +102,7 @@ def phase_plane_applies(problem: Problem) -> bool:
         return False
     if any(w.time_s is not None or not np.all(np.isfinite(w.position)) for w in problem.motion.waypoints):
         return False
-    return bool(np.all(np.isfinite(problem.limits.effort)))
+    return are_efforts_bounded(problem)
 
 
 def least_share(problem: Problem, start_pose: np.ndarray, duration: float) -> tuple[float, Guess] | None:
@@ -149,12 +150,11 @@ def _planes(problem: Problem, start_pose: np.ndarray) -> Callable[[float], Guess
     def guess_with(share: float) -> Guess | None:
         if grid is None:
             return None
-        limit = share * problem.limits.effort
-        plane = plane_of(problem, *grid, limit)
+        plane = plane_of(problem, *grid, share=share)
         rests = [place for part in parts for place in _resting_places(plane, part) if place is not None]
         if rests:
             finer = grid_of(problem, np.concatenate([places, rests]), start_pose, _GRID_CELLS)
-            plane = plane if finer is None else plane_of(problem, *finer, limit)
+            plane = plane if finer is None else plane_of(problem, *finer, share=share)
         ways = [_legs(plane, part, problem.solver.deadline) for part in parts]
         return None if any(legs is None for legs in ways) else _guess(plane, parts, ways, start_pose)
 

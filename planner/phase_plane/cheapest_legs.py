@@ -80,7 +80,7 @@ def cheapest_legs(problem: Problem, start_pose: np.ndarray, rest: float | None) 
     grid = grid_of(problem, places, start_pose, _GRID_CELLS)
     if grid is None or asked is None:
         return
-    way = _Way(plane=plane_of(problem, *grid, problem.limits.effort), asked=asked, rest=rest, repeats=turns)
+    way = _Way(plane=plane_of(problem, *grid), asked=asked, rest=rest, repeats=turns)
     ends = [way.plane.at(place) for place in places]
     first = [None] if turns else way.turns(ends)
     tried = {turn: found for turn in first if (found := way.legs(ends, turn, _FEW_CELLS)) is not None}

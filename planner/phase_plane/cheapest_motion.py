@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from linkplan.planner.closed_chain.guess import Guess, guess_along
+from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.phase_plane.bang_bang_motions import Part, parts_of
 from linkplan.planner.phase_plane.grid import PhasePlane, grid_of, plane_of
 from linkplan.planner.problem.problem import Problem
@@ -89,11 +90,11 @@ def cheapest_guess(problem: Problem, start_pose: np.ndarray, quickest: Guess) ->
     grid = grid_of(problem, part.places, start_pose, 800, graded=False)
     if grid is None:
         return None
-    plane = plane_of(problem, *grid, problem.limits.effort)
+    plane = plane_of(problem, *grid)
     # The more steps, the more the interpolation after each of them costs.
     root, n_steps = np.sqrt(plane.inertia), 40
     x = np.concatenate([[0.0], np.cumsum(0.5 * plane.cells * (root[1:] + root[:-1]))])
-    steps = _Steps(plane=plane, x=x, scale=np.abs(problem.limits.effort).max(axis=1), step_s=duration / n_steps)
+    steps = _Steps(plane=plane, x=x, scale=np.abs(effort_bounds(problem)).max(axis=1), step_s=duration / n_steps)
     times = np.linspace(0.0, quickest.duration_s, 801)
     s, v = quickest.position(times)[:, 0], quickest.velocity(times)[:, 0]
     passed, fast = np.interp(s, plane.s, x), 1.15 * np.abs(np.interp(s, plane.s, root) * v).max()

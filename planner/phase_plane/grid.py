@@ -13,6 +13,8 @@ from linkplan.models.poses.along import sampled, sliding_friction
 from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import reach
+from linkplan.planner.limits.joints import bounds_of_state
+from linkplan.planner.limits.kinds import affine_limits, effort_bounds, kept_at
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
 
@@ -119,7 +121,7 @@ def grid_of(
     mechanism, limits = problem.mechanism, problem.limits
     ends = np.array([places.min(), places.max()])
     can = reach(mechanism)
-    low, high = limits.position[mechanism.independent[0]]
+    low, high = bounds_of_state(problem)[0][0]
     if can.turns_fully:
         # How far other unlimited joints may go beyond them, in distances between start and goal.
         beyond = max(can.period or turn_of(mechanism, 0), 1.5 * float(ends[1] - ends[0]))
@@ -135,8 +137,7 @@ def grid_of(
     if gridded is None:
         return None
     s, poses = gridded
-    within = np.all((poses >= limits.position[:, 0]) & (poses <= limits.position[:, 1]), axis=1)
-    s, poses = _around(places[0], s, poses, within)
+    s, poses = _around(places[0], s, poses, kept_at(problem, poses))
     if not _holds(s, ends):
         return None
     if graded:
@@ -190,9 +191,9 @@ def _graded(problem: Problem, s: np.ndarray, poses: np.ndarray) -> np.ndarray:
     return np.interp(np.linspace(0.0, progress[-1], len(s)), progress, s)
 
 
-def plane_of(problem: Problem, s: np.ndarray, poses: np.ndarray, limit: np.ndarray) -> PhasePlane:
-    """Return the plane over a grid's positions (n,) and poses (2 n - 1, n_q), with effort limits (n_u, 2)."""
-    dynamics, n = problem.mechanism.dynamics, len(poses)
+def plane_of(problem: Problem, s: np.ndarray, poses: np.ndarray, *, share: float = 1.0) -> PhasePlane:
+    """Return the plane over a grid's positions (n,) and poses (2 n - 1, n_q), with a share of the efforts' bounds."""
+    dynamics, n, limit = problem.mechanism.dynamics, len(poses), share * effort_bounds(problem)
 
     def acceleration(v: float, u: np.ndarray) -> np.ndarray:
         return sampled(dynamics.acceleration, poses, np.full((n, 1), v), u)[:, 0, 0]
@@ -230,12 +231,21 @@ def _drag(both: np.ndarray, rub: np.ndarray) -> np.ndarray:
 
 
 def _top(problem: Problem, poses: np.ndarray) -> np.ndarray:
-    """Return the largest w = v^2 / 2 (n,) at poses (n, n_q) that satisfies the speed limits of all joints."""
-    mechanism, speed = problem.mechanism, np.abs(problem.limits.speed).min(axis=1)
-    ratio = np.abs(sampled(mechanism.dynamics.velocity_map, poses)[:, :, 0])
+    """Return the largest w = v^2 / 2 (n,) at poses (n, n_q) that satisfies all limits on speeds."""
+    ratios, bounds = speed_ratios(problem, poses)
+    ratio, speed = np.abs(ratios), np.abs(bounds).min(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        fastest = np.where(ratio > 0, speed / ratio, np.inf).min(axis=1)
+        fastest = np.where(ratio > 0, speed / ratio, np.inf).min(axis=1, initial=np.inf)
     return 0.5 * fastest**2
+
+
+def speed_ratios(problem: Problem, poses: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the quantities of limits on speeds per unit of speed (n, n_limits) at poses (n, n_q), and their [low, high]."""
+    limited, ones = affine_limits(problem, of_speed=True), np.ones((len(poses), 1))
+    ratios = [one.value(poses, ones, 0.0 * ones, 0.0 * ones) for one in limited]
+    return np.concatenate([np.empty((len(poses), 0)), *ratios], axis=1), np.array([one.bounds for one in limited]).reshape(
+        -1, 2
+    )
 
 
 def _kept(fastest: np.ndarray, inertia: np.ndarray, braking: np.ndarray, way: int) -> np.ndarray:

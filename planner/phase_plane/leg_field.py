@@ -16,9 +16,10 @@ import numpy as np
 from linkplan.models.poses.along import sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.models.tree.friction import frictions_of
-from linkplan.planner.limits.bounds import Affine, EffortBounds
-from linkplan.planner.limits.kinds import all_effort_bounds, limits_of
+from linkplan.planner.limits.bounds import EffortBounds
+from linkplan.planner.limits.kinds import affine_limits, all_effort_bounds
 from linkplan.planner.phase_plane.bang_bang_motions import Part
+from linkplan.planner.phase_plane.grid import speed_ratios
 from linkplan.planner.problem.problem import Problem
 
 # The number of a limit that an actuator is held at: 1 for its constant effort limit, then one for each further bound of
@@ -321,21 +322,13 @@ def _friction(problem: Problem, place: np.ndarray, q: np.ndarray) -> Callable[[A
     return friction
 
 
-def _stated(problem: Problem, *, of_speed: bool) -> list[Affine]:
-    """Return the limits of one actuator on affine quantities that are, or are not, proportional to the speed."""
-    known = [limit.affine(problem) for limit in limits_of(problem)] if problem.mechanism.n_u == 1 else []
-    return [one for one in known if one is not None and one.of_speed == of_speed]
-
-
 def _velocity_curve(problem: Problem, place: np.ndarray, q: np.ndarray, way: float) -> VelocityCurve | None:
     """Return the maximum velocity curve of limits on speeds, by splines of the poses (n, n_q); None without one."""
     import scipy
 
-    limited, ones = _stated(problem, of_speed=True), np.ones((len(q), 1))
-    if not limited:
+    ratios, bounds = speed_ratios(problem, q)
+    if problem.mechanism.n_u > 1 or not len(bounds):
         return None
-    ratios = np.concatenate([one.value(q, ones, 0.0 * ones, 0.0 * ones) for one in limited], axis=1)
-    bounds = np.array([one.bounds for one in limited])
     return VelocityCurve(curves=scipy.interpolate.CubicSpline(place, ratios), speed=bounds, way=way)
 
 
@@ -343,8 +336,8 @@ def _affine(problem: Problem, place: np.ndarray, q: np.ndarray) -> AffineBounds 
     """Return the limits of one actuator on affine quantities, by splines of the poses (n, n_q); None without one."""
     import scipy
 
-    limited = _stated(problem, of_speed=False)
-    if not limited:
+    limited = affine_limits(problem, of_speed=False)
+    if problem.mechanism.n_u > 1 or not limited:
         return None
     none, ones, columns, rows = np.zeros((len(q), 1)), np.ones((len(q), 1)), [], []
     for one in limited:

@@ -19,6 +19,7 @@ from linkplan.planner.files.columns import ALONG, ARRAYS, csv_bytes, parquet_byt
 from linkplan.planner.files.folders import restore, write_json
 from linkplan.planner.files.structs import json_values
 from linkplan.planner.files.tables import apply_override
+from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.plan.plan import Plan, motion_table, not_honoured
 from linkplan.planner.plan.record import PLAN_FORMAT, MeshRecord, PlanRecord, extra_records, read_plan_record
 from linkplan.planner.plan.verdict import Verdict, failed
@@ -58,7 +59,7 @@ def record_of(plan: Plan) -> PlanRecord:
         peak_motor_power_w=peaks("peak_motor_power", names),
         peak_brake_power_w=peaks("peak_brake_power", names),
         peak_closure_force_n=peaks("peak_closure_force", mechanism.closure_names),
-        effort_limit=dict(zip(names, problem.limits.effort, strict=True)),
+        effort_limit=dict(zip(names, effort_bounds(problem), strict=True)),
         effort_unit={actuator.name: actuator.unit for actuator in mechanism.actuators},
         demands=_demands(plan),
         certificate=certificate,

@@ -22,7 +22,8 @@ from linkplan.planner.closed_chain.case import MechanismCase
 from linkplan.planner.closed_chain.formulate import TIE_WEIGHT
 from linkplan.planner.closed_chain.guess import guess_from, with_force_times
 from linkplan.planner.closed_chain.prescribed import in_more_time
-from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, end_sizes
+from linkplan.planner.limits.efforts import INVERSE_DYNAMICS_SHARE, within_efforts
+from linkplan.planner.limits.joints import bounds_of_state
 from linkplan.planner.limits.limit import with_limits
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.problem.problem import Problem
@@ -237,7 +238,7 @@ def along_ranges(problem: Problem, motion: Trajectory) -> frozenset[int]:
 
     The first and last intervals, in which a motion begins and ends, are ignored.
     """
-    limit = problem.limits.position[problem.mechanism.independent]
+    limit = bounds_of_state(problem)[0]
     near = _NEAR_RANGE * np.where(np.isfinite(np.ptp(limit, axis=1)), np.ptp(limit, axis=1), 0.0)
     inside = (motion.position > limit[:, 0] + near) & (motion.position < limit[:, 1] - near)
     return frozenset(np.flatnonzero(~np.all(inside[:, 1:-1], axis=(0, 1))).tolist())
@@ -376,10 +377,7 @@ def _loosened(case: MechanismCase, margin: float) -> MechanismCase:
 
 def _with_distance(case: MechanismCase) -> MechanismCase:
     """Return a case whose solves keep a distance from the limits on efforts that are wider than ten such distances."""
-    ends = case.problem.limits.effort
-    distance = _DISTANCE_OF_EFFORTS * INVERSE_DYNAMICS_SHARE * end_sizes(ends) * [1.0, -1.0]
-    wide = np.ptp(ends, axis=1, keepdims=True) > 10.0 * np.abs(distance).max(axis=1, keepdims=True)
-    return replace(case, problem=with_limits(case.problem, effort=ends + np.where(wide, distance, 0.0)))
+    return replace(case, problem=within_efforts(case.problem, _DISTANCE_OF_EFFORTS * INVERSE_DYNAMICS_SHARE))
 
 
 def _settled_change(case: MechanismCase) -> float:

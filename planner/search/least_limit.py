@@ -9,7 +9,7 @@ import numpy as np
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.closed_chain.guess import Guess, closes, guess_from, perturbed_guesses
 from linkplan.planner.closed_chain.transcribe import renumbered, trajectory_of, transcribe
-from linkplan.planner.limits.kinds import factor_of
+from linkplan.planner.limits.kinds import are_efforts_bounded, effort_bounds, factor_of
 from linkplan.planner.limits.limit import RELAXED_FACTOR, Limit
 from linkplan.planner.phase_plane.legs_motion import legs_motion
 from linkplan.planner.phase_plane.power_legs import power_legs
@@ -88,9 +88,9 @@ def least_limit(
     It is solved twice: on the given mesh, then with phase boundaries at the switch times found, where the factor is exact.
     The result is None if the first factor equals `known`, the factor of another start on such a mesh: it is the same motion.
     """
-    limit = problem.limits.effort
-    if not np.all(np.isfinite(limit)):
+    if not are_efforts_bounded(problem):
         return None
+    limit = effort_bounds(problem)
     best, bang_efforts = None, None
     for _ in problem.solver.deadline.take(range(2)):
         try:
@@ -145,7 +145,7 @@ def least_relaxation(
     if not best.converged:
         return motion
     with contextlib.suppress(AssemblyError):
-        loose = trajectory_of(transcribed, best.x, problem.limits.effort)
+        loose = trajectory_of(transcribed, best.x)
         far = min(far, factor_of(kind, problem, loose) or far)
     solver = build_solver(transcribed.program, problem.solver, warm=True)
     # A message names the limit to four digits; an infinite overrun leaves a range up to `RELAXED_FACTOR`.
@@ -158,7 +158,7 @@ def least_relaxation(
             near = middle
     add_step(step_of(f"least {kind.key}", best.transcribed, best))
     try:
-        return trajectory_of(best.transcribed, best.x, problem.limits.effort)
+        return trajectory_of(best.transcribed, best.x)
     except AssemblyError:
         return motion
 

@@ -23,7 +23,8 @@ from linkplan.models.tree.friction import frictions_of
 from linkplan.models.tree.joints import POSITION_ROUNDING, Joint
 from linkplan.planner.certificate.integration import POSE_SLACK
 from linkplan.planner.limits.efforts import holds_at_rest
-from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.joints import bounds_of_state
+from linkplan.planner.limits.kinds import are_efforts_bounded, effort_bounds, limits_of
 from linkplan.planner.limits.limit import Limit
 from linkplan.planner.limits.rates import smooth_columns
 from linkplan.planner.limits.samples import Poses
@@ -49,7 +50,7 @@ class _End:
 def no_way_to_stop(problem: Problem) -> Verdict | None:
     """Return the verdict on a speed at start or goal that no effort can stop or reach within the joint's range, or None."""
     motion, mechanism = problem.motion, problem.mechanism
-    if mechanism.dof != 1 or motion.kind != "reach" or motion.goal_is_free or not np.all(np.isfinite(problem.limits.effort)):
+    if mechanism.dof != 1 or motion.kind != "reach" or motion.goal_is_free or not are_efforts_bounded(problem):
         return None
     if mechanism.forces is not None:
         return None
@@ -63,10 +64,10 @@ def no_way_to_stop(problem: Problem) -> Verdict | None:
 
 
 def _beyond_the_range(problem: Problem, end: _End) -> Verdict | None:
-    mechanism, limit = problem.mechanism, problem.limits.position
+    mechanism, (low, high) = problem.mechanism, bounds_of_state(problem)[0][0]
     way, (joint,) = int(np.sign(end.speed)), mechanism.independent_joints
     step = way * end.along
-    bound = limit[mechanism.independent[0], 1 if step > 0 else 0]
+    bound = high if step > 0 else low
     if not np.isfinite(bound) or step * (bound - end.position) <= 0:
         return None
     s = np.linspace(end.position, bound, 801)
@@ -78,7 +79,7 @@ def _beyond_the_range(problem: Problem, end: _End) -> Verdict | None:
     at, ahead = 0, 1
     if step < 0:
         s, poses, at, ahead = s[::-1], poses[::-1], len(s) - 1, -1
-    plane = plane_of(problem, s, poses, problem.limits.effort)
+    plane = plane_of(problem, s, poses)
     w = plane.leg(at, 0.5 * end.speed**2, ahead, -ahead, backwards=end.along < 0)
     # The share of the squared speed that must remain there is a hundred times the error of the quadrature.
     if len(w) < len(s) or w[-1] < 1e-4 * w[0]:
@@ -126,7 +127,7 @@ def _speed_at_an_end(problem: Problem) -> Verdict | None:
     for name in ("start_speed", "goal_speed"):
         value = getattr(motion, name)
         for column, joint in enumerate(mechanism.independent_joints):
-            low, high = problem.limits.speed[mechanism.independent[column]]
+            low, high = bounds_of_state(problem)[1][column]
             if value is not None and not low <= value[column] <= high:
                 bound = high if value[column] > 0 else low
                 words = (
@@ -157,7 +158,7 @@ def _mean_speed(problem: Problem) -> Verdict | None:
         return None
     for column, joint in enumerate(mechanism.independent_joints):
         mean = (motion.goal[column] - motion.start[column]) / motion.duration_s
-        low, high = problem.limits.speed[mechanism.independent[column]]
+        low, high = bounds_of_state(problem)[1][column]
         if not low <= mean <= high:
             bound = high if mean > 0 else low
             shortest = (motion.goal[column] - motion.start[column]) / bound if bound else np.inf
@@ -298,10 +299,10 @@ def _too_weak_on_the_path(problem: Problem) -> Verdict | None:
     v and its square w along the path. Here a, v and w are efforts of three further actuators, so weak that only motors
     violate their limits: v and w are at least 0, and 0 at the ends, from where the path leads forward in time.
     """
-    mechanism, limit, poses = problem.mechanism, problem.limits.effort, only_way(problem)
+    mechanism, limit, poses = problem.mechanism, effort_bounds(problem), only_way(problem)
     if mechanism.n_equations == mechanism.dof or poses is None or mechanism.forces is not None:
         return None
-    if any(frictions_of(mechanism.model)) or not np.all(np.isfinite(limit)):
+    if any(frictions_of(mechanism.model)) or not are_efforts_bounded(problem):
         return None
     poses, size, n_u = poses[::_POSES_APART], np.abs(limit).max(axis=1), mechanism.n_u
     still = np.zeros((len(poses), 1))
@@ -349,7 +350,8 @@ def _beyond_ctrl(problem: Problem) -> Verdict | None:
         if s is None or (name == "goal" and motion.goal_is_free):
             continue
         q, v = close_at(mechanism, s)[None], np.zeros((1, mechanism.dof)) if speed is None else speed[None]
-        ends = [needed_controls(mechanism, q, v, end[None])[0] for end in problem.limits.effort.T]
+        allowed = effort_bounds(problem)
+        ends = [needed_controls(mechanism, q, v, end[None])[0] for end in allowed.T]
         for j, (least, most) in enumerate(zip(np.min(ends, axis=0), np.max(ends, axis=0), strict=True)):
             actuator = mechanism.actuators[j]
             low, high = actuator.control_lower, actuator.control_upper
@@ -357,7 +359,7 @@ def _beyond_ctrl(problem: Problem) -> Verdict | None:
             # If its whole range is beyond a clamp of its force, a servo gives the clamped force, which may be within the
             # limits.
             clamp = actuator.upper if (most < low) == (actuator.gain > 0) else actuator.lower
-            given = problem.limits.effort[j, 0] <= clamp <= problem.limits.effort[j, 1]
+            given = allowed[j, 0] <= clamp <= allowed[j, 1]
             if actuator.limits_control and (least > high or most < low) and not given:
                 words = (
                     f"{actuator.name} on {actuator.target} would need a ctrl of {nearest_ctrl:.4g} at the {name}"

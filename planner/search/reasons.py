@@ -10,9 +10,18 @@ import numpy as np
 
 from linkplan.models.actuation.actuators import Actuator
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import demanded, distributed, needed_effort
+from linkplan.models.poses.along import demanded, distributed
 from linkplan.planner.closed_chain.guess import Guess, even_poses
-from linkplan.planner.limits.kinds import limits_of, relaxed_kinds, violation, without
+from linkplan.planner.limits.kinds import (
+    are_efforts_bounded,
+    beyond_bounds,
+    effort_bounds,
+    limits_of,
+    needed_efforts,
+    relaxed_kinds,
+    violation,
+    without,
+)
 from linkplan.planner.limits.limit import Limit
 from linkplan.planner.phase_plane.bang_bang_motions import least_share
 from linkplan.planner.plan.plan import Plan
@@ -42,11 +51,11 @@ def _times_limit(actuator: Actuator, factor: float, limit: float) -> str:
 
 def effort_sentence(problem: Problem, least: LeastLimit) -> tuple[str, Overrun]:
     """Return words on the efforts that a motion would need, and their largest overrun."""
-    limit, trajectory = problem.limits.effort, least.trajectory
+    limit, trajectory = effort_bounds(problem), least.trajectory
     time = trajectory.dense_times(8)
     u = trajectory.effort_at(time)
     # The motion of least effort is bang-bang: name the actuator with the largest excess, at its first such time.
-    over = np.maximum(u - limit[:, 1], limit[:, 0] - u)
+    over = beyond_bounds(problem, u)
     column = int(np.argmax(over.max(axis=0)))
     at = int(np.flatnonzero(over[:, column] > 0.999 * over[:, column].max())[0])
     actuator = problem.mechanism.actuators[column]
@@ -137,7 +146,7 @@ def _shortest(search: Search) -> tuple[float | None, str]:
 
 def path_effort(problem: Problem, guess: Guess) -> PathEffort | None:
     """Return the largest effort of a path relative to its limit, and the undriven efforts; None if the loops open."""
-    mechanism, limit = problem.mechanism, problem.limits.effort
+    mechanism, limit = problem.mechanism, effort_bounds(problem)
     try:
         time, q = even_poses(problem, guess)
     except AssemblyError:
@@ -215,7 +224,7 @@ def _extras_not_finite(search: Search) -> list[str]:
         return []
     times, poses = even_poses(problem, path)
     v, a = path.velocity(times), path.acceleration(times)
-    effort, _ = needed_effort(problem.mechanism, poses, v, a, times, limit=problem.limits.effort)
+    effort, _ = needed_efforts(problem, poses, v, a, times)
     motion = (poses, v, a, effort, np.gradient(a, times, axis=0), *problem.mechanism.forces_at(times))
     found = extras_not_finite(problem.extras, problem.mechanism, times, *motion)
     return [f"{sentence} along the smooth path" for sentence in found]
@@ -305,7 +314,7 @@ def nothing_found(search: Search) -> Plan:
 
 def _needs_of_smooth_path(search: Search) -> str:
     """Return the phrase on the effort limit that the smooth path exceeds most; empty if it exceeds none."""
-    if not np.all(np.isfinite(search.problem.limits.effort)):
+    if not are_efforts_bounded(search.problem):
         return ""
     path = path_effort(search.problem, search.smooth)
     return "" if path is None or path.factor <= 1 else path.sentence

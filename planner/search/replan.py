@@ -22,7 +22,7 @@ from msgspec import structs
 from linkplan.models.deadline import OutOfTimeError, one_thread_at_a_time
 from linkplan.planner.closed_chain.case import case_of, finished
 from linkplan.planner.closed_chain.transcribe import is_program_of, own_objective, renumbered, trajectory_of
-from linkplan.planner.limits.kinds import structure_of
+from linkplan.planner.limits.kinds import effort_bounds, structure_of
 from linkplan.planner.plan.plan import MotionTable, Plan, sample_motion
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.refinement.history import Say, add_step, recorded, recording, silent, step_of
@@ -93,7 +93,7 @@ def motion_step(problem: Problem, numbered: Transcribed, found: NewtonStep, newt
     units, n_s, error = numbered.units, numbered.formulation.n_s, found.error_bound
     return NextMotion(
         problem=problem,
-        trajectory=trajectory_of(numbered, found.optimum.x, problem.limits.effort),
+        trajectory=trajectory_of(numbered, found.optimum.x),
         position_bound_rad=error * units.state[:n_s],
         velocity_bound_rad_s=error * units.state[n_s : 2 * n_s],
         effort_bound=error * units.effort,
@@ -192,7 +192,7 @@ class Replanner:
         if self._last is None or self._solver is None or structure(problem) != self._key:
             return None
         # Bang arcs contain the old limits.
-        fits = self._held_at is None or np.array_equal(problem.limits.effort, self._held_at)
+        fits = self._held_at is None or np.array_equal(effort_bounds(problem), self._held_at)
         return (self._solver, self._last) if fits else None
 
     def _conditions_of(self, last: Transcribed) -> Conditions:
@@ -243,7 +243,7 @@ class Replanner:
         if not is_program_of(solved, problem):
             return  # for example because its motion is away from another limit
         self._last, self._key, self._optimum = solved, structure(problem), None
-        self._held_at = None if solved.bang_efforts is None else problem.limits.effort
+        self._held_at = None if solved.bang_efforts is None else effort_bounds(problem)
         if solved.program is not self._program:
             self._program, self._conditions = solved.program, None
             self._solver = build_solver(solved.program, problem.solver, warm=True)
@@ -283,7 +283,7 @@ def structure(problem: Problem) -> tuple:
     mesh = (problem.mesh.scheme, problem.mesh.intervals, problem.mesh.effort, repr(problem.mesh.breaks))
     terms = tuple(problem.objective.weights)
     if problem.objective.has("peak_effort"):  # whose rows have the limits as coefficients
-        terms += (problem.limits.effort.tobytes(), *problem.objective.weights.values())
+        terms += (effort_bounds(problem).tobytes(), *problem.objective.weights.values())
     payload = problem.mechanism.payload
     of = (
         problem.mechanism.fingerprint(payload_apart=True),

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from linkplan.planner.closed_chain.guess import Guess, guess_from, stretched, swinging_guesses
-from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.kinds import are_efforts_bounded, effort_bounds, limits_of
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.phase_plane.bang_bang_motions import phase_plane_applies, phase_plane_guess
 from linkplan.planner.phase_plane.cheapest_motion import cheapest_guess
@@ -89,7 +89,7 @@ def swings_may_be_better(search: Search) -> bool:
     """True if a plan between start and goal reaches its effort limits, and the motion of least time swings."""
     problem = search.problem
     # A limit is reached within a thousandth.
-    weak = np.any(search.best.certificate.peak_effort > 0.999 * np.abs(problem.limits.effort).max(axis=1))
+    weak = np.any(search.best.certificate.peak_effort > 0.999 * np.abs(effort_bounds(problem)).max(axis=1))
     if problem.solver.starts > 1 or problem.guess is not None or not weak or not phase_plane_applies(problem):
         return False
     return search.quickest is not None and search.quickest.swings > 1 and not no_time(search)
@@ -289,7 +289,7 @@ def may_be_too_short(problem: Problem) -> bool:
     """True for a reach in a limited time, with limits on all efforts and no waypoint at a given instant."""
     motion = problem.motion
     timed = any(waypoint.time_s is not None for waypoint in motion.waypoints)
-    limited = bool(np.isfinite(longest(problem)) and np.all(np.isfinite(problem.limits.effort)))
+    limited = bool(np.isfinite(longest(problem))) and are_efforts_bounded(problem)
     return motion.kind == "reach" and not motion.stays and not timed and limited
 
 
@@ -301,7 +301,7 @@ def is_too_short(search: Search) -> bool:
 
 def shortest_motion(search: Search) -> Plan | None:
     """Return the certified plan of least time within a reach's limits; None if it was not found."""
-    if not np.all(np.isfinite(search.problem.limits.effort)):  # then there is no least time
+    if not are_efforts_bounded(search.problem):  # then there is no least time
         return None
     if search.problem.mechanism.forces is not None:  # forces over time have fixed instants
         return None

@@ -14,12 +14,12 @@ import numpy as np
 from linkplan.models.actuation.distribution import HOLDING_TOLERANCE
 from linkplan.models.deadline import Deadline, OutOfTimeError
 from linkplan.models.errors import AssemblyError
-from linkplan.models.poses.along import needed_effort
 from linkplan.planner.certificate.certificate import certify
 from linkplan.planner.certificate.further_checks import negligible_objective, objective_value
 from linkplan.planner.closed_chain.case import finished
 from linkplan.planner.closed_chain.guess import Guess, even_poses, first_guess, guess_from, stretched
 from linkplan.planner.closed_chain.prescribed import SQUARES_AT_REST, Holding, holding_at, in_more_time, motion_along
+from linkplan.planner.limits.kinds import effort_bounds, needed_efforts
 from linkplan.planner.phase_plane.cheapest_legs import cheapest_legs, legs_apply
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import MIN_INTERVAL_SHARE
@@ -125,8 +125,8 @@ def _is_carried(problem: Problem, guess: Guess) -> bool:
     """True if the actuators can produce a guess within their limits, at its samples."""
     times, poses = even_poses(problem, guess)
     v, a = guess.velocity(times), guess.acceleration(times)
-    effort, missing = needed_effort(problem.mechanism, poses, v, a, times, limit=problem.limits.effort)
-    low, high = problem.limits.effort.T
+    effort, missing = needed_efforts(problem, poses, v, a, times)
+    low, high = effort_bounds(problem).T
     largest = np.abs(effort).max(initial=0.0)
     return bool(
         np.all((effort >= low) & (effort <= high)) and np.abs(missing).max(initial=0.0) <= HOLDING_TOLERANCE * largest

@@ -3,6 +3,7 @@
 import numpy as np
 
 from linkplan.models.errors import LinkplanError
+from linkplan.planner.limits.kinds import are_efforts_bounded
 from linkplan.planner.limits.samples import Samples
 from linkplan.planner.phase_plane.grid import PhasePlane as PhaseGrid
 from linkplan.planner.phase_plane.grid import grid_of, plane_of
@@ -21,7 +22,7 @@ def phase_plane(plan: Plan, motion: Samples, group: str, period: float | None) -
     rows = drawn_rows(np.column_stack([s, v]))
     path = Series(name="planned", x=rounded(joint.shown(s[rows])), y=rounded(joint.shown(v[rows])), colour=None, width=2.2)
     most = 2.5 * float(np.abs(v).max()) or 1.0  # limit curves are unbounded next to singular poses
-    limits = [] if not np.all(np.isfinite(plan.problem.limits.effort)) else _limit_curves(plan, motion, most)
+    limits = [] if not are_efforts_bounded(plan.problem) else _limit_curves(plan, motion, most)
     curves = [
         Series(name=name, x=rounded(joint.shown(x)), y=rounded(joint.shown(y)), look=look, colour=colour)
         for name, x, y, look, colour in limits
@@ -49,7 +50,7 @@ def _limit_curves(plan: Plan, motion: Samples, most: float) -> list[tuple[str, n
         return []
     if gridded is None:
         return []
-    grid = plane_of(problem, *gridded, problem.limits.effort)
+    grid = plane_of(problem, *gridded)
     found = []
     if problem.motion.kind == "reach" and abs(s[-1] - s[0]) > 1e-9:
         way = int(np.sign(s[-1] - s[0]))

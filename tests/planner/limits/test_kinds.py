@@ -36,9 +36,9 @@ def test_rows_are_in_the_stated_order_and_rows_of_other_kinds_follow():
     assert [kind.key for kind in KINDS[: len(_ORDER)]] == [*_ORDER]
 
 
-def test_a_limit_has_nine_members_at_most():
+def test_a_limit_has_ten_members_at_most():
     members = {name for name in vars(Limit) if not name.startswith("_")} | set(Limit.__annotations__) - {"key"}
-    assert members == {"item", "of", "facts", "rows", "bounds", "measured", "claims", "affine", "relaxed"}
+    assert members == {"item", "of", "facts", "rows", "bounds", "measured", "claims", "affine", "effort_bounds", "relaxed"}
 
 
 def test_a_limit_without_a_claim_is_refused():

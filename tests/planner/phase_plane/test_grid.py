@@ -37,7 +37,7 @@ def grid(problem: Problem, n_cells: int = 200, **how) -> tuple[np.ndarray, np.nd
 
 
 def plane(problem: Problem, n_cells: int = 200) -> PhasePlane:
-    return plane_of(problem, *grid(problem, n_cells), problem.limits.effort)
+    return plane_of(problem, *grid(problem, n_cells))
 
 
 @pytest.mark.parametrize(
@@ -158,7 +158,7 @@ def test_a_grid_ends_at_the_narrower_of_reach_and_limits():
 def test_the_largest_speed_is_that_of_the_joint_that_reaches_its_limit_first():
     problem = load_problem("knee-sprint", ["limits.speed_deg_s.O=300", "limits.speed_deg_s.A=100"])
     s, poses = grid(problem, 50)
-    fastest = np.sqrt(2 * np.minimum(*plane_of(problem, s, poses, problem.limits.effort).top.values()))
+    fastest = np.sqrt(2 * np.minimum(*plane_of(problem, s, poses).top.values()))
     rates = np.abs(sampled(problem.mechanism.dynamics.velocity_map, poses[::2])[:, :, 0]) * fastest[:, None]
     limits = problem.limits.speed[:, 1]
     assert np.all(rates <= (1 + 1e-9) * limits)

@@ -67,7 +67,7 @@ def test_a_leg_without_dampers_is_the_one_that_steps_from_cell_to_cell(way, back
     """The work alone gives its energy; where speeds are limited to a share of the largest the least energy is kept on."""
     problem = load_problem("knee-sprint")
     pose = problem.start_pose()
-    plane = plane_of(problem, *grid_of(problem, np.array([problem.motion.start[0]]), pose, 200), problem.limits.effort)
+    plane = plane_of(problem, *grid_of(problem, np.array([problem.motion.start[0]]), pose, 200))
     assert plane.undamped
     free = plane.leg(100, 0.0, way, way, backwards=backwards)
     below = np.full(len(plane.s), np.inf)
