@@ -28,6 +28,7 @@ from linkplan.models.reduction.reduced import ReducedDynamics
 from linkplan.models.transfer.polytope import effort_box
 from linkplan.models.tree.joints import where
 from linkplan.planner.closed_chain.guess import GUESS_SAMPLES, first_guess, follows_reference, poses_along
+from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.problem.problem import Problem
 from linkplan.studies.check.balance import Balance, balances
 from linkplan.studies.check.spring_ratios import spring_motion
@@ -235,7 +236,7 @@ def motion_path(problem: Problem) -> KinematicLoopPath:
     time = np.linspace(0.0, guess.duration_s, GUESS_SAMPLES)
     title = f"the {'reference' if follows_reference(problem) else 'smooth path'} of {problem.name}"
     poses = poses_along(mechanism, guess, time)
-    return measure(mechanism, poses, title, time_s=time, limit=problem.limits.effort)
+    return measure(mechanism, poses, title, time_s=time, limit=effort_bounds(problem))
 
 
 def inertia_notes(path: Sweep) -> list[str]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from linkplan.controllers.rollout import Rollout
 from linkplan.models.mechanism import Mechanism
+from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.studies.compare.compare import Comparison, tracking_reference
 from linkplan.studies.compare.comparison_blocks import (
     comparison_blocks,
@@ -53,7 +54,7 @@ def _animation(comparison: Comparison) -> Block:
         reference.time_s[frames],
         reference.pose_rad[frames],
         effort=reference.effort[frames],
-        effort_limit=np.array(plan.problem.limits.effort),
+        effort_limit=effort_bounds(plan.problem),
         ghosts=ghosts,
         sites=plan.problem.sites,
     )

@@ -15,6 +15,7 @@ from linkplan.models.poses.along import RANGE_ROUNDING
 from linkplan.models.poses.assembly import advance, steps_to
 from linkplan.models.poses.period import turn_of
 from linkplan.models.poses.reach import reach
+from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import number
@@ -91,7 +92,7 @@ class Session:
                     )
         if isinstance(motion.get("duration_s"), int | float):
             found.append(_about("duration_s", "duration", "s", float(motion["duration_s"])))
-        if np.isfinite(problem.limits.effort).any():
+        if np.isfinite(effort_bounds(problem)).any():
             found.append(Slider(key="effort_percent", label="effort limits", unit="%", low=10.0, high=100.0, value=100.0))
         if problem.mechanism.payload is not None:
             found.append(_about("payload_kg", "payload", "kg", problem.mechanism.payload.mass_kg))

@@ -10,6 +10,7 @@ from linkplan.planner.certificate.certificate import (
     Certificate,
 )
 from linkplan.planner.certificate.further_checks import geom_names
+from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.limits.limit import Margin
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
@@ -44,7 +45,7 @@ def _efforts(plan: Plan) -> list[Item]:
     time = trajectory.dense_times(max(12, 300 // (len(trajectory.breaks_s) - 1)))
     efforts = trajectory.effort_at(time)
     for j, actuator in enumerate(plan.problem.mechanism.actuators):
-        values, (low, high) = efforts[:, j], plan.problem.limits.effort[j]
+        values, (low, high) = efforts[:, j], effort_bounds(plan.problem)[j]
         inside = np.minimum(values - low, high - values)
         at = int(np.argmax(np.abs(values)))
         if np.isfinite(inside).any():  # for an effort that stays at its limit, the first instant

@@ -68,47 +68,39 @@ def time_plots(plan: Plan, motion: Samples, group: str = "", period: float | Non
     independent, dependent = list(mechanism.independent), list(mechanism.dependent)
     reference = plan.problem.reference_over(time[-1] - time[0])
 
-    def joints(which: Sequence[int], values: np.ndarray, bounds: np.ndarray, per: str = "") -> list[Line]:
+    def joints(which: Sequence[int], key: str, values: np.ndarray, per: str = "") -> list[Line]:
         return [
             Line(
                 name=(joint := mechanism.joints[k]).name,
                 values=joint.shown(values[:, k]),
                 unit=f"{joint.unit}{per}",
-                limits=tuple(joint.shown(bounds[k]).tolist()),
+                limits=tuple(joint.shown(getattr(limits, key)[k]).tolist()),
             )
             for k in which
             if np.any(np.abs(values[:, k]) > LEAST_SHOWN)
         ]
 
-    positions = joints(independent, motion.q, limits.position)
+    def actuators(key: str, values: np.ndarray, unit: str = "") -> list[Line]:
+        every = zip(mechanism.actuators, values.T, getattr(limits, key), strict=True)
+        return [Line(name=one.name, values=of, unit=unit or one.unit, limits=tuple(ends)) for one, of, ends in every]
+
+    positions = joints(independent, "position", motion.q)
     if reference is not None:
         wanted = reference.derivative(time)
         positions += [
             Line(name=f"{joint.name}, reference", values=joint.shown(x), unit=joint.unit, look="dash", colour=None)
             for joint, x in zip(mechanism.independent_joints, wanted.T, strict=True)
         ]
-    efforts = [
-        Line(name=actuator.name, values=motion.u[:, j], unit=actuator.unit, limits=tuple(limits.effort[j]))
-        for j, actuator in enumerate(mechanism.actuators)
-    ]
-    powers = [
-        Line(name=actuator.name, values=power, unit="W", limits=tuple(limits.power[j]))
-        for j, (actuator, power) in enumerate(zip(mechanism.actuators, (motion.u * motion.actuator_speeds).T, strict=True))
-    ]
+    rates, powers = motion.joint_rates, motion.u * motion.actuator_speeds
     drawn = (
         ("position", "Position of the independent joints", "position", positions),
-        ("dependent position", "Position of the dependent joints", "position", joints(dependent, motion.q, limits.position)),
+        ("dependent position", "Position of the dependent joints", "position", joints(dependent, "position", motion.q)),
         ("site", "Sites", "place", _site_lines(plan, motion)),
         ("site", "Angles of bodies", "angle", _body_lines(plan, motion)),
-        ("speed", "Speed of the independent joints", "speed", joints(independent, motion.joint_rates, limits.speed, "/s")),
-        (
-            "dependent speed",
-            "Speed of the dependent joints",
-            "speed",
-            joints(dependent, motion.joint_rates, limits.speed, "/s"),
-        ),
-        ("effort", "Effort of the actuators", "effort", efforts),
-        ("power", "Mechanical power of the actuators", "power", powers),
+        ("speed", "Speed of the independent joints", "speed", joints(independent, "speed", rates, "/s")),
+        ("dependent speed", "Speed of the dependent joints", "speed", joints(dependent, "speed", rates, "/s")),
+        ("effort", "Effort of the actuators", "effort", actuators("effort", motion.u)),
+        ("power", "Mechanical power of the actuators", "power", actuators("power", powers, "W")),
     )
     found: dict[str, list[Plot]] = {}
     for key, title, what, lines in drawn:

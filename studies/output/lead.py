@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.limits.samples import Samples
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.output.document import Facts
@@ -31,7 +32,7 @@ def _peak_effort(plan: Plan, motion: Samples) -> tuple[str, str] | None:
     actuators = plan.problem.mechanism.actuators
     if not actuators:
         return None
-    limits = np.asarray(plan.problem.limits.effort, dtype=float)
+    limits = effort_bounds(plan.problem)
     side = np.where(motion.u < 0, -limits[:, 0], limits[:, 1])
     share = np.abs(motion.u) / np.where(np.isfinite(side) & (side > 0), side, np.inf)
     size = share if share.any() else np.abs(motion.u)

@@ -12,6 +12,7 @@ from msgspec.structs import replace
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.demands import demands_of, operating_points, shown_speed
+from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.plan.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, Proof
@@ -142,7 +143,7 @@ def demand_blocks(plan: Plan, group: str) -> list[Block]:
         fastest = 1.15 * per_unit * float(np.abs(speed[:, j]).max()) or 1.0
         curves = [
             Series(name="limit" if first else "", x=[-fastest, fastest], y=[end, end], look="dash", colour=4)
-            for first, end in zip((True, False), problem.limits.effort[j].tolist(), strict=True)
+            for first, end in zip((True, False), effort_bounds(problem)[j].tolist(), strict=True)
             if np.isfinite(end)
         ]
         motor = problem.motors[j]
@@ -204,7 +205,7 @@ def _facts(plan: Plan) -> Facts:
     rows, actuators = facts(plan), plan.problem.mechanism.actuators
     split = len(rows) - len(actuators)
     first, efforts = rows[:split], rows[split:]
-    peaks = zip(plan.certificate.peak_effort, plan.problem.limits.effort, strict=True)
+    peaks = zip(plan.certificate.peak_effort, effort_bounds(plan.problem), strict=True)
     margins = [(-peak / (max(-low, high) or np.inf), -peak) for peak, (low, high) in peaks]
     brief, least = brief_rows(efforts, margins, [a.unit for a in actuators], names_in(plan)), least_margin(plan)
     return Facts(rows=[*rows, least], brief=None if brief is None else [*first, *(tuple(row) for row in brief), least])
@@ -218,7 +219,7 @@ def facts(plan: Plan) -> list[tuple[str, str]]:
     if plan.objective is not None:
         value = f"{figure(plan.objective, digits)}{objective_unit(problem)}"
         rows.append((f"objective ({problem.objective.name})", value))
-    peaks = zip(problem.mechanism.actuators, plan.certificate.peak_effort, problem.limits.effort, strict=True)
+    peaks = zip(problem.mechanism.actuators, plan.certificate.peak_effort, effort_bounds(problem), strict=True)
     return rows + [
         (f"effort {a.name}", f"at most {figure(peak, 5)} {a.unit}, {limits_text(low, high, a.unit, 'limit ')}")
         for a, peak, (low, high) in peaks

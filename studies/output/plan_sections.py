@@ -7,6 +7,7 @@ import numpy as np
 
 from linkplan.models.errors import AssemblyError, ProblemError, counted
 from linkplan.models.poses.assembly import follow
+from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.limits.samples import Samples
 from linkplan.planner.plan.plan import Plan, not_honoured
 from linkplan.planner.problem.build import file_text
@@ -103,7 +104,7 @@ def _animation(plan: Plan, group: str, period: float | None) -> Block:
         shown,
         poses,
         effort=trajectory.effort_at(shown),
-        effort_limit=problem.limits.effort,
+        effort_limit=effort_bounds(problem),
         sites=problem.sites,
         period=period,
     )
@@ -187,7 +188,7 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
     if problem.limits.reserve:
         rows.append(("left to feedback", f"{100 * problem.limits.reserve:.3g} % of every effort range"))
         for actuator, (low, high), (least, most) in zip(
-            problem.mechanism.actuators, problem.limits.effort, problem.limits.actuators_effort, strict=True
+            problem.mechanism.actuators, effort_bounds(problem), problem.limits.actuators_effort, strict=True
         ):
             said = f"{low:.5g} to {high:.5g} {actuator.unit}, of {least:.5g} to {most:.5g}"
             rows.append((f"limits of the plan for {actuator.name}", said))
@@ -227,7 +228,7 @@ def _efforts(plan: Plan, motion: Samples, group: str, period: float | None) -> l
     corners = problem.robust.corners
     found = []
     for j, actuator in enumerate(mechanism.actuators):
-        bounds = tuple(problem.limits.effort[j])
+        bounds = tuple(effort_bounds(problem)[j])
         needed, unit = motion.u[:, j], actuator.unit
         nominal = Line(name="nominal", values=needed, unit=unit, limits=bounds, colour=None, width=2.4)
         lines = [

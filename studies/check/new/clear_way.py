@@ -18,7 +18,7 @@ from linkplan.models.poses.assembly import follow
 from linkplan.models.poses.contacts import meetings, new_meetings
 from linkplan.models.poses.controls import control_excess
 from linkplan.planner.certificate.further_checks import geom_names
-from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.kinds import effort_bounds, limits_of
 from linkplan.planner.limits.samples import singularity_ratios
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.problem import Problem
@@ -116,7 +116,7 @@ def _too_weak(problem: Problem, poses: np.ndarray) -> str | None:
     Coordinates that no actuator moves are ignored.
     """
     mechanism, still = problem.mechanism, np.zeros((len(poses), problem.mechanism.dof))
-    (tau, maps), limit = demanded(mechanism, poses, still, still), problem.limits.effort
+    (tau, maps), limit = demanded(mechanism, poses, still, still), effort_bounds(problem)
     effort = distributed(mechanism, tau, maps, limit)
     hold = np.clip(effort, *limit.T)
     if np.abs(tau - np.einsum("ksu,ku->ks", maps, effort)).max() >= 1e-9 * np.abs(tau).max():

@@ -11,6 +11,7 @@ import numpy as np
 from linkplan.models.catalogue import nearest_source
 from linkplan.models.errors import ModelError, ProblemError, choose, shown
 from linkplan.models.reading import MOST_TOML_BYTES, read_file, read_toml
+from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.problem.keys.limits import Motor
 from linkplan.planner.problem.keys.motor_list import CandidateMotor, MotorsFile
 from linkplan.planner.problem.keys.reading import read
@@ -127,7 +128,7 @@ def with_motor(problem: Problem, index: int, motor: CandidateMotor, gear: float)
     changes = {"gear": mechanism.get("gear", {}) | {name: float(np.copysign(gear, actuator.gear))}}
     if motor.rotor_inertia or problem.mechanism.model.actuator_armature[actuator.index]:
         changes["rotor_inertia"] = mechanism.get("rotor_inertia", {}) | {name: motor.rotor_inertia or 0.0}
-    peak, (low, high) = motor.peak_effort or motor.stall_effort, problem.limits.effort[index]
+    peak, (low, high) = motor.peak_effort or motor.stall_effort, effort_bounds(problem)[index]
     ends = [0.0 if low >= 0 else -peak, 0.0 if high <= 0 else peak]
     given = {key: value for key in Motor.__struct_fields__ if (value := getattr(motor, key)) is not None}
     others = {key: one for key, one in tables.get("motors", {}).items() if key != name}

@@ -8,7 +8,7 @@ from msgspec import Struct
 from linkplan.planner.certificate.demands import demands_of, operating_points, rms_efforts, shown_speed
 from linkplan.planner.closed_chain.prescribed import at_rate_along, highest_kept_rate, prescribe, rounded_up
 from linkplan.planner.files.structs import NOT_READ, Beside
-from linkplan.planner.limits.kinds import limits_of
+from linkplan.planner.limits.kinds import effort_bounds, limits_of
 from linkplan.planner.limits.limit import limit_margin
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.plan.plan import Plan
@@ -172,7 +172,7 @@ def _loads(problem: Problem, index: int, motor: CandidateMotor, motion: Trajecto
 
 def _peak_limit(problem: Problem, index: int) -> float:
     """Return the largest effort of actuator `index` in plans."""
-    return float(np.abs(problem.limits.effort[index]).max())
+    return float(np.abs(effort_bounds(problem)[index]).max())
 
 
 def _with_rest(rms_effort: float, duration_s: float, rest_s: float) -> float:

@@ -1,5 +1,6 @@
 """The table of kinds of limits: program, certificate and diagnosis loop over it. A kind that is not in it limits nothing."""
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,6 +22,7 @@ from linkplan.planner.trajectory import Trajectory
 from tests.support.linkages import LINKAGES
 from tests.support.plans import planned, problem_of
 from tests.support.random_motions import motion_of
+from tests.support.sources import SOURCES
 
 
 def test_every_key_of_a_limit_has_one_kind_of_limit_that_imposes_it():
@@ -39,6 +41,13 @@ def test_rows_are_in_the_stated_order_and_rows_of_other_kinds_follow():
 def test_a_limit_has_ten_members_at_most():
     members = {name for name in vars(Limit) if not name.startswith("_")} | set(Limit.__annotations__) - {"key"}
     assert members == {"item", "of", "facts", "rows", "bounds", "measured", "claims", "affine", "effort_bounds", "relaxed"}
+
+
+def test_no_other_room_of_the_planner_names_a_kind_of_limit_or_reads_its_values():
+    named = re.compile(rf"\b({'|'.join(kind.__name__ for kind in KINDS)})\b|\blimits\.(effort|speed|position|power)\b")
+    others = [path for path in SOURCES if path.match("planner/*/*.py") and path.parent.name not in ("limits", "problem")]
+    assert len(others) > 50
+    assert [path.name for path in others if named.search(re.sub("#.*", "", path.read_text(encoding="utf-8")))] == []
 
 
 def test_a_limit_without_a_claim_is_refused():
