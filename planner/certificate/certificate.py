@@ -49,7 +49,6 @@ class Certificate(Struct, frozen=True, eq=False, kw_only=True):
     Efforts are in the actuators' units. `worst_time_s` is the time of each finding's worst value.
     """
 
-    effort_excess: float
     inverse_dynamics_excess: float
     dynamics_residual: float
     velocity_residual: float  # largest |s' - v|, as a share of the motion's largest speed
@@ -65,7 +64,7 @@ class Certificate(Struct, frozen=True, eq=False, kw_only=True):
     peak_motor_power: Beside[np.ndarray]  # (n_u,) [W], mechanical, that the actuator gives
     peak_brake_power: Beside[np.ndarray]  # (n_u,) [W], mechanical, that the actuator takes
     peak_closure_force: Beside[np.ndarray]  # (n_closures,) [N]
-    margins: tuple[Margin, ...]  # of the limits other than effort
+    margins: tuple[Margin, ...]  # of all limits, efforts as planned
     growth: Beside[np.ndarray]  # (n_intervals,) growth of the integration error, as a share of the allowed total
     dynamics_allowed: Beside[float]  # the largest dynamics residual that passes
     residual_share: Beside[np.ndarray]  # (n_intervals,) dynamics residual, as a share of the allowed one
@@ -101,6 +100,11 @@ class Certificate(Struct, frozen=True, eq=False, kw_only=True):
     def closure_gap_rad(self) -> float | UnsetType:
         """The largest gap of closures of angles, hinges and their tendons [rad], if there are any."""
         return self.closure_gaps.get("rad", UNSET)
+
+    @InJson
+    def effort_excess(self) -> float:
+        """The largest overrun of a limit on planned efforts."""
+        return max((-one.left for one in self.margins if one.of.facts.of_planned_effort and not one.kept), default=0.0)
 
     @InJson
     def joint_margin_deg(self) -> dict[str, float]:
@@ -159,9 +163,7 @@ def certify(problem: Problem, trajectory: Trajectory, also: Sequence[float] = ()
         worst[name] = float(time[at])
         return float(values[at])
 
-    of_efforts, of_limits = margins_along(samples)
-    peak("effort_excess", beyond_bounds(problem, u).max(axis=1))
-    effort_excess = max([-margin.left for margin in of_efforts if not margin.kept], default=0.0)
+    of_limits = margins_along(samples)
     # A motion at rest counts as having a speed that hardly moves it within its duration.
     speed = max(float(np.abs(v).max()) or INTEGRATION_M / trajectory.duration_s, _MIN_SPAN / trajectory.duration_s)
     velocity_residual = peak("velocity_residual", trajectory.slope_errors(time).max(axis=1)) / speed
@@ -190,7 +192,6 @@ def certify(problem: Problem, trajectory: Trajectory, also: Sequence[float] = ()
     accepts = f"; mechanism.closure_tolerance_m = {1.1 * closure_gap:.2g} accepts that of a rounded file" if rounded else ""
     opened = f"a kinematic loop opens by {gaps} at t = {worst['closure_gap_m']:.4g} s{accepts}"
     findings = (
-        (effort_excess > 0, f"the effort exceeds its limit by {effort_excess:.3g} at t = {worst['effort_excess']:.4g} s"),
         (
             dynamics_residual > allowed,
             f"between nodes the motion needs {dynamics_residual:.3g} more effort than planned"
@@ -226,7 +227,6 @@ def certify(problem: Problem, trajectory: Trajectory, also: Sequence[float] = ()
     unrepairable = [*unknown, *_ctrl_failures(samples)]
     failures += unrepairable + [margin.sentence() for margin in of_limits if not margin.kept]
     return Certificate(
-        effort_excess=effort_excess,
         inverse_dynamics_excess=inverse_excess,
         dynamics_residual=dynamics_residual,
         velocity_residual=velocity_residual,

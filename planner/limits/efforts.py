@@ -43,7 +43,12 @@ class EffortLimit(Limit):
 
     key: ClassVar[str] = "effort"
     facts: ClassVar[LimitFacts] = LimitFacts(
-        kind=key, words="the effort of {}", tightened=None, jumps_with_effort=True, in_phase_plane=True
+        kind=key,
+        words="the effort of {}",
+        tightened=None,
+        jumps_with_effort=True,
+        in_phase_plane=True,
+        of_planned_effort=True,
     )
     item: int
 

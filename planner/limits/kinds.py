@@ -13,7 +13,7 @@ from linkplan.models.poses.along import needed_effort
 from linkplan.planner import limits
 from linkplan.planner.limits.actuators import further_control_claims
 from linkplan.planner.limits.bounds import Affine, EffortBounds
-from linkplan.planner.limits.efforts import EffortLimit, lacking_corner_claims
+from linkplan.planner.limits.efforts import lacking_corner_claims
 from linkplan.planner.limits.limit import Limit, Margin, WhichJoints, limit_margin, with_limits
 from linkplan.planner.limits.samples import Poses, Samples, samples_of
 from linkplan.planner.problem.instant import unit_scales
@@ -144,12 +144,9 @@ def beyond_bounds(problem: Problem, effort: np.ndarray) -> np.ndarray:
     return np.maximum(effort - high, low - effort)
 
 
-def margins_along(samples: Samples) -> tuple[tuple[Margin, ...], tuple[Margin, ...]]:
-    """Return the margins along a motion of the limits on planned efforts, and those of all others."""
-    margins = [limit_margin(limit, samples) for limit in limits_of(samples.problem)]
-    return tuple(one for one in margins if one.of.key == EffortLimit.key), tuple(
-        one for one in margins if one.of.key != EffortLimit.key
-    )
+def margins_along(samples: Samples) -> tuple[Margin, ...]:
+    """Return the margins of all limits along a motion."""
+    return tuple(limit_margin(limit, samples) for limit in limits_of(samples.problem))
 
 
 def without(kind: type[Limit], problem: Problem) -> Problem:

@@ -66,6 +66,7 @@ class LimitFacts:
         in_phase_plane: whether the phase plane's motions satisfy it.
         followed_with: the largest number of actuators with which legs of the phase plane follow it; 0 if they never do.
         narrows_efforts: whether it restricts the efforts at a pose, which the phase plane ignores.
+        of_planned_effort: whether its row is a planned effort, whose optimum is often at its limit.
         by_size: whether a factor moves its bounds by a share of its size instead of multiplying them.
     """
 
@@ -84,6 +85,7 @@ class LimitFacts:
     in_phase_plane: bool = False
     followed_with: float = 0
     narrows_efforts: bool = False
+    of_planned_effort: bool = False
     by_size: bool = False
 
 
@@ -325,6 +327,8 @@ def margin_of(of: Limit, measured: Measured, points: np.ndarray, time: np.ndarra
     (low, high), values, bent = measured.bounds, measured.values, measured.bent
     inside = np.minimum(values - low, high - values)
     at = int(np.argmin(inside))
+    if np.isfinite(inside[at]):  # where a limit binds for a while, the first instant
+        at = int(np.argmax(inside <= inside[at] + rounding_of(values[at])))
     limit = high if high - values[at] <= values[at] - low else low
     least = least_between(inside, points)
     if bent is not None:

@@ -1,6 +1,5 @@
 """A certificate as a checklist: every limit with its worst value and the instant of this value."""
 
-import numpy as np
 from msgspec.structs import replace
 
 from linkplan.planner.certificate.certificate import (
@@ -10,7 +9,6 @@ from linkplan.planner.certificate.certificate import (
     Certificate,
 )
 from linkplan.planner.certificate.further_checks import geom_names
-from linkplan.planner.limits.kinds import effort_bounds
 from linkplan.planner.limits.limit import Margin
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.keys.kinds import INTEGRATION_DEG
@@ -20,8 +18,6 @@ from linkplan.studies.output.document import Checklist, Item
 from linkplan.studies.output.draw_plan import LEAST_SHOWN
 from linkplan.studies.output.numbers import significant
 
-# Efforts that differ by less than this share of the largest count as equal.
-_SAME_SHARE = 1e-6
 # The first words of the certificate's sentence on the velocity. The verdict also uses the integrated velocity, so the
 # residual alone does not decide it.
 _NOT_ITS_VELOCITY = "the planned velocity is not"
@@ -32,30 +28,11 @@ def certificate_list(plan: Plan, group: str = "") -> Checklist:
     certificate = plan.certificate
     assert certificate is not None  # of a motion
     items = [
-        *_efforts(plan),
         *_margins(certificate),
         *_numerics(plan, certificate),
         *_contacts(plan, certificate),
     ]
     return Checklist(title="Checks between the nodes", group=group, items=items)
-
-
-def _efforts(plan: Plan) -> list[Item]:
-    items, trajectory = [], plan.trajectory
-    time = trajectory.dense_times(max(12, 300 // (len(trajectory.breaks_s) - 1)))
-    efforts = trajectory.effort_at(time)
-    for j, actuator in enumerate(plan.problem.mechanism.actuators):
-        values, (low, high) = efforts[:, j], effort_bounds(plan.problem)[j]
-        inside = np.minimum(values - low, high - values)
-        at = int(np.argmax(np.abs(values)))
-        if np.isfinite(inside).any():  # for an effort that stays at its limit, the first instant
-            at = int(np.argmax(inside <= inside.min() + _SAME_SHARE * np.abs(values).max()))
-        limit = high if high - values[at] <= values[at] - low else low
-        over = inside.min() < 0 and plan.certificate.effort_excess > 0
-        items.append(
-            _item(f"effort of {actuator.name}", not over, _seen(values[at]), limit, actuator.unit, _instant(time[at]))
-        )
-    return items
 
 
 def _margins(certificate: Certificate) -> list[Item]:

@@ -245,8 +245,10 @@ def least_margin(plan: Plan) -> tuple[str, str]:
 
 
 def _margins(plan: Plan) -> Iterator[tuple[float, str, str]]:
-    """Yield every margin as a share of its limit or range, its text, and the text on its instant."""
+    """Yield every margin except those of efforts as a share of its limit or range, its text, and the text on its instant."""
     for one in plan.certificate.margins:
+        if one.of.facts.of_planned_effort:
+            continue
         yield one.share, f"{one.left:.4g} {one.unit}".rstrip() + f" to {one.bound}", f", at {one.time_s:.4g} s"
 
 

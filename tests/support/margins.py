@@ -20,5 +20,5 @@ def with_margin(certificate: Certificate, what: str, joint: int, **changes: obje
 
 
 def other_margins(certificate: Certificate) -> list[Margin]:
-    """Return the margins other than those of joints' ranges and speeds."""
-    return [margin for margin in certificate.margins if margin.what not in ("position", "speed")]
+    """Return the margins other than those of efforts and of joints' ranges and speeds."""
+    return [margin for margin in certificate.margins if margin.what not in ("effort", "position", "speed")]

@@ -48,7 +48,7 @@ def test_an_effort_above_its_limit_in_one_interval_is_found():
     effort[:, 17] = 100.001
     certificate = found(replace(motion(), effort=effort))
     assert certificate.effort_excess == pytest.approx(0.001, rel=EXCESS)
-    assert motion().breaks_s[17] <= certificate.worst_time_s["effort_excess"] < motion().breaks_s[18]
+    assert motion().breaks_s[17] <= certificate.worst_time_s["limit on the effort of act_O"] < motion().breaks_s[18]
 
 
 def test_an_effort_above_its_limit_between_two_samples_is_found():
@@ -65,7 +65,7 @@ def test_an_effort_above_its_limit_between_two_samples_is_found():
     assert samples.u.max() < 100.0
     certificate = found(changed)
     assert certificate.effort_excess == pytest.approx(1e-3, rel=1e-3)
-    assert sentence(certificate, "the effort exceeds its limit")
+    assert sentence(certificate, "the effort of act_O comes to", "beyond its limit of")
 
 
 @pytest.mark.parametrize(("share", "is_named"), [(0.5, False), (-0.9, False), (1.1, True), (-2.0, True)])
@@ -90,7 +90,7 @@ def test_the_integration_is_a_million_times_as_exact_as_the_tolerance_that_is_as
 def test_an_effort_below_its_lower_limit_is_found():
     certificate = found(motion(), "limits.effort.act_O=[-50, 100]")
     assert certificate.effort_excess == pytest.approx(-motion().effort.min() - 50, rel=EXCESS)
-    assert sentence(certificate, "the effort exceeds its limit")
+    assert sentence(certificate, "the effort of act_O comes to", "beyond its limit of")
 
 
 def test_a_speed_that_only_touches_its_limit_is_not_said_to_overrun_it():
@@ -118,7 +118,10 @@ def bulging() -> Trajectory:
 
 INTEGRATED = "the state integrated under the planned effort ends"
 BROKEN = {
-    "an effort above its limit": (lambda: effort(1.3), ["the effort exceeds its limit by 12.2", "t = 0 s"]),
+    "an effort above its limit": (
+        lambda: effort(1.3),
+        ["the effort of act_O comes to", "at t = 0 s, 12.2 N.m beyond"],
+    ),
     "another motion's effort": (lambda: effort(0.9), ["between nodes the motion needs", "more effort than planned"]),
     "an effort a hundredth short": (lambda: effort(0.99), [INTEGRATED, "deg"]),
     "no effort": (lambda: effort(0.0), []),
@@ -203,7 +206,7 @@ def test_margins_of_joints_stand_by_name_in_the_units_of_hinges_and_of_slides():
 
 def test_what_nothing_limits_has_no_margin():
     kinds = [margin.what for margin in found(motion()).margins]
-    assert kinds == ["position"] * 3
+    assert kinds == ["effort", *["position"] * 3]
 
 
 @pytest.mark.parametrize("joint", [0, 1, 2])

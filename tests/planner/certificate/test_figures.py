@@ -197,7 +197,7 @@ def test_an_overrun_is_that_of_the_interval_and_the_end_in_which_it_is():
         certificate = turned(halves, f"limits.effort.motor={limit}")
         assert certificate.boundary_error == pytest.approx(0.0, abs=1e-12)
         assert (certificate.effort_overrun > 0).tolist() == overrun
-        time = certificate.worst_time_s["effort_excess"]
+        time = certificate.worst_time_s["limit on the effort of motor"]
         assert time == pytest.approx(0.0 if overrun[0] else 1.0)
 
 

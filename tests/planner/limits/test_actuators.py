@@ -138,7 +138,7 @@ def margin(*limit: str):
     problem = body_problem(HINGE, REACH, *limit)
     motion = motion_along([0.0, 1.0], [0.0, 0.0, 1.0], effort=[3.0, 2.0])
     samples = samples_of(problem, motion)
-    _, (found,) = margins_along(samples)
+    _, found = margins_along(samples)
     return found
 
 
