@@ -22,7 +22,7 @@ from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.demands import Demand, demands_of
 from linkplan.planner.certificate.further_checks import contact_notes
 from linkplan.planner.files.columns import head_of
-from linkplan.planner.plan.verdict import Kind, Verdict, failed
+from linkplan.planner.plan.verdict import Kind, Overrun, Verdict, failed
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.sites import AXES, angles_of
 from linkplan.planner.proof.finding import Proof
@@ -299,7 +299,8 @@ class Plan:
         refuted = tuple(f"the proof refutes: {finding.sentence()}" for finding in proof.of("refuted"))
         certificate = structs.replace(self.certificate, failures=refuted)
         words = f"the motion does not pass its certificate between the samples: {'; '.join(refuted)}"
-        verdict = failed(words, "certificate", known_by="proof")
+        overruns = tuple(Overrun.of_finding(one) for one in proof.of("refuted") if one.limit)
+        verdict = failed(words, "certificate", known_by="proof", overruns=overruns)
         return replace(self, proof=proof, verdict=verdict, objective=None, certificate=certificate)
 
     def _proved(self, until: Deadline, *, existence: bool) -> Proof:

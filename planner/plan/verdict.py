@@ -10,6 +10,7 @@ from linkplan.planner.solvers.solve import OUT_OF_TIME, why_stopped
 
 if TYPE_CHECKING:
     from linkplan.planner.limits.limit import Margin
+    from linkplan.planner.proof.finding import Finding
 
 Kind = Literal["optimal", "feasible", "infeasible", "failed"]
 # By what a verdict is known: a search that may have missed a motion; the phase plane, which misses none; poses, speeds or
@@ -39,6 +40,13 @@ class Overrun(Struct, frozen=True, kw_only=True, omit_defaults=True):
         return cls(
             limit=key, name=margin.name, value=margin.value, bound=margin.limit, unit=margin.unit, time_s=margin.time_s
         )
+
+    @classmethod
+    def of_finding(cls, one: Finding) -> Overrun:
+        """Return the overrun of a limit that a proof refutes, in the unit of its claim."""
+        assert one.bound is not None  # of a claim on a limit
+        assert one.mark is not None
+        return cls(limit=one.limit, name=one.part, value=one.bound, bound=one.mark, unit=one.unit, time_s=one.time_s)
 
 
 class Verdict(Struct, frozen=True, kw_only=True, omit_defaults=True):

@@ -5,6 +5,7 @@ A claim is a quantity as a series, the interval in which it lies, and the bounds
 For every motion, all rows of the closure are zero, the planned efforts produce the motion, and a reference is followed.
 """
 
+import functools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -16,7 +17,7 @@ from flint import arb
 from linkplan.planner.certificate.certificate import CLOSURE_M
 from linkplan.planner.certificate.integration import BOUNDARY_SHARE
 from linkplan.planner.limits.kinds import FURTHER_CLAIMS, limits_of
-from linkplan.planner.limits.limit import Claimed, rounding_of
+from linkplan.planner.limits.limit import Claimed, Limit, rounding_of
 from linkplan.planner.limits.samples import samples_for_claims
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.reference import Sine
@@ -45,6 +46,7 @@ class Claim:
     values: Callable[[State], list[Ball]]
     slack: tuple[float, float] | None = None
     per_unit: float = 1.0
+    of: Callable[[], dict[str, str]] = dict  # gives the key and the part of its limit, if it has one
 
     @property
     def allowed(self) -> tuple[float, float]:
@@ -109,7 +111,12 @@ def finding_of_claim(claim: Claim, record: Record) -> Finding:
         upper = record.refuted.least > high
         value, mark = (record.refuted.least, high) if upper else (record.refuted.greatest, low)
         reason = f"{value * k:.9g} {claim.unit} at t = {record.refuted_at:.9g} s, beyond {mark * k:.9g}"
-        shared = {"answer": "refuted", "margin": -abs(value - mark) * k, "time_s": record.refuted_at, "reason": reason}
+        shared = {
+            "answer": "refuted",
+            "margin": -abs(value - mark) * k,
+            "time_s": record.refuted_at,
+            "reason": reason,
+        } | claim.of()
     else:
         upper = high - record.greatest <= record.least - low
         value, mark = (record.greatest, high) if upper else (record.least, low)
@@ -132,7 +139,7 @@ def claims_of(problem: Problem, trajectory: Trajectory) -> tuple[list[Claim], li
             title = limit.facts.words.format(f"number {limit.item + 1}")
             open_limits.append(_undecided(f"limit on {limit.key}: {title}", "the limit has no claim"))
         for one in claimed:
-            _sort_in(one, problem, claims, open_limits)
+            _sort_in(one, problem, claims, open_limits, functools.partial(_part_of, limit, problem, trajectory))
     for one in (one for claimed in FURTHER_CLAIMS for one in claimed(problem, trajectory)):
         _sort_in(one, problem, claims, open_limits)
     further = (loop_claims, _residuals, reference_claims)
@@ -140,7 +147,18 @@ def claims_of(problem: Problem, trajectory: Trajectory) -> tuple[list[Claim], li
     return claims, open_limits
 
 
-def _sort_in(one: Claimed, problem: Problem, claims: list[Claim], open_limits: list[Finding]) -> None:
+def _part_of(limit: Limit, problem: Problem, trajectory: Trajectory) -> dict[str, str]:
+    """Return the key of a limit and the name of its part."""
+    return {"limit": limit.key, "part": limit.measured(samples_for_claims(problem, trajectory)).name}
+
+
+def _sort_in(
+    one: Claimed,
+    problem: Problem,
+    claims: list[Claim],
+    open_limits: list[Finding],
+    of: Callable[[], dict[str, str]] = dict,
+) -> None:
     """Add the claim of a limit to the claims. If its value cannot be enclosed, add an undecided finding instead."""
     if one.unknown:
         open_limits.append(_undecided(one.name, one.unknown))
@@ -150,7 +168,7 @@ def _sort_in(one: Claimed, problem: Problem, claims: list[Claim], open_limits: l
     except UnknownOperationError:
         open_limits.append(_undecided(one.name, _NOT_ENCLOSED))
         return
-    claims.append(Claim(one.name, one.unit, one.bounds, values, one.slack, one.per_unit))
+    claims.append(Claim(one.name, one.unit, one.bounds, values, one.slack, one.per_unit, of))
 
 
 def _values(one: Claimed, problem: Problem) -> Callable[[State], list[Ball]]:

@@ -16,7 +16,8 @@ class Finding(Struct, frozen=True, kw_only=True):
 
     `bound` bounds the worst value on the whole motion, in `unit`. For a refuted claim it is a value that certainly occurs,
     at `time_s`. `mark` is the limit plus its allowance. `margin` is the distance from bound to mark, negative beyond it.
-    `boxes` counts the boxes of time on which the claim was evaluated. `reason` says why a claim is not proved.
+    `boxes` counts the boxes of time on which the claim was evaluated. `reason` says why a claim is not proved. A refuted
+    claim on a limit has the `limit`'s key and its `part`: an actuator, joint, closure, tendon or site.
     """
 
     name: str
@@ -28,6 +29,8 @@ class Finding(Struct, frozen=True, kw_only=True):
     boxes: int = 0
     time_s: float | None = None
     reason: str = ""
+    limit: str = ""
+    part: str = ""
 
     def sentence(self) -> str:
         """Return the finding in one sentence."""

@@ -156,7 +156,11 @@ def test_an_instant_at_which_the_proof_refutes_a_limit_is_a_place_to_refine():
     problem = linkplan.Problem.reach(HINGE, **asked, minimize="effort", extra_limits=[spot])
     at_once = plan_motion(problem)
     assert at_once.passed
-    assert at_once.with_proof(existence=False).status == "failed"
+    refuted = at_once.with_proof(existence=False)
+    (over,) = refuted.verdict.overruns
+    assert (refuted.status, over.limit, over.name, over.unit) == ("failed", "extra", "speed at a spot", "rad/s")
+    assert over.value > over.bound == pytest.approx(2.0, rel=1e-6)
+    assert over.time_s == pytest.approx(refuted.proof.of("refuted")[0].time_s)
     plan = linkplan.plan(problem, prove=True)
     assert plan.status == "optimal", plan.message
     assert plan.proof.complete
