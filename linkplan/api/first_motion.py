@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,6 +15,7 @@ from linkplan.api.plans import Plan
 from linkplan.api.reporting import Progress, listener
 from linkplan.api.typed_commands import first_steps
 from linkplan.models.errors import ProblemError
+from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.problem.settings import to_toml_types
 from linkplan.studies.output.paths import check_flags, file_to_write
@@ -84,58 +85,47 @@ def new(
         plan=None if found.plan is None else Plan.of(found.plan),
         text=text,
         description=found.description,
-        struct=NewRecord(
-            file=None if target is None else str(target),
-            planned=found.plan is not None and found.plan.passed,
-            why=found.why,
-            tables=tables,
-            notes=tuple(found.notes),
-        ),
+        file=None if target is None else str(target),
+        planned=found.plan is not None and found.plan.passed,
+        why=found.why,
+        tables=tables,
+        notes=tuple(found.notes),
     )
 
 
-class NewRecord(Struct, frozen=True, eq=False, kw_only=True):
-    """The record of `new`: `file` or None, its `tables`, `notes` on the model, and in `why` the reason for no motion."""
+class NewProblem(Shown, Struct, frozen=True, eq=False, kw_only=True):
+    """A first problem: its `file` or None and its `tables`, `notes` on the model, and in `why` the reason for no motion.
+
+    `problem`, its `plan` or None, and the `text` of its file are not in the JSON.
+    """
 
     file: str | None
-    planned: bool
+    planned: bool  # a certified motion was found
     why: str
     tables: dict[str, Any]
     notes: tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class NewProblem(Shown):
-    """A first problem: `problem`, its `plan` or None, and the `text` of its file."""
-
-    problem: Problem
-    plan: Plan | None
-    text: str
-    description: str
-    struct: NewRecord
-
-    @property
-    def planned(self) -> bool:
-        """Whether a certified motion was found."""
-        return self.struct.planned
+    problem: Beside[Problem] = NOT_READ
+    plan: Beside[Plan | None] = NOT_READ
+    text: Beside[str] = NOT_READ
+    description: Beside[str] = NOT_READ
 
     @property
     def message(self) -> str:
         """The reason if no motion was found, else what the mechanism does."""
-        return self.struct.why or self.description
+        return self.why or self.description
 
     @property
     def verdict(self) -> str:
         """The status of the plan, or the reason why there is none."""
-        return "planned" if self.planned else f"NOT planned: {self.struct.why}"
+        return "planned" if self.planned else f"NOT planned: {self.why}"
 
     def blocks(self) -> list[Block]:
         """Return the verdict, the notes and the file as a document's blocks."""
         from linkplan.studies.output.document import Code, Text
 
         said = Text(text=f"{self.description}: {self.verdict}", tone="good" if self.planned else "bad")
-        notes = [Text(text=note, tone="note") for note in self.struct.notes]
-        return [said, *notes, Code(title=self.struct.file or "problem.toml", text=self.text)]
+        notes = [Text(text=note, tone="note") for note in self.notes]
+        return [said, *notes, Code(title=self.file or "problem.toml", text=self.text)]
 
     def __repr__(self) -> str:
         return f"NewProblem({self.problem.name!r}: {self.message})"

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
+
+from msgspec import structs
 
 from linkplan.api.command import command
 from linkplan.api.inputs import PlanLike, Source, Subject, note_forces, plan_of, source_of, subject_of
@@ -18,13 +19,11 @@ from linkplan.models.errors import ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.planner.plan.plan import Plan
 from linkplan.studies.output.paths import check_flags, file_to_write, folder_to_write, path_of
-from linkplan.studies.output.result import Result, Shown
+from linkplan.studies.output.result import Result
 
 if TYPE_CHECKING:
-    from linkplan.studies.handover.export.c_files import ModelRecord
-    from linkplan.studies.handover.export.c_law import LawRecord
-    from linkplan.studies.handover.export.export import FileRecord
-    from linkplan.studies.output.document import Block, Report
+    from linkplan.studies.handover.export.exported import Exported
+    from linkplan.studies.output.document import Report
     from linkplan.studies.render.render import RenderedFile
 
 
@@ -192,27 +191,8 @@ def export(
         note_forces(answer.problem.mechanism, say)
     content = exported(answer, str(to), every_s, names)
     write_new(place, content)
-    record = FileRecord(file=str(place), format=to, bytes=len(content), plan=answer.problem.name)
-    return Exported(path=place, passed=answer.passed, struct=record)
-
-
-@dataclasses.dataclass(frozen=True, eq=False, slots=True, kw_only=True, repr=False)
-class Exported(Shown):
-    """What `export` wrote: its `path`, and whether the plan passes.
-
-    `struct` is the record, for C code that of export.json.
-    """
-
-    path: Path
-    passed: bool
-    struct: FileRecord | ModelRecord | LawRecord
-
-    def blocks(self) -> list[Block]:
-        """Return the record as a document's blocks."""
-        return self.struct.blocks(self.path)
-
-    def __repr__(self) -> str:
-        return f"Exported('{self.path}')"
+    written = {"format": to, "bytes": len(content), "plan": answer.problem.name}
+    return FileRecord(file=str(place), **written, path=place, passed=answer.passed)
 
 
 def _exported_c(
@@ -260,7 +240,7 @@ def _exported_c(
         write_json(place / "export.json", records[0])
 
     write_whole(target, write, "export.json")
-    return Exported(path=target, passed=passed, struct=records[0])
+    return structs.replace(records[0], path=target, passed=passed)
 
 
 def _plan_in(subject: PlanLike | Subject) -> PlanLike | None:

@@ -197,7 +197,7 @@ def run_new(arguments: argparse.Namespace) -> int:
     say = progress(arguments)
     target = new_file(arguments)
     found = called(arguments, say, path=target)
-    verdict, notes = found.verdict, [f"note: {note}" for note in found.struct.notes]
+    verdict, notes = found.verdict, [f"note: {note}" for note in found.notes]
     if target is None:
         for line in (f"{found.description}: {verdict}", *notes):
             say.keep(line)

@@ -99,9 +99,10 @@ def test_the_certificate_and_the_history_in_plan_json_are_the_plan_s_own_structs
 def test_the_json_of_what_is_no_result_is_read_back_as_its_struct(make, plan, tmp_path, monkeypatch):
     monkeypatch.setattr(c_files, "COMPILERS", {})
     shown = make(plan, tmp_path)
+    assert isinstance(shown, msgspec.Struct)
     assert not isinstance(shown, Result)
     said = json.loads(json.dumps(shown.to_dict(), allow_nan=False))
-    assert plain_record(msgspec.convert(said, type(shown.struct))) == said
+    assert plain_record(msgspec.convert(said, type(shown))) == said
     assert str(shown) == text_of(shown.blocks())
     assert "<p" in shown._repr_html_()
 

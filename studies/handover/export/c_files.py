@@ -21,6 +21,7 @@ from linkplan.studies.handover.export.c_model import (
 )
 from linkplan.studies.handover.export.c_operations import in_single_precision, operations
 from linkplan.studies.handover.export.c_text import write_texts
+from linkplan.studies.handover.export.exported import Exported
 from linkplan.studies.output.document import Block, Text, table_of
 
 # Number of states at which the error of single precision is measured, and the factor from the measured to the stated error.
@@ -53,7 +54,7 @@ class ObjectSize(Struct, frozen=True, kw_only=True):
     stack_bytes: int
 
 
-class ModelRecord(Struct, frozen=True, kw_only=True):
+class ModelRecord(Exported, frozen=True, kw_only=True):
     """The record of a model in C. `sizes` is empty if nothing was measured; it may exclude some functions."""
 
     mechanism: str
@@ -65,12 +66,12 @@ class ModelRecord(Struct, frozen=True, kw_only=True):
     sizes: list[ObjectSize]
     sizes_without: list[str]
 
-    def blocks(self, target: Path) -> list[Block]:
+    def blocks(self) -> list[Block]:
         """Return the record of the files in a folder as a document's blocks."""
         kinds = list(dict.fromkeys(kind for row in self.functions for kind in row.operations))
         rows = [[row.function, *(row.operations.get(kind, 0) for kind in kinds), row.float_error] for row in self.functions]
         heads = ["operations of one call", *kinds, "error in float, share of the largest value"]
-        written = Text(text=f"{target}: {', '.join(self.files)}", tone="good")
+        written = Text(text=f"{self.path}: {', '.join(self.files)}", tone="good")
         return [written, table_of("", heads, rows, digits=2), *size_blocks(self.sizes, self.sizes_without)]
 
 

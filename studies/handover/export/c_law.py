@@ -3,7 +3,6 @@
 from pathlib import Path
 
 import numpy as np
-from msgspec import Struct
 
 from linkplan.studies.handover.export.c_files import ObjectSize, size_blocks, sizes
 from linkplan.studies.handover.export.c_text import (
@@ -15,11 +14,12 @@ from linkplan.studies.handover.export.c_text import (
     limit_macros,
     write_texts,
 )
+from linkplan.studies.handover.export.exported import Exported
 from linkplan.studies.handover.export.law_tables import ROW_SHARE, LawTables, arrays_of
 from linkplan.studies.output.document import Block, Text
 
 
-class LawRecord(Struct, frozen=True, kw_only=True):
+class LawRecord(Exported, frozen=True, kw_only=True):
     """The record of a plan's control law in C; `instants` are the rows of its tables."""
 
     mechanism: str
@@ -36,11 +36,11 @@ class LawRecord(Struct, frozen=True, kw_only=True):
     sizes: list[ObjectSize]
     plan: str
 
-    def blocks(self, target: Path) -> list[Block]:
+    def blocks(self) -> list[Block]:
         """Return the record of the files in a folder as a document's blocks."""
         ends = "repeats" if self.periodic else "holds start and goal"
         law = f"{self.tracker} over {self.duration_s:g} s in {self.instants} rows, {self.table_numbers} numbers; it {ends}"
-        written = Text(text=f"{target}: {', '.join(self.files)}", tone="good")
+        written = Text(text=f"{self.path}: {', '.join(self.files)}", tone="good")
         return [written, Text(text=law), *size_blocks(self.sizes)]
 
 

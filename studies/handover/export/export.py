@@ -5,25 +5,24 @@ import json
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.metadata import version
-from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import scipy.io
-from msgspec import Struct
 
 from linkplan.models.errors import LinkplanError, ProblemError, choose
 from linkplan.models.mechanism import Mechanism
 from linkplan.models.selected_model import whole_model_text
 from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.planner.plan.plan import Plan
+from linkplan.studies.handover.export.exported import Exported
 from linkplan.studies.handover.export.formats import FORMATS
 from linkplan.studies.handover.export.output_joints import with_outputs
 from linkplan.studies.handover.export.samples import ExportedSamples, exported_samples
 from linkplan.studies.output.document import Block, Text
 
 
-class FileRecord(Struct, frozen=True, kw_only=True):
+class FileRecord(Exported, frozen=True, kw_only=True):
     """What was written to a file: its format, its size [byte] and the name of the plan's problem."""
 
     file: str
@@ -31,9 +30,9 @@ class FileRecord(Struct, frozen=True, kw_only=True):
     bytes: int
     plan: str
 
-    def blocks(self, target: Path) -> list[Block]:
+    def blocks(self) -> list[Block]:
         """Return the record of a file as a document's blocks."""
-        return [Text(text=f"{target}: {self.plan}, {FORMATS[self.format]}")]
+        return [Text(text=f"{self.path}: {self.plan}, {FORMATS[self.format]}")]
 
 
 def exported(plan: Plan, to: str, every_s: float | None = None, joints: Sequence[str] = ()) -> bytes:

@@ -202,7 +202,7 @@ def test_code_of_a_whole_robot_is_written_and_not_measured(monkeypatch, tmp_path
     monkeypatch.setattr(c_files, "MOST_MEASURED_OPERATIONS", 100)
     record = write_model(code, tmp_path)
     assert record.sizes == []
-    assert "use the option sizes to measure it" in text_of(record.blocks(tmp_path))
+    assert "use the option sizes to measure it" in text_of(record.blocks())
 
 
 @needs_gcc
@@ -215,7 +215,7 @@ def test_long_derivatives_may_be_left_out_and_are_then_not_measured(monkeypatch,
     assert record.sizes_without == ["linkplan_optimus_knee_inverse_dynamics_derivatives"]
     assert whole.sizes_without == []
     assert record.sizes[0].flash_bytes < 0.8 * whole.sizes[0].flash_bytes
-    assert "without linkplan_optimus_knee_inverse_dynamics_derivatives" in text_of(record.blocks(tmp_path))
+    assert "without linkplan_optimus_knee_inverse_dynamics_derivatives" in text_of(record.blocks())
 
 
 def test_a_model_in_the_coordinates_of_its_output_joints(tmp_path, monkeypatch):
