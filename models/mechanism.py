@@ -145,11 +145,11 @@ class Mechanism:
         move along.
         """
         held = np.flatnonzero(self.actuated).tolist()
-        arms = np.abs(np.array(self.dynamics.effort_map(self.home)))[held]
+        arms = np.array(self.dynamics.effort_map(self.home))[held]
         if self.n_u >= len(held) and np.linalg.matrix_rank(arms, rtol=ZERO_ARM_SHARE) == len(held):
             return tuple(held)
         column: dict[int | None, int] = {int(index): k for k, index in enumerate(self.independent)}
-        found = {column.get(actuator.joint, held[int(np.argmax(arms[:, k]))]) for k, actuator in enumerate(self.actuators)}
+        found = {column.get(actuator.joint, held[int(np.argmax(np.abs(arms[:, k])))]) for k, actuator in enumerate(self.actuators)}
         return tuple(sorted(found))
 
     @property

@@ -50,7 +50,7 @@ def distribute(
         return effort
     size = actuator_sizes(limit[left])
     null, free = _null_spaces(maps[left])
-    null = null / size[:, :, None]
+    null = null * (size.max(axis=1, keepdims=True) / size)[:, :, None]  # z in units of the largest limit
     ends = tuple((limit[left, :, end] - effort[left]) / size for end in (0, 1))
     about = (effort[left] - wanted[left]) / size
     moved = _moved(null, free, ends, about if rule == LEAST_PEAK else None)

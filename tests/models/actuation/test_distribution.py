@@ -89,3 +89,15 @@ def test_one_actuator_gives_what_is_needed_whatever_its_limits():
 def test_at_a_dead_centre_an_actuator_keeps_the_effort_wanted():
     found = distribute(np.array([[0.0, 1.0]]), np.array([[[0.0, 0.0], [0.0, 1.0]]]), np.array([[-9.0, 9.0]] * 2), [2.0, 5.0])
     np.testing.assert_allclose(found, [[2.0, 1.0]])
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e5])
+def test_the_least_violation_and_the_least_peak_do_not_depend_on_the_size_of_the_limits(unit):
+    maps, limit = np.array([[[0.02, -0.0015]]]), unit * np.array([[5.0, 150.0]] * 2)
+    best = unit * np.array([5.0, 150.0])  # nearest to the effort -0.2226 that no efforts within the limits give
+    slope = maps[0, 0] * 150.0 * unit
+    violation = slope * (-0.2226 * unit - maps[0, 0] @ best) / (slope @ slope)
+    (found,) = distribute(np.array([[-0.2226 * unit]]), maps, limit)
+    assert found == pytest.approx(best + 150.0 * unit * violation, rel=1e-6)
+    (found,) = distribute(np.array([[3.0 * unit]]), np.ones((1, 1, 2)), unit * np.array([[-4.0, 4.0], [-2.0, 2.0]]), rule=LEAST_PEAK)
+    assert found == pytest.approx([2.0 * unit, unit], rel=1e-6)
