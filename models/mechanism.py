@@ -149,7 +149,9 @@ class Mechanism:
         if self.n_u >= len(held) and np.linalg.matrix_rank(arms, rtol=ZERO_ARM_SHARE) == len(held):
             return tuple(held)
         column: dict[int | None, int] = {int(index): k for k, index in enumerate(self.independent)}
-        found = {column.get(actuator.joint, held[int(np.argmax(np.abs(arms[:, k])))]) for k, actuator in enumerate(self.actuators)}
+        found = {
+            column.get(actuator.joint, held[int(np.argmax(np.abs(arms[:, k])))]) for k, actuator in enumerate(self.actuators)
+        }
         return tuple(sorted(found))
 
     @property

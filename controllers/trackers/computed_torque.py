@@ -1,9 +1,10 @@
 """Computed torque: inverse dynamics at the measured state, with a reference acceleration corrected by the errors.
 
-    u = (Gamma^T B)^+ tau(s, v, a_ref + 2 zeta w (v_ref - v) + w^2 (s_ref - s)),   tau the reduced inverse dynamics
+    u = u_ref + R^+ (tau - R u_ref),   R = Gamma^T B,   tau = M_r (a_ref + 2 zeta w (v_ref - v) + w^2 (s_ref - s)) + b_r
 
-For the nominal mechanism the errors obey e'' + 2 zeta w e' + w^2 e = 0 at all poses (Featherstone, Rigid Body
-Dynamics Algorithms, 2008, 1.5; Siciliano et al., Robotics, 2009, 8.5.2).
+More actuators than freedoms produce tau by the efforts nearest to the reference's. For the nominal mechanism the errors
+obey e'' + 2 zeta w e' + w^2 e = 0 at all poses (Featherstone, Rigid Body Dynamics Algorithms, 2008, 1.5; Siciliano et al.,
+Robotics, 2009, 8.5.2).
 """
 
 from dataclasses import dataclass
@@ -21,10 +22,10 @@ from linkplan.models.reduction.closing import MAX_LOOP_GAP_M, closed_near
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class ComputedTorque:
-    """u = (Gamma^T B)^+ tau(s, v, a_ref + damping (v_ref - v) + stiffness (s_ref - s)).
+    """u = u_ref + R^+ (tau(s, v, a_ref + damping (v_ref - v) + stiffness (s_ref - s)) - R u_ref).
 
     `acceleration` (n, n_s): produced by the reference's own efforts. `stiffness`: w^2 [1/s^2]. `damping`: 2 zeta w [1/s].
-    `law`: function (near pose, s, v, a, forces over time) -> efforts, loop gap [m].
+    `law`: function (near pose, s, v, a, u_ref, forces over time) -> efforts, loop gap [m].
     """
 
     reference: SampledReference
@@ -42,12 +43,12 @@ class ComputedTorque:
         acceleration += self.stiffness * (reference.position_rad[k] - position_rad)
         s, v, a = (np.atleast_2d(x) for x in (position_rad, velocity_rad_s, acceleration))
         near = np.broadcast_to(reference.pose_rad[k], (len(s), reference.pose_rad.shape[1]))
-        forces = [np.broadcast_to(w[k], (len(s), w.shape[1])) for w in reference.forces]
-        effort, gap = self._called(near, s, v, a, *forces)
+        given = [np.broadcast_to(w[k], (len(s), w.shape[1])) for w in (reference.effort, *reference.forces)]
+        effort, gap = self._called(near, s, v, a, *given)
         far = ~(gap <= MAX_LOOP_GAP_M)
         if np.any(far):
             there = np.broadcast_to(reference.position_rad[k], s.shape)
-            effort[far] = self._called(near[far], there[far], v[far], a[far], *(w[far] for w in forces))[0]
+            effort[far] = self._called(near[far], there[far], v[far], a[far], *(w[far] for w in given))[0]
         return effort.reshape(*np.shape(position_rad)[:-1], -1)
 
     def _called(self, *arguments: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -68,11 +69,12 @@ def computed_torque(design: Design) -> ComputedTorque:
 
 
 def _law(mechanism: Mechanism) -> ca.Function:
-    """Return the function (near pose, s, v, a, forces over time) -> efforts (n_u,), loop gap [m]."""
+    """Return the function (near pose, s, v, a, u_ref, forces over time) -> efforts (n_u,), loop gap [m]."""
     dynamics, n_s = mechanism.dynamics, mechanism.dof
     forces = [] if mechanism.forces is None else [ca.MX.sym("forces", 3 * len(mechanism.forces.sites))]
-    near = ca.MX.sym("near", mechanism.n_q)
+    near, u = ca.MX.sym("near", mechanism.n_q), ca.MX.sym("u", mechanism.n_u)
     s, v, a = (ca.MX.sym(name, n_s) for name in "sva")
     q, gap = closed_near(dynamics, near, s)
-    effort = ca.pinv(dynamics.effort_map(q)) @ mechanism.forced.inverse_dynamics(q, v, a, *forces)
-    return ca.Function("computed_torque", [near, s, v, a, *forces], [effort, gap])
+    R = dynamics.effort_map(q)
+    effort = u + ca.pinv(R) @ (mechanism.forced.inverse_dynamics(q, v, a, *forces) - R @ u)
+    return ca.Function("computed_torque", [near, s, v, a, u, *forces], [effort, gap])

@@ -3,10 +3,11 @@
     minimise sum e^T Q e + w^T R w + e_N^T P e_N,   e = x - x_ref,   w = u - u_ref,   low <= u <= high
 
 The terminal cost P is the LQR's cost to go. If the predicted LQR efforts keep the limits, the LQR feedback is therefore the
-solution and is used directly. Otherwise corrections w that are held over blocks of control periods are improved once per
-period (real-time iteration; Diehl, Bock & Schloeder, SIAM J. Control Optim. 43, 2005). The previous corrections give the
-predicted motion from the measured state, and the reduced dynamics are linearised along it. DAQP solves the quadratic program
-(Arnstrom, Bemporad & Axehill, IEEE Trans. Automatic Control 67, 2022).
+solution and is used directly. Of more actuators than freedoms, equivalent efforts within the limits suffice. Otherwise
+corrections w that are held over blocks of control periods are improved once per period (real-time iteration; Diehl, Bock &
+Schloeder, SIAM J. Control Optim. 43, 2005). The previous corrections give the predicted motion from the measured state, and
+the reduced dynamics are linearised along it. DAQP solves the quadratic program (Arnstrom, Bemporad & Axehill, IEEE Trans.
+Automatic Control 67, 2022).
 
 The program knows the mean reference effort of a block, which smears a switch within the block. At each instant the applied
 effort is therefore u_ref + s (limit - u_ref), where s is the share of the mean's distance to the limit that the first
@@ -22,7 +23,8 @@ from linkplan.controllers.reference import SampledReference
 from linkplan.controllers.trackers.lqr import Regulator, regulator
 from linkplan.controllers.trackers.prediction import Predictor, predictor
 from linkplan.controllers.trackers.tracker import Design, ordered_product
-from linkplan.models.poses.along import evaluated, sampled
+from linkplan.models.actuation.distribution import distribute
+from linkplan.models.poses.along import evaluated, is_redundant, sampled
 from linkplan.models.reduction.closing import MAX_LOOP_GAP_M
 
 # Number of blocks of constant corrections in the horizon.
@@ -39,6 +41,7 @@ class MPC:
     (n, n_q + n_s): the predicted (q, v) after it.
     `effort_limit` (n_u, 2). `room` (n, 2, blocks n_u): limits of the corrections of the blocks that begin at an instant.
     `bounds` (n, 2, n_u + blocks n_u): those of the LQR's effort and corrections, beyond which corrections are improved.
+    `maps` (n, n_s, n_u): Gamma^T B along the reference if several efforts are equivalent, else None.
     `kept` (m,): indices of the controlled states in x = (s, v). `weights`: Q and R of a block. The memory is NaN while the
     LQR acts.
     """
@@ -52,6 +55,7 @@ class MPC:
     acting: np.ndarray
     own: np.ndarray
     effort_limit: np.ndarray
+    maps: np.ndarray | None
     kept: np.ndarray
     weights: tuple[np.ndarray, np.ndarray]
     predictor: Predictor
@@ -86,11 +90,25 @@ class MPC:
         predicted, next_memory = np.hstack([effort, ordered_product(self.alone[at], error)]), self.start(len(position_rad))
         low, high = self.bounds[at]
         for row in np.flatnonzero(((predicted < low) | (predicted > high)).any(axis=1)):
+            if (shared := self._shared(at, predicted[row])) is not None:
+                effort[row] = shared
+                continue
             before = predicted[row, effort.shape[1] :] if np.isnan(memory[row, 0]) else memory[row]
             found = self._improved(k, position_rad[row], velocity_rad_s[row], before)
             if found is not None:
                 next_memory[row], effort[row] = found, self._applied(k, found[: effort.shape[1]])
         return effort, next_memory
+
+    def _shared(self, at: int, predicted: np.ndarray) -> np.ndarray | None:
+        """Return the effort (n_u,) now if efforts within the limits are equivalent to all predicted ones, else None."""
+        if self.maps is None:
+            return None
+        blocks = self.ahead[at, :-1]
+        maps, asked = self.maps[[at, *blocks]], predicted.reshape(len(blocks) + 1, -1).copy()
+        asked[1:] += self.mean[blocks]
+        shared = distribute(np.einsum("ksu,ku->ks", maps, asked), maps, self.effort_limit, asked)
+        low, high = self.effort_limit.T
+        return shared[0] if np.all((shared >= low) & (shared <= high)) else None
 
     def _applied(self, k: int, correction: np.ndarray) -> np.ndarray:
         """Return the effort (n_u,) that uses the share of its room that the first correction (n_u,) uses of the mean's."""
@@ -158,6 +176,7 @@ def mpc(design: Design) -> MPC:
         acting=mean,
         own=sampled(model.step, begin, mean)[:, :, 0],
         effort_limit=np.array(design.effort_limit, dtype=float),
+        maps=sampled(mechanism.dynamics.effort_map, reference.pose_rad[:n]) if is_redundant(mechanism) else None,
         kept=kept,
         weights=(periods * found.Q, periods * found.R),
         predictor=model,

@@ -76,11 +76,13 @@ def motion_along(problem: Problem, guess: Guess, breaks_s: np.ndarray) -> Trajec
     velocity = v0 + h * first
     second = np.einsum("pj,jks->pks", bernstein_integral(_REFERENCE_DEGREE + 1), first)
     steps = (np.arange(_REFERENCE_DEGREE + 3) / (_REFERENCE_DEGREE + 2))[:, None, None]
+    efforts, limit = coefficients(effort), problem.limits.effort
+    inside = np.clip(efforts, *limit.T)  # shared efforts rest at limits for whole intervals: interpolation rounds there
     return Trajectory(
         breaks_s=breaks_s,
         position=s0 + steps * h * v0 + h**2 * second,
         velocity=velocity,
-        effort=coefficients(effort),
+        effort=np.where(np.abs(efforts - inside) <= missed_rounding(limit), inside, efforts),
         start_pose=guess.start_pose,
         periodic=False,
     )

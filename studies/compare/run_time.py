@@ -59,8 +59,8 @@ def _counted(tracker: AnyTracker, mechanism: Mechanism) -> tuple[int | None, int
         return state + n_u + n_u * (state + n_i), free, free
     closing = sum(calls * _size(function) for function, calls in calls_near(dynamics))
     if isinstance(tracker, ComputedTorque):
-        free = 7 * n_s + closing + _size(dynamics.effort_map) + _size(dynamics.inverse_dynamics) + 2 * n_u * n_s
-        return state + n_s + n_q, free, free
+        free = 8 * n_s + n_u + closing + _size(dynamics.effort_map) + _size(dynamics.inverse_dynamics) + 4 * n_u * n_s
+        return state + n_s + n_q + n_u, free, free
     if isinstance(tracker, MPC):
         m, n, many = len(tracker.kept), HORIZON_BLOCKS, HORIZON_BLOCKS * n_u
         free = state + 2 * n_u * m + many * (2 * m + 1)

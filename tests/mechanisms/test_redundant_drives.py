@@ -5,8 +5,10 @@ import pytest
 import scipy
 
 import linkplan
+from linkplan.controllers.trackers.tracker import steps_of
 from linkplan.models.poses.along import demanded
 from linkplan.models.poses.assembly import close_at
+from linkplan.studies.compare.compare import build_tracker, tracking_reference
 from tests.support.redundant import antagonist, hung_point, least_holding_efforts, two_motors
 
 SWING = {"start_deg": {"e": -30}, "goal_deg": {"e": 40}, "duration_s": 0.4}
@@ -64,6 +66,42 @@ def test_a_reference_is_followed_exactly_within_the_limits(text):
 @pytest.mark.parametrize("text", [antagonist(least=200.0, most=210.0), two_motors(0.5, 0.5)])
 def test_a_reference_beyond_what_all_motors_give_is_infeasible(text):
     assert linkplan.plan(linkplan.Problem.track(loaded(text), reference=TABLE)).status == "infeasible"
+
+
+@pytest.mark.parametrize("rate", [0.5, 0.6, 0.7, 0.8])
+def test_a_reference_along_which_cables_rest_at_their_limits_is_followed(rate):
+    """The least tension holds for whole intervals; rounding there is no violation."""
+    table = {"time_s": [0.0, 0.1 * rate, 0.2 * rate], "position_m": {"x": [0.0, 0.01, 0.03], "z": [0.0, 0.01, 0.03]}}
+    plan = linkplan.plan(linkplan.Problem.track(loaded(hung_point(least=2.0, most=1e5)), reference=table))
+    assert plan.status == "optimal", plan.message
+    assert min(values.min() for values in plan.sample().effort.values()) == pytest.approx(2.0, abs=1e-12)
+
+
+def test_cables_that_pull_a_point_to_both_sides_give_it_two_loops():
+    assert loaded(hung_point()).channels == (0, 1)
+
+
+def test_the_trackers_distribute_as_the_plan_does():
+    """Computed torque and the MPC give the efforts of a pre-tensioned plan, and the LQR's joint efforts within limits."""
+    solver = {"compile": "never"}
+    tensioned = linkplan.Problem.track(
+        loaded(antagonist(), pre_tension={"flex": 60.0, "ext": 60.0}), reference=TABLE, solver=solver
+    )
+    plan = linkplan.plan(tensioned)
+    reference = tracking_reference(plan)
+    law = build_tracker("ct", plan, reference)
+    found = law.effort(40, reference.position_rad[40] + 1e-3, reference.velocity_rad_s[40])
+    assert found.sum() == pytest.approx(reference.effort[40].sum())
+    assert found.sum() > 100.0
+    plan = linkplan.plan(linkplan.Problem.track(loaded(antagonist()), reference=TABLE, solver=solver))
+    reference = tracking_reference(plan)
+    arms = np.array([0.03, -0.03])
+    for error in (1e-3, -1e-3):
+        at = (40, reference.position_rad[40:41] + error, reference.velocity_rad_s[40:41])
+        lqr, mpc = (steps_of(build_tracker(name, plan, reference)) for name in ("lqr", "mpc"))
+        wanted, given = (law.step(*at, law.start(1))[0][0] for law in (lqr, mpc))
+        assert arms @ given == pytest.approx(arms @ wanted, rel=1e-9)
+        assert given.min() >= 10.0
 
 
 @pytest.mark.slow

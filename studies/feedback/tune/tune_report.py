@@ -148,7 +148,7 @@ def gain_lines(tuning: Tuning) -> list[tuple[str, str]]:
         lines.append((f"at the motor {motor.actuator}, {motor.ratio_text()}", f"{motor.gains_text()}{over}"))
     alone = {motor.actuator for motor in tuning.motors}
     if shared := [actuator.name for actuator in tuning.mechanism.actuators if actuator.name not in alone]:
-        text = "no gains of its own, because it moves several joints; linkplan transfer gives the gains as matrices"
+        text = "no gains of its own, because it is not the only motor of one joint; linkplan transfer gives gain matrices"
         lines.append((f"at the motor {' and '.join(shared)}", text))
     return lines
 

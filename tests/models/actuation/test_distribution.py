@@ -99,5 +99,7 @@ def test_the_least_violation_and_the_least_peak_do_not_depend_on_the_size_of_the
     violation = slope * (-0.2226 * unit - maps[0, 0] @ best) / (slope @ slope)
     (found,) = distribute(np.array([[-0.2226 * unit]]), maps, limit)
     assert found == pytest.approx(best + 150.0 * unit * violation, rel=1e-6)
-    (found,) = distribute(np.array([[3.0 * unit]]), np.ones((1, 1, 2)), unit * np.array([[-4.0, 4.0], [-2.0, 2.0]]), rule=LEAST_PEAK)
+    (found,) = distribute(
+        np.array([[3.0 * unit]]), np.ones((1, 1, 2)), unit * np.array([[-4.0, 4.0], [-2.0, 2.0]]), rule=LEAST_PEAK
+    )
     assert found == pytest.approx([2.0 * unit, unit], rel=1e-6)
