@@ -110,12 +110,19 @@ def _with_shared_breaks(problem: Problem, guess: Guess, breaks_s: np.ndarray) ->
     time = np.append((breaks_s[:-1, None] + np.diff(breaks_s)[:, None] * parts).ravel(), breaks_s[-1])
     which = at_limits(time)
     k = np.flatnonzero(np.any(which[1:] != which[:-1], axis=1))
-    low, high, before = time[k], time[k + 1], which[k]
-    for _ in range(_SWITCH_HALVINGS if len(k) else 0):
-        middle = 0.5 * (low + high)
-        same = np.all(at_limits(middle) == before, axis=1)
-        low, high = np.where(same, middle, low), np.where(same, high, middle)
-    every = np.union1d(breaks_s, high)
+    begin, end, before, after = time[k], time[k + 1], which[k], which[k + 1]
+    every = breaks_s
+    for _ in range(2 * which.shape[1]):  # several may reach or leave limits between two samples, one after another
+        if not len(begin):
+            break
+        low, high = begin, end
+        for _ in range(_SWITCH_HALVINGS):
+            middle = 0.5 * (low + high)
+            same = np.all(at_limits(middle) == before, axis=1)
+            low, high = np.where(same, middle, low), np.where(same, high, middle)
+        every, before = np.union1d(every, high), at_limits(high)
+        left = np.any(before != after, axis=1)
+        begin, end, before, after = high[left], end[left], before[left], after[left]
     kept = np.diff(every, prepend=-np.inf) > MIN_INTERVAL_SHARE * guess.duration_s
     kept[-1] = True
     return every[kept | np.isin(every, breaks_s)]

@@ -9,7 +9,7 @@ from linkplan.controllers.trackers.tracker import steps_of
 from linkplan.models.poses.along import demanded
 from linkplan.models.poses.assembly import close_at
 from linkplan.studies.compare.compare import build_tracker, tracking_reference
-from tests.support.redundant import antagonist, hung_point, least_holding_efforts, two_motors
+from tests.support.redundant import antagonist, hung_plate, hung_point, least_holding_efforts, two_motors
 
 SWING = {"start_deg": {"e": -30}, "goal_deg": {"e": 40}, "duration_s": 0.4}
 TABLE = {"time_s": [0, 0.2, 0.4], "position_deg": {"e": [-30, 0, 40]}}
@@ -75,6 +75,18 @@ def test_a_reference_along_which_cables_rest_at_their_limits_is_followed(rate):
     plan = linkplan.plan(linkplan.Problem.track(loaded(hung_point(least=2.0, most=1e5)), reference=table))
     assert plan.status == "optimal", plan.message
     assert min(values.min() for values in plan.sample().effort.values()) == pytest.approx(2.0, abs=1e-12)
+
+
+def test_a_reference_along_which_several_cables_leave_their_limits_one_after_another_is_followed():
+    share = [0.0, 0.016, 0.1035, 0.2752, 0.5, 0.7248, 0.8965, 0.984, 1.0]
+    position = {"x": [0.12 * x for x in share], "z": [0.12 * x for x in share]}
+    table = {
+        "time_s": np.linspace(0, 0.2, 9).tolist(),
+        "position_m": position,
+        "position_deg": {"t": [8 * x for x in share]},
+    }
+    plan = linkplan.plan(linkplan.Problem.track(loaded(hung_plate()), reference=table))
+    assert plan.status == "optimal", plan.message
 
 
 def test_cables_that_pull_a_point_to_both_sides_give_it_two_loops():

@@ -43,6 +43,22 @@ def hung_point(least: float = 5.0, most: float = 100.0, mass: float = 4.0, corne
     )
 
 
+def hung_plate() -> str:
+    """Return a plate that moves in the x-z plane and turns, between five cables of 4 to 150 N."""
+    ends = [((-1.5, 2), (-0.2, -0.1)), ((1.5, 2), (0.2, -0.1)), ((-1.5, 0), (-0.2, 0.1)), ((1.5, 0), (0.2, 0.1))]
+    ends.append(((0, 2.2), (0, 0.1)))
+    fixed = "".join(f'<site name="s{k}" pos="{x} 0 {z}"/>' for k, ((x, z), _) in enumerate(ends))
+    moved = "".join(f'<site name="p{k}" pos="{x} 0 {z}"/>' for k, (_, (x, z)) in enumerate(ends))
+    joints = '<joint name="x" type="slide" axis="1 0 0"/><joint name="z" type="slide"/><joint name="t" axis="0 -1 0"/>'
+    body = f'<body pos="0 0 1">{joints}<geom type="box" size="0.2 0.05 0.1" mass="6"/>{moved}</body>'
+    cables = "".join(f'<spatial name="c{k}"><site site="s{k}"/><site site="p{k}"/></spatial>' for k in range(5))
+    winches = "".join(f'<motor name="w{k}" tendon="c{k}" gear="-1" ctrlrange="4 150"/>' for k in range(5))
+    return (
+        f"{_HEAD.format(name='plate')}{fixed}{body}</worldbody><tendon>{cables}</tendon>"
+        f"<actuator>{winches}</actuator></mujoco>"
+    )
+
+
 def least_holding_efforts(mechanism: Mechanism, pose: np.ndarray, limit: np.ndarray) -> np.ndarray | None:
     """Return the efforts (n_u,) of least norm within limits that hold a pose (n_q,), by trying every active set."""
     still = np.zeros((1, mechanism.dof))
