@@ -23,7 +23,18 @@ from linkplan.planner.trajectory import Trajectory
 # The order of their rows in a program, by their keys; other kinds follow. A diagnosis removes limits in the same order, with
 # the first two last, to find the one that forbids a motion.
 _ORDER = (
-    *("effort", "position", "robust", "jerk", "site_jerk", "site_acceleration", "acceleration", "speed", "power"),
+    *(
+        "effort",
+        "position",
+        "robust",
+        "jerk",
+        "site_jerk",
+        "site_acceleration",
+        "acceleration",
+        "speed",
+        "site_speed",
+        "power",
+    ),
     *("closure_force", "motor", "control", "effort_rate", "singular_margin", "tendon", "ball", "site", "path", "body"),
 )
 
@@ -91,7 +102,8 @@ def effort_bounds(problem: Problem, speeds: np.ndarray | None = None) -> np.ndar
     """
     asked = [one for one in all_effort_bounds(problem) if (one.constant if speeds is None else not one.of_length)]
     low, high = zip(*(np.broadcast_arrays(*one.at(speeds, None)) for one in asked), strict=True)
-    return np.stack([functools.reduce(np.maximum, low), functools.reduce(np.minimum, high)], axis=-1)
+    bounds = np.stack([functools.reduce(np.maximum, low), functools.reduce(np.minimum, high)], axis=-1)
+    return bounds if speeds is None else np.broadcast_to(bounds, (*np.shape(speeds), 2))
 
 
 def are_efforts_bounded(problem: Problem) -> bool:

@@ -1,4 +1,4 @@
-"""Limits on the accelerations and jerks of joints and sites.
+"""Limits on the accelerations and jerks of joints, and on the speeds, accelerations and jerks of sites.
 
 Those of independent joints are polynomials of the program, whose coefficients are bounded at every instant. Those of
 dependent joints and of sites are functions of the independent joints' motion. They are bounded at nodes, and at open ends if
@@ -125,6 +125,58 @@ class JerkLimit(Limit):
 
 
 @dataclass(frozen=True, slots=True)
+class SiteSpeedLimit(Limit):
+    """The speed of one site, by its size; `site` is its index in the model."""
+
+    key: ClassVar[str] = "site_speed"
+    facts: ClassVar[LimitFacts] = LimitFacts(
+        kind=key,
+        words="the speed of site {}",
+        tightened=Tightened.SQUARED,
+        enclosable=True,
+        in_phase_plane=True,
+        followed_with=1,
+    )
+    item: int
+    site: int
+    enclosed: bool = False
+
+    @classmethod
+    def of(cls, problem: Problem, *, enclosed: bool = False, **_: bool) -> list[Self]:
+        sites = [problem.mechanism.model.site(name).id for name in problem.limits.site_speed]
+        return [cls(item, site, enclosed) for item, site in enumerate(sites)]
+
+    @property
+    def rows(self) -> Rows:
+        rows = rows_at_nodes(self, lambda at, share: at.site_velocities[:, self.site] * share, n_values=3)
+        return _shares_of_largest(self, rows)
+
+    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
+        return -np.inf, 1.0
+
+    def measured(self, at: Samples) -> Measured:
+        name, most = _limit(self, at.problem)
+        values = sampled(site_motion(at.problem.mechanism, 1), at.q, at.v, at.a)[:, :, self.site]
+        return Measured(name, np.linalg.norm(values, axis=1), (-np.inf, most), "m/s")
+
+    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
+        at, symbols = free_instant(problem.mechanism)
+        yield _claim_of_site(self, problem, "speed", "m2/s2", symbols[:4], at.site_velocities)
+
+    def affine(self, problem: Problem) -> Affine:
+        motion, most = site_motion(problem.mechanism, 1), _limit(self, problem)[1]
+
+        def along(q: np.ndarray, v: np.ndarray, a: np.ndarray, _: np.ndarray) -> np.ndarray:
+            """Return the speed, which changes its sign between successive poses where the site turns back: no kink."""
+            velocity = sampled(motion, q, v, a)[:, :, self.site]
+            back = np.einsum("ki,ki->k", velocity[1:], velocity[:-1]) < 0
+            sign = np.cumprod(np.append(1.0, np.where(back, -1.0, 1.0)))
+            return (sign * np.linalg.norm(velocity, axis=1))[:, None]
+
+        return Affine(along, (-most, most), of_speed=True)
+
+
+@dataclass(frozen=True, slots=True)
 class SiteAccelerationLimit(Limit):
     """The acceleration of one site, by its size; `site` is its index in the model, `jumps` as of `AccelerationLimit`."""
 
@@ -215,18 +267,23 @@ def _facts_of_joint(key: str, column: int | None, *, jumps: bool) -> LimitFacts:
     return LimitFacts(kind=key, words=words, enclosable=True, jumps_with_effort=jumps)
 
 
-def _limit(limit: SiteAccelerationLimit | SiteJerkLimit, problem: Problem) -> tuple[str, float]:
-    """Return the site's name and its largest acceleration or jerk [SI]."""
+def _limit(limit: SiteSpeedLimit | SiteAccelerationLimit | SiteJerkLimit, problem: Problem) -> tuple[str, float]:
+    """Return the site's name and its largest speed, acceleration or jerk [SI]."""
     return list(getattr(problem.limits, limit.key).items())[limit.item]
 
 
-def _shares_of_largest(limit: SiteAccelerationLimit | SiteJerkLimit, rows: Rows) -> Rows:
-    """Return rows with their parameter: one over the site's largest acceleration or jerk."""
+def _shares_of_largest(limit: SiteSpeedLimit | SiteAccelerationLimit | SiteJerkLimit, rows: Rows) -> Rows:
+    """Return rows with their parameter: one over the site's largest value."""
     return replace(rows, n_numbers=1, numbers=lambda problem: (1.0 / _limit(limit, problem)[1],))
 
 
 def _claim_of_site(
-    limit: SiteAccelerationLimit | SiteJerkLimit, problem: Problem, what: str, unit: str, inputs: list[ca.SX], of: ca.SX
+    limit: SiteSpeedLimit | SiteAccelerationLimit | SiteJerkLimit,
+    problem: Problem,
+    what: str,
+    unit: str,
+    inputs: list[ca.SX],
+    of: ca.SX,
 ) -> Claimed:
     """Return the claim on a column of vectors (3, n_sites) of a `free_instant` with some inputs."""
     (name, most), squared = _limit(limit, problem), ca.densify(ca.sumsqr(of[:, limit.site]))

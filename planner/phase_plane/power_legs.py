@@ -27,7 +27,7 @@ from linkplan.planner.problem.problem import Problem
 
 # The integration's relative tolerance, and its absolute one as a share of the way and of the largest speed: a bang arc from
 # rest may end at a 30,000th of that.
-_INTEGRATION_RTOL, _INTEGRATION_ATOL = 1e-10, 1e-14
+_INTEGRATION_RTOL, _INTEGRATION_ATOL = 1e-12, 1e-14
 # Speeds that differ by at most this share are the same.
 _SAME_SPEED = 1e-9
 # The limits held on the velocity curve where the room for efforts vanishes: no motion follows it.

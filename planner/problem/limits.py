@@ -37,7 +37,7 @@ class Limits(LimitValues):
     square and cube] of all joints; `effort_rate` (n_u, 2) [N.m/s or N/s]; `initial_effort` (n_u, 2), before the start;
     `power` (n_u, 2) [W], mechanical, of each actuator; `closure_force` (n_closures,) [N], the largest force of each
     closure; `singular_margin`, the least |det J_z| relative to home; `site`, the `SiteLimit`s [m]; `body`, the `BodyLimit`s
-    [rad]; `site_acceleration` and `site_jerk`, the largest by site [m/s2, m/s3].
+    [rad]; `site_speed`, `site_acceleration` and `site_jerk`, the largest by site [m/s, m/s2, m/s3].
     `effort` is the limit for plans, that of the actuators reduced by `reserve` (see `within_reserve`).
     """
 

@@ -174,6 +174,7 @@ Efforts = Annotated[dict[str, Interval], Meta(extra=_ACTUATORS | {"of": "actuato
 ActuatorEfforts = Annotated[dict[str, Number], Meta(extra=_ACTUATORS)]
 ActuatorLimits = Annotated[dict[str, Positive | Interval], Meta(extra=_ACTUATORS)]
 ClosureLimits = Annotated[dict[str, Positive], Meta(extra={"of": "closure = newtons", "noun": "closure"})]
+SiteSpeeds = Annotated[dict[str, Positive], Meta(extra={"of": "site = metres per second", "noun": "site"})]
 SiteAccelerations = Annotated[dict[str, Positive], Meta(extra={"of": "site = metres per second squared", "noun": "site"})]
 SiteJerks = Annotated[dict[str, Positive], Meta(extra={"of": "site = metres per second cubed", "noun": "site"})]
 Force = Annotated[list[Number], Meta(min_length=3, max_length=3, extra={"said": "[x, y, z] in newtons", "numbered": True})]

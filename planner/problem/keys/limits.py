@@ -82,6 +82,9 @@ class LimitValues:
     jerk: Annotated[Rows, KeyOf("jerk_deg_s3", "joint", kinds.Speeds, f"hinges' jerk, {_ALL}; {_NO_JUMPS}", "deg/s3")] = (
         UNLIMITED
     )
+    site_speed: Annotated[
+        ByName, KeyOf("site_speed_m_s", "site", kinds.SiteSpeeds, "the largest speed of a site, such as a feed rate", "m/s")
+    ] = UNLIMITED
     site_acceleration: Annotated[
         ByName,
         KeyOf("site_acceleration_m_s2", "site", kinds.SiteAccelerations, "the largest acceleration of a site", "m/s2"),
