@@ -22,6 +22,8 @@ from linkplan.planner.files.structs import read_value
 MAX_RECORD_BYTES = 8_000_000
 Record = TypeVar("Record")
 MANIFEST = ".linkplan.json"
+# Files that desktops write into every folder that they show.
+_OF_DESKTOPS = (".DS_Store", "Thumbs.db", "desktop.ini")
 
 
 def read_record(path: Path, kind: type[Record], max_bytes: int = MAX_RECORD_BYTES) -> Record:
@@ -116,7 +118,7 @@ def identity_at(folder: Path) -> str | None:
 
 def foreign_file(folder: Path, manifest: Manifest) -> str | None:
     """Return the first file of a result's folder that linkplan did not write or that has changed since, or None."""
-    names = (name for name in files_in(folder) if name != MANIFEST)
+    names = (name for name in files_in(folder) if name != MANIFEST and Path(name).name not in _OF_DESKTOPS)
     return next((name for name in names if _hash(folder / name) != manifest.files.get(name, "")), None)
 
 

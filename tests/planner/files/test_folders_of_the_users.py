@@ -88,8 +88,10 @@ def test_a_result_with_a_file_of_the_users_is_refused_by_that_file(case, tmp_pat
     assert not list(tmp_path.glob(".linkplan-*"))
 
 
-def test_a_file_that_the_user_has_deleted_is_no_reason_to_refuse(place):
+def test_files_that_are_deleted_or_written_by_a_desktop_are_no_reason_to_refuse(place):
     (place / "case" / "plan.json").unlink()
+    for name in (".DS_Store", "case/Thumbs.db"):
+        added(name)(place)
     write_whole(place, result("new"))
     assert (place / "case" / "plan.json").read_text() == "new"
 
