@@ -95,10 +95,10 @@ def _labels(drawing: Drawing, poses: np.ndarray, places: Mapping[str, np.ndarray
     """Return the names of joints, cut pins and named sites with their positions; a name appears once at each place."""
     mechanism = drawing.mechanism
     named = [(name, at @ drawing.frame.T) for name, at in named_pins(mechanism, poses)]
-    found: dict[tuple, tuple[str, list]] = {}
+    labels: dict[tuple, tuple[str, list]] = {}
     for name, at in (*named, *places.items()):
-        found.setdefault((name, *np.round(at[0] / mechanism.extent_m, 4)), (name, rounded(at)))
-    return list(found.values())
+        labels.setdefault((name, *np.round(at[0] / mechanism.extent_m, 4)), (name, rounded(at)))
+    return list(labels.values())
 
 
 def drives_of(
@@ -122,10 +122,10 @@ def drives_of(
         mujoco.mj_tendon(mechanism.model, data)
         for j, actuator in enumerate(mechanism.actuators):
             places[j].append(effort_marks(mechanism.model, data, actuator))
-    found = []
+    drives = []
     for j, actuator in enumerate(mechanism.actuators):
         ends = mechanism.effort_limit[j] if limit is None else limit[j]
-        found.append(
+        drives.append(
             Drive(
                 name=actuator.name,
                 unit=actuator.unit,
@@ -134,7 +134,7 @@ def drives_of(
                 limits=(_finite(ends[0]), _finite(ends[1])),
             )
         )
-    return found
+    return drives
 
 
 def _finite(end: float) -> float | None:

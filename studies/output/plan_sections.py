@@ -174,14 +174,14 @@ def robust_section(plan: Plan, motion: Samples, group: str, period: float | None
     if not corners and not reserve:
         return None
     price = saved_price(plan)
-    said = "unknown, because the plan was saved without it" if price is None else price.sentence()
-    blocks: list[Block] = [Facts(rows=_facts(plan)), Text(text=f"{said[:1].upper()}{said[1:]}.")]
+    text = "unknown, because the plan was saved without it" if price is None else price.sentence()
+    blocks: list[Block] = [Facts(rows=_reserve_facts(plan)), Text(text=f"{text[:1].upper()}{text[1:]}.")]
     if corners:
-        blocks += [_table(plan), *_efforts(plan, motion, group, period)]
+        blocks += [_corner_table(plan), *_corner_efforts(plan, motion, group, period)]
     return Section(title="Reserve and corners", blocks=blocks, depth=2)
 
 
-def _facts(plan: Plan) -> list[tuple[str, str]]:
+def _reserve_facts(plan: Plan) -> list[tuple[str, str]]:
     problem, robust = plan.problem, plan.problem.robust
     joints = {joint.name: joint for joint in problem.mechanism.joints}
     rows = []
@@ -206,7 +206,7 @@ def _facts(plan: Plan) -> list[tuple[str, str]]:
     return rows
 
 
-def _table(plan: Plan) -> Table:
+def _corner_table(plan: Plan) -> Table:
     """Return the table of corners, each with its effort nearest to a limit, from the certificate."""
     problem, n_u = plan.problem, plan.problem.mechanism.n_u
     rows = []
@@ -222,11 +222,11 @@ def _table(plan: Plan) -> Table:
     return Table(title="Corners of the ranges, each certified between the nodes", columns=[*heads, ("at", "s")], rows=rows)
 
 
-def _efforts(plan: Plan, motion: Samples, group: str, period: float | None) -> list[Plot]:
+def _corner_efforts(plan: Plan, motion: Samples, group: str, period: float | None) -> list[Plot]:
     """Return the plots of the effort of each actuator, for every corner and the nominal model."""
     problem, mechanism = plan.problem, plan.problem.mechanism
     corners = problem.robust.corners
-    found = []
+    drawn = []
     for j, actuator in enumerate(mechanism.actuators):
         bounds = tuple(effort_bounds(problem)[j])
         needed, unit = motion.u[:, j], actuator.unit
@@ -236,5 +236,5 @@ def _efforts(plan: Plan, motion: Samples, group: str, period: float | None) -> l
             for item, corner in enumerate(corners)
         ]
         title = f"Effort of {actuator.name} that each machine needs for the motion"
-        found += plots(title, "effort", TIME, motion.time, [*lines, nominal], group=group, period=period)
-    return found
+        drawn += plots(title, "effort", TIME, motion.time, [*lines, nominal], group=group, period=period)
+    return drawn

@@ -274,8 +274,8 @@ def distributions(
     results: Mapping[str, np.ndarray], trackers: Sequence[str], names: Sequence[str], metrics: Mapping[str, Metric]
 ) -> list[Plot]:
     """Return the distributions of metrics, without metrics that have the same value on all machines."""
-    found = [_distribution(results, trackers, name, metrics[name]) for name in names]
-    return [plot for plot in found if plot is not None]
+    drawn = [_distribution(results, trackers, name, metrics[name]) for name in names]
+    return [plot for plot in drawn if plot is not None]
 
 
 def _distribution(results: Mapping[str, np.ndarray], trackers: Sequence[str], name: str, metric: Metric) -> Plot | None:

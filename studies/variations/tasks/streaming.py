@@ -3,8 +3,12 @@
 import concurrent.futures
 import contextlib
 import os
+import socket
+import sys
+import threading
 import time
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -12,11 +16,12 @@ from linkplan.models.deadline import check
 from linkplan.models.errors import LinkplanError
 from linkplan.planner.plan.folder import versions
 from linkplan.studies.variations.tasks.engine import Engine, Pool, Say
-from linkplan.studies.variations.tasks.site import Refused, at_site
 from linkplan.studies.variations.tasks.unfinished import done
 
 # After more losses of workers, the cause is assumed to be permanent.
 _MOST_DEATHS = 3
+# A worker of a cluster may run tasks in several threads, which would share CasADi's functions and the working folder.
+_ONE_TASK_LOCK = threading.Lock()
 
 Result = TypeVar("Result")
 
@@ -127,3 +132,51 @@ def _span(seconds: float) -> str:
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 90 * 60 else f"{seconds / 3600:.1f} h"
+
+
+@dataclass(frozen=True, slots=True)
+class Refused:
+    """The text of the error of a task, because not every error can be sent from one process to another."""
+
+    text: str
+
+
+def at_site(folder: str, expected: Mapping[str, str], work: Callable, *arguments: object) -> object:
+    """Return the result of `work` in a folder, or its error as `Refused`; `expected` are the versions that it needs."""
+    try:
+        with _ONE_TASK_LOCK, _in_folder(folder):
+            _refuse_other_versions(expected)
+            return work(*arguments)
+    except LinkplanError as error:
+        return Refused(str(error))
+
+
+def _refuse_other_versions(expected: Mapping[str, str]) -> None:
+    mine = versions()
+    others = [f"{name} {mine.get(name)}, here {version}" for name, version in expected.items() if mine.get(name) != version]
+    if others:
+        raise LinkplanError(
+            f"a worker on {socket.gethostname()} has {others[0]}; install the same version there, because results could"
+            " differ"
+        )
+
+
+@contextlib.contextmanager
+def _in_folder(folder: str) -> Iterator[None]:
+    """Change to a folder and import modules from it, too."""
+    before = os.getcwd()
+    if folder == before:
+        yield
+        return
+    try:
+        os.chdir(folder)
+    except OSError as error:
+        raise LinkplanError(
+            f"a worker on {socket.gethostname()} does not see '{folder}': all workers share the disk that a command runs on"
+        ) from error
+    sys.path.insert(0, folder)
+    try:
+        yield
+    finally:
+        sys.path.remove(folder)
+        os.chdir(before)

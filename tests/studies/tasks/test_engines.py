@@ -22,8 +22,7 @@ from linkplan.studies.variations.tasks import cluster as dask_cluster
 from linkplan.studies.variations.tasks import streaming
 from linkplan.studies.variations.tasks.cluster import cluster
 from linkplan.studies.variations.tasks.engine import Pool, processes, serial
-from linkplan.studies.variations.tasks.site import Refused, at_site
-from linkplan.studies.variations.tasks.streaming import StreamProgress, complete, streamed
+from linkplan.studies.variations.tasks.streaming import Refused, StreamProgress, at_site, complete, streamed
 from linkplan.studies.variations.tasks.unfinished import PLAN, part, remove, remove_left, working
 from tests.support.batches import same_plans, swept
 from tests.support.plans import optimal
