@@ -240,7 +240,10 @@ def test_a_first_motion_of_a_stewart_platform_keeps_its_ball_joints_ranges():
             mechanism, start_m=dict.fromkeys(slides, 0.0), goal_m=dict.fromkeys(slides, 0.0) | dict.fromkeys(names, 0.02)
         )
 
-    assert "ball joint b0" in obstacle_on_way(lift(["s0"]))
+    obstacle = obstacle_on_way(lift(["s0"]))
+    assert "ball joint b0" in obstacle
+    assert "on the straight path" in obstacle
+    assert "beyond its limit of 3 deg" in obstacle
     assert obstacle_on_way(lift(slides)) is None
 
 

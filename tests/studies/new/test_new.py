@@ -99,6 +99,12 @@ def moved(motion) -> int:
     return int(np.sum(motion.start != motion.goal))
 
 
+def test_every_motion_is_planned_once():
+    ways = [(*motion.start, *motion.goal) for motion in tried_of("optimus-knee")]
+    assert len(ways) > 2
+    assert len(set(ways)) == len(ways)
+
+
 def test_many_driven_joints_are_tried_together_and_one_alone_the_larger_motions_first():
     motions = tried_of(ring(7, 5))
     assert {moved(motion) for motion in motions} == {1, 5}
