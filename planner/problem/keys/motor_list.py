@@ -19,10 +19,21 @@ class CandidateMotor(Motor, frozen=True, kw_only=True):
     name: Annotated[str, _NAME] = required("the name for tables")
     peak_effort: kinds.Positive = key("the largest effort at any instant", "N.m, N", "its stall effort")
     rms_effort: kinds.Positive = key("the largest rms effort over the motion, which its temperature allows", "N.m, N", "any")
+    rated_power_w: kinds.Positive = key(
+        "by which the smallest motor is found", "W", "the rms effort times the speed that the torque-speed line has there"
+    )
     rotor_inertia: kinds.AtLeastZero = key("of its rotor", "kg m2, kg", "0, with a note")
     gears: Annotated[list[kinds.Positive], _GEARS] = key(
         "the gear ratios to try: motor position over joint position", "1, rad/m", "the model's own"
     )
+
+    @property
+    def rated_power(self) -> float | None:
+        """The rated power [W]; None if neither it nor rms effort and torque-speed line are given."""
+        if self.rated_power_w is not None or self.line is None or self.rms_effort is None:
+            return self.rated_power_w
+        stall, no_load = self.line
+        return self.rms_effort * no_load * max(0.0, 1.0 - self.rms_effort / stall)
 
 
 class MotorsFile(Section, frozen=True):

@@ -74,6 +74,7 @@ class SizedMotor(Struct, frozen=True, kw_only=True):
     speed_unit: str
     peak_limit: float
     rms_limit: float | None
+    rated_power_w: float | None
     stall_effort: float | None
     no_load_speed: float | None
     rotor_inertia_after_gear: float
@@ -126,6 +127,7 @@ def sized_motor(
         speed_unit=speed_unit,
         peak_limit=_peak_limit(given, index),
         rms_limit=motor.rms_effort,
+        rated_power_w=motor.rated_power,
         stall_effort=None if line is None else line[0],
         no_load_speed=None if line is None else per_unit * line[1],
         rotor_inertia_after_gear=inertia,

@@ -35,15 +35,16 @@ def size_motors(problem: Problem, index: int, motors: Sequence[CandidateMotor], 
         raise ProblemError(f"at most {MAX_PLANS} motors with gears can be compared; the list has {len(cases)}")
     firsts = [with_motor(problem, index, motor, gears_of(problem, index, motor)[0]) for motor in motors]
     free = problem.motion.duration_s is None
-    best: tuple[SizedMotor, Plan] | None = None
+    best: dict[bool, tuple[SizedMotor, Plan]] = {}  # by rated power, and by peak effort
     rows: list[SizedMotor] = []
     for number, (motor, gear) in enumerate(cases):
         say(f"{number + 1} of {len(cases)}: {motor.name}, gear {gear:g}")
         one, plan = sized_motor(problem, index, motor, gear, rest_s, say)
         rows.append(one)
-        if best is None or place_of(one, free=free) < place_of(best[0], free=free):
-            best = one, plan
-    assert best is not None  # never empty: a list has motors, and a motor has gears
+        for by in (True, False):
+            if by not in best or place_of(one, free=free, by_power=by) < place_of(best[by][0], free=free, by_power=by):
+                best[by] = one, plan
+    by_power = all(one.rated_power_w is not None for one in rows if one.does)
     actuator, (_, speed_unit, effort_unit) = problem.mechanism.actuators[index], units_behind(problem, index)
     return Sizing(
         problem=problem.name,
@@ -53,16 +54,22 @@ def size_motors(problem: Problem, index: int, motors: Sequence[CandidateMotor], 
         target_effort_unit=effort_unit,
         free_duration=free,
         rest_s=rest_s,
-        motors=sorted(rows, key=lambda one: place_of(one, free=free)),  # stable: equals stay in the list's order
+        by_power=by_power,
+        motors=sorted(rows, key=lambda one: place_of(one, free=free, by_power=by_power)),  # equals stay in the list's order
         notes=_notes(problem, index, motors, firsts[0]),
-        plan=best[1],
+        plan=best[by_power][1],
     )
 
 
-def place_of(one: SizedMotor, *, free: bool) -> tuple[bool, float, float]:
-    """Return a motor's sort key: motors that suffice first, then by duration if it is free, then by margin."""
+def place_of(one: SizedMotor, *, free: bool, by_power: bool) -> tuple[bool, float, float, float]:
+    """Return a motor's sort key: motors that suffice first, the quickest if the duration is free, else the smallest.
+
+    The smallest has the least rated power if all that suffice have one, or else the least peak effort. Equal ones, and those
+    that do not suffice, are sorted by margin.
+    """
     duration_s = one.duration_s if one.duration_s is not None else np.inf
-    return not one.does, duration_s if free else 0.0, np.inf if one.margin is None else -one.margin
+    sizes = (one.rated_power_w or 0.0 if by_power else 0.0, one.peak_limit) if one.does and not free else (0.0, 0.0)
+    return not one.does, duration_s if free else sizes[0], sizes[1], np.inf if one.margin is None else -one.margin
 
 
 def _notes(problem: Problem, index: int, motors: Sequence[CandidateMotor], first: Problem) -> list[str]:

@@ -21,7 +21,9 @@ _MOST_DRAWN = 4
 
 
 class Sizing(Result, Struct, frozen=True, kw_only=True, eq=False):
-    """The motors of a list on one problem, the best first: by duration if it is free, else by margin.
+    """The motors of a list on one problem, the best first: the quickest if the duration is free, else the smallest.
+
+    Sizes are rated powers if all motors that suffice have one (`by_power`), or else peak efforts.
 
     `plan` is that of the best motor.
     """
@@ -35,6 +37,7 @@ class Sizing(Result, Struct, frozen=True, kw_only=True, eq=False):
     target_effort_unit: str
     free_duration: bool
     rest_s: float
+    by_power: bool
     motors: list[SizedMotor]
     notes: list[str]
     plan: Beside[Plan] = NOT_READ
@@ -83,10 +86,12 @@ def answer(found: Sizing) -> str:
     if not good:
         return f"none of {n} motors with gears suffices for {found.actuator} in {found.problem}; the nearest is {best.title}"
     left = f"with {100 * (best.margin or 0.0):.3g} % of its {best.tightest} left"
-    how = f"in {best.duration_s:.4g} s" if found.free_duration else left
+    size = f"{best.rated_power_w:.4g} W" if found.by_power else f"{best.peak_limit:.4g} {best.effort_unit}"
+    how = f"in {best.duration_s:.4g} s" if found.free_duration else f"{size}, {left}"
     fast = "" if best.speed_up is None else f", up to {_floor(best.speed_up)} times as fast"
+    kind = "best" if found.free_duration else f"the smallest by {'rated power' if found.by_power else 'peak effort'}"
     counted = f"{good} of {n} motors with gears {'suffices' if good == 1 else 'suffice'}"
-    return f"{counted} for {found.actuator} in {found.problem}; best: {best.title}, {how}{fast}"
+    return f"{counted} for {found.actuator} in {found.problem}; {kind}: {best.title}, {how}{fast}"
 
 
 def _floor(factor: float) -> str:
