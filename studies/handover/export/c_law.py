@@ -18,6 +18,9 @@ from linkplan.studies.handover.export.exported import Exported
 from linkplan.studies.handover.export.law_tables import ROW_SHARE, LawTables, arrays_of
 from linkplan.studies.output.document import Block, Text
 
+# Steps of sharing efforts, a constant number in constant time, and their damping: each leaves 0.6 / 1.6 of the error.
+_SHARING_STEPS, _DAMPING = 40, 0.6
+
 
 class LawRecord(Exported, frozen=True, kw_only=True):
     """The record of a plan's control law in C; `instants` are the rows of its tables."""
@@ -106,8 +109,9 @@ def _header(tables: LawTables) -> str:
         f"{_prototype(tables)};",
         "",
         "/* Saturates the effort at the drives' limits. Returns 0, or 1 if an effort was not a number: it is then the",
-        "   limit that is nearest to zero, or zero. */",
-        f"int {prefix}_limited({prefix}_real effort[{n_u}]);",
+        "   limit that is nearest to zero, or zero."
+        + (" */" if tables.maps is None else " What one motor lacks, the others give as far as they can. */"),
+        f"{_limited_prototype(tables)};",
         "",
     ]
     return header_of(prefix, about, declared)
@@ -117,6 +121,11 @@ def _prototype(tables: LawTables) -> str:
     real, (n_u, n_x) = f"{tables.prefix}_real", tables.gains.shape[1:]
     n_s = n_x // 2
     return f"int {tables.prefix}({real} t, const {real} position[{n_s}], const {real} velocity[{n_s}], {real} effort[{n_u}])"
+
+
+def _limited_prototype(tables: LawTables) -> str:
+    real, time = f"{tables.prefix}_real", "" if tables.maps is None else f"{tables.prefix}_real t, "
+    return f"int {tables.prefix}_limited({time}{real} effort[{tables.gains.shape[1]}])"
 
 
 def _source(tables: LawTables) -> str:
@@ -162,16 +171,12 @@ def _law_code(tables: LawTables, real: str) -> str:
     n_u, n_x = tables.gains.shape[1:]
     n_s = n_x // 2
     rows = ("0", "0") if len(tables.gains) == 1 else ("k", "m")
-    period = f"({real}){float(tables.time_s[-1])!r}"
-    wrapped = f"""  periods = MATH(floor)(t / {period});
-  t -= periods * {period};
-""" if tables.periodic else ""  # fmt: skip
     moved = " + periods * advance[i]" if tables.periodic else ""
     return f"""{_prototype(tables)}
 {{
   {real} w, step, error[{n_x}];
 {f"  {real} periods;" + chr(10) if tables.periodic else ""}  int k, m, i, j, failed = !(t == t);
-{wrapped}  if (!(t == t)) {{
+{_wrapped_code(tables, real)}  if (!(t == t)) {{
     failed = 1;
     t = 0;
 {"    periods = 0;" + chr(10) if tables.periodic else ""}  }}
@@ -202,10 +207,77 @@ def _law_code(tables: LawTables, real: str) -> str:
 """
 
 
+def _wrapped_code(tables: LawTables, real: str) -> str:
+    period = f"({real}){float(tables.time_s[-1])!r}"
+    return f"  periods = MATH(floor)(t / {period});\n  t -= periods * {period};\n" if tables.periodic else ""
+
+
+def _shared_code(tables: LawTables, real: str) -> str:
+    """Return the C function by which more actuators than freedoms share efforts, or nothing.
+
+    The nearest u within the limits with R u = R u_0 is clip(u_0 + R^T p), and p (n_s,) maximises a concave function with the
+    gradient R (u_0 - u). Its ascent by the Newton matrix of the motors between their limits plus a share of that of all
+    never overshoots, if the share is above 1/2: all motors' matrix bounds the curvature.
+    """
+    if tables.maps is None:
+        return ""
+    n_u, n_s = tables.maps.shape[1:]
+    return f"""/* Replaces efforts beyond limits by the nearest within them that give the joints the same, at time t. */
+static void share({real} t, {real} effort[{n_u}])
+{{
+  {real} w, step, map[{n_u}][{n_s}], given[{n_u}], wanted[{n_s}], p[{n_s}], size[{n_s}], A[{n_s}][{n_s + 1}];
+{f"  {real} periods;" + chr(10) if tables.periodic else ""}  int k, m, i, j, l, again, beyond = 0;
+  for (j = 0; j < {n_u}; ++j) {{
+    if (!(effort[j] - effort[j] == 0)) return;
+    beyond = beyond || effort[j] < limit[j][0] || effort[j] > limit[j][1];
+  }}
+  if (!beyond) return;
+{_wrapped_code(tables, real)}  k = row_at(t == t ? t : 0, &w, &step);
+  m = w > 0 ? k + 1 : k;
+  for (i = 0; i < {n_s}; ++i) {{
+    wanted[i] = p[i] = 0;
+    for (j = 0; j < {n_u}; ++j) {{
+      map[j][i] = (1 - w) * table_maps[k][{n_s} * j + i] + w * table_maps[m][{n_s} * j + i];
+      wanted[i] += map[j][i] * effort[j];
+    }}
+  }}
+  for (again = 0; again < {_SHARING_STEPS}; ++again) {{
+    for (i = 0; i < {n_s}; ++i) {{
+      for (l = 0; l < {n_s}; ++l) A[i][l] = 0;
+      A[i][{n_s}] = wanted[i];
+    }}
+    for (j = 0; j < {n_u}; ++j) {{
+      given[j] = effort[j];
+      for (i = 0; i < {n_s}; ++i) given[j] += map[j][i] * p[i];
+      beyond = given[j] <= limit[j][0] || given[j] >= limit[j][1];
+      if (given[j] < limit[j][0]) given[j] = limit[j][0];
+      if (given[j] > limit[j][1]) given[j] = limit[j][1];
+      for (i = 0; i < {n_s}; ++i) {{
+        A[i][{n_s}] -= map[j][i] * given[j];
+        for (l = 0; l < {n_s}; ++l) A[i][l] += (({real}){_DAMPING!r} + !beyond) * map[j][i] * map[j][l];
+      }}
+    }}
+    for (i = 0; i < {n_s}; ++i) size[i] = A[i][i];
+    for (i = 0; i < {n_s}; ++i) {{
+      if (!(A[i][i] > ({real})1e-6 * size[i])) continue;
+      for (l = 0; l < {n_s}; ++l) {{
+        const {real} factor = A[l][i] / A[i][i];
+        for (j = i; l != i && j <= {n_s}; ++j) A[l][j] -= factor * A[i][j];
+      }}
+    }}
+    for (i = 0; i < {n_s}; ++i)
+      if (A[i][i] > ({real})1e-6 * size[i]) p[i] += A[i][{n_s}] / A[i][i];
+  }}
+  for (j = 0; j < {n_u}; ++j) effort[j] = given[j];
+}}
+
+"""
+
+
 def _limited_code(tables: LawTables, real: str) -> str:
     """Return the C function that limits efforts to the drives' limits."""
     n_u = tables.gains.shape[1]
-    return f"""int {tables.prefix}_limited({real} effort[{n_u}])
+    return f"""{_shared_code(tables, real)}{_limited_prototype(tables)}
 {{
   int j, failed = 0;
   for (j = 0; j < {n_u}; ++j) {{
@@ -213,6 +285,8 @@ def _limited_code(tables: LawTables, real: str) -> str:
       effort[j] = 0;
       failed = 1;
     }}
+  }}
+{"" if tables.maps is None else "  share(t, effort);" + chr(10)}  for (j = 0; j < {n_u}; ++j) {{
     if (effort[j] < limit[j][0]) effort[j] = limit[j][0];
     if (effort[j] > limit[j][1]) effort[j] = limit[j][1];
   }}

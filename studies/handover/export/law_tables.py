@@ -14,7 +14,7 @@ import numpy as np
 from linkplan.controllers.reference import SampledReference, hermite, sample
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import needed_effort
+from linkplan.models.poses.along import is_redundant, needed_effort, sampled
 from linkplan.models.poses.assembly import follow
 from linkplan.planner.plan.plan import Plan
 from linkplan.planner.problem.limits import Limits
@@ -34,7 +34,8 @@ class LawTables:
 
     `position` and `velocity` (n + 2, n_s), `feedforward` (n + 2, n_u) and `gains` (n + 2 or 1, n_u, 2 n_s) have a row of the
     held start before the others and one of the held goal after them; one gain stands for all rows if it is constant. A
-    `periodic` motion has no held rows (n, ...), repeats, and moves on by `advance` (n_s,) [rad] in each period.
+    `periodic` motion has no held rows (n, ...), repeats, and moves on by `advance` (n_s,) [rad] in each period. `maps`
+    (n + 2, n_u, n_s), the transposes of Gamma^T B, are for actuators that share efforts, or None.
     """
 
     prefix: str
@@ -50,6 +51,7 @@ class LawTables:
     velocity: np.ndarray
     feedforward: np.ndarray
     gains: np.ndarray
+    maps: np.ndarray | None
 
     @property
     def held(self) -> int:
@@ -131,6 +133,7 @@ def law_tables(plan: Plan, tracker: str, tolerance: float = 0.0) -> LawTables:
         velocity=rows.velocity_rad_s,
         feedforward=rows.effort if law.feedforward else np.zeros_like(rows.effort),
         gains=gains,
+        maps=sampled(mechanism.dynamics.effort_map, rows.pose_rad).transpose(0, 2, 1) if is_redundant(mechanism) else None,
     )
     tables = _thinned(tables, tolerance, np.abs(rows.effort).max(axis=0)) if tolerance > 0 else tables
     numbers = sum(x.size for x in arrays_of(tables).values())
@@ -143,8 +146,9 @@ def law_tables(plan: Plan, tracker: str, tolerance: float = 0.0) -> LawTables:
 
 
 def arrays_of(tables: LawTables) -> Mapping[str, np.ndarray]:
-    """Return the tables by name, gains row by row."""
-    return {
+    """Return the tables by name, gains and maps row by row."""
+    maps = {} if tables.maps is None else {"maps": tables.maps.reshape(len(tables.maps), -1)}
+    return maps | {
         "time": tables.time_s,
         "position": tables.position,
         "velocity": tables.velocity,
@@ -222,6 +226,7 @@ def _thinned(tables: LawTables, tolerance: float, size: np.ndarray) -> LawTables
         velocity=tables.velocity[rows],
         feedforward=tables.feedforward[rows],
         gains=tables.gains if len(tables.gains) == 1 else tables.gains[rows],
+        maps=None if tables.maps is None else tables.maps[rows],
     )
 
 

@@ -11,6 +11,7 @@ import pytest
 
 import linkplan
 from linkplan.cli.main import main
+from linkplan.models.actuation.distribution import distribute
 from linkplan.models.errors import ProblemError
 from linkplan.models.poses.along import needed_effort
 from linkplan.models.poses.assembly import follow
@@ -22,6 +23,7 @@ from linkplan.studies.handover.export.c_law import write_law
 from linkplan.studies.handover.export.law_tables import LawTables, law_tables
 from tests.support.compiled import library, needs_gcc
 from tests.support.plans import optimal
+from tests.support.redundant import hung_point
 
 # The law's sum in another order than the tracker's, relative to the largest effort. Measured 2e-16.
 LAW_ROUNDING = 1e-12
@@ -245,3 +247,32 @@ def test_a_plan_without_a_motion_has_no_law(tmp_path, capsys):
     assert main(words) == 1
     assert "infeasible" in capsys.readouterr().out
     assert not (tmp_path / "law").exists()
+
+
+@needs_gcc
+def test_more_motors_than_freedoms_share_their_efforts_within_limits_in_c():
+    """Efforts of the law beyond the limits become those of the simulated drives."""
+    table = {"time_s": [0.0, 0.3, 0.6], "position_m": {"x": [-0.2, 0.0, 0.2], "z": [0.0, 0.1, 0.0]}}
+    plan = plan_motion(Problem.track(linkplan.load_mechanism(hung_point()), reference=table))
+    tables, folder = law_tables(plan, "pd+ff"), Path(tempfile.mkdtemp())
+    write_law(tables, folder, "a plan", compiled=False)
+    limited = getattr(library(folder, tables.prefix), f"{tables.prefix}_limited")
+    limited.argtypes = [ctypes.c_double, ctypes.c_void_p]
+    random, limit = np.random.default_rng(5), plan.problem.mechanism.effort_limit
+    beyond, off, lacking = 0, [], []
+    for k in random.integers(0, len(tables.time_s), 300):
+        arms = tables.maps[tables.held + k].T
+        command = random.uniform(*limit.T) + (np.eye(4) - np.linalg.pinv(arms) @ arms) @ random.normal(0, 60, 4)
+        (wanted,) = distribute((arms @ command)[None], arms[None], limit, command)
+        effort = command.copy()
+        assert limited(tables.time_s[k], effort.ctypes.data) == 0
+        assert np.all((effort >= limit[:, 0]) & (effort <= limit[:, 1]))
+        off.append(np.abs(effort - wanted).max())
+        lacking.append(np.abs(arms @ (effort - command)).max())
+        beyond += bool(np.any((command < limit[:, 0]) | (command > limit[:, 1])))
+    assert beyond > 150
+    assert np.quantile(off, 0.9) < 1e-5
+    assert max(lacking) < 0.03 * limit.max()  # slow where a single motor is left between its limits
+    effort[:] = [np.nan, 1e9, -1e9, np.inf]
+    assert limited(0.0, effort.ctypes.data) == 1
+    assert effort.tolist() == [5.0, 100.0, 5.0, 100.0]
