@@ -19,10 +19,10 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from linkplan.models.actuation.distribution import UNLIMITED, distribute
+from linkplan.models.actuation.distribution import UNLIMITED, actuator_sizes, distribute
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
-from linkplan.models.poses.along import joint_acceleration, joint_jerk, sampled, site_derivative
+from linkplan.models.poses.along import is_redundant, joint_acceleration, joint_jerk, sampled, site_derivative
 from linkplan.models.poses.assembly import close_at
 from linkplan.models.reduction.reduced import ReducedDynamics
 from linkplan.models.tree.joints import unit_steps
@@ -146,7 +146,8 @@ def corner_efforts_along(mechanism: Mechanism, corners: tuple[Corner, ...], q, v
     `forces` are those of `Mechanism.forces_at`.
     """
     taus, maps = corner_demands_along(mechanism, corners, q, v, a, *forces), sampled(mechanism.dynamics.effort_map, q)
-    return np.stack([distribute(taus[:, k], maps, UNLIMITED, u) for k in range(len(corners))], axis=1)
+    size = actuator_sizes(mechanism.effort_limit)
+    return np.stack([size * distribute(taus[:, k], maps * size, UNLIMITED, u / size) for k in range(len(corners))], axis=1)
 
 
 def corner_demands_along(mechanism: Mechanism, corners: tuple[Corner, ...], q, v, a, *forces: np.ndarray) -> np.ndarray:
@@ -325,18 +326,21 @@ class Instant:
         """Return the efforts (n_u,) that the motion needs at each corner of the ranges in [robust].
 
         With more actuators than degrees of freedom, many efforts give one motion. A corner then needs the plan's efforts
-        plus the least efforts that compensate the difference, u_c = u + (Gamma^T B)^+ (tau_c / k - Gamma^T B u). With
-        fewer actuators, the corner must differ only by what actuators can compensate: friction at driven joints and the
-        torque constant (`corner_out_of_reach`). The same expression gives these efforts, since (Gamma^T B)^+ Gamma^T B = 1.
+        plus the least efforts, in units S of the limits, that compensate the difference: u_c = u + S (R S)^+ (tau_c / k -
+        R u) with R = Gamma^T B. With fewer actuators, the corner must differ only by what actuators can compensate:
+        friction at driven joints and the torque constant (`corner_out_of_reach`). The same expression gives these efforts,
+        since (R S)^+ R S = 1.
         """
         key = tuple(corners)
         if key not in self._kept:
             effort_map, found = self.call("effort_map", self.q), []
             for corner, tau in zip(key, _needed(self, key), strict=True):
-                if self.mechanism.n_u == self.mechanism.dof:
+                if self.mechanism.n_u == self.mechanism.dof and not is_redundant(self.mechanism):
                     found.append(ca.solve(effort_map, tau) / corner.torque_factor)
                 else:
-                    found.append(self.u + ca.pinv(effort_map) @ (tau / corner.torque_factor - effort_map @ self.u))
+                    size = ca.diag(ca.DM(actuator_sizes(self.mechanism.effort_limit)))
+                    added = ca.pinv(effort_map @ size) @ (tau / corner.torque_factor - effort_map @ self.u)
+                    found.append(self.u + size @ added)
             self._kept[key] = found
         return self._kept[key]
 

@@ -8,6 +8,7 @@ from math import comb
 import numpy as np
 from flint import arb, arb_poly, arb_series
 
+from linkplan.models.actuation.distribution import actuator_sizes
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.planner.limits.samples import Leverage
 from linkplan.planner.problem.instant import Corner
@@ -120,7 +121,8 @@ class Kinetics:
         """Return the efforts (n_u,) of the actuators by inverse dynamics.
 
         If the numbers of actuators and of degrees of freedom differ, they are the planned efforts plus the least efforts
-        that compensate the difference: u + P^+ (tau - P u). With a `leverage` they are the planned efforts at a dead centre.
+        that compensate the difference, for a corner in units of the limits S: u + S (P S)^+ (tau - P u). With a `leverage`
+        they are the planned efforts at a dead centre.
 
         Raises:
             NotSeparatedError: if a box is partly at a dead centre.
@@ -140,10 +142,13 @@ class Kinetics:
         if n_s == n_u == len(rows) == len(columns):
             (found,) = solve_enclosed(P, [tau])
             return [x / factor for x in found]
-        left = self._left(corner)
-        P = {(rows.index(i), columns.index(k)): x for (i, k), x in P.items()}
+        left, size = (
+            self._left(corner),
+            np.ones(n_u) if corner is None else actuator_sizes(state.blocks.mechanism.effort_limit),
+        )
+        P = {(rows.index(i), columns.index(k)): x * float(size[k]) for (i, k), x in P.items()}
         added = dict(zip(columns, _least(P, [left[i] for i in rows], len(columns)), strict=True))
-        return [u + added[k] if k in added else u for k, u in enumerate(state.u)]
+        return [u + added[k] * float(size[k]) if k in added else u for k, u in enumerate(state.u)]
 
     @cached_property
     def residual(self) -> list[Ball]:

@@ -218,3 +218,17 @@ def test_new_plans_a_first_motion_within_the_limits_of_the_model():
     found = linkplan.new(antagonist())
     assert found.plan.passed
     assert "effort" not in found.struct.tables.get("limits", {})
+
+
+def test_machines_of_robust_share_efforts_in_units_of_the_motors_limits():
+    """A small motor beside a strong one takes a small share of what weaker torque constants need: as one motor of both."""
+    least = [
+        linkplan.plan(
+            linkplan.Problem.reach(
+                loaded(two_motors(*limits)), **(SWING | {"duration_s": "free"}), minimize="time",
+                robust={"torque_constant_factor": [0.8, 1.2]},
+            )
+        ).duration_s
+        for limits in ((20.0, 0.5), (20.5,))
+    ]  # fmt: skip
+    assert least[0] == pytest.approx(least[1], rel=1e-6)
