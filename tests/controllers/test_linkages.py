@@ -148,10 +148,10 @@ def test_a_pose_is_closed_on_the_branch_of_one_far_away(by):
 @pytest.mark.parametrize(("gap_m", "measured"), [(3e-7, True), (3e-6, False)])
 def test_computed_torque_answers_for_the_reference_s_pose_where_the_loop_leaves_a_gap(gap_m, measured):
     mechanism, reference = reach()
-    near, s, v, a = (ca.MX.sym(name, n) for name, n in (("near", mechanism.n_q), ("s", 1), ("v", 1), ("a", 1)))
+    near, s, v, a, u = (ca.MX.sym(name, n) for name, n in (("near", mechanism.n_q), ("s", 1), ("v", 1), ("a", 1), ("u", 1)))
     tracker = ComputedTorque(
         reference=reference, acceleration=np.zeros((reference.n, 1)), stiffness=0.0, damping=0.0,
-        law=ca.Function("law", [near, s, v, a], [s, ca.MX(gap_m)]),
+        law=ca.Function("law", [near, s, v, a, u], [s, ca.MX(gap_m)]),
     )  # fmt: skip
     there = reference.position_rad[3] + 0.2
     assert tracker.effort(3, there, reference.velocity_rad_s[3]) == pytest.approx(
