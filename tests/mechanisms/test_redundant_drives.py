@@ -220,6 +220,7 @@ def test_new_plans_a_first_motion_within_the_limits_of_the_model():
     assert "effort" not in found.struct.tables.get("limits", {})
 
 
+@pytest.mark.slow
 def test_machines_of_robust_share_efforts_in_units_of_the_motors_limits():
     """A small motor beside a strong one takes a small share of what weaker torque constants need: as one motor of both."""
     least = [
