@@ -19,7 +19,7 @@ from linkplan.studies.handover.export.law_tables import ROW_SHARE, LawTables, ar
 from linkplan.studies.output.document import Block, Text
 
 # Steps of sharing efforts, a constant number in constant time, and their damping: each leaves 0.6 / 1.6 of the error.
-_SHARING_STEPS, _DAMPING = 40, 0.6
+_SHARING_STEPS, _DAMPING_SHARE = 40, 0.6
 
 
 class LawRecord(Exported, frozen=True, kw_only=True):
@@ -254,7 +254,7 @@ static void share({real} t, {real} effort[{n_u}])
       if (given[j] > limit[j][1]) given[j] = limit[j][1];
       for (i = 0; i < {n_s}; ++i) {{
         A[i][{n_s}] -= map[j][i] * given[j];
-        for (l = 0; l < {n_s}; ++l) A[i][l] += (({real}){_DAMPING!r} + !beyond) * map[j][i] * map[j][l];
+        for (l = 0; l < {n_s}; ++l) A[i][l] += (({real}){_DAMPING_SHARE!r} + !beyond) * map[j][i] * map[j][l];
       }}
     }}
     for (i = 0; i < {n_s}; ++i) size[i] = A[i][i];
