@@ -88,9 +88,8 @@ def relaxed_kinds(problem: Problem, *, at_last: bool = False) -> list[type[Limit
 
 
 def all_effort_bounds(problem: Problem) -> tuple[EffortBounds, ...]:
-    """Return the bounds on efforts of all kinds of limits; the first one is constant, with a finite or infinite strength."""
-    every = (kind.effort_bounds(problem) for kind in KINDS)
-    return tuple(sorted((one for one in every if one is not None), key=lambda one: not one.constant))
+    """Return the bounds on efforts of all kinds of limits; those of constant efforts are the first."""
+    return tuple(one for kind in KINDS if (one := kind.effort_bounds(problem)) is not None)
 
 
 def effort_bounds(problem: Problem, speeds: np.ndarray | None = None) -> np.ndarray:
@@ -137,17 +136,16 @@ def kept_at(problem: Problem, q: np.ndarray) -> np.ndarray:
 def narrowed(problem: Problem, share: float) -> Problem:
     """Return a problem in which the limits that motions of the phase plane follow are narrower by a share of their ends."""
     facts = {type(limit): limit.facts for limit in limits_of(problem)}
-    followed = (kind for kind, of in facts.items() if of.followed_with or (of.in_phase_plane and not of.of_position))
-    return functools.reduce(lambda less, kind: narrowed_kind(kind, less, share), followed, problem)
-
-
-def narrowed_kind(kind: type[Limit], problem: Problem, share: float) -> Problem:
-    """Return a problem in which every end of the limits of a kind moves inwards by a share of itself."""
-    rows = getattr(problem.limits, kind.key, None)
-    if not isinstance(rows, np.ndarray) or rows.ndim == 1:
-        return kind.relaxed(problem, 1.0 - share)
-    size = np.where(np.isfinite(rows), np.abs(rows), 0.0)
-    return with_limits(problem, **{kind.key: rows + share * size * np.array([1.0, -1.0])})
+    for kind, of in facts.items():
+        rows = getattr(problem.limits, kind.key, None)
+        if not (of.followed_with or (of.in_phase_plane and not of.of_position)):
+            continue
+        if isinstance(rows, np.ndarray) and rows.ndim > 1:
+            size = np.where(np.isfinite(rows), np.abs(rows), 0.0)
+            problem = with_limits(problem, **{kind.key: rows + share * size * np.array([1.0, -1.0])})
+        else:
+            problem = kind.relaxed(problem, 1.0 - share)
+    return problem
 
 
 def beyond_bounds(problem: Problem, effort: np.ndarray) -> np.ndarray:

@@ -33,6 +33,10 @@ _MOTION_INPUTS = 4
 _NOT_ENCLOSED = "balls do not enclose one of its operations"
 
 
+def _no_limit() -> tuple[str, str]:
+    return "", ""
+
+
 @dataclass(frozen=True, eq=False, slots=True)
 class Claim:
     """low - slack[0] <= f(t) <= high + slack[1] at every instant. Every value of `values` at a state must satisfy it.
@@ -46,7 +50,7 @@ class Claim:
     values: Callable[[State], list[Ball]]
     slack: tuple[float, float] | None = None
     per_unit: float = 1.0
-    of: Callable[[], dict[str, str]] = dict  # gives the key and the part of its limit, if it has one
+    of: Callable[[], tuple[str, str]] = _no_limit  # gives the key and the part of its limit
 
     @property
     def allowed(self) -> tuple[float, float]:
@@ -111,20 +115,17 @@ def finding_of_claim(claim: Claim, record: Record) -> Finding:
         upper = record.refuted.least > high
         value, mark = (record.refuted.least, high) if upper else (record.refuted.greatest, low)
         reason = f"{value * k:.9g} {claim.unit} at t = {record.refuted_at:.9g} s, beyond {mark * k:.9g}"
-        shared = {
-            "answer": "refuted",
-            "margin": -abs(value - mark) * k,
-            "time_s": record.refuted_at,
-            "reason": reason,
-        } | claim.of()
+        answer, margin, when, (limit, part) = "refuted", -abs(value - mark) * k, record.refuted_at, claim.of()
     else:
         upper = high - record.greatest <= record.least - low
         value, mark = (record.greatest, high) if upper else (record.least, low)
         margin, when = min(high - record.greatest, record.least - low) * k, record.greatest_at if upper else record.least_at
         reason = undecided_reason(record.undecided) if record.undecided else ""
-        answer = "undecided" if record.undecided else "proved"
-        shared = {"answer": answer, "margin": margin, "time_s": when, "reason": reason}
-    return Finding(name=claim.name, unit=claim.unit, bound=value * k, mark=mark * k, boxes=record.boxes, **shared)
+        answer, limit, part = "undecided" if record.undecided else "proved", "", ""
+    return Finding(
+        name=claim.name, answer=answer, unit=claim.unit, bound=value * k, mark=mark * k, margin=margin,
+        boxes=record.boxes, time_s=when, reason=reason, limit=limit, part=part,
+    )  # fmt: skip
 
 
 def claims_of(problem: Problem, trajectory: Trajectory) -> tuple[list[Claim], list[Finding]]:
@@ -147,9 +148,9 @@ def claims_of(problem: Problem, trajectory: Trajectory) -> tuple[list[Claim], li
     return claims, open_limits
 
 
-def _part_of(limit: Limit, problem: Problem, trajectory: Trajectory) -> dict[str, str]:
+def _part_of(limit: Limit, problem: Problem, trajectory: Trajectory) -> tuple[str, str]:
     """Return the key of a limit and the name of its part."""
-    return {"limit": limit.key, "part": limit.measured(samples_for_claims(problem, trajectory)).name}
+    return limit.key, limit.measured(samples_for_claims(problem, trajectory)).name
 
 
 def _sort_in(
@@ -157,7 +158,7 @@ def _sort_in(
     problem: Problem,
     claims: list[Claim],
     open_limits: list[Finding],
-    of: Callable[[], dict[str, str]] = dict,
+    of: Callable[[], tuple[str, str]] = _no_limit,
 ) -> None:
     """Add the claim of a limit to the claims. If its value cannot be enclosed, add an undecided finding instead."""
     if one.unknown:

@@ -20,8 +20,7 @@ from linkplan.planner.limits.actuators import (
     clamped_allowance,
 )
 from linkplan.planner.limits.efforts import effort_rates
-from linkplan.planner.limits.joints import SpeedLimit
-from linkplan.planner.limits.kinds import effort_bounds, margins_along, narrowed, narrowed_kind
+from linkplan.planner.limits.kinds import effort_bounds, margins_along, narrowed
 from linkplan.planner.limits.samples import samples_of
 from linkplan.planner.problem.instant import free_instant
 from linkplan.planner.problem.problem import Problem
@@ -234,4 +233,4 @@ def test_a_share_narrows_both_ends_of_every_limit_that_the_phase_plane_follows_a
     np.testing.assert_array_equal(less.limits.position, problem.limits.position)
     assert less.motors[0].line == pytest.approx((2.0, np.radians(150.0)))
     one_sided = problem.varied(limits=replace(problem.limits, speed=np.array([[-np.inf, 2.0]])))
-    np.testing.assert_allclose(narrowed_kind(SpeedLimit, one_sided, 0.5).limits.speed, [[-np.inf, 1.0]])
+    np.testing.assert_allclose(narrowed(one_sided, 0.5).limits.speed, [[-np.inf, 1.0]])
