@@ -100,9 +100,9 @@ def effort_bounds(problem: Problem, speeds: np.ndarray | None = None) -> np.ndar
         speeds: of the actuators (..., n_u) [rad/s or m/s]; without them the bounds are those at any speed, (n_u, 2).
     """
     asked = [one for one in all_effort_bounds(problem) if (one.constant if speeds is None else not one.of_length)]
-    low, high = zip(*(np.broadcast_arrays(*one.at(speeds, None)) for one in asked), strict=True)
-    bounds = np.stack([functools.reduce(np.maximum, low), functools.reduce(np.minimum, high)], axis=-1)
-    return bounds if speeds is None else np.broadcast_to(bounds, (*np.shape(speeds), 2))
+    low, high = zip(*(one.at(speeds, None) for one in asked), strict=True)
+    ends = functools.reduce(np.maximum, low), functools.reduce(np.minimum, high)
+    return np.stack([np.broadcast_to(end, np.shape(end if speeds is None else speeds)) for end in ends], axis=-1)
 
 
 def are_efforts_bounded(problem: Problem) -> bool:

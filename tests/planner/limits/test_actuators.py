@@ -167,6 +167,8 @@ def test_every_limit_of_an_actuator_permits_the_efforts_up_to_those_at_a_speed_a
         within = problem.limits.effort[0, 0] <= effort <= problem.limits.effort[0, 1]
         return bool(within and abs(effort * speed) <= 3.0 and share <= 1.0)
 
+    alone = effort_bounds(body_problem(HINGE, REACH), np.full((3, 1), speed))
+    np.testing.assert_array_equal(alone, np.tile(problem.limits.effort, (3, 1, 1)))
     assert is_permitted(low + 1e-9)
     assert is_permitted(high - 1e-9)
     assert not is_permitted(low - 1e-9)
