@@ -76,7 +76,7 @@ def motion_along(problem: Problem, guess: Guess, breaks_s: np.ndarray) -> Trajec
     velocity = v0 + h * first
     second = np.einsum("pj,jks->pks", bernstein_integral(_REFERENCE_DEGREE + 1), first)
     steps = (np.arange(_REFERENCE_DEGREE + 3) / (_REFERENCE_DEGREE + 2))[:, None, None]
-    efforts, limit = coefficients(effort), problem.limits.effort
+    efforts, limit = coefficients(effort), effort_bounds(problem)
     inside = np.clip(efforts, *limit.T)  # shared efforts rest at limits for whole intervals: interpolation rounds there
     return Trajectory(
         breaks_s=breaks_s,

@@ -40,11 +40,12 @@ _ORDER = (
 
 
 def _kinds() -> Iterator[type[Limit]]:
-    """Yield the classes of limits in this folder's files."""
+    """Yield the public classes of limits in this folder's files."""
     for file in pkgutil.iter_modules(limits.__path__, f"{limits.__name__}."):
         if file.name != __name__:
             for value in vars(importlib.import_module(file.name)).values():
-                if isinstance(value, type) and issubclass(value, Limit) and value.__module__ == file.name and value != Limit:
+                own = isinstance(value, type) and issubclass(value, Limit) and value.__module__ == file.name
+                if own and value is not Limit and not value.__name__.startswith("_"):
                     yield value
 
 

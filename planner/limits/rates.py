@@ -125,46 +125,87 @@ class JerkLimit(Limit):
 
 
 @dataclass(frozen=True, slots=True)
-class SiteSpeedLimit(Limit):
-    """The speed of one site, by its size; `site` is its index in the model."""
+class _SiteLimit(Limit):
+    """The size of a site's speed, acceleration or jerk, its derivative by time of an `order` from 1 to 3.
 
-    key: ClassVar[str] = "site_speed"
-    facts: ClassVar[LimitFacts] = LimitFacts(
-        kind=key,
-        words="the speed of site {}",
-        tightened=Tightened.SQUARED,
-        enclosable=True,
-        in_phase_plane=True,
-        followed_with=1,
-    )
+    `site` is its index in the model. `jumps` is as of `AccelerationLimit`, `moved_by` as of `JerkLimit`.
+    """
+
+    order: ClassVar[int]
     item: int
     site: int
+    jumps: bool = False
+    moved_by: tuple[int, ...] | None = None
     enclosed: bool = False
 
     @classmethod
     def of(cls, problem: Problem, *, enclosed: bool = False, **_: bool) -> list[Self]:
-        sites = [problem.mechanism.model.site(name).id for name in problem.limits.site_speed]
-        return [cls(item, site, enclosed) for item, site in enumerate(sites)]
+        sites = [problem.mechanism.model.site(name).id for name in getattr(problem.limits, cls.key)]
+        moving = [moving_site(problem.mechanism, site) if cls.order == 3 else None for site in sites]
+        jumps = [cls.order == 3 or (cls.order == 2 and not _is_smooth(problem, moving_site, site)) for site in sites]
+        return [cls(*one, enclosed) for one in zip(range(len(sites)), sites, jumps, moving, strict=True)]
+
+    @property
+    def facts(self) -> LimitFacts:
+        followed = 1 if self.order < 3 else 0
+        return LimitFacts(
+            kind=self.key,
+            words=f"the {self.what} of site {{}}",
+            tightened=Tightened.SQUARED,
+            enclosable=True,
+            jumps_with_effort=self.jumps,
+            in_phase_plane=self.order == 1,
+            followed_with=followed,
+        )
+
+    @property
+    def what(self) -> str:
+        """The word for the derivative."""
+        return ("speed", "acceleration", "jerk")[self.order - 1]
+
+    def values(self, at: Instant) -> ca.SX:
+        """Return the derivatives (3, n_sites) of all sites at an instant."""
+        return getattr(at, ("site_velocities", "site_accelerations", "site_jerks")[self.order - 1])
 
     @property
     def rows(self) -> Rows:
-        rows = rows_at_nodes(self, lambda at, share: at.site_velocities[:, self.site] * share, n_values=3)
-        return _shares_of_largest(self, rows)
+        rows = rows_at_nodes(self, lambda at, share: self.values(at)[:, self.site] * share, self.moved_by, n_values=3)
+        return replace(rows, n_numbers=1, numbers=lambda problem: (1.0 / self.most(problem)[1],))
+
+    def most(self, problem: Problem) -> tuple[str, float]:
+        """Return the site's name and its largest speed, acceleration or jerk [SI]."""
+        return list(getattr(problem.limits, self.key).items())[self.item]
 
     def bounds(self, problem: Problem, scales: Scales) -> Bounds:
         return -np.inf, 1.0
 
     def measured(self, at: Samples) -> Measured:
-        name, most = _limit(self, at.problem)
-        values = sampled(site_motion(at.problem.mechanism, 1), at.q, at.v, at.a)[:, :, self.site]
-        return Measured(name, np.linalg.norm(values, axis=1), (-np.inf, most), "m/s")
+        (name, most), mechanism = self.most(at.problem), at.problem.mechanism
+        motion = (at.q, at.v, at.a, *([at.jerk] if self.order == 3 else []))
+        values = np.linalg.norm(sampled(site_motion(mechanism, self.order), *motion)[:, :, self.site], axis=1)
+        if self.order == 3:
+            jumps = at.acceleration_jumps
+            jump = sampled(site_motion(mechanism, 1), at.q, jumps, jumps)[:, :, self.site]
+            values = np.where(np.any(jump, axis=1), np.inf, values)
+        return Measured(name, values, (-np.inf, most), f"m/s{self.order if self.order > 1 else ''}")
 
     def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
         at, symbols = free_instant(problem.mechanism)
-        yield _claim_of_site(self, problem, "speed", "m2/s2", symbols[:4], at.site_velocities)
+        inputs = motion_symbols(at) if self.order == 3 else symbols[:4]
+        (name, most), squared = self.most(problem), ca.densify(ca.sumsqr(self.values(at)[:, self.site]))
+        unit = f"m2/s{2 * self.order}"
+        yield squared_claim(f"{self.what} of site {name}", unit, most, ca.Function(self.key, inputs, [squared]))
+
+
+@dataclass(frozen=True, slots=True)
+class SiteSpeedLimit(_SiteLimit):
+    """The speed of one site."""
+
+    key: ClassVar[str] = "site_speed"
+    order: ClassVar[int] = 1
 
     def affine(self, problem: Problem) -> Affine:
-        motion, most = site_motion(problem.mechanism, 1), _limit(self, problem)[1]
+        motion, most = site_motion(problem.mechanism, 1), self.most(problem)[1]
 
         def along(q: np.ndarray, v: np.ndarray, a: np.ndarray, _: np.ndarray) -> np.ndarray:
             """Return the speed, which changes its sign between successive poses where the site turns back: no kink."""
@@ -177,87 +218,24 @@ class SiteSpeedLimit(Limit):
 
 
 @dataclass(frozen=True, slots=True)
-class SiteAccelerationLimit(Limit):
-    """The acceleration of one site, by its size; `site` is its index in the model, `jumps` as of `AccelerationLimit`."""
+class SiteAccelerationLimit(_SiteLimit):
+    """The acceleration of one site."""
 
     key: ClassVar[str] = "site_acceleration"
-    item: int
-    site: int
-    jumps: bool
-    enclosed: bool = False
-
-    @classmethod
-    def of(cls, problem: Problem, *, enclosed: bool = False, **_: bool) -> list[Self]:
-        sites = [problem.mechanism.model.site(name).id for name in problem.limits.site_acceleration]
-        return [cls(item, site, not _is_smooth(problem, moving_site, site), enclosed) for item, site in enumerate(sites)]
-
-    @property
-    def facts(self) -> LimitFacts:
-        words, squared = "the acceleration of site {}", Tightened.SQUARED
-        jumps = self.jumps
-        return LimitFacts(
-            kind=self.key, words=words, tightened=squared, enclosable=True, jumps_with_effort=jumps, followed_with=1
-        )
-
-    @property
-    def rows(self) -> Rows:
-        rows = rows_at_nodes(self, lambda at, share: at.site_accelerations[:, self.site] * share, n_values=3)
-        return _shares_of_largest(self, rows)
-
-    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
-        return -np.inf, 1.0
-
-    def measured(self, at: Samples) -> Measured:
-        name, most = _limit(self, at.problem)
-        values = sampled(site_motion(at.problem.mechanism, 2), at.q, at.v, at.a)[:, :, self.site]
-        return Measured(name, np.linalg.norm(values, axis=1), (-np.inf, most), "m/s2")
-
-    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
-        at, symbols = free_instant(problem.mechanism)
-        yield _claim_of_site(self, problem, "acceleration", "m2/s4", symbols[:4], at.site_accelerations)
+    order: ClassVar[int] = 2
 
     def affine(self, problem: Problem) -> Affine:
         motion = site_motion(problem.mechanism, 2)
-        bounds = -np.inf, _limit(self, problem)[1]
+        bounds = -np.inf, self.most(problem)[1]
         return Affine(lambda q, v, a, _: sampled(motion, q, v, a)[:, :, self.site], bounds)
 
 
 @dataclass(frozen=True, slots=True)
-class SiteJerkLimit(Limit):
-    """The jerk of one site, by its size; `site` is its index in the model, `moved_by` is described in `JerkLimit`."""
+class SiteJerkLimit(_SiteLimit):
+    """The jerk of one site."""
 
     key: ClassVar[str] = "site_jerk"
-    facts: ClassVar[LimitFacts] = LimitFacts(
-        kind=key, words="the jerk of site {}", tightened=Tightened.SQUARED, enclosable=True, jumps_with_effort=True
-    )
-    item: int
-    site: int
-    moved_by: tuple[int, ...]
-    enclosed: bool = False
-
-    @classmethod
-    def of(cls, problem: Problem, *, enclosed: bool = False, **_: bool) -> list[Self]:
-        sites = [problem.mechanism.model.site(name).id for name in problem.limits.site_jerk]
-        return [cls(item, site, moving_site(problem.mechanism, site), enclosed) for item, site in enumerate(sites)]
-
-    @property
-    def rows(self) -> Rows:
-        rows = rows_at_nodes(self, lambda at, share: at.site_jerks[:, self.site] * share, self.moved_by, n_values=3)
-        return _shares_of_largest(self, rows)
-
-    def bounds(self, problem: Problem, scales: Scales) -> Bounds:
-        return -np.inf, 1.0
-
-    def measured(self, at: Samples) -> Measured:
-        (name, most), mechanism, jumps = _limit(self, at.problem), at.problem.mechanism, at.acceleration_jumps
-        jerk = sampled(site_motion(mechanism, 3), at.q, at.v, at.a, at.jerk)[:, :, self.site]
-        jump = sampled(site_motion(mechanism, 1), at.q, jumps, jumps)[:, :, self.site]
-        values = np.where(np.any(jump, axis=1), np.inf, np.linalg.norm(jerk, axis=1))
-        return Measured(name, values, (-np.inf, most), "m/s3")
-
-    def claims(self, problem: Problem, trajectory: Trajectory) -> Iterator[Claimed]:
-        at, _ = free_instant(problem.mechanism)
-        yield _claim_of_site(self, problem, "jerk", "m2/s6", motion_symbols(at), at.site_jerks)
+    order: ClassVar[int] = 3
 
 
 def _facts_of_joint(key: str, column: int | None, *, jumps: bool) -> LimitFacts:
@@ -265,29 +243,6 @@ def _facts_of_joint(key: str, column: int | None, *, jumps: bool) -> LimitFacts:
     if column is not None:
         return LimitFacts(kind=key, words=words, tightened=None, enclosable=True)
     return LimitFacts(kind=key, words=words, enclosable=True, jumps_with_effort=jumps)
-
-
-def _limit(limit: SiteSpeedLimit | SiteAccelerationLimit | SiteJerkLimit, problem: Problem) -> tuple[str, float]:
-    """Return the site's name and its largest speed, acceleration or jerk [SI]."""
-    return list(getattr(problem.limits, limit.key).items())[limit.item]
-
-
-def _shares_of_largest(limit: SiteSpeedLimit | SiteAccelerationLimit | SiteJerkLimit, rows: Rows) -> Rows:
-    """Return rows with their parameter: one over the site's largest value."""
-    return replace(rows, n_numbers=1, numbers=lambda problem: (1.0 / _limit(limit, problem)[1],))
-
-
-def _claim_of_site(
-    limit: SiteSpeedLimit | SiteAccelerationLimit | SiteJerkLimit,
-    problem: Problem,
-    what: str,
-    unit: str,
-    inputs: list[ca.SX],
-    of: ca.SX,
-) -> Claimed:
-    """Return the claim on a column of vectors (3, n_sites) of a `free_instant` with some inputs."""
-    (name, most), squared = _limit(limit, problem), ca.densify(ca.sumsqr(of[:, limit.site]))
-    return squared_claim(f"{what} of site {name}", unit, most, ca.Function(limit.key, inputs, [squared]))
 
 
 def rows_at_nodes(
