@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.demands import demands_of, operating_points, shown_speed
-from linkplan.planner.limits.kinds import effort_bounds
+from linkplan.planner.limits.kinds import effort_bounds, limits_of
 from linkplan.planner.plan.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, Proof
@@ -219,11 +219,30 @@ def facts(plan: Plan) -> list[tuple[str, str]]:
     if plan.objective is not None:
         value = f"{figure(plan.objective, digits)}{objective_unit(problem)}"
         rows.append((f"objective ({problem.objective.name})", value))
+    rows += _left_free(plan)
     peaks = zip(problem.mechanism.actuators, plan.certificate.peak_effort, effort_bounds(problem), strict=True)
     return rows + [
         (f"effort {a.name}", f"at most {figure(peak, 5)} {a.unit}, {limits_text(low, high, a.unit, 'limit ')}")
         for a, peak, (low, high) in peaks
     ]
+
+
+def _left_free(plan: Plan) -> list[tuple[str, str]]:
+    """Return the row of a least time on its peak speed and its largest pin force, where no limits on them are set."""
+    problem, certificate, motion = plan.problem, plan.certificate, plan.trajectory
+    if not problem.objective.has("time"):
+        return []
+    keys, said = {limit.key for limit in limits_of(problem)}, []
+    if not keys & {"speed", "site_speed", "motor"}:
+        speeds = np.abs(motion.velocity_at(motion.dense_times(8))).max(axis=0)
+        joints = problem.mechanism.independent_joints
+        joint, speed = max(zip(joints, speeds, strict=True), key=lambda one: (one[0].kind == "hinge", one[1]))
+        said.append(f"{joint.name} moves at up to {joint.shown(speed):.4g} {joint.unit}/s, no speed limit is set")
+    forces = certificate.peak_closure_force
+    if "closure_force" not in keys and isinstance(forces, np.ndarray) and forces.size:
+        k = int(np.argmax(forces))
+        said.append(f"pin {problem.mechanism.closure_names[k]} carries up to {forces[k]:.4g} N, no limit is set")
+    return [("left free", "; ".join(said))] if said else []
 
 
 def solves(plan: Plan) -> Table:
