@@ -24,7 +24,7 @@ from linkplan.studies.variations.experiment.study import run_experiment
 from linkplan.studies.variations.tasks.cluster import engine_of
 
 
-@command("run every tracker on the same many imperfect machines", showing=("report",))
+@command("run every tracker on the same set of imperfect machines", showing=("report",))
 def experiment(
     plan: PlanLike,
     trackers: Sequence[TrackerLike] = LINEAR,

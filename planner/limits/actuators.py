@@ -317,7 +317,7 @@ def control_claim(problem: Problem, trajectory: Trajectory, j: int) -> Claimed:
         bounds=(actuator.control_lower, actuator.control_upper),
         value=ctrl,
         slack=(more, more) if more else None,
-        unknown="" if actuator.has_length else "only MuJoCo knows its length",
+        unknown="" if actuator.has_length else "the model has no expression for its length",
     )
 
 

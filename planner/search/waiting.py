@@ -64,7 +64,7 @@ def from_waiting(search: Search, budget: Budget) -> Plan | None:
     for objective, whole, said in sorted(wholes, key=lambda one: one[0]):
         if restless is not None and restless.objective <= objective:
             break
-        plan = without_solving(problem, whole, objective, said, "it is not shown that longer motions are no better")
+        plan = without_solving(problem, whole, objective, said, "a longer motion may be better")
         if plan.passed:
             return plan
     return restless

@@ -57,7 +57,7 @@ def along_smooth_path(search: Search) -> Plan | None:
 
 
 def _along(search: Search, problem: Problem, path: Guess) -> Plan | None:
-    """Return the plan along a path, if the duration is free the first of several that passes; None if none does."""
+    """Return the first plan along a path that passes, with longer and longer durations if these are free; or None."""
     for factor in _LONGER_FACTORS if problem.motion.duration_s is None else (1.0,):
         guess = stretched(path, factor * path.duration_s)
         if factor > 1 and guess.duration_s > longest(problem):
@@ -95,7 +95,7 @@ def at_rest(search: Search) -> Plan | None:
     objective, _ = objective_value(problem, rest)
     free = set(problem.objective.weights) <= SQUARES_AT_REST and objective <= negligible_objective(problem, rest)
     said = f"rest of {duration:.6g} s: constant efforts hold the start"
-    further = () if free else ("it is not shown that no motion costs less",)
+    further = () if free else ("a motion of lower cost may exist",)
     plan = finished(problem, rest, certify(problem, rest), objective, said, optimal=free, further=further)
     return plan if plan.passed else None
 
@@ -146,7 +146,7 @@ def legs_plan(search: Search) -> Plan | None:
 
 def _of_legs(search: Search) -> Plan | None:
     problem, asked = search.problem, search.problem.motion.duration_s
-    assert asked is not None, "legs of the phase plane answer a problem with a duration"
+    assert asked is not None, "legs of the phase plane need a given duration"
     progress("the cheapest legs of the phase plane")
     repeats = problem.motion.kind == "periodic"
     ends = () if repeats else ("start", "goal")
@@ -164,7 +164,7 @@ def _of_legs(search: Search) -> Plan | None:
             motion = joined(motion, holdings[end].lasting(wait), first=end == "start")
             rest = f", {wait:.4g} s of it a rest at the {end}"
         along = f"motion of {asked:.6g} s along the cheapest legs of the phase plane{rest}"
-        why = "it is not shown that other motions cost no less"
+        why = "a motion of lower cost may exist"
         plan = without_solving(problem, motion, objective_value(problem, motion)[0], along, why)
         if plan.passed:
             break

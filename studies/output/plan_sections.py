@@ -190,7 +190,7 @@ def _reserve_facts(plan: Plan) -> list[tuple[str, str]]:
         for actuator, (low, high), (least, most) in zip(
             problem.mechanism.actuators, effort_bounds(problem), problem.limits.actuators_effort, strict=True
         ):
-            said = f"{low:.5g} to {high:.5g} {actuator.unit}, of {least:.5g} to {most:.5g}"
+            said = f"{low:.5g} to {high:.5g} {actuator.unit} (actuator: {least:.5g} to {most:.5g})"
             rows.append((f"limits of the plan for {actuator.name}", said))
     for name, (low, high) in (("payload", robust.payload_factor), ("torque constant", robust.torque_constant_factor)):
         if low != high or low != 1:

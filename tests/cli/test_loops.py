@@ -24,7 +24,7 @@ LABELS = {
     "sensitivity.png": [*((OF_HERTZ, "gain [dB]"), (OF_HERTZ, "gain [dB]"), (OF_HERTZ, "gain [dB of (N.m)/rad]"))],
     "margins.png": [
         *(("O [deg]", what) for what in (OF_HERTZ, "margin [deg]", OF_HERTZ)),
-        ("", "|S|, blank where it is\nunstable; red amplifies [dB]"),
+        ("", "|S| (blank: unstable; red:\namplifies) [dB]"),
     ],
 }
 

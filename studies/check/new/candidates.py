@@ -46,12 +46,12 @@ def motions_of_all_homes(
     homes = [mechanism] if other is None else [other, mechanism]
     for home in homes if not is_equilibrium(mechanism, mechanism.home) else reversed(homes):
         if home is other:
-            say("from the pose in which undriven joints hang")
+            say("motions from the pose in which undriven joints hang")
         for tables in _candidates(home, say, obstacles):
             some = True
             yield home, tables
     if not some and (middle := _in_mid_reach(mechanism)) is not None:
-        say("from the middle of the joints' reach")
+        say("motions from the middle of the joints' reach")
         for tables in _candidates(middle, say, obstacles):
             yield middle, tables
 

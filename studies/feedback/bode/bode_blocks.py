@@ -221,7 +221,7 @@ def _map(law: SampledLaw, entries: Sequence[BodePoint], scan: Scan, axis: Axis, 
         y_axis=Axis(label="frequency", unit="Hz", log=True, ends=(float(grid[0]), float(grid[-1]))),
         curves=[Series(name="crossover", x=rounded(x), y=rounded(scan.column("crossover_hz"), log=True), colour=None)],
         heat=Heat(
-            name="|S|, blank where it is unstable; red amplifies",
+            name="|S| (blank: unstable; red: amplifies)",
             unit="dB",
             x=rounded(x),
             y=rounded(grid, log=True),

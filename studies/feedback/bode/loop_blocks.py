@@ -86,7 +86,7 @@ def _gains(study: MapStudy, marked: Marked, stiffness: str, damping: str) -> Pla
         y_axis=Axis(label="kp", unit=stiffness, log=True, ends=(float(study.kp[0]), float(study.kp[-1]))),
         curves=curves,
         heat=Heat(
-            name="least phase margin, blank where it is unstable",
+            name="least phase margin (blank: unstable)",
             unit="deg",
             x=rounded(study.kd, log=True),
             y=rounded(study.kp, log=True),

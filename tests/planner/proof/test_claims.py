@@ -262,7 +262,7 @@ def test_a_servo_whose_length_only_mujoco_knows_is_undecided():
     actuators = tuple(replace(one, has_length=False) for one in problem.mechanism.actuators)
     unknown = problem.varied(mechanism=replace(problem.mechanism, actuators=actuators))
     assert [one.reason for one in claims_of(unknown, motion)[1] if one.name == "ctrl of grip"] == [
-        "not proved: only MuJoCo knows its length"
+        "not proved: the model has no expression for its length"
     ]
     assert not [one for one in claims_of(problem, motion)[1] if one.name == "ctrl of grip"]
 
