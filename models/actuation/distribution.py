@@ -66,7 +66,7 @@ def distribute(
 def unit_efforts(maps: np.ndarray) -> np.ndarray:
     """Return the efforts (..., n_u, n_s) of least norm that produce a unit on each coordinate, by maps (..., n_s, n_u).
 
-    They are the pseudo-inverses of the maps. If all maps are equal, as for motors on coordinates, it is computed once.
+    They are the pseudo-inverses of the maps. If all maps are equal, as for motors on coordinates, only one is computed.
     """
     same = maps.ndim == 3 and len(maps) > 1 and bool(np.all(maps == maps[0]))
     found = np.linalg.pinv(maps[:1] if same else maps, rcond=ZERO_ARM_SHARE)
@@ -74,12 +74,12 @@ def unit_efforts(maps: np.ndarray) -> np.ndarray:
 
 
 def missed_rounding(limit: np.ndarray) -> float:
-    """Return the effort that may be missed by rounding [N.m or N], of actuators with limits (..., n_u, 2)."""
+    """Return the error of efforts that counts as rounding [N.m or N], for actuators with limits (..., n_u, 2)."""
     return HOLDING_TOLERANCE * np.where(np.isfinite(limit), np.abs(limit), 0.0).max(initial=1.0)
 
 
 def actuator_sizes(limit: np.ndarray) -> np.ndarray:
-    """Return the size (..., n_u) of each actuator's limits (..., n_u, 2), by which its effort is measured; 1 without any."""
+    """Return the larger absolute limit (..., n_u) of actuators (..., n_u, 2), the unit of an effort; 1 without limits."""
     size = np.where(np.isfinite(limit), np.abs(limit), 0.0).max(axis=-1)
     return np.where(size > 0, size, 1.0)
 
@@ -90,7 +90,7 @@ def _least_norm(tau: np.ndarray, maps: np.ndarray) -> np.ndarray:
 
 
 def _null_spaces(maps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return orthonormal rows' transposes (n, n_u, n_u), and the number (n,) of the last of them that produce nothing."""
+    """Return orthonormal columns (n, n_u, n_u), the last of which span the null spaces, and the number (n,) of these."""
     same = bool(np.all(maps == maps[0]))
     _, sizes, rows = np.linalg.svd(maps[:1] if same else maps)
     rank = np.sum(sizes > ZERO_ARM_SHARE * sizes.max(axis=1, initial=0.0, keepdims=True), axis=1)

@@ -23,7 +23,7 @@ from linkplan.models.tree.joints import Joint
 
 @functools.lru_cache(maxsize=16)
 def sprung_freedoms(mechanism: Mechanism) -> tuple[int, ...]:
-    """Return the independent coordinates (columns) with springs at home that are neither driven nor passive freedoms."""
+    """Return the independent coordinates (columns) with springs at home that are neither driven nor passive."""
     stiffness = _stiffness(mechanism).diagonal()
     driven = {actuator.joint for actuator in mechanism.actuators}
     return tuple(
@@ -40,7 +40,7 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
 
     Args:
         mechanism: the assembled mechanism.
-        named: prescribed positions by column of s; columns neither named nor unnamed stay at home.
+        named: prescribed positions by column of s; columns that are in neither argument stay at home.
         unnamed: columns to solve for, starting from home.
     """
     import scipy
@@ -49,7 +49,7 @@ def spring_equilibrium(mechanism: Mechanism, named: Mapping[int, float], unnamed
     for column, value in named.items():
         base[column] = value
     columns, still, near = list(unnamed), np.zeros(mechanism.dof), np.array(mechanism.home)
-    kept = mechanism.actuated  # the slight weight of a rod's spin moves nothing else
+    kept = mechanism.actuated  # not passive: a rod's small weight about its axis moves nothing else
     slopes = slopes_at_rest(mechanism)
 
     def closed(x: np.ndarray) -> np.ndarray:
@@ -134,7 +134,7 @@ def stop_sentence(stops: Sequence[tuple[Joint, float]], when: str) -> str:
 
 
 def lock_words(places: Sequence[tuple[Joint, float]], locked: Mapping[str, float] | None = None) -> str:
-    """Return the key that locks joints at places [rad or m], beside those locked [deg or m], as a problem file has it."""
+    """Return the line of a problem file that locks joints at positions [rad or m], and those `locked` already [deg or m]."""
     lock = {**(locked or {}), **{joint.name: round(joint.shown(x), 6) + 0.0 for joint, x in places}}
     return f"mechanism.{home_text({'lock': lock})}"
 

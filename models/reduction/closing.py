@@ -26,11 +26,11 @@ MAX_PATH_STEPS = 1e5
 _LEAST_STEP_SHARE = 1e-5
 # Newton steps of a stride of two degrees: two steps leave 1e-12, the third leaves rounding.
 _NEWTON_STEPS = 3
-# A stride is regular if Newton's correction is below this share of the step,
+# Newton's correction in a regular stride, as a share of the longest step: largest value.
 _MAX_CORRECTION_SHARE = 0.25
-# if its last step is below this share of the stride, except for rounding [steps],
+# The last Newton step in a regular stride, as a share of the stride, and what is added for rounding [longest steps].
 _MAX_LAST_SHARE, _LAST_ROUNDING = 1e-3, 1e-8
-# and if Gamma changes by less than this share of its size.
+# The change of Gamma in a regular stride, as a share of its size plus one.
 _MAX_GAMMA_CHANGE = 0.5
 # Largest gap of loops that count as closed in a feedback loop [m]. A larger one means that the position is too far from the
 # near pose.

@@ -12,7 +12,7 @@ ON_MAP, OPEN_LOOPS, NEAR_SINGULAR, BEYOND_RANGE = 0, 1, 2, 100
 
 
 class KnownPoses:
-    """The closed poses found so far, from which a new one starts at its nearest neighbour. Mutable: it grows."""
+    """The closed poses found so far. A new pose is continued from the nearest one. Mutable: it grows."""
 
     def __init__(self, outputs: OutputMap) -> None:
         self.outputs = outputs
@@ -25,7 +25,7 @@ class KnownPoses:
         mechanism = self.outputs.mechanism
         found, tried = self.near(points), np.full(len(points), -1)
         self._keep(found)
-        while True:  # from the poses known by now, until no start is nearer than before
+        while True:  # start open points from their nearest known pose, until none has a nearer one
             left = np.flatnonzero(np.isnan(found[:, 0]))
             nearest = self._nearest(points[left])
             left, nearest = left[nearest != tried[left]], nearest[nearest != tried[left]]

@@ -3,7 +3,7 @@
 In the plane across a cylinder's axis, or through a sphere's centre, the segment's ends have the distances d_0 and d_1 from
 the centre and the angle delta between them, on the side of the rope. The rope leaves the circle of radius r along tangents
 of lengths t_i = sqrt(d_i^2 - r^2) = r tan(gamma_i) and covers the arc r (delta - gamma_0 - gamma_1). Where that is negative
-it is straight, and the length's first derivative has no jump there. Along a cylinder's axis the rope has a constant slope.
+the rope is straight; its length's derivative has no jump there. Along a cylinder's axis the rope has a constant slope.
 A rope through the inside of a geom, where its side site lies, and one around a sphere with a side site have no expression
 here.
 """
@@ -40,7 +40,7 @@ def side_of(model: mujoco.MjModel, data: mujoco.MjData, k: int) -> str | None:
     if np.linalg.norm(beside) < radius:
         return None
     ends = [turn.T @ (data.site_xpos[int(model.wrap_objid[end])] - centre) for end in (k - 1, k + 1)]
-    if int(model.wrap_type[k]) == SPHERE:  # the plane of the ends turns, so the site may change sides
+    if int(model.wrap_type[k]) == SPHERE:  # the rope's plane turns with its ends, so the side may change
         return None
     first, second, middle = (np.arctan2(place[1], place[0]) for place in (*ends, beside))
     gammas = [np.arccos(min(1.0, radius / max(np.hypot(*end[:2]), radius))) for end in ends]

@@ -68,7 +68,7 @@ class Certificate(Struct, frozen=True, eq=False, kw_only=True):
     growth: Beside[np.ndarray]  # (n_intervals,) growth of the integration error, as a share of the allowed total
     dynamics_allowed: Beside[float]  # the largest dynamics residual that passes
     residual_share: Beside[np.ndarray]  # (n_intervals,) dynamics residual, as a share of the allowed one
-    effort_overrun: Beside[np.ndarray]  # (n_intervals,) needed effort beyond its limit, as a share of a proof's allowance
+    effort_overrun: Beside[np.ndarray]  # (n_intervals,) overrun of needed efforts, as a share of what a proof allows
     worst_time_s: dict[str, float]
     failures: tuple[str, ...]
     needs_more: Beside[str] = ""  # the failure of an effort by inverse dynamics, empty without one

@@ -75,7 +75,7 @@ class NodeTerms:
 
 @functools.lru_cache(maxsize=16)
 def closure_jerk(mechanism: Mechanism) -> ca.Function:
-    """Return the function from q and its first three derivatives by time, each (n_q,), to that of E phi of order three."""
+    """Return the function from q and its first three time derivatives, each (n_q,), to the third derivative of E phi."""
     q, rates, accelerations, jerks = (ca.SX.sym(name, mechanism.n_q) for name in ("q", "qd", "qdd", "qddd"))
     equations = mechanism.dynamics.equations
     still = [ca.SX.zeros(equations.numel_in(k)) for k in (3, 4)]

@@ -1,4 +1,4 @@
-"""The kinds of limits, which are the classes of this folder's files; a problem's limits, and loops over a kind."""
+"""The kinds of limits (the classes in this folder's files), the limits of a problem, and functions on one kind."""
 
 import functools
 import importlib
@@ -68,7 +68,7 @@ def limits_of(problem: Problem, *, enclosed: bool = False, position_rows: WhichJ
 
 
 def _part_of(problem: Problem, key: str) -> Any:
-    """Return the field with this name of a problem's limits or of the problem; True if the kind itself must look for it."""
+    """Return the field of a problem's limits, or of the problem, with this name; True if neither has one."""
     return getattr(problem.limits, key, getattr(problem, key, True))
 
 
@@ -78,7 +78,7 @@ def _limits_something(field: Any) -> bool:
 
 
 def structure_of(problem: Problem) -> tuple:
-    """Return the structure of a problem's limits: its limits, and which of their ends are finite."""
+    """Return the structure of a problem's limits: its limits, and which of their bounds are finite."""
     ones = unit_scales(problem.mechanism)
     return tuple((type(limit), limit, *np.isfinite(limit.bounds(problem, ones))) for limit in limits_of(problem))
 
@@ -114,18 +114,18 @@ def are_efforts_bounded(problem: Problem) -> bool:
 def needed_efforts(
     problem: Problem, q: np.ndarray, v: np.ndarray, a: np.ndarray, time_s: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the efforts (n, n_u) for a motion within a problem's limits, and what they miss, as `needed_effort`."""
+    """Return the efforts (n, n_u) for a motion and what they miss, by `needed_effort` with a problem's limits."""
     return needed_effort(problem.mechanism, q, v, a, time_s, limit=effort_bounds(problem))
 
 
 def affine_limits(problem: Problem, *, of_speed: bool) -> list[Affine]:
-    """Return the limits on affine quantities that are, or are not, proportional to the speed."""
+    """Return the limits on affine quantities: those proportional to the speed if `of_speed`, else the others."""
     stated = [limit.affine(problem) for limit in limits_of(problem)]
     return [one for one in stated if one is not None and one.of_speed == of_speed]
 
 
 def kept_at(problem: Problem, q: np.ndarray) -> np.ndarray:
-    """Return a mask (n,) of the poses q (n, n_q) that satisfy the limits on poses which the phase plane satisfies."""
+    """Return a mask (n,) of the poses q (n, n_q) that satisfy the limits on poses that the phase plane considers."""
     at, kept = Poses(problem=problem, q=q), np.ones(len(q), dtype=bool)
     for limit in limits_of(problem):
         if limit.facts.of_position and limit.facts.in_phase_plane:
@@ -135,7 +135,7 @@ def kept_at(problem: Problem, q: np.ndarray) -> np.ndarray:
 
 
 def narrowed(problem: Problem, share: float) -> Problem:
-    """Return a problem in which the limits that motions of the phase plane follow are narrower by a share of their ends."""
+    """Return a problem in which the limits along which phase plane motions move are narrowed by a share of their bounds."""
     facts = {type(limit): limit.facts for limit in limits_of(problem)}
     for kind, of in facts.items():
         rows = getattr(problem.limits, kind.key, None)
@@ -182,7 +182,7 @@ def factor_of(kind: type[Limit], problem: Problem, motion: Trajectory) -> float 
     ratios = [margin.value / margin.limit for margin in over if margin.limit]
     if not ratios:
         return None
-    # A lower bound above zero, as that on a distance, is relaxed by a factor below one.
+    # A lower bound above zero, such as one on a distance, is relaxed by a factor below one.
     fall = min(ratios) if all(not margin.upper and margin.limit > 0 for margin in over) else None
     return fall / BETWEEN_NODES_FACTOR if fall is not None else BETWEEN_NODES_FACTOR * max(ratios)
 

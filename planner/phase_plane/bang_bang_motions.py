@@ -276,22 +276,22 @@ def _duration(plane: PhasePlane, leg) -> float:
 
 
 def _joined(plane: PhasePlane, index: np.ndarray, push: np.ndarray, goal: int, way: int, brake: np.ndarray | None):
-    """Return an accelerating leg up to its crossing with the braking leg into the goal, then that; None if none cross."""
+    """Return an accelerating leg until it crosses the braking leg into the goal, then that one; None if they never cross."""
     if brake is None or not (goal - index[0]) * way > 0:
         return None
     ahead = np.arange(index[0], goal + way, way)
-    braked = max(len(ahead) - len(brake), 0)  # the first place from which the way to the goal is open
+    braked = max(len(ahead) - len(brake), 0)  # the first place from which braking leads to the goal
     braking = brake[: len(ahead)][::-1]
     over = push[braked : len(ahead)] >= braking[: max(len(push) - braked, 0)]
     if not over.any():
         return None
     k = braked + int(np.argmax(over))
-    # At the first place, the crossing is met too fast to stop; just before it, the motion must be below the braking leg.
+    # A leg that is above the braking leg already at their first common place is too fast to stop.
     if k == braked and (braked or push[0] > (1 + _SAME_ENERGY_SHARE) * braking[0]):
         return None
     w = np.concatenate([push[:k], braking[k - braked :]])
     if np.any(np.isfinite(plane.top[way])):
-        # Below a speed limit a braking leg may rise faster than full effort does.
+        # Below a speed limit, the braking leg's energy may rise faster than full effort can accelerate.
         below = np.full(len(plane.s), np.inf)
         below[ahead[braked:]] = braking
         rest = plane.leg(index[0], push[0], way, way, below=below)

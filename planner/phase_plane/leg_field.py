@@ -22,10 +22,10 @@ from linkplan.planner.phase_plane.bang_bang_motions import Part
 from linkplan.planner.phase_plane.grid import speed_ratios
 from linkplan.planner.problem.problem import Problem
 
-# The number of a limit that an actuator is held at: 1 for its constant effort limit, then one for each further bound of
-# `LegField.bounds`, then one for each of n limits on affine quantities. It is positive where a larger effort reaches the
-# limit, and negative where a smaller effort does. The next n numbers belong to motions along the maximum velocity curve of
-# the affine quantities, where one effort alone satisfies the limit. The others belong to quantities of the speed.
+# Each active limit has a number. The constant effort limit has 1, the further bounds of `LegField.bounds` follow, then the n
+# limits on affine quantities. The number is negative if the effort is at its lower bound. The next n numbers are for motions
+# along the maximum velocity curve of the affine quantities, where one effort alone satisfies the limit. The last numbers are
+# for limits on speeds.
 AT_EFFORT = 1
 # The share by which rounding may exceed limits on efforts, powers and forces.
 _LIMIT_TOLERANCE = 1e-6
@@ -59,7 +59,7 @@ class AffineBounds:
         return least, most, over
 
     def effort_unit(self, s: Any, k: int, by: np.ndarray) -> np.ndarray:
-        """Return the effort (...) that changes quantity `k` by its limit, if `by` (...) is the acceleration of a unit."""
+        """Return the effort (...) that changes quantity `k` by its limit, if a unit accelerates by `by` (...)."""
         values, r = self.curves(s), self.rows[k]
         acts = np.linalg.norm(values[..., 3, r] * by[..., None] + values[..., 4, r], axis=-1)
         return np.abs(self.bounds[k])[np.isfinite(self.bounds[k])].max() / np.maximum(acts, np.finfo(float).tiny)
@@ -131,12 +131,12 @@ class LegField:
 
     @property
     def at_force(self) -> int:
-        """The number of the first limit on an affine quantity, among the limits at which an actuator can be held."""
+        """The number of the first limit on an affine quantity (see `AT_EFFORT`)."""
         return AT_EFFORT + len(self.bounds)
 
     @property
     def at_speed(self) -> int:
-        """The index of the first joint with a limited speed, among the limits at which an actuator can be held."""
+        """The number of the first joint's speed limit (see `AT_EFFORT`)."""
         return self.at_force + (0 if self.affine is None else 2 * len(self.affine.rows))
 
     def at(self, s: Any, v: Any, *, towards: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -230,14 +230,14 @@ class LegField:
         return np.min([one.strength for one in self.bounds], axis=0)
 
     def at_end_of_room(self, s: Any, v: Any) -> np.ndarray:
-        """Return the limits held (1,) by a motion along the end of the room of the affine quantity nearest to its limit."""
+        """Return the active limit (1,) on the maximum velocity curve: that of the affine quantity nearest to its limit."""
         over = self._affine_efforts(s, v)[2]
         return np.array([self.at_force + len(over) + int(np.argmax(over))])
 
     def limit_sizes(self, s: Any, held: np.ndarray, effort: np.ndarray) -> np.ndarray:
-        """Return the sizes (..., n_u) of the limits held (n_u,), of which the errors of the effort (..., n_u) are shares.
+        """Return the sizes (..., n_u) of active limits (n_u,), relative to which errors of the effort (..., n_u) are judged.
 
-        Along a line, a pin force or an acceleration the effort may pass through zero: the size is that of the whole limit.
+        Along a limit on a line, pin force or acceleration the effort may be zero, so the size is that of the whole limit.
         """
         number = np.abs(held)
         if np.all(number < self.at_force) and not any(self.bounds[k - AT_EFFORT].crosses_zero for k in number):
@@ -291,7 +291,7 @@ def field_along(problem: Problem, part: Part, start_pose: np.ndarray) -> LegFiel
     values = np.column_stack([inertia, still, square, linear, maps])
     bounds, lengths = all_effort_bounds(problem), None
     if any(one.of_length for one in bounds):
-        known = np.nan_to_num(sampled(dynamics.actuator_length, q)[:, :, 0])  # unknown ones belong to no servo
+        known = np.nan_to_num(sampled(dynamics.actuator_length, q)[:, :, 0])  # NaN: not a servo
         lengths = scipy.interpolate.CubicSpline(place[along], known[along])
     return LegField(
         curves=scipy.interpolate.CubicSpline(place[along], values[along]),

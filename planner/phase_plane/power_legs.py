@@ -30,11 +30,11 @@ from linkplan.planner.problem.problem import Problem
 _INTEGRATION_RTOL, _INTEGRATION_ATOL = 1e-12, 1e-14
 # Speeds that differ by at most this share are the same.
 _SAME_SPEED = 1e-9
-# The limits held on the velocity curve where the room for efforts vanishes: no motion follows it.
+# Marks a part of the velocity curve that no motion can follow, with one effort alone that satisfies all limits.
 NO_ROOM = np.zeros(1, dtype=int)
-# The step off a place where the room vanishes, as a share of the span, and the change of energy on it, as a share.
+# The first step of a leg that leaves the velocity curve, as a share of the span, and its change of energy, as a share.
 _LAUNCH_STEP, _LAUNCH_ENERGY = 1e-6, 1e-3
-# A leg may integrate past the end of its room by this share, which the events detect.
+# The integration of a leg stops where the range of efforts within all limits is empty by this share of the strength.
 _ROOM_TOLERANCE = 1e-3
 
 
@@ -213,7 +213,7 @@ class _Way:
             event.terminal = True
         stalled.direction = roomy.direction = -1.0
         first, v_first, taken = (begin, v, 0.0) if held is not None else self._launched(begin, v, towards=towards)
-        until = 1e9 * self.span / self.fastest  # a thousand million times what full effort takes
+        until = 1e9 * self.span / self.fastest  # longer than any leg lasts
         found = scipy.integrate.solve_ivp(
             rates, (taken, until if towards else -until), [first, v_first], method="LSODA", events=events,
             dense_output=True, rtol=_INTEGRATION_RTOL, atol=_INTEGRATION_ATOL * np.array([self.span, self.fastest]),
@@ -229,8 +229,8 @@ class _Way:
     def _launched(self, place: float, v: float, *, towards: bool) -> tuple[float, float, float]:
         """Return place, speed and time at which the integration of a leg begins, after one short implicit Euler step.
 
-        The step leads off the velocity curve at a place where the room vanishes. There the law of the leg may be 0 / 0, or
-        its slope infinite. Both ways off such a place are stable, so the step's error decreases along the leg.
+        The step leaves the velocity curve where one effort alone satisfies all limits. There the leg's acceleration may be
+        0 / 0, or its slope infinite. Legs in both directions are stable, so the step's error decreases along them.
         """
         import scipy
 
@@ -290,7 +290,7 @@ class _Way:
 
         way, t = self.field.way, np.linspace(leg.begin, leg.end, POSES_PER_PART)[:: 1 if leg.towards else -1]
         s, v = leg.state(t)
-        # A leg may reach the end of its room without crossing it.
+        # A leg may touch the velocity curve without crossing it.
         share = 1.0 if self.field.affine is None else 1.0 - 0.25 * _SAME_SPEED
         above = (way * v > share * top(s)) & (np.abs(s - s[0]) > self.beside)
         if not above.any():
@@ -336,7 +336,7 @@ class _Way:
                 yield self._leg(begin, v, end, towards=True, held=held) if followed else self._bound(begin, end)
 
     def _bound(self, begin: float, end: float) -> Leg:
-        """Return the velocity curve between two positions as a leg that no motion follows; its time is the position."""
+        """Return the velocity curve between two positions as a leg that no motion follows; its time is its position."""
         way = self.field.way
 
         def state(t: Any) -> np.ndarray:
@@ -347,7 +347,7 @@ class _Way:
         return Leg(field=self.field, state=state, steps=ends, towards=True, begin=ends[0], end=ends[1], held=NO_ROOM)
 
     def _ahead(self, back: list[Leg]) -> list[Leg] | None:
-        """Return the legs at full acceleration up to the legs into the goal, then these; None if they never cross.
+        """Return the legs at full acceleration until they cross the legs into the goal, then those; None if they never do.
 
         The motion leaves the velocity curve where the curve rises faster than full effort accelerates.
         """
@@ -375,7 +375,7 @@ class _Way:
             place, v = left_at, way * float(self._fastest_at(left_at))
 
     def _along(self, back: list[Leg], place: float) -> tuple[list[Leg], float | None]:
-        """Return the legs from a position into the goal, and the position at which they cannot be followed, or None."""
+        """Return the legs from a position into the goal, and the position where no motion can follow them, or None."""
         way, found = self.field.way, []
         for leg in back:
             last = float(leg.state(leg.end)[0])

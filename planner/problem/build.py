@@ -288,8 +288,8 @@ def _duration_notes(motion: MotionSection, objective: Objective, reference: Refe
 def _mesh(asked: ProblemFile, objective: Objective) -> dict:
     """Return the mesh settings, with defaults that depend on the rest of the problem."""
     section = asked.mesh.to_dict()
-    # A motion of least work consists of full effort, coasting and full braking. A polynomial cannot represent this, and its
-    # cost is evaluated only at nodes. Efforts with limited rates cannot jump, so they are piecewise linear.
+    # A motion of least work consists of full effort, coasting and full braking. A polynomial cannot represent these jumps,
+    # and the work is evaluated only at nodes. Efforts with limited rates cannot jump, so they are piecewise linear.
     smeared = objective.has("work") and {*objective.weights} <= {"work", "time"}
     values: dict = {"effort": "linear" if asked.limits.effort_rate else "constant"} if smeared else {}
     if asked.path is not None and "breaks" not in section:

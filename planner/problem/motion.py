@@ -174,7 +174,7 @@ def start_pose(
 
     Raises:
         ProblemError: when start, goal, waypoints or reference lie outside what the mechanism reaches, with the interval; and
-            for turns that the mechanism does not make, or after which it is not what it was.
+            for turns that a joint cannot make, after which a joint has not returned, or that a spring or servo prevents.
     """
     ranges = limits.position
     for name in ("start", "goal"):
@@ -217,7 +217,7 @@ def _check_reach(mechanism: Mechanism, ranges: np.ndarray | None, what: str, s: 
         if inside:
             if can is None or can.turns_fully:
                 continue
-            lower, upper = can.lower, can.upper  # an end that does not stop the joint is only the walk's last position
+            lower, upper = can.lower, can.upper  # an end without a stop is only the last position tried
             interval = (lower.position if lower.stops else -np.inf, upper.position if upper.stops else np.inf)
             inside = interval[0] <= s[column] <= interval[1]
             reason = can.lower.reason if s[column] < interval[0] else can.upper.reason
@@ -258,7 +258,7 @@ def _way_through(can: Reach | None, reason: str, asked: float) -> str:
 
 
 def _check_turns(mechanism: Mechanism, motion: Motion, start_pose: np.ndarray, deadline: Deadline) -> None:
-    """Refuse turns that the mechanism does not make, or after which it is not what it was."""
+    """Refuse turns that a joint cannot make, after which a joint has not returned, or that a spring or servo prevents."""
     assert motion.turns is not None
     can = reach(mechanism) if mechanism.dof == 1 else None
     turning = [j for j, n in zip(mechanism.independent_joints, motion.turns, strict=True) if n]

@@ -20,7 +20,7 @@ def forces_over(forces: ForcesOverTime, time: Ball) -> list[list[Ball]]:
 
 
 def enclosed(curve: Spline, column: int, time: Ball) -> Ball:
-    """Return a ball or series around a column of a curve over a ball of times.
+    """Return an enclosure (a ball, or a series if `time` is one) of a column of a curve over a ball of times.
 
     If the ball overlaps several pieces, a series has bounds on its coefficients up to the first derivative that jumps.
     """
@@ -28,7 +28,7 @@ def enclosed(curve: Spline, column: int, time: Ball) -> Ball:
     low, high, middle = float(box.lower()) + slack, float(box.upper()) - slack, float(box.mid())
     pieces = list(_pieces(curve, low, high) if low < high else _pieces(curve, middle, middle))
     values = [_along(curve, k, column, time - begin) for k, begin in pieces]
-    # Beyond its piece, by rounding, a polynomial leaves the curve at most at the difference of two slopes.
+    # Rounding may exceed a piece's end. There its polynomial leaves the curve at most by the difference of two slopes.
     last, begin = pieces[-1]
     end = begin - arb(float(curve.knots_s[last])) + arb(float(curve.knots_s[last + 1]))
     beyond = arb(0).max(pieces[0][1] - box.lower()).max(box.upper() - end)
@@ -36,7 +36,7 @@ def enclosed(curve: Spline, column: int, time: Ball) -> Ball:
     rounding = arb(0, (beyond * steepest).abs_upper())
     if len(values) == 1:
         return values[0] + rounding
-    n = 4 if np.any(curve.coefficients[:2, :, column]) else 2  # of a cubic spline the third derivative jumps
+    n = 4 if np.any(curve.coefficients[:2, :, column]) else 2  # the third derivative of a cubic spline jumps
     hull = [constant_term(values[0])]
     if not isinstance(time, arb):
         hull = [values[0][j] for j in range(min(n, time.prec))]

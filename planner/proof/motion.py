@@ -36,7 +36,7 @@ class Piece:
 
     index: int
     begin_s: float
-    since: arb  # the time from the motion's begin to the interval's [s]
+    since: arb  # the time from the start of the motion to that of the interval [s]
     width: arb  # [s]
     position: tuple[arb_poly, ...]
     velocity: tuple[arb_poly, ...]
@@ -121,8 +121,8 @@ class Kinetics:
         """Return the efforts (n_u,) of the actuators by inverse dynamics.
 
         If the numbers of actuators and of degrees of freedom differ, they are the planned efforts plus the least efforts
-        that compensate the difference, for a corner in units of the limits S: u + S (P S)^+ (tau - P u). With a `leverage`
-        they are the planned efforts at a dead centre.
+        that compensate the difference, for a corner in units of the limits S: u + S (P S)^+ (tau - P u). At a dead
+        centre (see `Leverage`) they are the planned efforts.
 
         Raises:
             NotSeparatedError: if a box is partly at a dead centre.
@@ -156,7 +156,7 @@ class Kinetics:
         return self._left(None)
 
     def lacking(self, corner: Corner, leverage: Leverage) -> list[Ball]:
-        """Return the reduced efforts (n_s,) that the planned efforts do not provide at a corner; zero off a dead centre.
+        """Return the reduced efforts (n_s,) that planned efforts do not provide at a corner; zero except at a dead centre.
 
         Raises:
             NotSeparatedError: if a box is partly at a dead centre.
@@ -212,8 +212,8 @@ class State:
     """A motion as series of x over a box: positions s (n_s,), pose q (n_q,), planned velocity v and efforts u.
 
     `along` (1,) is the parameter of the path that a site follows, empty without a path.
-    `rate` is dx/dt [1/s], `time` is the time since the start of the motion [s]. `middle` is the state at the box's middle,
-    of the state over the box.
+    `rate` is dx/dt [1/s], `time` is the time since the start of the motion [s]. `middle` is the state at the middle
+    of the box, None for a state at one instant.
     """
 
     blocks: Blocks
@@ -231,7 +231,7 @@ class State:
     def at_dead_centre(self, leverage: Leverage) -> bool:
         """Return True if the actuators are at a dead centre on the whole box, False if they are nowhere.
 
-        Transmissions within twice the least one count as either, so that every box of a small enough size is one of both.
+        A transmission between the least one and twice that may count as either, so every small enough box is decided.
 
         Raises:
             NotSeparatedError: if the box must be halved.

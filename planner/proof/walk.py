@@ -136,7 +136,7 @@ _OPERATIONS: dict[int, Callable] = {
     ca.OP_MUL: operator.mul,
     ca.OP_DIV: operator.truediv,
     ca.OP_NEG: lambda a, _: -a,
-    ca.OP_TWICE: operator.add,  # of the same two
+    ca.OP_TWICE: operator.add,  # a + a
     ca.OP_SQ: operator.mul,
     ca.OP_INV: lambda a, _: 1 / a,
     ca.OP_POW: _power,
@@ -201,8 +201,8 @@ def walk_of(function: ca.Function) -> Walk:
     """
     steps, inputs, constants = [], [], []
     outputs = [[-1] * function.nnz_out(k) for k in range(function.n_out())]
-    magnitudes: dict[int, int] = {}  # slots of |x| by their own slots: x |x| is smoother than |x|
-    slot_of, n = {}, 0  # of CasADi's work vector, whose places are used again; here every result has its own slot
+    magnitudes: dict[int, int] = {}  # slot of |x| -> slot of x: x |x| is smoother than |x|
+    slot_of, n = {}, 0  # by place in CasADi's work vector; CasADi uses a place again, here each result has its own slot
     for k in range(function.n_instructions()):
         code, taken, given = function.instruction_id(k), function.instruction_input(k), function.instruction_output(k)
         if code == ca.OP_OUTPUT:
@@ -303,7 +303,7 @@ def _walk(name: str, inputs: list[ca.SX], output: ca.SX) -> Walk:
 
 
 def _in_numbers(function: ca.Function) -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
-    """Return a function on arrays: from the pose to the column and the matrix that are a CasADi function's outputs."""
+    """Return a CasADi function of the pose as a function on arrays, which returns its outputs, a column and a matrix."""
     pose, column = np.empty(function.numel_in(0)), np.empty(function.numel_out(0))
     matrix = np.empty(function.size_out(1), order="F")
     entries = matrix.reshape(-1, order="F")

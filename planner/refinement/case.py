@@ -61,7 +61,7 @@ class ErrorReport:
         overrun: (n_intervals,) the largest overrun of any limit on each interval, as a share of the limit.
         growth: (n_intervals,) the contribution of each interval to the integration error, as a share of the allowed error.
         residual_share: (n_intervals,) the dynamics residual, as a share of the allowed residual.
-        effort_overrun: (n_intervals,) the needed effort beyond its limit, as a share of a proof's allowance.
+        effort_overrun: (n_intervals,) the overrun of needed efforts, as a share of what a proof allows.
         integration_error_deg: [deg].
     """
 

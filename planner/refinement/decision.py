@@ -229,7 +229,7 @@ def _higher_scheme(state: RefinementState, inexact: np.ndarray, over: np.ndarray
 
 
 def _comfortable(state: RefinementState) -> int:
-    """Return the number of intervals that is enough for a motion that passes."""
+    """Return the number of intervals beyond which a motion that passes its certificate is not refined."""
     target = state.target
     if target.tolerance_given:
         return MAX_GROWTH * state.asked.problem.mesh.intervals

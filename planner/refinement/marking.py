@@ -1,4 +1,4 @@
-"""The choice of a finer mesh, the intervals to halve or a scheme of higher degree; and of tightened limits.
+"""The choice of a finer mesh (intervals to halve, or a scheme of higher degree) and of tightened limits.
 
 Limits that a motion overran between the nodes are tightened there, by the amount of the overrun.
 """
@@ -45,7 +45,7 @@ ROUGH_SHARE = 0.01
 
 @dataclass(frozen=True, eq=False, slots=True, kw_only=True)
 class Tightening:
-    """By how much one limit is tightened, as a share (n,) of itself; `breaks` (n + 1,) are shares of the duration."""
+    """The tightening of one limit, as a share (n,) of the limit; `breaks` (n + 1,) are shares of the duration."""
 
     what: str
     item: int
@@ -55,7 +55,7 @@ class Tightening:
 
 
 def tightened_share(overrun: np.ndarray) -> np.ndarray:
-    """Return the share of itself (n,) by which a limit is tightened on intervals, for overruns there."""
+    """Return the tightening (n,) of a limit on intervals with overruns, both as shares of the limit."""
     return np.where(overrun > 0, _OVERRUN_FACTOR * overrun + _MIN_TIGHTENING, 0.0)
 
 
@@ -73,7 +73,7 @@ def tightenings_of(margins: tuple[Margin, ...], breaks_s: np.ndarray) -> tuple[T
 
 
 def evened(tightenings: tuple[Tightening, ...]) -> tuple[Tightening, ...]:
-    """Return tightenings; small ones become constant along the motion."""
+    """Return the tightenings, the small ones made constant along the motion."""
     most = [one.share.max(initial=0.0) for one in tightenings]
     return tuple(
         replace(one, share=np.full_like(one.share, share)) if share <= _EVEN_TIGHTENING else one
@@ -86,13 +86,13 @@ def tightening_over(
 ) -> Callable[[np.ndarray], np.ndarray]:
     """Return the function from breaks (n + 1,) [s] to the tightening (n, n_path) of the bounds `path` (n_path, 2).
 
-    `rows` are the limits of the first of these quantities; the others are never tightened.
+    The first bounds are those of the limits `rows`, in this order. The other bounds are never tightened.
     """
     size = np.where(np.isfinite(path), np.where(path == 0, 1.0, np.abs(path)), 0.0)
     size[[column for column, row in enumerate(rows) if row.facts.tightened is Tightened.IN_UNITS]] = 1.0
     factor = [2.0 if row.facts.tightened is Tightened.SQUARED else 1.0 for row in rows]
     columns = {(row.facts.kind, row.item): column for column, row in enumerate(rows)}
-    # Both bounds together leave a tenth of the distance between them.
+    # Tightening both bounds leaves at least a tenth of the distance between them.
     most = np.where(np.all(np.isfinite(path), axis=1), 0.45 * (path[:, 1] - path[:, 0]), np.inf)
 
     def tightening(breaks_s: np.ndarray) -> np.ndarray:

@@ -1,4 +1,4 @@
-"""Methods that begin anew: the user's guess, the smooth path, the phase plane, and swings.
+"""Methods with a new initial guess: the user's, the smooth path, the phase plane's motion, or a swing.
 
 The motion of least time is searched once, and shared by methods and diagnoses.
 
@@ -34,7 +34,7 @@ from linkplan.planner.search.without_solver import legs_plan
 
 # The name, among the known motions, of the least-time plan from the phase plane's motion.
 PHASE_PLANE_LEAST_TIME = "least time from the phase plane"
-# A duration above the given one by more than this share is longer: least times are found more accurately than that.
+# A least time above the given duration by more than this share is clearly longer, since least times are more exact.
 _CLEARLY_LONGER = 1e-3
 # A solution that costs less than the cheapest legs by more than this share violates the dynamics between its nodes.
 _FALSE_SHARE = 0.1
@@ -160,7 +160,7 @@ def along_limits(search: Search, _: Budget) -> Plan | None:
 
 
 def _cheapest(search: Search) -> Guess | None:
-    """Return dynamic programming's motion to one goal in more than the phase plane's least time; None if there is none."""
+    """Return the motion by dynamic programming in more than the least time, for a single goal; None if there is none."""
     problem, motion = search.problem, search.problem.motion
     if motion.duration_s is None or motion.waypoints or not phase_plane_applies(problem) or not enough_time(search):
         return None
@@ -191,7 +191,7 @@ def _first_of(
 
 
 def judged_by_the_phase_plane(search: Search) -> tuple[bool, Guess | None]:
-    """Return True if by the phase plane no motion is quicker than the least-time plan, and a quicker plan or None."""
+    """Return True if the least-time plan is as quick as the phase plane's motion; and that motion if it is quicker."""
     problem = search.problem
     if not search.only_time_counts or problem.mechanism.dof > 1 or other_limits(problem):
         return False, None
@@ -207,7 +207,7 @@ def _as_quick(search: Search, duration_s: float) -> bool:
 
 
 def _better_plan(search: Search, budget: Budget) -> Plan | None:
-    """Return a better plan from the phase plane's motion than the plan found; None without one."""
+    """Return the plan from the phase plane's motion if it is better than the plan found, else None."""
     if search.only_time_counts:
         _, guess = judged_by_the_phase_plane(search)
     else:
@@ -294,7 +294,7 @@ def may_be_too_short(problem: Problem) -> bool:
 
 
 def is_too_short(search: Search) -> bool:
-    """True if the shortest motion that a search for it finds takes clearly longer than the given time."""
+    """True if the shortest motion found takes clearly longer than the given time."""
     quick = shortest_motion(search) if may_be_too_short(search.problem) else None
     return quick is not None and quick.trajectory.duration_s > (1.0 + _CLEARLY_LONGER) * longest(search.problem)
 

@@ -1,6 +1,6 @@
-"""From an optimum of a program to one with other numbers, and from any unknowns to the nearest feasible point.
+"""The optimum of a program with changed numbers, from a known optimum; the feasible point nearest to given unknowns.
 
-Newton steps on the optimality conditions, with one factorisation for all of them, lead to other numbers.
+Newton steps on the optimality conditions lead from the known optimum to the new one, all with one factorisation.
 
 With the active bounds and rows as equations, the conditions are F(x, lambda) = 0, with
 
@@ -46,7 +46,7 @@ from linkplan.planner.transcription.program import Program
 _BOUND_SLACK = 1e-9
 # Newton steps below this end the iteration.
 _NEGLIGIBLE_STEP = 1e-11
-# The status of a solution that is feasible, as IPOPT names it; nothing is minimized.
+# IPOPT's name for the status of a feasible point that is not an optimum.
 FEASIBLE = "Feasible_Point_Found"
 # The weights of squared scaled changes: small for states and algebraic unknowns, large for efforts and durations. With
 # weights of 1e-6 and 1, the solver of quadratic programs does not converge if limits on jerk are active all along.
@@ -63,7 +63,7 @@ EQUATION_TOLERANCE = 1e-8
 # unknowns are changed.
 # Second corrections of meshes of 170 to 300 intervals take 0.2 to 0.5 of the time.
 NEAR_INTERVALS, _LOCAL_GAIN = 3, 0.5
-# Steps diverge once the violation is this factor times the first one, or a small one.
+# The programs diverge if the violation exceeds this factor times the larger of the first and a small violation.
 _DIVERGED_FACTOR, _SMALL_VIOLATION = 10.0, 1e-3
 
 
@@ -142,7 +142,7 @@ def newton_step(conditions: Conditions, last: Transcribed, optimum: Optimum, ask
     lower, upper = np.concatenate([asked.lower, asked.row_lower]), np.concatenate([asked.upper, asked.row_upper])
     gradient, g, K = _values(conditions.slopes, x, p, lam)
     here, settled = np.concatenate([x, g]), False
-    for _ in range(8):  # changes of the active bounds in one linearisation
+    for _ in range(8):  # at most eight changes of the active bounds for one linearisation
         kept = (sides == 0) == (np.arange(len(sides)) < n)  # free unknowns and active rows
         to = np.where(sides > 0, upper, lower)
         factors = _factors(conditions, K, kept)

@@ -60,7 +60,7 @@ class WholeCheck(CheckResult, Inspection, frozen=True, kw_only=True, eq=False, d
         """
         return map(measured, self.sweeps) if self.brief else self._few_paths
 
-    @cached_property  # hence dict=True: the paths are measured once, at first use
+    @cached_property  # measured once, at first use; the cache needs dict=True
     def _few_paths(self) -> tuple[KinematicLoopPath, ...]:
         return tuple(map(measured, self.sweeps))
 

@@ -31,11 +31,11 @@ from linkplan.studies.compare.user_tracker import TrackerLike, users_tracker
 _MIN_CONTROL_PERIODS = 10
 # Most control instants (a log of a gigabyte) and most simulator steps (an hour).
 _MAX_INSTANTS, _MAX_STEPS = 2e6, 1e8
-# The time [s] over which a pose is held to see if a machine beside it returns: unstable machines of some metres fall in it.
+# The least time [s] of the test whether a machine beside a pose returns to it; unstable machines of some metres fall in it.
 _LEAST_REST_S = 5.0
 # Positions and speeds of a plan that stands still change by less than this, which is rounding [rad, m; per second].
 _STANDS_STILL = 1e-9
-# How far beside the pose that machine starts [rad; extents on a slide], and the factor by which it has moved away. A stable
+# The machine's initial offset from the pose [rad; extents on a slide], and the factor by which it has moved away. A stable
 # loop may move away by a smaller factor before it returns.
 _START_OFFSET, _MOVED_AWAY = 1e-4, 10.0
 
@@ -73,7 +73,7 @@ class Comparison:
 
 
 def mismatch_of(plan: Plan, mass_factor: float, delay_periods: float) -> Mismatch | None:
-    """Return the mismatch of a factor on the payload (or all moving masses without one) and an additional delay, if any."""
+    """Return a mismatch of payload (if there is none, of all moving masses) and delay; None if nothing changes."""
     what = "payload" if plan.problem.mechanism.payload is not None else "moving masses"
     delay = f"{delay_periods:g} control period{'s' if delay_periods != 1 else ''} of delay"
     name = f"{what} {100 * (mass_factor - 1):+.3g} %, {delay}"

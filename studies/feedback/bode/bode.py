@@ -315,9 +315,9 @@ def _scans(
     mechanism: Mechanism,
     say: Callable[[str], None],
 ) -> Iterator[Scan]:
-    """Yield the margins along lines: along `line` for all loops, else over each coordinate's reach for its own.
+    """Yield the margins along `line` for all loops; without a line, over each coordinate's reach for its own loop.
 
-    The reach is extended to all positions (n, n_s). The other coordinates are as in the first position.
+    A reach is extended to include all positions (n, n_s). Other coordinates have their values of the first position.
     """
     lines = [] if line is None else [(line, mechanism.channels)]
     for channel in mechanism.channels if line is None else ():

@@ -123,7 +123,7 @@ def _order_at_zero(A: np.ndarray, b: np.ndarray, c: np.ndarray, n_poles: int) ->
     )
     N, rest = np.triu(T[:found, :found], 1), T[found:, found:]
     b, c = Q.conj().T @ b, c @ Q
-    apart = scipy.linalg.solve_sylvester(T[:found, :found], -rest, -T[:found, found:])  # [[1, X], [0, 1]] splits T
+    apart = scipy.linalg.solve_sylvester(T[:found, :found], -rest, -T[:found, found:])  # [[1, X], [0, 1]] decouples T
     b_0, b_1, c_0, c_1 = b[:found] - apart @ b[found:], b[found:], c[:found], c[:found] @ apart + c[found:]
     size = _ROUNDING_SHARE * float(np.linalg.norm(c) * np.linalg.norm(b))
     for j in reversed(range(found)):
