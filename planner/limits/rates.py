@@ -275,7 +275,7 @@ def smooth_columns(problem: Problem) -> tuple[int, ...]:
     mechanism = problem.mechanism
     if problem.objective.has("jerk"):
         return tuple(range(mechanism.dof))
-    columns = [limit.moved_by for kind in (JerkLimit, SiteJerkLimit) for limit in kind.of(problem)]
+    columns = [limit.moved_by or () for kind in (JerkLimit, SiteJerkLimit) for limit in kind.of(problem)]
     columns += [jerk_of(extra, mechanism) for extra in problem.extras]
     return tuple(sorted({column for some in columns for column in some}))
 
