@@ -268,8 +268,8 @@ def finished(
         share, joint = slow
         details["slow_friction_share"] = share
         verdict = verdict.adding(
-            f"during {share:.0%} of it {joint} is so slow that less than nine tenths of its dry friction are planned"
-            " (reduce mechanism.friction_transition_deg_s for more)"
+            f"{joint} moves slowly for {share:.0%} of the time, in which the plan has less than 90 % of its dry friction"
+            " (a lower mechanism.friction_transition_deg_s plans more)"
         )
     if failure is not None:
         return replace(plan, verdict=failure, objective=None, details=details)

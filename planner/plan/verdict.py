@@ -83,7 +83,7 @@ class Verdict(Struct, frozen=True, kw_only=True, omit_defaults=True):
         if not self.passed:
             first = f"{self.kind}: {self.words}"
         elif self.kind == "optimal" and self.objective:  # no solver shows more than a local optimum
-            first = f"{'' if self.is_global else 'locally '}{self.objective.replace('_', ' ')}-optimal {self.words}"
+            first = f"{'' if self.is_global else 'locally '}{self.objective.replace('_', '-')}-optimal {self.words}"
         else:
             first = self.words
         return "; ".join([first, *self.further])

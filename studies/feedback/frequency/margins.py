@@ -165,7 +165,7 @@ def _bounds(loop: FeedbackLoop, channel: int, radius: float | None) -> Margins:
         bandwidth_hz=bandwidth(complementary, frequency),
         response_at_rest=_finite(response[0]),
         stiffness_at_rest=_finite(stiffness[0]),
-        resonance_db=float(20 * np.log10(resonance / first)) if first > 1e-9 and resonance else None,
+        resonance_db=float(20 * np.log10(max(1.0, resonance / first))) if first > 1e-9 and resonance else None,
         resonance_hz=resonance_hz,
         sensitivity_peak=peak,
         sensitivity_peak_hz=peak_hz,

@@ -25,15 +25,16 @@ CONVENTION = "motor velocity = G joint velocity; joint effort = G^T motor effort
 class Transfer:
     """A transfer table, the linkage at home, the motors' effort limits (n_m, 2), and the converted gains.
 
-    `motor_speed` are the motors' top speeds (n_m,) or None. `gains` have names of `GAINS`, in SI: gains of joints (n_o,) are
-    converted to the motors, gains of motors (n_m,) to the joints. `serial` is the serial equivalent; None if the linkage has
-    none, with the reason in `serial_note`.
+    `motor_speed` are the motors' top speeds (n_m,), `motor_stall` their stall efforts, or None. `gains` have names of
+    `GAINS`, in SI: gains of joints (n_o,) are converted to the motors, gains of motors (n_m,) to the joints. `serial` is the
+    serial equivalent; None if the linkage has none, with the reason in `serial_note`.
     """
 
     table: TransferTable
     home: Transmission
     effort_limit: np.ndarray
     motor_speed: np.ndarray | None
+    motor_stall: np.ndarray | None
     gains: Mapping[str, np.ndarray]
     serial: Serial | None
     serial_note: str
@@ -103,10 +104,12 @@ def transfer_study(
     carried = {}
     for name, values in (gains or {}).items():
         carried[name] = each(values, name, n_o if name.startswith("joint") else n_m)
-    limit, speed = outputs.effort_limit, None
+    limit, speed, stall = outputs.effort_limit, None, None
     if problem is not None:
         limit, known = np.array(problem.limits.actuators_effort)[motors], no_load_speeds(problem)[motors]
         speed = None if np.isnan(known).any() else known
+        lines = [None if (motor := problem.motors[j]) is None else motor.line for j in motors]
+        stall = None if None in lines else np.array([line[0] for line in lines if line is not None])
     if len(motor_speeds):
         speed = each(motor_speeds, "motor_speed", n_m)
     for name in ends or {}:
@@ -122,6 +125,7 @@ def transfer_study(
         home=transmission(outputs, inside.home[None]),
         effort_limit=limit,
         motor_speed=speed,
+        motor_stall=stall,
         gains=carried,
         serial=serial,
         serial_note=note,

@@ -14,6 +14,7 @@ from linkplan.models.transfer.rest import OutputMotion, SerialErrors, rest_effor
 from linkplan.planner.files.columns import csv_bytes, parquet_bytes
 from linkplan.planner.files.structs import NOT_READ, Beside
 from linkplan.studies.handover.transfer.columns import arrays_of, columns_of, inverse_columns, npz_arrays
+from linkplan.studies.handover.transfer.frameworks import frameworks_text
 from linkplan.studies.handover.transfer.serial_study import Serial, along_columns, errors_along, left_out, motion_of_samples
 from linkplan.studies.handover.transfer.serial_urdf import reductions, urdf_notes, urdf_text
 from linkplan.studies.handover.transfer.study import CONVENTION, Transfer, carried_gains
@@ -158,7 +159,7 @@ class TransferResult(MechanismResult, Struct, frozen=True, kw_only=True, eq=Fals
         return report_of(f"Transfer table of {self.mechanism_name}", self.message, self.kept, [first])
 
     def write_files(self, place: Path, *, parquet: bool) -> None:
-        """Write the tables (CSV, NPZ, with `parquet` Parquet too) and the serial equivalent."""
+        """Write the tables (CSV, NPZ, with `parquet` Parquet too), actuators of frameworks and the serial equivalent."""
         transfer, serial = self.transfer, self.transfer.serial
         tables = {"table": columns_of(transfer), "inverse": inverse_columns(transfer)}
         about = {"mechanism": self.mechanism_name, "joints": ",".join(self.joints)}
@@ -175,6 +176,7 @@ class TransferResult(MechanismResult, Struct, frozen=True, kw_only=True, eq=Fals
                 (place / "serial.urdf").write_text(urdf, encoding="utf-8")
             if serial.errors is not None:
                 (place / "along.csv").write_bytes(csv_bytes(along_columns(serial)))
+        (place / "actuators.py").write_text(frameworks_text(transfer), encoding="utf-8")
         np.savez_compressed(place / "table.npz", **npz_arrays(transfer))  # pyright: ignore[reportArgumentType]  arrays by name
 
     def figure_specs(self) -> Iterator[tuple[str, FigureSpec]]:

@@ -27,7 +27,7 @@ class BatchOutcome(Result, Struct, frozen=True, kw_only=True, eq=False):
 
     def blocks(self) -> list[Block]:
         """Return the table of the cases, and a line for each case without a plan."""
-        heads = ["case", "set", "status", "objective", "duration [s]", "peak effort", "solver [s]", "solved"]
+        heads = ["case", "set", "status", "objective", "duration [s]", "peak effort", "solver [s]", "start"]
         return [table_of("", heads, self.rows), *(Text(text=failure) for failure in self.failures)]
 
     def document(self) -> Report:
@@ -49,5 +49,5 @@ def case_row(case: CaseSection, plan: Plan) -> list:
     peak = max(((float(effort), actuator.unit) for effort, actuator in peaks), default=None)
     seconds = f"{sum(step.build_s + step.solve_s for step in plan.history):.2g}"
     shown = None if peak is None else f"{peak[0]:.4g} {peak[1]}"
-    warm = "again" if plan.solved_again else "anew"
+    warm = "a solved case" if plan.solved_again else "its own"
     return [case.name, " ".join(case.set), plan.status, objective, duration, shown, seconds, warm]
