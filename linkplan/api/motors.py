@@ -38,7 +38,8 @@ def size(
         problem: a problem, or the name or path of one.
         motors: the path of a TOML file with [[motor]] tables, or of a CSV file with one motor per row; or a list of tables
             with `name`, `peak_effort` [N.m or N], `rms_effort`, `stall_effort` and `no_load_speed_deg_s` or `_m_s`,
-            `rotor_inertia` [kg m2 or kg], `gears`, a list of ratios, `torque_constant` and `resistance_ohm`.
+            `rotor_inertia` [kg m2 or kg], `gears`, a list of ratios, or `leads_m` of ball screws, `torque_constant` and
+            `resistance_ohm`.
         actuator: the actuator to size; needed if there are several. The others keep their limits.
         rest_s: the rest without effort after each motion [s]; the rms effort is taken over motion and rest.
         progress: called with lines on the progress.

@@ -26,6 +26,9 @@ class CandidateMotor(Motor, frozen=True, kw_only=True):
     gears: Annotated[list[kinds.Positive], _GEARS] = key(
         "the gear ratios to try: motor position over joint position", "1, rad/m", "the model's own"
     )
+    leads_m: Annotated[list[kinds.Positive], _GEARS] = key(
+        "in place of gears, the leads of ball screws to try: the slide's way in a turn of the motor", "m", "none"
+    )
 
     @property
     def rated_power(self) -> float | None:

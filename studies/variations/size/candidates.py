@@ -63,7 +63,7 @@ def motors_from(tables: Mapping[str, object]) -> list[CandidateMotor]:
 
 
 def _rows(path: Path, what: str) -> list[dict[str, object]]:
-    """Return the rows of a CSV file as tables without their empty cells; `gears` has blanks between its numbers."""
+    """Return the rows of a CSV file as tables without empty cells; `gears` and `leads_m` have blanks between numbers."""
     try:
         text = read_file(path, what, MOST_TOML_BYTES).decode("utf-8-sig")
     except UnicodeDecodeError as error:
@@ -83,9 +83,11 @@ def _rows(path: Path, what: str) -> list[dict[str, object]]:
 
 
 def _value(key: str, cell: str) -> object:
-    """Return a cell as a number, or for `gears` as numbers; other text stays unchanged and is refused later."""
+    """Return a cell as a number, or for `gears` and `leads_m` as numbers; other text stays and is refused later."""
     try:
-        return cell if key == "name" else [float(one) for one in cell.split()] if key == "gears" else float(cell)
+        return (
+            cell if key == "name" else [float(one) for one in cell.split()] if key in ("gears", "leads_m") else float(cell)
+        )
     except ValueError:
         return cell
 
@@ -111,8 +113,23 @@ def actuator_of(problem: Problem, asked: str | None) -> int:
 
 
 def gears_of(problem: Problem, index: int, motor: CandidateMotor) -> Sequence[float]:
-    """Return the gears to try with a motor: its own list, or the actuator's gear."""
-    return motor.gears or [abs(problem.mechanism.actuators[index].gear)]
+    """Return the gears to try with a motor: its own list, those of its screws' leads, or the actuator's gear.
+
+    Raises:
+        ProblemError: for gears and leads together, or leads at an actuator that moves no slide.
+    """
+    actuator = problem.mechanism.actuators[index]
+    if motor.leads_m:
+        joint = None if actuator.joint is None else problem.mechanism.joints[actuator.joint]
+        if motor.gears or joint is None or joint.kind != "slide":
+            why = (
+                "not beside gears"
+                if motor.gears
+                else f"for an actuator on a slide, and {actuator.name} is on {actuator.target}"
+            )
+            raise ProblemError(f"motor.{motor.name}.leads_m is {why}")
+        return [2 * np.pi / lead for lead in motor.leads_m]
+    return motor.gears or [abs(actuator.gear)]
 
 
 def with_motor(problem: Problem, index: int, motor: CandidateMotor, gear: float) -> Problem:

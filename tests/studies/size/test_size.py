@@ -314,3 +314,22 @@ def test_a_warm_motor_is_slowed_down_until_its_rms_effort_is_within_its_limit():
     assert one.loads.rms_effort == pytest.approx(rms, rel=1e-6)
     assert not one.does
     assert one.speed_up == pytest.approx(np.sqrt(0.5 * peak / rms), rel=1e-6)
+
+
+SLED = """<mujoco><option gravity="0 0 0"/><worldbody><body><joint name="x" type="slide" axis="1 0 0"/>
+<inertial pos="0 0 0" mass="2" diaginertia="1 1 1"/></body></worldbody><actuator>
+<motor name="push" joint="x" ctrlrange="-9 9"/></actuator></mujoco>"""
+
+
+def test_a_lead_of_a_screw_is_a_gear_in_radians_per_metre():
+    problem = linkplan.Problem.reach(SLED, start_m={"x": 0.0}, goal_m={"x": 0.3}, duration_s=0.5)
+    screws = [{"name": "M", "peak_effort": 0.1, "leads_m": [0.005, 0.02]}]
+    found = linkplan.size(problem, screws).motors
+    assert sorted(one.gear for one in found) == pytest.approx([2 * np.pi / 0.02, 2 * np.pi / 0.005])
+    # m a = 2 * 6 * 0.3 / 0.25 = 14.4 N at the ends of the smoothest motion: times lead / 2 pi
+    by_lead = {round(2 * np.pi / one.gear, 4): one.loads.peak_effort for one in found}
+    assert by_lead[0.02] == pytest.approx(14.4 * 0.02 / (2 * np.pi), rel=1e-3)
+    with pytest.raises(linkplan.LinkplanError, match="not beside gears"):
+        linkplan.size(problem, [screws[0] | {"gears": [3.0]}])
+    with pytest.raises(linkplan.LinkplanError, match="act_O is on joint O"):
+        linkplan.size("knee-reach", screws)
