@@ -136,23 +136,19 @@ def _sites(problem: Problem, motion: Trajectory, rng: np.random.Generator) -> li
             )
         )
 
-    def accelerated(problem: Problem, low: float, high: float) -> Problem:
-        return problem.varied(limits=replace(problem.limits, site_acceleration={name: min(-low, high)}))
+    def largest(order: int) -> Kind:
+        key, what = {1: ("site_speed", "speed"), 2: ("site_acceleration", "acceleration"), 3: ("site_jerk", "jerk")}[order]
 
-    def size(at: Samples) -> np.ndarray:
-        return np.linalg.norm(sampled(site_motion(mechanism, 2), at.q, at.v, at.a)[:, :, index], axis=1)
+        def size(at: Samples) -> np.ndarray:
+            further = [at.jerk] if order == 3 else []
+            return np.linalg.norm(sampled(site_motion(mechanism, order), at.q, at.v, at.a, *further)[:, :, index], axis=1)
 
-    def with_jerk(problem: Problem, low: float, high: float) -> Problem:
-        return problem.varied(limits=replace(problem.limits, site_jerk={name: min(-low, high)}))
+        def limited(problem: Problem, low: float, high: float) -> Problem:
+            return problem.varied(limits=replace(problem.limits, **{key: {name: min(-low, high)}}))
 
-    def jerk(at: Samples) -> np.ndarray:
-        return np.linalg.norm(sampled(site_motion(mechanism, 3), at.q, at.v, at.a, at.jerk)[:, :, index], axis=1)
+        return Kind(words=f"{what} of site {name}", values=size, limited=limited, signs=(1,))
 
-    return [
-        *found,
-        Kind(words=f"acceleration of site {name}", values=size, limited=accelerated, signs=(1,)),
-        Kind(words=f"jerk of site {name}", values=jerk, limited=with_jerk, signs=(1,)),
-    ]
+    return [*found, *map(largest, (1, 2, 3))]
 
 
 def _bodies(problem: Problem, rng: np.random.Generator) -> list[Kind]:

@@ -145,6 +145,7 @@ def test_a_spoilt_coefficient_is_refuted(name, at, by, words):
         ("limits.jerk_deg_s3.O={}", "jerk of O"),
         ("limits.jerk_deg_s3.C={}", "jerk of C"),
         ("limits.site_jerk_m_s3.B_coupler={}", "jerk of site B_coupler"),
+        ("limits.site_speed_m_s.B_coupler={}", "speed of site B_coupler"),
         ("limits.site_acceleration_m_s2.B_coupler={}", "acceleration of site B_coupler"),
         ("limits.power_w.act_O={}", "power of act_O"),
         ("limits.closure_force.B={}", "closure force of B"),
