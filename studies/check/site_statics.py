@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from msgspec import UNSET, Struct, UnsetType
 
-from linkplan.models.actuation.distribution import missed_rounding
+from linkplan.models.actuation.distribution import missed_rounding, unit_efforts
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
@@ -58,7 +58,7 @@ class SiteStatics(Struct, frozen=True, kw_only=True, eq=False):
     @property
     def axes(self) -> list[int]:
         """The axes of the world along which the site moves on some pose of the path."""
-        sizes = np.max([np.abs(rate).max(axis=0, initial=0.0) for rate in self.rate.values()], axis=0)
+        sizes = np.nanmax([np.abs(rate) for rate in self.rate.values()], axis=(0, 1), initial=0.0)
         return [k for k in range(3) if sizes[k] > ROUNDING_SHARE * sizes.max(initial=0.0) > 0]
 
 
@@ -94,6 +94,7 @@ def site_statics(path: KinematicLoopPath, forces: Mapping[str, np.ndarray]) -> I
     for name in site_names(mechanism.model):
         k = int(mechanism.model.site(name).id)
         J = np.stack([rates[:, :, k] for rates in of_units], axis=2)  # (n, 3, n_s)
+        J = np.where(np.abs(J) > ROUNDING_SHARE * np.abs(J).max(initial=0.0), J, 0.0)
         back = _inverse(path.ratio) if square else None
         if back is not None:
             by, kinds = [actuator.name for actuator in mechanism.actuators], [a.unit for a in mechanism.actuators]
@@ -121,7 +122,7 @@ def site_statics(path: KinematicLoopPath, forces: Mapping[str, np.ndarray]) -> I
         )
 
 
-def _inverse(ratio: np.ndarray) -> np.ndarray | None:
+def _inverse(ratio: np.ndarray) -> np.ndarray:
     """Return r^-1 (n, n_u, n_s) at each pose, NaN where r is singular."""
     found = np.full(ratio.transpose(0, 2, 1).shape, np.nan)
     values = np.linalg.svd(ratio, compute_uv=False)
@@ -132,7 +133,7 @@ def _inverse(ratio: np.ndarray) -> np.ndarray | None:
 
 def _balancing(ratio: np.ndarray, J: np.ndarray) -> np.ndarray:
     """Return the efforts of least norm (n, n_u, 3) that balance a unit of force; NaN where none does."""
-    effort = np.linalg.pinv(ratio, rcond=ROUNDING_SHARE) @ J.transpose(0, 2, 1)
+    effort = unit_efforts(ratio) @ J.transpose(0, 2, 1)
     missed = np.abs(ratio @ effort - J.transpose(0, 2, 1)).max(axis=1)
     sizes = np.abs(J).max(axis=2)
     return np.where((missed <= 1e-9 * (sizes + sizes.max(initial=0.0)))[:, None, :], effort, np.nan)
