@@ -85,13 +85,16 @@ def answer(found: Sizing) -> str:
     best, n, good = found.motors[0], len(found.motors), sum(one.does for one in found.motors)
     if not good:
         return f"none of {n} motors with gears suffices for {found.actuator} in {found.problem}; the nearest is {best.title}"
-    left = f"with {100 * (best.margin or 0.0):.3g} % of its {best.tightest} left"
-    size = f"{best.rated_power_w:.4g} W" if found.by_power else f"{best.peak_limit:.4g} {best.effort_unit}"
-    how = f"in {best.duration_s:.4g} s" if found.free_duration else f"{size}, {left}"
+    left = f"{100 * (best.margin or 0.0):.3g} % of {best.tightest} left"
+    size = f"rated {best.rated_power_w:.4g} W" if found.by_power else f"peak {best.peak_limit:.4g} {best.effort_unit}"
+    which = (
+        f"best: {best.title}, in {best.duration_s:.4g} s"
+        if found.free_duration
+        else f"smallest: {best.title} ({size}), {left}"
+    )
     fast = "" if best.speed_up is None else f", up to {_floor(best.speed_up)} times as fast"
-    kind = "best" if found.free_duration else f"the smallest by {'rated power' if found.by_power else 'peak effort'}"
     counted = f"{good} of {n} motors with gears {'suffices' if good == 1 else 'suffice'}"
-    return f"{counted} for {found.actuator} in {found.problem}; {kind}: {best.title}, {how}{fast}"
+    return f"{counted} for {found.actuator}; {which}{fast}"
 
 
 def _floor(factor: float) -> str:

@@ -353,29 +353,29 @@ def test_a_search_without_a_motion_and_a_reason_names_the_shortest_known_motion(
 
 
 # A mass of 2 kg pushed over 0.3 m in 0.5 s by a force that its limits on power and acceleration leave alone.
-MASS, FORCE, WAY, TIME = 2.0, 400.0, 0.3, 0.5
+SLED_MASS, SLED_FORCE, SLED_WAY, SLED_TIME = 2.0, 400.0, 0.3, 0.5
 
 
 def half_way(power: float) -> float:
     """Return the way [m] in the first half of the time: a bang to the speed P / F, then constant power."""
-    speed = power / FORCE
-    bang = MASS * speed / FORCE
-    later = speed**2 + 2 * power * (TIME / 2 - bang) / MASS
-    return 0.5 * speed * bang + MASS / (3 * power) * (later**1.5 - speed**3)
+    speed = power / SLED_FORCE
+    bang = SLED_MASS * speed / SLED_FORCE
+    later = speed**2 + 2 * power * (SLED_TIME / 2 - bang) / SLED_MASS
+    return 0.5 * speed * bang + SLED_MASS / (3 * power) * (later**1.5 - speed**3)
 
 
 @pytest.mark.parametrize(
     ("kind", "key", "name", "least"),
     [
-        (AccelerationLimit, "acceleration_m_s2", "x", 4 * WAY / TIME**2),
-        (PowerLimit, "power_w", "push", brentq(lambda p: half_way(p) - WAY / 2, 1.0, 10.0)),
+        (AccelerationLimit, "acceleration_m_s2", "x", 4 * SLED_WAY / SLED_TIME**2),
+        (PowerLimit, "power_w", "push", brentq(lambda p: half_way(p) - SLED_WAY / 2, 1.0, 10.0)),
     ],
     ids=["acceleration", "power"],
 )
 def test_the_least_limit_of_a_motion_in_time_is_that_of_the_legs(kind, key, name, least):
     def of(limit: float) -> Problem:
-        ends = {"start_m": {"x": 0.0}, "goal_m": {"x": WAY}, "duration_s": TIME}
-        return Problem.reach(cart(f"{-FORCE} {FORCE}"), **ends, limits={key: {name: limit}})
+        ends = {"start_m": {"x": 0.0}, "goal_m": {"x": SLED_WAY}, "duration_s": SLED_TIME}
+        return Problem.reach(cart(f"{-SLED_FORCE} {SLED_FORCE}"), **ends, limits={key: {name: limit}})
 
     low = of(0.4 * least)
     motion = plan_motion(of(1.2 * least)).trajectory

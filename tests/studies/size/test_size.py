@@ -70,7 +70,7 @@ def test_the_keys_of_the_best_motor_give_its_plan_again(listed):
     assert again.objective == pytest.approx(best.objective, rel=SAME_FIGURE)
     assert again.demands()[0].peak_effort == pytest.approx(best.loads.peak_effort, rel=SAME_FIGURE)
     said = str(found)
-    assert said.startswith("1 of 3 motors with gears suffices for act_O in knee-reach; the smallest by ")
+    assert said.startswith("1 of 3 motors with gears suffices for act_O; smallest: big, gear 9 (rated ")
     assert "  gear = { act_O = 9.0 }\n  rotor_inertia = { act_O = 0.0001 }\n" in said
     assert "direct, gear 1: infeasible: act_O on joint O would have to give" in said
 
