@@ -140,6 +140,8 @@ def _speed_at_an_end(problem: Problem) -> Verdict | None:
 
 def _not_held(problem: Problem) -> Verdict | None:
     """Return the verdict on a start or goal at rest that limits forbid to leave with an acceleration, and no motor holds."""
+    if problem.mechanism.n_equations != problem.mechanism.dof:  # along a path, whose poses another check looks at
+        return None
     smooth, columns = smooth_columns(problem), range(problem.mechanism.dof)
     for name, held in zip(("start", "goal"), holds_at_rest(problem), strict=True):
         still = columns if held else smooth
