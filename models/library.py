@@ -325,7 +325,7 @@ def _read_file(path: Path) -> tuple[str, mujoco.MjSpec, tuple[str, ...]]:
 
 
 def _spec_of(path: Path, parts: dict[str, bytes], *, edited: bool) -> mujoco.MjSpec:
-    """Return the specification of a model's file and the files that it includes, which differ from the disk if `edited`."""
+    """Return the specification of a model's file with its included files; `edited` contents replace those on the disk."""
     try:
         if path.suffix != ".mjcf" and path.suffix.islower():
             return mujoco.MjSpec.from_file(str(path), include=parts if edited else None)

@@ -78,6 +78,12 @@ def missed_rounding(limit: np.ndarray) -> float:
     return HOLDING_TOLERANCE * np.where(np.isfinite(limit), np.abs(limit), 0.0).max(initial=1.0)
 
 
+def lacking(tau: np.ndarray, maps: np.ndarray, effort: np.ndarray, limit: np.ndarray) -> np.ndarray:
+    """Return what efforts (n, n_u), cut to limits (n_u, 2), lack of generalised efforts tau (n, n_s); rounding is 0."""
+    missed = tau - np.einsum("ksu,ku->ks", maps, np.clip(effort, *limit.T))
+    return np.where(np.abs(missed) > missed_rounding(limit), missed, 0.0)
+
+
 def actuator_sizes(limit: np.ndarray) -> np.ndarray:
     """Return the larger absolute limit (..., n_u) of actuators (..., n_u, 2), the unit of an effort; 1 without limits."""
     size = np.where(np.isfinite(limit), np.abs(limit), 0.0).max(axis=-1)

@@ -51,7 +51,7 @@ def _least_along(mechanism: Mechanism, poses: np.ndarray, *, dependent: bool) ->
 
 @functools.lru_cache(maxsize=16)
 def _values_at_home(mechanism: Mechanism, *, dependent: bool) -> list[np.ndarray]:
-    """Return `_values` (1, k) at home of each part."""
+    """Return the singular values (1, k) of each part's block of J or of J_z at home."""
     return [_values(mechanism, part, mechanism.home[None], dependent=dependent) for part in _parts(mechanism)]
 
 

@@ -143,10 +143,10 @@ def _put_in_place(work: Path, place: Path) -> None:
 
 
 def restore(folder: Path) -> None:
-    """Put an earlier result back if a process was killed while it replaced it; remove it if the new one is in its place.
+    """Put back an earlier result that a killed process had set aside; remove it if the newer result is complete.
 
     Raises:
-        PlanFileError: when the disk refuses, files of the user are in its place, or the path is impossible.
+        PlanFileError: if it cannot be written, if its place holds files of the user, or if the path is impossible.
     """
     with refusals(f"'{folder}' cannot be read", RuntimeError, ValueError):
         place = folder.resolve()

@@ -59,7 +59,7 @@ def write_again(path: Path, content: bytes, earlier: bytes | None) -> None:
     """Replace a file that was written before with the content `earlier`, or write a new one if there is none.
 
     Raises:
-        PlanFileError: if the file's content is not `earlier`, it is a link, or the disk refuses.
+        PlanFileError: if the file no longer has the content `earlier`, if it is a link, or if it cannot be written.
     """
     if earlier is None or not os.path.lexists(path):
         write_new(path, content)

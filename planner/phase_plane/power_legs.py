@@ -32,7 +32,7 @@ _INTEGRATION_RTOL, _INTEGRATION_ATOL = 1e-12, 1e-14
 _SAME_SPEED = 1e-9
 # Marks a part of the velocity curve that no motion can follow, with one effort alone that satisfies all limits.
 NO_ROOM = np.zeros(1, dtype=int)
-# The first step of a leg that leaves the velocity curve, as a share of the span, and its change of energy, as a share.
+# A leg leaves the velocity curve by a first step over this share of the span, which changes its energy by this share.
 _LAUNCH_STEP, _LAUNCH_ENERGY = 1e-6, 1e-3
 # The integration of a leg stops where the range of efforts within all limits is empty by this share of the strength.
 _ROOM_TOLERANCE = 1e-3

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from linkplan.models.actuation.distribution import UNLIMITED, distribute, missed_rounding
+from linkplan.models.actuation.distribution import UNLIMITED, distribute, lacking, missed_rounding
 from linkplan.models.audit import audit
 from linkplan.models.errors import AssemblyError, ProblemError
 from linkplan.models.mechanism import Mechanism
@@ -149,8 +149,7 @@ def lacking_at_rest(motion: Motion, mechanism: Mechanism, limits: Limits, name: 
     # Free accelerations are efforts of further actuators, without limits.
     maps = np.concatenate([maps, -inertia], axis=2)
     limit = np.vstack([limits.effort, np.tile(UNLIMITED, (len(free), 1))])
-    effort = np.clip(distribute(tau, maps, limit), *limit.T)
-    missed = (tau - np.einsum("ksu,ku->ks", maps, effort))[0]
+    missed = lacking(tau, maps, distribute(tau, maps, limit), limit)[0]
     rub = [float(sliding_friction(mechanism, pose, column)[0]) for column in range(mechanism.dof)]
     over = np.abs(missed) - missed_rounding(limits.effort) - rub
     row = int(np.argmax(over))

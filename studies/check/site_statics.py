@@ -16,7 +16,7 @@ import casadi as ca
 import numpy as np
 from msgspec import UNSET, Struct, UnsetType
 
-from linkplan.models.actuation.distribution import missed_rounding, unit_efforts
+from linkplan.models.actuation.distribution import lacking, unit_efforts
 from linkplan.models.closure.rank import ROUNDING_SHARE
 from linkplan.models.errors import ProblemError
 from linkplan.models.mechanism import Mechanism
@@ -199,9 +199,7 @@ def _under(path: KinematicLoopPath, J: np.ndarray, hold: np.ndarray, force: np.n
     """Return the fields of `SiteStatics` on a force (3,) that acts on the machine at the site."""
     tau = hold - np.einsum("kas,a->ks", J, force)
     effort = distributed(path.mechanism, tau, path.ratio, path.limit)
-    held = np.clip(effort, *path.limit.T)
-    missed = np.abs(tau - np.einsum("ksu,ku->ks", path.ratio, held))
-    missed = np.where(missed > missed_rounding(path.limit), missed, 0.0)
+    missed = np.abs(lacking(tau, path.ratio, effort, path.limit))
     return {
         "given_force_n": force,
         "given_effort": {a.name: effort[:, j] for j, a in enumerate(path.mechanism.actuators)},

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from linkplan.models.errors import AssemblyError
 from linkplan.planner.certificate.certificate import Certificate
 from linkplan.planner.certificate.demands import demands_of, operating_points, shown_speed
-from linkplan.planner.limits.kinds import effort_bounds, limits_of
+from linkplan.planner.limits.kinds import affine_limits, all_effort_bounds, effort_bounds, limits_of
 from linkplan.planner.plan.plan import Plan, not_honoured
 from linkplan.planner.problem.problem import Problem
 from linkplan.planner.proof.finding import Finding, Proof
@@ -233,7 +233,7 @@ def _left_free(plan: Plan) -> list[tuple[str, str]]:
     if not problem.objective.has("time"):
         return []
     keys, said = {limit.key for limit in limits_of(problem)}, []
-    if not keys & {"speed", "site_speed", "motor"}:
+    if not affine_limits(problem, of_speed=True) and not any(one.no_load_speed for one in all_effort_bounds(problem)):
         speeds = np.abs(motion.velocity_at(motion.dense_times(8))).max(axis=0)
         joints = problem.mechanism.independent_joints
         joint, speed = max(zip(joints, speeds, strict=True), key=lambda one: (one[0].kind == "hinge", one[1]))

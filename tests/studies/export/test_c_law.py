@@ -251,7 +251,7 @@ def test_a_plan_without_a_motion_has_no_law(tmp_path, capsys):
 
 @needs_gcc
 def test_more_motors_than_freedoms_share_their_efforts_within_limits_in_c():
-    """Efforts of the law beyond the limits become those of the simulated drives."""
+    """The law in C changes efforts beyond the limits as the simulated drives do."""
     table = {"time_s": [0.0, 0.3, 0.6], "position_m": {"x": [-0.2, 0.0, 0.2], "z": [0.0, 0.1, 0.0]}}
     plan = plan_motion(Problem.track(linkplan.load_mechanism(hung_point()), reference=table))
     tables, folder = law_tables(plan, "pd+ff"), Path(tempfile.mkdtemp())
